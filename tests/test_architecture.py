@@ -87,6 +87,7 @@ def test_one_update_of_the_chain_passes_few_files():
         else:
             session.update(*sample)
     busiest = max(files, key=len)
+
     assert "needleforce/session.py" in busiest
     assert len(busiest) <= MAX_FILES_PER_UPDATE, listed(busiest)
 
@@ -126,6 +127,7 @@ def files_of_a_row(log, out):
 def test_a_csv_row_passes_few_files(lwr, tmp_path):
     write_insertion(tmp_path / "log.csv", lwr, seconds=15.0, contact_s=14.0)
     files = files_of_a_row(tmp_path / "log.csv", tmp_path / "out.csv")
+
     assert files
     assert len(files) <= MAX_FILES_PER_ROW, listed(files)
 

@@ -77,6 +77,7 @@ def test_the_readmes_example_finds_the_layers(monkeypatch):
     truth = names["run"].scenario.layers
     for layer, true_layer in zip(names["session"].layers, truth, strict=True):
         assert layer.thickness_m == pytest.approx(true_layer.thickness_m, abs=1e-3)
+
     assert said.count("rupture of layer") == len(truth)
     assert len(re.findall(r"mm, friction \d\.\d\d ± \d\.\d\d N", said)) == len(truth)
 
@@ -84,12 +85,14 @@ def test_the_readmes_example_finds_the_layers(monkeypatch):
 @pytest.mark.parametrize("name", SAYS)
 def test_an_example_runs_and_prints_its_result(name, capsys, monkeypatch):
     assert sorted(path.stem for path in ROOT.glob("examples/*.py")) == sorted(SAYS)
+
     example = ROOT / "examples" / f"{name}.py"
     monkeypatch.setattr("groundtruth.simulate", simulated)
     try:
         runpy.run_path(str(example), run_name="__main__")
     finally:
         gc.unfreeze()
+
     assert re.match(SAYS[name], capsys.readouterr().out)
 
 
@@ -97,7 +100,9 @@ def test_the_readme_is_short_and_says_for_whom():
     words = [
         word for word in README.split() if re.search(r"\w", word)
     ]  # no rules of tables
+
     assert len(words) <= 1430
+
     first = "\n".join(README.splitlines()[:20])
     for word in (
         "virtual force/torque sensor",
@@ -112,19 +117,24 @@ def test_the_two_commands_install_and_run():
     assert marked_command("run").startswith(
         'pip install ".[bench]" && python -m benchmarks run'
     )
+
     command = 'pip install ".[test]" && python -m pytest -n logical --dist worksteal'
+
     assert marked_command("test") == command
 
 
 def test_every_package_has_a_row():
     packages = {path.parent.name for path in ROOT.glob("*/__init__.py")}
     table = README.split("| package | what it does | imports |")[1].split("\n\n")[0]
+
     assert set(re.findall(r"^\| \[`(\w+)`\]", table, re.MULTILINE)) == packages
 
 
 def test_the_lags_it_states_are_those_delivered():
     assert f"late by 1/K, {1e3 / DEFAULT.gain_per_s:.0f} ms" in README
+
     delay_s = VelocityEstimator(7, DEFAULT.velocity_bandwidth_per_s).delay_s
+
     assert f"by {1e3 * delay_s:.0f} ms more" in README
 
 
@@ -132,12 +142,15 @@ def test_the_lags_it_states_are_those_delivered():
 def test_every_link_leads_to_a_file(page):
     text = page.read_text(encoding="utf-8")
     targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", text)
+
     assert [name for name in targets if not (page.parent / name).exists()] == []
+
     files = re.findall(
         r"`((?:urdf|residual|identification|groundtruth|needleforce|benchmarks"
         r"|examples|docs|tests)/[\w/]+\.\w+)`",
         text,
     )
+
     assert [name for name in files if not (ROOT / name).is_file()] == []
 
 
@@ -155,6 +168,7 @@ def test_every_status_and_warning_has_a_row(member):
 
 def test_every_call_the_loop_lists_exists():
     calls = re.findall(r"^\| `(\w+)\(", LOOP, re.MULTILINE)
+
     assert {"update", "tare", "begin_insertion"} <= set(calls)
     assert [name for name in calls if not hasattr(InsertionSession, name)] == []
 
@@ -186,12 +200,17 @@ def names():
 def test_the_arms_are_what_the_page_says(names):
     arm = names["arm"]
     bent = names["bent"]
+
     assert (arm.flange_frame, arm.tool_frame) == ("panda_link8", "needle_tip")
+
     bare = urdf.load_example("panda", without=["panda_hand"])
     added = pin.computeTotalMass(arm.model) - pin.computeTotalMass(bare.model)
+
     assert added == pytest.approx(0.040)
+
     flange = bent.model.frames[bent.frame_id("panda_link8")].placement
     tip = flange.actInv(bent.model.frames[bent.tool_frame_id].placement)
+
     assert tip.translation == pytest.approx([0.150, 0, 0.05])
     assert tip.rotation @ [0, 0, 1] == pytest.approx([1, 0, 0])
     assert pose_of(arm, names["READY"]).rotation[2, 2] == pytest.approx(-1.0, abs=0.01)
@@ -262,14 +281,18 @@ def resolve(path):
 def test_every_name_exists(name):
     path, _, argument = name.partition("(")
     value = resolve(path)
+
     assert value is not None
+
     if argument:
         assert argument.rstrip(")") in inspect.signature(value).parameters
 
 
 def test_every_equation_of_the_paper_has_a_row():
     all_tables = list(tables())
+
     assert len(all_tables) == 7
+
     for header, rows in all_tables:
         assert header == COLUMNS
         for row in rows:
@@ -278,4 +301,5 @@ def test_every_equation_of_the_paper_has_a_row():
             assert row[0]
             assert row[1].startswith("`")
     equations = " ".join(row[-1] for _, rows in all_tables for row in rows)
+
     assert [number for number in range(2, 14) if f"({number})" not in equations] == []

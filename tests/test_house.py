@@ -45,14 +45,18 @@ def test_no_function_or_class_has_the_name_of_a_module_beside_it():
             names = {node.name for node in syntax(path).body if hasattr(node, "name")}
             if names & modules:
                 found[name_of(path)] = sorted(names & modules)
+
     assert found == {}
 
 
 @pytest.mark.parametrize("package_name", PACKAGES)
 def test_the_public_face_is_sorted_small_and_resolves(package_name):
     package = import_module(package_name)
+
     assert package.__doc__
+
     names = getattr(package, "__all__", [])
+
     # Constants first, then classes, then functions, as the formatter sorts them.
     assert names == sorted(
         names, key=lambda n: (not n.isupper(), not n[0].isupper(), n)
@@ -74,11 +78,16 @@ INNER = sorted(
 def test_the_docstring_of_a_folder_says_with_which_files_to_begin(folder):
     package = import_module(folder.replace("/", "."))
     _, order, listed = package.__doc__.partition("Reading order: ")
+
     assert order
+
     names = [name for name in re.findall(r"`(\w+)`", listed) if name.islower()]
     names = [name for name in names if name not in PACKAGES]
+
     assert len(names) > 1
+
     places = {name: ROOT / folder / name for name in names}
+
     assert [
         name
         for name, place in places.items()
@@ -96,6 +105,7 @@ def test_a_library_has_a_public_face_types_and_one_base_error(package_name):
         if isinstance(value, type) and value.__module__ == module.__name__
     ]
     bases = [error for error in own if error.__bases__ == (Exception,)]
+
     assert len(bases) == 1
     assert all(issubclass(error, bases[0]) for error in own)
     assert bases[0].__name__ in package.__all__
@@ -124,6 +134,7 @@ def test_frozen_dataclasses_with_arrays_are_compared_and_hashed_by_identity(kind
     for made in (one, other):
         for field in fields(kind):
             object.__setattr__(made, field.name, np.ones(2))
+
     assert one == one
     assert one != other
     assert len({one, other}) == 2
@@ -153,6 +164,7 @@ def test_everything_public_is_documented():
         for path in PACKAGE_SOURCES
         if (names := list(undocumented(syntax(path))))
     }
+
     assert missing == {}
     assert [
         name_of(path) for path in PACKAGE_SOURCES if not ast.get_docstring(syntax(path))
@@ -205,6 +217,7 @@ def test_every_test_asserts_something(path):
         name: node for name, node in found.items() if not name.startswith("test")
     }
     tests = [node for name, node in found.items() if name.startswith("test")]
+
     assert [node.name for node in tests if not asserts(node, dict(helpers))] == []
     assert bool(tests) == path.name.startswith("test_")
 
@@ -226,7 +239,9 @@ def test_every_dependency_has_a_range_and_a_reason():
         *(item for extra in extras for item in extra),
     ]
     own = [item for item in wanted if not item.startswith("needleforce[")]
+
     assert len(own) > 10
+
     for item in own:
         assert re.search(r">=[\d.]+,<[\d.]+(; sys_platform == .*)?$", item), item
         assert re.search(rf'"{re.escape(item)}", +# \w', text), item

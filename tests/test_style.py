@@ -149,6 +149,7 @@ def test_no_type_has_the_name_of_another_in_its_package():
         for name in defined_types(syntax(path)):
             places[f"{package}: {name}"].append(name_of(path))
     twice = {name: where for name, where in places.items() if len(where) > 1}
+
     assert twice == {}
 
 
@@ -182,6 +183,7 @@ def test_density_of_the_code_is_printed(capsys):
                 f"{per_line:.2f} operations a line",
                 end="",
             )
+
     assert all(lines.values())
 
 

@@ -51,6 +51,7 @@ def test_a_run_fails_for_missed_targets_when_strict(
     capsys,
 ):
     assert run("--plant", "degraded") == 0
+
     out = capsys.readouterr().out
     for words in (
         "liver-constant",
@@ -59,6 +60,7 @@ def test_a_run_fails_for_missed_targets_when_strict(
         "DIR or NEEDLEFORCE_DATA): panda-real",
     ):
         assert words in out
+
     assert run("liver-constant", "--plant", "degraded", "--strict") == 0
     assert run("gel-25-constant", "--plant", "degraded", "--strict") == 1
     assert run("gel-25-constant", "--plant", "degraded") == 0
@@ -77,8 +79,11 @@ def test_plants_may_be_listed_and_runs_are_repeatable(tmp_path):
             "--json",
             str(path),
         )
+
     assert paths[0].read_bytes() == paths[1].read_bytes()
+
     rows = read_results(paths[0])
+
     assert len(rows) == 36
     assert list(dict.fromkeys(row.plant for row in rows)) == [
         "degraded",
@@ -89,6 +94,7 @@ def test_plants_may_be_listed_and_runs_are_repeatable(tmp_path):
 
 def test_a_failing_benchmark_is_named_and_others_run(tmp_path, capsys):
     path = tmp_path / "a.json"
+
     assert run("liver-constant", "--seeds", "5", "--json", str(path)) == 1
     assert (
         "liver-constant, clean, seed 3: DataError: the third" in capsys.readouterr().out
@@ -118,8 +124,11 @@ def test_a_mistake_is_one_line_and_code_2(
     monkeypatch.chdir(tmp_path)
     (tmp_path / "file").touch()
     (tmp_path / "index.html").mkdir()
+
     assert run(*arguments.split()) == 2
+
     error = capsys.readouterr().err
+
     assert message in error
     assert error.startswith("error: ")
     assert error.count("\n") == 1
@@ -133,9 +142,12 @@ def test_wrong_usage_is_code_2_help_states_durations(capsys):
     assert main(["stream", "--format", ".txt"]) == 2
     assert capsys.readouterr().err.count("\n") == 3
     assert main(["list"]) == 0
+
     out = capsys.readouterr().out
+
     assert "liver-constant" in out
     assert "ideal, clean, fri, degraded, needle" in out
+
     for command in ("speed", "faults"):
         assert main([command, "--help"]) == 0
         assert re.search(r"Takes about \d+ s", capsys.readouterr().out)
@@ -171,7 +183,10 @@ def test_outcomes_stand_in_the_order_of_jobs():
     jobs = [Job(benchmark=f"none-{k}", plant="degraded") for k in range(3)]
     progress = {}
     outcomes = run_jobs(jobs, Workers(workers=2), progress.__setitem__)
+
     assert [item.job for item in outcomes] == jobs
+
     for k, item in enumerate(outcomes):
         assert f"no benchmark 'none-{k}'" in (item.failure or "")
+
     assert set(progress.values()) <= {1.0}

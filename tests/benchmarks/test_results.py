@@ -47,15 +47,19 @@ from tests.benchmarks.benchmark_cases import TEMPLATE, by_head, make_row
 def test_rows_survive_a_file_of_the_documented_schema(tmp_path):
     rows = [make_row(), make_row(seed=1, value=0.25, method="published")]
     write_results(tmp_path / "a.json", rows)
+
     assert read_results(tmp_path / "a.json") == rows
     assert json.loads(to_json([make_row()])) == {"schema": 1, "rows": [TEMPLATE]}
     assert (
         json.loads(to_json([make_row(value=1.0 / 3.0)]))["rows"][0]["value"] == 0.333333
     )
+
     (tmp_path / "a.json").write_text(
         json.dumps({"schema": 1, "rows": [TEMPLATE | {"value": 1}]})
     )
+
     assert read_results(tmp_path / "a.json")[0].value == 1.0
+
     for value in (math.nan, math.inf, -math.inf):
         write_results(tmp_path / "a.json", [make_row(value=value)])
         assert json.loads((tmp_path / "a.json").read_text())["rows"][0]["value"] is None
@@ -81,6 +85,7 @@ def test_rows_survive_a_file_of_the_documented_schema(tmp_path):
 def test_a_bad_or_unreachable_file_is_named(tmp_path, content, message):
     path = tmp_path / "a.json"
     path.write_text(content)
+
     with pytest.raises(ResultsError, match=message):
         read_results(path)
     with pytest.raises(ResultsError, match=r"cannot read .*nothing\.json"):
@@ -98,6 +103,7 @@ def test_the_last_run_of_scenario_and_plant_counts(tmp_path):
     write_results(tmp_path / "first.json", first)
     write_results(tmp_path / "more.json", more)
     merged = read_merged([tmp_path / "first.json", tmp_path / "more.json"])
+
     assert merged == [first[0], *more, first[2]]
 
 
@@ -110,7 +116,9 @@ def test_every_metric_is_shown_in_its_table_only():
         k: make_row(metric=k.name, unit=k.unit, plant="needle")
         for k in METRICS.values()
     }
+
     assert {kind.table for kind in rows} <= {*TABLES, "none"}
+
     for name in TABLES:
         others = [row for kind, row in rows.items() if kind.table != name]
         assert not table_of(name, others).lines
@@ -143,6 +151,7 @@ def test_the_force_table_shows_missed_targets_first():
         make_row(scenario="free-motion", plant="clean", value=0.01),
     ]
     bad, good, without_target = by_head(table_of("force", rows))
+
     assert bad["scenario"] == "stack-constant"
     assert bad["ours RMSE, N"] == "not finite"
     assert bad["target"] == "missed"
@@ -157,11 +166,15 @@ def test_the_force_table_shows_missed_targets_first():
     assert good["real arm N"] == "0.2444"
     assert good["target"] == "met"
     assert without_target["target"] == "–"
+
     with (console := new_console()).capture() as printed:
         console.print(table_of("force", rows).rich())
+
     assert "median [its 95 % interval" in " ".join(printed.get().split())
+
     rows = [make_row(value=0.11), make_row(value=0.12, method="published")]
     marks = [line["mark of runs"] for line in by_head(target_table(rows))]
+
     assert marks == ["missed", "met"]
 
 
@@ -178,11 +191,15 @@ def clean_rows():
 
 def test_the_summary_has_eight_lines_bad_ones_first():
     assert len(HEADLINES) <= 8
+
     table = summary_table(clean_rows())
     lines = {line["runs of"]: line for line in by_head(table)}
+
     assert set(list(lines)[:2]) == {"tissue, degraded", "tissue, fri"}
+
     nothing = {"published method": "–", "as run, best K": "–", "worst of ours": ""}
     missed = nothing | {"runs": "1", "targets": "missed"}
+
     assert lines["tissue, fri"] == missed | {
         "what": "ruptures found, fraction",
         "runs of": "tissue, fri",
@@ -211,23 +228,32 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     readme = tmp_path / "README.md"
     readme.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
     paths = ["--page", str(page), "--readme", str(readme)]
+
     assert main(["results", str(tmp_path / "a.json"), *paths]) == 0
     assert "0.021 [0.012, 0.030]" in capsys.readouterr().out
+
     block = summary_block(
         read_results(tmp_path / "a.json"), "python -m benchmarks results a.json"
     )
+
     assert (
         readme.read_text(encoding="utf-8") == f"before\n{BEGIN}\n{block}{END}\nafter\n"
     )
     assert "python -m benchmarks results a.json" in block
+
     text = page.read_text(encoding="utf-8")
+
     assert str(tmp_path) not in text
+
     titles = [line[3:] for line in text.splitlines() if line.startswith("## ")]
     force = "Axial force against ground truth"
     ruptures = "Online identification: ruptures"
+
     assert titles == ["Targets", force, ruptures]
     assert text.index("**missed**") < text.index("| met |")
+
     none = str(tmp_path / "no" / "p.md")
+
     assert main(["results", str(tmp_path / "a.json"), "--page", none]) == 2
     assert capsys.readouterr().err.startswith("error: cannot read or write")
     assert main(["results"]) == 2
@@ -240,6 +266,7 @@ def test_a_page_without_its_marks_stays_unchanged(text, tmp_path, capsys):
     write_results(tmp_path / "a.json", [make_row()])
     page = tmp_path / "page.md"
     page.write_text(text, encoding="utf-8")
+
     assert main(["results", str(tmp_path / "a.json"), "--readme", str(page)]) == 2
     assert "results:begin" in capsys.readouterr().err
     assert page.read_text(encoding="utf-8") == text
@@ -266,9 +293,11 @@ def seeds(values, **changes):
 
 def test_the_statistic_decides_and_limits_may_be_touched():
     evaluation = only(seeds((0.1, 0.2, 0.11)), LIMIT)
+
     assert (evaluation.value, evaluation.worst.seed, evaluation.runs) == (0.2, 1, 3)
     assert not evaluation.is_met
     assert only([make_row(value=0.12)], LIMIT).is_met
+
     name = "wrench_coverage_2sigma"
     for statistic, expected in (("mean", 0.95), ("median", 0.98)):
         target = goal(name, at_least=0.9, at_most=0.99, statistic=statistic)
@@ -280,6 +309,7 @@ def test_the_statistic_decides_and_limits_may_be_touched():
 
 def test_the_worst_tenth_of_the_runs_may_miss():
     target = goal(at_most=0.12, statistic="p90")
+
     assert only(seeds((*[0.1] * 9, 0.3)), target).is_met
     assert not only(seeds((*[0.1] * 8, 0.3, 0.3)), target).is_met
     assert not only(seeds((*[0.1] * 8, 0.3)), target).is_met
@@ -287,6 +317,7 @@ def test_the_worst_tenth_of_the_runs_may_miss():
 
 def test_a_target_of_any_source_judges_them_all():
     rows = [make_row(value=0.1), make_row(value=0.2, source="a scan")]
+
     assert only(rows, goal(source="any", at_most=0.12)).runs == 2
     assert only(rows, goal(at_most=0.12)).runs == 1
 
@@ -294,6 +325,7 @@ def test_a_target_of_any_source_judges_them_all():
 def test_a_pattern_names_scenarios():
     rows = [make_row(scenario=name) for name in ("study/one-S", "study/one-I")]
     target = goal(scenarios=("study/*-S",), at_most=1.0)
+
     assert only(rows, target).worst.scenario == "study/one-S"
 
 
@@ -307,6 +339,7 @@ def test_a_value_not_finite_misses_the_target(bad, statistic):
 def test_undefined_precision_counts_only_without_any_alarm():
     target = goal("rupture_precision", at_least=1.0)
     some = only(seeds((1.0, math.nan), metric="rupture_precision"), target)
+
     assert (some.runs, some.is_met) == (1, True)
     assert not only(
         seeds((math.nan, math.nan), metric="rupture_precision"), target
@@ -316,14 +349,17 @@ def test_undefined_precision_counts_only_without_any_alarm():
 def test_ratios_are_to_the_same_runs_published_value():
     rows = [*seeds((0.1, 0.1)), *seeds((0.4, 0.125), method="published")]
     evaluation = only(rows, RATIO)
+
     assert evaluation.value == pytest.approx(0.8)
     assert evaluation.worst.seed == 1
+
     # One to nothing is missed, or left out where the published method reports nothing.
     for published in ([], [make_row(value=0.0, method="published")]):
         assert not only([make_row(), *published], RATIO).is_met
     rows = seeds((20.0, 30.0), metric="rupture_delay_ms")
     rows += seeds((50.0,), metric="rupture_delay_ms", method="published")
     evaluation = only(rows, DELAY)
+
     assert (evaluation.runs, evaluation.value) == (1, pytest.approx(0.4))
     assert evaluate(rows[:1], [DELAY]) == []
 
@@ -337,6 +373,7 @@ def test_every_target_names_metrics_and_benchmarks_that_exist():
         for pattern in target.scenarios:
             assert any(fnmatch.fnmatchcase(name, pattern) for name in known), pattern
         assert math.isfinite(target.at_most) or math.isfinite(target.at_least)
+
     assert (len(GELS), len(STACKS)) == (6, 4)
     assert "free-motion" not in TISSUE
 
@@ -367,6 +404,7 @@ def test_the_limits_are_those_asked_for():
         if item.metric.startswith(("wrench_", "residual_rms_Nm"))
         and not item.of_published
     }
+
     assert plain == {
         ("residual_rms_Nm", "ideal", "worst"): 1e-4,
         ("wrench_rmse_N", "clean", "worst"): 0.05,
@@ -377,9 +415,11 @@ def test_the_limits_are_those_asked_for():
         ("wrench_rmse_N", "degraded", "worst"): 0.12,
     }
     assert {item.at_most for item in TARGETS if item.of_published} == {0.5}
+
     joints = [
         item.at_most for item in TARGETS if item.metric.startswith("residual_rms_J")
     ]
+
     assert joints == pytest.approx([0.38, 0.77, 0.38, 0.40, 0.15, 0.11, 0.07])
 
 
@@ -419,8 +459,10 @@ def test_direction_and_tolerance_are_those_of_the_metric(name, old, new, expecte
 
 def test_a_missing_row_fails_a_new_passes():
     gone, come = compare_rows([make_row(seed=0)], [make_row(seed=1)])
+
     assert (gone.change, gone.is_failure) == (Change.MISSING, True)
     assert (come.change, come.is_failure) == (Change.NEW, False)
+
     for field in ("scenario", "plant", "source", "method", "metric"):
         changes = compare_rows([make_row()], [make_row(**{field: "other"})])
         assert [item.change for item in changes] == [Change.MISSING, Change.NEW]
@@ -428,6 +470,7 @@ def test_a_missing_row_fails_a_new_passes():
 
 def test_a_metric_has_its_names_unit_and_tolerance():
     bare = [item.name for item in METRICS.values() if item.unit == "1"]
+
     assert [
         name for name in bare if re.search(r"_(N|Nm|Ns|s|ms|m|mm|pct|hz)(_|$)", name)
     ] == []

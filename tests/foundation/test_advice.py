@@ -19,14 +19,18 @@ def test_message_reads_as_its_parts():
 
 def test_callers_words_replace_advices_only():
     words: dict[Advice, str] = {DoorAdvice.PUSH: "lean on it"}
+
     assert CLOSED.in_words(words) == "it is closed: lean on it or knock()"
     assert Message("push() is a word here").in_words(words) == "push() is a word here"
 
 
 def test_joined_and_nested_messages_keep_their_advices():
     message = Message.joined("; ", ["late", "", Message("door: ", CLOSED)])
+
     assert message == "late; door: it is closed: push() or knock()"
+
     said = message.in_words({DoorAdvice.KNOCK: "ring"})
+
     assert said == "late; door: it is closed: push() or ring"
 
 

@@ -37,8 +37,10 @@ def test_named_tuples_are_read_by_name_when_compiled():
         return 0.5 * spring.stiffness * (length - spring.rest_lengths[0]) ** 2
 
     assert energy.signatures
+
     read_only = np.ones(1)
     read_only.setflags(write=False)
+
     assert energy(Spring(4.0, np.ones(1)), 3.0) == 8.0
     assert energy(Spring(4, read_only), 3.0) == 8.0
     assert len(energy.signatures) == 1
@@ -87,6 +89,7 @@ def test_only_the_newest_folders_stay(tmp_path, monkeypatch):
     (tmp_path / "made_up_other-0000000000000000").mkdir()
     jit.cache_folder("made_up", __file__)
     names = sorted(path.name for path in tmp_path.iterdir())
+
     assert names == [
         *(f"made_up-{k:016x}" for k in (5, 6, 7)),
         "made_up_other-0000000000000000",
@@ -129,6 +132,7 @@ def test_functions_stay_plain_where_compiling_is_disabled():
     done = subprocess.run(
         [sys.executable, "-c", script], capture_output=True, **options
     )
+
     assert done.stdout == "plain\n"
 
 
@@ -144,9 +148,12 @@ def test_every_compiled_function_is_compiled_once_before_the_first_sample():
         if hasattr(function, "py_func")
     }
     before = {name: len(function.signatures) for name, function in found.items()}
+
     assert len(found) > 20
     assert set(before.values()) == {1}
+
     chain_numbers(10, 300)
+
     assert {
         name: len(function.signatures) for name, function in found.items()
     } == before
@@ -197,5 +204,6 @@ def test_the_chain_gives_the_same_numbers_without_the_compiler(tmp_path):
     subprocess.run(command, env=environment, check=True)
     plain = np.load(tmp_path / "a.npy")
     compiled_ = chain_numbers(1100, 900)
+
     assert np.isfinite(plain).all()
     np.testing.assert_allclose(compiled_, plain, rtol=1e-6, atol=1e-9)

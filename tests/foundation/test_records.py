@@ -42,9 +42,12 @@ def move_second(stages: list[Stage], by_m: float) -> float:
 def test_compiled_code_writes_into_a_record_only():
     state = Stage(speed_m_s=0.5)
     record = as_record(state)
+
     assert move_second(record, 2.0) == 0.5
     assert move_second(record, 1.0) == 0.5
+
     moved = from_record(Stage, record)
+
     assert moved == Stage(0.5, True, (Axis(), Axis(3.0, 2)))
     assert state == Stage(speed_m_s=0.5)
     assert read_field(record, "is_on")
@@ -53,6 +56,7 @@ def test_compiled_code_writes_into_a_record_only():
 @pytest.mark.parametrize("state", [Stage(), Stage(0.1, True, (Axis(0.3, 7), Axis()))])
 def test_a_state_comes_back_from_its_record(state):
     restored = from_record(Stage, as_record(state))
+
     assert restored == state
     assert type(restored.is_on) is bool
     assert type(restored.axes[0].steps) is int

@@ -84,6 +84,7 @@ def test_arrays_come_back_with_bits_and_order(order):
     weights = np.array(np.random.default_rng(0).normal(size=(4, 3)), order=order)
     state = sound_state()._replace(mixture=Mixture(weights, 4))
     decoded = decode_state(encode_state(state), Filter)
+
     assert decoded.mixture.weights.tobytes("A") == weights.tobytes("A")
     assert decoded.mixture.weights.flags.f_contiguous == (order == "F")
     assert decoded.limit_s == math.inf
@@ -99,6 +100,7 @@ def test_a_file_gives_the_state_back(tmp_path):
     path = tmp_path / "a.state"
     path.write_bytes(seal_state(sound_state(), "filter"))
     state = read_sealed_state(path, {"filter": Filter})
+
     assert isinstance(state, Filter)
     assert state.gains.tolist() == [0.1, 1.0 / 3.0]
 
@@ -126,5 +128,6 @@ def sealed(**changes):
 def test_a_file_that_holds_no_such_state_is_refused(tmp_path, content, message):
     path = tmp_path / "a.state"
     path.write_bytes(content)
+
     with pytest.raises(StateError, match=message):
         read_sealed_state(path, {"filter": Filter})

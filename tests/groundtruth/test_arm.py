@@ -60,11 +60,13 @@ def test_blend_ends_at_the_two_tables():
     for mine, known in zip(nominal, BARE.model.inertias[1:], strict=True):
         assert mine.isApprox(known, 1e-12)
     cad = blended_links(BARE.model, 1.0)
+
     assert [link.mass for link in cad] == pytest.approx(
         [2.7, 2.7, 2.7, 2.7, 1.7, 1.6, 0.3]
     )
     np.testing.assert_allclose(cad[0].lever, [0.00134, 0.02622, 0.11222], atol=1e-15)
     assert cad[5].inertia[2, 2] == pytest.approx(0.003413)
+
     for fraction in (-0.1, 1.1, float("nan")):
         with pytest.raises(PlantModelError, match="cad_fraction"):
             blended_links(BARE.model, fraction)
@@ -87,20 +89,29 @@ def test_degraded_arm_has_the_stated_errors():
     rng = np.random.default_rng(0)
     shifts = [lwr_bodies(tool, DEGRADED, rng).needle.lever for _ in range(60)]
     spread = np.std(np.array(shifts) - tool.beyond_sensor.com_m)
+
     # 180 draws: 5 % standard error of the standard deviation
     assert spread == pytest.approx(DEGRADED.payload_com_spread_m, rel=0.2)
+
     noise = np.array(FRI.torque_noise_std_Nm)
+
     np.testing.assert_allclose(DEGRADED.torque_noise_std_Nm, 2.0 * noise)
+
     for name in ("joint_coulomb", "torque_nonlinearity", "position_noise_std_rad"):
         assert getattr(DEGRADED, name) > getattr(FRI, name) > getattr(CLEAN, name)
+
     assert DEGRADED.payload_error > CLEAN.payload_error > 0.0
 
 
 def test_every_path_is_straight_and_well_conditioned():
     start = pose_of(ROBOT, START)
+
     np.testing.assert_allclose(start.rotation[:, 2], [0.0, 0.0, -1.0], atol=1e-10)
+
     in_place = pose_of(ROBOT, LWR_POSTURE_rad).translation
+
     np.testing.assert_allclose(start.translation, in_place, atol=1e-10)
+
     path = insertion_path(ROBOT, START, (0.0, REACH_M))
     for travel in np.linspace(0.0, REACH_M, 97):
         q = path.posture_rad(travel)
@@ -131,13 +142,16 @@ def test_joint_speed_is_the_derivative_of_position():
         np.testing.assert_allclose(dq_rad_s[1:-1], numeric, atol=2e-6)
     q_rad, dq_rad_s = joint_excitation(START, 20.0)
     peak = np.abs(dq_rad_s).max(axis=0)
+
     assert ((peak > 0.3) & (peak < 0.6)).all()
     assert (q_rad > ROBOT.position_lower_rad).all()
     assert (q_rad < ROBOT.position_upper_rad).all()
     np.testing.assert_array_equal(dq_rad_s[[0, -1]], 0.0)
     assert np.abs(np.diff(dq_rad_s, axis=0)).max() / TICK_s < 2.0
+
     free = SCENARIOS["free-motion"]
     motion = scenario_motion(scenario_path(ROBOT, free), free)
+
     assert len(motion.q_rad) == round((free.motion.tare_end_s + 20.0) / TICK_s) + 1
     assert np.abs(np.diff(motion.q_rad, axis=0)).max() < 1e-3
 
@@ -147,9 +161,12 @@ def test_controller_follows_fast_motion_or_reports_it_lost():
     plant = plant_in(Tissue(()), bodies)
     motion = joint_excitation(START, 10.0)
     trace = drive(plant, bodies.model(), motion)
+
     assert np.abs(trace.q_rad - motion.q_rad[:-1]).max() < 1e-6
     assert not trace.external_torque_Nm.any()
+
     jump = np.repeat([START, START + 1.0], (500, 502), axis=0)
+
     with pytest.raises(PlantError, match="off its motion at tick 500"):
         drive(plant, bodies.model(), JointMotion(jump, np.zeros_like(jump)))
 
@@ -182,8 +199,10 @@ def test_mujoco_and_pinocchio_agree_on_the_dynamics(name):
     bodies = bodies_of(name)
     model = bodies.model()
     physics = arm_model(bodies, TICK_s)
+
     assert physics.opt.integrator == mujoco.mjtIntegrator.mjINT_RK4
     assert physics.ngeom == 0
+
     for other in ("jnt_limited", "dof_damping", "dof_armature", "dof_frictionloss"):
         assert not getattr(physics, other).any()
     state = mujoco.MjData(physics)

@@ -28,10 +28,14 @@ def test_speed_is_the_bounded_rate_of_position(motion):
     t = np.linspace(-1.0, motion.duration_s + 1.0, 20_001)
     h = 1e-5
     rate = (motion.position_m(t + h) - motion.position_m(t - h)) / (2.0 * h)
+
     assert motion.speed_m_s(t) == pytest.approx(rate, abs=2e-6)
+
     t = np.linspace(0.0, motion.duration_s, 200_001)
     acceleration = np.diff(motion.speed_m_s(t)) / (t[1] - t[0])
+
     assert np.abs(acceleration).max() < 0.05
+
     for t in (
         0.0,
         0.5,
@@ -47,25 +51,35 @@ def test_speed_is_the_bounded_rate_of_position(motion):
 def test_tare_is_in_air_and_withdrawal_mirrors_insertion(motion):
     tare_s = np.linspace(0.0, motion.tare_end_s, 5000)
     end_s = np.linspace(motion.withdrawal_end_s, motion.duration_s + 1.0, 100)
+
     assert (motion.position_m(tare_s) < 0.0).all()
     assert (motion.position_m(end_s) < 0.0).all()
     assert np.ptp(motion.position_m(tare_s)) == pytest.approx(TARE_STROKE_M)
+
     signs = np.sign(motion.speed_m_s(tare_s))
+
     assert [s for previous, s in pairwise(signs) if s and s != previous] == [1, -1, 1]
     assert motion.withdrawal_start_s - motion.insertion_end_s == pytest.approx(2.0)
+
     s = np.linspace(0.0, motion.insertion_end_s - motion.tare_end_s, 1000)
     inward = motion.position_m(motion.insertion_end_s - s)
     outward = motion.position_m(motion.withdrawal_start_s + s)
+
     assert outward == pytest.approx(inward, abs=1e-12)
 
 
 def test_sinusoidal_insertion_is_the_papers():
     s = np.linspace(0.0, 0.5 / 0.016, 500)
     expected = 0.035 * (1.0 - np.cos(2.0 * np.pi * 0.016 * s)) - 20e-3
+
     assert SINE.position_m(SINE.tare_end_s + s) == pytest.approx(expected, abs=1e-12)
+
     contact = SINE.tare_end_s + s[np.searchsorted(expected, 0.0)]
+
     assert SINE.speed_m_s(contact) > 2e-3
+
     t = np.linspace(0.0, FREE.duration_s, 1000)
+
     assert FREE.position_m(t).max() == pytest.approx(-20e-3)
 
 
@@ -82,6 +96,7 @@ def test_impossible_motions_are_refused():
         sinusoidal_motion(stroke_m=0.02, frequency_hz=0.016, standoff_m=0.02)
     with pytest.raises(MotionError, match="not finite"):
         CONSTANT.position_m(float("nan"))
+
     for make, good in GOOD.items():
         for field, value in product(good, (0.0, float("nan"))):
             with pytest.raises(MotionError, match=field):
@@ -89,6 +104,7 @@ def test_impossible_motions_are_refused():
     names = ("tare_end_s", "insertion_end_s", "withdrawal_start_s", "withdrawal_end_s")
     resting = {"profile": "rest", "duration_s": 1.0, "start_m": 0.0, "travel_m": 0.0}
     strokes = tuple(Stroke(**resting, start_s=start_s) for start_s in (0.0, 2.0))
+
     with pytest.raises(MotionError, match="follow each other"):
         Motion(strokes=strokes, **dict.fromkeys(names, 1.0))
 
@@ -124,6 +140,7 @@ def test_names_are_permanent_and_choose_motion_and_seed():
         ScenarioError, match=r"no scenario 'gel-80'; known: .*random-stack"
     ):
         scenario("gel-80")
+
     # The needle goes at least a centimetre beyond and is long enough.
     for case in (*(scenario(name) for name in RUPTURES), *DRAWN):
         assert (
@@ -147,6 +164,7 @@ def test_speeds_peaks_ruptures_and_friction_are_the_papers(runs):
         assert rupture_s == pytest.approx(expected_s, abs=2.0)
     ruptures = runs["stack-constant"].truth.ruptures  # Table I at this speed
     friction = [rupture.layer_friction_N for rupture in ruptures]
+
     assert friction == pytest.approx(
         [113 * 2.3e-3, 283 * 2.3e-3, 534 * 2.3e-3], rel=0.01
     )
@@ -157,8 +175,10 @@ def test_speeds_peaks_ruptures_and_friction_are_the_papers(runs):
 def test_ruptures_are_the_papers_in_order(runs, name, count):
     run = runs[name]
     ruptures = run.truth.ruptures
+
     assert len(ruptures) == count
     assert (np.diff([item.onset_s for item in ruptures]) > 1.0).all()
+
     boundaries = [b for b in Tissue(run.scenario.layers).interfaces if b.drop_N > 0.0]
     for rupture, boundary in zip(ruptures, boundaries, strict=True):
         assert rupture.end_s > rupture.onset_s
@@ -172,22 +192,28 @@ def test_ruptures_are_the_papers_in_order(runs, name, count):
 
 def test_free_motion_reads_the_stated_noise(runs):
     run = runs["free-motion"]
+
     assert (run.truth.axial_N == 0.0).all()
     assert run.truth.ruptures == ()
     assert np.isnan([run.truth.contact_s, run.truth.withdrawn_s]).all()
     assert np.diff(run.force_N).std() / np.sqrt(2.0) == pytest.approx(
         MINI45.white_std_N, rel=0.05
     )
+
     steps = run.force_N / MINI45.step_N
+
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
 def test_seeds_change_the_noise_only():
     first, again, other = (insert_needle("gel-25-constant", seed=s) for s in (3, 3, 4))
+
     assert (first.force_N == again.force_N).all()
     assert (first.force_N != other.force_N).any()
     assert (first.truth.axial_N == other.truth.axial_N).all()
+
     run = insert_needle("gel-25-constant", noise=ForceNoise())
+
     assert (run.force_N == run.truth.axial_N).all()
     assert not run.force_N.flags.writeable
     assert not run.truth.axial_N.flags.writeable
@@ -197,6 +223,7 @@ def test_seeds_change_the_noise_only():
 def test_the_rate_changes_the_sampling_not_the_force(name):
     coarse = insert_needle(name, noise=ForceNoise())
     rare = insert_needle(name, rate_hz=250.0, noise=ForceNoise())
+
     assert rare.t_s == pytest.approx(coarse.t_s[::4][: rare.t_s.size])
     assert rare.truth.axial_N == pytest.approx(
         coarse.truth.axial_N[::4][: rare.t_s.size], abs=1e-3
@@ -208,16 +235,21 @@ def test_tissue_never_pulls_and_friction_never_drives(runs, name):
     run = runs[name]
     truth = run.truth
     z = run.depth_m
+
     assert run.tare_end_s < truth.contact_s < truth.withdrawn_s
+
     for instant in (truth.contact_s, truth.withdrawn_s):
         assert np.interp(instant, run.t_s, z) == pytest.approx(0.0, abs=1e-9)
     outside = (run.t_s < truth.contact_s) | (run.t_s > truth.withdrawn_s)
+
     assert (truth.axial_N[outside] == 0.0).all()
     assert truth.tip_N.min() >= 0.0
     assert truth.axial_N == pytest.approx(truth.tip_N + truth.friction_N, abs=1e-12)
+
     power = truth.friction_N * run.speed_m_s
     # Presliding stores a little energy and returns it while the shaft turns round.
     turning_m = 3.0 * max(layer.friction.presliding_m for layer in run.scenario.layers)
+
     assert (power[np.abs(z - z.max()) > turning_m] >= -1e-15).all()
     assert power.sum() > 0.0
 
@@ -233,11 +265,16 @@ def test_unusable_settings_are_refused_by_name():
 def test_drawn_stacks_are_physical_and_rupture_everywhere():
     assert {len(stack.layers) for stack in DRAWN} == {1, 2, 3, 4}
     assert {stack.motion.strokes[4].profile for stack in DRAWN} == {"cruise", "cosine"}
+
     layers = [layer for stack in DRAWN for layer in stack.layers]
     with_membrane = np.mean([layer.membrane is not None for layer in layers])
+
     assert with_membrane == pytest.approx(0.25, abs=0.1)
+
     friction = [layer.friction.sliding_N_per_m(TABLE_I_SPEED_M_S) for layer in layers]
+
     assert 1.0 < min(friction) < max(friction) < 60.0
+
     for stack in DRAWN[:6]:
         run = insert_needle(stack, rate_hz=200.0)
         boundaries = [b for b in Tissue(stack.layers).interfaces if b.drop_N > 0.0]

@@ -56,11 +56,16 @@ def test_clean_torque_has_stated_white_noise_and_bias():
     change = np.diff(torque_error(CLEAN), axis=0)
     # differences of white noise: variance doubles, neighbours correlate by -1/2
     expected = np.sqrt(2) * np.array(CLEAN.torque_noise_std_Nm)
+
     np.testing.assert_allclose(change.std(axis=0), expected, rtol=0.02)
+
     neighbours = (change[1:] * change[:-1]).mean(axis=0) / change.var(axis=0)
+
     np.testing.assert_allclose(neighbours, -0.5, atol=0.02)
+
     errors = [torque_error(CLEAN, seed, STILL[:400], STILL[:400]) for seed in range(40)]
     start = np.array([error.mean(axis=0) for error in errors])
+
     assert (np.abs(start) > np.array(CLEAN.torque_bias_min_Nm) - 0.02).all()
     assert (np.abs(start) < np.array(CLEAN.torque_bias_max_Nm) + 0.02).all()
     assert (start.min(axis=0) < 0.0).all()
@@ -75,11 +80,14 @@ def test_torque_noise_has_the_stated_spread_behind_an_8_Hz_filter(plant_model):
     noise = torque_error(noisy, tau=still, q=still) / np.array(
         noisy.torque_noise_std_Nm
     )
+
     np.testing.assert_allclose(noise.std(axis=0), 1.0, rtol=0.03)
     assert np.abs(noise[:3]).max() > 0.1  # at once as large, not rising from zero
+
     frequency, density = welch(noise, fs=1.0 / TICK_s, nperseg=8192, axis=0)
     density = density.mean(axis=1)
     low = density[(frequency > 0.2) & (frequency < 1.0)].mean()
+
     # one pole at 8 Hz: half the density there, a hundredth at 80 Hz
     assert np.interp(8.0, frequency, density) / low == pytest.approx(0.5, rel=0.15)
     assert np.interp(80.0, frequency, density) / low == pytest.approx(0.01, rel=0.25)
@@ -94,16 +102,21 @@ def test_torque_drift_has_the_stated_spread():
         [np.diff(torque_error(wide, seed), axis=0).std(axis=0) for seed in range(12)]
     )
     factor = step / LIMIT_Nm / (3e-5 * np.sqrt(TICK_s / 60.0))
+
     assert 0.48 < factor.min() < 0.65 < 1.6 < factor.max() < 2.05
+
     others = ("torque_noise_std_Nm", "torque_bias_min_Nm", "torque_bias_max_Nm")
     quiet = replace(CLEAN, **dict.fromkeys(others, (0.0,) * 7))
     ends = (
         np.array([torque_error(quiet, seed)[[0, -1]] for seed in range(60)]) / LIMIT_Nm
     )
+
     np.testing.assert_allclose(ends[:, 0], 0.0, atol=1e-15)
+
     expected = np.hypot(
         CLEAN.torque_drift_std_per_min, CLEAN.torque_random_walk_std_per_sqrt_min
     )
+
     # 420 draws: 3.5 % standard error
     assert ends[:, 1].std() == pytest.approx(expected, rel=0.12)
 
@@ -112,6 +125,7 @@ def test_ripple_repeats_twice_per_motor_turn():
     only_ripple = replace(IDEAL, torque_ripple=1e-4)
     turn = np.linspace(0.0, 1.0, 2001)[:, None] * 2.0 * np.pi / np.array(LWR_GEAR_RATIO)
     error = torque_error(only_ripple, tau=np.zeros_like(turn), q=turn)
+
     np.testing.assert_allclose(error[:1001], error[1000:], atol=1e-12)
     np.testing.assert_allclose(error.max(axis=0), 1e-4 * LIMIT_Nm, rtol=1e-5)
     assert not np.allclose(error[:501], error[500:1001], atol=1e-4)
@@ -123,9 +137,12 @@ def test_ripple_repeats_twice_per_motor_turn():
 )
 def test_backlash_stays_within_its_width(signal, width):
     out = sensors.backlash(signal, np.full(3, width))
+
     assert (np.abs(out - signal) <= width + 1e-12).all()
+
     moved = np.diff(out, axis=0) != 0.0
     at_the_edge = np.abs(np.abs(out - signal)[1:] - width) < 1e-9
+
     assert (~moved | at_the_edge).all()
 
 
@@ -134,10 +151,13 @@ def test_position_is_rounded_and_velocity_noisy_or_missing():
     true = np.linspace(0.0, 1.0, 20_000)[:, None] * np.ones(7)
     measured = sensors.measured_position(true, CLEAN, rng)
     steps = measured / CLEAN.position_step_rad
+
     np.testing.assert_allclose(steps, np.round(steps), atol=1e-6)
+
     expected = np.hypot(
         CLEAN.position_noise_std_rad, CLEAN.position_step_rad / np.sqrt(12)
     )
+
     assert (measured - true).std() == pytest.approx(expected, rel=0.02)
     assert sensors.measured_velocity(STILL, CLEAN, rng).std() == pytest.approx(
         2e-4, rel=0.02
@@ -155,6 +175,7 @@ def test_wrench_noise_and_drift_have_the_stated_spread():
         white = np.diff(reading, axis=0).std(axis=0) / np.sqrt(2)
         np.testing.assert_allclose(white, CLEAN.ft_noise_std, rtol=0.03)
     ends = np.array([reading[-2000:].mean(axis=0) for reading in readings])
+
     # 120 draws, means of noise included: 8 % standard error
     assert (ends / CLEAN.ft_drift_std_per_min).std() == pytest.approx(1.0, rel=0.25)
 
@@ -162,14 +183,21 @@ def test_wrench_noise_and_drift_have_the_stated_spread():
 def test_jitter_keeps_order_and_losses_are_as_stated():
     true = np.arange(N) * TICK_s
     wild = replace(DEGRADED, clock_jitter_std_s=1e-3)
+
     assert (
         np.diff(sensors.time_stamps(true, wild, np.random.default_rng(0))) > 0.0
     ).all()
+
     error = sensors.time_stamps(true, DEGRADED, np.random.default_rng(0)) - true
+
     assert error.std() == pytest.approx(DEGRADED.clock_jitter_std_s, rel=0.02)
+
     received = sensors.received_samples(10 * N, DEGRADED, np.random.default_rng(0))
+
     assert received[[0, -1]].tolist() == [0, 10 * N - 1]
+
     gaps = np.diff(received) - 1
+
     # touching losses may add up; three per cent of a thousandth
     assert gaps.max() <= 2 * DEGRADED.drop_max_samples
     assert np.isin([1, 2, 3], gaps).all()
@@ -211,6 +239,7 @@ def test_a_resting_joint_holds_up_to_the_peak():
         middle = angles[len(angles) // 2]
         np.testing.assert_allclose(angles[-1], middle, atol=1e-3 * PRESLIDING_rad)
     angles = pushed(bearings(), 1.6 * LEVEL_Nm, inertia=0.01, seconds=2.0)
+
     assert (angles[-1] > 100.0 * PRESLIDING_rad).all()
 
 
@@ -224,6 +253,7 @@ def test_sliding_friction_opposes_motion_at_stribeck_level(speed, level, directi
     dq = np.full(7, direction * speed)
     for _ in range(round(20.0 * PRESLIDING_rad / (speed * STEP_s)) + 2):
         torque = friction.step(dq, STEP_s)
+
     np.testing.assert_allclose(torque, -direction * level * LEVEL_Nm, rtol=1e-3)
 
 
@@ -234,6 +264,7 @@ def test_joint_sizes_are_drawn_within_the_factor():
         BearingFriction(drawn, LIMIT_Nm, np.random.default_rng(k)) for k in range(60)
     )
     fraction = np.array([-friction.step(dq, 1.0) / LEVEL_Nm for friction in arms])
+
     assert 0.5 <= fraction.min() < 0.55
     assert 1.9 < fraction.max() <= 2.0
     assert np.median(fraction) == pytest.approx(1.0, rel=0.1)

@@ -78,8 +78,10 @@ def test_residual_is_ideal_filter_on_ideal_arm_only(runs, monkeypatch):
     assert np.sqrt((error(runs["ideal"]) ** 2).mean(axis=0)).max() < 1e-6
     assert np.abs(runs["ideal"].truth.external_torque_Nm).max() > 0.1
     assert 0.05 < np.abs(error(runs["clean"])[1000:]).max() < 1.0
+
     monkeypatch.setattr("groundtruth.arm_motion.FREE_MOTION_s", 10.0)
     free = simulate("free-motion")
+
     assert np.abs(free.truth.dq_rad_s).max() > 0.3
     assert np.sqrt((error(free) ** 2).mean(axis=0)).max() < 2e-6
     assert not free.truth.axial_N.any()
@@ -93,16 +95,23 @@ def test_bearing_friction_looks_like_an_external_torque(
     monkeypatch.setitem(PLANT_MODELS, "ideal", ideal)
     run = simulate(SCENARIO)
     truth = run.truth
+
     assert np.array_equal(run.signals.tau_Nm, truth.tau_Nm)
+
     power = truth.joint_friction_Nm * truth.dq_rad_s
+
     # around a reversal the bristles give back what they stored
     assert power.sum(axis=0).max() < 0.0
     assert np.mean(power[np.abs(truth.speed_m_s) > 1e-3] <= 0.0) > 0.95
     assert np.abs(truth.depth_m - SCENARIO.motion.position_m(truth.t_s)).max() < 1e-4
+
     residual_Nm = momentum_residual(run)
     friction = filtered(truth.joint_friction_Nm[:-1])
+
     assert np.abs(friction).max() > 0.02
+
     external = filtered(truth.external_torque_Nm[:-1])
+
     np.testing.assert_allclose(residual_Nm, external + friction, atol=1e-4)
 
 
@@ -111,6 +120,7 @@ def test_needle_follows_its_motion_and_truth_adds_up(runs, name):
     run = runs[name]
     truth = runs[name].truth
     commanded_m = run.scenario.motion.position_m(truth.t_s)
+
     assert np.abs(truth.depth_m - commanded_m).max() < 1e-4
     np.testing.assert_allclose(
         truth.tip_N + truth.friction_N, truth.axial_N, atol=1e-12
@@ -118,10 +128,14 @@ def test_needle_follows_its_motion_and_truth_adds_up(runs, name):
     np.testing.assert_allclose(
         truth.layer_friction_N.sum(axis=1), truth.friction_N, atol=1e-12
     )
+
     moving = np.abs(truth.speed_m_s) > 1e-4
+
     assert (truth.friction_N * np.sign(truth.speed_m_s))[moving].min() > -0.2
     assert truth.axial_N.max() > 0.2
+
     (rupture,) = truth.rupture_s
+
     assert (
         run.tare_end_s
         < run.truth.contact_s
@@ -130,6 +144,7 @@ def test_needle_follows_its_motion_and_truth_adds_up(runs, name):
         < truth.t_s[-1]
     )
     assert not truth.axial_N[truth.t_s < run.truth.contact_s].any()
+
     if name == "ideal":
         reading = run.tool.beyond_sensor.mass_kg * GRAVITY - run.signals.ft_wrench[:, 2]
         # what remains is the needle's inertia: 0.068 kg at less than 0.1 m/s^2
@@ -140,9 +155,11 @@ def test_equal_arguments_give_equal_runs(runs):
     progress: list[float] = []
     run = runs["degraded"]
     again = simulate(SCENARIO, "degraded", 1, progress.append)
+
     assert (progress[0], progress[-1]) == (0.0, 1.0)
     assert progress == sorted(progress)
     assert len(progress) > 5
+
     for first, second in ((run.signals, again.signals), (run.truth, again.truth)):
         for item in fields(first):
             mine = getattr(first, item.name)
@@ -153,23 +170,30 @@ def test_equal_arguments_give_equal_runs(runs):
             else:
                 assert mine == theirs
     other = simulate(SCENARIO, plant="degraded", seed=2)
+
     assert abs(other.signals.tau_Nm[:50] - again.signals.tau_Nm[:50]).mean() > 0.05
 
 
 def test_plant_models_give_what_they_promise(runs):
     ideal, clean, fri, degraded = (run.signals for run in runs.values())
+
     np.testing.assert_array_equal(ideal.tau_Nm, runs["ideal"].truth.tau_Nm)
     assert clean.dq_rad_s is not None
     assert fri.dq_rad_s is degraded.dq_rad_s is None
+
     for name, run in runs.items():
         assert run.truth.joint_friction_Nm.any() == (name in ("fri", "degraded"))
+
     assert np.ptp(np.diff(clean.t_s)) < 1e-9
     assert np.diff(degraded.t_s).max() > 1.5e-3
     assert (np.diff(degraded.t_s) > 0.0).all()
+
     for signals, run in ((ideal, runs["ideal"]), (degraded, runs["degraded"])):
         assert len(signals.t_s) == len(signals.tau_Nm) == len(run.truth.axial_N)
     names = {item.name for item in fields(Signals)}
+
     assert names == {"t_s", "q_rad", "dq_rad_s", "tau_Nm", "ft_wrench"}
+
     robots = [run.robot.model.inertias for run in runs.values()]
     for link, *others in zip(*robots, strict=True):  # nominal, whatever the arm
         assert all(link == other for other in others)

@@ -44,6 +44,7 @@ def test_tip_force_rises_to_the_exit_force():
         assert force[-1] == pytest.approx(layer.exit_force_N)
         assert (np.diff(force) > 0.0).all()
     cutting = replace(gel(50), cutting_fraction=1.0)
+
     assert cutting.tip_force_N(0.5 * CUTTING_ONSET_M) == pytest.approx(
         0.75 * cutting.exit_force_N
     )
@@ -58,6 +59,7 @@ def test_calibrated_friction_is_measured_one_at_reference_speed(force, speed, fr
         "presliding_m": 1e-4,
     }
     friction = ShaftFriction.calibrated(**measured, coulomb_fraction=fraction)
+
     assert friction.sliding_N_per_m(speed) == pytest.approx(force)
     assert friction.sliding_N_per_m(-speed) == -friction.sliding_N_per_m(speed)
     assert friction.sliding_N_per_m(0.0) == 0.0
@@ -85,6 +87,7 @@ def test_what_no_tissue_has_is_refused_by_name():
         for field, value in bad.items():
             with pytest.raises(TissueError, match=field):
                 replace(good, **{field: value})
+
     with pytest.raises(TissueError, match="make it thicker"):
         replace(BOVINE_LIVER, thickness_m=12e-3)
     with pytest.raises(TissueError, match="25, 50 and 70"):
@@ -106,10 +109,13 @@ def tips(forces):
 @given(bristle=bristles, travel=travels, dt=times, length=lengths, fraction=fractions)
 def test_bristle_step_is_bounded_and_exact(bristle, travel, dt, length, fraction):
     after = bristle_step(bristle, travel, dt, length, fraction)
+
     assert -1.0 - 1e-12 <= after <= 1.0 + 1e-12
     assert abs(bristle) > 1.0 - fraction or (after - bristle) * travel >= 0.0
+
     once = bristle_step(bristle, travel, 1e-3, length, 0.0)
     half = bristle_step(bristle, travel / 2, 5e-4, length, 0.0)
+
     assert bristle_step(half, travel / 2, 5e-4, length, 0.0) == pytest.approx(
         once, abs=1e-9
     )
@@ -123,23 +129,32 @@ def test_tip_force_is_released_and_withdrawal_is_friction(
     law = Tissue((layer,))
     depth, forces = advance(law, -2e-3, layer.thickness_m + 5e-3)
     tip = tips(forces)
+
     assert tip.max() == pytest.approx(GEL_TIP_FORCE_N[percent], rel=0.01)
     assert depth[tip.argmax()] == pytest.approx(layer.thickness_m, abs=1e-5)
     assert (tip[depth > layer.thickness_m + layer.release_m] == 0.0).all()
+
     inside = (depth > layer.thickness_m) & (depth < layer.thickness_m + layer.release_m)
+
     assert (np.diff(tip[inside]) < 0.0).all()
     assert forces[-1].axial_N == pytest.approx(TABLE_I_N[percent], rel=0.01)
     assert forces[-1].layer == 2
+
     depth_in = depth
     inward = forces
     depth, outward = advance(law, layer.thickness_m + 5e-3, -2e-3)
+
     assert (tips(outward) == 0.0).all()
+
     friction_in = np.interp(depth, depth_in, [force.friction_N for force in inward])
     axial = np.array([force.axial_N for force in outward])
     slid = depth < layer.thickness_m + 3e-3
+
     assert axial[slid] == pytest.approx(-friction_in[slid], abs=0.01)
+
     inside = (depth > 1e-3) & (depth < layer.thickness_m - 1e-3)
     per_length = -axial[inside] / depth[inside]
+
     assert per_length == pytest.approx(
         np.full_like(per_length, per_length.mean()), rel=1e-6
     )
@@ -152,6 +167,7 @@ def test_reinsertion_meets_friction_only_until_the_deepest_point():
     advance(law, 20e-3, 5e-3)
     depth, again = advance(law, 5e-3, 22e-3)
     tip = tips(again)
+
     assert (tip[depth < 20e-3 - UNLOADING_M - 1e-5] == 0.0).all()
     assert tip[depth > 20e-3 + 1e-5].min() > 0.5
     assert (np.abs(np.diff(tip)) < 0.02).all()
@@ -163,9 +179,12 @@ def test_rest_relaxes_the_force_and_travel_restores():
     _, inserted = advance(law, -1e-3, 25e-3)
     resting = [law.step(25e-3, 0.0, 1e-3) for _ in range(60_000)]
     held = resting[-1].tip_N / inserted[-1].tip_N
+
     assert held == pytest.approx(1.0 - layer.relaxed_fraction, abs=0.02)
     assert (np.diff(tips(resting)) <= 0.0).all()
+
     _, advanced = advance(law, 25e-3, 26.5e-3)
+
     assert advanced[-1].tip_N == pytest.approx(
         layer.tip_force_N(26.5e-3 - layer.entry_m), rel=0.02
     )
@@ -177,6 +196,7 @@ def test_membrane_delays_the_layer_and_its_friction():
     )
     friction = np.array([force.friction_N for force in forces])
     intact = depth < BOVINE_CAPSULE.indentation_m
+
     assert not any(
         force.layer for force, whole in zip(forces, intact, strict=True) if whole
     )
@@ -185,13 +205,16 @@ def test_membrane_delays_the_layer_and_its_friction():
     assert forces[-1].layer == 1
     assert 0.0 < forces[-1].axial_N < 0.25 * tips(forces).max()
     assert np.diff(friction).max() < 0.05 * friction[-1]
+
     slope = BOVINE_LIVER.friction.sliding_N_per_m(SPEED)
+
     assert friction[-1] == pytest.approx(slope * depth[-1], rel=0.03)
 
 
 def test_air_and_refused_samples_change_nothing():
     assert Tissue(()).step(0.01, 1e-3, 1e-3).axial_N == 0.0
     assert Tissue(()).interfaces == ()
+
     tissue = Tissue((gel(25),))
     twin = Tissue((gel(25),))
     advance(tissue, -1e-3, 5e-3), advance(twin, -1e-3, 5e-3)
@@ -207,4 +230,5 @@ def test_air_and_refused_samples_change_nothing():
     for sample in bad:
         with pytest.raises(TissueError, match=r"finite numbers .* state is unchanged"):
             tissue.step(*sample)
+
     assert tissue.step(6e-3, SPEED, 1e-3) == twin.step(6e-3, SPEED, 1e-3)

@@ -32,12 +32,17 @@ def pushed_through(layers, end_m, speed_m_s=SPEED):
 def test_variations_keep_the_boundaries(name):
     plain = scenario("stack-glove-constant", 0)
     run = insert_needle(scenario(f"stack-glove-constant+{name}", 0), rate_hz=200.0)
+
     assert run.scenario.id == f"stack-glove-constant+{name}"
     assert run.scenario.motion == plain.motion
+
     onsets = [boundary.onset_m for boundary in Tissue(plain.layers).interfaces[1:]]
+
     assert [rupture.onset_m for rupture in run.truth.ruptures] == pytest.approx(onsets)
     assert run.truth.tip_N.min() >= 0.0
+
     beyond = run.depth_m > Tissue(plain.layers).interfaces[-1].depth_m + 2.1e-3
+
     assert not run.truth.tip_N[beyond].any()
     np.testing.assert_allclose(
         run.truth.axial_N, run.truth.tip_N + run.truth.friction_N, atol=1e-12
@@ -52,11 +57,14 @@ def test_texture_has_stated_spread_and_correlation():
         forces_N.append([texture.force_N(x) for x in place])
         assert forces_N[-1][7] == texture.force_N(place[7])
     force = np.array(forces_N)
+
     assert force.std() == pytest.approx(0.02, rel=0.05)
+
     for lag in (0.25e-3, 0.5e-3, 1e-3):
         apart = round(lag / 2e-5)
         together = (force[:, apart:] * force[:, :-apart]).mean() / force.var()
         assert together == pytest.approx(np.exp(-((lag / 0.5e-3) ** 2) / 2.0), abs=0.05)
+
     with pytest.raises(TissueError, match="std_N"):
         Texture.drawn(-0.02, 0.5e-3, np.random.default_rng(0))
 
@@ -70,9 +78,12 @@ def test_kept_tip_force_fades_after_an_internal_rupture():
     extra = np.array([b.tip_N - a.tip_N for a, b in zip(plain, held, strict=True)])
     onset = gel(70).thickness_m
     exit_N = gel(70).exit_force_N
+
     assert np.abs(extra[depth < onset]).max() == 0.0
+
     at_release = np.interp(onset + gel(70).release_m, depth, extra)
     remaining = (1.0 - gel(70).release_m / KEPT_FADE_M) ** 2
+
     assert at_release == pytest.approx(0.6 * exit_N * remaining, rel=0.02)
     assert np.abs(extra[depth > onset + KEPT_FADE_M]).max() < 1e-12
 
@@ -89,6 +100,7 @@ def test_friction_follows_powers_of_length_and_speed():
     plain = gel(70).friction
     power = varied(gel(70), speed_exponent=0.3).friction
     slid = power.sliding_N_per_m(SPEED)
+
     assert slid == pytest.approx(plain.sliding_N_per_m(SPEED))
     assert power.sliding_N_per_m(2 * SPEED) / slid == pytest.approx(2**0.3)
     assert power.sliding_N_per_m(-SPEED) == -slid
@@ -97,6 +109,7 @@ def test_friction_follows_powers_of_length_and_speed():
 
 def test_random_tissue_is_random_stack_with_drawn_laws():
     rough = "gel-70-constant+texture-20mN"
+
     assert scenario(rough, 1) == scenario(rough, 1) != scenario(rough, 2)
     assert scenario("random-stack+kept-60", 3).layers[0].kept_fraction == 0.6
     assert "gel-70-constant" in SCENARIOS
@@ -104,13 +117,18 @@ def test_random_tissue_is_random_stack_with_drawn_laws():
         ScenarioError, match=r"no variation 'soft'; known: texture-15mN"
     ):
         scenario("gel-70-constant+soft", 0)
+
     stacks = [random_stack(np.random.default_rng(seed)) for seed in range(60)]
     tissues = [random_tissue(np.random.default_rng(seed)) for seed in range(60)]
+
     assert scenario("random-tissue", 7) == tissues[7]
     assert [item.motion for item in tissues] == [item.motion for item in stacks]
+
     layers = [layer for item in tissues for layer in item.layers]
     exponents = [layer.tip_exponent for layer in layers]
+
     assert 0.5 < min(exponents) < 0.8 < 1.5 < max(exponents) < 2.0
+
     for item in tissues[:3]:
         run = insert_needle(item, rate_hz=200.0)
         boundaries = [b for b in Tissue(item.layers).interfaces if b.drop_N > 0.0]

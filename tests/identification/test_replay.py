@@ -50,6 +50,7 @@ def test_a_replay_is_a_loop_over_update(columns):
         t_s.tolist(),
     )
     rows = zip(*columns, strict=True)
+
     assert list(result.estimates) == [identifier.update(*row) for row in rows]
     assert result.layers == identifier.layers
 
@@ -69,6 +70,7 @@ def test_pieces_give_what_the_whole_gives(columns, cuts, has_speed):
         )
         for p in (slice(a, b) for a, b in pairwise(edges) if b > a)
     ]
+
     assert [e for estimates in runs for e in estimates] == list(whole.estimates)
     assert stream.layers == whole.layers
     assert stream.hints == whole.hints
@@ -77,6 +79,7 @@ def test_pieces_give_what_the_whole_gives(columns, cuts, has_speed):
 def test_a_mostly_still_clock_has_a_usual_step():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
+
     assert sum(estimate.status.is_used for estimate in result.estimates) == 100
     assert (
         "longer than 0.25 s: 1;" in replay(t_s + 1e9 * (t_s > 0.5), t_s, t_s).hints[-1]
@@ -98,6 +101,7 @@ def test_repeated_rows_change_no_layer(columns):
     t_s, depth_m, force_N, _ = columns
     once = replay(t_s, depth_m, force_N)
     twice = replay(*(np.repeat(column, 2) for column in (t_s, depth_m, force_N)))
+
     assert twice.layers == once.layers
 
 
@@ -113,12 +117,17 @@ def test_late_rows_and_clock_steps_hide_no_event(columns, has_speed):
     late = replay(late_s, *signals)
     set_back = replay(back_s, *signals, dt_s=RowClock().update(back_s))
     rejected = [k for k, e in enumerate(set_back.estimates) if not e.status.is_used]
+
     assert len([k for k in rejected if k != 300]) <= 12
+
     rupture_s = clean.layers[0].rupture.time_s
+
     assert late.layers[0].rupture.time_s == pytest.approx(rupture_s, abs=0.02)
+
     # The step in which it was set is not known.
     # Events are on the clock of the log, which stands 20 s earlier by then.
     back_rupture_s = set_back.layers[0].rupture.time_s
+
     assert back_rupture_s == pytest.approx(rupture_s - 20.0, abs=0.03)
     assert len(clean.layers) == len(late.layers) == len(set_back.layers) == 1
 
@@ -129,5 +138,6 @@ def test_a_bad_stamp_spoils_its_own_row_only(columns):
     t_s[[0, 500, 501, 502, 503, 800]] = np.nan
     result = replay(t_s, depth_m, force_N, speed_m_s)
     rejected = [k for k, e in enumerate(result.estimates) if not e.status.is_used]
+
     assert rejected == [0, 300, 500, 501, 502, 503, 800]
     assert len(result.layers) == 1

@@ -92,12 +92,14 @@ def test_a_bad_sample_is_reported_and_not_used(config, place, value, status):
     with warnings.catch_warnings():
         warnings.simplefilter("error")
         bad = identifier.update(*GOOD[:place], value, *GOOD[place + 1 :])
+
     assert bad.status is status
     assert pickle.dumps(identifier.snapshot().state) == state
     assert bad.enhanced_force_N == good.enhanced_force_N
     # Time passes if it is given: a missing force does not shift the clock of what
     # follows.
     assert bad.time_s == pytest.approx(1e-3 if place == 3 else 2e-3)
+
     if status is not SampleStatus.DEPTH_JUMP:
         assert identifier.update(*GOOD).status is SampleStatus.OK
 
@@ -125,6 +127,7 @@ def test_an_absurd_interval_leaves_every_number_finite(config, dt_s):
         assert estimate.status is expected
         numbers = [value for value in estimate if isinstance(value, float)]
         assert all(map(math.isfinite, numbers))
+
     assert estimate.time_s == pytest.approx(0.1)
 
 
@@ -142,6 +145,7 @@ def test_events_are_on_the_clock_of_the_caller():
         assert (on_callers_clock.rupture is None) == (on_own_clock.rupture is None)
     own = summed.layers[0].rupture
     callers = absolute.layers[0].rupture
+
     assert callers.time_s - own.time_s == pytest.approx(5e4 - 1e-3)
     assert callers.alarm_s - own.alarm_s == pytest.approx(5e4 - 1e-3)
     assert callers.depth_m == own.depth_m
@@ -152,6 +156,7 @@ def test_a_sample_without_a_usable_time_is_rejected(time_s):
     identifier = Identifier()
     identifier.update(0.0, 0.0, 0.0, 1e-3, 7.0)
     rejected = identifier.update(0.0, 0.0, 0.0, 1e-3, time_s)
+
     assert not rejected.status.is_used
     assert rejected.time_s == 7.0
     assert identifier.update(0.0, 0.0, 0.0, 1e-3, np.float32(8.0)).time_s == 8.0
@@ -162,7 +167,9 @@ def test_events_count_depth_from_the_callers_zero(config):
     config = replace(config, contact_depth_m=3e-3) if config is PUBLISHED else config
     plain = Identifier(config)
     moved = Identifier(config)
+
     assert plain.contact_depth_m is None
+
     for k in range(9000):
         depth = 2.5e-6 * k
         force = 60.0 * max(depth - 3e-3, 0.0) if depth < 0.013 else 0.1
@@ -175,14 +182,17 @@ def test_events_count_depth_from_the_callers_zero(config):
     rupture = layer.rupture
     moved_rupture = moved_layer.rupture
     shift_m = pytest.approx(0.05, abs=1e-5)
+
     assert moved_rupture.depth_m - rupture.depth_m == shift_m
     assert moved_rupture.contact_depth_m - rupture.contact_depth_m == shift_m
     assert moved_layer.start_depth_m - layer.start_depth_m == shift_m
+
     if config is MULTILAYER:
         assert plain.contact_depth_m == pytest.approx(3e-3, abs=0.5e-3)
         assert moved.contact_depth_m - plain.contact_depth_m == shift_m
     else:
         assert moved.contact_depth_m is None
+
     assert moved_layer.thickness_m == pytest.approx(layer.thickness_m, abs=1e-5)
 
 
@@ -218,6 +228,7 @@ def check_rows(rows):
 def test_a_jump_of_depth_is_removed_for_good():
     places = (0.0, 0.05, 0.050001)
     checked = check_rows([(place, 0.001, 0.0, 1e-3) for place in places])
+
     assert checked.statuses == [
         SampleStatus.OK,
         SampleStatus.DEPTH_JUMP,
@@ -229,6 +240,7 @@ def test_a_jump_of_depth_is_removed_for_good():
 def test_travel_before_a_gap_ends_is_no_jump():
     rows = [(8e-6 * k, 8e-3, 0.0, 1e-3) for k in range(500)]
     checked = check_rows([*rows, (8e-3, 0.0, 0.0, 1.0), (8e-3, 0.0, 0.0, 1e-3)])
+
     assert checked.statuses[-2:] == [SampleStatus.TIME_GAP, SampleStatus.OK]
     assert checked.depth_m == pytest.approx(8e-3)
 
@@ -249,6 +261,7 @@ def test_a_gap_makes_no_gap_usual():
     statuses = [
         status for status in check_rows(rows).statuses if status is not SampleStatus.OK
     ]
+
     assert statuses == [SampleStatus.TIME_GAP] * 2
 
 
@@ -272,6 +285,7 @@ def test_wrong_speed_sign_is_reported_and_time_passes():
     rejected = [
         k for k, status in enumerate(statuses) if status is SampleStatus.SPEED_SIGN
     ]
+
     assert len(rejected) > 2000
     assert statuses[max(rejected) + 1] is SampleStatus.TIME_GAP
     assert statuses.count(SampleStatus.TIME_GAP) == 1
@@ -287,6 +301,7 @@ def test_time_passes_over_jumps_of_depth(jumps, after):
     statuses = check_rows(
         [(z + 2e-6 * k, 0.002, 0.0, 1e-3) for k, z in enumerate(places)]
     ).statuses
+
     assert statuses[100 : 100 + jumps] == [SampleStatus.DEPTH_JUMP] * jumps
     assert statuses[100 + jumps] is after
     assert set(statuses[101 + jumps :]) == {SampleStatus.OK}
@@ -318,6 +333,7 @@ def test_an_estimate_holds_outputs_under_their_names():
     outputs = tuple(range(len(names)))
     estimate = make_estimate(0.5, SampleStatus.OK, "state", outputs, Events("r", "l"))
     values = estimate._asdict()
+
     assert [values[name] for name in names] == list(outputs)
     assert (estimate.time_s, estimate.rupture_state) == (0.5, "state")
     assert (estimate.rupture, estimate.identified_layer) == ("r", "l")

@@ -36,6 +36,7 @@ def test_memory_is_bounded(config):
         identifier.update(1e-5 * k, 5e-3, 0.5 + 1e-5 * k + noise[k], 2e-3)
         if k % 3000 == 2999:
             sizes.append(len(pickle.dumps(identifier.snapshot())))
+
     assert max(sizes) < max(2 * sizes[2], 4096 * 7 * 10)
 
 
@@ -69,10 +70,13 @@ def test_every_state_resumes_bit_for_bit(config, least, tmp_path):
             snapshots.append((snapshot, pickle.dumps(snapshot)))
         resumed = Identifier(config)
         resumed.restore(snapshot)
+
     assert files >= least
     # Nothing changes a snapshot.
     assert all(pickle.dumps(snapshot) == pickled for snapshot, pickled in snapshots)
+
     resumed.reset()
+
     assert run(resumed, samples()) == estimates
 
 
@@ -124,6 +128,7 @@ def test_a_damaged_state_is_refused_and_changes_nothing(
     for node, name in zip(reversed(nodes), reversed(names), strict=True):
         value = copy_with(node, name, value)
     pickled = pickle.dumps(snapshot)
+
     with pytest.raises(InvalidSnapshotError, match=names[0]):
         identifier.restore(snapshot._replace(state=value))
     assert pickle.dumps(identifier.snapshot()) == pickled

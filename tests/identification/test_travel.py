@@ -91,13 +91,18 @@ def test_noise_is_learned_and_its_rest_is_stated(given, noise_m, rate_hz, jitter
     t_s, depth_m, speed_m_s = motion(rate_hz=rate_hz, jitter=jitter)
     noisy_m = depth_m + noise_m * rng.standard_normal(len(t_s))
     travel = filtered(t_s, noisy_m, speed_given(given, t_s, noisy_m, speed_m_s, rng))
+
     assert travel.learned_m == pytest.approx(noise_m, rel=0.15)
+
     steady = (t_s > 2.0) & (t_s < 5.0)
     std_m = travel.depth_std_m[steady].mean()
     std_m_s = travel.speed_std_m_s[steady].mean()
+
     # A filter that forgets within 0.1 s has few independent errors in 3 s.
     assert 0.3 * std_m < np.std((travel.depth_m - depth_m)[steady]) < 1.6 * std_m
+
     error_m_s = (travel.speed_m_s - speed_m_s)[steady]
+
     assert 0.3 * std_m_s < np.std(error_m_s) < 1.6 * std_m_s
     assert std_m < 0.5 * noise_m
     assert std_m_s < 1.5e-4
@@ -109,8 +114,11 @@ def test_a_needle_that_stops_or_turns_is_followed(given):
     t_s, depth_m, speed_m_s = motion()
     noisy_m = depth_m + 1.4e-5 * rng.standard_normal(len(t_s))
     travel = filtered(t_s, noisy_m, speed_given(given, t_s, noisy_m, speed_m_s, rng))
+
     assert np.abs(travel.depth_m - depth_m).max() < 6e-5
+
     late = np.abs(travel.speed_m_s - speed_m_s) > 0.5e-3
+
     assert late.mean() * t_s[-1] < 0.3
     assert not late[(t_s > 5.3) & (t_s < 7.0)].any()
 
@@ -119,8 +127,11 @@ def test_rest_of_a_rounded_depth_teaches_no_noise():
     t_s, depth_m, _ = motion()
     rounded = np.round(depth_m / 1e-5) * 1e-5
     travel = filtered(t_s, rounded, np.full(len(t_s), math.nan))
+
     assert travel.learned_m > 1e-6
+
     steady = (t_s > 2.0) & (t_s < 5.0)
+
     assert np.abs(travel.speed_m_s[steady] - 4e-3).max() < 4e-4
 
 
@@ -140,6 +151,7 @@ def test_smooth_noise_of_an_encoder_is_learned(step_m):
     travel = filtered(t_s, at_m, rate_m_s)
     steady = (t_s > 2.0) & (t_s < 5.0)
     error_m_s = (travel.speed_m_s - speed_m_s)[steady]
+
     assert np.std(error_m_s) < 0.25 * np.std((rate_m_s - speed_m_s)[steady])
     assert 0.3 < np.std(error_m_s) / travel.speed_std_m_s[steady].mean() < 3.0
 
@@ -165,6 +177,7 @@ def test_a_swing_is_no_noise(rate_hz, lost_s):
         least_variances.append(state.noises[DEPTH_MEANS].min_variance)
     forgotten = math.exp(6.0 / 8.0)  # of the least, in 6 s of swing
     of_a_mean = 4e-12 / (0.016 * rate_hz)
+
     assert max(least_variances[int(3.0 * rate_hz) :]) < 2.0 * forgotten * of_a_mean
 
 
@@ -187,6 +200,7 @@ def test_the_configured_gap_is_that_of_the_filter(gap_s, restarts):
         identifier.update(3e-6 * k, None, 0.0, 1e-3)
     estimate = identifier.update(7.5e-3, None, 0.0, 0.5)
     speed_m_s = identifier.snapshot().travel.speed_m_s
+
     assert estimate.status is (SampleStatus.TIME_GAP if restarts else SampleStatus.OK)
     assert speed_m_s == (0.0 if restarts else pytest.approx(3e-3, rel=0.01))
 
@@ -203,6 +217,7 @@ def test_nobody_need_measure_the_speed():
         )
         assert estimate.status is SampleStatus.OK
     (layer,) = identifier.layers
+
     assert layer.rupture.depth_m == pytest.approx(0.01, abs=3e-4)
 
 
@@ -219,6 +234,7 @@ def test_the_slow_speed_filter_is_quiet_and_stops():
             state, depth[k], measured[k], *noise, 0.01
         )
     error = filtered_speed - speed
+
     assert np.sqrt(np.mean(error[200:1199] ** 2)) < 0.2 * noise[1]
     assert np.abs(filtered_speed - measured)[1200:].max() < 4.01 * noise[1]
     assert np.abs(error)[1250:].max() < 0.5 * noise[1]

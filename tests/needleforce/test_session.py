@@ -44,6 +44,7 @@ def test_the_chain_finds_force_depth_and_layer(whole):
     touched = int(np.searchsorted(RUN.signals.t_s, RUN.truth.contact_s))
     axial = np.array([e.wrench.axial for e in estimates])
     error = (axial - RUN.truth.axial_N[: len(estimates)])[touched:]
+
     assert np.sqrt(np.mean(error**2)) < 0.05
     assert len(ruptures(estimates)) == len(session.layers) == 1
     assert session.layers[0].thickness_m == pytest.approx(28.2e-3, abs=1e-3)
@@ -69,11 +70,14 @@ def test_depth_and_speed_equal_the_offline_kinematics(whole, with_velocity):
     depth, speed = np.array([(e.depth_m, e.speed_m_s) for e in estimates[compared]]).T
     # The zero is noisy by a sample's worth; without velocities depth is 10 ms old.
     tolerance_m = 2e-5 if with_velocity else 8e-5
+
     np.testing.assert_allclose(depth, offline_m[compared], atol=tolerance_m)
     np.testing.assert_allclose(
         speed, offline_m_s[compared], atol=2e-6 if with_velocity else 1e-4
     )
+
     truth = RUN.truth.depth_m[compared] - RUN.truth.depth_m[TARE]
+
     np.testing.assert_allclose(depth, truth, atol=1e-4)
 
 
@@ -99,6 +103,7 @@ def test_only_valid_tared_forces_are_used():
             assert estimate.status is Status.INITIALIZING
         if estimate.used_for_identification and k > TARE + 500:
             break
+
     # The time of what was not used has passed, and the identifier reports the gap.
     assert estimate.identification.status is SampleStatus.TIME_GAP
     assert estimate.identification.time_s == estimate.time_s
@@ -108,18 +113,27 @@ def test_only_valid_tared_forces_are_used():
 def test_refused_tares_and_new_insertions_keep_the_tare():
     session, (first, second) = resumed_after(TARE + 12_000, 2)
     deep = session.update(*first)
+
     with pytest.raises(TareError, match="start_tare_recording"):
         session.tare()
     assert session.snapshot().travel.depth_m == deep.depth_m > 5e-3
+
     session.begin_insertion()
+
     assert session.tared
     assert session.layers == ()
+
     again = session.update(*second)
+
     assert again.depth_m == pytest.approx(0.0, abs=1e-4)
     assert again.identification.layer == 0
+
     session.start_tare_recording()
+
     assert not session.tared
+
     session.reset()
+
     assert not session.tared
     with pytest.raises(TareError):
         session.tare()
@@ -149,7 +163,9 @@ def test_speed_lag_smooths_over_the_true_time(whole):
     lost, other = (InsertionSession(RUN.robot, speed_lag_s=0.02) for _ in range(2))
     moving = slice(TARE + 4001, TARE + 6001)
     smooth = np.std([e.speed_m_s for e in insert(other, TARE + 6000)[moving]])
+
     assert smooth < 0.5 * np.std([e.speed_m_s for e in whole[1][moving]])
+
     lost.restore(other.snapshot())
     rows = [sample for _, sample in samples(RUN)][TARE + 6001 : TARE + 7101]
     for k, (q, dq, tau, dt_s) in enumerate(rows):
@@ -183,6 +199,7 @@ def test_the_published_settings_run_through(lwr):
     session = InsertionSession(lwr, PUBLISHED)
     for _ in range(10):
         estimate = session.update(Q, np.zeros(7), np.zeros(7), 1e-3)
+
     assert estimate.wrench.covariance.shape == (6, 6)
 
 
@@ -191,13 +208,20 @@ def test_a_clock_that_was_set_takes_no_time(dt_s):
     session, rows = resumed_after(TARE, 52)
     for row in rows[:50]:
         earlier = session.update(*row)
+
     assert earlier.used_for_identification
+
     set_back = session.update(*rows[50][:3], dt_s)
+
     assert set_back.status is Status.REJECTED
     assert not set_back.used_for_identification
+
     after = session.update(*rows[51])
+
     assert after.used_for_identification
+
     passed_s = after.identification.time_s - earlier.identification.time_s
+
     assert passed_s == pytest.approx(rows[51][3])
 
 
@@ -211,6 +235,7 @@ def test_a_force_rejected_by_identifier_is_unused():
         kinematics.update(q)
         push = 3.0 * kinematics.axial_jacobian if k > 100 else 0.0
         estimates.append(session.update(q, dq, tau + push, dt_s))
+
     assert all(e.used_for_identification for e in estimates[:100])
     assert estimates[-1].status is Status.OK
     assert estimates[-1].wrench.axial > 1.0
@@ -247,17 +272,22 @@ def test_a_lateral_push_is_no_axial_force(first):
         session.update(*row) for row in pushed(rows, (1.0, 0.0, 0.0), first, 400)
     ]
     alone = [still.update(*row) for row in rows]
+
     assert ruptures(estimates) == []
     assert all(e.used_for_identification for e in estimates)
+
     error = [
         pushed_estimate.wrench.axial - other.wrench.axial
         for pushed_estimate, other in zip(estimates, alone, strict=True)
     ]
+
     assert np.abs(error).max() < 0.05
+
     wrench = estimates[-1].wrench
     sideways = np.linalg.norm(
         np.cross([1.0, 0.0, 0.0], session._sensor.kinematics.axis_in_base)
     )
+
     assert wrench.lateral == pytest.approx(sideways, abs=0.1)
     assert wrench.lateral_std < 0.05
 
@@ -267,10 +297,13 @@ def test_a_push_on_the_elbow_raises_no_rupture(first):
     session, rows = resumed_after(INSIDE, 400)
     rows = pushed(rows, (0.0, 2.0, 0.0), first, 400, joint=4)
     estimates = [session.update(*row) for row in rows]
+
     assert ruptures(estimates) == []
+
     flagged = [
         k for k, e in enumerate(estimates) if SensorWarning.MODEL_MISMATCH in e.warnings
     ]
+
     assert first < flagged[0] < first + 100
     assert "do not fit" in estimates[flagged[0]].wrench.message
     assert not any(estimates[k].used_for_identification for k in flagged)
@@ -289,6 +322,7 @@ def test_a_small_push_shows_in_torque_changes(count, seconds):
     flagged = [
         k for k, e in enumerate(estimates) if SensorWarning.ARM_PUSHED in e.warnings
     ]
+
     assert 500 < flagged[0] < 620
     assert seconds[0] < 1e-3 * len(flagged) < seconds[1]
     assert not any(SensorWarning.MODEL_MISMATCH in e.warnings for e in estimates)
@@ -310,6 +344,7 @@ def test_a_push_rewinds_to_before_it_began():
     k = next(k for k, is_known in enumerate(is_detected) if is_known)
     rewound = session.snapshot().identifier.travel
     equal_to = [n for n, travel in enumerate(history) if same(travel, rewound)]
+
     assert k - 520 < equal_to[-1] <= k - 250  # as if nothing had come since
     assert session.snapshot().unused_s == pytest.approx(
         1e-3 * (k - equal_to[-1]), abs=2e-3
@@ -325,6 +360,7 @@ def test_a_push_beginning_in_unused_ticks_rewinds_once():
     for warning in (SensorWarning.VELOCITY, *[SensorWarning.MODEL_MISMATCH] * 3):
         session._process(wrench._replace(warnings=warning))
     rewound = session.snapshot()
+
     assert same(rewound.identifier, used.checkpoints.older.identifier)
     assert rewound.unused_s == pytest.approx(
         rewound.time_s - used.checkpoints.older.time_s
@@ -342,6 +378,7 @@ def test_a_rupture_around_an_elbow_push_is_found(first, count, late):
     session, rows = resumed_after(INSIDE, 9_000)
     rows = pushed(rows, (0.0, 2.0, 0.0), undisturbed_alarm + first, count, joint=4)
     (alarm,) = ruptures([session.update(*row) for row in rows])
+
     # Blocks of the identifier begin elsewhere after the pause.
     assert max(first + count, -10) < alarm - undisturbed_alarm < late
     assert abs(session.layers[0].friction_N / layer.friction_N - 1.0) < 0.15

@@ -83,7 +83,9 @@ def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
     session = InsertionSession(run.robot, identifier_config=CONFIGS[config])
     end = TARE + 17_500
     estimates, files = run_through(session, end, tmp_path, with_velocity=with_velocity)
+
     assert ("rupture" in files) or config == "published"
+
     feed = list(samples(run, with_velocity=with_velocity))
     for cut, path in files.values():
         other = InsertionSession(run.robot, identifier_config=CONFIGS[config])
@@ -100,6 +102,7 @@ def test_a_sensor_alone_is_stored_too(tmp_path):
     stored.restore(whole.snapshot().sensor)
     write_snapshot(stored.snapshot(), tmp_path / "s")
     other.restore(read_snapshot(tmp_path / "s"))
+
     assert same(other.update(*row), stored.update(*row))
 
 
@@ -142,6 +145,7 @@ def test_another_robot_or_other_settings_are_refused(lwr):
         with pytest.raises(error, match=match):
             foreign.restore(snapshot)
         assert same(foreign.snapshot(), state)
+
     with pytest.raises(InsertionError, match="SensorState"):
         InsertionSession(robot).restore(snapshot.sensor)
     with pytest.raises(SnapshotError, match="expected a SensorState"):
@@ -156,6 +160,7 @@ def test_another_robot_or_other_settings_are_refused(lwr):
 def test_a_snapshot_edited_in_memory_is_refused(fields):
     session = InsertionSession(short_run().robot)
     state = session.snapshot()
+
     with pytest.raises(InsertionError, match="the snapshot is damaged"):
         session.restore(stopped_after(IN_TISSUE)._replace(**fields))
     assert same(session.snapshot(), state)
@@ -166,6 +171,7 @@ def test_a_shallow_copy_shares_nothing():
     twin = copy.copy(session)
     state = session.snapshot()
     estimates = [twin.update(*row) for row in rows]
+
     assert same(session.snapshot(), state)
     assert all(
         same(session.update(*row), estimate)
@@ -190,7 +196,9 @@ def sealed(envelope, plain):
 
 def test_files_that_are_no_snapshots_say_so(tmp_path):
     path, envelope, plain = written(tmp_path)
+
     assert envelope["version"] == STATE_VERSION
+
     encode = msgspec.msgpack.encode
     for content, match in [
         (encode(envelope | {"version": 99}), "version 99"),
@@ -210,6 +218,7 @@ def test_files_that_are_no_snapshots_say_so(tmp_path):
         path.write_bytes(content)
         with pytest.raises(SnapshotFileError, match=match):
             read_snapshot(path)
+
     with pytest.raises(SnapshotFileError, match="got a dict"):
         write_snapshot({}, path)
     with pytest.raises(OSError, match="missing"):
@@ -226,6 +235,7 @@ def test_one_changed_byte_is_noticed(tmp_path):
             read_snapshot(path)
         content[at] ^= 4
     path.write_bytes(content)
+
     assert same(read_snapshot(path), stopped_after(IN_TISSUE))
 
 
@@ -237,6 +247,7 @@ def test_a_full_disk_leaves_the_older_snapshot(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.fsync", full)
+
     with pytest.raises(OSError, match="No space"):
         write_snapshot(stopped_after(IN_TISSUE), path)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]

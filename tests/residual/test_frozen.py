@@ -53,6 +53,7 @@ def test_an_arm_at_rest_is_never_refused(lwr, source, moves_first):
     estimates = [
         sensor.update_external_torque(q_k, None, tau_k, 1e-3) for q_k, tau_k in rows
     ]
+
     assert not any(SensorWarning.FROZEN in e.warnings for e in estimates[800:])
 
 
@@ -70,12 +71,15 @@ def test_signals_are_frozen_until_they_move_again(lwr, resolution, which):
         for q, dq, tau in rows[100:400]
     ]
     estimates = feed(sensor, stuck)
+
     assert all(
         e.status is Status.REJECTED and SensorWarning.FROZEN in e.warnings
         for e in estimates[30:]
     )
     assert ("position and torque" if which == "all" else which) in estimates[-1].message
+
     after = feed(sensor, rows[400:600])
+
     assert after[0].status is Status.INITIALIZING
     assert after[-1].status is Status.OK
     assert not after[-1].warnings
@@ -91,6 +95,7 @@ def test_a_slow_source_is_frozen_after_far_longer(lwr):
         sensor.update_external_torque(MIDDLE, None, tau_k, 1e-3) for tau_k in tau
     ]
     frozen = [SensorWarning.FROZEN in e.warnings for e in estimates]
+
     assert not any(frozen[:1150])
     assert all(frozen[1250:])
 
@@ -103,6 +108,7 @@ def test_one_stuck_torque_is_reported_and_not_refused(lwr):
     estimates = feed(
         sensor, [(q, dq, np.where(alone, value, tau)) for q, dq, tau in rows[100:1000]]
     )
+
     assert all(e.status is Status.OK for e in estimates)
     assert not any(SensorWarning.FROZEN in e.warnings for e in estimates[:400])
     assert all(SensorWarning.FROZEN in e.warnings for e in estimates[600:])
@@ -116,6 +122,7 @@ def test_nothing_is_refused_for_ever(lwr):
     dt_s = 0.01
     estimates = feed(sensor, [rows[99]] * 1000, dt_s)
     refused = sum(e.status is Status.REJECTED for e in estimates) * dt_s
+
     assert 0.9 * MAX_REFUSAL_S < refused <= MAX_REFUSAL_S
     assert estimates[-1].status is Status.OK
     assert SensorWarning.FROZEN in estimates[-1].warnings
@@ -132,6 +139,7 @@ def test_signals_without_noise_may_repeat_themselves(lwr):
         assert "neither q nor tau has changed" in estimates[-1].message
         if status is Status.NOT_TARED:
             sensor.tare()
+
     assert sensor.update(MIDDLE, np.zeros(7), tau + 1e-3, 0.1).message == ""
 
 
@@ -175,6 +183,7 @@ def test_a_spike_of_a_held_position_is_rejected(lwr, samples):
     q = held(q, samples)
     q[1000 : 1000 + 4, 2] += 0.05
     estimates = feed(VirtualForceSensor(lwr), rows_of(q, dq, tau))
+
     assert spikes(estimates)[0] == 1000
     assert all(e.status is Status.REJECTED for e in estimates[1000:1004])
     assert len(spikes(estimates)) <= 5
@@ -188,4 +197,5 @@ def test_a_long_rest_makes_no_gate_wide(lwr):
     dq = 1e-3 * rng.normal(size=q.shape)
     tau = tau[0] + 0.03 * rng.normal(size=q.shape)
     q[3990, 4] += 1e-3
+
     assert spikes(feed(VirtualForceSensor(lwr), rows_of(q, dq, tau))) == [3990]

@@ -19,11 +19,14 @@ def test_a_spike_is_rejected_alone(lwr, which, size, with_velocity):
     spiked = list(rows[50])
     spiked[which] = spiked[which] + size * (np.arange(7) == 2)
     held = sensor.update(*spiked, 1e-3)
+
     assert held.status is Status.REJECTED
     assert SensorWarning.SPIKE in held.warnings
     assert "at joint 3" in held.message
     assert held.axial == before.axial
+
     after = feed(sensor, rows[51:200])
+
     assert all(e.status is Status.OK and not e.warnings for e in after)
     assert max(abs(e.axial) for e in after) < 0.2
 
@@ -35,6 +38,7 @@ def test_a_jump_that_stays_is_accepted(lwr, with_velocity):
     step = np.where(np.arange(7) == 1, 12.0, 0.0)
     estimates = feed(sensor, [(q, dq, tau - step) for q, dq, tau in rows[50:300]])
     held = [e.status is Status.REJECTED for e in estimates]
+
     assert 4 <= sum(held) <= 8
     assert not any(held[10:])
     assert estimates[-1].residual[1] == pytest.approx(12.0, abs=0.5)
@@ -45,6 +49,7 @@ def test_a_lasting_position_jump_restarts_the_velocity(lwr):
     sensor, rows = tared(lwr, with_velocity=False)
     feed(sensor, rows[:50])
     estimates = feed(sensor, [(q + 0.01, None, tau) for q, _, tau in rows[50:400]])
+
     assert estimates[0].status is Status.REJECTED
     assert Status.INITIALIZING in {e.status for e in estimates}
     assert estimates[-1].status is Status.OK
@@ -63,6 +68,7 @@ def test_impossible_numbers_are_rejected(lwr, number, with_velocity):
         assert held.status is Status.REJECTED
         assert "finite" in held.message or "expected SI units" in held.message
         assert held.axial == before.axial
+
     assert feed(sensor, rows[50:60])[-1].status is Status.OK
 
 
@@ -74,8 +80,11 @@ def test_garbage_is_not_held_back_for_ever(lwr):
         sensor,
         [(q, dq, tau + 50.0 * rng.normal(size=7)) for q, dq, tau in rows[50:400]],
     )
+
     assert any(e.status is not Status.REJECTED for e in estimates)
+
     recovered = feed(sensor, rows[400:])
+
     assert recovered[-1].status is Status.OK
     assert abs(recovered[-1].axial) < 0.1
 
@@ -93,6 +102,7 @@ def test_a_saturated_torque_is_held_back(lwr, slowly):
         )
     q, dq, tau = rows[51 + steps]
     last = sensor.update(q, dq, np.where(limit > 0, limit, tau), 1e-3)
+
     assert last.status is Status.REJECTED
     assert SensorWarning.SATURATED in last.warnings
     assert "at joint 4" in last.message
@@ -104,10 +114,13 @@ def test_a_joint_at_its_limit_is_reported(lwr):
     middle[5] = lwr.position_upper_rad[5] - 0.05
     sensor, rows = tared(lwr, middle=middle, more=4.0)
     estimates = feed(sensor, rows[:2000])
+
     assert {SensorWarning.JOINT_LIMIT in e.warnings for e in estimates} == {True, False}
+
     sensor.start_tare_recording()
     estimates = feed(sensor, rows[2000:])
     named = next(e for e in estimates if SensorWarning.JOINT_LIMIT in e.warnings)
+
     assert named.status is Status.NOT_TARED
     assert "at a position limit: joint 6" in named.message
 
@@ -145,6 +158,7 @@ def test_a_lateral_push_mismatches_only_the_axial_mode(lwr):
 def test_no_valid_sample_is_held_back(lwr, kind, with_velocity):
     rng = np.random.default_rng(1)
     motion = sensed(KINDS[kind](lwr, rng, 2000), rng)
+
     assert held_back(lwr, motion, has_velocity=with_velocity) == 0
 
 
@@ -160,12 +174,15 @@ def test_a_coarse_encoder_step_is_no_spike(lwr):
         for _ in range(8000)
     ]
     changes = np.count_nonzero(np.diff(at, axis=0), axis=0)
+
     assert (changes > 10).all()
     assert (changes < 400).all()
+
     sensor.reset()
     estimates = feed(
         sensor, [(each, None, tau + 0.03 * rng.normal(size=7)) for each in at]
     )
+
     assert sensor.rejected == 0, {e.message for e in estimates}
 
 
@@ -185,6 +202,7 @@ def test_acceleration_widens_the_deviation_of_each_joint(lwr):
     rng = np.random.default_rng(2)
     fast = KINDS["up to the velocity limits"](lwr, rng, 2000)
     estimates = feed(sensor, list(zip(*fast, strict=True)))
+
     assert sensor.residual_std_Nm.shape == (7,)
     assert (sensor.residual_std_Nm[:4] > 3.0 * at_rest[:4]).all()
     assert estimates[-1].axial_std > 3.0 * estimates[0].axial_std
@@ -204,6 +222,7 @@ def test_a_sudden_force_loses_no_sample(lwr, newton, middle, with_velocity):
         (q, dq, tau - external_torque_of(lwr, q, newton * direction))
         for direction, (q, dq, tau) in zip(directions, rows, strict=False)
     ]
+
     assert {e.status for e in feed(sensor, pushed)} == {Status.OK}
 
 
@@ -214,5 +233,6 @@ def test_a_spike_of_one_torque_is_no_contact(lwr, joint):
     q, dq, tau = rows[50]
     spike = np.where(np.arange(7) == joint, 0.06 * lwr.effort_limit_Nm, 0.0)
     held = sensor.update(q, dq, tau + spike, 1e-3)
+
     assert held.status is Status.REJECTED
     assert held.axial == before.axial

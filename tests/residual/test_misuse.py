@@ -85,8 +85,10 @@ def test_robots_without_limits_or_with_one_joint_work(
         (q, dq, tau - external_torque_of(robot, q, force)) for q, dq, tau in rows[1500:]
     ]
     last = feed(sensor, pushed)[-1]
+
     assert last.status is Status.OK
     assert all(np.isfinite(value).all() for value in last[:8])
+
     if count == 1 and mode == "axial":
         torque = external_torque_of(robot, q[-1], force)
         lever_m = sensor.kinematics.axial_jacobian
@@ -106,6 +108,7 @@ def test_an_impossible_effort_limit_counts_as_unknown(effort):
     rows = list(zip(q, dq, tau, strict=True))
     ours = feed(sensor, rows)[-1]
     theirs = feed(expected, rows)[-1]
+
     assert ours.axial_std == theirs.axial_std < 100.0
 
 
@@ -146,12 +149,17 @@ def test_no_time_step_makes_an_update_raise(lwr, dt_s):
     sensor, rows = tared(lwr)
     twin, _ = tared(lwr)
     reported = sensor.update(*rows[0], dt_s)
+
     assert reported.status is Status.REJECTED
     assert "dt_s" in reported.message
+
     next_one = sensor.update(*rows[1], 1e-3)
+
     assert next_one.axial == twin.update(*rows[1], 1e-3).axial
+
     velocity = VelocityEstimator(7)
     velocity.update(rows[0][0], rows[0][2], 1e-3)
+
     with pytest.raises(SampleError, match="dt_s"):
         velocity.update(rows[0][0], rows[0][2], dt_s)
 
@@ -161,6 +169,7 @@ def test_no_signal_makes_an_update_raise(lwr, which):
     sensor, rows = tared(lwr)
     bad = list(rows[0])
     bad[which] = Raises()
+
     assert sensor.update(*bad, 1e-3).status is Status.REJECTED
     assert sensor.update(*rows[1], 1e-3).status is Status.OK
 
@@ -244,8 +253,10 @@ def test_a_refused_tare_names_the_likely_torques(lwr, kind, preset):
     q, dq, tau = signals(lwr, 3.0)
     sensor = VirtualForceSensor(lwr, replace(preset, **settings))
     feed(sensor, zip(q, dq, bend(gravity_of(lwr, q), tau), strict=True))
+
     with pytest.raises(TareError, match=words):
         sensor.tare()
+
     sensor.tare(ignore_contact=True)
 
 
@@ -271,6 +282,7 @@ def test_a_refused_tare_asks_for_units_and_signals(lwr, bend, words):
     sensor = VirtualForceSensor(lwr)
     q, tau = bend(q, tau)
     feed(sensor, [(q_k, None, tau_k) for q_k, tau_k in zip(q, tau, strict=True)])
+
     with pytest.raises(TareError, match=words):
         sensor.tare()
 
@@ -280,6 +292,7 @@ def test_a_tare_without_data_says_what_was_rejected(lwr):
     q, dq, tau = signals(lwr, 1.0)
     feed(sensor, zip(q, dq, tau * np.nan, strict=True))
     words = "1000 samples were rejected, the last one: tau is not finite at joints 1, 2"
+
     with pytest.raises(TareError, match=words):
         sensor.tare()
 
@@ -299,6 +312,7 @@ def test_a_wrong_mass_at_the_flange_is_named(lwr, in_model, on_arm, words):
     _, q, dq, tau = swing(robot, seconds=3.0, amplitude=0.3)
     sensor = VirtualForceSensor(model)
     feed(sensor, zip(q, dq, tau - 0.3 * BIAS, strict=True))
+
     with pytest.raises(TareError, match=f"{words} at the flange"):
         sensor.tare()
 
@@ -308,6 +322,7 @@ def test_measured_torque_given_as_external_torque_is_named(lwr):
     sensor = VirtualForceSensor(lwr)
     for one in zip(q, tau, strict=True):
         sensor.update_external_torque(one[0], None, one[1], 1e-3)
+
     with pytest.raises(
         TareError, match=r"the measured torque; call update\(\) instead"
     ):
@@ -329,6 +344,7 @@ def test_torque_without_gravity_gives_the_same_force(lwr, with_velocity):
         ours = sensor.update(q[k], velocity, tau[k] - free[k], 1e-3)
         theirs = twin.update(q[k], velocity, tau[k], 1e-3)
         assert ours.status is theirs.status
+
     assert ours.axial == pytest.approx(theirs.axial, abs=1e-9)
 
 
@@ -336,6 +352,7 @@ def test_torque_without_gravity_gives_the_same_force(lwr, with_velocity):
 def test_a_time_step_in_milliseconds_is_reported(lwr, dt_s):
     sensor = VirtualForceSensor(lwr)
     last = feed(sensor, zip(*signals(lwr, 0.1), strict=True), dt_s)[-1]
+
     assert last.status is Status.INITIALIZING
     assert f"dt_s = {dt_s:g} s" in last.message
     assert "in milliseconds?" in last.message
@@ -355,13 +372,17 @@ def test_a_tip_offset_equals_a_displaced_frame(lwr, mode):
     ours = WrenchEstimator(lwr, SensorConfig(mode=mode, tool_offset_m=tuple(offset)))
     theirs = WrenchEstimator(longer, SensorConfig(mode=mode))
     forces = [one.estimate(MIDDLE, torque).force for one in (ours, theirs)]
+
     np.testing.assert_allclose(*forces, atol=1e-9)
+
     config = replace(DEFAULT, tool_offset_m=tuple(offset), mode=mode)
     sensor, rows = tared(lwr, config)
     pushed = [
         (q, dq, tau - external_torque_of(longer, q, [0, 0, 2.0])) for q, dq, tau in rows
     ]
     last = feed(sensor, pushed)[-1]
+
     assert last.status is Status.OK
+
     if mode == "point":
         np.testing.assert_allclose(last.force, [0, 0, 2.0], atol=0.1)

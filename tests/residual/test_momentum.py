@@ -52,6 +52,7 @@ def test_half_steps_equal_one_for_held_input(residual, slope, held, gain, dt):
     end = rows(slope * dt, 1.0, 2.0, held)
     whole = step(start, end, gain, dt)
     middle[0] = step(start, middle, gain, dt / 2)
+
     assert step(middle, end, gain, dt / 2) == pytest.approx(whole, rel=1e-9, abs=1e-9)
 
 
@@ -61,6 +62,7 @@ def test_step_never_diverges_whatever_the_gain(gain_dt, residual, target):
     after = rows(target * 1e-3, 0.0, 0.0, 0.0)
     found = step(before, after, np.array([gain_dt / 1e-3]), 1e-3)
     low, high = sorted((residual, target))
+
     assert low - 1e-9 <= found[0] <= high + 1e-9
 
 
@@ -130,6 +132,7 @@ def test_residual_converges_to_the_external_torque(lwr):
     _, q, dq, tau = swing(lwr, seconds=0.5, force_at_tip_in_base=force)
     observer = MomentumObserver(lwr, 200.0)
     residual = feed(observer, rows_of(q, dq, tau))[-1]
+
     np.testing.assert_allclose(
         residual, external_torque_of(lwr, q[-1], force), atol=0.02
     )
@@ -138,6 +141,7 @@ def test_residual_converges_to_the_external_torque(lwr):
 def test_start_on_a_moving_arm_has_no_spike(lwr):
     _, q, dq, tau = swing(lwr, seconds=0.2, start=0.4)
     observer = MomentumObserver(lwr, 500.0)
+
     assert np.abs(dq[0]).max() > 0.1
     assert np.abs(feed(observer, rows_of(q, dq, tau))).max() < 1e-3
 
@@ -147,6 +151,7 @@ def test_a_gap_in_time_is_not_integrated(lwr):
     observer = MomentumObserver(lwr, 50.0)
     feed(observer, rows_of(q, dq, tau)[:500])
     after_gap = observer.update(q[1500], dq[1500], tau[1500], times[1500] - times[499])
+
     assert np.abs(after_gap).max() < 1e-3
     assert np.abs(observer.update(q[1501], dq[1501], tau[1501], 1e-3)).max() < 1e-3
 
@@ -167,6 +172,7 @@ def test_modelled_friction_does_not_read_as_force(lwr):
     worst_known, worst_unknown = (
         np.abs(feed(one, rows)).max() for one in (known, unknown)
     )
+
     assert worst_known < 0.01 < 0.5 < worst_unknown
 
 
@@ -178,14 +184,18 @@ def test_state_resumes_bit_equal_and_reset_forgets_it(lwr):
     feed(one, rows_of(q, dq, tau)[:50])
     other.restore(copy(one.memory))
     sample = (q[50], dq[50] + 1e-3, tau[50], 1e-3)
+
     np.testing.assert_array_equal(one.update(*sample), other.update(*sample))
+
     handed_out = one.update(*sample)
     kept = handed_out.copy()
     one.update(*sample[:2], sample[2] + 5.0, 1e-3)
+
     np.testing.assert_array_equal(handed_out, kept)
     assert not handed_out.flags.writeable
     with pytest.raises(ConfigurationError, match="rows of shape"):
         one.restore(type(one.memory)(np.zeros((ROWS, 3))))
+
     one.reset()
     fresh = MomentumObserver(lwr, 50.0)
     for k in range(3):
@@ -195,6 +205,7 @@ def test_state_resumes_bit_equal_and_reset_forgets_it(lwr):
 
 def test_smooth_friction_reaches_coulomb_plus_viscous():
     friction = JointFriction(viscous_Nms=[2.0], coulomb_Nm=[1.0], offset_Nm=[0.25])
+
     assert friction.torque(np.array([0.5]))[0] == pytest.approx(2.0 * 0.5 + 1.0 + 0.25)
     assert friction.torque(np.array([-0.5]))[0] == pytest.approx(
         -2.0 * 0.5 - 1.0 + 0.25
@@ -206,8 +217,11 @@ def test_sigmoid_friction_follows_its_formula():
     friction = SigmoidFriction(
         amplitude_Nm=[0.5], slope_s_rad=[5.0], shift_rad_s=[0.04]
     )
+
     assert friction.torque(np.array([0.0]))[0] == 0.0
+
     expected = 0.5 / (1 + np.exp(-5 * (0.3 + 0.04))) - 0.5 / (1 + np.exp(-5 * 0.04))
+
     assert friction.torque(np.array([0.3]))[0] == pytest.approx(expected)
 
 
@@ -239,6 +253,7 @@ def test_partial_steps_equal_one_for_straight_input(split, start, end):
     whole = outputs((1.0, -2.0), start, end, 0.01)
     part = outputs((1.0, -2.0), start, middle, 0.01 * split)
     parts = outputs(part, middle, end, 0.01 * (1 - split))
+
     np.testing.assert_allclose(parts, whole, atol=1e-12)
 
 
@@ -250,6 +265,7 @@ def test_a_ramp_has_exact_velocity_and_stated_delay():
         dt = rng.uniform(5e-4, 2e-3)
         time += dt
         sample = estimator.update([0.3 * time], [0.0], dt)
+
     assert sample.settled
     assert sample.dq[0] == pytest.approx(0.3, rel=1e-9)
     assert sample.q[0] == pytest.approx(0.3 * (time - estimator.delay_s), rel=1e-9)
@@ -262,6 +278,7 @@ def test_velocity_noise_follows_its_formula():
         estimator.update(1e-5 * rng.normal(size=200), np.zeros(200), 1e-3).dq
         for _ in range(500)
     ]
+
     assert np.std(noise[200:]) == pytest.approx(
         1e-5 * np.sqrt(1e-3 * 100.0**3 / 4), rel=0.15
     )
@@ -281,6 +298,7 @@ def test_matched_delay_keeps_motion_from_reading_as_force(lwr):
             if k > 500:
                 worst = max(worst, np.abs(matched).max())
                 worst_careless = max(worst_careless, np.abs(undelayed).max())
+
     assert worst < 0.005
     assert worst < 0.1 * worst_careless
 
@@ -288,9 +306,12 @@ def test_matched_delay_keeps_motion_from_reading_as_force(lwr):
 def test_held_torque_is_filtered_as_held():
     held = VelocityEstimator(1, 100.0, alignment="hold")
     held.update([0.0], [1.0], 1e-3)
+
     assert held.update([0.0], [0.0], 1e-3).tau[0] == 1.0
+
     sampled = VelocityEstimator(1, 100.0)
     sampled.update([0.0], [1.0], 1e-3)
+
     assert sampled.update([0.0], [0.0], 1e-3).tau[0] < 1.0
 
 
@@ -298,7 +319,10 @@ def test_gap_starts_the_filter_anew():
     estimator = VelocityEstimator(1, 200.0)
     for _ in range(100):
         sample = estimator.update([0.0], [0.0], 1e-3)
+
     assert sample.settled
+
     sample = estimator.update([1.0], [0.0], 0.5)
+
     assert not sample.settled
     assert sample.dq[0] == 0.0

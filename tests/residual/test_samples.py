@@ -105,6 +105,7 @@ def test_time_steps_may_be_any_real_number(lwr, dt_s):
     for one in zip(q, dq, tau, strict=True):
         wrench = sensor.update(*one, dt_s)
         matched = velocity.update(one[0], one[2], dt_s)
+
     assert sensor.rejected == 0
     assert sensor.elapsed_s == pytest.approx(1e-3)
     assert type(wrench.axial) is float
@@ -119,6 +120,7 @@ def test_noise_of_another_arm_is_refused(lwr, noise):
         sensor.update(*one, 1e-3)
     state = sensor.snapshot()
     damaged = replace(state.stream.observer, noise=noise)
+
     with pytest.raises(SnapshotError, match="noise"):
         sensor.restore(state._replace(stream=replace(state.stream, observer=damaged)))
 
@@ -136,5 +138,6 @@ def test_arrays_of_any_layout_are_taken(has_velocity):
             gaps = (gaps[0], None, gaps[2])
         wrench = plain.update(*one, 1e-3)
         same = strange.update(*gaps, 1e-3)
+
     assert wrench.axial == same.axial != 0.0
     np.testing.assert_array_equal(wrench.residual, same.residual)

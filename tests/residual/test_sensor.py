@@ -37,18 +37,24 @@ def test_force_is_read_through_a_sensor_bias(lwr, with_velocity):
     )
     force = np.array([1.0, -0.5, 2.0])
     estimate = push(lwr, sensor, force, with_velocity=with_velocity)
+
     assert estimate.status is Status.OK
     np.testing.assert_allclose(estimate.force, force, atol=0.03)
+
     # The tare does not fade.
     _, q, dq, tau = swing(lwr, seconds=3.0, start=2.5, amplitude=0.03)
     later = feed(sensor, rows_of(q, dq if with_velocity else None, tau - BIAS))
+
     assert max(np.abs(e.force).max() for e in later[500:]) < 0.03
 
 
 def test_paper_preset_reads_the_same_force_later(lwr):
     sensor = tared_sensor(lwr, PUBLISHED)
+
     assert sensor.lag_s == pytest.approx(0.2)
+
     estimate = push(lwr, sensor, [0.0, 0.0, 2.0])
+
     assert estimate.force[2] == pytest.approx(2.0 * (1 - np.exp(-0.5 * 5.0)), abs=0.1)
     assert estimate.covariance.shape == (6, 6)
 
@@ -57,19 +63,30 @@ def test_status_is_initializing_then_not_tared_then_ok(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=1.0)
     statuses = [sensor.update(q[k], dq[k], tau[k], 1e-3).status for k in range(len(q))]
+
     assert statuses[0] is Status.INITIALIZING
     assert statuses[-1] is Status.NOT_TARED
     assert not sensor.tared
+
     sensor.tare()
+
     assert sensor.tared
     assert sensor.update(q[-1], dq[-1], tau[-1], 1e-3).status is Status.OK
+
     sensor.start_tare_recording()
+
     assert sensor.update(q[-1], dq[-1], tau[-1], 1e-3).status is Status.NOT_TARED
+
     after_gap = sensor.update(q[-1], dq[-1], tau[-1], 5.0)
+
     assert after_gap.status is Status.INITIALIZING
+
     sensor.update(q[-1], dq[-1], np.full(7, np.nan), 1e-3)
+
     assert sensor.rejected == 1
+
     sensor.reset()
+
     assert (sensor.tared, sensor.rejected, sensor.lag_s) == (False, 0, 0.0)
     with pytest.raises(TareError, match="no settled free motion"):
         sensor.tare()
@@ -80,8 +97,11 @@ def test_the_prior_gives_the_deviation_before_taring(lwr):
     sensor = VirtualForceSensor(lwr)
     _, q, dq, tau = swing(lwr, seconds=1.0, amplitude=0.03)
     estimate = feed(sensor, rows_of(q, dq, tau - BIAS))[-1]
+
     assert abs(estimate.axial) < 2 * estimate.axial_std
+
     sensor.tare()
+
     assert (
         sensor.update(q[-1], dq[-1], tau[-1] - BIAS, 1e-3).axial_std
         < 0.1 * estimate.axial_std
@@ -109,12 +129,15 @@ def test_bad_sample_is_reported_and_never_used(lwr, reason):
     good = sensor.update(q[0], dq[0], tau[0], 1e-3)
     twin.update(q[0], dq[0], tau[0], 1e-3)
     rejected = sensor.update(*BAD[reason](q[1], dq[1], tau[1]))
+
     assert rejected.status is Status.REJECTED
     assert reason in rejected.message
     assert rejected.axial == good.axial
     assert sensor.rejected == 1
+
     # The time of a bad sample with a valid clock still passes.
     next_one = sensor.update(q[2], dq[2], tau[2], 1e-3)
+
     assert next_one.axial == twin.update(q[2], dq[2], tau[2], 2e-3).axial
 
 
@@ -127,6 +150,7 @@ def test_a_clock_that_goes_back_is_waited_for(lwr):
     for k, dt_s in ((1, -2e-3), (2, 1e-3), (3, 0.0), (4, 1e-3)):
         assert sensor.update(q[k], dq[k], tau[k], dt_s).status is Status.REJECTED
     ours = sensor.update(q[5], dq[5], tau[5], 5e-3)
+
     assert ours.axial == twin.update(q[5], dq[5], tau[5], 5e-3).axial
     assert sensor.update(q[6], dq[6], tau[6], -3600.0).status is Status.REJECTED
     assert sensor.update(q[7], dq[7], tau[7], 1e-3).status is not Status.REJECTED
@@ -140,14 +164,19 @@ def test_tare_in_contact_is_refused_unless_ignored(lwr):
         touching = external_torque_of(lwr, q[k], [0.0, 0.0, 2.0]) if k > 2700 else 0.0
         for one in (sensor, twin):
             one.update(q[k], dq[k], tau[k] - touching, 1e-3)
+
     with pytest.raises(TareError, match="in contact"):
         sensor.tare()
     assert not sensor.tared
+
     ours, theirs = (
         one.update(q[2995], dq[2995], tau[2995], 1e-3) for one in (sensor, twin)
     )
+
     assert (ours.axial, ours.axial_std) == (theirs.axial, theirs.axial_std)
+
     sensor.tare(ignore_contact=True)
+
     assert sensor.tared
 
 
@@ -160,8 +189,10 @@ def test_external_torque_gives_the_same_force(lwr):
     force = np.array([0.5, 1.0, -2.0])
     torque = BIAS + external_torque_of(lwr, q[500], force)
     estimate = sensor.update_external_torque(q[500], None, torque, 1e-3)
+
     np.testing.assert_allclose(estimate.force, force, atol=0.02)
     assert estimate.axial_std < 0.1
+
     for bad, dt_s in ((torque * np.nan, 1e-3), (torque, -1.0)):
         reported = sensor.update_external_torque(q[501], None, bad, dt_s)
         assert reported.status is Status.REJECTED
@@ -187,6 +218,7 @@ def force_noise(robot, config, amplitude):
 def test_smoothed_momentum_is_quiet_and_follows_acceleration(lwr):
     smoothed = replace(DEFAULT, force_bandwidth_per_s=None)
     plain = replace(smoothed, smooth_momentum=False)
+
     assert force_noise(lwr, smoothed, 0.005) < 0.5 * force_noise(lwr, plain, 0.005)
     assert force_noise(lwr, smoothed, 0.3) < 2.0 * force_noise(lwr, plain, 0.3)
 
@@ -247,6 +279,7 @@ def with_friction(viscous_7):
 def test_settings_are_compared_in_all_digits(lwr):
     state = VirtualForceSensor(lwr, with_friction(0.1)).snapshot()
     VirtualForceSensor(lwr, with_friction(0.1)).restore(state)
+
     with pytest.raises(SnapshotError, match="other settings"):
         VirtualForceSensor(lwr, with_friction(0.1 + 1e-10)).restore(state)
 

@@ -81,6 +81,7 @@ def test_bias_is_linear_in_its_physical_causes(lwr, basis):
     theta[start] = 0.1
     theta[start + 1 : start + 4] = 0.1 * heavier.lever
     got = basis.columns(MIDDLE, STILL, 0.0) @ theta
+
     np.testing.assert_allclose(got, gravity - gravity_of(lwr, [MIDDLE])[0], atol=1e-9)
 
 
@@ -91,9 +92,12 @@ def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     fitted = FreeMotionFit(basis, blocks).tare
     fit = FreeMotionFit(BiasModel(lwr, "constant", BiasPrior()), blocks)
     loops = basis.groups["hysteresis"]  # the narrowest first
+
     assert fitted.mean[loops][7:].min() > -1e-9 > theta[loops][7:].min()
+
     ours = np.abs(basis.bias_Nm(fitted, *AHEAD) - truth).max()
     paper = np.abs(fit.basis.bias_Nm(fit.tare, *AHEAD) - truth).max()
+
     assert ours < 0.5 * paper
 
 
@@ -105,6 +109,7 @@ def test_stated_covariance_is_believable(lwr, basis):
         error = basis.bias_Nm(fitted, *AHEAD) - basis.columns(*AHEAD) @ theta
         covariance = basis.covariance_Nm2(fitted, *AHEAD) - fitted.noise_Nm2
         scores.append((error**2 / covariance.diagonal())[1:4])
+
     assert 0.5 < np.mean(scores) < 1.6
 
 
@@ -118,6 +123,7 @@ def test_waviness_does_not_pass_for_a_slope(lwr, basis):
         basis.covariance_Nm2(tare, *at_once) - tare.noise_Nm2 for tare in tares
     ]
     smooth, rough = (np.sqrt(covariance.diagonal()[1:4]) for covariance in covariances)
+
     assert (rough > 1.5 * smooth).all()
     assert (np.abs(basis.bias_Nm(tares[1], *at_once))[1:4] < 3.0 * rough).all()
 
@@ -140,6 +146,7 @@ def test_constant_kind_is_the_mean_residual(lwr):
     _, blocks = stroke(lwr, basis, truth=BIAS)
     tare = FreeMotionFit(basis, blocks).tare
     mean = blocks.residual_Nm.mean(axis=0)
+
     np.testing.assert_allclose(basis.bias_Nm(tare, MIDDLE, STILL, 5.0), mean, atol=2e-4)
 
 
@@ -153,6 +160,7 @@ def test_contact_during_the_stroke_is_refused(lwr, basis, push):
     check_free_of_contact(FreeMotionFit(basis, blocks), wrench, 0.25, is_external=False)
     lever_m = external_torque_of(lwr, MIDDLE, pose_of(lwr, MIDDLE).rotation[:, 2])
     touched = replace(blocks, residual_Nm=blocks.residual_Nm - push[:, None] * lever_m)
+
     with pytest.raises(TareError, match="in contact"):
         check_free_of_contact(
             FreeMotionFit(basis, touched), wrench, 0.25, is_external=False
@@ -174,10 +182,13 @@ def recorded(values, block):
 def test_recorder_keeps_block_means_in_bounded_memory():
     values = np.repeat(2.0 * np.arange(20_000)[:, None], 2, axis=1)
     early = recorded(values[:100], 10)
+
     assert len(early.blocks(now_s=0.1).age_s) == 10
     assert len(early.blocks(now_s=0.1, window_s=0.021).age_s) == 2
+
     recorder = recorded(values, 10)
     blocks = recorder.blocks(now_s=20.0)
+
     assert 100 < len(blocks.age_s) < 400
     np.testing.assert_allclose(blocks.residual_Nm, 2 * blocks.q_rad)
     np.testing.assert_allclose(
@@ -197,6 +208,7 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
     angle = 2 * np.array(ratio) * ahead
     expected = 0.02 * np.sin(angle) - 0.01 * np.cos(angle)
     got = basis.bias_Nm(FreeMotionFit(basis, blocks).tare, ahead, FORWARD, 0.0)
+
     np.testing.assert_allclose(got[[1, 3]], expected[[1, 3]], atol=0.01)
     with pytest.raises(ConfigurationError, match="expected 7"):
         BiasModel(lwr, "model", BiasPrior(gear_ratio=(160.0,)))
@@ -207,9 +219,12 @@ def test_hysteresis_state_remembers_and_turns_over_width():
     trend = np.zeros((1, 1))
     for _ in range(10):
         trend = play_operator(trend, np.array([0.002]), half_width)
+
     assert trend[0, 0] == 1.0
     assert play_operator(trend, np.zeros(1), half_width)[0, 0] == 1.0
+
     back = play_operator(trend, np.array([-0.01]), half_width)
+
     assert back[0, 0] == pytest.approx(0.0)
     assert play_operator(back, np.array([-1.0]), half_width)[0, 0] == -1.0
 
@@ -294,6 +309,7 @@ def test_friction_is_learnt_from_strokes_both_ways(lwr, factor, most_N, seed):
     arm.feed(estimator, 0.0, 13.0)
     estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
     error, std = arm.feed(estimator, 13.0, 21.0, record=False)
+
     assert np.sqrt(np.mean(error**2)) < most_N
     assert np.mean(np.abs(error) < 2.0 * std) > 0.85
 
@@ -306,6 +322,7 @@ def test_contact_is_refused_in_spite_of_friction(lwr, since_s, seed):
     arm.feed(
         estimator, 0.0, 13.0, lambda t: 0.5 * min(1.0, max(0.0, t - since_s) / 0.3)
     )
+
     with pytest.raises(TareError, match="in contact"):
         estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
 
@@ -317,5 +334,6 @@ def test_a_short_tare_states_its_ignorance(lwr):
     estimator.tare(WrenchEstimator(lwr), ignore_contact=False)
     _, at_rest = arm.feed(estimator, 0.9, 1.0, record=False)
     error, moving = arm.feed(estimator, 1.0, 3.0, record=False)
+
     assert moving[-1] > 3.0 * at_rest[-1]
     assert np.mean(np.abs(error) < 2.0 * moving) > 0.85

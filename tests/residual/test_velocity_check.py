@@ -176,6 +176,7 @@ SECONDS = {"late by 0.5 s": 6.5, "stale": 6.5}
 def test_right_signals_are_never_reported(motion, source):
     times, q, dq = motion()
     checks, _ = reports(times, *RIGHT[source](q, dq))
+
     assert not any(check.text for check in checks)
 
 
@@ -184,13 +185,16 @@ def test_clock_jitter_and_gaps_are_not_reported():
     rng = np.random.default_rng(2)
     stamps = np.maximum.accumulate(times + 5e-3 * rng.uniform(size=len(times)))
     checks, _ = reports(stamps, q, dq)
+
     assert not any(check.text for check in checks)
+
     is_sent = np.ones(len(times), dtype=bool)
     for start, length in zip(
         rng.uniform(0, 14, 12), (0.03, 0.1, 0.19, 0.4) * 3, strict=True
     ):
         is_sent &= ~((times >= start) & (times < start + length))
     checks, _ = reports(times[is_sent], q[is_sent], dq[is_sent])
+
     assert not any(check.text for check in checks)
 
 
@@ -201,18 +205,22 @@ def test_wrong_velocities_are_reported_and_stay_so(kind):
     checks, match = reports(times, *bend(q, dq))
     first_s = next(check.time_s for check in checks if check.text)
     final_text = checks[-1].text
+
     assert REST_S < first_s < REST_S + SECONDS.get(kind, 2.5)
     assert re.search(words, final_text), final_text
+
     q_end = bend(q, dq)[0][-1]
     still = np.zeros(7)
     for _ in range(3000):
         match = velocity_match_step(match, q_end, still, 0.02)
+
     assert velocity_fault(match) == final_text
 
 
 def test_a_stuck_position_under_velocity_is_reported():
     times, q, dq = stroke()
     checks, _ = reports(times, 0.0 * q, 0.0 * dq + 1.0)
+
     assert "moves while q stands still" in checks[-1].text
 
 
@@ -228,6 +236,7 @@ def rows_of(robot, seconds=4.0, factor=1.0, start=0.0):
 def test_the_tare_is_refused_for_wrong_velocities(lwr, factor, config):
     sensor = VirtualForceSensor(lwr, config)
     estimates = feed(sensor, rows_of(lwr, factor=factor))
+
     assert SensorWarning.VELOCITY in estimates[-1].warnings
     assert estimates[-1].status is Status.NOT_TARED
     assert f"is {factor:.3g} times the rate of q" in estimates[-1].message
@@ -235,8 +244,10 @@ def test_the_tare_is_refused_for_wrong_velocities(lwr, factor, config):
         sensor.tare()
     assert "in contact" not in str(refused.value)
     assert not sensor.tared
+
     sensor.tare(ignore_contact=True)
     later = feed(sensor, rows_of(lwr, 0.1, factor, start=4.0))[-1]
+
     assert sensor.tared
     assert SensorWarning.VELOCITY in later.warnings
     assert "times the rate of q" in later.message
@@ -244,25 +255,33 @@ def test_the_tare_is_refused_for_wrong_velocities(lwr, factor, config):
 
 def test_right_or_missing_velocities_are_not_reported(lwr):
     sensor, rows = tared(lwr)
+
     assert not any(e.warnings for e in feed(sensor, rows))
+
     sensor, rows = tared(lwr, with_velocity=False)
+
     assert not any(e.warnings for e in feed(sensor, rows))
     assert sensor.snapshot().monitor.match is None
 
 
 def test_free_motion_recorded_anew_is_judged_anew(lwr):
     sensor = VirtualForceSensor(lwr)
+
     assert (
         feed(sensor, rows_of(lwr, factor=DEGREES))[-1].warnings
         == SensorWarning.VELOCITY
     )
+
     # A jump of all velocities, which the filters have to forget first.
     feed(sensor, rows_of(lwr, 0.5, start=4.0))
     sensor.start_tare_recording()
     estimates = feed(sensor, rows_of(lwr, start=4.5))
+
     assert not any(e.warnings for e in estimates)
+
     sensor.tare()
     sensor.start_tare_recording()
+
     assert (
         SensorWarning.VELOCITY
         in feed(sensor, rows_of(lwr, start=8.0, factor=-1.0))[-1].warnings
@@ -273,9 +292,12 @@ def test_external_torque_has_its_velocities_checked(lwr):
     sensor = VirtualForceSensor(lwr)
     rows = rows_of(lwr, factor=-1.0)
     estimates = [sensor.update_external_torque(q, dq, BIAS, 1e-3) for q, dq, _ in rows]
+
     assert SensorWarning.VELOCITY in estimates[-1].warnings
+
     sensor.reset()
     estimates = [sensor.update_external_torque(q, None, BIAS, 1e-3) for q, _, _ in rows]
+
     assert not any(e.warnings for e in estimates)
 
 
@@ -283,12 +305,15 @@ def test_a_session_keeps_wrong_velocities_from_its_identifier(lwr):
     session = InsertionSession(lwr)
     for row in rows_of(lwr, factor=-1.0):
         session.update(*row, 1e-3)
+
     with pytest.raises(TareError, match="times the rate of q"):
         session.tare()
+
     session.tare(ignore_contact=True)
     estimates = [
         session.update(*row, 1e-3) for row in rows_of(lwr, 0.3, -1.0, start=4.0)
     ]
+
     assert all(
         SensorWarning.VELOCITY in e.warnings and not e.used_for_identification
         for e in estimates

@@ -36,6 +36,7 @@ def tip_axis(robot, q):
 @pytest.mark.parametrize("mode", MODES)
 def test_a_hanging_weight_reads_as_force_down(lwr, mode):
     assert tip_axis(lwr, POINTING_DOWN) == pytest.approx([0, 0, -1], abs=1e-6)
+
     weight = np.array([0.0, 0.0, -2.0])
     for robot in (lwr, load_lwr()):  # without a needle at its flange
         torque = external_torque_of(robot, POINTING_DOWN, weight)
@@ -52,8 +53,11 @@ def test_tissue_pushing_back_reads_positive(lwr, mode, axes):
     push_back = -1.5 * tip_axis(lwr, MIDDLE)
     torque = external_torque_of(lwr, MIDDLE, push_back)
     estimate = estimator_of(lwr, mode=mode, axes=axes).estimate(MIDDLE, torque)
+
     assert estimate.axial == pytest.approx(1.5, abs=2e-3)
+
     expected = push_back if axes == "base" else [0.0, 0.0, -1.5]
+
     np.testing.assert_allclose(estimate.force, expected, atol=2e-3)
 
 
@@ -62,6 +66,7 @@ def test_force_and_torque_act_at_named_frames(lwr):
     jacobian = jacobian_of(lwr, MIDDLE, "flange")
     estimator = estimator_of(lwr, mode="full", frame="flange", expected_force_N=None)
     estimate = estimator.estimate(MIDDLE, jacobian.T @ wrench)
+
     np.testing.assert_allclose(
         np.r_[estimate.force, estimate.torque], wrench, atol=1e-9
     )
@@ -73,6 +78,7 @@ def test_unweighted_full_mode_is_equation_13(lwr):
     estimator.set_torque_covariance(np.diag(np.linspace(0.1, 0.7, 7)))
     estimate = estimator.estimate(MIDDLE, torque)
     expected = np.linalg.pinv(jacobian_of(lwr, MIDDLE).T) @ torque
+
     np.testing.assert_allclose(
         np.r_[estimate.force, estimate.torque], expected, rtol=1e-9
     )
@@ -88,6 +94,7 @@ def test_standard_deviation_is_that_of_repeated_noise(lwr, mode, weighting):
     estimates = [
         estimator.estimate(MIDDLE, std * rng.normal(size=7)) for _ in range(2000)
     ]
+
     assert np.std([e.axial for e in estimates]) == pytest.approx(
         estimates[0].axial_std, rel=0.06
     )
@@ -97,6 +104,7 @@ def test_fewer_unknowns_mean_less_noise(lwr):
     found = [
         estimator_of(lwr, mode=mode).estimate(MIDDLE, np.zeros(7)) for mode in MODES
     ]
+
     assert found[0].axial_std < found[1].axial_std < found[2].axial_std
     assert {one.axial for one in found} == {0.0}
 
@@ -116,6 +124,7 @@ def test_singular_pose_gives_finite_numbers_that_say_so(lwr):
     undamped = estimator_of(lwr, mode="full", expected_force_N=None).estimate(
         stretched, torque
     )
+
     assert undamped.axial_std == UNSEEN_STD
     assert np.isfinite(undamped.force).all()
 
@@ -124,6 +133,7 @@ def test_damping_is_negligible_where_the_joints_see_well(lwr):
     estimator = WrenchEstimator(lwr)
     estimator.set_torque_covariance(1e-4 * np.eye(7))
     estimate = estimator.estimate(MIDDLE, np.zeros(7))
+
     assert estimate.damping_fraction.max() < 1e-5
     assert 1.0 <= estimate.conditioning < 10.0
 
@@ -134,7 +144,9 @@ def test_results_are_read_only_and_covariance_copied(lwr):
     estimator.set_torque_covariance(covariance)
     before = estimator.estimate(MIDDLE, np.zeros(7))
     covariance *= 100.0
+
     assert estimator.estimate(MIDDLE, np.zeros(7)).axial_std == before.axial_std
+
     for array in (before.force, before.torque, before.covariance):
         assert not array.flags.writeable
 
@@ -142,6 +154,7 @@ def test_results_are_read_only_and_covariance_copied(lwr):
 def test_unknown_frames_and_invalid_covariances_are_refused(lwr):
     with pytest.raises(UrdfError, match="needle_tip"):
         estimator_of(lwr, frame="nowhere")
+
     skew = 1.0 * np.eye(7) + np.triu(np.ones((7, 7)), 1)
     refused = {"shape": np.eye(6), "symmetric": skew, "positive definite": -np.eye(7)}
     for match, matrix in (*refused.items(), ("finite", np.eye(7) * np.nan)):
@@ -164,9 +177,12 @@ def test_only_changes_without_a_force_are_unusual(lwr):
     found = [
         unusual_change(rows, stds * rng.normal(size=7), usual, 0.0) for _ in range(2000)
     ]
+
     assert np.mean(found) == pytest.approx(1.0, abs=0.05)
     assert unusual_change(rows, np.array([1.0, -2.0, 0.5]) @ rows, usual, 0.0) < 1e-12
+
     aside = np.linalg.svd(rows)[2][-1]  # a torque that no force makes
+
     assert unusual_change(rows, 0.1 * aside, usual, 15.0) > 15.0
 
 
@@ -187,6 +203,7 @@ def test_noise_is_smoothed_and_a_rupture_passes(lwr, mode):
     unsmoothed = np.array([estimate.axial_unsmoothed for estimate in estimates])
     std = estimates[-1].axial_std
     at_rest = slice(500, 2000)
+
     # A lag of 33 samples leaves 1 / 66 of the variance of white noise; wide steps let
     # more pass.
     assert np.std(axial[at_rest]) < 0.35 * np.std(unsmoothed[at_rest])
@@ -208,6 +225,7 @@ def test_deviation_covers_what_a_lag_hides(lwr):
         felt_N += (true_N - felt_N) / (1.0 + lag)
         estimate = estimator.solve(felt_N * unit, state, SMOOTHING_LAG, lag)
         errors.append(abs(estimate.axial - true_N) / estimate.axial_std)
+
     assert np.mean(np.array(errors[500:]) < 2.0) > 0.9
 
 
@@ -223,4 +241,5 @@ def test_copies_of_the_tool_are_independent():
     for each in (one, other):
         expected = axis @ each.pose[:3, 3], each.axial_jacobian @ dq
         assert tip_motion(axis, each.needle, dq) == pytest.approx(expected, abs=1e-12)
+
     assert abs((one.pose - other.pose)[:3, 3]).max() > 0.1

@@ -61,6 +61,7 @@ def test_the_last_link_is_the_default_tool_frame(
 ):
     mesh = '<visual><geometry><mesh filename="nowhere.stl"/></geometry></visual>'
     robot = load_urdf(urdf_file(*TWO_LINKS, f"<gazebo><a>{mesh}</a></gazebo>"))
+
     assert robot.nv == 2
     assert robot.tool_frame == robot.flange_frame == "b"
 
@@ -73,8 +74,10 @@ def test_joints_without_one_number_must_be_locked(urdf_file, kind):
         odd = joint("odd", "a", "b", extra='<mimic joint="j1"/>')
         message = "'odd' mimics 'j1'"
     path = urdf_file(*TWO_LINKS[:3], odd)
+
     with pytest.raises(UnsupportedJointError, match=message):
         load_urdf(path)
+
     if kind != "screw":
         robot = load_urdf(path, locked_joints={"odd": 0.5})
         assert robot.joint_names == ("j1",)
@@ -90,6 +93,7 @@ def test_links_left_out_go_with_their_children(urdf_file):
         joint("j1", "base", "a"),
     )
     robot = load_urdf(path, without=["hand"])
+
     assert robot.joint_names == ("j1",)
     assert robot.frame_names == ("universe", "base", "j1", "a")
     assert pin.computeTotalMass(robot.model) == pytest.approx(1.0)
@@ -112,10 +116,13 @@ def test_a_tool_is_placed_anywhere_on_a_link(urdf_file):
     sideways = pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.array([0, 0, 0.1]))
     tool = NeedleTool(sensor_height_m=0)
     robot = load_urdf(urdf_file(*ONE_LINK), tool_placement=sideways, payload=tool)
+
     assert (robot.tool_frame, robot.flange_frame) == ("needle_tip", "tool")
     assert "ft_sensor" not in robot.frame_names
     assert placement(robot, "needle_tip").translation == pytest.approx([0.153, 0, 0.1])
+
     first_moment = robot.model.inertias[1].mass * robot.model.inertias[1].lever
+
     assert first_moment[0] == pytest.approx(0.068 * tool.payload.com_m[2])
 
 
@@ -129,8 +136,10 @@ def test_a_tool_is_placed_anywhere_on_a_link(urdf_file):
 )
 def test_inertia_no_body_can_have_is_refused(urdf_file, old, new, message):
     path = urdf_file(link("a", ORIGIN, (MASS + INERTIA).replace(old, new)), ONE_LINK[1])
+
     with pytest.raises(InertiaError, match=f"link 'a': .*{message}"):
         load_urdf(path)
+
     if "triangle" in message:
         assert load_urdf(path, check_inertias=False).nv == 1
 
@@ -188,6 +197,7 @@ def test_numbers_are_parsed_as_the_reader_does(urdf_file, monkeypatch):
         assert inertia.lever == pytest.approx([0, 0, 0.1])
     monkeypatch.setattr(description, "_NUMBER", description.re.compile(".*"))
     path = urdf_file(link("a", ORIGIN, '<mass value="1 "/>', INERTIA), ONE_LINK[1])
+
     with pytest.raises(
         UrdfFileError, match=r"file add up to 1 kg, .* loaded model to 0 kg"
     ):
@@ -198,17 +208,22 @@ def test_joints_that_move_no_inertia_are_refused(
     urdf_file,
 ):
     path = urdf_file(link("a"), joint("weld", "base", "a", kind="fixed"))
+
     with pytest.raises(UnsupportedJointError, match="no joint that moves"):
         load_urdf(path, tool_frame="a")
+
     path = urdf_file(*ONE_LINK, '<link name="b"/>', joint("idle", "a", "b"))
+
     with pytest.raises(InertiaError, match="move no inertia: idle"):
         load_urdf(path)
+
     # Rounding may leave a point mass a moment of -1e-20, which Pinocchio's constructor
     # refuses.
     body = Payload(
         mass_kg=0.3, com_m=np.full(3, 0.1), inertia_kg_m2=np.diag([0, -1e-20, 0])
     )
     robot = load_urdf(urdf_file(*ONE_LINK), payload=body)
+
     assert pin.computeTotalMass(robot.model) == pytest.approx(1.3)
 
 
@@ -220,7 +235,9 @@ def test_a_chain_too_long_is_refused(urdf_file, monkeypatch):
 
     with pytest.raises(UrdfFileError, match=r"20000 links, more than 1000.*MAX_LINKS"):
         load_urdf(chain(20_000))
+
     monkeypatch.setattr(description, "MAX_LINKS", 3)
+
     assert load_urdf(chain(3)).nv == 2
     with pytest.raises(UrdfFileError, match=r"larger than any robot.*MAX_LINKS"):
         load_urdf(urdf_file(*ONE_LINK, "<!--" + 200_000 * " " + "-->"))
@@ -271,6 +288,7 @@ ENTITIES = "".join(f'<!ENTITY e{k + 1} "{10 * f"&e{k};"}">' for k in range(9))
 def test_malformed_files_are_refused_with_the_reason(tmp_path, text, message):
     path = tmp_path / "bad.urdf"
     path.write_text(text)
+
     with pytest.raises(UrdfFileError, match=message):
         load_urdf(path)
 

@@ -41,8 +41,11 @@ def payloads(draw):
 @given(payloads())
 def test_parameters_are_pinocchios_and_complete(payload):
     expected = payload.spatial_inertia.toDynamicParameters()
+
     assert payload.parameters == pytest.approx(expected, abs=1e-12)
+
     again = Payload.from_parameters(payload.parameters)
+
     assert again.mass_kg == pytest.approx(payload.mass_kg)
     assert again.com_m == pytest.approx(payload.com_m, abs=1e-12)
     assert again.inertia_kg_m2 == pytest.approx(payload.inertia_kg_m2, abs=1e-12)
@@ -51,6 +54,7 @@ def test_parameters_are_pinocchios_and_complete(payload):
 @given(payloads(), payloads(), rotations, vectors)
 def test_bodies_add_and_moving_is_linear(one, other, rotation, shift):
     moved = one.moved(rotation, shift)
+
     assert moved.com_m == pytest.approx(rotation @ one.com_m + shift, abs=1e-9)
     assert (one + other).parameters == pytest.approx(
         one.parameters + other.parameters, abs=1e-12
@@ -58,11 +62,15 @@ def test_bodies_add_and_moving_is_linear(one, other, rotation, shift):
     assert (one + other).parameters == pytest.approx(
         (other + one).parameters, abs=1e-12
     )
+
     moved_sum = (one + other).moved(rotation, shift).parameters
+
     assert moved_sum == pytest.approx(
         (moved + other.moved(rotation, shift)).parameters, abs=1e-9
     )
+
     back = moved.moved(rotation.T, -rotation.T @ shift)
+
     assert back.parameters == pytest.approx(one.parameters, abs=1e-9)
 
 
@@ -70,13 +78,18 @@ def test_degenerate_bodies_are_accepted_and_movable():
     point = Payload(
         mass_kg=1.0, com_m=np.array([0.4, -0.3, 0.2]), inertia_kg_m2=np.zeros((3, 3))
     )
+
     assert Payload.from_parameters(point.parameters).com_m == pytest.approx(point.com_m)
+
     Payload(mass_kg=1.0, com_m=np.zeros(3), inertia_kg_m2=np.diag([0.01, 0.01, 0.0]))
     nothing = Payload.from_parameters(np.zeros(10))
+
     assert (nothing + point).parameters == pytest.approx(point.parameters)
+
     for rotation in (2.0 * np.eye(3), -np.eye(3)):
         with pytest.raises(InputError, match="not a rotation"):
             point.moved(rotation, np.zeros(3))
+
     with pytest.raises(InputError, match="translation_m"):
         point.moved(np.eye(3), [0, 0])
     with pytest.raises(TypeError):
@@ -88,7 +101,9 @@ def test_arrays_are_read_only_copies():
     payload = Payload(mass_kg=1.0, com_m=com, inertia_kg_m2=0.01 * np.eye(3))
     tool = NeedleTool()
     com[2] = 9.0
+
     assert payload.com_m[2] == 0.1
+
     for array in (payload.com_m, payload.inertia_kg_m2, tool.tip_in_flange_m):
         assert not array.flags.writeable
 
@@ -140,29 +155,36 @@ def test_what_no_body_can_be(change, error, message):
 def test_default_tool_is_published_and_rod_is_textbook():
     tool = NeedleTool()
     beyond = tool.beyond_sensor
+
     assert tool.sensor.mass_kg == 0.236
     assert beyond.mass_kg == pytest.approx(0.068)
     assert tool.payload.mass_kg == pytest.approx(0.304)
     assert tool.tip_in_flange_m == pytest.approx([0, 0, 0.040 + 0.153])
+
     by_hand = 0.236 * 0.020 + 0.068 * (0.040 + beyond.com_m[2])
+
     assert tool.payload.parameters[3] == pytest.approx(by_hand)
     assert tool.payload.com_m[:2] == pytest.approx([0, 0])
     # A solid 18-gauge steel shaft of 118 mm weighs rho pi/4 d^2 L.
     assert tool.shaft_mass_kg == pytest.approx(
         7850 * np.pi / 4 * 0.00127**2 * 0.118, rel=1e-12
     )
+
     rod = {"needle_mass_kg": 0.1, "needle_length_m": 0.2 + 1e-9, "hub_length_m": 1e-9}
     density = 0.1 / (np.pi / 4 * 0.002**2 * 0.2)
     tool = NeedleTool(**rod, needle_diameter_m=0.002, shaft_density_kg_m3=density)
     across = 0.1 * (3 * 0.001**2 + 0.2**2) / 12
     moments = np.diag(tool.beyond_sensor.inertia_kg_m2)
+
     assert moments == pytest.approx([across, across, 0.5 * 0.1 * 0.001**2], rel=1e-6)
     assert tool.beyond_sensor.com_m[2] == pytest.approx(0.1)
 
 
 def test_no_sensor_leaves_the_needle_on_the_flange():
     assert NeedleTool(sensor_mass_kg=0.0).payload.mass_kg == pytest.approx(0.068)
+
     tool = NeedleTool(sensor_height_m=0)
+
     assert (tool.has_sensor, tool.sensor_mass_kg) == (False, 0.0)
     assert tool.payload.parameters == pytest.approx(
         NeedleTool().beyond_sensor.parameters
@@ -221,7 +243,9 @@ def test_standard_deviations_are_true(lwr, posed, count, options):
         error = estimate.parameters - TRUE.parameters[:4]
         com = (estimate.payload.com_m - TRUE.com_m) / estimate.com_std_m
         rows.append([*error / np.sqrt(np.diag(estimate.covariance)), *com])
+
     assert estimate.mass_std_kg == np.sqrt(estimate.covariance[0, 0])
+
     for errors_in_std in (np.array(rows)[:, :4], np.array(rows)[:, 4:]):
         assert 0.8 < np.sqrt(np.mean(np.square(errors_in_std))) < 1.25
 
@@ -229,11 +253,14 @@ def test_standard_deviations_are_true(lwr, posed, count, options):
 def test_what_the_data_do_not_determine_is_infinite(lwr, posed):
     q, tau = posed
     estimate = identify_payload_static(lwr, q[:1], tau[:1])
+
     assert estimate.rank < 4
     assert not estimate.is_identified
     assert np.all(np.isinf(estimate.com_std_m))
+
     floating = load_lwr(gravity_m_s2=np.zeros(3))
     estimate = identify_payload_static(floating, q, np.zeros((60, 7)))
+
     assert estimate.rank == 0
     assert np.isinf(estimate.mass_std_kg)
     assert estimate.payload.mass_kg == 0.0
@@ -244,6 +271,7 @@ def test_a_negative_mass_gives_no_payload(lwr, posed):
     estimate = identify_payload_static(
         lwr, q, 2 * gravity_of(lwr.with_payload(None), q) - tau
     )
+
     assert estimate.payload.mass_kg == 0.0
     assert np.isinf(estimate.com_std_m).all()
     assert estimate.parameters[0] == pytest.approx(-0.304)
@@ -263,6 +291,7 @@ def test_the_flange_may_be_off_its_joint():
     robot = build_serial_robot(joints, tool_placement=flange, payload=tool)
     q = np.random.default_rng(0).uniform(-1, 1, (200, 3))
     estimate = identify_payload_static(robot, q, gravity_of(robot, q))
+
     assert estimate.parameters == pytest.approx(tool.parameters[:4], abs=1e-9)
 
 

@@ -84,8 +84,11 @@ def test_flange_gravity_and_inertia_are_the_nominal_ones(arm, q):
     flange_m, gravity_Nm, inertia_kg_m2 = NOMINAL[q]
     data = arm.create_data()
     angles = np.array(q, dtype=float)
+
     assert pose_of(arm, q).translation == pytest.approx(flange_m, abs=1e-5)
+
     gravity = pin.computeGeneralizedGravity(arm.model, data, angles)
+
     assert gravity == pytest.approx(gravity_Nm, abs=1e-3)
     assert np.diag(pin.crba(arm.model, data, angles)) == pytest.approx(
         inertia_kg_m2, abs=1e-4
@@ -96,6 +99,7 @@ def test_flange_gravity_and_inertia_are_the_nominal_ones(arm, q):
 def test_yourdfpy_agrees_on_the_arms_height(drawing):
     assert drawing.validate()
     assert drawing.errors == []
+
     drawing.update_cfg(np.zeros(7))
     for scene in (drawing.scene, drawing.collision_scene):
         low, high = scene.bounds
@@ -103,6 +107,7 @@ def test_yourdfpy_agrees_on_the_arms_height(drawing):
         assert high[2] == pytest.approx(1.178, abs=1e-6)
         assert np.all(high[:2] - low[:2] < 0.3)
     moving = [link for link in drawing.robot.links if link.inertial is not None]
+
     assert sum(link.inertial.mass for link in moving) == pytest.approx(14.0503)
 
 
@@ -124,7 +129,9 @@ def test_limits_and_names_match_the_data_sheet(arm):
         [170, 120, 170, 120, 170, 120, 170]
     )
     assert arm.position_lower_rad == pytest.approx(-arm.position_upper_rad)
+
     velocity_deg_s = [100, 110, 100, 128, 130, 180, 180]
+
     assert np.degrees(arm.velocity_limit_rad_s) == pytest.approx(velocity_deg_s)
     assert arm.effort_limit_Nm == pytest.approx([176, 176, 100, 100, 100, 38, 38])
     assert arm.gravity_m_s2 == pytest.approx([0, 0, -9.80665])
@@ -146,6 +153,7 @@ def test_every_arm_loads_and_carries_a_needle(name):
     bare = example(name)
     robot = example(name, payload=NeedleTool())
     tool = NeedleTool()
+
     assert robot.nv in (6, 7)
     assert (
         np.linalg.eigvalsh(
@@ -154,31 +162,38 @@ def test_every_arm_loads_and_carries_a_needle(name):
         > 0
     )
     assert (robot.flange_frame, robot.tool_frame) == (bare.tool_frame, "needle_tip")
+
     flange = pose_of(bare, np.zeros(bare.nv))
     zero_rad = np.zeros(bare.nv)
     tip, sensor = (
         flange.actInv(pose_of(robot, zero_rad, n)) for n in ("needle_tip", "ft_sensor")
     )
+
     assert tip.translation == pytest.approx(tool.tip_in_flange_m)
     assert sensor.translation == pytest.approx([0, 0, tool.sensor_height_m])
     assert tip.rotation == pytest.approx(np.eye(3))
+
     added = pin.computeTotalMass(robot.model) - pin.computeTotalMass(bare.model)
+
     assert added == pytest.approx(0.304)
 
 
 def test_pandas_hand_can_be_left_out():
     full = example("panda")
     bare = example("panda", without=["panda_hand"])
+
     assert (
         full.joint_names
         == bare.joint_names
         == tuple(f"panda_joint{i}" for i in range(1, 8))
     )
     assert (full.tool_frame, bare.tool_frame) == ("panda_hand_tcp", "panda_link8")
+
     with_fingers = pin.buildModelFromUrdf(str(example_robot_path("panda")))
     masses = [
         pin.computeTotalMass(model) for model in (with_fingers, full.model, bare.model)
     ]
+
     assert masses[0] == pytest.approx(masses[1])
     assert masses[1] - masses[2] == pytest.approx(0.76, abs=0.01)
     with pytest.raises(UnknownNameError, match=r"give tool_frame.*ee_link, tool0"):
@@ -204,6 +219,7 @@ def test_the_ur_arms_are_the_maker_s_table(name):
             * turn
             * pin.SE3(pin.rpy.rpyToMatrix(alpha, 0, 0), np.array([a, 0, 0]))
         )
+
     assert pose_of(robot, q).homogeneous == pytest.approx(
         expected.homogeneous, abs=1e-12
     )
@@ -221,6 +237,7 @@ def test_unknown_names_and_missing_packages_are_explained(monkeypatch, tmp_path)
 
     monkeypatch.setattr(metadata, "distribution", not_found)
     monkeypatch.setattr("sys.prefix", str(tmp_path))
+
     with pytest.raises(MissingPackageError, match="; pip install example-robot-data"):
         load_example("panda")
     assert load_example("ur10e").nv == 6
@@ -232,6 +249,7 @@ def test_unknown_frame_lists_the_valid_ones(lwr):
         UnknownNameError, match=r"no frame 'tip' .*flange, ft_sensor, needle_tip"
     ):
         lwr.frame_id("tip")
+
     for which in ("tool_frame", "flange_frame"):
         names = {"tool_frame": "flange", "flange_frame": "flange"} | {which: "nowhere"}
         with pytest.raises(UnknownNameError, match="'nowhere'"):
@@ -247,6 +265,7 @@ def test_a_robot_is_read_only_and_a_copy(lwr):
     robot = Robot(bare_model=model, tool_frame="flange", flange_frame="flange")
     model.inertias[7] = pin.Inertia.Zero()
     model.gravity = pin.Motion.Zero()
+
     assert robot.model.inertias[7].mass == pytest.approx(0.2806)
     assert robot.gravity_m_s2[2] == pytest.approx(-9.80665)
 
@@ -255,11 +274,14 @@ def test_with_payload_replaces_and_leaves_the_original_alone(lwr):
     heavy = Payload(mass_kg=2.0, com_m=np.zeros(3), inertia_kg_m2=0.01 * np.eye(3))
     mass_kg = pin.computeTotalMass(lwr.model)
     loaded = lwr.with_payload(heavy)
+
     assert pin.computeTotalMass(loaded.model) == pytest.approx(14.0503 + 2.0)
     assert pin.computeTotalMass(lwr.model) == mass_kg
     assert loaded.payload is heavy
     assert loaded.tool_frame == "needle_tip"
+
     bare = loaded.with_payload(None)
+
     assert bare.model.inertias[7].isApprox(load_lwr().model.inertias[7])
     with pytest.raises(InputError, match=r"NeedleTool .*\.payload"):
         lwr.with_payload(NeedleTool())
@@ -269,14 +291,18 @@ def test_armature_is_added_to_the_mass_diagonal(lwr):
     q = np.array([0.3, -0.4, 0.5, 1.2, -0.7, 0.9, 0.2])
     robots = (lwr, lwr.with_armature(ROTOR))
     matrices = [pin.crba(r.model, r.create_data(), q) for r in robots]
+
     assert matrices[1] - matrices[0] == pytest.approx(np.diag(ROTOR), abs=1e-12)
+
     gravity = [
         pin.computeGeneralizedGravity(r.model, r.create_data(), q) for r in robots
     ]
+
     assert gravity[0] == pytest.approx(gravity[1])
     assert lwr.with_armature(ROTOR).with_payload(None).model.armature == pytest.approx(
         ROTOR
     )
+
     for rotor in ([1.0] * 6, [1.0] * 6 + [-1.0]):
         with pytest.raises(InputError, match="rotor_inertia_kg_m2"):
             lwr.with_armature(rotor)
@@ -314,6 +340,7 @@ def test_the_lwr_from_numbers_equals_its_urdf(lwr):
         q, dq, ddq = rng.uniform(-1, 1, (3, 7))
         torque = [pin.rnea(r.model, r.create_data(), q, dq, ddq) for r in (built, lwr)]
         assert torque[0] == pytest.approx(torque[1], abs=1e-12)
+
     assert (built.tool_frame, built.flange_frame) == ("needle_tip", "tool")
     assert built.joint_names == tuple(f"j{i}" for i in range(7))
 
@@ -325,12 +352,17 @@ def test_placement_rotor_inertia_and_dh_rows_enter_model(
     offset[:3, 3] = [0.1, 0.2, 0.3]
     robot = build_serial_robot([a_joint()], tool_placement=offset).with_armature([0.7])
     frame = robot.model.frames[robot.tool_frame_id]
+
     assert frame.placement.translation == pytest.approx([0.1, 0.2, 0.3])
+
     mass_matrix = pin.crba(robot.model, robot.create_data(), np.zeros(1))
+
     assert mass_matrix[0, 0] == pytest.approx(0.02 + 0.7)
+
     # The Panda's published table puts the flange where the arm's data sheet does.
     robot = read_panda(recordings_dir).robot
     height = 0.333 + 0.316 + 0.384 - 0.107
+
     assert pose_of(robot, np.zeros(7), "tool").translation == pytest.approx(
         [0.088, 0, height]
     )
@@ -340,9 +372,11 @@ def test_unphysical_links_are_refused_unless_asked_for():
     axis = np.array([0, 0, 3.0])
     joint = a_joint(axis=axis)
     axis[0] = 1.0
+
     assert joint.axis == pytest.approx([0, 0, 1]), "a copy"
     with pytest.raises(ValueError, match="read-only"):
         joint.inertia[0] = 2.0
+
     bad = POINT.copy()
     bad[9] = 0.9
     idle = [a_joint(), a_joint(name="j2", inertia=np.zeros(10))]

@@ -65,7 +65,9 @@ def test_a_killed_cluster_worker_changes_no_byte(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runs, "PAUSE_RATIO", 0.0)  # every answer is on disk at once
     serial, other = (tmp_path / name for name in ("serial.json", "cluster.json"))
     asked = ["run", "liver-constant", "--seeds", "30", "--json"]
+
     assert main([*asked, str(serial), "--workers", "1"]) == 0
+
     hold = tmp_path / "hold"
     hold.touch()
     monkeypatch.setenv("HOLD", str(hold))
@@ -87,6 +89,7 @@ def test_a_killed_cluster_worker_changes_no_byte(tmp_path, monkeypatch, capsys):
         thread.start()
         assert main([*asked, str(other), "--cluster", address]) == 0
         thread.join()
+
     assert killed[0] >= 20
     assert serial.read_bytes() == other.read_bytes()
 
@@ -115,6 +118,7 @@ def jobs_done(monkeypatch):
 def test_an_interrupted_run_goes_on_without_repeating(jobs_done, tmp_path, capsys):
     path, whole = (str(tmp_path / name) for name in ("a.json", "b.json"))
     asked = ["run", "--seeds", "6", "--workers", "1", "--json"]
+
     assert main([*asked, path]) == 130
     assert {row.seed for row in read_results(path)} == {0, 1, 2}
     # What failed in a way nobody foresaw is said with its place, and tried again.
@@ -125,12 +129,15 @@ def test_an_interrupted_run_goes_on_without_repeating(jobs_done, tmp_path, capsy
     assert jobs_done[7:] == [4]
     assert main([*asked, whole]) == 1
     assert (tmp_path / "a.json").read_bytes() == (tmp_path / "b.json").read_bytes()
+
     # More seeds later.
     del jobs_done[:]
+
     assert (
         main(["run", "--seeds", "8", "--workers", "1", "--json", path, "--resume"]) == 1
     )
     assert jobs_done == [4, 6, 7]
+
     capsys.readouterr()
     for arguments, message in (
         (["--first-seed", "-1"], "Must be >= 0"),
@@ -170,19 +177,24 @@ def test_a_run_with_missing_rows_is_repeated(
     monkeypatch.setattr(catalogue, "BENCHMARKS", items)
     path = tmp_path / "a.json"
     asked = ["run", "--seeds", "3", "--workers", "1", "--json", str(path)]
+
     assert main(asked) == 0
+
     whole = path.read_bytes()
     content = json.loads(path.read_bytes())
     for key, value in changed.items():
         content[key] = content[key][value] if isinstance(value, slice) else value
     path.write_text(json.dumps(content))
     del seeds_done[:]
+
     assert main([*asked, "--resume"]) == 0
     assert seeds_done == again
     assert json.loads(path.read_bytes()) == json.loads(whole)
+
     if again:
         assert path.read_bytes() == whole
     path.write_text(json.dumps(content | {"runs": 3}))
+
     assert main([*asked, "--resume"]) == 2
     assert "is not a file of results" in capsys.readouterr().err
 
@@ -190,6 +202,7 @@ def test_a_run_with_missing_rows_is_repeated(
 def test_an_absent_cluster_is_one_line(jobs_done, monkeypatch, capsys):
     pytest.importorskip("distributed")
     monkeypatch.setattr(workers, "CONNECT_S", 0.5)
+
     assert main(["run", "--cluster", "tcp://127.0.0.1:9"]) == 2
     assert "error: no Dask scheduler at tcp://127.0.0.1:9" in capsys.readouterr().err
 
@@ -203,7 +216,9 @@ def test_an_interval_covers_the_middle_and_draws_seeds():
             values, np.arange(40), np.random.default_rng(0), is_mean=True
         )
         inside += low <= 0.0 <= high
+
     assert 0.89 <= inside / 200 <= 0.98
+
     # Runs of one seed that are all alike tell no more than one of them.
     seeds = np.repeat(np.arange(8), 12)
     by_seed = np.repeat(rng.normal(size=8), 12)
@@ -211,12 +226,17 @@ def test_an_interval_covers_the_middle_and_draws_seeds():
         np.ptp(interval(by_seed, seed, np.random.default_rng(0), is_mean=True))
         for seed in (seeds, np.arange(96), seeds % 2)
     ]
+
     assert widths[0] > 2.0 * widths[1]
     assert widths[1] == widths[2]
+
     again = interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
+
     assert again == interval(by_seed, seeds, np.random.default_rng(0), is_mean=False)
+
     # A seed that lacks some runs.
     low, high = interval(
         by_seed[5:], seeds[5:], np.random.default_rng(0), is_mean=False
     )
+
     assert by_seed.min() <= low < high <= by_seed.max()

@@ -60,9 +60,12 @@ def run(path, *arguments):
 
 def test_a_study_writes_rows_like_any_other_benchmark(part, tmp_path, capsys):
     path = tmp_path / "control.json"
+
     assert run(path) == 1  # a case fails
     assert "ValueError: no arm" in capsys.readouterr().out
+
     rows = read_results(path)
+
     assert {row.scenario for row in rows} == {"control-priority/usual-S"}
     assert [row.seed for row in rows[::4]] == [1000, 1001, 1002]
     assert main(["compare", str(path), str(path)]) == 1  # a number is not finite
@@ -73,6 +76,7 @@ def test_a_study_goes_on_after_an_interruption(part, tmp_path):
     run(path)
     written = path.read_bytes()
     run(path, "--resume")
+
     assert path.read_bytes() == written
 
 
@@ -82,26 +86,36 @@ def test_the_table_shows_misses_first_and_the_limits(part, tmp_path):
     lines = by_head(build_table(TABLES["control"], frame_of(read_results(path))))
     by_metric = {(line["method"], line["what"]): line for line in lines}
     error = by_metric["ours", "distance of the true axis from the remote centre, max"]
+
     assert error["clean"] == "2 (3)"
     assert error["fri"] == "–"
     assert error["target"] == "≤ 2 mm missed"
     assert error["unit"] == "mm"
+
     force = by_metric["ours", "force at the hub at 100 mm/s"]
+
     assert force["clean"] == "not finite"
     assert force["target"] == "≤ 1 N missed"
+
     is_missed = ["missed" in line["target"] for line in lines]
+
     assert is_missed == sorted(is_missed, reverse=True)
 
 
 def test_control_names_all_parts_on_both_plants():
     plan = make_plan(Request(ids=("control",)))
+
     assert {job.benchmark for job in plan.jobs} == {
         f"control-{part}" for part in TITLES
     }
+
     plants = {job.plant for job in plan.jobs if job.benchmark == "control-guidance"}
+
     assert plants == {"clean", "fri"}
     assert {job.seed for job in plan.jobs} == {1000}
+
     scenarios = [(job.scenario, job.plant) for job in plan.jobs]
+
     assert len(set(scenarios)) == len(scenarios)
     with pytest.raises(UnknownIdError, match="control-constraints"):
         make_plan(Request(ids=("control-magic",)))

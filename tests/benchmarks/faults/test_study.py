@@ -27,8 +27,10 @@ def results():
 
 def test_every_kind_of_fault_is_documented():
     names = list(documented())
+
     assert names[: len(SIGNAL_FAULTS)] == list(SIGNAL_FAULTS)
     assert names[-len(PARTS) :] == list(PARTS)
+
     for word in (
         "limit",
         "stretched",
@@ -62,6 +64,7 @@ def test_faults_that_must_be_reported_are(results):
             ("saturated", "SATURATED"),
         ):
             assert (word in name) == (warning in words) or "wrist" in name, name
+
     assert "JOINT_LIMIT" in reported["wrist pressed to its limit, 1 s"]
     assert "NEAR_SINGULAR" in reported["arm stretched along the needle, 1 s"]
     # The force across the needle is one of the three that are estimated.

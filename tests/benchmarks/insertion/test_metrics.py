@@ -111,6 +111,7 @@ def identified(enhanced_N, tip_N, compensated_at=None):
 )
 def test_an_alarm_belongs_to_one_rupture_in_window(ruptures, alarms, pairs):
     matching = match(list(map(rupture, ruptures)), list(map(alarm, alarms)))
+
     assert [(true.onset_s, report.alarm_s) for true, report in matching.found] == pairs
     assert len(matching.missed) == len(ruptures) - len(pairs)
     assert len(matching.false) == len(alarms) - len(pairs)
@@ -118,11 +119,15 @@ def test_an_alarm_belongs_to_one_rupture_in_window(ruptures, alarms, pairs):
 
 def test_the_window_of_an_alarm_is_as_documented():
     assert (EARLY_s, LATE_s) == (0.2, 1.5)
+
     values = rupture_metrics(match([rupture(7.0)], [alarm(8.51)]), truth())
+
     assert (values["rupture_recall"], values["rupture_precision"]) == (0.0, 0.0)
     assert "rupture_delay_ms" not in values
+
     # Friction that is identified by such an alarm does not count for the layer either.
     (layer,) = layer_frictions([rupture(7.0)], [alarm(8.51, friction_N=0.4)])
+
     assert layer.estimated_N == 0.0
 
 
@@ -130,26 +135,37 @@ def test_delay_silence_and_false_alarms_are_counted():
     values = rupture_metrics(
         match([rupture(7.0)], [alarm(7.05, rupture_s=7.01)]), truth()
     )
+
     assert values["rupture_recall"] == values["rupture_precision"] == 1.0
     assert values["rupture_delay_ms"] == pytest.approx(50.0)
     assert values["rupture_timing_error_ms"] == pytest.approx(10.0)
     assert values["detection_depth_error_mm"] == pytest.approx(0.1, abs=0.03)
+
     ruptures = [rupture(7.0), rupture(11.0, layer=2, drop_N=0.04)]
     missed = rupture_metrics(match(ruptures, [alarm(7.0)]), truth())
+
     assert (missed["rupture_recall"], missed["soft_transition_recall"]) == (1.0, 0.0)
+
     matched = rupture_metrics(match(ruptures, [alarm(7.0), alarm(11.0)]), truth())
+
     assert (matched["rupture_precision"], matched["soft_transition_recall"]) == (
         1.0,
         1.0,
     )
+
     values = rupture_metrics(match([rupture(7.0)], []), truth())
+
     assert values["rupture_recall"] == 0.0
     assert math.isnan(values["rupture_precision"])
     assert values["false_alarms"] == 0.0
+
     values = rupture_metrics(match([rupture(7.0)], [alarm(7.0), alarm(4.0)]), truth())
+
     assert values["rupture_precision"] == 0.5
     assert values["false_alarms"] == 1.0
+
     visible = [is_visible(rupture(7.0, drop_N=drop_N)) for drop_N in (0.15, 0.151)]
+
     assert visible == [False, True], "whatever the noise"
 
 
@@ -158,16 +174,21 @@ def test_layer_friction_is_judged_at_its_own_rupture():
     frictions = layer_frictions(
         ruptures, [alarm(7.1, 0.44, 0.01), alarm(11.1, 0.19, 0.01)]
     )
+
     assert [layer.error for layer in frictions] == pytest.approx([0.1, 0.05])
+
     values = friction_metrics(frictions)
+
     assert values["friction_error_worst_pct"] == pytest.approx(10.0)
     assert values["friction_error_mean_pct"] == pytest.approx(7.5)
     assert values["friction_coverage_2sigma"] == 0.5
+
     # What was known online is judged apart from what is known at the end.
     alarms = [alarm(7.1, 0.4, 0.01, online_N=0.5)]
     values = friction_metrics(
         layer_frictions([rupture(7.0)], alarms, online=True), "_online"
     )
+
     assert values["friction_error_online_worst_pct"] == pytest.approx(25.0)
     assert values["friction_coverage_online_2sigma"] == 0.0
 
@@ -175,11 +196,15 @@ def test_layer_friction_is_judged_at_its_own_rupture():
 def test_a_missed_layer_counts_as_zero_friction():
     ruptures = [rupture(7.0, friction_N=0.4), rupture(11.0, layer=2, friction_N=0.2)]
     frictions = layer_frictions(ruptures, [alarm(11.1, 0.6)])
+
     assert [layer.error for layer in frictions] == pytest.approx([1.0, 2.0])
+
     ruptures = [rupture(4.0, layer=0), rupture(7.0, friction_N=0.4)]
     (layer,) = layer_frictions(ruptures, [alarm(4.0, 0.1, 0.03), alarm(7.0, 0.3, 0.04)])
+
     assert (layer.true_N, layer.estimated_N) == (0.4, pytest.approx(0.4))
     assert layer.std_N == pytest.approx(0.05)
+
     # A layer with a soft end counts together with the next one, found or not.
     ruptures = [
         rupture(7.0, drop_N=0.01, friction_N=0.4),
@@ -190,6 +215,7 @@ def test_a_missed_layer_counts_as_zero_friction():
         assert layer.error == pytest.approx(0.0)
     # Without stated deviations there is no coverage.
     values = friction_metrics([LayerFriction(0.4, 0.4, math.nan)])
+
     assert "friction_coverage_2sigma" not in values
     assert friction_metrics([]) == {}
 
@@ -199,18 +225,23 @@ def test_a_perfect_enhanced_force_leaves_no_remaining_force():
     values = enhanced_metrics(
         identified(true.enhanced_N, true.tip_N, compensated_at=750), true
     )
+
     assert values == pytest.approx(
         {"enhanced_rmse_N": 0.0, "tip_rmse_N": 0.0, "remaining_force_pct": 0.0},
         abs=1e-12,
     )
+
     values = enhanced_metrics(identified(true.axial_N, true.axial_N), true)
+
     assert values["remaining_force_pct"] == pytest.approx(100.0)
     assert values["enhanced_rmse_N"] == pytest.approx(0.4)
+
     # Errors before the first compensation and after the insertion do not count.
     wild = np.where((T < 7.5) | (true.insertion_end_s < T), 9.0, 0.0)
     wild_force = identified(
         true.enhanced_N + wild, true.tip_N + wild, compensated_at=755
     )
+
     assert enhanced_metrics(wild_force, true)["enhanced_rmse_N"] == pytest.approx(
         0.0, abs=1e-12
     )
@@ -231,6 +262,7 @@ def test_the_multilayer_model_fits_its_own_force_only():
     # model.
     true = replace(truth(rupture(6.995)), insertion_end_s=16.9)
     values = offline_metrics(signal(true, zero_m=4e-3), true)
+
     assert values["offline_rmse_ml_N"] == pytest.approx(0.0, abs=1e-9)
     assert values["offline_rmse_kv_N"] > 0.01
 
@@ -256,8 +288,11 @@ def test_the_friction_bound_grows_with_what_hides_it(
     small, large = (
         friction_bounds(stack_truth, k * WHITE, is_white=True) for k in (0.01, 0.02)
     )
+
     assert large == pytest.approx([2.0 * value for value in small], rel=0.02)
+
     plain = friction_bounds(stack_truth, DRIFTING, is_white=True)[1]
+
     assert friction_bounds(stack_truth, DRIFTING, is_white=False)[1] > 2.0 * plain
     assert (
         friction_bounds(stack_truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1]
@@ -274,6 +309,7 @@ def test_bounds_exist_only_for_runs_with_ruptures(
         "friction_bound_white_pct",
         "rupture_delay_bound_ms",
     }
+
     assert set(values) == names
     assert all(0.0 < value < 20.0 for value in values.values())
     assert (

@@ -40,6 +40,7 @@ def test_the_pandas_residual_is_as_small_as_known(recordings_dir):
     numbers = values(run_panda_real, "panda-real", recordings_dir)
     known = (0.37, 0.76, 0.37, 0.39, 0.14, 0.10, 0.06)
     reached = [numbers["ours", f"residual_rms_J{joint}_Nm"] for joint in range(1, 8)]
+
     assert [math.floor(100.0 * value) / 100.0 for value in reached] == pytest.approx(
         known
     )
@@ -51,6 +52,7 @@ def test_the_chain_runs_on_real_torques_and_tissue(recordings_dir, tmp_path):
     measured = run_panda_liver(job, silent).measurements
     numbers = {(item.source, item.method, item.metric): item.value for item in measured}
     rmse = "wrench_rmse_N"
+
     assert (
         numbers["virtual", "ours", rmse] < 0.1 * numbers["virtual", "published", rmse]
     )
@@ -63,13 +65,16 @@ def test_the_chain_runs_on_real_torques_and_tissue(recordings_dir, tmp_path):
     # Its drops are smaller than this arm's noise: what matters is that noise raises few
     # alarms.
     assert numbers["virtual", "ours", "ruptures_per_insertion"] <= 3.0
+
     off = "enhanced_against_ft_rmse_N"
+
     assert numbers["virtual", "ours", off] < 0.3 * numbers["virtual", "published", off]
     assert np.isfinite(list(numbers.values())).all()
 
 
 def test_the_weight_on_the_ur10e_is_found(recordings_dir):
     numbers = values(run_ur10e_payload, "ur10e-payload", recordings_dir)
+
     assert numbers["ours", "force_up_unloaded_N"] == pytest.approx(-1.7, abs=1.0)
     assert numbers["ours", "force_up_loaded_N"] == pytest.approx(-25.3, abs=1.5)
     assert 1.05 < numbers["ours", "torque_scale"] < 1.2
@@ -79,18 +84,23 @@ def test_the_weight_on_the_ur10e_is_found(recordings_dir):
 @pytest.mark.parametrize("name", ["panda-real", "panda-liver", "ur10e-payload"])
 def test_an_empty_folder_fails_in_one_line(tmp_path, name):
     outcome = run_job(Job(benchmark=name, plant="recording", data=tmp_path), silent)
+
     assert outcome.rows == ()
     assert outcome.failure is not None
     assert outcome.failure.startswith("DataError: cannot read ")
     assert "\n" not in outcome.failure
+
     nowhere = run_job(Job(benchmark=name, plant="recording"), silent)
+
     assert nowhere.failure == f"DataError: {name} needs recordings: give --data DIR"
 
 
 def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, lwr):
     path = tmp_path / "a.npz"
     np.savez(path, good=np.ones(3), empty=np.zeros(0), bad=np.array([1.0, np.nan]))
+
     assert read_arrays(path, ["good"])[0].tolist() == [1.0, 1.0, 1.0]
+
     for names, message in (
         (["t_s", "good"], r"lacks t_s; it has good, empty, bad"),
         (["empty"], "empty or has values"),
@@ -99,8 +109,10 @@ def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, l
         with pytest.raises(DataError, match=message):
             read_arrays(path, names)
     path.write_bytes(path.read_bytes()[:500])
+
     with pytest.raises(DataError, match="cannot read"):
         read_arrays(path, ["good"])
+
     for read, folder in ((read_panda, PANDA), (read_ur10e, UR10E)):
         (tmp_path / folder).mkdir()
         arrays = {
@@ -112,12 +124,14 @@ def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, l
             read(tmp_path)
     still = np.zeros((3, 7))
     signals = JointSignals(t_s=np.arange(3.0), q_rad=still, dq_rad_s=None, tau_Nm=still)
+
     with pytest.raises(DataError, match="needs joint velocities"):
         joint_residual(lwr, signals, 50.0)
 
 
 def test_annotated_ruptures_are_found_missed_or_invented():
     values = depth_metrics([10.2, 20.4, 33.0], [10.0, 20.3, 32.9], [10.0, 20.0, 30.0])
+
     assert (values["ruptures_missed"], values["ruptures_false"]) == (1.0, 1.0)
     assert values["rupture_depth_error_mm"] == pytest.approx(0.4)
     assert values["estimated_depth_error_mm"] == pytest.approx(0.3)
@@ -134,6 +148,7 @@ def test_only_sudden_drops_before_the_end_are_found():
     force -= 0.4 * np.clip((depth - 0.04) / 1e-2, 0.0, 1.0)
     force -= 0.8 * np.clip((depth - 0.079) / 1e-3, 0.0, 1.0)
     (drop,) = force_drops(depth, force)
+
     assert drop.from_m == pytest.approx(0.02, abs=2e-4)
     assert drop.to_m == pytest.approx(0.021, abs=2e-4)
     assert at_drops([0.0205], [drop]) == at_drops([0.0213], [drop]) == (1, 1)
@@ -151,6 +166,7 @@ def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
         "benchmarks.insertion.recorded.liver.NUMBERS", (0, 8, 18, 26, 34)
     )
     by_key = values(run_liver_real, "liver-real", recordings_dir)
+
     assert 5.0 < by_key["guess", "pullout_error_median_pct"] < 30.0
     assert ("guess", "ruptures_per_insertion") not in by_key
     assert by_key["ours", "drop_recall"] > 0.5
@@ -165,6 +181,7 @@ def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
 
 def test_the_four_ruptures_of_bovine_liver_are_found(recordings_dir):
     by_key = values(run_bovine_real, "bovine-real", recordings_dir)
+
     assert by_key["ours", "ruptures_missed"] == 0.0
     assert by_key["ours", "rupture_depth_error_mm"] < 1.0
     # Whatever else it reports is a drop of the curve, too.

@@ -28,16 +28,22 @@ BRIEF = gel_slice(25, thickness_m=10e-3, speed_m_s=10e-3)
 def test_a_perturbation_depends_on_seed_and_changes_something(name):
     chosen = scenario("stack-constant")
     world, names = perturbed(name, chosen, 1)
+
     assert (world, names) == perturbed(name, chosen, 1)
+
     plain, _ = perturbed("none", chosen, 1)
+
     assert (world == plain) == (name == "none")
+
     # Plants and a tare at rest have no size to draw.
     if name not in (*GROUPS["plants"], "tare-at-rest"):
         assert world != perturbed(name, chosen, 2)[0]
     # Whatever the hand does, it goes as deep, and the tare is done in free air.
     motion = world.scenario.motion
+
     assert motion.deepest_m == pytest.approx(chosen.motion.deepest_m)
     assert motion.position_m(motion.tare_end_s) == pytest.approx(-5e-3)
+
     if name != MIXED and name in ARM_ONLY:
         assert world.scenario.layers == chosen.layers
 
@@ -48,8 +54,10 @@ def test_every_size_has_a_source_mixtures_three_groups():
         for name, item in PERTURBATIONS.items()
         if name != "none"
     )
+
     group_of = {name: group for group, items in GROUPS.items() for name in items}
     drawn = [perturbed(MIXED, BRIEF, seed)[1] for seed in range(40)]
+
     assert all(len({group_of[name] for name in names}) == 3 for names in drawn)
     assert len({name for names in drawn for name in names}) > 25
 
@@ -57,18 +65,25 @@ def test_every_size_has_a_source_mixtures_three_groups():
 def test_truth_is_relative_to_the_moving_tissue():
     still_signal, still_truth = perturbed_needle("none", BRIEF, 3)
     moved_signal, moved_truth = perturbed_needle("breathing", BRIEF, 3)
+
     assert np.allclose(still_signal.depth_m, moved_signal.depth_m, atol=1e-4)
+
     difference_m = np.abs(moved_truth.depth_m - still_truth.depth_m)
+
     assert 0.5e-3 < difference_m.max() < 3e-3
+
     (rupture,) = moved_truth.ruptures
     onset_m = np.interp(rupture.onset_s, moved_truth.t_s, moved_truth.depth_m)
+
     assert onset_m == pytest.approx(rupture.onset_m, abs=5e-5)
 
 
 def test_force_sensor_robustness_needs_no_arm():
     assert FT_ONLY.isdisjoint(ARM_ONLY)
+
     job = Job(benchmark=f"robustness-{SCENARIOS[0]}", plant="force-noise", seed=1)
     numbers = run_robustness(job, silent).measurements
+
     assert {item.source for item in numbers} == {"ft"}
     assert {item.method for item in numbers} == {"ours", "published-as-run"}
     assert {"rupture_recall", "false_alarms"} <= {item.metric for item in numbers}
@@ -76,9 +91,12 @@ def test_force_sensor_robustness_needs_no_arm():
 
 def test_robustness_runs_every_perturbation_from_the_first_seed():
     plan = make_plan(Request(ids=("robustness",), seeds=2, first_seed=1000))
+
     assert len(plan.jobs) == 2 * len(SCENARIOS) * len(PERTURBATIONS)
     assert {job.seed for job in plan.jobs} == {1000, 1001}
+
     some = make_plan(Request(ids=("robustness",), plants=("fri", "lateral")))
+
     assert {job.plant for job in some.jobs} == {"fri", "lateral"}
     assert {
         job.plant for job in make_plan(Request(ids=("robustness-mixed",))).jobs
@@ -99,9 +117,12 @@ def test_the_worst_row_is_first_in_its_table():
         for metric, value in (("rupture_recall", recall), ("false_alarms", 2.0))
     ]
     lines = by_head(build_table(TABLES["robustness"], frame_of(rows)))
+
     assert [line["plant"] for line in lines] == ["heartbeat", "none"]
     assert {line["force"] for line in lines} == {"ft"}
     assert {line["runs"] for line in lines} == {"4"}
     assert [table.title for table in result_tables(rows)] == ["Robustness"]
+
     page = fill("a <!-- results:begin -->\n<!-- results:end --> z", worst_rows(rows))
+
     assert PERTURBATIONS["heartbeat"].what in page

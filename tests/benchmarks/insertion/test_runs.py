@@ -34,14 +34,19 @@ def test_a_needle_alone_gives_both_methods_and_charts(tmp_path):
         for item in result.measurements
     }
     methods = {"ours", "published", "published-as-run"}
+
     assert {key[:2] for key in by_key} == {("ft", method) for method in methods}
     assert by_key["ft", "ours", "rupture_recall"] == 1.0
     assert by_key["ft", "ours", "rupture_precision"] == 1.0
     assert by_key["ft", "ours", "friction_error_worst_pct"] < 10.0
+
     true = by_key["ft", "ours", "cumulative_friction_true_Ns_per_m"]
+
     assert true == by_key["ft", "published", "cumulative_friction_true_Ns_per_m"] > 0.0
     assert ("ft", "published", "offline_rmse_ml_N") not in by_key
+
     ml, kv = (by_key["ft", "ours", f"offline_rmse_{model}_N"] for model in ("ml", "kv"))
+
     assert 0.0 < ml < kv
     assert [drawing.shown.path.name for drawing in result.drawings] == [
         "short-needle-0-ft-published.svg",
@@ -50,10 +55,12 @@ def test_a_needle_alone_gives_both_methods_and_charts(tmp_path):
     assert all(
         drawing.shown.path.stat().st_size > 10_000 for drawing in result.drawings
     )
+
     rows = [item.row("gel-70-constant", "needle", 0) for item in result.measurements]
     for name in ("friction", "ruptures", "table I"):
         assert len(build_table(TABLES[name], frame_of(rows)).lines) == 3
         assert build_table(TABLES[name], frame_of([])).lines == ()
+
     # Without tissue there is nothing to identify.
     assert (
         run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements
@@ -75,15 +82,18 @@ def values(case):
 def test_the_ideal_arm_gives_true_force_and_lags():
     case = case_of("ideal")
     numbers = values(case)
+
     assert numbers["virtual", "ours", "residual_rms_Nm"] < 1e-6
     # 68 g of needle are started and stopped: that much inertia is in the reading.
     assert numbers["ft", "ours", "wrench_rmse_N"] < 2e-3
     assert abs(numbers["ft", "ours", "wrench_lag_ms"]) < 5.0
     assert numbers["virtual", "published", "wrench_lag_ms"] > 100.0
     assert 0.0 < numbers["virtual", "ours", "wrench_lag_ms"] < 50.0
+
     # A wrong sign would be seen: the error of the force turned round is twice the
     # force.
     force = np.sqrt(np.mean(case.truth.axial_N[case.truth.judged] ** 2))
+
     assert force > 0.05
     assert numbers["virtual", "ours", "wrench_rmse_N"] < 0.2 * force
 
@@ -91,7 +101,9 @@ def test_the_ideal_arm_gives_true_force_and_lags():
 def test_equal_runs_give_equal_numbers_of_every_source():
     case = case_of("degraded")
     numbers = values(case)
+
     assert numbers == values(case)
+
     for source, method in (
         ("ft", "ours"),
         ("virtual", "ours"),
@@ -99,19 +111,23 @@ def test_equal_runs_give_equal_numbers_of_every_source():
     ):
         for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
             assert np.isfinite(numbers[source, method, f"wrench_{name}"])
+
     assert len(numbers) == 18
 
 
 def test_without_tissue_only_the_virtual_sensor_is_judged():
     case = case_of("clean", TOUCHLESS)
+
     assert {item.source for item in case.readings} == {"virtual"}
     assert case.truth.start_s == case.run.tare_end_s
+
     numbers = {
         "wrench_rmse_N",
         "wrench_bias_N",
         "wrench_coverage_2sigma",
         "tare_refused",
     }
+
     assert {metric for _, _, metric in values(case)} == numbers
 
 
@@ -134,9 +150,12 @@ def names(found):
 
 def test_without_recordings_the_skipped_are_named(data):
     quick = [item for item in BENCHMARKS.values() if item.is_default]
+
     assert set(plan().skipped) == {item.id for item in quick if item.is_recorded}
     assert names(plan()) == [item.id for item in quick if not item.is_recorded]
+
     (data / "liver_dejong2017").rmdir()
+
     assert plan(data=data).skipped == ("panda-liver", "liver-real")
     assert "panda-real" in names(plan(data=data))
 
@@ -146,7 +165,9 @@ def test_all_and_tissue_name_what_they_say(data):
         n for n, b in BENCHMARKS.items() if not b.group
     ]
     assert plan("all", data=data).skipped == ()
+
     tissue = [name for name, item in SCENARIOS.items() if item.layers]
+
     assert len(tissue) == 12
     assert names(plan("tissue")) == tissue
     assert names(plan("free-motion", "tissue")) == [*tissue, "free-motion"]
@@ -160,17 +181,22 @@ def test_named_benchmarks_run_once_per_plant_and_seed(data, tmp_path):
         seeds=3,
     )
     jobs = [(job.plant, job.seed) for job in made_plan.jobs]
+
     assert jobs == [
         (plant, seed) for plant in ("degraded", "ideal") for seed in range(3)
     ]
+
     # A recording knows no plants and no more seeds than it has.
     recorded = plan(
         "panda-real", "panda-liver", plants=["degraded", "ideal"], seeds=100, data=data
     )
+
     assert {job.plant for job in recorded.jobs} == {"recording"}
     assert [job.benchmark for job in recorded.jobs].count("panda-real") == 1
     assert [job.benchmark for job in recorded.jobs].count("panda-liver") == 19
+
     drawn = plan("liver-constant", seeds=2, drawings=tmp_path).jobs
+
     assert [job.drawings for job in drawn] == [tmp_path, None]
     # A report without names runs all that the published figures need.
     assert set(names(plan(drawings=tmp_path))) == set(NEEDED) | set(names(plan()))
@@ -190,7 +216,9 @@ def test_a_missing_arm_or_recording_is_refused(tmp_path):
     assert {job.plant for job in plan("random-stack", plants=["clean"]).jobs} == {
         "clean"
     }
+
     ids = names(plan("all", plants=["needle"]))
+
     assert set(ids) == set(SCENARIOS) - {"free-motion"} | {
         "random-stack",
         "random-tissue",
@@ -232,9 +260,11 @@ def test_a_delay_is_found_whatever_the_offset(delay, offset):
 
 def test_constant_error_is_bias_and_coverage_two_deviations():
     numbers = measured(saw(T) + 0.05, saw(T))
+
     assert numbers["wrench_rmse_N"] == pytest.approx(0.05)
     assert numbers["wrench_bias_N"] == pytest.approx(0.05)
     assert numbers["wrench_lag_ms"] == pytest.approx(0.0, abs=0.1)
+
     noise = np.random.default_rng(0).normal(scale=0.2, size=len(T))
     for std, fraction in ((0.1, 0.6827), (0.2, 0.9545)):
         numbers = measured(saw(T) + noise, saw(T), std=std)
@@ -243,12 +273,17 @@ def test_constant_error_is_bias_and_coverage_two_deviations():
 
 def test_only_the_judged_part_of_a_force_counts():
     wild = saw(T) + np.where((T < 2.0) | (T > 18.0), 100.0, 0.0)
+
     assert measured(wild, saw(T))["wrench_rmse_N"] == 0.0
+
     wild[10_000] = np.nan  # in the judged part it does not hide
+
     assert math.isnan(measured(wild, saw(T))["wrench_rmse_N"])
+
     never = truth(saw(T), start=30.0, end=40.0)
     numbers = {
         item.metric: item.value for item in wrench_metrics(reading(saw(T)), never)
     }
+
     assert "wrench_rmse_N" in numbers
     assert all(math.isnan(value) for value in numbers.values())

@@ -55,12 +55,14 @@ def test_both_libraries_see_the_same_robot():
         ours(k)
         chain.append((kdl.axial_N, ours.axial_N))
     late = np.array(chain)[300:]
+
     assert late[:, 1] == pytest.approx(force_N[300:], abs=0.02)
     assert late[:, 0] == pytest.approx(force_N[300:], abs=0.1)
 
 
 def test_without_kdl_the_comparison_is_skipped_aloud(monkeypatch, capsys):
     monkeypatch.setenv("PATH", "")
+
     assert main(["speed", "--kdl", "--strict"]) == 0
     assert (
         "skipped: no comparison with KDL: it needs g++ and Debian's"

@@ -30,7 +30,9 @@ def test_ratios_compare_neighbours_and_events_stand_apart():
     assert speed.cost_ratio(
         timing(2.0, 20.0, 2.0), timing(1.0, 10.0, 1.0)
     ) == pytest.approx(2.0)
+
     raised, identified = by_head(speed.event_table(report()))
+
     assert raised["what"] == "rupture raised"
     assert raised["worst us"] == "80"
     assert raised["worst, ratio"] == "40"
@@ -48,8 +50,11 @@ def test_the_table_marks_what_is_too_slow(monkeypatch, compiler, sensor):
     timings = {name: timing(median) for name, median in medians.items()}
     lines = by_head(speed.speed_table(report(times=timings)))
     marks = [line["mark of target"] for line in lines]
+
     assert marks == ["", "met", "", sensor, "met"]
+
     ratios = [line["ratio"] for line in lines]
+
     assert ratios == ["", "1.90", "", "3.10", "4.50"]
 
 
@@ -64,6 +69,7 @@ def soaked(**changes):
 
 def test_a_soak_compares_end_with_start():
     assert soaked().is_met
+
     bad = {
         "tick_us": (10.0, 11.1),
         "python_kB": (5.0, 106.0),
@@ -92,7 +98,9 @@ def test_speed_and_memory_of_a_long_recording_count():
 
 def test_stream_times_both_commands_and_refuses_short_recordings(capsys, tmp_path):
     assert main(["stream", "--seconds", "20", "--folder", str(tmp_path)]) == 0
+
     printed = capsys.readouterr().out
+
     assert "│ residual" in printed
     assert "│ identification │ .csv" in printed
     assert printed.count("20000") == 2

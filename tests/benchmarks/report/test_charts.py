@@ -49,11 +49,14 @@ def test_figure_5_has_its_panels_and_published_numbers(
     tmp_path,
 ):
     over_time, over_depth = force_figures(GEL, tmp_path, TRUTH, READINGS)
+
     assert [item.figure + item.panel for item in (over_time, over_depth)] == [
         "5a",
         "5c",
     ]
+
     against_ft, against_truth, delay, within = over_time.facts
+
     assert against_ft.published == "0.2444"
     assert dict(against_ft.here) == {
         "published, here": "0.1900",
@@ -63,8 +66,10 @@ def test_figure_5_has_its_panels_and_published_numbers(
     assert dict(within.here)["ours, here"] == "100.0"
     assert "delay" in delay.what
     assert over_depth.shown.path.is_file()
+
     job = Job(benchmark="random-stack", plant="degraded", seed=3)
     (drawing,) = force_figures(job, tmp_path, TRUTH, READINGS)
+
     assert drawing.shown.path.name == "random-stack-degraded-3-force-time.svg"
 
 
@@ -117,20 +122,27 @@ def test_a_run_draws_the_panels_of_its_figures(run, tmp_path):
     numbers = identified.measure()
     drawings = draw_identification(job, tmp_path, identified, numbers, kelvin_voigt)
     panels = [(item.figure, item.panel) for item in drawings]
+
     assert panels == [("2", "a"), ("8", "a"), ("8", "b"), ("8", "c")]
+
     facts = [fact for item in drawings if item.figure == "8" for fact in item.facts]
+
     assert [fact.published for fact in facts] == [
         "1, at about 15 s",
         "481 online, 534 offline (Table I)",
         "almost zero (ML)",
     ]
+
     ours = [dict(fact.here)["ours, one setting, here"] for fact in facts]
     (rupture,) = run.truth.ruptures
+
     assert (
         ours[0]
         == f"1, at {run.identified[0].alarms[0].alarm_s - run.truth.tare_end_s:.1f} s"
     )
     assert float(ours[1]) == pytest.approx(rupture.layer_friction_N / 5e-3, rel=0.05)
     assert 0.0 <= float(ours[2]) < 10.0
+
     tuned = dict(facts[1].here)["published, tuned, here"]
+
     assert float(tuned) == pytest.approx(float(ours[1]), rel=0.15)

@@ -60,6 +60,7 @@ def test_all_runs_give_all_figures(dot, tmp_path):
     for number in NUMBERS:
         anchor = f"table-{number}" if number == "I" else f"figure-{number}"
         assert f'<section id="{anchor}">' in page
+
     assert "Not among these runs" not in page
     assert "0.2444" in page
     assert "534 ± 56" in page
@@ -68,19 +69,25 @@ def test_all_runs_give_all_figures(dot, tmp_path):
 def test_missing_panels_are_named_with_their_command(dot):
     sections = published_sections([drawing(dot, "11"), drawing(dot, "5")], [])
     half, whole = sections
+
     assert [section.anchor for section in sections] == ["figure-5", "figure-11"]
     assert "stack-glove-constant" in half.notices[0]
+
     command = (
         "python -m benchmarks run gel-70-constant stack-glove-constant --report DIR"
     )
+
     assert (half.command, whole.command) == (command, "")
 
 
 def test_table_one_has_published_numbers_beside_ours(dot):
     gels = gel_friction(rows(seeds=(0, 2)))
+
     assert gels is not None
+
     table = gel_table(gels)
     first = dict(zip(table.head, table.rows[0], strict=True))
+
     assert first["published\noffline"] == "113 ± 14"
     assert first["published\nonline"] == "84 ± 10 (-26 %)"
     assert first["here\ntrue"] == "101 ± 1"
@@ -89,9 +96,11 @@ def test_table_one_has_published_numbers_beside_ours(dot):
     assert [row[0] for row in table.rows] == [
         f"{percent} %" for percent in TABLE_ONE_Ns_per_m
     ]
+
     points = {
         curve.label: curve for curve in friction_chart("a", gels).panels[0].curves
     }
+
     assert list(points["published, offline"].y) == [113.0, 283.0, 534.0]
     assert points["ours, F/T, constant"].y[1] == 105.0
 
@@ -100,13 +109,18 @@ def test_the_command_writes_page_drawings_and_numbers(tmp_path, capsys):
     folder = tmp_path / "deep" / "report"
     written = tmp_path / "a.json"
     options = ["--plant", "needle", "--workers", "1", "--json", str(written)]
+
     assert main(["run", "gel-70-constant", *options, "--report", str(folder)]) == 0
     assert "index.html" in capsys.readouterr().out
+
     page = (folder / "index.html").read_text(encoding="utf-8")
     for anchor in ("figure-2", "figure-8", "figure-10", "table-I"):
         assert f'<section id="{anchor}">' in page
+
     assert "<caption>Online identification: ruptures" in page
+
     # A figure that stands alone is there in a wide form as well.
     narrow = [path for path in folder.glob("*.svg") if not path.stem.endswith("-wide")]
+
     assert len(narrow) == page.count("<figcaption>")
     assert read_results(folder / "results.json") == read_results(written) != []

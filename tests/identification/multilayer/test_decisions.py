@@ -58,7 +58,9 @@ def test_a_fall_that_braking_explains_is_no_rupture(
     )
     block = braking_block(since_s, speed_mm_s, fall_N)
     known = TissueMotion()
+
     assert may_be_braking(mixture, 0, block, block.time_s, known) == braking
+
     if not braking:
         # The travel of a needle that has nearly stopped shows it, whatever a late speed
         # says.
@@ -88,6 +90,7 @@ def test_a_slow_fall_waits_for_a_late_speed(fall_N, lag_s, waits):
     block = braking_block(
         0.15, 2.3, fall_N, unfiltered_depth_mm=50.01, speed_lag_s=lag_s
     )
+
     assert may_be_braking(mixture, 0, block, 10.15, TissueMotion()) == waits
 
 
@@ -115,6 +118,7 @@ def test_a_rupture_counts_only_where_the_force_fell(
     )
     evidence = weigh_evidence(mixture, None, 0)
     count = count_ruptures(evidence, 0, BLOCK._replace(force_N=force_N))
+
     assert count.more == probability
 
 
@@ -128,6 +132,7 @@ def test_a_component_with_an_older_rupture_denies_the_alarm():
         alarm=Alarm(time_s=3.0, since_reset_s=3.0, depth_m=0.012),
     )
     evidence = weigh_evidence(mixture, alarm, 1)
+
     assert read_column(mixture.assumptions, "ruptures")[0] == 1.0
     assert evidence.ruptures[0] == 0.0
     assert evidence.ruptures[1] == 1.0

@@ -33,9 +33,12 @@ def test_the_force_goes_on_across_an_event(seed, medium, holds_force):
     parent_ruptures = read_column(parent.assumptions, "ruptures")[0]
     mixture = branch(parent, 0.3, int(parent_ruptures))
     children = select(mixture, slice(1, None))
+
     assert children.size > 2
     assert forces(children) == pytest.approx(np.repeat(forces(parent), children.size))
+
     new_ruptures = read_column(children.assumptions, "ruptures") - parent_ruptures
+
     assert set(new_ruptures) <= {0.0, 1.0}
     assert mixture.size <= CAPACITY
 
@@ -48,14 +51,19 @@ def test_friction_of_a_layer_traversed_stays_on_the_shaft():
         read_column(mixture.assumptions, "holds_force") == 0.0
     )
     rupture_forces = read_column(mixture.history, "rupture_force_N")[is_end]
+
     assert set(rupture_forces) == {BLOCK.force_before_N}
+
     length = BLOCK.depth_mm - 4.0
     viscous = BLOCK.speed_mm_s * parent.means[0, LAYER_VISCOUS]
     friction = length * (parent.means[0, LAYER_COULOMB] + viscous)
     expected = np.full(is_end.sum(), friction)
+
     assert mixture.means[is_end, FRICTION_LAST] == pytest.approx(expected)
+
     likely = mixture._replace(log_weights=np.where(is_end, 0.0, -50.0))
     reported = friction_of_last_layer(weigh_evidence(likely, None, 0), 2, 0.0)
+
     assert reported is not None
     assert reported.force_N == pytest.approx(friction)
 
@@ -71,8 +79,11 @@ def test_friction_of_an_unreported_rupture_counts_with_the_next(reported, last, 
     mixture = branch(parent, 0.1, reported)
     release_start = read_column(mixture.assumptions, "release_start_mm")
     is_end = release_start == BLOCK.depth_mm
+
     assert is_end.any()
+
     ruptures = read_column(mixture.assumptions, "ruptures")[is_end]
+
     assert (ruptures == reported + 1.0).all()
     assert np.allclose(mixture.means[is_end, FRICTION_LAST], last)
     assert np.allclose(mixture.means[is_end, FRICTION_BEFORE], before)

@@ -33,6 +33,7 @@ def test_an_erring_model_leaves_no_negative_tip_force(friction_N):
     tips_N = tips_N[tips_N > 0.0]
     excess_N = max(friction_N - 1.1, 0.0)
     std_N = np.hypot(tips_N.std(), excess_N)
+
     assert estimate.tip_force_N == pytest.approx(tips_N.mean(), abs=2e-3)
     assert estimate.shaft_friction_N == pytest.approx(1.1 - tips_N.mean(), abs=2e-3)
     assert estimate.tip_force_std_N == pytest.approx(std_N, abs=2e-3)

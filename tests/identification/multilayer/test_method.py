@@ -145,8 +145,11 @@ def assert_both_found(identifier, estimates, *, within=0.2):
 
 def test_two_layers_and_their_friction_are_found():
     identifier, estimates = run(straight())
+
     assert_both_found(identifier, estimates)
+
     first, second = values_of(estimates, "rupture")
+
     assert [first.layer, second.layer] == [1, 2]
     assert first.probability >= MULTILAYER.alarm_probability
     assert not first.is_final
@@ -162,6 +165,7 @@ def test_each_layer_is_reported_provisionally_and_finally():
         for layer in values_of(estimates, "identified_layer")
     ]
     provisional_and_final = [(False, False), (True, True)]
+
     assert reports == [
         (number, *flags) for number in (1, 2) for flags in provisional_and_final
     ]
@@ -170,6 +174,7 @@ def test_each_layer_is_reported_provisionally_and_finally():
 def test_behind_the_layers_only_friction_remains():
     _, estimates = run(straight())
     last = estimates[-1]
+
     assert last.tip_force_N == pytest.approx(0.0, abs=0.1)
     assert last.enhanced_force_N == pytest.approx(0.0, abs=0.1)
     assert last.layer == 3
@@ -183,6 +188,7 @@ def test_jitter_of_the_speed_says_nothing_of_friction():
     estimates = replay(run.t_s, depth_m, run.force_N, speed_m_s).estimates
     is_behind = (run.t_s > run.truth.rupture_s[0] + 1.0) & (run.speed_m_s > 1e-4)
     enhanced_N = np.array([estimate.enhanced_force_N for estimate in estimates])
+
     assert run.force_N[is_behind].mean() > 0.9
     assert rms(enhanced_N[is_behind]) < 0.06
 
@@ -197,6 +203,7 @@ def test_friction_at_changing_speed_is_no_texture():
         is_in_second = [20e-3 < row.depth_m < 33e-3 for row in rows]
         tip_stds_N = np.array(values_of(estimates, "tip_force_std_N"))
         stds_N.append(tip_stds_N[is_in_second].mean())
+
     assert stds_N[1] < 2.0 * stds_N[0]
 
 
@@ -241,6 +248,7 @@ def test_friction_is_well_known_before_braking(seed):
     """One speed does not show how much of the friction stays at rest."""
     _, estimates = run(straight(seed))
     estimate = estimates[-200]
+
     assert estimate.shaft_friction_std_N < 0.1 * estimate.shaft_friction_N
 
 
@@ -248,6 +256,7 @@ def test_the_tissue_may_beat():
     rows = straight(3, motion_m=lambda t_s: 0.2e-3 * np.sin(2.0 * np.pi * 1.2 * t_s))
     identifier, estimates = run(rows)
     ruptures = values_of(estimates, "rupture")
+
     assert len(ruptures) - len(values_of(estimates, "retracted")) == 2
     assert len(identifier.layers) == 2
 
@@ -258,6 +267,7 @@ def test_noise_of_the_position_hides_no_ruptures(has_speed):
     rows = straight(4, jitter_m=1e-4)[:-250]
     if not has_speed:
         rows = [row._replace(speed_m_s=None) for row in rows]
+
     assert_both_found(*run(rows), within=0.3)
 
 
@@ -265,6 +275,7 @@ def test_rests_and_reversals_are_no_ruptures():
     inwards = [(12e-3, 3.0), (0.0, 1.5), (6e-3, 1.5), (0.0, 1.0)]
     back_and_on = [(-3e-3, 0.75), (3e-3, 0.75), (28e-3, 7.0)]
     identifier, estimates = run(insertion([*inwards, *back_and_on], seed=5))
+
     assert_both_found(identifier, estimates, within=0.3)
 
 
@@ -272,8 +283,11 @@ def test_friction_may_let_go_at_rest():
     _, estimates = run(insertion([(12e-3, 3.0), (0.0, 1.5)], seed=5))
     moving = estimates[3100]
     resting = estimates[4400]
+
     assert resting.shaft_friction_N < 0.95 * moving.shaft_friction_N
+
     error_N = abs(resting.shaft_friction_N - 0.1)
+
     assert error_N < 2.0 * resting.shaft_friction_std_N
 
 
@@ -290,11 +304,14 @@ def withdrawal():
 def test_withdrawal_meets_friction_only(withdrawal):
     outwards, layers = withdrawal
     estimates = [estimate for estimate, _ in outwards]
+
     assert len(layers) == 2
     assert all(layer.is_final for layer in layers)
     assert values_of(estimates, "rupture") == []
     assert {estimate.tip_force_N for estimate in estimates[:3000]} == {0.0}
+
     errors_N = [row.force_N - estimate.predicted_force_N for estimate, row in outwards]
+
     assert rms(errors_N) < 0.1
     assert rms([estimate.enhanced_force_N for estimate in estimates[:5000]]) < 0.15
 
@@ -302,6 +319,7 @@ def test_withdrawal_meets_friction_only(withdrawal):
 def test_behind_the_withdrawal_nothing_acts(withdrawal):
     outwards, _ = withdrawal
     last, _ = outwards[-1]
+
     assert last.shaft_friction_N == 0.0
     assert abs(last.tip_force_N) < 0.05
 
@@ -314,6 +332,7 @@ def test_withdrawal_passes_the_layers_backwards(withdrawal, depth_m, layer):
         for estimate, row in outwards
         if abs(row.depth_m - depth_m) < 1e-3
     ]
+
     assert set(near) == {layer}
 
 
@@ -322,8 +341,11 @@ def test_a_gap_in_time_is_no_rupture():
     late = rows[3200:4000]
     identifier, _ = run(rows[:2500])
     first = identifier.update(*late[0]._replace(dt_s=0.701))
+
     assert first.status is SampleStatus.TIME_GAP
+
     _, estimates = run(late[1:], identifier)
+
     assert values_of(estimates, "rupture") == []
 
 
@@ -340,6 +362,7 @@ def test_the_configured_gap_is_that_of_the_method(gap_s, is_gap):
     steps = identifier.snapshot().state.levels.differences.steps
     estimate = identifier.update(*rows[3100]._replace(dt_s=0.5))
     state = identifier.snapshot().state
+
     assert estimate.status is (SampleStatus.TIME_GAP if is_gap else SampleStatus.OK)
     assert state.levels.differences.steps == (0.0 if is_gap else steps + 1.0)
 
@@ -352,6 +375,7 @@ def test_noise_of_the_force_is_known_at_any_rate(rate_hz):
     identifier, _ = run(rows)
     levels = identifier.snapshot().state.levels
     samples = max(round(0.01 * rate_hz), 1)
+
     assert levels.variances.white == pytest.approx(0.02**2 / samples, rel=0.5)
     assert levels.differences.step == pytest.approx(samples / rate_hz)
     assert levels.variances.heartbeat < 2e-3

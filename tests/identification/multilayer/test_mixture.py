@@ -46,6 +46,7 @@ def test_two_steps_of_time_and_travel_are_one():
     mixture = component(1, LAYER)
     whole = later(mixture, 0.02, 0.08)
     halves = later(later(mixture, 0.01, 0.04), 0.01, 0.04)
+
     assert whole.means == pytest.approx(halves.means, abs=1e-12)
     assert whole.covariances == pytest.approx(halves.covariances, abs=1e-12)
     assert whole.state.assumptions == pytest.approx(halves.state.assumptions)
@@ -54,6 +55,7 @@ def test_two_steps_of_time_and_travel_are_one():
 def test_disturbances_reach_their_stationary_variances():
     covariances = later(component(1, LAYER), 60.0, 300.0).covariances
     variances = np.diag(covariances[0])[[COLOURED_NOISE, HEARTBEAT, MODEL_ERROR]]
+
     assert variances == pytest.approx([1e-4, 2e-4, 4e-4])
 
 
@@ -70,13 +72,18 @@ def test_an_expected_force_teaches_as_kalman_says():
     covariance = mixture.covariances[0]
     expected_N = float(forces(mixture)[0])
     after = learned(mixture, expected_N)
+
     assert after.means[0] == pytest.approx(mixture.means[0])
+
     variance = row @ covariance @ row + 4e-4
     # Late in the layer nothing is being released, and no other noise comes on top.
     cross_covariance = covariance @ row
     reduction = np.outer(cross_covariance, cross_covariance) / variance
+
     assert after.covariances[0] == pytest.approx(covariance - reduction)
+
     log_weight = -0.5 * LIKELIHOOD_EXPONENT * np.log(variance)
+
     assert after.log_weights[0] == pytest.approx(log_weight)
 
 
@@ -85,6 +92,7 @@ def test_an_unexpected_force_moves_the_unknowns_and_costs_weight():
     row = regressor(mixture.assumptions[0], BLOCK)
     expected_N = float(forces(mixture)[0])
     surprised = learned(mixture, expected_N + 1.0)
+
     assert surprised.log_weights[0] < learned(mixture, expected_N).log_weights[0]
     assert row @ surprised.means[0] > expected_N
 
@@ -95,4 +103,5 @@ def test_a_mixture_is_restored_as_it_was():
     for array, restored_array in zip(mixture, restored, strict=True):
         assert (np.asarray(array) == np.asarray(restored_array)).all()
     assumptions = asdict(read_element(Assumptions, restored.assumptions, 0))
+
     assert assumptions["layer_start_mm"] == 4.0

@@ -14,6 +14,7 @@ def test_noise_is_learned_part_by_part():
     for k, white_N in enumerate(noise_N.tolist()):
         beat_N = 0.05 * np.sin(2.0 * np.pi * 1.2 * 0.01 * k)
         levels = levels.with_force(beat_N + white_N, 0.01, 2.0)
+
     assert np.sqrt(levels.variances.white) == pytest.approx(0.01, rel=0.15)
     assert np.sqrt(levels.variances.coloured) < 0.008
     assert 0.02 < np.sqrt(levels.variances.heartbeat) < 0.08
@@ -24,6 +25,7 @@ def test_a_ramp_is_no_noise():
     levels = NoiseLevels()
     for k in range(2000):
         levels = levels.with_force(0.001 * k, 0.01, 2.0)
+
     assert np.sqrt(levels.variances).max() < 1e-6
 
 
@@ -34,6 +36,7 @@ def test_chance_is_seldom_a_motion():
         levels = levels.with_force(white_N, 0.01, 2.0)
         variances = levels.variances
         has_motion.append(variances.heartbeat > 0.0 or variances.breathing > 0.0)
+
     assert np.mean(has_motion) < 0.1
 
 
@@ -59,6 +62,7 @@ def test_texture_shows_an_error_but_no_noise_and_no_bend():
         rough = rough.with_force(white_N + float(state[0]), 0.05)
         smooth_errors_N.append(smooth.model_error(1.0, 0.0))
         rough_errors_N.append(rough.model_error(1.0, 0.0))
+
     assert max(smooth_errors_N) < 0.03
     assert np.mean(rough_errors_N) == pytest.approx(0.2, rel=0.25)
     assert rough.model_error(1.0, 0.3) == 0.0

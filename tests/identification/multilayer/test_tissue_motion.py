@@ -55,6 +55,7 @@ def test_speed_is_the_rate_of_the_place():
     times_s = np.linspace(0.0, 5.0, 50_001)
     place_mm, speed_mm_s = displacement(beats, times_s)
     gradient_mm_s = np.gradient(place_mm, times_s)
+
     assert np.allclose(gradient_mm_s[1:-1], speed_mm_s[1:-1], atol=1e-5)
 
 
@@ -63,6 +64,7 @@ def test_turned_beats_are_the_same_motion():
     times_s = np.linspace(0.0, 5.0, 501)
     fit = turned(Fit(beats, 0.0), 1.7)
     place_mm, _ = displacement(beats, times_s)
+
     assert np.allclose(displacement(fit.beats, times_s - 1.7)[0], place_mm)
 
 
@@ -72,8 +74,10 @@ def test_turned_beats_are_the_same_motion():
 def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     run, estimates, motions = insertion(waves)
     known = [motion for motion in motions if motion.is_known]
+
     assert known
     assert known[-1].fit.beats[0, 0] == pytest.approx(hz, abs=0.01)
+
     rupture_s = run.truth.ruptures[0].onset_s
     begin_s = estimates[0].time_s - CLOCK_S - 1e-3
     fits = [motion.fit for motion in known if motion.fit.at_s + begin_s < rupture_s]
@@ -81,11 +85,16 @@ def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     place_mm, _ = displacement(fits[-1].beats, times_s)
     true_times_s = begin_s + fits[-1].at_s + times_s
     error_mm = place_mm - 1e3 * TrueMotion(waves=waves).at(true_times_s)[0]
+
     assert np.std(error_mm) < 0.3 * np.std(place_mm)
+
     ruptures = [estimate.rupture for estimate in estimates if estimate.rupture]
+
     assert len(ruptures) <= 3  # not one at every beat
+
     delays_s = [rupture.alarm_s - CLOCK_S - rupture_s for rupture in ruptures]
     near_s = [delay_s for delay_s in delays_s if abs(delay_s) < 3.0]
+
     assert len(near_s) == 1
     assert 0.0 < near_s[0] < 0.2
 
@@ -123,6 +132,7 @@ def test_a_motion_that_has_ended_is_given_up():
         for _ in range(5):
             motion = motion.worked(time_s) if motion.is_due(time_s) else motion
         is_known.append(motion.is_known)
+
     assert is_known[int(14.0 / 0.05)]
     assert not any(is_known[int(32.0 / 0.05) :])
 
@@ -132,6 +142,7 @@ HEARTBEAT = np.array([[1.2, 0.2, 0.0, 0.0, 0.0]])
 
 def test_a_second_rupture_makes_a_motion_forgotten():
     motion = TissueMotion(window=np.ones((100, 4)), fit=Fit(HEARTBEAT, 1.0, 5.0))
+
     assert motion.is_known
     assert motion.restarted(5.0).is_known
     assert not motion.restarted(5.0).restarted(6.0).is_known
@@ -147,6 +158,7 @@ def test_a_bad_fit_is_noise_only_once_it_stays():
     for k in range(8):
         motion = motion.worked(12.8 + 0.2 * k)
         unexplained_N.append(motion.fit.rms_N)
+
     assert unexplained_N[:7] == [0.01] * 7
     assert unexplained_N[7] > 0.2
 
@@ -180,6 +192,8 @@ def test_an_insertion_resumes_in_moving_tissue():
     for row in rows[:11_000]:
         first.update(*row, 1e-3)
     second.restore(first.snapshot())
+
     assert first.snapshot().state.tissue.is_known
+
     for row in rows[11_000:]:
         assert second.update(*row, 1e-3) == first.update(*row, 1e-3)

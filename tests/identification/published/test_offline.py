@@ -43,6 +43,7 @@ def test_full_traversal_identifies_both_parameters(speed):
     force = regression_matrix(t, z, v, [span]) @ [STIFFNESS, FRICTION]
     fit = identify_offline(t, z, v, force, [span])
     layer = fit.layers[0]
+
     assert layer.stiffness_identified
     assert layer.friction_identified
     assert layer.stiffness_N_per_m == pytest.approx(STIFFNESS)
@@ -57,6 +58,7 @@ def test_constant_speed_inside_one_layer_separates_nothing():
         start_s=-1.0, start_depth_m=0.0, thickness_m=THICKNESS_M, rupture_s=99.0
     )
     fit = identify_offline(t, z, v, STIFFNESS * z + FRICTION * z * v, [span])
+
     assert fit.rank == 1
     assert not fit.layers[0].stiffness_identified
     assert not fit.layers[0].friction_identified
@@ -76,6 +78,7 @@ def test_standard_deviations_cover_the_truth():
         )
         layer = fit.layers[0]
         errors.append((layer.friction - FRICTION) / layer.friction_std)
+
     assert 0.6 < np.std(errors) < 1.6
 
 
@@ -85,6 +88,7 @@ def test_membrane_ends_elastic_column_at_its_own_rupture():
         start_s=0.5, start_depth_m=float(z[250]), thickness_m=0.02, rupture_s=3.0
     )
     matrix = regression_matrix(t, z, v, [span])
+
     assert np.all(matrix[t > 3.0, 0] == 0)
     assert np.all(matrix[t > 3.1, 1] > 0)
     assert matrix[-1, 1] == pytest.approx(0.02 * v[-1])
@@ -98,6 +102,7 @@ def test_a_row_is_that_of_its_equation(model, columns):
     row = regression_matrix(
         np.zeros(1), np.array([0.5]), np.array([0.1]), [span], model
     )
+
     assert row[0] == pytest.approx(columns)
 
 
@@ -106,6 +111,7 @@ def test_friction_column_shrinks_again_on_the_way_out():
     z = np.array([0.0, 0.01, 0.03, 0.01, 0.0])
     span = LayerSpan(start_s=-1.0, start_depth_m=0.0, thickness_m=0.02, rupture_s=1.5)
     column = regression_matrix(t, z, np.ones(5), [span])[:, 1]
+
     assert np.allclose(column, [0.0, 0.01, 0.02, 0.01, 0.0])
 
 
@@ -125,6 +131,7 @@ SPAN = {"start_s": 0.0, "start_depth_m": 0.0, "thickness_m": 0.1, "rupture_s": 9
 def test_bad_columns_are_refused(change, message):
     log = {key: [0.0, 0.1, 0.2] for key in ("depth_m", "speed_m_s", "force_N")}
     log["t_s"] = [0.0, 1.0, 2.0]
+
     with pytest.raises(InvalidLogError, match=message):
         identify_offline(**(log | change), layers=[LayerSpan(**SPAN)])
 

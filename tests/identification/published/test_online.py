@@ -48,8 +48,11 @@ def test_rls_equals_ridge_regression(rows):
     f = table[:, 2]
     information = np.diag([1 / 4.0, 1 / 9.0]) + phi.T @ phi
     expected = np.linalg.solve(information, phi.T @ f)
+
     assert np.allclose((rls.stiffness, rls.friction), expected, atol=1e-8)
+
     covariance = np.linalg.inv(information)
+
     assert rls.stiffness_variance == pytest.approx(covariance[0, 0], abs=1e-8, rel=1e-5)
     assert rls.covariance == pytest.approx(covariance[0, 1], abs=1e-8, rel=1e-5)
     assert rls.friction_variance == pytest.approx(covariance[1, 1], abs=1e-8, rel=1e-5)
@@ -58,6 +61,7 @@ def test_rls_equals_ridge_regression(rows):
 def test_cusum_is_that_of_equation_9():
     constants = cusum_constants(0.01, 0.08)
     drift_N2 = constants.drift_N2
+
     assert drift_N2 == pytest.approx((0.08**2 + 0.01**2) / 2)
     assert constants.threshold_N2 == pytest.approx((0.08**2 - 0.01**2) / 2)
     assert cusum_step(0.0, 0.01, drift_N2) == 0.0
@@ -70,18 +74,22 @@ def test_derivative_of_a_ramp_needs_no_particular_step(first_s, second_s):
     twice = derivative_step(1.0, slope * first_s, first_s, 0.2)
     twice = derivative_step(twice, slope * second_s, second_s, 0.2)
     once = derivative_step(1.0, slope * (first_s + second_s), first_s + second_s, 0.2)
+
     assert twice == pytest.approx(once)
 
 
 def test_ratios_are_those_of_equation_11():
     assert force_ratios(1.4, 2.6, 0.0, 2.3e-3) == pytest.approx((1.4 / 2.6, 1.2 / 2.6))
+
     ratios = force_ratios(1.0, 3.0, 400.0, 2.5e-3)
+
     assert ratios.elastic == pytest.approx(1.0 / 2.0)
 
 
 @given(number, st.floats(-1.0, 3.0))
 def test_ratios_stay_physical_whatever_was_measured(drop, force):
     ratios = force_ratios(drop, force, 100.0, 2e-3)
+
     assert 0.0 < ratios.elastic < 1.0
     assert ratios.elastic + ratios.friction == pytest.approx(1.0)
 
@@ -91,11 +99,14 @@ def test_reweighting_splits_the_force_by_the_ratios():
     ratio = 0.4
     ratios = ForceRatios(elastic=1 - ratio, friction=ratio)
     variance = reweighted_friction_variance(1e6, ratios, speed)
+
     assert variance == pytest.approx(1e6 * ratio / (1 - ratio) / speed**2)
+
     record = as_record(Rls(stiffness_variance=1e6, friction_variance=variance))
     for depth in np.linspace(1e-4, 0.03, 200):
         update_rls(record[0], Regressor(depth, depth * speed), 80.0 * depth)
     friction = from_record(Rls, record).friction
+
     assert friction * speed / 80.0 == pytest.approx(ratio, rel=1e-3)
 
 
@@ -146,6 +157,7 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(
     expected = np.array([parameters.stiffness, parameters.friction])
     scale = np.abs(expected) + np.sqrt(variances) * 1e-6
     difference = np.abs(np.array(rerun_windows(windows, variances)) - expected)
+
     assert np.all(difference < 1e-6 * scale)
 
 
@@ -189,7 +201,9 @@ def test_finds_ruptures_and_friction_of_its_own_model():
     z, f = ml_insertion()
     identifier, estimates = run(z, f)
     ruptures = [e.rupture for e in estimates if e.rupture]
+
     assert [round(r.depth_m, 3) for r in ruptures] == [0.030, 0.050]
+
     for layer, (thickness, stiffness, friction) in zip(
         identifier.layers, LAYERS, strict=True
     ):
@@ -197,8 +211,11 @@ def test_finds_ruptures_and_friction_of_its_own_model():
         assert layer.friction_Ns_per_m2 == pytest.approx(friction, rel=0.25)
         assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=0.25)
     remaining_N = abs(np.mean([e.enhanced_force_N for e in estimates[-500:]]))
+
     assert remaining_N < 0.2 * np.mean(f[-500:])
+
     kelvin_voigt = run(z, f, PUBLISHED_KV)[1][-500:]
+
     assert remaining_N < abs(np.mean([e.enhanced_force_N for e in kelvin_voigt]))
 
 
@@ -207,6 +224,7 @@ def test_compensation_leaves_no_jump_in_the_prediction():
     _, estimates = run(z, f)
     at = next(k for k, e in enumerate(estimates) if e.identified_layer) + 1
     rows = zip(estimates[at : at + 200], f[at : at + 200], strict=True)
+
     assert max(abs(e.predicted_force_N - y) for e, y in rows) < 0.15
 
 
@@ -219,11 +237,14 @@ def test_a_layer_is_subtracted_once_it_is_identified():
             break
         assert estimate.cumulative_friction_Ns_per_m == 0.0
         assert not identifier.layers
+
     assert identifier.layers == (estimate.identified_layer,)
+
     damping = (
         estimate.identified_layer.friction_N
         / estimate.identified_layer.rupture.speed_m_s
     )
+
     assert estimate.cumulative_friction_Ns_per_m == pytest.approx(damping)
 
 
@@ -238,6 +259,7 @@ def test_a_noiseless_layer_is_identified_exactly(swing_m_s, stiffness):
     reach = np.clip(z, 0.0, 0.03)
     f = 9000.0 * reach * v + np.where(reach < 0.03, stiffness * reach, 0.0)
     (layer,) = run(z, f, speed_m_s=v)[0].layers
+
     assert layer.friction_Ns_per_m2 == pytest.approx(9000.0, rel=1e-3)
     assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=1e-3)
 
@@ -252,6 +274,7 @@ def test_the_alarming_sample_is_never_in_the_rerun():
 def test_an_unmeasured_speed_is_estimated_from_depth():
     z, f = ml_insertion(LAYERS[:1])
     (layer,) = run(z, f, speed_m_s=None)[0].layers
+
     assert layer.friction_Ns_per_m2 == pytest.approx(LAYERS[0][2], rel=0.25)
 
 

@@ -54,6 +54,7 @@ def test_a_planned_way_crosses_soft_tissue_only(seed):
     assert {layer.name for layer in layers} <= {*abdomen_plan.CROSSABLE, "liver"}
 
     thick = abdomen_plan.thick_layers(layers)
+
     assert (
         min(layer.exit_m - layer.entry_m for layer in thick) >= abdomen_plan.MIN_LAYER_m
     )

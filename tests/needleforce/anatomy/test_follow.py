@@ -148,8 +148,10 @@ def test_restoring_with_another_plan_changes_nothing(whole):
 
 def test_an_invalid_plan_or_entry_is_refused():
     session = InsertionSession(RUN.robot)
+
     with pytest.raises(InsertionError, match="plan is a list, expected a PlanMatch"):
         session.follow(layers("gel", "behind"))
+
     for entry in ([0.0, 1.0], [np.nan] * 3):
         with pytest.raises(InsertionError, match=r"entry_in_base_m is .* 3 finite"):
             session.follow(MATCH, entry)
@@ -196,7 +198,9 @@ def test_a_retracted_alarm_restores_the_plan():
 def test_a_withdrawn_needle_is_in_crossed_layers():
     """A withdrawn needle is in one of the layers it has crossed."""
     ruptures = (GEL_m,)
+
     assert MATCH.state(GEL_m + 0.01, ruptures).name == "behind"
+
     for depth, name in ((GEL_m + 5e-3, "behind"), (0.01, "gel"), (-0.01, OUTSIDE)):
         assert MATCH.state(depth, ruptures, deepest_m=GEL_m + 0.02).name == name
 
@@ -229,6 +233,7 @@ def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
     assert main(["live", arm, "--plan", path, "--tare", str(TARE * 1e-3)]) == 0
 
     said = capsys.readouterr().out
+
     assert re.search(
         r"rupture of layer 1 at 3\d\.\d mm \(\d+ %\), by the plan into behind", said
     )
@@ -308,6 +313,7 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
 )
 def test_a_plan_that_says_too_little_is_refused(plan, why, arm, tmp_path, capsys):
     assert main(["live", arm, "--plan", written(tmp_path, **plan)]) == 2
+
     said = capsys.readouterr().err
 
     assert re.search(why, said)

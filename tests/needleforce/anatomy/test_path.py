@@ -99,6 +99,7 @@ def test_a_slanting_path_and_uncertain_boundaries_state_more():
     wide = labels.layers_along([0.002, 0.01, 0.01], [0.017, 0.01, 0.01], 0.5e-3)[
         1
     ].entry_std_m
+
     assert wide == pytest.approx(np.hypot(straight, 0.5e-3), rel=0.02)
 
 
@@ -119,6 +120,7 @@ def test_uncertain_boundaries_of_flat_voxels_state_as_much(spacing_mm):
 def test_labels_may_be_integers_of_any_size(kind):
     way = [0.002, 0.01, 0.01], [0.017, 0.01, 0.01]
     expected = slabs(["fat", "muscle"]).layers_along(*way)
+
     assert slabs(["fat", "muscle"], kind=kind).layers_along(*way) == expected
 
 

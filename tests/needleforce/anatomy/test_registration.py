@@ -77,6 +77,7 @@ def test_the_error_at_the_target_is_as_stated(count, is_known):
 
 def test_three_landmarks_claim_nothing_from_their_residuals():
     robot, _ = touched(FRONT_m[:3], np.random.default_rng(0))
+
     assert np.isnan(fit_landmarks(FRONT_m[:3], robot).tre_m(TARGET_m))
     assert np.isfinite(
         fit_landmarks(FRONT_m[:3], robot, is_std_known=True).tre_m(TARGET_m)
@@ -110,7 +111,9 @@ def test_wrong_landmarks_are_refused_by_name(change, says):
 def test_too_few_and_collinear_landmarks_are_refused():
     with pytest.raises(RegistrationError, match="too few"):
         fit_landmarks(FRONT_m[:2], FRONT_m[:2])
+
     line = np.outer(np.linspace(0.0, 0.2, 5), [1.0, 0.5, 0.0])
+
     with pytest.raises(RegistrationError, match="collinear"):
         fit_landmarks(line, line)
 
@@ -374,6 +377,7 @@ def test_air_before_the_skin_is_no_layer():
 
 def test_the_skin_ruptures_behind_where_it_was_met():
     match = PlanMatch(plan(8, 35), 5e-3)
+
     assert match.state(0.0085, [0.0085]).matched == 1
     assert match.state(0.0085, [0.0085], contact_m=4e-3).matched == 0
 
@@ -384,7 +388,9 @@ def test_an_unnoticed_boundary_is_passed_all_the_same():
 
     assert match.state(0.030, [0.0200]).name == "muscle"
     assert match.state(0.050, [0.0200]).name == "gland"
+
     state = match.state(0.0601, [0.0200, 0.0601])
+
     assert state.matched == 3
     assert state.name == "lesion"
 
@@ -411,11 +417,13 @@ def test_a_capsule_is_expected_to_rupture_late():
         replace(layers[2], name="liver"),
     ]
     chances = find_chances([layer.name for layer in inside])
+
     assert chances.late.tolist() == [1.0, 0.25, 0.25]
 
 
 def test_a_false_alarm_is_no_boundary():
     state = PlanMatch(plan(20, 60), 1e-3).state(0.041, [0.0200, 0.041])
+
     assert state.matched == -1
     assert state.name == "muscle"
 

@@ -66,6 +66,7 @@ def test_awkward_structures_are_closed_and_keep_their_volume(name, signs):
 def test_random_voxels_are_closed():
     mask = np.random.default_rng(0).uniform(size=(12, 12, 12)) > 0.5
     surface = of_mask(mask, 1e-3 * np.eye(3)).surfaces()["part"]
+
     assert surface.mesh.is_volume
 
 
@@ -142,4 +143,5 @@ def test_progress_reaches_one():
     of_mask(np.pad(np.ones((3, 3, 3), bool), 2), 1e-3 * np.eye(3)).surfaces(
         progress=fractions.append
     )
+
     assert fractions == [1.0]

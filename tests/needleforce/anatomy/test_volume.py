@@ -153,6 +153,7 @@ def test_names_that_name_no_label_are_refused(tmp_path, names):
     sitk.WriteImage(
         sitk.GetImageFromArray(np.ones((4, 4, 4), np.uint8)), str(tmp_path / "a.nrrd")
     )
+
     with pytest.raises(VolumeError, match="names"):
         read_labels(tmp_path / "a.nrrd", names)
     assert read_labels(tmp_path / "a.nrrd", {"1": "liver"})["liver"].voxels == 64
@@ -397,6 +398,7 @@ def test_a_scan_without_air_or_body_is_refused(change):
     """A scan without air or without a body is refused."""
     values, grid = cube()
     labels = Labels.of([values], grid, [Structure.named("part", 1)])
+
     with pytest.raises(VolumeError, match=r"no body in a scan of .* Hounsfield"):
         labels.with_body(Volume(change(np.where(values, 40.0, -1000.0)), grid))
 
@@ -421,7 +423,9 @@ def test_names_say_what_stops_a_needle():
     )
 
     assert all(Structure.named(name, 1).is_obstacle for name in stops)
+
     goes = ("hippocampus", "liver", "tribology", "renal_pelvis", "kidney-pelvis")
+
     assert not any(Structure.named(name, 1).is_obstacle for name in goes)
 
 

@@ -63,9 +63,12 @@ def test_every_command_of_the_page_runs(command, capsys):
             example_robot_path("panda")
         except MissingPackageError as error:
             pytest.skip(str(error))
+
     assert main(shlex.split(command)) == 0
+
     # Of a report: forces from before the tare are not used for the layers.
     said = capsys.readouterr().err.splitlines()
+
     assert [line for line in said if not command.startswith("report")] == []
     assert all("--ignore-status takes them" in line for line in said)
 
@@ -79,6 +82,7 @@ def test_pipe_of_the_page_runs():
     process = subprocess.run(
         line, shell=True, capture_output=True, text=True, check=False, env=where
     )
+
     assert process.returncode == 0, process.stderr
     assert len(read_table("layers.csv").columns["t_s"]) == 4000
 
@@ -86,19 +90,25 @@ def test_pipe_of_the_page_runs():
 def test_numbers_of_the_page_match_the_code():
     assert len(COMMANDS) == 12
     assert set(FILES) == set(re.findall(r"\w+\.toml", " ".join(COMMANDS)))
+
     codes = FORCE.split("## Exit codes")[1]
+
     assert [int(code) for code in re.findall(r"^\| (\d+) \|", codes, re.MULTILINE)] == [
         *(0, FAILED, INTERRUPTED, READER_GONE, TERMINATED)
     ]
     assert f"at most {MAX_ROWS // 1000} {MAX_ROWS % 1000:03d}" in FORCE
+
     words = {"initializing": "filters settle"}
     for status, code in STATUS_CODES.items():
         assert f"{code} {words.get(status.value, status.value)}" in FORCE
     for warning in SensorWarning:
         assert f"{warning.value} {warning.name.lower().replace('_', ' ')}" in FORCE
+
     assert f"the first {AUTOMATIC_S:g} s after the filters have settled" in FORCE
+
     known = {item.name for item in fields(SensorConfig)}
     settings = FILES["settings.toml"].split("[prior]")[0]
+
     assert set(re.findall(r"^(\w+) =", settings, re.MULTILINE)) <= known
 
 
@@ -107,9 +117,12 @@ def test_summary_has_the_lines_of_the_page(capsys):
     main(shlex.split(COMMANDS[0]))
     shown = FORCE.split("```text\n")[1].split("```")[0].splitlines()
     printed = capsys.readouterr().out.splitlines()
+
     assert [line[:13] for line in printed] == [line[:13] for line in shown]
+
     exact = ("robot", "rejected", "gaps", "warnings")
     chosen = [line for line in printed if line.startswith(exact)]
+
     assert chosen == [line for line in shown if line.startswith(exact)]
 
 
@@ -124,6 +137,7 @@ def test_table_of_forces_matches_the_code(mode):
             if "…" in cells:
                 names = [names[0].replace("_x_", f"_{xyz}_") for xyz in "xyz"]
             shown += names
+
     assert shown == list(read_table("table.csv").columns)
 
 
@@ -133,13 +147,18 @@ def test_identification_page_runs_and_names_its_columns(tmp_path, monkeypatch, c
     columns = {"t_s": run.t_s, "depth_m": run.depth_m, "force_N": run.force_N}
     write_table("forces.csv", columns)
     (line,) = re.findall(r"^needleforce (.*)$", IDENTIFY, re.MULTILINE)
+
     assert main(shlex.split(line)) == 0
     assert "friction N" in capsys.readouterr().out
+
     table = IDENTIFY.split("| column | what |")[1].split("\n\n")[0]
     cells = [row.split("|")[1] for row in table.splitlines()[2:]]
     names = [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
+
     assert names == list(read_table("estimates.csv").columns)
+
     namespace = {}
     exec(IDENTIFY.split("```python\n")[1].split("```")[0], namespace)
+
     assert namespace["estimate"].status.is_used
     assert namespace["identifier"].layers == ()

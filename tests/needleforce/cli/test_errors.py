@@ -189,6 +189,7 @@ def test_bad_input_is_one_line_and_leaves_nothing(
     monkeypatch.chdir(folder)
     files = sorted(path.name for path in folder.iterdir())
     line = refusal(argv, capsys)
+
     assert re.search(message, line), line
     assert sorted(path.name for path in folder.iterdir()) == files
 
@@ -206,6 +207,7 @@ def test_missing_matplotlib_is_refused_before_the_work(
     monkeypatch.setattr(builtins, "__import__", missing)
     monkeypatch.chdir(folder)
     line = refusal([command, "missing.csv", *output], capsys)
+
     assert re.search("needs matplotlib, which is not installed.*pip install", line)
 
 
@@ -219,6 +221,7 @@ def test_failed_command_leaves_no_report_folder(tmp_path, capsys):
             [command, "no.csv", "--report", str(tmp_path / "file" / "page")], capsys
         )
         assert "cannot write to" in line
+
     assert os.listdir(tmp_path) == ["file"]
 
 
@@ -228,8 +231,11 @@ def test_stamps_in_another_unit_are_named(lwr, tmp_path, capsys):
         np.int64
     )
     write_table(tmp_path / "log.npz", {"time": columns.pop("t_s"), **columns})
+
     assert main(["force", str(tmp_path / "log.npz"), "--tare", "+0:+1"]) == 2
+
     printed = capsys.readouterr().err
+
     assert re.search(
         "^warning: .*; if the file is in ns, say unit = 'ns'", printed, re.MULTILINE
     )
@@ -253,6 +259,7 @@ def test_undecodable_file_name_is_drawn_and_printed(folder, tmp_path, capsys):
         "--figure",
         str(picture),
     ]
+
     assert main(argv) == 0
     assert "log-\\udcff-$\\frac{$.csv" in (page / "index.html").read_text(
         encoding="utf-8"

@@ -58,23 +58,31 @@ def test_axial_force_matches_truth_within_its_std(log, run, options):
     columns, _ = run(log, *TARE, *options)
     contact = columns["t_s"] > CONTACT_S + 0.3
     error = columns["axial_N"][contact] - AXIAL_N
+
     assert np.abs(error).max() < 0.15
     assert abs(error.mean()) < 0.05
+
     std = columns["axial_std_N"][contact]
+
     assert (std > 0.0).all()
     assert np.mean(np.abs(error) < 3.0 * std) > 0.95
+
     free = (columns["t_s"] > 2.6) & (columns["t_s"] < CONTACT_S)
+
     assert np.abs(columns["axial_N"][free]).max() < 0.1
 
 
 def test_published_method_and_missing_velocity_find_the_force(log, run, lwr):
     columns, printed = run(log, *TARE, "--published")
+
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
     assert "K = 5 1/s" in printed
+
     columns = insertion(lwr)
     columns, printed = run(
         {name: columns[name] for name in ("t_s", "q_rad", "tau_Nm")}, *TARE
     )
+
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.1)
     assert "velocity estimated" in printed
 
@@ -84,19 +92,26 @@ def test_published_method_and_missing_velocity_find_the_force(log, run, lwr):
 )
 def test_columns_name_units_and_travel_is_true(log, run, lwr, mode, components):
     columns, _ = run(log, *TARE, "--mode", mode)
+
     assert len(columns) == 8 + components
+
     plain = ("model_mismatch", "force_warnings", "force_status")
     for name in columns:
         assert name in plain or name.rsplit("_", 1)[1] in ("s", "m", "N", "Nm"), name
     force = np.stack([columns[f"force_{xyz}_in_base_N"] for xyz in "xyz"], axis=1)
+
     assert np.linalg.norm(force[-1]) == pytest.approx(AXIAL_N, abs=0.2)
     np.testing.assert_array_equal(columns["t_s"], read_log(log).t_s)
+
     status = columns["force_status"]
+
     assert status[0] == 2
     assert set(status[columns["t_s"] > 2.5]) == {0}
     assert 1 in status[columns["t_s"] < 2.5]
+
     start, end = (pose_of(lwr, q) for q in insertion(lwr)["q_rad"][[0, -1]])
     travel = start.rotation[:, 2] @ (end.translation - start.translation)
+
     assert columns["travel_m"][[0, -1]] == pytest.approx([0.0, travel], abs=1e-12)
 
 
@@ -105,10 +120,13 @@ def test_automatic_tare_is_chosen_and_reported(log, run):
     (line,) = [line for line in printed.splitlines() if line.startswith("tare")]
     start_s = float(line.split()[1])
     end_s = float(line.split()[3])
+
     assert end_s - start_s == pytest.approx(2.0)
     assert columns["force_status"][columns["t_s"] > end_s].max() == 0
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+
     columns, printed = run(log, "--no-tare")
+
     assert 0 not in columns["force_status"]
     assert "tare         none" in printed
 
@@ -117,9 +135,12 @@ def test_tare_counts_from_the_first_stamp(run, lwr):
     late = insertion(lwr, start_s=1000.0)
     relative, _ = run(late, "--tare", "+0:+2.5")
     absolute, _ = run(late, "--tare", ":1002.5")
+
     np.testing.assert_array_equal(relative["axial_N"], absolute["axial_N"])
     assert relative["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+
     printed = run(insertion(lwr, start_s=1.7e9), "--tare", "+0:+2.5")[1]
+
     assert "1700000000 to 1700000002.5 s" in printed
     assert "  0 to 2.5 s of the log" in run(insertion(lwr), "--tare", "-100:2.5")[1]
 
@@ -134,9 +155,12 @@ def test_bad_rows_are_counted_and_harm_no_others(run, lwr):
         {name: values[keep] for name, values in columns.items()}, *TARE
     )
     rejected = np.flatnonzero(forces["force_status"] == 3)
+
     np.testing.assert_array_equal(rejected, [1500, *range(2000, 2010), 3150])
     assert np.isnan(forces["axial_N"][rejected]).all()
+
     valid = forces["force_status"] != 3
+
     assert np.isfinite(np.stack([forces[n][valid] for n in forces])).all()
     assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
     assert "12: 10 x q is not finite" in printed
@@ -158,6 +182,7 @@ def test_bad_rows_are_counted_and_harm_no_others(run, lwr):
 def test_gaps_are_not_decided_by_rounding(run, lwr, step_s, gaps):
     columns = insertion(lwr)
     thinned = {name: columns[name][::10] for name in ("q_rad", "tau_Nm")}
+
     assert gaps in run({"t_s": np.arange(400) * step_s, **thinned}, "--no-tare")[1]
 
 
@@ -167,6 +192,7 @@ def test_warnings_beyond_the_std_are_reported(run, lwr):
     columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
     forces, printed = run(columns, *TARE)
     warnings = forces["force_warnings"].astype(int)
+
     assert warnings[3500] & SensorWarning.SPIKE
     assert forces["force_status"][3500] == 3
     assert (warnings[3710:3800] & SensorWarning.SATURATED).all()
@@ -180,8 +206,11 @@ def test_clock_set_back_costs_few_rows_only(run, lwr):
     columns = insertion(lwr)
     columns["t_s"][2600:] -= columns["t_s"][2600]
     forces, printed = run(columns, *TARE)
+
     assert "samples      4000 in 3.998 s at 1000 Hz" in printed
+
     rejected = np.flatnonzero(forces["force_status"] == 3)
+
     assert 2600 in rejected
     assert 3 <= len(rejected) <= 110
     np.testing.assert_array_equal(forces["t_s"], columns["t_s"])
@@ -202,9 +231,12 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
     ):
         assert text in refused
     _, printed = run(log, *TARE, "--dq", "dq_rad_s:deg/s")
+
     assert "velocity" not in printed.replace("velocity from the log", "")
+
     forces, printed = run(log, *TARE, "--force-tare")
     lines = printed.splitlines()
+
     assert any(line.startswith("warnings ") and "x velocity" in line for line in lines)
     assert any(
         line.startswith("velocity ") and "is it in deg/s?" in line for line in lines
@@ -259,17 +291,22 @@ def test_urdf_with_locks_or_missing_link_gives_forces(lwr, run, tmp_path):
     )
     robot = ["--urdf", str(urdf), "--tool-frame", "tip"]
     columns, printed = run(arm, *robot, "--lock", "gripper=0.02", *TARE)
+
     assert "arm, 2 joints, payload 0 kg" in printed
     assert np.isfinite(columns["axial_N"]).all()
+
     offset = ["--without", "finger", "--tip-offset", "0", "0", "0.1"]
     columns, printed = run(arm, *robot, *offset, "--no-tare")
+
     assert "arm, 2 joints" in printed
     assert "point force at tool" in printed
+
     # A known arm is loaded by its name.
     columns = insertion(lwr, seconds=0.6)
     six = {"t_s": columns["t_s"]} | {
         name: columns[name][:, :6] for name in ("q_rad", "tau_Nm")
     }
+
     assert "6 joints, payload 0 kg" in run(six, "--robot", "ur10e", "--no-tare")[1]
 
 
@@ -278,9 +315,12 @@ def test_missing_payload_reads_as_its_weight(log, run, tmp_path):
     light.write_text("[needle]\nsensor_mass_kg = 0.0\n")
     options = ("--no-tare", "--mode", "full")
     right, printed = run(log, *options)
+
     assert run(log, *options, "--robot", "lwr4plus")[1] == printed
+
     lacking, printed_lacking = run(log, *options, "--payload", str(light))
     weight_N = (right["force_z_in_base_N"] - lacking["force_z_in_base_N"])[1500]
+
     assert weight_N == pytest.approx(0.236 * 9.80665, abs=0.2)
     assert "payload 0.304 kg" in printed
     assert "payload 0.068 kg" in printed_lacking
@@ -307,6 +347,7 @@ def test_figure_is_written_for_every_mode(run, lwr, tmp_path, options, suffix):
     columns = {name: values[keep] for name, values in columns.items()}
     run(columns, *options, "--figure", str(path))
     content = path.read_bytes()
+
     assert content.startswith(
         {"png": b"\x89PNG", "svg": b"<?xml", "pdf": b"%PDF"}[suffix]
     )
@@ -323,7 +364,9 @@ def test_log_without_valid_row_has_figures(lwr, tmp_path, capsys):
         assert main([*argv, "--over", over, "--report", str(tmp_path / "page")]) == 0
         assert path.is_file()
         assert "no sample was valid" in capsys.readouterr().out
+
     assert "$\\frac{$" in (tmp_path / "page" / "index.html").read_text()
+
     path.unlink()
     for window in (["--from", "90"], ["--from", "90", "--to", "99"], ["--to", "-1"]):
         assert main([*argv, *window, "--report", str(tmp_path / "page")]) == 2

@@ -57,13 +57,16 @@ def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path
     png = tmp_path / "o.png"
     pdf = tmp_path / "depth.pdf"
     table, (layer,), _ = identify("--png", str(png))
+
     assert "±" in layer["friction N"]
     assert len(table) == len(needle["t_s"])
     assert np.count_nonzero(table["rupture"]) == 1
     assert table["identified_layer"][table["is_final"] == 1].tolist() == [1.0]
     assert np.all(table["used"] == 1)
     assert png.read_bytes()[:4] == b"\x89PNG"
+
     identify("--figure", str(pdf), "--over", "depth", "--to", "20")
+
     assert pdf.read_bytes().startswith(b"%PDF")
 
 
@@ -81,11 +84,15 @@ def test_alarm_is_on_the_logs_clock(needle, identify, method, start_s):
 def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
     force_N = needle["force_N"]
     *_, said = identify("--report", str(tmp_path / "page"), force_N=-force_N)
+
     assert "flip its sign; a factor of -1 after the unit does" in said
+
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+
     assert "<p class=notice>Warning: " in page
     assert "flip its sign" in page
     assert "flip" not in identify("--force", "force_N:N:-1", force_N=-force_N)[2]
+
     for name, option in {"depth_m": "depth z:m", "speed_m_s": "speed v:m/s"}.items():
         *_, said = identify(**{"speed_m_s": (), name: -needle[name]})
         assert f"does, as in --{option}:-1" in said
@@ -93,6 +100,7 @@ def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
     in_mN = {"speed_m_s": (), "force_N": (), "force": 1e3 * force_N}
     *_, said = identify(**in_mN)
     rejected = int((np.abs(in_mN["force"]) > 200.0).sum())
+
     assert f"rows that were rejected: {rejected} (force beyond any needle's" in said
     assert "in SI; if the file is in mN, say unit = 'mN'" in said
     assert "rejected" not in identify("--force", "force:mN", **in_mN)[2]
@@ -104,9 +112,12 @@ def test_clock_set_back_hides_no_layer(needle, identify):
     half = int(np.searchsorted(needle["depth_m"], 0.004))
     t_s[half:] -= t_s[half]
     rows, (layer,), said = identify(t_s=t_s, speed_m_s=())
+
     assert "clock set back" in said
+
     columns = {name: needle[name] for name in ("depth_m", "force_N")}
     expected_s = replay(whole_s, **columns).layers[0].rupture.time_s - whole_s[half]
+
     assert float(layer["rupture s"]) == pytest.approx(expected_s, abs=0.03)
     np.testing.assert_array_equal(rows["t_s"], t_s)
     assert 3 <= np.count_nonzero(rows["used"] == 0) <= 30
@@ -114,8 +125,10 @@ def test_clock_set_back_hides_no_layer(needle, identify):
 
 def test_codes_match_sensor_and_session():
     assert tuple(status.value for status in Status) == FORCE_STATUS
+
     for word, bit in WORTHLESS.items():
         assert SensorWarning[word.upper().replace(" ", "_")] == bit
+
     assert sum(WORTHLESS.values()) == session.UNUSABLE
 
 
@@ -125,11 +138,14 @@ def test_marked_rows_are_counted_and_ignored(needle, identify):
     status[:4] = [0.0, 1.0, 2.0, 3.0]
     warnings[4:6] = [5.0, 32.0 + 1.0]
     rows, _, said = identify(force_status=status, force_warnings=warnings)
+
     assert rows["used"][:7].tolist() == [1, 0, 0, 0, 1, 0, 1]
     assert re.findall(r"were left out: (\d+)", said) == ["3", "1"]
     assert len(identify(status=np.ones(count))[1]) == 1
+
     marked = {"force_warnings": np.full(count, 32)}
     _, layers, said = identify(**marked)
+
     assert f"velocity) were left out: {count}" in said
     assert layers == []
     assert len(identify("--ignore-status", **marked)[1]) == 1
@@ -163,7 +179,9 @@ def insertion(tmp_path_factory):
 @pytest.mark.parametrize("name", ["a/log", "layers"])
 def test_figure_never_replaces_a_chart_of_the_report(insertion, capsys, name):
     charts = sorted((insertion / name).glob("*.svg"))
+
     assert len(charts) == {"a/log": 6, "layers": 2}[name]
+
     for chart in charts:
         argv = [
             "identify",
@@ -185,20 +203,28 @@ def test_report_shows_forces_and_their_layers(insertion):
         (insertion / name / "index.html").read_text(encoding="utf-8")
         for name in ("a/log", "layers")
     )
+
     assert "Forces from log.npz" in page
     assert "Layers from forces.csv" in alone
+
     for label in ("robot", "samples", "rejected", "gaps", "tare", "lag"):
         assert f"<td>{label}</td>" in page
+
     assert f"<td>{SENSOR.gain_per_s:g}</td>" in page
     assert "<code>prior.gear_ratio</code>" in page
+
     for text in ("friction N", "<code>alarm_probability</code>"):
         assert text in page
         assert text in alone
     tables = [re.search(r"Layers traversed.*?</table>", p, re.S) for p in (page, alone)]
+
     assert tables[0].group() == tables[1].group()
+
     rows = "t_s,depth_m,force_N,q1,q2,/b/q1,/b/q2\n0,0,0,1,1,1,1\n1,0.001,1,1,1,1,1\n"
     (insertion / "two.csv").write_text(rows)  # whose joints are meant does not matter
+
     assert main(["report", str(insertion / "two.csv"), str(insertion / "two")]) == 0
+
     for text in (
         "time since the first sample [s]",
         "axial force [N]",

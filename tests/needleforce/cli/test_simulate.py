@@ -46,17 +46,25 @@ def quick(run, monkeypatch, tmp_path):
 def test_every_format_passes_both_commands_without_options(quick, capsys, suffix, run):
     assert main(["simulate", ID, "-o", f"x{suffix}"]) == 0
     assert quick == [(ID, "clean", 0)]
+
     printed = capsys.readouterr().out
+
     assert "without contact until 13 s" in printed
     assert f"needleforce force x{suffix} --tare 0:13 -o forces{suffix}" in printed
     assert main(["force", f"x{suffix}", "--tare", "0:13", "-o", f"forces{suffix}"]) == 0
+
     capsys.readouterr()
+
     assert main(["identify", f"forces{suffix}"]) == 0
+
     out, err = capsys.readouterr()
     (layer,) = [line.split() for line in out.splitlines()[1:]]
     true = run.truth.ruptures[0]
+
     assert float(layer[3]) == pytest.approx(true.onset_s, abs=0.1)
+
     friction_N, std_N = map(float, layer[7].split("±"))
+
     assert friction_N == pytest.approx(true.layer_friction_N, abs=2.0 * std_N)
     assert std_N < 0.2 * friction_N
     assert "--ignore-status takes them" in err
@@ -65,34 +73,46 @@ def test_every_format_passes_both_commands_without_options(quick, capsys, suffix
 
 def test_recording_holds_the_robots_signals_alone(quick, run):
     assert main(["simulate", ID, "-o", "x.mcap"]) == 0
+
     log = read_log("x.mcap", required=["q", "tau"], optional=["dq"])
+
     np.testing.assert_array_equal(log["q_rad"], run.signals.q_rad)
     np.testing.assert_array_equal(log["tau_Nm"], run.signals.tau_Nm)
     np.testing.assert_allclose(log.t_s, run.signals.t_s, atol=5e-10, rtol=0)
+
     table = read_table("x.mcap")
+
     assert set(table.columns) == {
         "t_s",
         *(f"/joint_states/{field}" for field in ("position", "velocity", "effort")),
         *(f"/ft_sensor/wrench/{field}_xyz" for field in ("force", "torque")),
     }
     assert table.joint_names["/joint_states/effort"] == run.robot.joint_names
+
     wrench = np.hstack(
         [table.columns[f"/ft_sensor/wrench/{f}_xyz"] for f in ("force", "torque")]
     )
+
     np.testing.assert_array_equal(wrench, run.signals.ft_wrench)
 
 
 def test_ground_truth_has_its_own_file(quick, run):
     assert main(["simulate", ID, "--truth", "truth.npz"]) == 0
+
     columns = read_table("truth.npz").columns
+
     np.testing.assert_array_equal(columns["axial_N"], run.truth.axial_N)
     np.testing.assert_array_equal(
         columns["layer_friction_N"], run.truth.layer_friction_N
     )
+
     (row,) = np.flatnonzero(columns["rupture"])
+
     assert columns["t_s"][row] == pytest.approx(run.truth.rupture_s[0], abs=2e-3)
     assert columns["rupture"][row] == 1.0
+
     log = read_log("truth.npz", required=["depth", "speed", "force"])
+
     np.testing.assert_array_equal(log["force_N"], run.truth.axial_N)
 
 
@@ -101,6 +121,7 @@ def test_surface_rupture_is_marked_and_none_hides_another(run):
     together = tuple(replace(first, layer=number) for number in (0, 1, 2))
     truth = replace(run.truth, ruptures=together)
     columns = truth_table(replace(run, truth=truth))
+
     assert columns["rupture"][columns["rupture"] > 0].tolist() == [1, 2]
     assert np.count_nonzero(columns["surface_rupture"]) == 1
 
@@ -116,7 +137,9 @@ def test_options_reach_the_simulation(quick):
 
 def test_list_names_every_scenario(capsys):
     assert main(["simulate", "--list"]) == 0
+
     listed = [line.split()[0] for line in capsys.readouterr().out.splitlines()]
+
     assert listed == [*SCENARIOS, "random-stack", "random-tissue"]
 
 
@@ -135,6 +158,7 @@ def test_bad_requests_are_one_line_before_simulation(quick, capsys, options, sai
     if "hard.csv" in options:
         Path("x.csv").touch()
         Path("hard.csv").hardlink_to("x.csv")
+
     assert said in refusal(["simulate", *options.split()], capsys)
     assert quick == []
 
@@ -144,6 +168,7 @@ def test_missing_mujoco_is_named_with_its_package(capsys, monkeypatch, tmp_path)
     message = refusal(
         ["simulate", "free-motion", "-o", str(tmp_path / "x.csv")], capsys
     )
+
     assert message.startswith("error: the simulated arm needs")
     assert "mujoco" in message
     assert "pip install" in message

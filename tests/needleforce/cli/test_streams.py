@@ -85,12 +85,15 @@ def piped(name, data):
 def test_pipes_give_the_bytes_of_the_file(case, tmp_path):
     name, path, expected = case
     process = piped(name, path.read_bytes())
+
     assert (process.returncode, process.stdout) == (0, expected), process.stderr
     assert SUMMARY[name].encode() in process.stderr
+
     (tmp_path / "table.csv").write_bytes(expected)
     written_s, logged_s = (
         read_table(p).columns["t_s"] for p in (tmp_path / "table.csv", path)
     )
+
     np.testing.assert_array_equal(written_s, logged_s)
 
 
@@ -104,8 +107,11 @@ def test_output_never_replaces_its_own_standard_input(logs, tmp_path, suffix):
         process = subprocess.run(
             [*PROGRAM, *argv], stdin=stream, capture_output=True, check=False
         )
+
     assert (process.returncode, log.read_bytes() == content) == (2, True)
+
     message = f"cannot write {log}: it is the log itself; give another name"
+
     assert process.stderr.decode() == f"error: {message}\n"
 
 
@@ -115,16 +121,23 @@ def test_bag_may_grow_or_come_piped(logs, tmp_path):
     )
     columns = read_table(logs / "identify.csv").columns
     write_table(log, dict(sorted(columns.items(), key=lambda item: -item[1].ndim)))
+
     assert main(["identify", str(log), "-o", str(expected)]) == 0
+
     data = log.read_bytes()
     process = piped("identify", data)
+
     assert (process.returncode, process.stdout) == (0, expected.read_bytes()), (
         process.stderr
     )
+
     writer = grow(tmp_path / "growing.mcap", in_pieces(data, 20), pause_s=0.05)
     argv = ["identify", str(tmp_path / "growing.mcap"), "--follow", "-o", str(out)]
+
     assert main(argv) == 0
+
     writer.join()
+
     assert out.read_bytes() == expected.read_bytes()
 
 
@@ -133,7 +146,9 @@ def test_growing_file_gives_rows_at_once(logs, tmp_path):
     growing = tmp_path / "growing.csv"
     out = tmp_path / "out.csv"
     whole = tmp_path / "whole.csv"
+
     assert main(["force", str(log), *OPTIONS["force"], "-o", str(whole)]) == 0
+
     data = log.read_bytes()
     expected = whole.read_bytes()
     half = data.index(b"\n", len(data) // 2) - 5
@@ -146,6 +161,7 @@ def test_growing_file_gives_rows_at_once(logs, tmp_path):
         wait_for(lambda: len(out.read_bytes()) == len(expected))
         process.send_signal(signal.SIGINT)
         printed, said = process.communicate(timeout=PATIENCE_S)
+
     assert (process.returncode, said, b"axial force" in printed) == (0, b"", True)
     assert out.read_bytes() == expected
 
@@ -163,6 +179,7 @@ def test_following_ends_by_itself_when_nothing_comes(case, tmp_path, capsys):
         "-o",
         str(out),
     ]
+
     assert main(argv) == 0
     assert out.read_bytes() == expected
     assert SUMMARY[name] in capsys.readouterr().out
@@ -190,17 +207,26 @@ def test_ctrl_c_keeps_rows_and_names_replaced_table(
     log = logs / {"force": "force.csv", "identify": "whole.csv"}[name]
     path = tmp_path / f"out.{suffix}"
     argv = [name, str(log), *OPTIONS[name], "-o", str(path)]
+
     assert main(argv) == 130
+
     printed = capsys.readouterr()
+
     assert "interrupted: the results are those of the rows read so far" in printed.err
     assert "replaced" not in printed.err
+
     outcome = {"force": "tare         none", "identify": "no rupture detected"}
+
     assert outcome[name] in printed.out
+
     rows = len(read_table(path).columns["t_s"])
+
     assert 0 < rows < len(read_table(log).columns["t_s"])
     assert list(tmp_path.iterdir()) == [path]
     assert main(argv) == 130
+
     replaced = f"{path} holds these rows only; the table that was there is replaced"
+
     assert replaced in capsys.readouterr().err
 
 
@@ -223,8 +249,10 @@ def test_signal_before_any_log_ends_the_command(
     if handle is not None:
         os.close(handle)
     word = b"interrupted\n" if kind is signal.SIGINT else b"terminated\n"
+
     assert (process.returncode, printed, said) == (code, b"", word)
     assert [path.name for path in tmp_path.iterdir()] == ["pipe.csv"]
+
     if not has_writer:
         argv = ["force", str(pipe), "--no-tare", "--idle", "0.3"]
         assert "it is empty" in refusal(argv, capsys)
@@ -275,6 +303,7 @@ def test_sigterm_leaves_only_the_older_table(logs, tmp_path, suffix):
             _, said = process.communicate(timeout=PATIENCE_S)
         if process.returncode:
             break
+
     # The compiler may say before that it ignores what a signal raised in a callback of
     # its own.
     assert (process.returncode, said[-11:]) == (143, b"terminated\n")
@@ -287,11 +316,14 @@ def test_failing_log_leaves_older_table_or_streamed_rows(lwr, tmp_path, capsys):
     out = tmp_path / "out.csv"
     out.write_text("old\n1\n")
     argv = ["force", str(early), *OPTIONS["force"], "-o", str(out)]
+
     assert main(argv) == 2
     assert out.read_text() == "old\n1\n"
     assert main([*argv, "--follow", "--idle", "0.1"]) == 2
     assert "--force-tare" in capsys.readouterr().err
+
     columns = read_table(out).columns
+
     assert 1000 < len(columns["t_s"]) <= 2500
     assert columns["force_status"].min() == 1
 
@@ -302,6 +334,7 @@ def test_vanished_reader_ends_the_command_quietly(case):
         assert process.stdout.readline().startswith(FIRST_COLUMNS[name])
         process.stdout.close()
         said = process.stderr.read()
+
     assert (process.returncode, b"Traceback" in said, b"BrokenPipe" in said) == (
         141,
         False,
@@ -317,8 +350,11 @@ def test_full_disk_is_reported(logs, output):
     argv = [*PROGRAM, "force", str(logs / "force.csv"), "--no-tare", *output]
     with open("/dev/full", "wb") as full:
         process = subprocess.run(argv, stdout=full, stderr=subprocess.PIPE, check=False)
+
     assert process.returncode == 2
+
     (line,) = process.stderr.splitlines()
+
     assert line == b"error: cannot write standard output: No space left on device"
 
 

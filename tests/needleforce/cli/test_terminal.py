@@ -69,11 +69,14 @@ def test_unforeseen_error_is_raised_and_code_returned(capsys):
     for error in (ZeroDivisionError(), PermissionError(13, "forbidden", "some.file")):
         with pytest.raises(type(error)):
             run_command(failing(error))
+
     assert run_command(lambda: 7) == 7
+
     say("two\nlines")
     write_out("table\n", to_stderr=True)
     write_out("result\n")
     printed = capsys.readouterr()
+
     assert printed.err == "two lines\ntable\n"
     assert printed.out == "result\n"
 
@@ -87,8 +90,10 @@ def test_first_ctrl_c_asks_second_interrupts():
         assert stop()
         with pytest.raises(KeyboardInterrupt):
             os.kill(os.getpid(), signal.SIGINT)
+
     with pytest.raises(KeyboardInterrupt):
         os.kill(os.getpid(), signal.SIGINT)
+
     signal.signal(signal.SIGINT, handler)
 
 
@@ -96,11 +101,13 @@ def test_unwritable_characters_become_escapes(monkeypatch):
     stream = io.TextIOWrapper(io.BytesIO(), encoding="ascii")
     monkeypatch.setattr(sys, "stdout", stream)
     write_out("0.3±0.1 \udcff\n")
+
     assert stream.buffer.getvalue() == b"0.3\\xb10.1 \\udcff\n"
 
 
 def test_help_and_version_answer_without_the_estimators(capsys):
     assert main(["--help"]) == 0
+
     for name in ("simulate", "force", "identify", "report"):
         assert name in capsys.readouterr().out or main([name, "--help"]) == 0
     code = "import sys; from needleforce.cli import main; main(['force', '--help']); "
@@ -108,6 +115,7 @@ def test_help_and_version_answer_without_the_estimators(capsys):
     process = subprocess.run(
         [sys.executable, "-c", code], capture_output=True, text=True, check=True
     )
+
     assert process.stdout.splitlines()[-1] == "set()"
     assert "--external-torque" in process.stdout
     assert "START:END" in process.stdout
@@ -188,6 +196,7 @@ def test_overview_keeps_few_rows_and_all_extremes(pieces):
     for numbers in np.array_split(np.arange(len(x)), pieces):
         overview.add({"n": numbers, "x": x[numbers]})
     rows = overview.columns()
+
     assert 50 < len(rows["n"]) <= 200
     assert 0 < np.diff(rows["n"]).min() <= np.diff(rows["n"]).max() < 500
     np.testing.assert_array_equal(rows["x"], x[rows["n"]])
@@ -218,12 +227,15 @@ def test_printed_mapping_holds_the_options(run, capsys):
         written(run("identify", "log.csv", *columns, "--print-config"))
     )
     log = read_log("log.csv", mapping, required=["depth", "force"])
+
     np.testing.assert_allclose(log.t_s, [0.0, 1e-3])
     np.testing.assert_allclose(log["depth_m"], [-1e-3, -2e-3])
     np.testing.assert_allclose(log["force_N"], [2e-3, 3e-3])
+
     rate = load_mapping(
         written(run("identify", "log.csv", "--rate", "50", "--print-config"))
     )
+
     assert rate.rate_hz == 50.0
     assert main(["identify", "log.csv", "--force", "nothing", "--print-config"]) == 2
     assert "no column 'nothing'" in capsys.readouterr().err
@@ -238,8 +250,10 @@ def test_mapping_is_printed_edited_and_read_back(run, lwr):
     )
     write_table("log.csv", table)
     text = run("force", "log.mcap", "--print-config")
+
     assert tomllib.loads(text)["joints"] == list(lwr.joint_names)
     assert tomllib.loads(text)["payload"]["needle"]["needle_mass_kg"] == 0.068
+
     edited = written(text.replace("scale = 1.0  # -1.0", "scale = -1.0  # -1.0"))
     results = []
     for options in (
@@ -249,9 +263,12 @@ def test_mapping_is_printed_edited_and_read_back(run, lwr):
     ):
         run("force", *options)
         results.append(np.load(options[2])["axial_N"])
+
     np.testing.assert_allclose(results[1], results[0], atol=1e-9)
     assert not np.allclose(results[2], results[0], equal_nan=True)
+
     content = tomllib.loads(run("identify", "b.npz", "--print-config"))
+
     assert content["force"]["columns"] == "axial_unsmoothed_N"
     assert content["depth"]["columns"] == "travel_m"
 
@@ -302,6 +319,7 @@ def test_progress_bar_needs_a_terminal(monkeypatch, is_terminal):
         progress(0.5)
     with progress_bar("other.csv", is_wanted=False) as progress:
         progress(0.5)
+
     assert ("log.csv" in stream.getvalue(), "50%" in stream.getvalue()) == (
         is_terminal,
     ) * 2
@@ -311,11 +329,14 @@ def test_progress_bar_needs_a_terminal(monkeypatch, is_terminal):
 def test_progress_bar_leaves_the_result_unchanged(tmp_path, monkeypatch, capsys):
     path = tmp_path / "log.csv"
     write_table(path, LONG_COLUMNS)
+
     assert main(["identify", str(path)]) == 0
+
     plain = capsys.readouterr().out
     stream = Terminal()
     monkeypatch.setattr("sys.stderr", stream)
     monkeypatch.setenv("TERM", "xterm")
+
     assert main(["identify", str(path)]) == 0
     assert capsys.readouterr().out == plain
     assert "log.csv" in stream.getvalue()

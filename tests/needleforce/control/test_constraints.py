@@ -45,6 +45,7 @@ def test_published_recursion_loses_the_insertion_to_posture(monkeypatch):
 def test_kinematic_error_shows_where_shared_kinematics_hide_it():
     shared = numbers("decoupled S")["turn_tip_error_mm_per_rad"]
     displaced = numbers("decoupled_kinematic S")["turn_tip_error_mm_per_rad"]
+
     assert displaced > 5.0 * shared
 
 

@@ -23,9 +23,11 @@ def test_the_hand_reaches_the_travel_in_strokes():
 
     t_s = np.arange(0.0, hand.duration_s + 0.5, 1e-3)
     wish, pedal = map(np.array, zip(*(hand.at(t) for t in t_s), strict=True))
+
     assert wish.max() <= HAND_STROKE_M
 
     moved = np.diff(wish) * pedal[1:]
+
     assert hand.scale * moved[moved > 0.0].sum() == pytest.approx(0.1, rel=1e-3)
     assert (~pedal).sum() == pytest.approx(1e3 * BACK_S, abs=2)
 
@@ -89,6 +91,7 @@ def test_an_arm_yields_and_rests_when_released(tmp_path, capsys, monkeypatch):
 
 def test_a_needle_stops_by_itself_behind_a_rupture(tmp_path, capsys):
     said = shown("autonomous", tmp_path, capsys)
+
     assert number_behind(said, "ruptures passed") == 1
     assert 0.0 < number_behind(said, "overshoot past the rupture") < 0.25
 

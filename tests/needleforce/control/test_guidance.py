@@ -22,13 +22,16 @@ def velocity(guidance, torque, ticks=1, **how):
 def test_guidance_rests_below_the_dead_zone():
     """Below the dead zone the arm rests exactly, above it the motion is viscous."""
     assert not velocity(Guidance(ROBOT), 0.1, 1000).any()
+
     zone = 0.0016 * ROBOT.effort_limit_Nm + 4.0 * SIGMA
     guidance = Guidance(ROBOT, np.full(7, 10.0))
 
     assert (
         velocity(guidance, 5.0, 60) < 0.5 * (5.0 - zone) / 10.0
     ).all()  # heavy at first
+
     expected = (5.0 - 0.15 * zone) / 10.0
+
     assert velocity(guidance, 5.0, 3000) == pytest.approx(expected, rel=1e-2)
 
 
@@ -127,7 +130,9 @@ def test_impossible_torques_and_rejected_sigma_are_skipped():
     other = Guidance(ROBOT)
 
     assert np.isfinite(velocity(guidance, 1e308)).all()
+
     other.update(np.zeros(7), np.zeros(7), 1e-3, is_valid=False)
+
     assert velocity(guidance, 5.0, 300) == pytest.approx(
         velocity(other, 5.0, 300), rel=1e-3
     )

@@ -188,7 +188,9 @@ def test_a_foreign_needle_axis_is_refused():
     manager, sensor = new_manager()
 
     assert manager.update(None).time_s > 0.0
+
     sensor.sensor_config = SensorConfig(insertion_axis=(1.0, 0.0, 0.0))
+
     with pytest.raises(SettingError, match="along z"):
         Manager(sensor)
 
@@ -203,6 +205,7 @@ def test_before_a_valid_sample_position_is_unknown():
 
     sensor.reads(depth_m=0.1)
     run(manager, 0.2)
+
     assert manager.request("approach") == ""
     assert run(manager, 0.1).state is State.APPROACH
 
@@ -244,9 +247,11 @@ def test_teleoperation_needs_its_device_and_stops_without():
     assert "no haptic device" in manager.request("teleoperate")
 
     run(manager, 0.01, Beside(has_device=True))
+
     assert manager.request("teleoperate") == ""
 
     situation = run(manager, 0.1)
+
     assert situation.state is State.STOPPED
     assert "haptic device has been silent" in situation.reason
 

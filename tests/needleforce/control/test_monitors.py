@@ -70,6 +70,7 @@ def test_a_rising_force_stops_before_it_is_there():
         sensor.reads(axial=0.03 * k)
         if run(manager).state is State.STOPPED:
             break
+
     assert 0.8 < 0.03 * k < 1.5
 
 
@@ -83,6 +84,7 @@ def test_only_force_against_the_withdrawal_stops_it():
     assert run(manager, 0.1).state is State.WITHDRAW
 
     sensor.reads(axial=-2.5)
+
     assert run(manager, 0.1).state is State.STOPPED
 
 
@@ -184,6 +186,7 @@ def test_a_silent_program_stops_in_a_dwell():
 
     assert manager.request("arrived") == ""
     assert run(manager, 0.2).is_moving  # a stopped tip is held
+
     for _ in range(150):
         situation = manager.update(ArmSample(1e-3, *[np.zeros(7)] * 3))
 
@@ -212,6 +215,7 @@ def test_invalid_force_or_command_stops():
     assert situation.state is State.INSERTION
 
     situation = run(manager, 0.01, Beside(axial_N=np.nan))
+
     assert situation.state is State.FAULTED
     assert "axial force of the sensor nan" in situation.reason
 

@@ -57,6 +57,7 @@ def test_the_device_reports_encoder_steps():
     np.testing.assert_allclose(place / 1e-5, np.round(place / 1e-5), atol=1e-6)
 
     speed = np.array([sample.velocity_m_s[0] for sample in samples[2000:]])
+
     assert speed.mean() == pytest.approx(0.05, rel=0.02)
     assert 0.0 < speed.std() < 5e-3
     assert samples[-1].t_s == pytest.approx(3.0)
@@ -75,6 +76,7 @@ def test_a_disconnected_device_reports_and_shows_nothing():
     assert master.read() is not None
 
     master.render((np.nan, 0.0, 0.0))
+
     assert np.isfinite(master.read().position_m).all()
 
 

@@ -217,6 +217,7 @@ def test_an_impossible_task_or_start_is_refused(make):
 def test_a_start_is_within_the_limits_of_speed():
     control = Controller(ROBOT, Limits(ROBOT))
     control.reset(np.full(7, 100.0))
+
     assert (control.last_rad_s <= ROBOT.velocity_limit_rad_s).all()
 
 

@@ -108,6 +108,7 @@ def test_a_reading_that_is_no_number_is_skipped():
             identified(), force_N, 5e-6 * k, DT, is_steady=True
         )
         assert k > 3000 or not is_counted
+
     assert ruptures.count == 1
 
 
@@ -193,7 +194,9 @@ def test_holding_is_no_faster_than_planned():
         0.0,
         "arrived",
     )
+
     profile.update(make_situation(State.INSERTION, 0.025, 2, 1.0))
+
     assert (
         profile.update(make_situation(State.DWELL, 0.0, 3, 0.0)).speed_m_s <= SPEED_M_S
     )
@@ -271,6 +274,7 @@ def test_targets_on_the_needle_line_have_depths():
     with pytest.raises(SettingError, match="expected a direction"):
         depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), np.zeros(3))
     assert depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), axis) == pytest.approx(0.05)
+
     for target in ((0.1, 0.0, 0.3), (0.1, 0.01, 0.2)):
         with pytest.raises(SettingError, match="align the needle"):
             depth_of(target, (0.1, 0.0, 0.25), axis)

@@ -233,6 +233,7 @@ def test_a_wall_never_pulls(beyond_m, speed_m_s):
     push = wall.force(0.0, motion)[0][2]
 
     assert push >= 0.0
+
     if beyond_m > 1e-9:
         assert push == pytest.approx(
             max(20e3 * beyond_m + 50.0 * speed_m_s, 0.0), abs=1e-6
@@ -261,7 +262,9 @@ def test_a_command_acts_after_the_latency():
         q_rad[ticks] = np.array([s.q_rad for s in run(rig, 0.1, lambda t_s, rig: step)])
 
     np.testing.assert_allclose(q_rad[1][:-5], q_rad[6][5:], atol=1e-9)
+
     moved = np.abs(q_rad[6] - q_rad[6][0]).max(axis=1)
+
     assert moved[6] < 1e-12 < 1e-7 < moved[8]
 
 
@@ -286,6 +289,7 @@ def test_the_arm_refuses_commands_as_asked():
 
     rig.refuse_commands(0.003)
     answers = [rig.send(REST) for _, sample in zip(range(5), rig, strict=False)]
+
     assert answers == [False] * 3 + [True] * 2
 
 
@@ -359,6 +363,7 @@ def test_only_equal_seeds_give_equal_runs():
     )
     for sample, repeated in zip(first, again, strict=True):
         np.testing.assert_array_equal(sample.tau_Nm, repeated.tau_Nm)
+
     assert not np.array_equal(first[-1].tau_Nm, other[-1].tau_Nm)
 
 
@@ -396,7 +401,9 @@ def test_tissue_lies_as_asked_and_ruptures_count():
     run(rig, 0.5, down(0.04))
 
     assert rig.truth.depth_m == pytest.approx(0.04 * 0.5 - 2e-3, abs=1e-3)
+
     truth = rig.tissue_truth()
+
     assert len(truth.ruptures) == rig.truth.ruptured > 0
     assert truth.axial_N[-1] == pytest.approx(rig.truth.tissue.axial_N)
 
@@ -411,6 +418,7 @@ def test_kinematic_error_displaces_the_true_needle_only():
         believed = data.oMf[robot.frame_id("needle_tip")].translation
         next(rig)
         offsets.append(rig.truth.tip_m - believed)
+
     # Six joints at 0.2 mm and about 0.5 m x 0.3 mrad.
     assert 0.2e-3 < np.std(offsets) < 1.5e-3
 

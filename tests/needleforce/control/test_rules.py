@@ -87,6 +87,7 @@ def test_a_log_holds_the_named_fields_and_refusals(tmp_path):
 def test_a_damaged_log_is_refused(tmp_path, line):
     path = tmp_path / "events.jsonl"
     path.write_text(line + "\n")
+
     with pytest.raises(SettingError, match="line 1 is no event"):
         read_events(path)
 
@@ -112,6 +113,7 @@ def test_a_log_of_two_sessions_begins_idle_twice(tmp_path):
     assert replay(events) == [event.target for event in events]
 
     write_mcap(events, tmp_path / "two.mcap")
+
     assert read_events(tmp_path / "two.mcap") == events
 
     whole = (tmp_path / "two.mcap").read_bytes()
@@ -142,6 +144,7 @@ def test_half_a_line_spoils_no_other(tmp_path):
     assert read_events(tmp_path / "log.jsonl") == manager.events[:1]
 
     manager.request("release")
+
     assert read_events(tmp_path / "log.jsonl") == manager.events
 
 

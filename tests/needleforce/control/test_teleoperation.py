@@ -375,6 +375,7 @@ def test_unused_allowance_is_not_saved_up():
     assert quiet == 1e-3
 
     port.observe(-1.0, 1.5e-3)  # more than may leave has left
+
     assert port.update_budget_J(0.0, DT) == pytest.approx(-0.5e-3 + 2e-6)
 
     for _ in range(2000):
@@ -522,6 +523,7 @@ def test_an_impossible_handle_sample_counts_as_none(sample):
     assert np.isfinite(
         tele.update(handle(clutch=None), estimate(1.0), DT).force_N
     ).all()
+
     for odd, dt_s in ((handle(("0", "0", "0")), DT), (handle(), 10**400)):
         assert np.isfinite(tele.update(odd, estimate(1.0), dt_s).force_N).all()
 

@@ -102,5 +102,6 @@ def test_haptic_silence_is_one_outage(silence, monkeypatch):
             master.read()
 
     report = master.report
+
     assert (report.outages, report.longest_gap_s) == (2, pytest.approx(2.0))
     assert len(sent) > report.used + 20  # asked again every 0.1 s

@@ -85,10 +85,13 @@ def measurement(**values):
 
 def test_every_lwr_cycle_is_answered_and_passed_on():
     run = fri_run(1000)
+
     assert len(run.readings) == 1000 == run.report.used
     assert run.counts["same_cycle"] == 1000
     assert [reading.dt_s for reading in run.readings[:3]] == [1e-3] * 3
+
     reading = run.readings[42]
+
     assert np.array_equal(reading.q_rad, ROWS[42])
     assert np.array_equal(reading.tau_Nm, 2.0 * ROWS[42])
     assert reading.dq_rad_s is None
@@ -99,14 +102,19 @@ def test_invalid_packets_are_dropped_missed_ones_counted():
         lost=0.02, late=0.02, repeated=0.02, truncated=0.02, garbage=0.05
     )
     run = fri_run(2000, faults)
+
     assert all(
         np.array_equal(reading.tau_Nm, 2.0 * reading.q_rad) for reading in run.readings
     )
+
     report = run.report
+
     assert report.malformed > 50
     assert report.stale > 20
     assert report.missed > 30
+
     elapsed_s = sum(reading.dt_s for reading in run.readings)
+
     assert report.used + report.missed == round(elapsed_s / 1e-3)
     assert sum(reading.missed for reading in run.readings) == report.missed
 
@@ -114,6 +122,7 @@ def test_invalid_packets_are_dropped_missed_ones_counted():
 def test_readings_after_an_outage_include_its_duration():
     run = fri_run(2500, WireFaults(silent=((0.3, 2.3),)), give_up_s=4.0)
     gap = max(run.readings, key=lambda reading: reading.dt_s)
+
     assert 1.99 < gap.dt_s < 3.9  # longer only on a busy machine
     assert gap.missed == round(gap.dt_s / 1e-3) - 1
     assert run.report.outages == 2  # the second is the end
@@ -127,10 +136,13 @@ def test_commands_need_command_mode_and_good_connection():
     in_monitor_mode = slice(0, 190)
     while_commanded = slice(220, 580)
     while_badly_connected = slice(620, 790)
+
     assert not accepted[in_monitor_mode].any()
     assert accepted[while_commanded].all()
     assert not accepted[while_badly_connected].any()
+
     moved_rad = run.counts["commanded_rad"] - ROWS[0]
+
     assert np.allclose(moved_rad, 0.1 * np.count_nonzero(accepted) * 1e-3, rtol=0.1)
 
 
@@ -140,8 +152,11 @@ def test_a_silent_arm_is_reported(command, tmp_path, monkeypatch, capsys):
         "needleforce.cli.arms.arm_connection.FriArm", partial(FriArm, give_up_s=0.2)
     )
     to = ["-o", str(tmp_path / "x.csv")] if command == "record" else []
+
     assert main([command, "fri:0", *to]) == 2
+
     said = capsys.readouterr().err.splitlines()
+
     assert said[-1].startswith(
         "error: no sample came from fri:0 (1 outages): expected one per"
     )
@@ -248,7 +263,9 @@ def test_what_is_no_measurement_is_refused(data):
 
 def test_random_datagrams_do_no_harm():
     rng = np.random.default_rng(1)
+
     assert fri.read_measurement(measurement()) is not None
+
     for _ in range(100_000):
         size = 916 if rng.random() < 0.5 else int(rng.integers(1501))
         record = fri.read_measurement(rng.bytes(size))
@@ -270,6 +287,7 @@ def test_another_sender_is_not_listened_to():
 
     assert len(readings) == 3
     assert arm.report.foreign == 3
+
     for peer, used in (("127.0.0.2", 0), ("127.1", 1)):
         named = FriArm(port=0, peer=peer, wait_s=0.05, give_up_s=0.1)
         with named, socket.socket(type=socket.SOCK_DGRAM) as box:
@@ -309,8 +327,10 @@ def test_an_address_that_cannot_be_is_said_so():
 def test_a_closed_force_sensor_reads_nothing():
     ft = NetFT(scale=Scale(1.0, 1.0))
     ft.close()
+
     assert ft.read() is None
     assert list(ft.stream()) == []
+
     ft.close()
 
 
@@ -357,6 +377,7 @@ def test_lost_force_records_are_counted():
             wrenches.append(ft.read())
 
     report = ft.report
+
     assert all(
         np.abs(wrench).max() <= max_N for wrench in wrenches if wrench is not None
     )
@@ -371,6 +392,7 @@ def test_a_page_that_breaks_off_names_no_counts(monkeypatch):
         raise IncompleteRead(b"<netft>")
 
     monkeypatch.setattr(rdt, "urlopen", broken)
+
     with pytest.raises(LinkError, match="no counts per newton"):
         rdt.read_scale("http://127.0.0.1/")
 
@@ -440,13 +462,17 @@ def test_a_restarted_count_needs_many_records_in_sequence(first, anew):
         range(first, first + 50), odd, range(first + 50, first + 52), again
     )
     stale = 1 + rdt.MIN_RENUMBERED_RECORDS + 1
+
     assert (report.used, report.stale, report.missed) == (853 - stale, stale, 0)
 
 
 def test_repeated_and_late_buffered_datagrams_are_unused():
     first, second, third, fourth = (range(k, k + 40) for k in (0, 40, 80, 120))
+
     assert received(first, second, second, third).used == 120
+
     late = received(first, third, second, fourth)
+
     assert (late.used, late.stale, late.missed) == (120, 40, 40)
 
 
@@ -523,13 +549,16 @@ def test_malformed_haptic_states_are_counted():
 @pytest.mark.parametrize("seconds", ["nan", "-1", "0", "inf"])
 def test_a_loop_of_no_time_is_refused(seconds, capsys):
     assert measure(["speed", f"--loop={seconds}"]) == 2
+
     said = capsys.readouterr().err
+
     assert f"error: --loop {seconds}: expected a positive number of seconds" in said
 
 
 def test_recorded_signals_come_in_real_time():
     arm = ReplayArm(np.full(100, 1e-3), ROWS, None, ROWS)
     begin_s = time.monotonic()
+
     assert len(list(pace(arm))) == 100
     assert time.monotonic() - begin_s > 0.09
     assert not arm.send(np.zeros(7))

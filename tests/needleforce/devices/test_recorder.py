@@ -43,6 +43,7 @@ def test_a_signal_ends_recording_also_in_silence(
     code = main(["record", "fri:0", "-o", str(path)])
     asking.join()
     signal.signal(signal.SIGINT, old_handler)
+
     assert code == (0 if sends else 2)
     assert (
         f" s in {path}" if sends else "error: no sample came from"
@@ -62,6 +63,7 @@ def test_a_recorder_whose_process_dies_says_so(tmp_path):
         yield from [SAMPLE] * 100
 
     recorder = Recorder(tmp_path / "x.csv", ("a",) * 7)
+
     with (
         pytest.raises(
             CommandError, match="process that writes the recording has ended"
@@ -77,6 +79,7 @@ def test_a_recorder_refuses_signals_that_come_and_go(tmp_path):
     path = tmp_path / "x.csv"
     samples = [*[SAMPLE] * 70, SAMPLE._replace(tau_Nm=None)]
     recorder = Recorder(path, ("a",) * 7)
+
     with pytest.raises(CommandError, match="expected the same"), recorder:
         collections.deque(map(recorder.put, samples))
 
@@ -89,5 +92,6 @@ def test_a_recorder_that_cannot_write_says_why(tmp_path):
 
     recorder = Recorder(tmp_path / "x.csv", ())
     (tmp_path / "x.csv").mkdir()
+
     with pytest.raises(FileAccessError, match=r"cannot write .*x\.csv"), recorder:
         recorder.put(SAMPLE)

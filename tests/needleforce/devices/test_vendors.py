@@ -58,6 +58,7 @@ def test_a_franka_arm_is_read_bit_for_bit():
         assert emulator.stop()["sent"] >= 1000
 
     assert len(readings) == 1000
+
     first = next(
         k for k in range(1000) if np.array_equal(settings.q_rad[k], readings[0].q_rad)
     )
@@ -90,6 +91,7 @@ def test_currents_of_a_ur_arm_become_torques():
         assert emulator.stop()["sent"] >= 500
 
     assert len(readings) == 500
+
     for reading in readings[::50]:
         row = np.flatnonzero((settings.q_rad == reading.q_rad).all(axis=1))
         assert row.size == 1
@@ -114,9 +116,11 @@ def test_a_ur_recording_has_currents_and_known_torques(has_constants, tmp_path, 
 
     said = capsys.readouterr().err
     table = np.load(path)
+
     assert "'ur10e'; --robot or --urdf names another" in said
     assert len(table["current_A"]) > 50
     assert ("give --motor-constants" in said) != has_constants
+
     if has_constants:
         assert np.array_equal(table["tau_Nm"], constants * table["current_A"])
 
@@ -170,6 +174,7 @@ def test_nan_currents_are_counted_and_dropped(monkeypatch):
 def test_an_absent_arm_is_reported():
     pytest.importorskip("panda_py")
     pytest.importorskip("rtde_receive")
+
     with pytest.raises(LinkError, match="no Franka arm"):
         FrankaArm()
 
@@ -183,6 +188,7 @@ def test_an_absent_arm_is_reported():
 def test_a_client_that_is_not_installed_is_named(monkeypatch):
     monkeypatch.setitem(sys.modules, "panda_py.libfranka", None)
     monkeypatch.setitem(sys.modules, "rtde_receive", None)
+
     with pytest.raises(MissingClientError, match="pip install panda-python"):
         FrankaArm()
 

@@ -45,11 +45,14 @@ def test_page_is_complete_and_needs_nothing_outside(page):
     }
     for tag, count in counts.items():
         assert len(re.findall(rf"<{tag}\b", html)) == html.count(f"</{tag}>") == count
+
     assert html.count("<img ") == 6
     assert '<html lang="en">' in html
     assert '<meta name="viewport"' in html
     assert "content=\"default-src 'none';" in html
+
     addresses = re.findall(r' (?:src|srcset|href)="([^"]*)"', html)
+
     assert (
         len(addresses)
         == len(re.findall(r"(?:src|srcset|href)=", html))
@@ -57,19 +60,26 @@ def test_page_is_complete_and_needs_nothing_outside(page):
     )
     assert all(place.startswith(("data:", "#")) for place in addresses)
     assert not re.search(r"url\(|@import", html)
+
     boxes = re.findall(
         r'<div class=scroll role=region tabindex=0 aria-label="[^"]+">', html
     )
+
     assert len(boxes) == 3, "keys reach them"
+
     links = {place[1:] for place in addresses if place.startswith("#")}
+
     assert links == set(re.findall(r'<section id="(.*?)">', html))
     assert "<nav" not in Page(title="a", sections=page.sections[:2]).html()
 
 
 def test_odd_text_is_never_taken_for_markup(page, tmp_path):
     path = write_page(tmp_path / "index.html", Page(title="Forces from a\udcff.csv"))
+
     assert r"<h1>Forces from a\udcff.csv</h1>" in path.read_text(encoding="utf-8")
+
     html = page.html()
+
     assert html == write_page(path, page).read_text(encoding="utf-8")
     assert "<title>A &amp; B</title>" in html
     assert "Numbers &lt;1&gt;" in html
@@ -85,7 +95,9 @@ def test_unwritable_unreadable_and_ragged_are_refused(page, tmp_path):
         write_page(tmp_path / "none" / "index.html", page)
     with pytest.raises(ChartError, match="a row of 1 cells under 2 heads"):
         PageTable(caption="a", head=("b", "c"), rows=(("d",),))
+
     lost = PageFigure(path=tmp_path / "lost.svg", alt="a", caption="b")
+
     with pytest.raises(WriteError, match="cannot read"):
         Page(
             title="a", sections=(Section(heading="a", anchor="a", figures=(lost,)),)

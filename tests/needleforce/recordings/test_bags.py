@@ -37,11 +37,14 @@ def test_joints_are_ordered_by_the_robots_names(tmp_path):
         tmp_path / "bag", insertion_rows(4, names=("elbow", "gripper", "base"))
     )
     log = read_log(folder, required=["q", "tau"], joints=["base", "elbow"])
+
     assert log["q_rad"][1].tolist() == [1.2, 1.0]
     assert log["tau_Nm"][1].tolist() == [2.4, 2.0]
+
     log = read_log(
         folder, ColumnMapping(joints=("gripper", "elbow")), joints=["base", "elbow"]
     )
+
     assert log["q_rad"][1].tolist() == [1.1, 1.0]
 
 
@@ -67,6 +70,7 @@ def test_a_topic_is_read_by_its_own_definition(tmp_path):
         write_bag(tmp_path / "bag", [("/arm", 9, state)], storage="sqlite3")
     )
     columns = {name: values.tolist() for name, values in table.columns.items()}
+
     assert columns == {
         "t_s": [5e-9],
         "/arm/tau_j": [[1.0, 2.0, 3.0]],
@@ -93,6 +97,7 @@ def test_a_bag_split_into_files_is_one_log(tmp_path, is_split_by_topic):
     log = read_log(
         whole, mapped(force="/ft/wrench/force_xyz[2]"), required=["q", "force"]
     )
+
     np.testing.assert_array_equal(log["q_rad"][:, 0], np.arange(3000.0))
     np.testing.assert_array_equal(log["force_N"], -np.arange(3000.0))
 
@@ -111,10 +116,12 @@ def test_what_is_no_bag_is_refused(tmp_path):
             read_log(tmp_path / f"no_{name}")
 
     (tmp_path / "folder").mkdir()
+
     with pytest.raises(FileAccessError, match="no known suffix"):
         read_log(tmp_path / "folder")
 
     (tmp_path / "folder.db3").mkdir()
+
     with pytest.raises(FormatError, match="is a folder without"):
         read_log(tmp_path / "folder.db3")
 
@@ -127,6 +134,7 @@ def test_joints_follow_names_and_missing_ones_are_nan(tmp_path):
         for k, order in enumerate(orders)
     ]
     log = read_log(write_bag(tmp_path / "bag", rows), required=["q"])
+
     np.testing.assert_array_equal(log["q_rad"], [[1.0, 2.0], [1.0, 2.0], [1.0, np.nan]])
     assert "/j: messages that lack joints: 1" in log.warnings
 
@@ -138,6 +146,7 @@ def test_gripper_messages_on_the_same_topic_are_ignored(tmp_path):
         rows.append(("/j", k, joint_state(10 * k + 5, ["finger"], [0.5])))
 
     log = read_log(write_bag(tmp_path / "bag", rows), required=["q"], joints=["a", "b"])
+
     np.testing.assert_array_equal(log["q_rad"][:, 0], np.arange(1.0, 6.0))
     assert "/j: messages without any of the joints, left out: 5" in log.warnings
 
@@ -146,6 +155,7 @@ def test_slower_topics_are_interpolated_to_the_fastest(tmp_path):
     rows = [("/force", k, number(k)) for k in range(0, 1000, 10)]
     rows += [("/depth", k, number(2.0 * k)) for k in range(0, 1000, 100)]
     log = read_log(write_bag(tmp_path / "bag", sorted(rows, key=lambda row: row[1])))
+
     np.testing.assert_allclose(log["depth_m"][:91], 20.0 * np.arange(91))
     assert np.isnan(log["depth_m"][91:]).all()
     assert "rows are the messages of /force" in log.warnings[0]
@@ -159,6 +169,7 @@ def test_the_mapping_may_choose_the_clock(tmp_path):
         channels=mapped(force="/ft/wrench/force_xyz[2]").channels,
     )
     log = read_log(folder, mapping, required=["depth", "force"])
+
     np.testing.assert_allclose(log["force_N"], [-0.0, -10.0, -20.0, -30.0], atol=2e-3)
     with pytest.raises(
         ColumnError, match="'/none' is no topic that can be read; topics are"
@@ -174,11 +185,13 @@ def test_robot_or_mapping_chooses_among_fitting_topics(tmp_path):
     ]
     folder = write_bag(tmp_path / "bag", rows)
     asked = {"required": ["q", "tau"], "optional": ["dq"]}
+
     assert read_log(folder, joints=["b", "a"], **asked)["q_rad"][:, 0].tolist() == [
         2.0,
         4.0,
         6.0,
     ]
+
     several = r"several columns would fit \(/arm/position, /hand/position\)"
     for joints in ([], ["a", "x"]):
         with pytest.raises(ColumnError, match=several):
@@ -186,6 +199,7 @@ def test_robot_or_mapping_chooses_among_fitting_topics(tmp_path):
 
     # A channel that is mapped decides for those that are not.
     log = read_log(folder, mapped(q="/hand/position"), **asked)
+
     assert log["tau_Nm"][:, 0].tolist() == [3.0, 6.0, 9.0]
     assert "dq_rad_s" in log
 

@@ -129,6 +129,7 @@ def test_a_pattern_orders_columns_by_number(pattern, names):
 def test_unfitting_or_ambiguous_patterns_are_refused(pattern, message):
     names = ("Force", "q1", "q2", "p1", "p4", "k1", "k_1", "z [mm]", "h1", "h900000000")
     table = table_of(*names, wrench=np.zeros((3, 6)))
+
     with pytest.raises(ColumnError, match=message):
         find_columns(table, pattern)
 
@@ -203,6 +204,7 @@ def test_a_mapping_copies_and_normalises_units():
     source = {"speed": ColumnSpec(columns="v", unit="mm_s")}
     mapping = ColumnMapping(channels=source)
     source.clear()
+
     assert mapping.channels["speed"].unit == "mm/s"
 
 
@@ -240,6 +242,7 @@ def test_toml_gives_columns_units_scales_and_rate(tmp_path):
         scale = -1
         """,
     )
+
     assert mapping.rate_hz == 500
     assert mapping.channels["depth"] == ColumnSpec(columns="z")
     assert mapping.channels["q"] == ColumnSpec(columns="q{1..7}", unit="deg")
@@ -299,12 +302,16 @@ def test_a_suggested_mapping_reads_the_same_log(tmp_path, suffix):
     }
     write_table(path, {"t_s": np.arange(50) / 1000, **columns})
     mapping = from_toml(tmp_path, suggest_mapping(path, JOINTS))
+
     assert set(mapping.channels) >= set(JOINTS)
+
     plain, same = (
         read_log(path, known_mapping, required=JOINTS)
         for known_mapping in (None, mapping)
     )
+
     np.testing.assert_array_equal(plain.t_s, same.t_s)
+
     for name in plain.channels:
         np.testing.assert_array_equal(plain[name], same[name])
 
@@ -315,6 +322,7 @@ def test_a_suggested_mapping_lists_the_bags_topics(tmp_path):
         folder, JOINTS, joints=("a", "b"), payload=['payload = "none"']
     )
     content = tomllib.loads(text)
+
     assert content["reference_topic"] == "/joint_states"
     assert content["joints"] == ["a", "b"]
     assert content["payload"] == "none"
@@ -324,14 +332,20 @@ def test_a_suggested_mapping_lists_the_bags_topics(tmp_path):
         "scale": 1.0,
     }
     assert "# columns = " in text.split("# [dq]")[1]
+
     topic = "sensor_msgs/msg/JointState, 40 messages, 1000 Hz, source stamps"
+
     assert f"#   /joint_states: {topic}" in text.splitlines()
+
     known = {"rate_hz": 500.0, "joints": ["c", "a"], "reference_topic": "/ft"}
     text = suggest_mapping(
         folder, JOINTS, mapping=ColumnMapping(**known), joints=("a", "b", "c")
     )
+
     assert tomllib.loads(text).items() >= known.items()
+
     text = suggest_mapping(folder, JOINTS, joints=("x", "y", "z"))
+
     assert "# The robot calls them: x, y, z" in text.splitlines()
 
 
@@ -342,6 +356,7 @@ def test_a_suggested_mapping_keeps_units_and_known_columns(tmp_path):
     known = mapped(force=ColumnSpec(columns="Kraft", scale=-1.0), q=("a_deg", "b_rad"))
     text = suggest_mapping(path, ("depth", "force", "q"), mapping=known)
     content = tomllib.loads(text)
+
     assert content["depth"]["unit"] == "mm"
     assert content["time"]["unit"] == "ms"
     assert content["q"] == {"columns": ["a_deg", "b_rad"], "scale": 1.0}

@@ -90,6 +90,7 @@ def test_messages_before_the_cut_are_nearly_all_read(tmp_path, bags, kind, fract
     bag = messages_in(path)
     # In a compressed chunk the last block of 128 KiB cannot be unpacked in part.
     slack = 0.15 if kind == "zstd" else 0.03
+
     assert len(bag.messages) >= (fraction - slack) * len(sample.messages)
     assert bag.faults == [f"{sample.name} is cut short"]
 
@@ -106,6 +107,7 @@ def test_unread_journal_of_a_killed_recorder_is_reported(tmp_path):
     shutil.copytree(folder, tmp_path / "killed")
     writer.close()
     bag = messages_in(tmp_path / "killed")
+
     assert len(bag.messages) == 44
     assert "bag.db3-wal that are not read" in bag.faults[0]
     assert "sqlite3 bag.db3 'PRAGMA wal_checkpoint'" in bag.faults[0]
@@ -139,6 +141,7 @@ def test_a_compression_that_is_not_known_is_refused(tmp_path, bags):
     sample = bags["zstd"]
     path = tmp_path / sample.name
     path.write_bytes(sample.data.replace(b"zstd", b"lzma", 1))
+
     with pytest.raises(
         FormatError, match="compressed with 'lzma'; zstd and lz4 can be read"
     ):
@@ -155,6 +158,7 @@ def test_a_byte_that_is_missing_is_noticed(tmp_path, bags, kind, fraction):
     bag = messages_in(path)
     count = len(bag.messages)
     is_beginning = bag.messages == sample.messages[:count]
+
     assert is_beginning or count < len(sample.messages)
     assert f"{sample.name} is damaged at byte" in bag.faults[-1]
 
@@ -165,11 +169,14 @@ def test_a_damaged_message_costs_that_message_only(tmp_path, place):
     path = write_bag(tmp_path / "bag", rows)
     data = bytes(TYPES.serialize_cdr(rows[place][2], "sensor_msgs/msg/JointState"))
     file = data_file(path)
+
     assert file.read_bytes().count(data) == 1
+
     file.write_bytes(
         file.read_bytes().replace(data, data[:20] + b"\xff" * (len(data) - 20))
     )
     log = read_log(path, required=["q"])
+
     assert len(log) == 59
     assert "/j: messages that do not fit their type, left out: 1" in log.warnings
 
@@ -190,12 +197,14 @@ def test_every_storage_and_folder_name_gives_one_log(tmp_path, storage, compress
 def test_compressed_bags_are_refused_with_advice(tmp_path):
     rows = list(insertion_rows(5))
     write_bag(tmp_path / "m", rows, storage="sqlite3", compression="MESSAGE")
+
     with pytest.raises(
         FormatError, match=r"is compressed message by message; .*ros2 bag convert"
     ):
         read_log(tmp_path / "m")
 
     write_bag(tmp_path / "f.db3", rows, storage="sqlite3", compression="FILE")
+
     with pytest.raises(FormatError, match=r"\.zstd must be unpacked: zstd -d"):
         read_log(tmp_path / "f.db3")
 
@@ -207,9 +216,12 @@ def test_small_stamps_stay_and_unset_ones_are_replaced(tmp_path, is_set):
         for k in (1, 2, 3)
     ]
     log = read_log(write_bag(tmp_path / "bag", rows), required=["q"])
+
     assert log.start_ns == 0
     assert log.t_s.tolist() == [k * STEP_NS / 1e9 for k in (1, 2, 3)]
+
     note = "/j: messages without a source time stamp; the recorder's was taken: 3"
+
     assert log.warnings == () if is_set else (note,)
 
 
@@ -223,10 +235,13 @@ def test_joints_without_identifying_names_keep_their_places(tmp_path, names):
     log = read_log(
         write_bag(tmp_path / "bag", rows), required=["q"], joints=["x", "y", "z"]
     )
+
     np.testing.assert_array_equal(
         log["q_rad"], [[k, 2 * k, 3 * k] for k in range(1, 5)]
     )
+
     words = "has the joints a, b, c, the robot x, y, z"
+
     assert [words in warning for warning in log.warnings] == [True] * (names == "abc")
 
 
@@ -234,6 +249,7 @@ def test_joints_without_identifying_names_keep_their_places(tmp_path, names):
 def test_a_cut_sqlite_bag_error_advises_recovery(tmp_path, bags, fraction):
     name, data, _ = bags["sqlite3"]
     (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
+
     with pytest.raises(
         FormatError, match=rf"{name} is cut short or .*sqlite3 {name} \.recover"
     ):
@@ -272,6 +288,7 @@ def test_a_chunk_with_wrong_checksum_is_omitted(tmp_path):
     data[len(data) * 6 // 10] ^= 1
     path.write_bytes(data)
     log = read_log(path)
+
     assert 0 < len(log) < whole
     assert (
         "x.mcap has a chunk whose checksum is wrong, which was left out"

@@ -37,9 +37,12 @@ def _files_of_the_page(tmp_path, monkeypatch):
 def test_the_sessions_give_what_the_pages_show(page):
     text = page.read_text(encoding="utf-8")
     session = doctest.DocTestParser().get_doctest(text, {}, page.name, str(page), 0)
+
     assert len(session.examples) > 10
+
     differences = []
     doctest.DocTestRunner(verbose=False).run(session, out=differences.append)
+
     assert "".join(differences) == ""
 
 
@@ -50,6 +53,7 @@ def test_the_pages_options_equal_its_mapping():
     log = read_log(
         "robot.csv", ColumnMapping(channels=specs), required=["depth", "force"]
     )
+
     assert log["force_N"].tolist() == [2.5, 2.5]
     assert log["depth_m"].tolist() == [0.09, 0.09]
     assert log.t_s[0] == 0.001
@@ -67,6 +71,7 @@ def test_the_pages_names_and_units_are_complete():
         )
         for name, key, names, units in rows
     }
+
     assert written == {
         name: (channel.key, channel.spellings, tuple(channel.units))
         for name, channel in CHANNELS.items()
@@ -76,7 +81,9 @@ def test_the_pages_names_and_units_are_complete():
 def test_every_suffix_and_error_named_is_the_codes():
     formats = TEXT.split("## Formats")[1].split("\n\n")[1]
     suffixes = set(re.findall(r"`(\.[\w.]+)`", formats))
+
     assert suffixes == {*CSV_SUFFIXES, ".npz", ".parquet"}
+
     for name in set(re.findall(r"`(\w+Error)`", TEXT + BAGS)):
         assert issubclass(getattr(recordings, name), recordings.RecordingError)
 

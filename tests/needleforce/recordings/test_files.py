@@ -52,6 +52,7 @@ def values(table):
 )
 def test_every_usual_form_gives_the_same_table(read, text):
     table = read(text)
+
     assert values(table) == {"t": [0.0, 1.0], "f": [1.0, 2.0]}
     assert table.warnings == ()
 
@@ -106,12 +107,14 @@ def test_what_is_odd_costs_little_and_is_reported(read, text):
     numbers = {
         name: [x if x == x else NAN for x in v] for name, v in values(table).items()
     }
+
     assert numbers == columns
     assert table.warnings == warnings
 
 
 def test_text_other_than_utf8_is_read_and_reported(read):
     table = read("t,q [°]\n0,1\n".encode("cp1252"))
+
     assert list(table.columns) == ["t", "q [°]"]
     assert "cp1252" in table.warnings[0]
 
@@ -149,8 +152,11 @@ def test_other_than_csv_is_refused_with_the_reason(read, text, message):
 @pytest.mark.parametrize("tail", ["", "2,3"])
 def test_nul_bytes_cost_only_the_line_before(read, tail):
     table = read(f"t,f\n0,1\n1,2\n{tail}".encode() + bytes(300_000))
+
     assert values(table) == {"t": [0.0, 1.0], "f": [1.0, 2.0]}
+
     loss = "the file goes on with NUL bytes, as power loss may leave them"
+
     assert table.warnings == (f"{loss}; what follows line 3 is lost",)
 
 
@@ -159,18 +165,27 @@ def test_compressed_files_read_alike_until_a_cut(read):
     text = "t,f\n" + "".join(f"{i},{f!r}\n" for i, f in enumerate(noise))
     whole = values(read(text))
     packed = gzip.compress(text.encode())
+
     assert values(read(packed, "log.csv.gz")) == whole
+
     # Appended members, as `cat a.gz b.gz` or a logger that reopens its file gives.
     parts = gzip.compress(text[:500].encode()) + gzip.compress(text[500:].encode())
+
     assert values(read(parts, "log.csv.gz")) == whole
+
     table = read(packed[: len(packed) // 2], "log.csv.gz")
     rows = len(table.columns["t"])
+
     assert 10_000 < rows < 40_000
     assert values(table) == {name: column[:rows] for name, column in whole.items()}
+
     lost = f"the compressed file is cut short; what follows line {rows + 1} is lost"
+
     assert table.warnings == (lost,)
+
     place = len(packed) * 3 // 4
     table = read(packed[:place] + bytes(2000) + packed[place + 2000 :], "log.csv.gz")
+
     assert "is damaged; what follows line" in table.warnings[0]
 
 
@@ -199,6 +214,7 @@ def test_any_text_is_read_or_cleanly_refused(text):
 
 def test_a_stray_quote_costs_only_its_line(read):
     table = read('t,f\n0,"1\n1,2\n2,"3,\n3,4\n')
+
     np.testing.assert_array_equal(table.columns["t"], [0.0, 1.0, 2.0, 3.0])
     np.testing.assert_array_equal(table.columns["f"], [1.0, 2.0, np.nan, 4.0])
     assert "first: line 4, '3,'" in table.warnings[0]
@@ -215,6 +231,7 @@ def test_arrays_become_columns(read):
     contact = [True, False, True]
     content = array_bytes(t_s=np.arange(3), q_rad=q_rad, rate_Hz=100, contact=contact)
     table = read(content, "log.npz")
+
     np.testing.assert_array_equal(table.columns["q_rad"], q_rad)
     np.testing.assert_array_equal(table.columns["contact"], [1.0, 0.0, 1.0])
     assert all(column.dtype == np.float64 for column in table.columns.values())
@@ -240,6 +257,7 @@ def test_arrays_without_numbers_are_omitted_pickles_never_loaded(read):
     data = bytearray(stream.getvalue())
     data[data.rindex(np.ones(1000).tobytes()) + 4000] ^= 0xFF
     table = read(bytes(data), "log.npz")
+
     assert list(table.columns) == ["t"]
     assert [warning.split("'")[1] for warning in table.warnings] == list(others)
     assert (
@@ -276,6 +294,7 @@ def test_types_of_other_writers_become_numbers(path):
     cells = {"t": [0.0, 1.0, 2.0, 3.0], "flag": [True, None, False, True], "q": lists}
     pq.write_table(pa.table({**cells, "name": ["a", "b", "1", "d"]}), path)
     table = read_table(path)
+
     np.testing.assert_array_equal(table.columns["flag"], [1.0, np.nan, 0.0, 1.0])
     assert table.warnings == (
         "column 'q' holds list<element: int32>, no numbers, and was left out",
@@ -291,6 +310,7 @@ def test_parquet_stamps_become_exact_seconds_missing_ones_reported(path, unit, n
     stamps = stamps.astype(f"M8[{unit}]")
     pq.write_table(pa.table({name: pa.array(stamps), "f": [1.0, 2.0, 3.0]}), path)
     log = read_log(path)
+
     assert log.t_s.tolist() == [0.0, 0.001]
     assert log.start_ns == 1_700_000_000_123_000_000
     assert "rows without a stamp, left out: 1" in log.warnings[0]
@@ -309,6 +329,7 @@ def test_two_columns_of_one_name_are_refused(path):
 def test_a_cut_file_is_refused_with_the_reason(path):
     write_table(path, {"t_s": np.arange(1000.0), "f": np.ones(1000)})
     path.write_bytes(path.read_bytes()[:-10])
+
     with pytest.raises(FormatError, match="ends with its table of contents"):
         read_table(path)
 

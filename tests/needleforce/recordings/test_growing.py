@@ -45,9 +45,12 @@ def test_growing_and_finished_bags_give_the_same(tmp_path, kind, count):
     start_s = time.monotonic()
     growing_log = followed(path)
     writer.join()
+
     # It ended because the recorder finished the file, not because nothing came.
     assert time.monotonic() - start_s < 0.8 * MAX_WAIT_S
+
     log = read_log(path, **ASKED)
+
     assert len(log) == 3000
     assert_same(growing_log, log)
     assert "cut short" not in "".join(growing_log.warnings)
@@ -70,6 +73,7 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
             go_on.set()
 
     writer.join()
+
     assert 1400 < early_rows < 1600
     assert rows == 3000
 
@@ -81,13 +85,16 @@ def test_only_an_idle_end_reports_an_unfinished_file(
     path = tmp_path / "growing.mcap"
     path.write_bytes(data[: len(data) * 2 // 3 + 7])
     cut = followed(path, FollowOptions(follow=True, idle_s=0.2))
+
     assert "growing.mcap is cut short" in cut.warnings
     assert 1900 < len(cut) < 2100
+
     is_over = threading.Event()
     options = FollowOptions(follow=True, should_stop=is_over.is_set)
     timer = threading.Timer(0.5, is_over.set)
     timer.start()
     stopped = followed(path, options)
+
     assert len(stopped) == len(cut)
     assert "cut short" not in "".join(stopped.warnings)
 
@@ -137,6 +144,7 @@ def test_a_late_topic_is_awaited_and_reported_once(tmp_path):
     reported = []
     data_file(write_bag(tmp_path / "bag", late_topic(350))).rename(path)
     options = FollowOptions(follow=True, idle_s=MAX_WAIT_S, warn=reported.append)
+
     assert_same(followed(path, options), read_log(path, **ASKED))
     assert reported == [
         "growing.mcap: waiting for more topics; "
@@ -170,6 +178,7 @@ def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
     writer = grow(path, in_pieces(data, 60))
     growing_log = followed(path, mapping=FORCE_MAPPING, **FORCE)
     writer.join()
+
     np.testing.assert_array_equal(growing_log["force_N"], np.arange(500.0))
     assert_same(growing_log, read_log(path, FORCE_MAPPING, **FORCE))
 
@@ -189,9 +198,12 @@ def test_rows_do_not_wait_for_ended_topics(tmp_path):
     timer.start()
     first = next(tables)
     timer.cancel()
+
     # All but those of the last second, which is how late a topic may be.
     assert len(first.columns["t_s"]) == 699
     assert np.isfinite(first.columns["/ft/force_xyz"][:300]).all()
     assert np.isnan(first.columns["/ft/force_xyz"][300:]).all()
+
     is_over.set()
+
     assert sum(len(table.columns["t_s"]) for table in tables) == 101

@@ -71,6 +71,7 @@ def test_a_chunk_unpacking_beyond_the_limit_is_refused(tmp_path, compression, de
     packed = {"data": PACKERS[compression](bytes(BOMB)), "compression": compression}
     chunk = Chunk(**packed, uncompressed_size=declared, **zeros)
     path = mcap_file(tmp_path / "x.mcap", chunk)
+
     with (
         bounded(),
         pytest.raises(FormatError, match=r"raise max_bytes|holds no messages"),
@@ -101,6 +102,7 @@ def test_compressed_text_without_rows_is_left_soon(
 ):
     path = tmp_path / "x.csv.gz"
     path.write_bytes(gzip.compress(b"t,f\n0,1\n" + lines))
+
     with (
         bounded(peak=12 * SMALL, seconds=seconds),
         pytest.raises(FormatError, match=message),
@@ -113,6 +115,7 @@ def test_an_npz_unpacking_beyond_the_limit_is_refused(tmp_path, order):
     path = tmp_path / "x.npz"
     unused = np.zeros((3000, BOMB // 3000 // 8), order=order)
     np.savez_compressed(path, t=np.arange(3000.0), f=np.ones(3000), unused=unused)
+
     with bounded(), pytest.raises(FormatError, match="raise max_bytes"):
         read_log(path, max_bytes=SMALL)
 
@@ -120,6 +123,7 @@ def test_an_npz_unpacking_beyond_the_limit_is_refused(tmp_path, order):
 def test_a_parquet_unpacking_beyond_the_limit_is_refused(tmp_path):
     path = tmp_path / "x.parquet"
     pq.write_table(pa.table({"t": np.zeros(BOMB // 8)}), path)
+
     assert path.stat().st_size < SMALL
     with bounded(), pytest.raises(FormatError, match="raise max_bytes"):
         read_table(path, max_bytes=SMALL)
@@ -131,6 +135,7 @@ def test_a_parquet_unpacking_beyond_the_limit_is_refused(tmp_path):
 def test_a_device_is_no_file(tmp_path, name):
     (tmp_path / name).symlink_to("/dev/zero")
     read = load_mapping if name == "x.toml" else read_table
+
     with pytest.raises(FileAccessError, match="neither a file, a folder nor a pipe"):
         read(tmp_path / name)
 
@@ -178,6 +183,7 @@ def test_a_type_of_endless_arrays_is_no_signal(tmp_path, definition):
     data = b"\0\1\0\0" + bytes(1 << 16)
     message = Message(channel_id=1, log_time=1, data=data, publish_time=1, sequence=0)
     path = mcap_file(tmp_path / "x.mcap", schema, channel, message)
+
     with bounded(), pytest.raises(FormatError, match="holds no topic with numbers"):
         read_table(path)
 
@@ -196,6 +202,7 @@ def test_a_followed_file_written_anew_is_noticed(tmp_path, rows, message):
     tables = stream_tables(path, FollowOptions(follow=True, idle_s=5.0))
     next(tables)
     path.write_text("t,f\n" + "".join(f"{k},2\n" for k in rows))
+
     with pytest.raises(FileAccessError, match=message):
         list(tables)
 
@@ -214,6 +221,7 @@ def test_followed_files_that_vanish_are_read_and_reported(tmp_path, is_rotated):
         path.write_text("t,f\n301,1\n")
 
     end_times = []
+
     with pytest.raises(
         FileAccessError, match="was renamed or removed while it was followed"
     ):
@@ -227,7 +235,10 @@ def test_file_names_stay_comments_in_suggested_mappings(tmp_path):
     path = tmp_path / "evil\nrate_hz = 6\n.npz"
     np.savez(path, t=np.arange(3.0), force=np.ones(3), **{evil: np.ones(3)})
     content = tomllib.loads(suggest_mapping(path, ["depth", "force"]))
+
     assert set(content) == {"time", "force"}
     assert content["force"]["columns"] == "force"
+
     folder = write_bag(tmp_path / "bag", [(f"/{evil}", k, number(k)) for k in range(9)])
+
     assert tomllib.loads(suggest_mapping(folder, ["depth"])) == {}

@@ -38,6 +38,7 @@ def test_log_stores_read_only_copies():
     force_N = np.ones(4)
     log = Log(t_s=t_s, channels={"force_N": force_N})
     t_s[0] = force_N[0] = 99.0
+
     assert (log.t_s[0], log["force_N"][0]) == (0.0, 1.0)
     assert [v.flags.writeable for v in (log.t_s, log["force_N"])] == [False, False]
 
@@ -78,6 +79,7 @@ def test_stamps_that_do_not_advance_are_counted(t_s):
     log = log_of(t_s=t_s, force_N=np.zeros(t_s.size))
     faults = [warning for warning in log.warnings if "set back" not in warning]
     counted = sum(int(warning.split(": ")[2].split()[0]) for warning in faults)
+
     assert advancing + counted == t_s.size - 1
 
 
@@ -86,6 +88,7 @@ def test_missing_values_are_counted_by_row_not_refused():
     q_rad[2, 3] = np.nan
     q_rad[2, 4] = np.inf
     log = log_of(t_s=T_S, q_rad=q_rad)
+
     assert log.warnings == ("q_rad: rows with NaN or infinity: 1 (first: row 3)",)
     np.testing.assert_array_equal(log["q_rad"], q_rad)
 
@@ -98,6 +101,7 @@ LATE_S[320] = LATE_S[319]
 
 def test_late_and_repeated_rows_do_not_advance():
     dt_s = RowClock().update(LATE_S)
+
     assert np.count_nonzero(dt_s <= 0.0) == 19
     assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(LATE_S.max() - LATE_S[0])
 
@@ -107,6 +111,7 @@ def test_a_clock_set_back_is_followed_after_rows(back_s):
     t_s = np.concatenate((RAMP_S, RAMP_S[-1] + RAMP_S + 0.001 - back_s))
     dt_s = RowClock().update(t_s)
     late = dt_s[1000:] <= 0.0
+
     assert 3 <= np.count_nonzero(late) <= 105
     assert not late[110:].any()
     assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(1.998, abs=0.002)
@@ -118,11 +123,13 @@ def test_pieces_give_what_the_whole_gives(cut, late):
     t_s[late] -= 0.3
     clock = RowClock()
     dt_s = np.concatenate([clock.update(t_s[:cut]), clock.update(t_s[cut:])])
+
     np.testing.assert_array_equal(dt_s, RowClock().update(t_s))
 
 
 def test_a_log_reports_a_clock_set_back():
     log = log_of(t_s=np.concatenate((RAMP_S, RAMP_S)), force_N=np.ones(2000))
+
     assert (
         "clock set back, from where it counts anew: 1 (first: row 1101"
         in log.warnings[0]
@@ -140,6 +147,7 @@ def test_a_log_reports_a_clock_set_back():
 def test_stamps_come_back_from_seconds(first_ns, since_ns):
     stamps_ns = np.array([first_ns, *(first_ns + step for step in since_ns)])
     start_ns = start_of_clock(first_ns)
+
     assert (
         to_nanoseconds(to_seconds(stamps_ns, start_ns), start_ns).tolist()
         == stamps_ns.tolist()
@@ -160,9 +168,12 @@ def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix):
         assert read_table(path).columns["time [ns]"].tolist() == stamps_ns.tolist()
 
     log = read_log(path)
+
     assert to_nanoseconds(log.t_s, log.start_ns).tolist() == stamps_ns.tolist()
+
     write_log(tmp_path / "log.mcap", log)
     again = read_log(tmp_path / "log.mcap")
+
     assert to_nanoseconds(again.t_s, again.start_ns).tolist() == stamps_ns.tolist()
 
 
@@ -183,6 +194,7 @@ def test_a_csv_with_usual_names_needs_no_mapping(tmp_path):
         "time [ms],q1_deg,q2_deg,effort_1,effort_2\n0,180,0,1,2\n1,90,0,3,4\n"
     )
     log = read_log(path, required=("q", "tau"), optional=("dq",))
+
     np.testing.assert_allclose(log.t_s, [0.0, 0.001])
     np.testing.assert_allclose(log["q_rad"], [[np.pi, 0.0], [np.pi / 2, 0.0]])
     np.testing.assert_array_equal(log["tau_Nm"], [[1.0, 2.0], [3.0, 4.0]])
@@ -255,11 +267,13 @@ WRENCH = np.arange(18.0).reshape(3, 6)
 def test_columns_become_si(spec, columns, key, expected):
     name = next(name for name, channel in CHANNELS.items() if channel.key == key)
     log = log_of(mapped(**({name: spec} if spec else {})), t=T, **columns)
+
     np.testing.assert_allclose(log[key], expected)
 
 
 def test_only_the_channels_asked_for_are_looked_at():
     log = log_of(None, ("force",), t=T, force_N=ONES, depth_m=ONES, z=ONES)
+
     assert list(log.channels) == ["force_N"]
     with pytest.raises(ColumnError, match="several"):
         log_of(None, ("force",), ("depth",), t=T, force_N=ONES, depth_m=ONES, z=ONES)
@@ -317,6 +331,7 @@ def test_omitted_columns_are_reported_when_nothing_fits(tmp_path):
     log.write_text(
         "time,tau,z\n2024-05-01T12:00:00,oops,1\n2024-05-01T12:00:01,oops,2\n"
     )
+
     with pytest.raises(
         ColumnError, match=r"'time' holds text .*'2024-05-01T12:00:00'"
     ) as caught:
@@ -340,6 +355,7 @@ def test_omitted_columns_are_reported_when_nothing_fits(tmp_path):
 )
 def test_time_comes_from_rate_or_column(mapping, columns, t_s, warning):
     log = log_of(mapping, **columns, f=np.arange(3.0))
+
     np.testing.assert_allclose(log.t_s, t_s)
     assert log["force_N"].tolist() == ([0.0, 2.0] if len(t_s) == 2 else [0.0, 1.0, 2.0])
     assert log.warnings == ((warning,) if warning else ())
@@ -347,6 +363,7 @@ def test_time_comes_from_rate_or_column(mapping, columns, t_s, warning):
 
 def test_an_empty_optional_channel_is_omitted_and_reported():
     log = log_of(None, ("q",), ("dq",), t=T, q=ONES, dq=ONES * np.nan)
+
     assert list(log.channels) == ["q_rad"]
     assert "dq: its columns hold no finite value in the first rows" in log.warnings[0]
 
@@ -366,23 +383,27 @@ def test_implausible_si_values_of_assumed_units_are_reported():
         "v": 3.0 * ONES,
     }
     hints = log_of(**names).warnings
+
     assert [hint.split(":")[0] for hint in hints] == ["time", "q", "depth", "speed"]
     assert (
         "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', "
         "or --depth COLUMN:mm" in hints
     )
+
     stated = {
         "t_s": np.arange(3.0),
         "q_rad": 90.0 * ONES,
         "depth_m": 85.0 * ONES,
         "v_m_s": ONES,
     }
+
     assert log_of(**stated).warnings == ()
     assert log_of(t=T, q=3.0 * ONES, depth=0.1 * ONES, v=0.1 * ONES).warnings == ()
 
 
 def test_the_real_liver_log_lacks_time(recordings_dir):
     path = recordings_dir / "liver_dejong2017/insertions.npz"
+
     with pytest.raises(
         ColumnError, match=r"depth: several columns would fit .depth_m_00, depth_m"
     ):
@@ -390,6 +411,7 @@ def test_the_real_liver_log_lacks_time(recordings_dir):
 
     mapping = mapped(depth="depth_m_04", force="force_N_04", rate_hz=1000.0)
     log = read_log(path, mapping, required=("depth", "force"))
+
     assert log["depth_m"].max() == pytest.approx(0.085, abs=1e-3)
     assert log.t_s[1] == pytest.approx(0.001)
     assert log.warnings == ()

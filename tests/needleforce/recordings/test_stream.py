@@ -64,6 +64,7 @@ def test_text_in_any_pieces_reads_the_same(tmp_path_factory, size, rows, packed)
     streamed_log = LogStream(
         csv_tables(pieces, "log"), ChannelRequest(**ASKED)
     ).joined()
+
     assert_all_the_same(streamed_log, read_log(path, **ASKED))
 
 
@@ -74,6 +75,7 @@ def test_an_assumed_unit_is_doubted_when_values_show():
     tables = csv_tables([b"t,depth,f\n", *(line.encode() for line in lines)], "log")
     stream = LogStream(tables, ChannelRequest(required=("depth", "force")))
     early_warnings = [warning for _ in stream for warning in stream.take_warnings()]
+
     assert early_warnings == []
     assert stream.take_warnings() == (
         "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', "
@@ -96,6 +98,7 @@ def test_a_growing_file_is_followed_by_whole_lines(tmp_path):
     writer = grow(path, [text[a:b] for a, b in pairwise([0, *cuts])], pause_s=0.02)
     followed_log = followed(path, FollowOptions(follow=True, idle_s=0.6), **ASKED)
     writer.join()
+
     assert_all_the_same(followed_log, read_log(whole, **ASKED))
 
 
@@ -110,9 +113,12 @@ def test_following_ends_when_asked_without_partial_lines(tmp_path):
 
     options = FollowOptions(follow=True, should_stop=should_stop)
     followed_log = followed(path, options, **ASKED)
+
     assert followed_log.t_s.tolist() == [0.0, 1.0]
     assert "cut short" not in "".join(followed_log.warnings)
+
     followed_log = followed(path, FollowOptions(follow=True, idle_s=0.1), **ASKED)
+
     assert (
         "line 4, the last, is cut short (3 of 3 cells) and was left out"
         in followed_log.warnings
@@ -152,6 +158,7 @@ def test_a_pipe_gives_what_the_file_gives(tmp_path, suffix, size):
     writer.start()
     piped_log = LogStream(stream_tables(pipe, FollowOptions())).joined()
     writer.join()
+
     assert_all_the_same(piped_log, read_log(path))
     assert list(piped_log.channels) == ["depth_m", "force_N"]
 
@@ -185,5 +192,6 @@ def test_a_table_is_written_into_a_pipe(tmp_path, suffix):
     writer.start()
     path.write_bytes(pipe.read_bytes())
     writer.join()
+
     assert pipe.is_fifo()
     np.testing.assert_array_equal(read_log(path)["force_N"], COLUMNS["force_N"])

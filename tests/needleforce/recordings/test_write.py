@@ -47,7 +47,9 @@ def test_numbers_and_stamps_read_back_bit_for_bit(
         np.testing.assert_array_equal(log[name], numbers)
 
     assert list(log.channels) == list(channels)
+
     found_ns = log.start_ns + np.rint(log.t_s * 1e9).astype(np.int64)
+
     assert found_ns.tolist() == (start_ns + since_ns).tolist()
 
 
@@ -56,6 +58,7 @@ def test_csv_numbers_two_dimensional_columns_and_quotes_names(tmp_path):
     write_table(
         path, {"n": [1, 2], "on": [True, False], "w, z": np.array([[0.1, 0.2], [1, 2]])}
     )
+
     assert path.read_text() == 'n,on,"w, z_1","w, z_2"\n1,1,0.1,0.2\n2,0,1.0,2.0\n'
     assert list(read_table(path).columns) == ["n", "on", "w, z_1", "w, z_2"]
 
@@ -84,6 +87,7 @@ def test_unwritable_tables_leave_old_files(tmp_path, old, suffix, columns, messa
         write_table(path, old)
 
     contents = {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()}
+
     with pytest.raises(LogError, match=message):
         write_table(path, columns)
 
@@ -98,6 +102,7 @@ def test_a_failing_write_leaves_the_old_file(tmp_path, monkeypatch):
         raise OSError(28, "No space left on device")
 
     monkeypatch.setattr("os.replace", full)
+
     with pytest.raises(FileAccessError, match=r"cannot write .*No space left"):
         write_table(path, {"new": [2.0]})
 
@@ -122,6 +127,7 @@ def test_rows_appended_are_rows_written_at_once(tmp_path, suffix):
             )
 
     assert path.read_bytes() == (tmp_path / f"once.{suffix}").read_bytes()
+
     if suffix == "npz":
         assert np.load(path)["status"].dtype == columns["status"].dtype
 
@@ -216,10 +222,13 @@ def test_estimates_are_a_wrench_and_numbers(path):
     columns = estimate_columns()
     write_table(path, columns, labels=TableLabels(frame="base"))
     (_, wrench), *_ = messages_of(path, "/needleforce/wrench")
+
     assert wrench.header.frame_id == "base"
     assert wrench.wrench.force.y == columns["force_y_in_base_N"][0]
     assert wrench.wrench.torque.x == 0.0
+
     axial = [message.data for _, message in messages_of(path, "/needleforce/axial_N")]
+
     assert axial == columns["axial_N"].tolist()
 
 
@@ -232,6 +241,7 @@ def test_metadata_and_definitions_are_there(path):
         assert all(connection.msgdef.data for connection in bag.connections)
 
     (_, state), *_ = messages_of(path, "/joint_states")
+
     assert state.velocity.size == 0
     assert state.name == ["joint_1", "joint_2"]
 

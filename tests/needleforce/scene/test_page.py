@@ -141,21 +141,30 @@ def test_marks_show_ruptures_up_to_the_time_shown(viewer):
 
     viewer.show()
     (mark,) = viewer.marks
+
     assert mark.text == "rupture 1 at 12.0 mm"
     assert mark.time_s == pytest.approx(6.0)
     assert is_shown(mark)
+
     viewer.show(3.0)
+
     assert not is_shown(mark)
+
     viewer.show(7.0)
+
     assert is_shown(mark)
+
     viewer.show(1.0)
     later = insertion(260)[200:]
     later[30, FIELDS.index("rupture")] = 2.0
     viewer.append(later)  # while somebody looks at the past
     viewer.show(1.0)
+
     assert not is_shown(viewer.marks[1])
+
     viewer.append(np.array([row(13.001), row(13.002, 0.03, 3.0)]))  # in one slot
     viewer.show()
+
     assert is_shown(viewer.marks[2])
 
 
@@ -171,13 +180,19 @@ def test_a_plan_names_layers_retracted_alarms_vanish(viewer):
         np.array([row(0.0, **planned(-1, 2.0)), row(1.0, 0.01, **planned(0, 22.0))])
     )
     viewer.show(0.5)
+
     assert "in **outside** (93 %), fat at 2.0 ± 1.0 mm" in viewer._text.content
+
     viewer.show()
+
     assert "in **fat** (93 %), liver at 22.0 ± 1.0 mm" in viewer._text.content
     assert "all lies +2.0 ± 0.8 mm deeper than planned" in viewer._text.content
+
     ring, label = viewer._ahead
+
     assert ring.visible
     assert label.text == "liver, expected"
+
     alarm = row(2.0, 0.0221, 1.0, **planned(1, 52.0, 1))
     viewer.append(np.array([alarm, row(3.0, 0.03, retracted=1.0, **planned(0, 32.0))]))
     viewer.append(np.array([row(4.0, 0.032, 1.0, **planned(2, np.nan, -1))]))
@@ -186,7 +201,9 @@ def test_a_plan_names_layers_retracted_alarms_vanish(viewer):
         "rupture 1 at 22.1 mm: into liver (97 %)",
         "rupture 1 at 32.0 mm: a false alarm (97 %)",
     ]
+
     assert [mark.text for mark in viewer.marks] == texts
+
     for time_s, shown in ((1.9, [0, 0]), (2.5, [1, 0]), (3.5, [0, 0]), (4.0, [0, 1])):
         viewer.show(time_s)
         assert [is_shown(mark) for mark in viewer.marks] == shown
@@ -215,6 +232,7 @@ def test_a_row_holds_the_estimate_and_its_plan():
     estimate.wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
     estimate.status = SimpleNamespace(value="ok")
     numbers = dict(zip(FIELDS, view_row(estimate, HOME), strict=False))
+
     assert (numbers["retracted"], numbers["rupture"], numbers["is_good"]) == (1, 0, 1)
     assert [numbers[f"plan_{name}"] for name in PLAN_FIELDS] == [
         1,
@@ -299,10 +317,14 @@ def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
         "--port",
         "8251",
     ]
+
     assert main(["view", "insertion.npz", *options]) == 0
     assert "scene.html" in capsys.readouterr().out
+
     text = (tmp_path / "scene.html").read_text(encoding="utf-8")
+
     assert len(text) > 100_000
+
     with open_page((tmp_path / "scene.html").as_uri()) as page:
         assert page.wait_for("document.querySelectorAll('canvas').length > 0")
 
@@ -361,11 +383,14 @@ def test_a_recording_without_tare_is_reported(
     }
     signals["tau_Nm"] = torque * signals["tau_Nm"]
     write_table("a.npz", {"t_s": table["t_s"][:2001], **signals})
+
     assert (
         main(["view", "a.npz", *options, "--export", "a.html", "--port", "8271"])
         == code
     )
+
     said, warned = capsys.readouterr()
+
     assert said == ("" if code else "a.html\n")
     assert re.search(why, warned)
     assert "ignore_contact" not in warned
@@ -392,6 +417,7 @@ def test_viewed_joints_are_found_by_name(tmp_path):
     rows, reordered_rows = (
         replay_session(tmp_path / name, model) for name in ("a.mcap", "b.mcap")
     )
+
     assert len(rows) > 90
     assert np.array_equal(rows, reordered_rows, equal_nan=True)
 
@@ -400,6 +426,7 @@ def test_an_arm_is_watched_with_its_scene(monkeypatch, capsys):
     monkeypatch.setattr(
         "needleforce.cli.arms.arm_connection.simulate", lambda *_, **__: short_run()
     )
+
     assert (
         main(
             [
@@ -414,15 +441,20 @@ def test_an_arm_is_watched_with_its_scene(monkeypatch, capsys):
         )
         == 0
     )
+
     said, warned = capsys.readouterr()
+
     assert "layer 0" in said
     assert "http://127.0.0.1:8261 shows the scene" in warned
 
 
 def test_an_unreadable_plan_is_reported(tmp_path, capsys):
     (tmp_path / "a.csv").write_text("t,q_1\n0,0\n")
+
     assert main(["view", "a.csv", "--anatomy", str(tmp_path)]) == 2
+
     said = capsys.readouterr().err
+
     assert "plan.json: " in said
     assert "docs/scene.md" in said
 
@@ -434,7 +466,9 @@ def test_joints_the_robot_lacks_stay_locked():
     page.append(insertion(2))
     page.show()
     shapes = page._arm._shapes
+
     assert np.allclose(shapes._urdf.cfg, [*HOME, 0.0])
+
     page.stop()
 
 
@@ -453,7 +487,9 @@ def test_joints_the_robot_lacks_stay_locked():
 )
 def test_an_impossible_address_is_reported_in_one_line(options, why, tmp_path, capsys):
     assert main(["view", str(tmp_path / "none.csv"), *options]) == 2
+
     (said,) = capsys.readouterr().err.splitlines()
+
     assert re.search(why, said)
 
 
@@ -471,6 +507,7 @@ def test_a_harmful_or_impossible_export_is_refused_early(
     monkeypatch.chdir(tmp_path)
     Path("log.csv").write_text("no log")
     Path("link.html").symlink_to("log.csv")
+
     assert main(["view", "log.csv", "--export", export]) == 2
     assert why in capsys.readouterr().err
     assert Path("log.csv").read_text() == "no log"
@@ -484,6 +521,7 @@ def test_a_failing_export_leaves_the_older_page(viewer, tmp_path, monkeypatch):
     page.write_text("old")
     viewer.append(insertion(2))
     monkeypatch.setattr(os, "fsync", full)
+
     with pytest.raises(SceneError, match="No space left"):
         viewer.export(page, frames=2)
 
@@ -492,10 +530,12 @@ def test_a_failing_export_leaves_the_older_page(viewer, tmp_path, monkeypatch):
 
 def test_a_page_that_cannot_open_is_reported():
     robot = load_lwr()
+
     with pytest.raises(SceneError, match="port 70000"):
         open_viewer(robot, port=70000)
 
     place = np.zeros(3)
+
     with pytest.raises(SceneError, match="expected two points"):
         open_viewer(robot, PlanScene((), (), place, place), port=8291)
 
