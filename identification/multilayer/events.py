@@ -1,9 +1,18 @@
 """Events: contact, end of a layer, partial rupture, a membrane met under a layer.
 
-Each is a linear map of the unknowns that leaves the predicted force as it is, with
-noise for what the event leaves open:
+Each is a linear map of the unknowns, with noise for what the event leaves open:
 
     x' = transition x + noise
+
+The unknowns change, but at the event itself the mean force that they predict does not.
+
+After a rupture part of the tip force may remain, in one of two ways. Force that is
+*held* stays at the tip until the next event (`HELD`, after a partial rupture). Force
+that is *kept* outlasts the release and then fades with travel (`FADING`, after the end
+of a layer).
+
+A rupture is *reported* once the caller has been told of it by an alarm, and until that
+alarm is retracted. A hypothesis may count one rupture more than were reported.
 
 Lengths are in mm, speeds in mm/s, forces in N.
 """
@@ -58,7 +67,8 @@ CONTACT = 0
 """The tip meets tissue: a layer, or a membrane."""
 
 LAYER_END = 1
-"""The tip leaves a layer or a membrane."""
+"""The tip ruptures the end of a layer, or punctures a membrane, and enters a layer or
+air."""
 
 PARTIAL_RUPTURE = 2
 """The tissue ruptures further, and keeps pushing at the tip."""
@@ -67,23 +77,25 @@ MEMBRANE_MET = 3
 """The tip meets a membrane under the layer that it is in."""
 
 RELEASE_LENGTH_LOG_STD = 0.12
-"""Prior deviation of a release length's logarithm, between those of the hypotheses."""
+"""Prior standard deviation of the logarithm of a release's length, about the length
+that a hypothesis assumes."""
 
 FADING_FRACTION = 0.45
-"""Fraction of a tip force that outlasts its rupture: chosen, between the 30 and 60 %
-that partial ruptures in liver suggest."""
+"""Fraction of the tip force that is kept, where some is: chosen, between the 30 and
+60 % that partial ruptures in liver suggest."""
 
 FADING_FRACTION_STD = 0.15
 """Its standard deviation."""
 
 HELD_FRACTION = 0.5
-"""Fraction of a tip force that is held after a partial rupture."""
+"""Fraction of the tip force that is held after a partial rupture: chosen."""
 
 HELD_FRACTION_STD = 0.25
 """Its standard deviation."""
 
 MIN_HELD_VARIANCE_N2 = 1e-4
-"""Variance of the held force beside that."""
+"""Variance that is added to that of the held force, so that it is not zero where the
+tip force is."""
 
 INITIAL_FRICTION_STD_N = 0.2
 """Standard deviation of friction already there at the first contact: the recording may
@@ -96,7 +108,8 @@ class Event(NamedTuple):
     Attributes:
         kind: `CONTACT`, `LAYER_END`, `PARTIAL_RUPTURE` or `MEMBRANE_MET`.
         next_medium: What the tip is in afterwards: `AIR`, `LAYER` or `MEMBRANE`.
-        keeps_force: Whether part of the tip force outlasts the rupture and fades.
+        keeps_force: Whether part of the tip force is kept: it outlasts the release and
+            then fades.
         release_lengths_mm: Travels that the release may take, a hypothesis each.
         probability: Prior probability of each of these hypotheses.
     """
@@ -110,9 +123,11 @@ class Event(NamedTuple):
 
 @dataclass(slots=True)
 class History:
-    """What a hypothesis reports of its past.
+    """Record of a hypothesis's past, for reports and alarms.
 
-    All are floats, so that a record of them is a row of numbers.
+    The regressor does not depend on it, as it does on `Assumptions`. All are floats, so
+    that a record of them is a row of numbers. The section is the one whose friction is
+    `FRICTION_LAST`.
 
     Attributes:
         rupture_s: Time of the last rupture.
@@ -120,9 +135,9 @@ class History:
         rupture_speed_mm_s: Its speed.
         rupture_force_N: Force before it.
         was_partial: 1 where it was a partial one.
-        section_start_mm: Where the shaft since the rupture reported before begins.
-        section_end_mm: Where it ends.
-        section_friction_N: Its friction.
+        section_start_mm: Depth at which the section begins.
+        section_end_mm: Depth at which it ends.
+        section_friction_N: Its friction, as it was when the section ended.
         stiffness_N_per_mm: Of the layer before the last event.
         stiffness_variance: Variance of the stiffness.
         coulomb_N_per_mm: Coulomb friction per length in that layer.
@@ -130,7 +145,7 @@ class History:
         viscous_Ns_per_mm2: Viscous friction per length in that layer.
         viscous_variance: Variance of the viscous friction.
         contact_mm: Depth of the first contact.
-        min_force_N: Least force since the last rupture.
+        min_force_N: Minimum force since the last rupture.
     """
 
     rupture_s: float = 0.0
@@ -177,7 +192,7 @@ class Gaussian(NamedTuple):
 
 @compiled
 def clear_rows(step: LinearMap, begin: int, end: int) -> None:
-    """Let the unknowns from `begin` to before `end` begin at zero."""
+    """Set the unknowns from `begin` to before `end` to zero after the event."""
     for i in range(begin, end):
         for j in range(UNKNOWNS):
             step.transition[i, j] = 0.0
@@ -195,7 +210,12 @@ def begin_contact(step: LinearMap, block: Block) -> None:
 def release_model_error(
     step: LinearMap, mean: Vector, tip_row: WrittenVector, block: Block
 ) -> None:
-    """End the model's error: it belonged to the tip force and is released with it."""
+    """Add the model's error to the tip force, and start a new error at zero.
+
+    The error belonged to the tip force and is released with it. This call also writes
+    `tip_row`, which then includes the error, and sets the variance of `RELEASE_STRETCH`
+    from the tip force without it. So `map_event` calls it before `tip_row` is used.
+    """
     tip_force = np.dot(tip_row, mean)
     step.variance[RELEASE_STRETCH] = (RELEASE_LENGTH_LOG_STD * tip_force) ** 2
     tip_row[MODEL_ERROR] = 1.0
@@ -229,27 +249,30 @@ def hold_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> No
 
 @compiled
 def keep_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> None:
-    """Let part of the tip force outlast the rupture, until it fades with travel."""
+    """Let part of the tip force outlast the release, until it fades with travel."""
     step.transition[FADING] = FADING_FRACTION * tip_row
     step.variance[FADING] = (FADING_FRACTION_STD * np.dot(tip_row, mean)) ** 2
 
 
 @compiled
-def ends_reported_layer(assumption: Assumptions, kind: int, reported: int) -> bool:
-    """Return whether an event ends a layer whose beginning was reported.
+def begins_friction_record(assumption: Assumptions, kind: int, reported: int) -> bool:
+    """Return whether an event begins a new friction record, for the section it ends.
 
-    The puncture of a membrane met under a layer ends none: that layer ended where the
-    membrane was met. Nor does anything after a rupture that was not reported.
+    True for each event in a layer: its end, a partial rupture, a membrane met under it.
+    True also for the puncture of a membrane that was met in air. The puncture of a
+    membrane met under a layer begins none: that layer's section ended where the
+    membrane was met. Nor does any event of a hypothesis with a rupture that is not
+    reported yet: the section then goes on, and both count as one.
     """
     if assumption.ruptures > reported:
         return False
-    is_cutting_through = kind == LAYER_END and assumption.holds_force == 0.0
-    return assumption.medium == LAYER or is_cutting_through
+    was_met_in_air = kind == LAYER_END and assumption.holds_force == 0.0
+    return assumption.medium == LAYER or was_met_in_air
 
 
 @compiled
 def start_friction_record(step: LinearMap) -> None:
-    """Let the last layer's friction become that of the one before, and begin anew."""
+    """Move the last section's friction to the one before, and start the last at zero."""
     clear_rows(step, FRICTION_LAST, FRICTION_BEFORE + 1)
     step.transition[FRICTION_BEFORE, FRICTION_LAST] = 1.0
 
@@ -258,7 +281,7 @@ def start_friction_record(step: LinearMap) -> None:
 def add_to_friction_record(
     step: LinearMap, mean: Vector, block: Block, length: float, tissue_speed_std: float
 ) -> None:
-    """Add the friction of a length of shaft in the layer to the last layer's."""
+    """Add the friction of a length of shaft in the layer to the last section's."""
     step.transition[FRICTION_LAST, LAYER_COULOMB] = length * block.deflection
     step.transition[FRICTION_LAST, LAYER_VISCOUS] = length * block.speed_mm_s
     unseen_friction = length * mean[LAYER_VISCOUS] * tissue_speed_std
@@ -269,9 +292,9 @@ def add_to_friction_record(
 def map_event(
     mean: Vector, assumption: Assumptions, event: Event, block: Block
 ) -> LinearMap:
-    """Return what an event does to the force, the friction record not included.
+    """Return how an event maps the unknowns, the friction record not included.
 
-    The predicted force stays as it is.
+    The mean force that they predict at the event stays the same.
     """
     step = LinearMap(np.eye(UNKNOWNS), np.zeros(UNKNOWNS))
     tip_row = np.zeros(UNKNOWNS)  # the tip force is tip_row @ mean
@@ -280,6 +303,7 @@ def map_event(
     if event.kind == CONTACT:
         begin_contact(step, block)
     elif event.kind == LAYER_END:
+        # Changes tip_row, so it comes before all that use it; below likewise.
         release_model_error(step, mean, tip_row, block)
         leave_friction_on_shaft(step, assumption, block)
         step.transition[RELEASED] = tip_row
@@ -315,24 +339,25 @@ def apply_event(
     reported: int,
     tissue_speed_std: float,
 ) -> Gaussian:
-    """Return the unknowns after an event; the predicted force stays as it is.
+    """Return the unknowns after an event.
 
     Args:
         gaussian: Unknowns of the hypothesis before the event.
-        assumption: What it takes for granted.
+        assumption: What it assumes.
         event: What happens.
         block: Where and how it happens.
         new_length: Shaft that entered the layer since the last event [mm].
-        reported: Ruptures reported so far.
+        reported: Number of ruptures reported so far.
         tissue_speed_std: Standard deviation of the tissue's own speed [mm/s].
     """
     mean = gaussian.mean
     step = map_event(mean, assumption, event, block)
-    if ends_reported_layer(assumption, event.kind, reported):
+    if begins_friction_record(assumption, event.kind, reported):
         start_friction_record(step)
     if assumption.medium == LAYER:
         add_to_friction_record(step, mean, block, new_length, tissue_speed_std)
     mean_after = np.dot(step.transition, mean)
+    # map_rows returns the transpose, (T P).T; applied twice that is T P T.T.
     covariance = map_rows(step.transition, gaussian.covariance)
     covariance = map_rows(step.transition, covariance)
     for i in range(UNKNOWNS):
@@ -346,15 +371,15 @@ def apply_event(
 def update_assumption(
     child: Assumptions, parent: Assumptions, event: Event, block: Block, reported: int
 ) -> None:
-    """Change what a hypothesis takes for granted, by an event.
+    """Change what a hypothesis assumes, by an event.
 
     Args:
-        child: A copy of the parent's assumptions, which is changed, but for the
-            length of the release.
+        child: A copy of the parent's assumptions. All that the event changes is
+            written, except the release's length.
         parent: Assumptions before the event.
         event: What happens.
         block: Where it happens.
-        reported: Ruptures reported so far.
+        reported: Number of ruptures reported so far.
     """
     is_rupture = event.kind in (LAYER_END, PARTIAL_RUPTURE)
     is_puncture = event.kind == LAYER_END and parent.medium == MEMBRANE
@@ -397,7 +422,7 @@ def record_section(
     end_mm: float,
     friction: float,
 ) -> None:
-    """Record the section of shaft that an event ends, and what its layer was like.
+    """Record the section of shaft that an event ends, and the layer's parameters.
 
     Args:
         history: Record that is changed.
@@ -419,7 +444,7 @@ def record_section(
 
 @compiled
 def record_contact(history: History, depth_mm: float, is_first: bool) -> None:
-    """Record that tissue begins here, and nothing of it is known."""
+    """Record that tissue begins here and that nothing is known of it yet."""
     history.section_start_mm = depth_mm
     history.section_end_mm = depth_mm
     history.section_friction_N = 0.0

@@ -1,21 +1,45 @@
 """The force of one hypothesis: linear in twenty unknowns, given a history of ruptures.
 
-Given such a history the axial force is
+A hypothesis assumes where the tissue ruptured and what the tip is in (`Assumptions`).
+The axial force is then
 
-    f = o + C w + V v + R r(z) + L l(z) + U u(z) + T t(z) + K x + H x² + c y w + b y v +
+    f = o + C w + V v + R r(z) + L l(z) + T t(z) + K x + H x² + U u(z) + c y w + b y v +
     d + e
 
-with o the offset; C, V Coulomb and viscous friction of the layers traversed; R the tip
-force being released, L the part of it by which its release is longer than assumed, U
-the part that stays and fades later, T the force held or needed to cut, K, H stiffness
-and its growth; c, b friction per length of shaft in the layer; d disturbances: coloured
-sensor noise, heartbeat, breathing, error of this model. Known are the presliding
-deflection w (1 when sliding inwards), the speed v, the travel x of the tip and the
-length y of shaft in the layer; e is white.
+with the unknowns, in the order of their indices:
 
-So each hypothesis is a Kalman filter (switching linear model, Shumway and Stoffer
-1991), and how well it predicts the force is the evidence for it. Lengths are in mm,
-speeds in mm/s, forces in N.
+- o: offset, the force in free air;
+- C, V: Coulomb and viscous friction of the layers traversed;
+- R: tip force at the last rupture, which its release takes away with travel;
+- L: correction of R r(z) for a release that is longer than assumed;
+- T: cutting force, or a tip force that is held (see `HELD`);
+- K, H: stiffness, and half its growth with travel (see `STIFFENING`);
+- U: tip force that outlasts the release and fades later;
+- c, b: Coulomb and viscous friction per length of shaft in the layer;
+- d: disturbances, the sum of coloured sensor noise, heartbeat, breathing and the error
+  of this model.
+
+The white noise e is no unknown. The known factors are:
+
+- w: presliding deflection, 1 when the shaft slides inwards;
+- v: speed;
+- x: travel of the tip since its last event;
+- y: length of shaft in the layer;
+- r(z), l(z), t(z), u(z): functions of the depth z, see `regressor`.
+
+Equation (3) of the paper has a stiffness and purely viscous friction for each layer.
+This force replaces it: it adds Coulomb friction, a cutting force, releases of the tip
+force and disturbances.
+
+Each hypothesis is a Kalman filter (switching linear model, Shumway and Stoffer 1991),
+and how well it predicts the force is the evidence for it. Lengths are in mm, speeds in
+mm/s, forces in N.
+
+Two unknowns are no part of the force: the friction record. `FRICTION_LAST` is the
+friction of the section of shaft between the last two ruptures, as it was at the last
+one, and `FRICTION_BEFORE` that of the section before. The filter keeps both, for the
+layer report, because force measured later still corrects them. See
+`events.begins_friction_record` for where a section begins.
 """
 
 from dataclasses import dataclass
@@ -36,19 +60,24 @@ TRAVERSED_VISCOUS = 2
 """V: viscous friction of the layers traversed [N/(mm/s)]."""
 
 RELEASED = 3
-"""R: tip force that the last rupture releases [N]."""
+"""R: whole tip force at the last rupture [N]. What is released is R less the part that
+fades (`FADING`) and, in a partial rupture, less the part that is held (`HELD`)."""
 
 RELEASE_STRETCH = 4
 """L: R times the relative error of the release's length [N]."""
 
 HELD = 5
-"""T: force that the tip holds after a partial rupture, or needs to cut [N]."""
+"""T [N], with three uses: the cutting force, reached `CUTTING_ONSET_MM` into a layer;
+the part of the tip force that is held after a partial rupture; or the whole tip force
+at which a membrane was met under a layer. `Assumptions.holds_force` is 0 for the first,
+1 for the others."""
 
 STIFFNESS = 6
 """K: growth of the tip force with travel [N/mm]."""
 
 STIFFENING = 7
-"""H: growth of that stiffness [N/mm²]."""
+"""H: half the growth of the stiffness with travel [N/mm²]. The term is H x², so the
+stiffness grows by 2 H per mm."""
 
 FADING = 8
 """U: tip force that outlasts the release and then fades [N]."""
@@ -60,11 +89,11 @@ LAYER_VISCOUS = 10
 """b: viscous friction per length of shaft in the layer [N/(mm mm/s)]."""
 
 FRICTION_LAST = 11
-"""Friction of the layer that the last rupture ended, of the shaft since the rupture
-reported before [N]; no part of the force."""
+"""Friction record: friction of the section of shaft between the last two ruptures, as
+it was at the last one [N]. It is kept for the layer report and no part of the force."""
 
 FRICTION_BEFORE = 12
-"""The same of the rupture reported before [N]."""
+"""Friction record: the same for the section before that one [N]."""
 
 COLOURED_NOISE = 13
 """Coloured noise of the force sensor [N]."""
@@ -85,7 +114,7 @@ MODEL_ERROR = 18
 """Error of this model [N]; its slope follows it."""
 
 MODEL_ERROR_SLOPE = 19
-"""Slope of that error over travel [N/mm]."""
+"""Slope of the model's error over travel [N/mm]."""
 
 UNKNOWNS = 20
 """Number of unknowns."""
@@ -94,7 +123,7 @@ TIP_BEGIN = RELEASED
 """The first unknown of the force at the tip."""
 
 TIP_END = FADING + 1
-"""The first unknown behind those of the force at the tip."""
+"""Index after the last unknown of the force at the tip."""
 
 AIR = 0.0
 """Medium of a tip that touches nothing."""
@@ -106,10 +135,10 @@ MEMBRANE = 2.0
 """Medium of a tip that pushes a membrane, which it has not cut yet."""
 
 NO_RELEASE_MM = -1e9
-"""Depth of a release that there was not."""
+"""Value of `release_start_mm` without a release."""
 
 NEVER_MM = -1e8
-"""Every release lies deeper than this, `NO_RELEASE_MM` does not."""
+"""Limit to tell the two apart: a release lies deeper, `NO_RELEASE_MM` does not."""
 
 CUTTING_ONSET_MM = 1.0
 """Travel until a new layer's cutting force is full: a needle's diameter."""
@@ -118,21 +147,22 @@ FADING_MM = 5.0
 """Travel over which a tip force that outlasts its rupture fades: chosen."""
 
 MODEL_ERROR_FRACTION = 0.03
-"""Standard deviation of the linear model's error, as a fraction of the tip force."""
+"""Standard deviation of this model's error, as a fraction of the tip force."""
 
 MODEL_ERROR_MM = 5.0
-"""Correlation length of that error."""
+"""Correlation length of the model's error."""
 
 TRAVERSED_ERROR_FRACTION = 0.1
-"""Fraction of that error which friction of the layers traversed has: it depends on the
-motion alone."""
+"""Weight of shaft friction beside the tip force, where the model's error is computed:
+friction that stays on the shaft depends on the motion alone, so the model errs less."""
 
 
 @dataclass(slots=True)
 class Assumptions:
-    """What a hypothesis takes for granted, and the regressor depends on.
+    """What a hypothesis assumes, and what the regressor depends on.
 
-    All are floats, so that a record of them is a row of numbers.
+    All are floats, so that a record of them is a row of numbers. "Reported" is a
+    rupture of which the caller has been told by an alarm that still stands.
 
     Attributes:
         medium: What the tip is in: `AIR`, `LAYER` or `MEMBRANE`.
@@ -140,10 +170,14 @@ class Assumptions:
         tip_start_mm: Depth at which the layer's tip force begins.
         release_start_mm: Depth of the last release, `NO_RELEASE_MM` without one.
         release_length_mm: Travel that the release takes.
-        holds_force: 1 where `HELD` is force held after a rupture, 0 where it cuts.
-        is_fraction_used: 1 once the prior of friction's fraction has been used.
-        ruptures: Number of ruptures, at most one more than were reported.
-        unchecked_force_N: Force of the layer before, until its release was checked.
+        holds_force: 1 where `HELD` is a tip force that is held, 0 where it is the
+            cutting force.
+        is_fraction_used: 0 while `priors.use_friction_fraction` is still to be applied
+            in this layer. It starts at 1: in air and at a membrane there is no layer
+            to apply it to.
+        ruptures: Number of ruptures; counts at most one more than were reported.
+        unchecked_force_N: Force of the layer before, until its release has been
+            checked; then 0.
         is_punctured: 1 where the layer was entered through a membrane.
     """
 
@@ -181,7 +215,7 @@ def regressor(assumption: Assumptions, block: Block) -> Vector:
     row[TRAVERSED_COULOMB] = block.deflection
     row[TRAVERSED_VISCOUS] = block.speed_mm_s
     row[RELEASED] = remaining
-    # The derivative of `remaining` by the logarithm of the release's length.
+    # The derivative of `remaining` with respect to the logarithm of release length.
     row[RELEASE_STRETCH] = 2.0 * completed * (1.0 - completed)
     if assumption.holds_force > 0.0:
         row[HELD] = 1.0 - remaining

@@ -1,11 +1,20 @@
 """The mixture: hypotheses of which ruptures there have been, weighed by their evidence.
 
-Each component is a Kalman filter on the twenty unknowns of the force, with a weight. A
-block of samples moves it in four steps: `predict`, `correct`, `penalise_implausible`,
-and, at every small step of fresh travel, `MixtureMemory.branch`, which gives the
-likeliest component of each kind children, one for each event that may have happened
-there. `MixtureMemory.prune` drops those that the force speaks against, and the least
-likely, class by class, since what an event was may show only at the next one.
+Each component is one hypothesis: a Kalman filter on the twenty unknowns of the force,
+with a weight. A block is a group of successive samples, usually 2 to 10 ms long, of
+which the mixture sees the means (`Block`). `method.MultilayerMethod` calls:
+
+1. `predict`, for every block: the unknowns go on by the block's time and travel.
+2. `correct` and `penalise_implausible`, unless the needle is in tissue and does not
+   advance, or the block is a gap in the samples: components learn from the force.
+3. `MixtureMemory.branch`, some samples later, where the needle advances fast enough and
+   `MIN_BRANCH_MM` beyond the last call; for a gap twice. It picks parents, the likeliest
+   component in each state of the tip, and gives each parent children: one for each
+   event that may have happened and each length of its release.
+4. `MixtureMemory.prune`, after each corrected block: it drops components that the force
+   speaks against, and the least likely of each class. A class is new or old events,
+   with or without a membrane: each has its own quota, since what an event was may show
+   only at the next one.
 
 Lengths are in mm, speeds in mm/s, forces in N.
 """
@@ -79,10 +88,10 @@ from identification.multilayer.kalman import times, update
 from identification.multilayer.priors import use_friction_fraction
 
 MIN_BRANCH_MM = 0.02
-"""Least travel between new hypotheses."""
+"""Minimum travel between two calls of `branch`."""
 
 MAX_BRANCH_MM = 1.0
-"""Travel that new hypotheses stand for at most."""
+"""Maximum travel for which one call of `branch` counts the probability of events."""
 
 RUPTURES_PER_MM = 0.02
 """Prior rate of ruptures per travel."""
@@ -92,29 +101,32 @@ RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 1.5, 2.0])
 mm."""
 
 PARTIAL_RELEASES_MM = np.array([0.5, 1.5])
-"""The same of a partial rupture: in liver 0.5 to 2 mm."""
+"""Travel of a partial rupture's release: in liver 0.5 to 2 mm."""
 
 NO_RELEASES_MM = np.array([0.3])
-"""The same of an event without a release: any length does."""
+"""Placeholder for an event without a release: one entry, so one child. Its value has no
+effect."""
 
 MIN_RELEASE_MM = 0.3
-"""Travel for which the nature of a rupture is open at least."""
+"""Minimum travel after a rupture before its hypothesis may have children: until then
+the force does not show what the rupture was."""
 
 PARTIAL_FRACTION = 0.15
 """Prior fraction of ruptures that are partial."""
 
 FADING_PROBABILITY = 0.2
-"""Prior fraction of layer ends after which some tip force outlasts the rupture."""
+"""Where one layer ends at another: prior fraction of cases in which part of the tip
+force is kept and fades."""
 
 AIR_FRACTION = 0.25
 """Prior fraction of layer ends that lead into free air."""
 
 GAP_OF_AIR_FRACTION = 0.1
-"""Rate of contacts behind a layer that ended in air, as a part of the first one's: gaps
-of air are rare."""
+"""Rate of contacts behind a layer that ended in air, as a fraction of the rate of the
+first contact: gaps of air are rare."""
 
 MIN_GAP_OF_AIR_MM = 3.0
-"""Travel in air before another layer may begin."""
+"""Minimum travel in air before another layer may begin."""
 
 CONTACT_LAYER_FRACTION = 0.7
 """Prior fraction of contacts that cut into a layer at once."""
@@ -123,7 +135,7 @@ CONTACT_MEMBRANE_FRACTION = 0.3
 """Prior fraction of contacts that push a membrane first."""
 
 MIN_CONTACT_DEFLECTION = 0.3
-"""Presliding deflection of a needle that advances into tissue, at least."""
+"""Minimum presliding deflection of a needle that may meet tissue."""
 
 MEMBRANES_PER_RUPTURE = 0.15
 """Prior number of membranes met under a layer, per rupture."""
@@ -132,26 +144,26 @@ MEMBRANE_STEP_MM = 0.25
 """Travel between hypotheses of a membrane met."""
 
 MIN_LAYER_ABOVE_MEMBRANE_MM = 2.0
-"""Travel in a layer before a membrane may be met under it."""
+"""Minimum travel in a layer before a membrane may be met under it."""
 
 MIN_BETWEEN_RUPTURES_MM = 1.2
-"""Least travel between two ruptures: about a needle diameter."""
+"""Minimum travel between a rupture and the event before it: about a needle diameter."""
 
 MAX_RECENT = 60
-"""Components kept with a recent event."""
+"""Maximum number of components kept with a recent event."""
 
 MAX_RECENT_MEMBRANES = 8
-"""Components kept with a membrane just met."""
+"""Maximum number kept with a membrane just met."""
 
 MAX_OLD = 16
-"""Components kept with older events."""
+"""Maximum number kept with older events."""
 
 MAX_OLD_MEMBRANES = 6
-"""Components kept with older membranes."""
+"""Maximum number kept with older membranes."""
 
 QUOTAS = (MAX_RECENT, MAX_RECENT_MEMBRANES, MAX_OLD, MAX_OLD_MEMBRANES)
-"""Components kept of each class. What an event was shows only some tenths of a
-millimetre later; until then it is protected."""
+"""Maximum number of components kept of each class. What an event was shows only some
+tenths of a millimetre later; until then its class protects it."""
 
 RECENT_MM = 0.4
 """Travel for which an event is recent."""
@@ -160,34 +172,34 @@ RECENT_MEMBRANE_MM = 1.5
 """Travel for which a membrane is just met."""
 
 MAX_KEPT = sum(QUOTAS)
-"""Components kept."""
+"""Maximum number of components kept by pruning."""
 
 CAPACITY = MAX_KEPT + 120
-"""Components with the children of two steps, before they are pruned."""
+"""Maximum number of components before pruning: room for children of two branchings."""
 
 MIN_LOG_WEIGHT = -30.0
 """A component with a smaller logarithm of its weight is dropped."""
 
-MIN_PARENT_LOG_WEIGHT = -25.0
-"""A parent's log weight is at least so far below the largest."""
+MAX_PARENT_LOG_WEIGHT_GAP = 25.0
+"""A parent's log weight lies less than this below the largest."""
 
-KINDS = 6
-"""Kinds of components: three media, with force held or without."""
+TIP_STATES = 6
+"""States of the tip: three media, each with force held or without."""
 
 INITIAL_OFFSET_STD_N = 5.0
 """Standard deviation of the force in free air before the first sample."""
 
 OFFSET_WALK_N2_PER_S = 1e-6
-"""Random walk of the sensor's zero."""
+"""Random walk of the sensor's zero, as a variance per time."""
 
 RELEASE_SHAPE_ERROR = 0.08
 """Relative error of a release's shape."""
 
 RELEASE_SHAPE_MM = 0.02
-"""Its correlation length."""
+"""Correlation length of that error."""
 
 ONSET_ERROR = 0.1
-"""Relative error of a cutting onset."""
+"""Relative error of the cutting force's onset."""
 
 LIKELIHOOD_EXPONENT = 0.5
 """Exponent of the likelihood: errors of the model are alike from one block to the
@@ -197,52 +209,57 @@ STUDENT_FREEDOM = 8.0
 """Degrees of freedom of Student's t: a single outlier proves little."""
 
 ZERO_FORCE_STD_N = 0.02
-"""Deviation with which a negative cutting force or friction is set to 0."""
+"""Standard deviation with which a negative cutting force or friction is set to 0."""
 
 ZERO_STIFFNESS_STD_N_PER_MM = 0.002
-"""Deviation with which a negative stiffness is set to 0."""
+"""Standard deviation with which a negative stiffness is set to 0."""
 
 FRACTION_TRAVEL_MM = 1.0
-"""Travel in a layer from which on the prior of friction's fraction may be used."""
+"""Minimum travel since the last event before `use_friction_fraction` is tried: it then
+applies the prior once the growth of the force is known."""
 
 MAX_FRACTION_TRAVEL_MM = 10.0
-"""Travel from which on it is used in any case."""
+"""Travel from which on it applies the prior in any case."""
 
 RELEASE_CHECK_MM = 0.1
 """Travel behind a release at which its size is checked."""
 
 MIN_RELEASED_FRACTION = 0.12
-"""Fraction of the force that a rupture releases at least."""
+"""Minimum fraction that a rupture releases, of the force of tip and layer before it."""
 
 MIN_RELEASED_SIGMAS = 2.0
-"""Force that a rupture releases at least, in standard deviations of a block's force."""
+"""Minimum force that a rupture releases, in standard deviations of a block's force."""
 
 SMALL_RELEASE_PENALTY = 12.0
-"""What a release of less costs, of the logarithm of the weight: it was none."""
+"""Reduction of the log weight where less was released: then it was no rupture."""
 
 SIGN_TRAVEL_MM = 2.0
-"""Travel from which on the signs of stiffness and friction are checked."""
+"""Travel since the last event beyond which the signs of stiffness and friction are
+checked."""
 
 MIN_FRICTION_N_PER_MM = -0.003
-"""Friction per length of shaft that noise may leave, at least."""
+"""Minimum friction per length of shaft: slightly negative, since noise may make it
+so."""
 
 SIGN_PENALTY = 0.1
-"""What a negative stiffness or friction costs, per block."""
+"""Reduction of the log weight per block with negative stiffness or friction."""
 
 MAX_PUSHED_MM = 12.0
-"""A membrane is hardly pushed in further before it ruptures."""
+"""Maximum travel that a membrane is pushed in without a penalty: it should have
+ruptured before."""
 
 PUSHED_PENALTY = 0.3
-"""What a membrane pushed in further costs, per `PUSHED_STEP_MM`."""
+"""Reduction of the log weight per `PUSHED_STEP_MM` of travel beyond that."""
 
 PUSHED_STEP_MM = 0.04
 """Travel that this penalty refers to."""
 
 MAX_PUSHED_STEPS = 2.0
-"""Such steps that one block counts at most."""
+"""Maximum number of such steps that count in one block."""
 
 SYMMETRY_TOLERANCE = 1e-3
-"""Relative difference of the two halves of a restored covariance, at most."""
+"""Maximum difference of a restored covariance from its transpose, relative to the
+standard deviations."""
 
 Record = TypeVar("Record")
 
@@ -263,8 +280,8 @@ class Mixture(NamedTuple):
         means: Of the unknowns, shape (n, 20).
         covariances: Theirs, shape (n, 20, 20).
         log_weights: Logarithm of each one's probability, shape (n,).
-        assumptions: What it takes for granted, records, shape (n,).
-        history: What it reports of its past, records, shape (n,).
+        assumptions: What each one assumes, records, shape (n,).
+        history: Record of each one's past, records, shape (n,).
     """
 
     means: WrittenMatrix
@@ -511,7 +528,7 @@ def force_variance(
     Args:
         mean: Of the unknowns, shape (20,).
         row: Regressor of the block, shape (20,).
-        assumption: What the component takes for granted.
+        assumption: What the component assumes.
         block: Where the needle is.
         variance: Without errors of a release's and an onset's shape.
         shape_error: Relative error of a release's shape, over the block.
@@ -620,10 +637,10 @@ def is_release_too_small(mean: Vector, assumption: Assumptions, block: Block) ->
 
 
 @compiled
-def has_negative_slope(
+def has_negative_stiffness_or_friction(
     mean: Vector, covariance: WrittenMatrix, assumption: Assumptions, block: Block
 ) -> bool:
-    """Return whether stiffness or friction is negative beyond its noise."""
+    """Return whether the stiffness or the layer's friction is negative beyond noise."""
     travel = block.depth_mm - assumption.tip_start_mm
     if assumption.medium == AIR or travel <= SIGN_TRAVEL_MM:
         return False
@@ -661,7 +678,7 @@ def penalise_implausible(
             log_weight -= SMALL_RELEASE_PENALTY
         if is_release_over(assumption, block):
             assumption.unchecked_force_N = 0.0
-        if has_negative_slope(mean, covariance, assumption, block):
+        if has_negative_stiffness_or_friction(mean, covariance, assumption, block):
             log_weight -= SIGN_PENALTY
         if assumption.medium == MEMBRANE and travel > MAX_PUSHED_MM:
             pushed_mm = block.duration_s * max(block.speed_mm_s, 0.0)
@@ -674,7 +691,7 @@ def penalise_implausible(
 def record_event(
     mixture: Mixture, row: int, parent: int, event: Event, block: Block, reported: int
 ) -> None:
-    """Write what a child takes for granted and reports of its past, but for friction.
+    """Write a child's assumptions, and its history except for the friction record.
 
     Args:
         mixture: With room for the child.
@@ -757,7 +774,7 @@ def possible_events(
     """Yield what may have happened to a component.
 
     Args:
-        assumption: What it takes for granted.
+        assumption: What it assumes.
         block: Where.
         probability: Prior probability of a rupture over the travel.
         is_membrane_due: Whether a membrane may have been met.
@@ -806,22 +823,23 @@ def _possible_ends(medium: float, probability: float) -> Iterator[Event]:
 
 @compiled
 def choose_parents(mixture: Mixture, depth_mm: float) -> Rows:
-    """Return the rows of the likeliest component of each kind, the likeliest first.
+    """Return the likeliest component's row for each tip state, the likeliest first.
 
-    Those whose last release is not over are left out: until then its nature is open.
+    Components whose last release is not over are left out: until then the force does
+    not show what the rupture was.
     """
     size = len(mixture.log_weights)
-    best = np.full(KINDS, -1)
-    min_log_weight = mixture.log_weights.max() + MIN_PARENT_LOG_WEIGHT
+    best = np.full(TIP_STATES, -1)
+    min_log_weight = mixture.log_weights.max() - MAX_PARENT_LOG_WEIGHT_GAP
     for k in range(size):
         assumption = mixture.assumptions[k]
         release_mm = max(assumption.release_length_mm, MIN_RELEASE_MM)
         is_over = depth_mm > assumption.release_start_mm + release_mm
         log_weight = mixture.log_weights[k]
         if is_over and log_weight > min_log_weight:
-            kind = int(2.0 * assumption.medium + assumption.holds_force)
-            if best[kind] < 0 or log_weight > mixture.log_weights[best[kind]]:
-                best[kind] = k
+            state = int(2.0 * assumption.medium + assumption.holds_force)
+            if best[state] < 0 or log_weight > mixture.log_weights[best[state]]:
+                best[state] = k
     rows = best[best >= 0]
     return rows[np.argsort(-mixture.log_weights[rows], kind="mergesort")]
 
@@ -853,9 +871,9 @@ def rank(mixture: Mixture, depth_mm: float) -> tuple[Rows, Array]:
         is_membrane = assumption.medium == MEMBRANE
         recent_mm = RECENT_MEMBRANE_MM if is_membrane else RECENT_MM
         is_old = depth_mm - assumption.tip_start_mm >= recent_mm
-        group = 2 * is_old + 1 * is_membrane
-        if places[group] > 0:
-            places[group] -= 1
+        class_index = 2 * is_old + 1 * is_membrane  # in the order of QUOTAS
+        if places[class_index] > 0:
+            places[class_index] -= 1
             rows[size] = k
             size += 1
     return rows[:size], log_weights[rows[:size]]

@@ -1,6 +1,11 @@
-"""What is known of a layer or a membrane before its force is.
+"""What is assumed of a layer or a membrane before its force is measured.
 
-Lengths are in mm, speeds in mm/s, forces in N.
+All these values are chosen; no measurement is known that gives them. Two of friction,
+its fraction and how well its Coulomb part is known, were compared with recordings in
+liver before they were kept: docs/limits.md, "What changed it".
+
+The growth of the force is its change per mm of travel at one speed: stiffness plus
+friction per length of shaft. Lengths are in mm, speeds in mm/s, forces in N.
 """
 
 from typing import NamedTuple
@@ -20,56 +25,57 @@ from identification.multilayer.force_model import (
 from identification.multilayer.kalman import times, update_to_zero
 
 SLOPE_N_PER_MM = 0.03
-"""Prior growth of the force in a layer, by stiffness and friction together."""
+"""Prior mean of the growth of the force in a layer, stiffness and friction together."""
 
 SLOPE_STD_N_PER_MM = 0.04
-"""Its standard deviation."""
+"""Standard deviation of that growth."""
 
 PART_STD_FRACTION = 0.7
-"""Standard deviation of either part of that growth, as a fraction of the whole's: two
-independent parts of equal size."""
+"""Standard deviation of stiffness, and of friction, as a fraction of
+`SLOPE_STD_N_PER_MM`: 1/√2, rounded, as for two independent parts with equal
+deviations."""
 
 STIFFENING_STD_N_PER_MM2 = 1e-3
-"""Standard deviation of H in a layer."""
+"""Standard deviation of H in a layer, about zero. The stiffness grows by 2 H per mm."""
 
 CUTTING_N = 0.03
-"""Prior cutting force."""
+"""Prior mean of the cutting force."""
 
 CUTTING_STD_N = 0.15
-"""Its standard deviation."""
+"""Standard deviation of the cutting force."""
 
 CUTTING_PER_STIFFNESS_MM = 2.0
-"""Growth of the cutting force per growth of the stiffness: stiff tissue is hard to
+"""Change of the cutting force per change of the stiffness: stiff tissue is hard to
 cut."""
 
 MEMBRANE_STIFFNESS_N_PER_MM = 0.05
-"""Prior stiffness of a membrane."""
+"""Prior mean of a membrane's stiffness."""
 
 MEMBRANE_STIFFNESS_STD_N_PER_MM = 0.1
-"""Its standard deviation."""
+"""Standard deviation of a membrane's stiffness."""
 
 MEMBRANE_STIFFENING_N_PER_MM2 = 0.01
-"""Prior growth of a membrane's stiffness."""
+"""Prior mean of a membrane's H. Its stiffness grows by 2 H per mm."""
 
 MEMBRANE_STIFFENING_STD_N_PER_MM2 = 0.02
-"""Its standard deviation."""
+"""Standard deviation of a membrane's H."""
 
 FRICTION_FRACTION = 0.5
-"""Prior fraction of friction in the growth of the force: half, since it is not
+"""Prior mean of friction's fraction of the growth of the force: half, since it is not
 known."""
 
 FRICTION_FRACTION_STD = 0.2
-"""Its standard deviation."""
+"""Standard deviation of that fraction."""
 
 FRICTION_FRACTION_SPEED_MM_S = 3.0
-"""Speed at which these hold."""
+"""Speed at which this mean and deviation hold."""
 
 COULOMB_SPEED_MM_S = 3.4
-"""Speed of equal Coulomb and viscous friction: chosen, no measurement is known. The
-simulated gels have 1.5, the liver 20."""
+"""Speed at which Coulomb and viscous friction are equal: chosen, no measurement is
+known. The simulated gels have 1.5, the liver 20."""
 
 COULOMB_SPEED_LOG_STD = 1.4
-"""Standard deviation of its logarithm: a factor of 4."""
+"""Standard deviation of the logarithm of that speed: a factor of 4."""
 
 MIN_SPEED_MM_S = 0.1
 """Speed below which friction is taken to be as at this speed."""
@@ -78,13 +84,16 @@ MIN_VISCOUS_SPEED_MM_S = 0.5
 """Speed below which viscous friction per speed is taken to be as at this speed."""
 
 MIN_SLOPE_N_PER_MM = 2e-3
-"""Growth of the force that friction's fraction refers to at least."""
+"""Minimum growth of the force in `use_friction_fraction`: where the estimate is smaller,
+the deviations are computed from this value."""
 
 KNOWN_SLOPE_FRACTION = 0.2
-"""The growth of the force is known once its standard deviation is this part of it."""
+"""The growth of the force counts as known once its standard deviation is at most this
+fraction of it."""
 
 MIN_KNOWN_SLOPE_N_PER_MM = 0.004
-"""Growth of the force that the part refers to at least."""
+"""Minimum growth of the force in that test: where the estimate is smaller, this value
+takes its place."""
 
 
 class FrictionFraction(NamedTuple):
@@ -103,7 +112,10 @@ class FrictionFraction(NamedTuple):
 
 @compiled
 def friction_fraction(speed: float) -> FrictionFraction:
-    """Return the prior of friction's fraction of the force's growth at a speed."""
+    """Return the prior of friction's fraction of the force's growth at a speed.
+
+    The faster the needle, the larger the fraction, since part of friction is viscous.
+    """
     odds = FRICTION_FRACTION / (1.0 - FRICTION_FRACTION)
     odds *= (COULOMB_SPEED_MM_S + speed) / (
         COULOMB_SPEED_MM_S + FRICTION_FRACTION_SPEED_MM_S
@@ -163,16 +175,25 @@ def add_friction_prior(
 def use_friction_fraction(
     mean: WrittenVector, covariance: WrittenMatrix, speed: float, is_due: bool
 ) -> bool:
-    """Use the prior of friction's fraction of the force's growth, once that is known.
+    """Apply the prior of friction's fraction to a growth of the force that is known now.
+
+    The priors at the beginning of a layer contain the fraction already, but for an
+    assumed growth, with deviations in N/mm. Once the growth is known, the fraction is
+    applied once more, with deviations in proportion to that growth: the force of a
+    needle that advances at constant speed does not tell stiffness from friction.
+
+    The first use is not taken out again, so strictly the fraction counts twice. At
+    3 mm/s the first use carries about a seventh of the second's information where the
+    growth is 0.03 N/mm, and as much as the second where it is 0.08 N/mm.
 
     Args:
         mean: Of the unknowns, shape (20,).
         covariance: Theirs, shape (20, 20).
         speed: Of the needle.
-        is_due: Whether to use it even where the growth is not known well.
+        is_due: Whether to apply it even where the growth is not known well.
 
     Returns:
-        Whether it was used.
+        Whether it was applied.
     """
     row = np.zeros(UNKNOWNS)
     row[STIFFNESS] = 1.0
