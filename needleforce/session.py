@@ -45,7 +45,12 @@ UNUSABLE = (
 )
 """Warnings with which the force of a sample is not used for identification."""
 PUSHED = SensorWarning.MODEL_MISMATCH | SensorWarning.ARM_PUSHED
-"""Warnings that indicate a contact elsewhere than at the tip."""
+"""Warnings that indicate a contact elsewhere than at the tip.
+
+With `ARM_PUSHED` alone samples are still used: the force is off only by the part that
+looks axial, and a lateral force that begins suddenly raises the warning, too. But no
+rupture is reported then, and no gap ends.
+"""
 CHECKPOINT_PERIOD_S = 0.25
 """Time between states to rewind to: a push on the arm grows for up to this long before
 it is detected."""
@@ -83,8 +88,10 @@ class SessionEstimate(NamedTuple):
             session's clock, depths from its zero.
         status: Whether the numbers are of this tick and tared.
         used_for_identification: Whether this tick's force went into the identification.
-        time_s: Sum of the time steps since the first sample after `reset` [s]: the
-            clock of all events. Rejected samples count, a clock that was set does not.
+        time_s: Sum of the time steps since the first valid sample after `reset` [s]:
+            the clock of all events. The time step of a rejected sample is added with
+            the next valid one. A clock that is set back, or forward by more than a day,
+            adds nothing.
         plan: State of plan and ruptures together: the layer, the next boundary, the
             offset; None before the tare, and without `InsertionSession.follow`.
     """
@@ -119,12 +126,13 @@ class Checkpoint(NamedTuple):
 class Checkpoints(NamedTuple):
     """The two checkpoints that a session keeps.
 
-    A push on the arm rewinds to the older one, so that at least `CHECKPOINT_PERIOD_S`
-    is undone.
+    A push on the arm rewinds to the older one. While the two differ, this undoes at
+    least `CHECKPOINT_PERIOD_S`. They are equal, and less may be undone, from an event,
+    a rewind or the start of an insertion until the next checkpoint.
 
     Attributes:
-        older: Equal to the newer one after events, which are never rewound.
-        newer: Saved in the sample after it became due.
+        older: The one before ``newer``, or the same one: events are never undone.
+        newer: State after the sample that made it due, saved when the next one comes.
     """
 
     older: Checkpoint
@@ -174,8 +182,9 @@ class InsertionSession:
     time passes: after a longer gap it reports ``TIME_GAP`` and starts its local
     predictions again.
 
-    Depth counts from `zero`: the tare or the last `begin_insertion`, before both the
-    first sample.
+    Depth counts from `zero`: where the tip was at the tare or the last
+    `begin_insertion`, whichever came later. Until then it counts from the first valid
+    sample.
 
     Args:
         robot: The arm with its payload; the z axis of its tool frame is the needle,
@@ -418,7 +427,7 @@ class InsertionSession:
             return self._plan.evaluate(snapshot.plan)
         except (IdentificationError, InsertionError):
             raise
-        except Exception as error:  # whatever a damaged state makes of its parts
+        except Exception as error:  # the parts of a damaged state may raise anything
             raise SnapshotMismatchError(
                 f"the snapshot is damaged: {error!r}"
             ) from error
@@ -457,6 +466,8 @@ class InsertionSession:
         elapsed_s = self._sensor.elapsed_s
         if wrench.status is not Status.OK or wrench.warnings & UNUSABLE:
             return self._skip_sample(wrench, elapsed_s)
+        # The warnings of a push come from periodic checks, which may miss one that is
+        # still there: a gap ends only once a check of this very sample shows none.
         is_resuming = self._unused_s > 0.0
         if is_resuming and self._sensor.recheck(wrench).warnings & PUSHED:
             return self._skip_sample(wrench, elapsed_s)
@@ -467,7 +478,8 @@ class InsertionSession:
             # detect it.
             wrench = self._sensor.recheck(wrench)
             if wrench.warnings & PUSHED:
-                # The time of this sample was used: only rewinding makes it unused.
+                # The identifier has used this sample, so its time is not added here.
+                # The rewind that follows undoes that and counts it as unused.
                 return self._skip_sample(wrench, elapsed_s=0.0)
         self._accept(identification)
         return self._estimate(wrench, is_used=identification.status.is_used)
@@ -475,8 +487,8 @@ class InsertionSession:
     def _advance_clock(self) -> None:
         """Add the time since the last valid sample; the first one sets zero depth.
 
-        The sensor counts the time of rejected samples, and none where the clock of the
-        samples was set.
+        That time includes the steps of samples rejected in between, but not the jump of
+        a clock that was set.
         """
         if self._is_started:
             self._time_s += self._sensor.elapsed_s
@@ -499,7 +511,14 @@ class InsertionSession:
         )
 
     def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
-        """Return the identifier's estimate after this sample."""
+        """Return the identifier's estimate after this sample.
+
+        It gets the force before smoothing, since it filters on its own. That force
+        lags by the observer only; depth and speed are delayed to match.
+        """
+        # `axial_std` is the deviation of the smoothed force: error of the tare, drift,
+        # uncertain torque of motion, what the lag hides, noise that smoothing leaves.
+        # The identifier wants just this slow error: it learns the sample noise itself.
         return self._identifier.update(
             self._travel.delayed_depth_m,
             self._travel.delayed_speed_m_s,
@@ -522,12 +541,13 @@ class InsertionSession:
     def _save_checkpoint_if_due(self) -> None:
         """Save a state to rewind to.
 
-        This is done in the sample after the one that made it due, which had more to do.
+        This is put off until the sample after the one that made it due, to spread the
+        work.
         """
         if not self._is_checkpoint_due:
             return
         newer = Checkpoint(self._time_s, self._identifier.snapshot())
-        # A reported event is not reported again: nothing before it is kept.
+        # An event must not be reported twice: nothing before it is kept.
         older = newer if self._had_events else self._checkpoints.newer
         self._checkpoints = Checkpoints(older, newer)
         self._is_checkpoint_due = False
@@ -550,6 +570,8 @@ class InsertionSession:
     def _rewind(self) -> None:
         """Undo what the identification made of the push before it was detected."""
         checkpoint = self._checkpoints.older
+        # `resume` is `restore` without checks: the state is this identifier's own, or
+        # was checked when the session was restored.
         self._identifier.resume(checkpoint.identifier)
         self._identification = checkpoint.identifier.last
         self._unused_s = self._time_s - checkpoint.time_s

@@ -59,8 +59,8 @@ MIN_MOMENTUM_NOISE = 1e-9
 finite."""
 
 MAX_SQUARED_SUM = 3.0 * (1.0 + 1e-9) * MAX_PLAUSIBLE**2
-"""Sum of squares of three signals beyond which `check_rows` refuses one of them,
-whatever rounding does."""
+"""Sum of squares of q, dq and tau from which `check_rows` always refuses at least one
+of them; the margin covers rounding."""
 
 _NAMES = ("q", "dq", "tau")
 
@@ -71,19 +71,22 @@ RESIDUAL = 0
 """Row of the residual r [Nm]."""
 
 MOMENTUM = 1
-"""Row of the momentum p at the start of the tick [kg m^2/s]."""
+"""Row of the momentum p at the start of the tick, smoothed where the observer smooths
+it [kg m^2/s]."""
 
 CORIOLIS = 2
-"""Row of C' dq there [Nm]."""
+"""Row of C' dq at the start of the tick [Nm]."""
 
 GRAVITY = 3
-"""Row of g + tau_f there [Nm]."""
+"""Row of gravity and joint friction together, g + tau_f, at the start of the tick
+[Nm]."""
 
 TORQUE = 4
-"""Row of the measured torque there [Nm]."""
+"""Row of the measured torque at the start of the tick [Nm]."""
 
 END = 4
-"""Distance from the row of a quantity at the start of the tick to that at its end."""
+"""Offset, not a row: ``MOMENTUM + END`` is the row of the momentum at the end of the
+tick, and so on to ``TORQUE + END``."""
 
 ROWS_BEFORE = 5
 """Number of rows that are known before the tick."""
@@ -170,15 +173,16 @@ def momentum_smoothing_step(
         noise_threshold: Distance at which the bandwidth has doubled, shape (n,).
         dt_s: Length of the tick.
     """
-    tick = BANDWIDTH_PER_S * dt_s
+    # With s the length of the tick in time constants at rest, and x the distance in
+    # thresholds, behind / (1 + s (1 + x^4)) remains. In place, for speed.
+    rest_step = BANDWIDTH_PER_S * dt_s  # s
     behind = momentum - smoothed
-    ratio = behind / noise_threshold
-    ratio *= ratio
-    ratio *= ratio
-    # behind / (1 + tick (1 + ratio^4)) remains.
-    ratio *= tick
-    ratio += 1.0 + tick
-    behind /= ratio
+    divisor = behind / noise_threshold  # x
+    divisor *= divisor
+    divisor *= divisor  # x^4
+    divisor *= rest_step
+    divisor += 1.0 + rest_step
+    behind /= divisor
     momentum -= behind
 
 
@@ -196,7 +200,7 @@ def momentum_step(  # noqa: PLR0913 - tuples are slow to pass from Python in eve
     noise_threshold: Vector,
     dt_s: float,
 ) -> bool:
-    """Bring the residual to the end of a tick, with the momentum smoothed.
+    """Bring the residual to the end of a tick, smoothing its momentum if asked to.
 
     Args:
         rows: See `RESIDUAL` and the others, shape (9, n); all are brought to the end of
@@ -220,7 +224,8 @@ def momentum_step(  # noqa: PLR0913 - tuples are slow to pass from Python in eve
         happened.
     """
     numbers = sample.ravel()
-    if not dot(numbers, numbers) < MAX_SQUARED_SUM:  # a NaN is not either
+    # Written so that a NaN is refused, too.
+    if not dot(numbers, numbers) < MAX_SQUARED_SUM:
         return False
     dq = sample[1]
     torque = sample[2]
@@ -270,7 +275,8 @@ class MomentumObserver:
     Args:
         robot: The arm with its payload.
         gain_per_s: K, one for all joints or one each [1/s]; 1/K is the lag of the
-            residual.
+            residual. The default, 50/s, is for an observer used alone: the virtual
+            sensor passes `SensorConfig.gain_per_s`, 70/s by default.
         alignment: How torque fills a tick, see `Alignment`.
         friction: Joint friction between torque sensor and link, if any is modelled.
         max_gap_s: Longest time step that is still integrated [s].
@@ -364,7 +370,7 @@ class MomentumObserver:
         dq = sample[1]
         if not memory.started or dt_s > self._max_gap_s:
             dt_s = 0.0
-        elif dt_s != self._dt_s:  # on an even clock that is once
+        elif dt_s != self._dt_s:  # on an even clock this happens only once
             set_step_weights(self._weights, self._gains, dt_s, self._is_held)
             self._dt_s = dt_s
         load = pin.computeGeneralizedGravity(self._model, self._data, q)
@@ -389,6 +395,7 @@ class MomentumObserver:
             dt_s,
         )
         if not is_plausible:
+            # This always raises, see `MAX_SQUARED_SUM`.
             check_rows(_NAMES, sample)
         memory.started = True
         return memory.rows[RESIDUAL].copy()
@@ -461,8 +468,8 @@ class MomentumObserver:
 def read_gains(gain_per_s: float | ArrayLike, joints: int) -> Array:
     """Read a gain for all joints, shape (1,), or one each, shape (joints,) [1/s].
 
-    One stays one where it serves all: on an uneven clock its weights change in every
-    tick.
+    A single gain is not repeated for every joint: on an uneven clock the weights are
+    computed in every tick, and for one gain only once.
     """
     is_fit = np.shape(gain_per_s) in ((), (joints,))
     gains = np.array(gain_per_s if is_fit else np.nan, dtype=np.float64, ndmin=1)
@@ -477,7 +484,7 @@ def read_gains(gain_per_s: float | ArrayLike, joints: int) -> Array:
 def joint_axis(joint: pin.JointModel) -> Array:
     """Return the twist of a link at unit rate of its joint, in its axes, shape (6,).
 
-    The joint must have one number.
+    The joint must have one degree of freedom.
     """
     data = joint.createData()
     joint.calc(data, np.zeros(joint.nq))

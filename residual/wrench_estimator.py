@@ -1,7 +1,8 @@
 """From external joint torque to the wrench at a named frame: equation (13) and more.
 
-Between the components of a force, *along* means along the insertion direction and
-*across* means perpendicular to it.
+Of the components of a force, one is *along* the insertion direction, the others are
+*across* it, that is, perpendicular to it. The residual here is always r - r0: that of
+the momentum observer, less the offset.
 """
 
 import math
@@ -51,8 +52,8 @@ MIN_EIGENVALUE_RATIO = 1e-12
 rounding: they count as unseen."""
 
 MIN_UNSEEN_PART = 1e-18
-"""Squared part in an unseen direction from which an unknown counts as unseen: it is
-far above rounding and far below any part that matters."""
+"""An unknown counts as unseen if the squares of its components along the unseen
+directions add up to more than this: far above rounding and far below what matters."""
 
 MAX_ASYMMETRY = 1e-6
 """Sum of the differences across the diagonal of a covariance, relative to its trace:
@@ -182,12 +183,17 @@ def weighted_inverse(
     ``x = (J W J' + D)^-1 J W torque``. With W the inverse covariance of the error this
     is the best linear estimate; W = 1 and D = 0 give the pseudo-inverse (J')# of the
     paper's equation (13). D is the inverse of the variance expected of x. It matters
-    only where the joints cannot observe x: there it draws the estimate to zero, and the
+    only where the joints hardly observe x: there it draws the estimate to zero, and the
     fraction that it removes is reported.
+
+    W need not be the inverse of ``error_covariance``. `WrenchEstimator.compute_gain`
+    takes W, where it weights, from the error of a single sample, but the error
+    covariance without the noise that the smoothing of the force removes later.
 
     Args:
         jacobian: J; its rows are the directions of x, shape (k, n).
-        error_covariance: Covariance of the error of the torque [Nm^2], shape (n, n).
+        error_covariance: Covariance of the torque's error [Nm^2], shape (n, n); only
+            the stated covariance depends on it.
         precision: W, shape (n, n).
         damping: Diagonal of D, shape (k,).
 
@@ -309,14 +315,17 @@ def smoothing_step(
     """
     behind = wrench - smoothed
     along, across_squared = split_force(direction, behind)
-    # Two components of the lateral force are noisy.
-    ratio = (
+    # Half the square across: two components of the lateral force are noisy.
+    distance_squared = (
         max(along * along / noises_N2[0], 0.5 * across_squared / noises_N2[1])
         / SMOOTHED_SIGMAS**2
     )
-    lag = 1.0 + fixed_lag + adaptive_lag / (1.0 + ratio * ratio)
-    smoothed += behind / lag
-    remaining = 1.0 - 1.0 / lag
+    # One plus the lag in time steps: the divisor of an implicit step.
+    divisor = (
+        1.0 + fixed_lag + adaptive_lag / (1.0 + distance_squared * distance_squared)
+    )
+    smoothed += behind / divisor
+    remaining = 1.0 - 1.0 / divisor
     return along * remaining, across_squared * remaining * remaining
 
 
@@ -335,11 +344,13 @@ def wrench_step(  # noqa: PLR0913 - tuples are slow to pass from Python in every
 ) -> tuple[float, ...]:
     """Estimate the force of one tick, smoothed, with what its lag may hide.
 
-    A follower filters the force once more with the same lags, the observer's and the
-    smoothing's: it misses about what the estimate has missed. The variance of the noise
-    is subtracted from its squared error. As it is late itself, its error is small when
-    an oscillating force hides most. So this error fades with twice these lags;
-    `MAX_HIDDEN_SIGMAS` limits it, so a rupture is over soon.
+    A follower filters the smoothed force once more, with the lags of the observer and
+    of the smoothing: it is behind the smoothed force by about as much as that is behind
+    the true one. The square of this distance, less the variance of the force, is the
+    squared error by lag, which is added to the variance. The follower is late itself:
+    when the force oscillates, the distance is small just when the error is large. The
+    squared error therefore does not drop at once but fades with twice these lags.
+    `MAX_HIDDEN_SIGMAS` limits it, so that it is soon over after a rupture.
 
     Args:
         residual: External joint torque after offset removal [Nm], shape (n,).
@@ -364,20 +375,24 @@ def wrench_step(  # noqa: PLR0913 - tuples are slow to pass from Python in every
     unsmoothed, _ = split_force(direction, wrench)
     smoothing_step(smoothed, wrench, direction, noises_N2, smoothing_lag, 0.0)
     along, across_squared = split_force(direction, smoothed)
-    missed, missed_across = smoothing_step(
+    missed, missed_across_squared = smoothing_step(
         follower, smoothed, direction, noises_N2, smoothing_lag, observer_lag
     )
     fading = 1.0 - 1.0 / (1.0 + 2.0 * (smoothing_lag + observer_lag))
     variance = variances_N2[0]
     variance_across = variances_N2[1]
     hidden = max(missed * missed - variance, fading * hidden_N2[0])
-    # Two components of the lateral force are noisy.
-    hidden_across = max(missed_across - 2.0 * variance_across, fading * hidden_N2[1])
+    # Twice the variance: two components of the lateral force are noisy.
+    hidden_across = max(
+        missed_across_squared - 2.0 * variance_across, fading * hidden_N2[1]
+    )
     hidden_N2[0] = min(hidden, MAX_HIDDEN_SIGMAS**2 * variance)
     hidden_N2[1] = min(hidden_across, MAX_HIDDEN_SIGMAS**2 * variance_across)
     std = math.sqrt(variance + hidden)
     std_across = math.sqrt(variance_across + hidden_across)
     lateral = math.sqrt(max(across_squared, 0.0))
+    # Resistance is minus the force along the insertion direction: positive when tissue
+    # pushes back.
     return -along, std, lateral, std_across, -unsmoothed
 
 
@@ -472,7 +487,7 @@ class WrenchEstimator:
 
         Args:
             q: Joint positions [rad], shape (n,).
-            residual: External joint torque [Nm], shape (n,).
+            residual: External joint torque after offset removal [Nm], shape (n,).
 
         Raises:
             SampleError: For a wrong shape, or for numbers that are not real or not
@@ -500,6 +515,8 @@ class WrenchEstimator:
         is_axial = len(self._directions) == 1
         directions = force_direction(direction) if is_axial else self._directions
         rows = directions.dot(jacobian)
+        # The weights are those of a single sample. The stated covariance is that of the
+        # smoothed force, without the noise that smoothing removes.
         solution = weighted_inverse(
             rows,
             self.torque_covariance - self._smoothed_noise,
@@ -546,8 +563,8 @@ class WrenchEstimator:
         """Estimate the wrench from an external joint torque, by the last gain.
 
         Args:
-            residual: External joint torque after offset removal [Nm], shape (n,); it
-                becomes part of the estimate and read-only.
+            residual: External joint torque after offset removal, r - r0 [Nm], shape
+                (n,); it becomes part of the estimate and read-only.
             state: Of the smoothing; brought to the end of the tick.
             smoothing_lag: As of `wrench_step`; 0 for a first sample: the filters begin
                 where the force is.
