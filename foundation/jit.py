@@ -50,9 +50,10 @@ def compiled(function: Function) -> Function:
     them; it raises nothing, and calls compiled functions only, of any module.
 
     Where every parameter is annotated as ``float``, ``int``, ``bool``, one of
-    `foundation.arrays`, a `NamedTuple` of such, a state (see `foundation.records`), or a
-    plain tuple of a fixed number of them, it is compiled when its module is imported; what it calls then stands above it
-    or in a module imported there. Where one is not (``Any``, ``tuple[float, ...]``), it
+    `foundation.arrays`, a `NamedTuple` of such, a state (see `foundation.records`),
+    or a plain tuple of a fixed number of them, it is compiled when its module is
+    imported; what it calls then stands above it or in a module imported there. Where
+    one is not (``Any``, ``tuple[float, ...]``), it
     is compiled at the first call with these types: whoever calls it in a tick calls it
     once when constructed. No tick waits for a compiler.
 
@@ -80,7 +81,7 @@ def compiled(function: Function) -> Function:
 
 
 def compiler_type(hint: Any) -> Any:
-    """Return the compiler's type of an annotation, None where it leaves the type open."""
+    """Return the compiler's type of an annotation, None where that is open."""
     if hint in SCALARS:
         return SCALARS[hint]
     if get_origin(hint) is Annotated:
@@ -157,8 +158,8 @@ def record_dtype(kind: type) -> np.dtype[Any]:
 def cache_folder(module: str, file: str) -> Path:
     """Return the folder of a module's compiled code, named by a hash of its sources.
 
-    It lies below ``NUMBA_CACHE_DIR`` where the user has set that, else beside this file,
-    else, where that cannot be written, in the user's own cache folder.
+    It lies below ``NUMBA_CACHE_DIR`` where the user has set that, else beside this
+    file, else, where that cannot be written, in the user's own cache folder.
     """
     name = f"{module}-{hash_sources(Path(file).resolve())}"
     folder = _cache_root() / name
@@ -202,7 +203,7 @@ def hash_sources(file: Path) -> str:
 
 
 def _imported_files(file: Path) -> set[Path]:
-    """Return a file and all files of the project that it imports, however indirectly."""
+    """Return a file and all files of the project that it imports, also indirectly."""
     files = {file}
     waiting = [file]
     while waiting:

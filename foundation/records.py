@@ -1,10 +1,11 @@
 """Records: states with named fields that compiled functions read and write.
 
 The type of a state is a dataclass whose fields are ``float``, ``int``, ``bool``, or a
-state of another type, or a tuple of a fixed number of states of one other type. A compiled function that Python
-calls takes ``list[State]`` and works on ``states[0]``; one that only compiled functions
-call takes ``State``. Compiled, the list is a structured array of one element; where
-compiling is disabled (see `foundation.jit`) it is a list.
+state of another type, or a tuple of a fixed number of states of one other type. A
+compiled function that Python calls takes ``list[State]`` and works on ``states[0]``;
+one that only compiled functions call takes ``State``. Compiled, the list is a
+structured array of one element; where compiling is disabled (see `foundation.jit`) it
+is a list.
 """
 
 from dataclasses import is_dataclass

@@ -100,8 +100,8 @@ class SignCheck:
         if is_pulled:
             hints.append(
                 Message(
-                    "the force is negative while the needle goes in; it must be positive "
-                    "when tissue pushes back: ",
+                    "the force is negative while the needle goes in; it must be "
+                    "positive when tissue pushes back: ",
                     SignAdvice.FLIP_FORCE,
                 )
             )

@@ -596,7 +596,7 @@ class InsertionSession:
 
 
 def _check_settings(robot: object, sensor_config: object, speed_lag_s: object) -> None:
-    """Raise `SessionSettingError` for arguments of `InsertionSession` that cannot work."""
+    """Raise `SessionSettingError` for arguments of a session that cannot work."""
     if not isinstance(robot, Robot):
         raise SessionSettingError(
             f"robot is a {type(robot).__name__}, expected a Robot; load_lwr() or "

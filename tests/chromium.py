@@ -40,7 +40,8 @@ addEventListener("load", () => {
     content: document.scrollingElement.scrollWidth,
     images: [...document.images].map(image => image.getBoundingClientRect().height),
     wide: [...document.querySelectorAll("body *")].filter(item =>
-      item.getBoundingClientRect().right > innerWidth + 1 && !item.closest(".scroll, pre")
+      item.getBoundingClientRect().right > innerWidth + 1
+      && !item.closest(".scroll, pre")
     ).map(item => item.tagName),
   };
   parent.postMessage(JSON.stringify(found), "*");

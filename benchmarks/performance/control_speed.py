@@ -159,7 +159,7 @@ def control_speed_report(
         + (
             f"compiled by {COMPILER}"
             if COMPILER
-            else "plain Python: no numba, the extra `fast`"
+            else "plain Python: NUMBA_DISABLE_JIT is set"
         ),
     )
     return [table], all(is_met for _, is_met in targets.values())

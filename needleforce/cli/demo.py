@@ -40,8 +40,7 @@ def demo_command(
     *,
     options: DemoOptions = DemoOptions(),
 ) -> int:
-    """Show the needle moved in closed loop on the simulated arm, or planned on a CT
-    (abdomen).
+    """Show a needle in closed loop on the simulated arm, or planned on a CT.
 
     Prints a table and writes a page into DIR; --figure writes its first figure alone.
     Simulation only: not a medical device.

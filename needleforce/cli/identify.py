@@ -18,8 +18,7 @@ def identify_command(
     options: IdentificationOptions = IdentificationOptions(),
     columns: DepthColumns = DepthColumns(),
 ) -> int:
-    """Identify ruptures, layers, stiffness and friction from depth, speed and axial
-    force.
+    """Identify ruptures, layers, stiffness and friction from depth and axial force.
 
     Read a log with time, depth, force and perhaps speed. Depth grows into the tissue;
     force is positive when tissue pushes back. Times are on the log's clock. A ? marks

@@ -53,8 +53,7 @@ def live_command(
     watch: WatchOptions = WatchOptions(),
     robot: RobotOptions = RobotOptions(),
 ) -> int:
-    """Watch an arm: force on the needle, tip force, depth, ruptures, warnings, until
-    Ctrl-C.
+    """Watch an arm until Ctrl-C: forces, depth, ruptures, warnings.
 
     Move the needle in free air first: the tare is taken after --tare seconds.
 

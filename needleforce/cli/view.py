@@ -45,8 +45,7 @@ def view_command(
     options: ViewOptions = ViewOptions(),
     robot: RobotOptions = RobotOptions(),
 ) -> int:
-    """Show a recording of joint signals in a 3-D scene: a page for the browser, until
-    Ctrl-C.
+    """Show a recording of joint signals in a 3-D scene in the browser, until Ctrl-C.
 
     needleforce view insertion.csv --tare 13
     """

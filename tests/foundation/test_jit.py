@@ -195,7 +195,11 @@ def chain_numbers(joint_rows, needle_rows):
 
 @needs_compiler
 def test_the_chain_gives_the_same_numbers_without_the_compiler(tmp_path):
-    script = f"from tests.foundation import test_jit; test_jit.np.save({str(tmp_path / 'a')!r}, test_jit.chain_numbers"
+    path = str(tmp_path / "a")
+    script = (
+        "from tests.foundation import test_jit; "
+        f"test_jit.np.save({path!r}, test_jit.chain_numbers"
+    )
     environment = os.environ | {
         "NUMBA_DISABLE_JIT": "1",
         "PYTHONPATH": str(ROOT),
