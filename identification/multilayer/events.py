@@ -272,7 +272,7 @@ def begins_friction_record(assumption: Assumptions, kind: int, reported: int) ->
 
 @compiled
 def start_friction_record(step: LinearMap) -> None:
-    """Move the last section's friction to the one before, and start the last at zero."""
+    """Move the last section's friction to the one before; the last starts at zero."""
     clear_rows(step, FRICTION_LAST, FRICTION_BEFORE + 1)
     step.transition[FRICTION_BEFORE, FRICTION_LAST] = 1.0
 

@@ -7,10 +7,10 @@ which the mixture sees the means (`Block`). `method.MultilayerMethod` calls:
 1. `predict`, for every block: the unknowns go on by the block's time and travel.
 2. `correct` and `penalise_implausible`, unless the needle is in tissue and does not
    advance, or the block is a gap in the samples: components learn from the force.
-3. `MixtureMemory.branch`, some samples later, where the needle advances fast enough and
-   `MIN_BRANCH_MM` beyond the last call; for a gap twice. It picks parents, the likeliest
-   component in each state of the tip, and gives each parent children: one for each
-   event that may have happened and each length of its release.
+3. `MixtureMemory.branch`, some samples later, where the needle advances fast enough
+   and `MIN_BRANCH_MM` beyond the last call; for a gap twice. It picks parents, the
+   likeliest component in each state of the tip, and gives each parent children: one
+   for each event that may have happened and each length of its release.
 4. `MixtureMemory.prune`, after each corrected block: it drops components that the force
    speaks against, and the least likely of each class. A class is new or old events,
    with or without a membrane: each has its own quota, since what an event was may show

@@ -84,8 +84,8 @@ MIN_VISCOUS_SPEED_MM_S = 0.5
 """Speed below which viscous friction per speed is taken to be as at this speed."""
 
 MIN_SLOPE_N_PER_MM = 2e-3
-"""Minimum growth of the force in `use_friction_fraction`: where the estimate is smaller,
-the deviations are computed from this value."""
+"""Minimum growth of the force in `use_friction_fraction`: where the estimate is
+smaller, the deviations are computed from this value."""
 
 KNOWN_SLOPE_FRACTION = 0.2
 """The growth of the force counts as known once its standard deviation is at most this
@@ -175,7 +175,7 @@ def add_friction_prior(
 def use_friction_fraction(
     mean: WrittenVector, covariance: WrittenMatrix, speed: float, is_due: bool
 ) -> bool:
-    """Apply the prior of friction's fraction to a growth of the force that is known now.
+    """Apply the prior of friction's fraction to the growth of the force, now known.
 
     The priors at the beginning of a layer contain the fraction already, but for an
     assumed growth, with deviations in N/mm. Once the growth is known, the fraction is
