@@ -12,7 +12,7 @@ delay from measurement to motion stays below about 0.6. A stack is a list of tas
 order of priority, the most important first.
 """
 
-from abc import abstractmethod
+from abc import ABC, abstractmethod
 from typing import Protocol
 
 import numpy as np
@@ -347,7 +347,7 @@ class AxialSpeed:
         rates[0] = self.speed_m_s
 
 
-class JointTask:
+class JointTask(ABC):
     """A velocity of every joint, n rows; cheapest as the last of a stack.
 
     Attributes:
@@ -356,9 +356,9 @@ class JointTask:
 
     size: int
 
+    @abstractmethod
     def velocity_at(self, q_rad: Array) -> Array:
         """Return the velocity asked for at joint positions, shape (n,)."""
-        raise NotImplementedError
 
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """Write rows and rates, see `Task.write`."""
