@@ -306,7 +306,7 @@ def show_results(
         page: Write all tables there.
         readme: Write the summary between the marks of that page (README.md).
         limits: Write the worst rows of robustness between the marks of that page
-            (docs/limits.md).
+            (docs/explanation/limits.md).
     """
     from benchmarks.report.summary import (
         fill,
@@ -402,7 +402,7 @@ def inject_faults(
 
     Args:
         without_velocity: The arm sends no velocities, they are estimated.
-        markdown: Print the table of docs/loop.md.
+        markdown: Print the table of docs/how-to/loop.md.
         strict: Exit with 1 if a fault is not recovered from, or a number is not finite.
     """
     from benchmarks.faults.study import fault_table, measure_faults

@@ -45,9 +45,9 @@ SAYS = {
     "stop_and_resume": r"both read -?\d\.\d{6} N five seconds later",
 }
 """What the files in examples/ print."""
-PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("*.md")])
+PAGES = sorted([ROOT / "README.md", *(ROOT / "docs").glob("**/*.md")])
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-LOOP = (ROOT / "docs" / "loop.md").read_text(encoding="utf-8")
+LOOP = (ROOT / "docs" / "how-to" / "loop.md").read_text(encoding="utf-8")
 
 
 def run_example(code):
@@ -178,10 +178,11 @@ def test_the_format_of_snapshots_is_the_one_written():
     assert f"{UNSEEN_STD:.0e}".replace("+0", "") in LOOP
 
 
-# docs/panda.md runs as it stands, and what it measures is what it hung there.
+# docs/how-to/your-robot.md runs as it stands, and what it measures is what it hung
+# there.
 
 
-PANDA = (ROOT / "docs" / "panda.md").read_text(encoding="utf-8")
+PANDA = (ROOT / "docs" / "how-to" / "your-robot.md").read_text(encoding="utf-8")
 
 
 @pytest.fixture(scope="module")
@@ -193,7 +194,7 @@ def names():
         pytest.skip(str(error))
     names = {}
     for code in re.findall(r"^```python\n(.*?)^```$", PANDA, re.DOTALL | re.MULTILINE):
-        exec(compile(code, "panda.md", "exec"), names)
+        exec(compile(code, "your-robot.md", "exec"), names)
     return names
 
 
@@ -247,7 +248,7 @@ def test_names_and_links_of_the_page_exist(names):
     assert callable(urdf.identify_payload_static)
 
 
-NOTATION = (ROOT / "docs" / "notation.md").read_text(encoding="utf-8")
+NOTATION = (ROOT / "docs" / "reference" / "notation.md").read_text(encoding="utf-8")
 PACKAGES = ("urdf", "residual", "identification", "groundtruth")
 NAMES = sorted(
     set(re.findall(rf"`((?:{'|'.join(PACKAGES)})\.[\w.]+(?:\(\w+\))?)`", NOTATION))

@@ -329,7 +329,7 @@ def recovery(seconds: float) -> str:
 
 
 def fault_table(results: Sequence[FaultResult]) -> ResultTable:
-    """Return the table for the terminal, and for docs/loop.md."""
+    """Return the table for the terminal, and for docs/how-to/loop.md."""
     return ResultTable(
         title="Faults in a running insertion",
         heads=(

@@ -27,14 +27,14 @@ from benchmarks.results import Row, metric
 from benchmarks.targets import GROUPS, HEADLINES, Headline, evaluate
 
 WORST_ROWS = 8
-"""Of the robustness table, shown in docs/limits.md."""
+"""Of the robustness table, shown in docs/explanation/limits.md."""
 BEGIN = "<!-- results:begin -->"
 END = "<!-- results:end -->"
 SUMMED_METHODS = ("published", "published-best-K", "ours")
 
 
 def worst_rows(rows: Sequence[Row]) -> str:
-    """Return the worst lines of the robustness table, for docs/limits.md.
+    """Return the worst lines of the robustness table, for docs/explanation/limits.md.
 
     Raises:
         ResultsError: There are none.

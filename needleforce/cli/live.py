@@ -22,7 +22,8 @@ class WatchOptions:
     """What an arm is watched with.
 
     Attributes:
-        plan: Plan to match ruptures with (plan.json, or its folder): see docs/scene.md.
+        plan: Plan to match ruptures with (plan.json, or its folder): see
+            docs/how-to/scene.md.
         reference: ATI Net F/T between flange and tool: its axial force, and the rms
             difference since the tare, are shown next to the estimate.
         reference_axis: Direction of insertion in that sensor's axes (default: 0 0 1).

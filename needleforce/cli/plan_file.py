@@ -1,6 +1,6 @@
 """The plan of an insertion from a file, for `live` and `view`.
 
-The file is `plan.json`, see docs/scene.md; a segmentation may lie beside it.
+The file is `plan.json`, see docs/how-to/scene.md; a segmentation may lie beside it.
 """
 
 from collections.abc import Sequence
@@ -93,7 +93,7 @@ class _PlannedLayer(msgspec.Struct, forbid_unknown_fields=True):
 
 
 class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
-    """What stands in the file; see docs/scene.md.
+    """What stands in the file; see docs/how-to/scene.md.
 
     Attributes:
         rotation: From the model to the robot's base.
@@ -129,7 +129,7 @@ def read_plan(place: Path) -> LoadedPlan:
         match = PlanMatch(layers, plan.offset_std_m)
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
         raise CommandError(
-            f"{path}: {error}; docs/scene.md says what a plan holds"
+            f"{path}: {error}; docs/how-to/scene.md says what a plan holds"
         ) from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
     return LoadedPlan(scene._replace(layers=match.layers), match, entry_m)

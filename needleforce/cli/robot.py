@@ -172,7 +172,7 @@ def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
         return ['payload = "none"  # or "needle", a file, or a table [payload]']
     title = "[payload]  # in flange axes; inertia about the centre of mass"
     if isinstance(payload, NeedleTool):
-        title = "[payload.needle]  # force sensor and needle; see docs/force.md"
+        title = "[payload.needle]  # force sensor and needle; see docs/how-to/force.md"
     lines = [title]
     for item in fields(payload):
         value = np.asarray(getattr(payload, item.name))

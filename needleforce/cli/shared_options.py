@@ -255,7 +255,7 @@ class ArmOptions:
     Attributes:
         seconds: Stop after this time [s]; else at Ctrl-C or when the arm stops sending.
         motor_constants: For ur: joint torque per motor current of each joint [Nm/A]; a
-            UR sends no torques (docs/panda.md).
+            UR sends no torques (docs/how-to/your-robot.md).
     """
 
     seconds: Annotated[float, Parameter(metavar="S")] = float("inf")

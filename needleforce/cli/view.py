@@ -17,7 +17,7 @@ class ViewOptions:
 
     Attributes:
         anatomy: Folder with plan.json and labels.nii.gz (or .nrrd, .seg.nrrd): see
-            docs/scene.md.
+            docs/how-to/scene.md.
         mapping: TOML file that says which columns are which, as `needleforce force
             --print-config` writes.
         tare: Tare after so many seconds of motion without contact (default: 4); if it

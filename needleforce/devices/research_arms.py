@@ -138,8 +138,8 @@ class _UrSignals(NamedTuple):
 class UrArm(_VendorArm):
     """A UR e-Series arm through RTDE; torques are motor currents times a constant.
 
-    Without the constants there are currents only: see docs/panda.md for what a UR can
-    give.
+    Without the constants there are currents only: see docs/how-to/your-robot.md for
+    what a UR can give.
 
     Args:
         host: Address of the arm.

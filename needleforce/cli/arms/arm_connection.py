@@ -23,7 +23,7 @@ SIMULATED_SCENARIO = "stack-glove-constant"
 
 NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
-    "docs/panda.md has those of one arm, and its friction"
+    "docs/how-to/your-robot.md has those of one arm, and its friction"
 )
 
 

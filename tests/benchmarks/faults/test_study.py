@@ -1,4 +1,4 @@
-"""Faults in a running insertion (docs/loop.md)."""
+"""Faults in a running insertion (docs/how-to/loop.md)."""
 
 import re
 from pathlib import Path
@@ -11,7 +11,9 @@ from benchmarks.faults.study import FaultStudy, recovery
 
 def documented():
     """The documented rows: worst error [N], recovery and what is reported, by fault."""
-    page = (Path(__file__).parents[3] / "docs" / "loop.md").read_text(encoding="utf-8")
+    page = (Path(__file__).parents[3] / "docs" / "how-to" / "loop.md").read_text(
+        encoding="utf-8"
+    )
     table = re.search(
         r"<!-- faults:begin -->\n(.*?)<!-- faults:end -->", page, re.DOTALL
     )

@@ -317,4 +317,4 @@ def test_a_plan_that_says_too_little_is_refused(plan, why, arm, tmp_path, capsys
     said = capsys.readouterr().err
 
     assert re.search(why, said)
-    assert "docs/scene.md" in said
+    assert "docs/how-to/scene.md" in said

@@ -23,8 +23,10 @@ from tests.needleforce.cli.residual_command_log import SMALL_ARM, write_insertio
 from urdf import MissingPackageError, example_robot_path, load_urdf
 
 ROOT = Path(__file__).parents[3]
-IDENTIFY = (ROOT / "docs" / "identify.md").read_text(encoding="utf-8")
-FORCE = (ROOT / "docs" / "force.md").read_text(encoding="utf-8")
+IDENTIFY = (ROOT / "docs" / "explanation" / "identification.md").read_text(
+    encoding="utf-8"
+)
+FORCE = (ROOT / "docs" / "how-to" / "force.md").read_text(encoding="utf-8")
 FORCE = re.sub(r"(:\+?)13\b", r"\g<1>2.5", FORCE)  # the log of these tests lasts 4 s
 FORCE = FORCE.replace("--from 15 --to 40", "--from 1 --to 3")
 FILES = dict(

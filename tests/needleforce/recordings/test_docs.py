@@ -16,7 +16,7 @@ from needleforce.recordings.csv_file import CSV_SUFFIXES
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import HEAD_ROWS, TableLabels
 
-DOCS = Path(__file__).parents[3] / "docs"
+DOCS = Path(__file__).parents[3] / "docs" / "how-to"
 PAGES = [DOCS / "recordings.md", DOCS / "bags.md"]
 TEXT = PAGES[0].read_text(encoding="utf-8")
 BAGS = PAGES[1].read_text(encoding="utf-8")
