@@ -23,9 +23,10 @@ from tests.needleforce.cli.residual_command_log import SMALL_ARM, write_insertio
 from urdf import MissingPackageError, example_robot_path, load_urdf
 
 ROOT = Path(__file__).parents[3]
-IDENTIFY = (ROOT / "docs" / "explanation" / "identification.md").read_text(
+IDENTIFICATION = (ROOT / "docs" / "explanation" / "identification.md").read_text(
     encoding="utf-8"
 )
+FILES_PAGE = (ROOT / "docs" / "reference" / "files.md").read_text(encoding="utf-8")
 FORCE = (ROOT / "docs" / "how-to" / "force.md").read_text(encoding="utf-8")
 FORCE = re.sub(r"(:\+?)13\b", r"\g<1>2.5", FORCE)  # the log of these tests lasts 4 s
 FORCE = FORCE.replace("--from 15 --to 40", "--from 1 --to 3")
@@ -148,19 +149,19 @@ def test_identification_page_runs_and_names_its_columns(tmp_path, monkeypatch, c
     run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
     columns = {"t_s": run.t_s, "depth_m": run.depth_m, "force_N": run.force_N}
     write_table("forces.csv", columns)
-    (line,) = re.findall(r"^needleforce (.*)$", IDENTIFY, re.MULTILINE)
+    (line,) = re.findall(r"^needleforce (identify .*)$", FILES_PAGE, re.MULTILINE)
 
     assert main(shlex.split(line)) == 0
     assert "friction N" in capsys.readouterr().out
 
-    table = IDENTIFY.split("| column | what |")[1].split("\n\n")[0]
+    table = FILES_PAGE.split("| column | what |")[1].split("\n\n")[0]
     cells = [row.split("|")[1] for row in table.splitlines()[2:]]
     names = [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
 
     assert names == list(read_table("estimates.csv").columns)
 
     namespace = {}
-    exec(IDENTIFY.split("```python\n")[1].split("```")[0], namespace)
+    exec(IDENTIFICATION.split("```python\n")[1].split("```")[0], namespace)
 
     assert namespace["estimate"].status.is_used
     assert namespace["identifier"].layers == ()
