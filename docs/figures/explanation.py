@@ -8,6 +8,7 @@ Run it in the project's folder; it takes two minutes:
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
+from typing import NamedTuple
 
 import numpy as np
 
@@ -38,13 +39,29 @@ HEIGHT_IN = 2.7
 WIDTH_IN = 6.0
 
 
-def samples_of(run: Run) -> Iterator[tuple[float, Array, Array | None, Array, float]]:
-    """Yield time, position, velocity, torque and time step of every sample."""
+class ArmSample(NamedTuple):
+    """Signals of one tick, as the sensor takes them.
+
+    Attributes:
+        q: Joint positions [rad], shape (n,).
+        dq: Joint velocities [rad/s], shape (n,); None where the arm sends none.
+        tau: Joint torques [Nm], shape (n,).
+        dt_s: Time since the sample before.
+    """
+
+    q: Array
+    dq: Array | None
+    tau: Array
+    dt_s: float
+
+
+def samples_of(run: Run) -> Iterator[ArmSample]:
+    """Yield the samples of a run."""
     signals = run.signals
     steps_s = np.diff(signals.t_s, prepend=signals.t_s[0] - 1e-3)
-    for k, t_s in enumerate(signals.t_s):
+    for k, dt_s in enumerate(steps_s):
         dq = None if signals.dq_rad_s is None else signals.dq_rad_s[k]
-        yield t_s, signals.q_rad[k], dq, signals.tau_Nm[k], steps_s[k]
+        yield ArmSample(signals.q_rad[k], dq, signals.tau_Nm[k], float(dt_s))
 
 
 def force_curve(x: Array, y: Array, style: LineStyle, label: str) -> Curve:
@@ -76,7 +93,7 @@ def residual_of(run: Run, gain_per_s: float) -> Array:
     """Return the residual at a gain [Nm], (n, 7), of a run with measured velocities."""
     observer = MomentumObserver(run.robot, gain_per_s=gain_per_s, alignment="hold")
     residual_Nm = []
-    for _, q, dq, tau, dt_s in samples_of(run):
+    for q, dq, tau, dt_s in samples_of(run):
         assert dq is not None, "the plant ideal sends velocities"
         residual_Nm.append(observer.update(q, dq, tau, dt_s))
     return np.array(residual_Nm)
@@ -127,9 +144,9 @@ def axial_of(run: Run, sensor: VirtualForceSensor) -> tuple[Array, Array]:
     axial_N = np.full(len(run.signals.t_s), np.nan)
     std_N = np.full(len(run.signals.t_s), np.nan)
     is_tared = False
-    for k, (t_s, q, dq, tau, dt_s) in enumerate(samples_of(run)):
-        estimate = sensor.update(q, dq, tau, dt_s)
-        if not is_tared and t_s > run.tare_end_s:
+    for k, sample in enumerate(samples_of(run)):
+        estimate = sensor.update(*sample)
+        if not is_tared and run.signals.t_s[k] > run.tare_end_s:
             sensor.tare()
             is_tared = True
         if is_tared:
@@ -213,10 +230,10 @@ def draw_tare() -> None:
 def identified(run: Run) -> Iterator[Estimate]:
     """Yield what a session identifies at every sample of a run."""
     session = InsertionSession(run.robot)
-    for t_s, q, dq, tau, dt_s in samples_of(run):
+    for t_s, sample in zip(run.signals.t_s, samples_of(run), strict=True):
         if not session.tared and t_s > run.tare_end_s:
             session.tare()
-        yield session.update(q, dq, tau, dt_s).identification
+        yield session.update(*sample).identification
 
 
 def draw_identification() -> None:
