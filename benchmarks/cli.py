@@ -73,7 +73,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
             extra = EXTRAS.get(error.name or "")
             if extra is None:
                 raise
-            why = f"{error.name} is not installed; pip install '.[{extra}]'"
+            why = f"{error.name} is not installed; pip install -e '.[{extra}]'"
             raise CommandError(why) from error
         return code or 0
 

@@ -12,6 +12,7 @@ import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
+from foundation.extras import install_command
 from groundtruth.errors import PlantError, PlantModelError, require_fraction
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
 from groundtruth.rig_contacts import Contact, TouchedPoint, Vector3
@@ -414,7 +415,8 @@ class ArmPlant:
         """
         if mujoco is None:
             raise PlantError(
-                "the simulated arm needs the library mujoco: pip install mujoco"
+                "the simulated arm needs mujoco, which is not installed; "
+                f"{install_command('demo')}"
             )
         self._model = arm_model(bodies, SUBSTEP_s)
         self._data = mujoco.MjData(self._model)

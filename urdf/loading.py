@@ -15,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from foundation.advice import Message
 from foundation.arrays import Array
+from foundation.extras import install_command
 from urdf.advice import RobotAdvice
 from urdf.description import build_model, check_description, read_description
 from urdf.errors import InputError, MissingPackageError, UnknownNameError, finite_array
@@ -205,7 +206,7 @@ def example_robot_path(name: str) -> Path:
             return folder / _EXAMPLES[name]
     raise MissingPackageError(
         f"the description of {name!r} comes with {_PACKAGE}, which is not installed; "
-        f"pip install {_PACKAGE}"
+        f"{install_command('robots')}"
     )
 
 

@@ -8,6 +8,8 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
+from foundation.extras import missing_module
+
 FAILED = 2
 """Exit code after one line that says what is wrong with options or files."""
 
@@ -81,6 +83,8 @@ def run_command(work: Callable[[], int]) -> int:
 
 def _describe_failure(error: BaseException) -> str:
     """Return a foreseen failure in one line; raise what was not foreseen."""
+    if isinstance(error, ModuleNotFoundError) and (line := missing_module(error.name)):
+        return line
     if type(error).__module__.partition(".")[0] in _FORESEEN:
         try:
             write_out("")

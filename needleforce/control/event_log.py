@@ -10,6 +10,7 @@ from typing import Any
 
 import msgspec
 
+from foundation.extras import install_command
 from needleforce.control.errors import SettingError
 from needleforce.control.state_machine import State, transition
 
@@ -125,7 +126,10 @@ def _import_mcap(module: str) -> Any:
     try:
         return import_module(f"mcap.{module}")
     except ImportError:
-        raise SettingError("MCAP needs: pip install mcap") from None
+        raise SettingError(
+            "MCAP files need mcap, which is not installed; "
+            f"{install_command('recordings')}"
+        ) from None
 
 
 def read_events(path: str | Path) -> list[LoggedEvent]:

@@ -3,6 +3,8 @@
 from importlib import import_module
 from typing import Any
 
+from foundation.extras import install_command
+
 
 class DeviceError(Exception):
     """Base of all errors of this package; the others are standard exceptions, too."""
@@ -34,5 +36,5 @@ def import_client(module: str, package: str) -> Any:
         return import_module(module)
     except ImportError as error:
         raise MissingClientError(
-            f"{package} is not installed; pip install {package}"
+            f"{package} is not installed; {install_command('devices')}"
         ) from error

@@ -14,6 +14,7 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.extras import install_command
 from needleforce.files import whole_file
 from needleforce.plots.chart import (
     BAND_STD,
@@ -315,7 +316,7 @@ def require_matplotlib(purpose: str, path: str | Path | None = None) -> None:
     except ImportError as error:
         raise MissingExtraError(
             f"{purpose} needs {error.name or 'matplotlib'}, which is not installed; "
-            "pip install matplotlib jinja2"
+            f"{install_command('demo')}"
         ) from error
 
 

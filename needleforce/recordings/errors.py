@@ -7,6 +7,8 @@ from pathlib import Path
 from types import ModuleType
 from typing import NamedTuple
 
+from foundation.extras import install_command
+
 MAX_BYTES = 2 << 30
 """Memory that a recording may take by default; a small damaged file can ask for any."""
 
@@ -99,9 +101,9 @@ def optional_library(module: str, user: str) -> ModuleType:
         return import_module(module)
     except ImportError as error:
         library = module.partition(".")[0]
-        packages = "pyarrow" if library == "pyarrow" else "rosbags mcap"
         raise FileAccessError(
-            f"{user} need the library {library}: pip install {packages}"
+            f"{user} need {library}, which is not installed; "
+            f"{install_command('recordings')}"
         ) from error
 
 

@@ -11,6 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from foundation.extras import install_command
 from needleforce.scene.state_ring import Closing, SceneError
 
 PORT = 18944
@@ -42,7 +43,12 @@ class SlicerOutput(Closing):
     """
 
     def __init__(self, port: int = PORT, *, any_address: bool = False) -> None:
-        import pyigtl
+        try:
+            import pyigtl
+        except ImportError as error:
+            raise SceneError(
+                f"pyigtl is not installed; {install_command('slicer')}"
+            ) from error
 
         self._igtl: Any = pyigtl
         try:

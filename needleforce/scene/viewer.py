@@ -15,6 +15,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.extras import install_command
 from needleforce.files import whole_file
 from needleforce.scene import nodes
 from needleforce.scene.row_text import (
@@ -152,7 +153,9 @@ class Viewer:
         try:
             import viser
         except ImportError as error:
-            raise SceneError("viser is not installed; pip install viser") from error
+            raise SceneError(
+                f"viser is not installed; {install_command('scene')}"
+            ) from error
 
         check_address(host, port)
         self._server = viser.ViserServer(

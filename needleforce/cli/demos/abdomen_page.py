@@ -10,6 +10,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
+from foundation.extras import missing_module
 from needleforce.anatomy import Labels, PlanState, Registration, Structure
 from needleforce.cli.demos.abdomen_insertion import (
     LANDMARKS,
@@ -32,14 +33,8 @@ from needleforce.plots import (
     require_matplotlib,
 )
 
-PACKAGE_OF_MODULE = {
-    "SimpleITK": "SimpleITK",
-    "skimage": "scikit-image",
-    "manifold3d": "manifold3d",
-    "trimesh": "trimesh",
-    "mujoco": "mujoco",
-}
-"""Modules that are needed, all of extras, and the packages that bring them."""
+MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "mujoco")
+"""Modules of extras that the demonstration needs."""
 
 UP = (0.0, 0.0, 1.0)
 """Direction to the head in the model, and up in the scene."""
@@ -77,9 +72,9 @@ def run(
     """
     if folder is not None or picture is not None:
         require_matplotlib("demo")
-    for module, package in PACKAGE_OF_MODULE.items():
+    for module in MODULES:
         if find_spec(module) is None:
-            raise CommandError(f"demo abdomen needs {package}; pip install {package}")
+            raise CommandError(f"demo abdomen: {missing_module(module)}")
     with progress_bar("demonstrating abdomen") as progress:
         insertion = insert(data, seed, progress)
     result = DemoResult(TITLE, _rows_of(insertion), (_force_chart(insertion),))

@@ -1,0 +1,64 @@
+"""The optional parts of an installation, named by what a user does with them."""
+
+PACKAGE = "needleforce"
+"""Name under which all of this is installed."""
+
+EXTRAS = {
+    "demo": "the simulated arm; figures and report pages",
+    "robots": "descriptions of the Franka Panda and the UR10",
+    "recordings": "Parquet files and ROS 2 bags",
+    "patient": "CT and segmentations, planned layers, registration",
+    "scene": "the 3-D scene in a browser, with the patient in it",
+    "slicer": "the needle shown live in 3D Slicer",
+    "devices": "haptic device, Franka and UR arms",
+    "cluster": "benchmark campaigns on several machines",
+    "docs": "building these pages",
+}
+"""What each extra of a user adds, by its name in ``pip install 'needleforce[NAME]'``.
+
+Those of developers (``bench``, ``test``, ``dev``) are not listed.
+"""
+
+EXTRA_OF_MODULE = {
+    "mujoco": "demo",
+    "matplotlib": "demo",
+    "jinja2": "demo",
+    "markupsafe": "demo",
+    "pyarrow": "recordings",
+    "rosbags": "recordings",
+    "mcap": "recordings",
+    "SimpleITK": "patient",
+    "skimage": "patient",
+    "manifold3d": "patient",
+    "trimesh": "patient",
+    "viser": "scene",
+    "yourdfpy": "scene",
+    "pyigtl": "slicer",
+    "websockets": "devices",
+    "panda_py": "devices",
+    "rtde_receive": "devices",
+    "rtde_control": "devices",
+    "distributed": "cluster",
+}
+"""The extra that brings a module which may be missing."""
+
+
+def install_command(extra: str) -> str:
+    """Return the shell command that installs an extra of `EXTRAS`."""
+    return f"pip install '{PACKAGE}[{extra}]'"
+
+
+def missing_module(name: str | None) -> str | None:
+    """Return what to do about a module of an extra that is not installed.
+
+    Args:
+        name: Its dotted name.
+
+    Returns:
+        One line; None for a module that no extra brings.
+    """
+    module = (name or "").partition(".")[0]
+    extra = EXTRA_OF_MODULE.get(module)
+    if extra is None:
+        return None
+    return f"{module} is not installed; {install_command(extra)}"

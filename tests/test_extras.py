@@ -1,0 +1,112 @@
+"""The core is light: what some users need comes with an extra named for its use."""
+
+import ast
+import subprocess
+import sys
+import tomllib
+
+import pytest
+
+from foundation.extras import EXTRA_OF_MODULE, EXTRAS, install_command, missing_module
+from tests.source_files import INSTALLED, ROOT
+
+PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+OF_DEVELOPERS = {"bench", "test", "dev"}
+HEAVY = ("trimesh", "shapely", "lxml", "PIL", "matplotlib", "yourdfpy", "networkx")
+CORE_MODULES = {"pinocchio", "coal", "numpy", "scipy", "numba", "msgspec", "cyclopts"}
+BROUGHT_BY_CYCLOPTS = {"rich"}
+DISTRIBUTIONS = {
+    "markupsafe": "jinja2",
+    "skimage": "scikit-image",
+    "panda_py": "panda-python",
+    "rtde_receive": "ur-rtde",
+    "rtde_control": "ur-rtde",
+    "distributed": "dask",
+}
+
+
+def distribution(requirement):
+    """Name of what a line of the project file asks for."""
+    return requirement.split(">=")[0].split("[")[0].strip().lower().replace("_", "-")
+
+
+def required(extra):
+    return {
+        distribution(item)
+        for item in PROJECT["project"]["optional-dependencies"][extra]
+        if not item.startswith("needleforce[")
+    }
+
+
+def third_party_imports(path):
+    """Top-level modules that a file imports, wherever it does, that are not ours."""
+    own = set(INSTALLED) | set(sys.stdlib_module_names)
+    for node in ast.walk(ast.parse(path.read_text(encoding="utf-8"))):
+        if isinstance(node, ast.Import):
+            names = [alias.name for alias in node.names]
+        elif isinstance(node, ast.ImportFrom):
+            names = [node.module or ""]
+        else:
+            continue
+        yield from {name.partition(".")[0] for name in names} - own
+
+
+def test_every_extra_of_a_user_is_described():
+    extras = set(PROJECT["project"]["optional-dependencies"])
+
+    assert set(EXTRAS) == extras - OF_DEVELOPERS
+    assert all(EXTRAS.values())
+
+
+def test_each_module_that_the_product_imports_is_of_the_core_or_of_an_extra():
+    known = CORE_MODULES | BROUGHT_BY_CYCLOPTS | set(EXTRA_OF_MODULE)
+    unknown = {
+        (name, path.name)
+        for package in INSTALLED
+        for path in (ROOT / package).rglob("*.py")
+        for name in third_party_imports(path)
+        if name not in known
+    }
+
+    assert unknown == set()
+
+
+def test_the_extra_of_a_module_brings_it():
+    for module, extra in EXTRA_OF_MODULE.items():
+        name = DISTRIBUTIONS.get(module, module.lower())
+
+        assert name in required(extra), module
+
+
+def test_the_core_loads_none_of_the_heavy_packages(tmp_path):
+    code = (
+        "import sys, needleforce, needleforce.cli, needleforce.control\n"
+        "needleforce.InsertionSession, needleforce.load_lwr\n"
+        f"print(*sorted(set({HEAVY!r}) & set(sys.modules)))"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", code],
+        capture_output=True,
+        text=True,
+        cwd=tmp_path,
+        env={"NUMBA_DISABLE_JIT": "1", "PYTHONPATH": str(ROOT)},
+        check=True,
+    )
+
+    assert done.stdout.strip() == ""
+
+
+@pytest.mark.parametrize(
+    ("module", "extra"), [("mujoco", "demo"), ("trimesh.remesh", "patient")]
+)
+def test_a_missing_module_is_one_line_with_the_command(module, extra):
+    line = missing_module(module)
+
+    assert line is not None
+    assert line.endswith(f"is not installed; {install_command(extra)}")
+    assert f"[{extra}]" in line
+
+
+def test_a_module_that_no_extra_brings_has_no_such_line():
+    assert missing_module("telnetlib") is None
+    assert missing_module(None) is None
