@@ -25,9 +25,11 @@ from residual.estimate import UNSEEN_STD
 from residual.velocity_filter import VelocityEstimator
 from tests.insertion_run import simulated
 from tests.residual.residual_signals import pose_of
+from tests.source_files import project_files
 from urdf import MissingPackageError, example_robot_path
 
 ROOT = Path(__file__).parents[1]
+DOCS = ROOT / "docs"
 SAYS = {
     "controller_loop": (
         r"(?s).*layer 1 ruptured at 3\d.\d mm.*at most \d\.\d\d N.*; 0 samples rejected"
@@ -46,9 +48,17 @@ SAYS = {
     "stop_and_resume": r"both read -?\d\.\d{6} N five seconds later",
 }
 """What the files in examples/ print."""
-PAGES = sorted(
-    [ROOT / "README.md", ROOT / "CONTRIBUTING.md", *(ROOT / "docs").glob("**/*.md")]
-)
+PAGES = [
+    ROOT / "README.md",
+    ROOT / "CONTRIBUTING.md",
+    *(
+        path
+        for path in project_files()
+        if path.suffix == ".md" and DOCS in path.parents
+    ),
+]
+GENERATED = re.compile(r"(^|/)(api|gallery)/|(^|/)(command-line|benchmarks)\.md$")
+"""Pages that exist once the site is built, which checks links to them and anchors."""
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 LOOP = (ROOT / "docs" / "how-to" / "loop.md").read_text(encoding="utf-8")
@@ -149,7 +159,9 @@ def test_every_link_leads_to_a_file(page):
     text = page.read_text(encoding="utf-8")
     targets = re.findall(r"\]\(([^)#:\s]+)(?:#[^)]*)?\)", text)
 
-    assert [name for name in targets if not (page.parent / name).exists()] == []
+    missing = [name for name in targets if not (page.parent / name).exists()]
+
+    assert [name for name in missing if not GENERATED.search(name)] == []
 
     files = re.findall(
         r"`((?:urdf|residual|identification|groundtruth|needleforce|benchmarks"

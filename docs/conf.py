@@ -1,0 +1,60 @@
+"""Settings of the site: ``python -m sphinx -W docs docs/_build``."""
+
+import sys
+from pathlib import Path
+
+from pygments.lexers.special import TextLexer
+from sphinx.application import Sphinx
+
+DOCS = Path(__file__).parent
+sys.path[:0] = [str(DOCS / "extensions"), str(DOCS.parent)]
+
+import array_types  # pyright: ignore[reportMissingImports]
+
+array_types.shorten()
+
+project = "needleforce"
+author = "needleforce"
+copyright = "the needleforce authors, Apache-2.0"
+
+extensions = [
+    "myst_parser",
+    "sphinx.ext.autodoc",
+    "sphinx.ext.napoleon",
+    "api_pages",
+    "command_pages",
+    "docstrings",
+    "mathml",
+]
+exclude_patterns = ["_build", "extensions"]
+
+# Pages
+myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
+myst_heading_anchors = 4
+smartquotes = False  # "--" before an option stays as it is
+
+# Docstrings
+autodoc_member_order = "bysource"
+autodoc_typehints = "signature"
+autodoc_typehints_format = "short"
+python_use_unqualified_type_names = True
+maximum_signature_line_length = 70
+napoleon_numpy_docstring = False
+
+# Look
+html_theme = "furo"
+html_title = "needleforce"
+html_static_path = ["style"]
+html_css_files = ["site.css"]
+html_copy_source = False
+html_show_sourcelink = False
+html_show_sphinx = False
+html_theme_options = {
+    "navigation_with_keys": False,
+    "light_css_variables": {"color-brand-primary": "#0b5c7a"},
+}
+
+
+def setup(app: Sphinx) -> None:
+    """Let tables in the pages be of the language csv, which has no colours."""
+    app.add_lexer("csv", TextLexer)

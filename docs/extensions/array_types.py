@@ -1,0 +1,26 @@
+"""Array types under their short names, as our sources write them.
+
+What numpy means by them is a union of many lines. Imported before our packages, so that
+their annotations refer to these.
+"""
+
+from typing import Generic, TypeVar
+
+import numpy.typing
+
+Number = TypeVar("Number")
+
+
+class ArrayLike:
+    """Whatever numpy makes an array of."""
+
+
+class NDArray(Generic[Number]):
+    """An array of numbers of one type."""
+
+
+def shorten() -> None:
+    """Replace numpy's types of arrays."""
+    for short in (ArrayLike, NDArray):
+        short.__module__ = "numpy.typing"
+        setattr(numpy.typing, short.__name__, short)

@@ -1,0 +1,71 @@
+"""The pages of the commands, from their parsers."""
+
+import re
+from pathlib import Path
+from typing import NamedTuple
+
+from cyclopts import App
+from sphinx.application import Sphinx
+
+import benchmarks.cli
+import needleforce.cli
+
+
+class CommandPage(NamedTuple):
+    """A page of a command.
+
+    Attributes:
+        name: Name of the page.
+        title: Its title.
+        app: The command.
+        words: How its examples begin.
+    """
+
+    name: str
+    title: str
+    app: App
+    words: str
+
+
+PAGES = (
+    CommandPage("command-line", "Command line", needleforce.cli.app, "needleforce"),
+    CommandPage(
+        "benchmarks",
+        "Command line of the benchmarks",
+        benchmarks.cli.app,
+        "python -m benchmarks",
+    ),
+)
+
+INTRODUCTION = re.compile(r"\A# .*?(?=^## (?!Table of Contents))", re.DOTALL | re.M)
+COMPLETION = re.compile(
+    r"^## needleforce --install-completion.*?(?=^## )", re.DOTALL | re.M
+)
+LIST_ITEM = re.compile(r"^(\* `[^`]*`(?:, `[^`]*`)*: )", re.M)
+
+
+def text_of(page: CommandPage) -> str:
+    """Return the page: what each command does, then its options, by group."""
+    help_text = page.app.generate_docs(output_format="markdown", usage_name=page.words)
+    commands = COMPLETION.sub("", INTRODUCTION.sub("", help_text))
+    examples = re.compile(rf"^({re.escape(page.words)} .*)$(?!\n```)", re.M)
+    commands = examples.sub(r"```sh\n\1\n```", commands)
+    usage = re.compile(r"```console\n```sh\n(.*)\n```\n```")
+    commands = usage.sub(r"```console\n\1\n```", commands)
+    return f"# {page.title}\n\n{page.app.help}\n\n{commands}"
+
+
+def write_pages(app: Sphinx) -> None:
+    """Write the pages beside the others, where they differ from what is there."""
+    folder = Path(app.srcdir) / "reference"
+    for page in PAGES:
+        path = folder / f"{page.name}.md"
+        text = text_of(page)
+        if not path.exists() or path.read_text(encoding="utf-8") != text:
+            path.write_text(text, encoding="utf-8")
+
+
+def setup(app: Sphinx) -> dict[str, bool]:
+    """Write the pages before Sphinx looks for them."""
+    app.connect("builder-inited", write_pages)
+    return {"parallel_read_safe": True, "parallel_write_safe": True}
