@@ -305,8 +305,7 @@ def show_results(
         files: Results from run --json.
         page: Write all tables there.
         readme: Write the summary between the marks of that page (README.md).
-        limits: Write the worst rows of robustness between the marks of that page
-            (docs/explanation/limits.md).
+        limits: Write the worst rows of robustness between the marks of that page.
     """
     from benchmarks.report.summary import (
         fill,

@@ -107,6 +107,8 @@ class PlantModel:
         payload_error: Relative error of the tool's mass as the estimator knows it; the
             sign is drawn. 0.02: weighed without its cable; 0.05: from data sheets.
         payload_com_spread_m: Standard deviation, per axis, of the error of the tool's
+            centre of mass: the mass error times the 50 mm size of an F/T sensor with
+            its adapters.
         kinematic_error_m: Standard deviation, per joint and axis, of the error of where
             the estimator's model has the joint's frame.
         kinematic_error_rad: The same of how that frame is turned.
@@ -130,7 +132,12 @@ class PlantModel:
             the 4e-4 in 4 minutes of the sensor above.
         warm_up_s: Time constant of that.
         torque_ripple: Amplitude, as a fraction of limit, of a ripple periodic in joint
+            position: the elliptic wave generator passes the sensor twice per motor
+            turn, sin(2 N q) with gear ratio N. 1e-4, one fiftieth of the 0.5 %
+            linearity, most of which is smooth and calibrated away.
         torque_hysteresis: Half-width, as a fraction of limit, of the torque sensor's
+            backlash: the output lags until the torque has moved by this much. 1e-4, one
+            fiftieth of the linearity as well.
         torque_nonlinearity: Greatest smooth deviation of a torque sensor from a
             straight line, as a fraction of limit. The data sheet promises less than 0.5
             %.
@@ -160,16 +167,11 @@ class PlantModel:
             equally likely.
         ft_noise_std: White noise of one sample of the reference F/T sensor, N and Nm.
             Along z that of `MINI45`; the other axes in proportion to raw samples of
+            one: 20, 19, 50 mN; 0.53, 0.53, 0.50 mNm.
         ft_noise_correlation_s: Time constant of that noise, zero for white.
         ft_drift_std_per_min: Standard deviation of its linear drift rate, N/min and
             Nm/min. Along z that of `MINI45`; the other axes in proportion to their
-            centre of mass: the mass error times the 50 mm size of an F/T sensor with
-            its adapters. position: the elliptic wave generator passes the sensor twice
-            per motor turn, sin(2 N q) with gear ratio N. 1e-4, one fiftieth of the 0.5
-            % linearity, most of which is smooth and calibrated away. backlash: the
-            output lags until the torque has moved by this much. 1e-4, one fiftieth of
-            the linearity as well. one: 20, 19, 50 mN; 0.53, 0.53, 0.50 mNm. range: 145,
-            145, 290 N; 5 Nm.
+            range: 145, 145, 290 N; 5 Nm.
     """
 
     name: str

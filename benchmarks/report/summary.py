@@ -27,14 +27,14 @@ from benchmarks.results import Row, metric
 from benchmarks.targets import GROUPS, HEADLINES, Headline, evaluate
 
 WORST_ROWS = 8
-"""Of the robustness table, shown in docs/explanation/limits.md."""
+"""Of the robustness table, that `results --limits` writes."""
 BEGIN = "<!-- results:begin -->"
 END = "<!-- results:end -->"
 SUMMED_METHODS = ("published", "published-best-K", "ours")
 
 
 def worst_rows(rows: Sequence[Row]) -> str:
-    """Return the worst lines of the robustness table, for docs/explanation/limits.md.
+    """Return the worst lines of the robustness table, for a page.
 
     Raises:
         ResultsError: There are none.
