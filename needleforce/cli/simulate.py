@@ -18,7 +18,8 @@ class SimulationOptions:
         output: Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag.
         truth: Ground truth, which the robot does not know: forces, depth, layers,
             ruptures.
-        plant: Plant model: how good arm and sensors are (default: clean).
+        plant: Plant model: how good arm and sensors are (default: clean); or needle, a
+            needle on a linear stage with its force sensor, without an arm.
         seed: Seed of everything that is drawn at random (default: 0).
         list: Print the scenarios and stop.
     """
@@ -27,7 +28,7 @@ class SimulationOptions:
         Path | None, Parameter(name=("--output", "-o"), metavar="FILE")
     ] = None
     truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
-    plant: Literal["ideal", "clean", "fri", "degraded"] = "clean"
+    plant: Literal["ideal", "clean", "fri", "degraded", "needle"] = "clean"
     seed: Annotated[int, Parameter(metavar="N")] = 0
     list: bool = False
 
@@ -45,7 +46,8 @@ def simulate_command(
     """Simulate an insertion and write it as a recording.
 
     Joint positions, velocities and torques of a KUKA LWR 4+, and the wrench of a force
-    sensor at the needle, as a robot would have recorded them.
+    sensor at the needle, as a robot would have recorded them; or, with --plant needle,
+    depth and force alone.
 
     needleforce simulate gel-25-constant -o insertion.mcap --truth truth.csv
     """

@@ -1,18 +1,23 @@
 """`needleforce simulate`: a simulated insertion as a recording."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
-from groundtruth import SCENARIOS, Run, Scenario, simulate
+from foundation.arrays import Array
+from groundtruth import SCENARIOS, NeedleRun, Run, Scenario, insert_needle, simulate
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from groundtruth.scenarios import scenario as scenario_named
+from groundtruth.tissue import Rupture, TissueTruth
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_outputs
 from needleforce.recordings.table import TableLabels
+
+NEEDLE = "needle"
+"""As the plant: a needle on a linear stage with its force sensor, without an arm."""
 
 
 def print_scenarios() -> int:
@@ -36,9 +41,9 @@ def write_simulation(
 
     Args:
         scenario: Name of the scenario.
-        plant: Plant model.
+        plant: Plant model, or `NEEDLE`.
         seed: Seed of everything that is drawn at random.
-        recording: File of the robot's signals, if any.
+        recording: File of the measured signals, if any.
         truth: File of the ground truth, if any.
 
     Returns:
@@ -50,6 +55,8 @@ def write_simulation(
     outputs = {"-o": recording, "--truth": truth}
     paths = {option: path for option, path in outputs.items() if path is not None}
     chosen = _check_simulation(scenario, seed, paths)
+    if plant == NEEDLE:
+        return _write_needle_simulation(chosen, seed, recording, truth)
     with progress_bar(f"simulating {chosen.id}"):
         run = simulate(chosen, plant=plant, seed=seed)
     joint_names = run.robot.joint_names
@@ -60,6 +67,20 @@ def write_simulation(
         labels = TableLabels(joint_names=joint_names, prefix="/truth")
         write_table(truth, truth_table(run), labels=labels)
     write_out(_summary(run, recording))
+    return 0
+
+
+def _write_needle_simulation(
+    scenario: Scenario, seed: int, recording: Path | None, truth: Path | None
+) -> int:
+    """Simulate a needle without an arm, write its files, and print a summary."""
+    run = insert_needle(scenario, seed=seed)
+    if recording is not None:
+        write_table(recording, needle_table(run))
+    if truth is not None:
+        table = tissue_table(run.truth, run.t_s, run.depth_m, run.speed_m_s)
+        write_table(truth, table, labels=TableLabels(prefix="/truth"))
+    write_out(_needle_summary(run, recording))
     return 0
 
 
@@ -96,19 +117,33 @@ def signal_table(run: Run) -> dict[str, NDArray]:
     return table
 
 
-def truth_table(run: Run) -> dict[str, NDArray]:
-    """Return the ground truth at the same samples; see `groundtruth.Truth`.
+def needle_table(run: NeedleRun) -> dict[str, Array]:
+    """Return depth and reading of the force sensor, one row per sample."""
+    return {"t_s": run.t_s, "depth_m": run.depth_m, "force_N": run.force_N}
+
+
+def tissue_table(
+    truth: TissueTruth, t_s: Array, depth_m: Array, speed_m_s: Array
+) -> dict[str, NDArray]:
+    """Return what happened in the tissue, one row per sample.
 
     `rupture` is the number of the layer that the tip begins to leave at a row, counted
     from 1, else 0; of two that rupture within one row the second stands in the next.
     `surface_rupture` is 1 where a membrane on the surface ruptures.
     """
-    truth = run.truth
-    table: dict[str, NDArray] = {"t_s": truth.t_s + _shift_s(run)}
-    for name in ("depth_m", "speed_m_s", "axial_N", "tip_N", "friction_N", "layer"):
+    table: dict[str, NDArray] = {"t_s": t_s, "depth_m": depth_m, "speed_m_s": speed_m_s}
+    for name in ("axial_N", "tip_N", "friction_N", "layer"):
         table[name] = getattr(truth, name)
-    table["rupture"] = _rupture_marks(run, on_surface=False)
-    table["surface_rupture"] = _rupture_marks(run, on_surface=True)
+    table["rupture"] = _rupture_marks(truth.ruptures, t_s, on_surface=False)
+    table["surface_rupture"] = _rupture_marks(truth.ruptures, t_s, on_surface=True)
+    return table
+
+
+def truth_table(run: Run) -> dict[str, NDArray]:
+    """Return the ground truth at the same samples; see `groundtruth.Truth`."""
+    truth = run.truth
+    table = tissue_table(truth, truth.t_s, truth.depth_m, truth.speed_m_s)
+    table["t_s"] = truth.t_s + _shift_s(run)
     table["tau_ext_Nm"] = truth.external_torque_Nm
     if truth.layer_friction_N.shape[1]:
         table["layer_friction_N"] = truth.layer_friction_N
@@ -123,11 +158,12 @@ def _shift_s(run: Run) -> float:
     return max(0.0, -float(run.signals.t_s[0]))
 
 
-def _rupture_marks(run: Run, *, on_surface: bool) -> NDArray[np.int64]:
+def _rupture_marks(
+    ruptures: Sequence[Rupture], t_s: Array, *, on_surface: bool
+) -> NDArray[np.int64]:
     """Return the number of the layer on the row where its rupture begins, else 0."""
-    t_s = run.truth.t_s
     marks = np.zeros(len(t_s), dtype=np.int64)
-    for rupture in run.truth.ruptures:
+    for rupture in ruptures:
         if (rupture.layer == 0) is not on_surface:
             continue
         row = int(np.searchsorted(t_s, rupture.onset_s))
@@ -149,4 +185,17 @@ def _summary(run: Run, recording: Path | None) -> str:
     if recording is not None:
         forces = f"forces{''.join(recording.suffixes)}"
         text += f"next: needleforce force {recording} --tare 0:{end_s} -o {forces}\n"
+    return text
+
+
+def _needle_summary(run: NeedleRun, recording: Path | None) -> str:
+    """Return what was simulated, and the command for the recording, if there is one."""
+    text = (
+        f"{run.scenario.id}: {run.scenario.title}; needle without an arm, "
+        f"seed {run.seed}\n"
+        f"{len(run.t_s)} samples in {run.t_s[-1]:.4g} s, without contact until "
+        f"{run.tare_end_s:.4g} s\n"
+    )
+    if recording is not None:
+        text += f"next: needleforce identify {recording} --figure layers.png\n"
     return text

@@ -116,6 +116,21 @@ def test_ground_truth_has_its_own_file(quick, run):
     np.testing.assert_array_equal(log["force_N"], run.truth.axial_N)
 
 
+def test_a_needle_without_an_arm_is_depth_and_force(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    outputs = ["-o", "needle.csv", "--truth", "truth.csv"]
+
+    assert main(["simulate", ID, "--plant", "needle", *outputs]) == 0
+    assert "next: needleforce identify needle.csv" in capsys.readouterr().out
+
+    columns = read_table("needle.csv").columns
+    truth = read_table("truth.csv").columns
+
+    assert list(columns) == ["t_s", "depth_m", "force_N"]
+    assert np.std(columns["force_N"] - truth["axial_N"]) < 0.02
+    assert np.flatnonzero(truth["rupture"]).size == 1
+
+
 def test_surface_rupture_is_marked_and_none_hides_another(run):
     first = run.truth.ruptures[0]
     together = tuple(replace(first, layer=number) for number in (0, 1, 2))
