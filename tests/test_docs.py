@@ -97,6 +97,40 @@ def test_the_readmes_example_finds_the_layers(monkeypatch):
     )
 
 
+def run_explanation(page):
+    """Names and printed text of the example on a page of explanation."""
+    text = (DOCS / "explanation" / page).read_text(encoding="utf-8")
+    (code,) = examples(text)
+    return text, *run_example(code)
+
+
+def test_the_observers_example_ends_at_the_external_torque():
+    _, names, _ = run_explanation("observer.md")
+
+    assert names["residual_Nm"] == pytest.approx(names["pushed_Nm"], rel=1e-3, abs=1e-9)
+
+
+def test_the_example_of_control_sets_the_entry_on_the_needle():
+    _, names, _ = run_explanation("control.md")
+    tool = names["control"].tool
+    behind_m = tool.tip_m - names["entry_m"]
+
+    assert behind_m == pytest.approx(0.08 * tool.axis)
+    assert [type(task).__name__ for task in names["tasks"]] == [
+        "RemoteCentre",
+        "TipVelocity",
+        "Posture",
+    ]
+
+
+def test_the_example_of_matching_prints_what_its_page_says():
+    text, _, said = run_explanation("registration.md")
+    lines = said.splitlines()
+
+    assert len(lines) == 2
+    assert [line for line in lines if f"`{line}`" not in text] == []
+
+
 @pytest.mark.parametrize("name", SAYS)
 def test_an_example_runs_and_prints_its_result(name, capsys, monkeypatch):
     assert sorted(path.stem for path in ROOT.glob("examples/*.py")) == sorted(SAYS)
