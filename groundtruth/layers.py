@@ -267,6 +267,15 @@ class Layer:
         """
         return 0.0 if self.membrane is None else self.membrane.indentation_m
 
+    @property
+    def stiffness_N_per_m(self) -> float:
+        """Slope of the elastic force from where the tip begins to cut to the far end.
+
+        K = (1 - c) F_exit / (thickness - entry)
+        """
+        elastic_N = (1.0 - self.cutting_fraction) * self.exit_force_N
+        return elastic_N / (self.thickness_m - self.entry_m)
+
     def tip_force_N(self, penetration_m: float) -> float:
         """Return the elastic and cutting force at the tip, not relaxed.
 

@@ -163,9 +163,7 @@ def test_the_readme_stands_alone_on_a_package_index():
 
 
 def test_the_two_commands_install_and_run():
-    assert marked_command("run").startswith(
-        'pip install ".[bench]" && python -m benchmarks run'
-    )
+    assert marked_command("run") == 'pip install ".[demo]" && needleforce demo'
 
     command = 'pip install ".[test]" && python -m pytest -n logical --dist worksteal'
 

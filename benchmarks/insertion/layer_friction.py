@@ -6,9 +6,10 @@ from typing import NamedTuple
 
 import numpy as np
 
-from benchmarks.insertion.matching import EARLY_s, LATE_s, is_visible
+from benchmarks.insertion.matching import is_visible
 from benchmarks.insertion.methods import Alarm
 from groundtruth import Rupture
+from groundtruth.rupture_match import EARLY_s, LATE_s
 from identification import LayerEstimate
 
 

@@ -7,19 +7,29 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, LOG, app
+from needleforce.cli.terminal import say
+
+ANNOUNCEMENT = (
+    "A simulated arm pushes a needle through three gels; the force at its tip is "
+    "estimated from joint torques alone. Takes about 40 s, the first time a minute."
+)
+"""What the insertion does and how long it takes, said before anything is compiled."""
+
+DEFAULT_FOLDER = Path("demo")
+"""Folder of the insertion's page."""
 
 
 @Parameter(name="*", group=LIVE_OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class DemoOptions:
-    """Where a demonstration goes, and what that of the abdomen begins with.
+    """Where a demonstration goes, and what it begins with.
 
     Attributes:
-        report: Folder for a page.
+        report: Folder for a page (insertion: demo; others: no page).
         figure: First figure of that page: .png, .svg or .pdf.
         data: For abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic
             torso.
-        seed: For abdomen.
+        seed: For insertion and abdomen (default: 0).
     """
 
     report: Annotated[Path | None, Parameter(metavar="DIR")] = None
@@ -33,20 +43,31 @@ class DemoOptions:
 @app.command(name="demo")
 def demo_command(
     kind: Annotated[
-        Literal["guidance", "teleop", "autonomous", "rcm", "abdomen"],
+        Literal["insertion", "guidance", "teleop", "autonomous", "rcm", "abdomen"],
         Parameter(name="KIND", group=LOG),
-    ],
+    ] = "insertion",
     /,
     *,
     options: DemoOptions = DemoOptions(),
 ) -> int:
-    """Show a needle in closed loop on the simulated arm, or planned on a CT.
+    """Show what the toolkit does, on a simulated arm; with no name: an insertion.
 
-    Prints a table and writes a page into DIR; --figure writes its first figure alone.
+    insertion: layers and tip force from joint torques, beside the truth; a page in
+    demo/. guidance, teleop, autonomous, rcm: the needle in closed loop. abdomen:
+    planned on a CT. All print a table; --figure writes the page's first figure alone.
     Simulation only: not a medical device.
 
-    needleforce demo teleop --report demo
+    needleforce demo
+
+    needleforce demo teleop --report teleop
     """
+    if kind == "insertion":
+        say(ANNOUNCEMENT)
+        from needleforce.cli.demos import insertion_page
+
+        return insertion_page.run(
+            options.report or DEFAULT_FOLDER, options.seed, picture=options.figure
+        )
     if kind == "abdomen":
         from needleforce.cli.demos import abdomen_page
 

@@ -170,6 +170,21 @@ def progress_bar(label: str, *, is_wanted: bool = True) -> Iterator[Progress]:
         yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
 
 
+@contextmanager
+def staged_progress(label: str) -> Iterator[Progress]:
+    """Show a stage of long work: a bar on a terminal, elsewhere one line on stderr.
+
+    Yields what takes the fraction of the stage that is done.
+
+    Args:
+        label: What is done.
+    """
+    if sys.stderr is not None and not sys.stderr.isatty():
+        say(f"{label} ...")
+    with progress_bar(label) as progress:
+        yield progress
+
+
 def aligned(rows: Iterable[tuple[str, str]]) -> str:
     """Return a line for each label and its text, the texts below each other."""
     lines = list(rows)

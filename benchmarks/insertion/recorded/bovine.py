@@ -12,12 +12,12 @@ from typing import NamedTuple
 import numpy as np
 
 from benchmarks import DataError
-from benchmarks.insertion.matching import nearest_pairs
 from benchmarks.insertion.methods import IDENTIFIERS
 from benchmarks.insertion.recorded.liver import VISIBLE_SIGMAS, at_drops, force_drops
 from benchmarks.jobs import Job, JobResult, Progress
 from benchmarks.results import Measurement
 from foundation.arrays import Array
+from groundtruth.rupture_match import nearest_pairs
 from identification import PublishedConfig, replay
 
 FOLDER = "bovine_liver_okamura2004"

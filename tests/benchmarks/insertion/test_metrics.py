@@ -13,7 +13,7 @@ from benchmarks.insertion.layer_friction import (
     friction_metrics,
     layer_frictions,
 )
-from benchmarks.insertion.matching import EARLY_s, LATE_s, is_visible, match
+from benchmarks.insertion.matching import is_visible, match
 from benchmarks.insertion.methods import Alarm
 from benchmarks.insertion.metrics import (
     bound_metrics,
@@ -30,6 +30,7 @@ from benchmarks.insertion.signals import (
 from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
 from groundtruth.motion import constant_motion
 from groundtruth.plant_model import ForceNoise
+from groundtruth.rupture_match import EARLY_s, LATE_s
 
 SPEED = 2e-3
 T = np.arange(0.0, 20.0, 1e-2)
