@@ -16,6 +16,8 @@ it), `state` (stop and resume); then the packages `recordings`, `plots`, `cli`,
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from needleforce.shadowed import refuse_hidden_packages
+
 if TYPE_CHECKING:
     from identification import Estimate as Estimate
     from identification import Identifier as Identifier
@@ -41,6 +43,8 @@ if TYPE_CHECKING:
     from urdf import Robot as Robot
     from urdf import load_lwr as load_lwr
     from urdf import load_urdf as load_urdf
+
+refuse_hidden_packages()
 
 _NAMES_OF = {
     "identification": (
