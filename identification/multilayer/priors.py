@@ -2,7 +2,7 @@
 
 All these values are chosen; no measurement is known that gives them. Two of friction,
 its fraction and how well its Coulomb part is known, were compared with recordings in
-liver before they were kept: docs/limits.md, "What changed it".
+liver before they were kept, so results on these recordings are no independent test.
 
 The growth of the force is its change per mm of travel at one speed: stiffness plus
 friction per length of shaft. Lengths are in mm, speeds in mm/s, forces in N.
