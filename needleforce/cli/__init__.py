@@ -3,12 +3,12 @@
 One file a command holds its text in the help and its own options; what several commands
 take stands in `shared_options`. Whatever computes is imported when a command is run, so
 that `--help` answers at once: `logs` has what works on recordings, `arms` what works on
-an arm, `demos` the demonstrations.
+an arm, `demos` the demonstrations, `checkup` what `doctor` finds.
 
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
-`force`, `identify`, `report`, `simulate`, `record`, `live`, `view`, `demo` (the
-commands), `robot` (the robot from options and TOML files), `logs`, `plan_file`,
-`auto_tare`, `arms`, `demos`.
+`force`, `identify`, `report`, `simulate`, `record`, `live`, `view`, `demo`, `doctor`
+(the commands), `robot` (the robot from options and TOML files), `logs`, `plan_file`,
+`auto_tare`, `arms`, `demos`, `checkup`.
 """
 
 import re
@@ -19,6 +19,7 @@ from cyclopts import UnusedCliTokensError
 
 from needleforce.cli import (
     demo,
+    doctor,
     force,
     identify,
     live,
@@ -33,6 +34,7 @@ from needleforce.cli.terminal import CommandError, run_command
 __all__ = [
     "app",
     "demo",
+    "doctor",
     "force",
     "identify",
     "live",

@@ -1,0 +1,70 @@
+"""What lies in the cache of compiled code, without compiling anything."""
+
+import os
+import re
+from dataclasses import dataclass
+from pathlib import Path
+
+from foundation.jit import COMPILER, PROJECT, _cache_root, hash_sources
+
+PACKAGES = ("foundation", "urdf", "residual", "identification")
+"""Packages with compiled functions."""
+
+COMPILED = re.compile(r"^@compiled$", re.MULTILINE)
+"""How a source marks a function that is compiled when its module is imported."""
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
+class CompileCache:
+    """The cache of compiled code.
+
+    Attributes:
+        compiler: Name and version; empty where compiling is disabled.
+        folder: Where compiled code is kept.
+        is_writable: Whether new code can be kept there.
+        modules: Modules with compiled functions.
+        kept_modules: Those of them whose code, as it now stands, is kept.
+    """
+
+    compiler: str
+    folder: str
+    is_writable: bool
+    modules: int
+    kept_modules: int
+
+    @property
+    def is_warm(self) -> bool:
+        """Whether nothing has to be compiled at the next start."""
+        return self.kept_modules == self.modules
+
+
+def inspect_cache() -> CompileCache:
+    """Return the state of the cache; nothing is compiled or written."""
+    root = _cache_root()
+    sources = [
+        path
+        for package in PACKAGES
+        for path in sorted((PROJECT / package).rglob("*.py"))
+        if COMPILED.search(path.read_text(encoding="utf-8"))
+    ]
+    kept = [path for path in sources if _is_kept(root, path)]
+    return CompileCache(
+        compiler=COMPILER,
+        folder=str(root),
+        is_writable=_is_writable(root),
+        modules=len(sources),
+        kept_modules=len(kept),
+    )
+
+
+def _is_kept(root: Path, source: Path) -> bool:
+    """Return whether the compiled code of a source is in the cache."""
+    module = ".".join(source.relative_to(PROJECT).with_suffix("").parts)
+    folder = root / f"{module}-{hash_sources(source)}"
+    return any(folder.rglob("*.nbi"))
+
+
+def _is_writable(folder: Path) -> bool:
+    """Return whether files can be written into a folder, or it can be made."""
+    existing = next(place for place in (folder, *folder.parents) if place.exists())
+    return os.access(existing, os.W_OK)

@@ -1,0 +1,34 @@
+"""The command `needleforce doctor`."""
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from needleforce.cli.application import LIVE_OUTPUT, app
+from needleforce.cli.terminal import write_out
+
+
+@app.command(name="doctor")
+def doctor_command(
+    *,
+    json: Annotated[bool, Parameter(group=LIVE_OUTPUT, help="Print JSON.")] = False,
+    sizes: Annotated[
+        bool,
+        Parameter(
+            group=LIVE_OUTPUT,
+            help="Also print the sizes on disk of the core and of what each extra "
+            "adds.",
+        ),
+    ] = False,
+) -> int:
+    """Print versions, extras, compiler and cache, cores, clock, real-time permission.
+
+    Compiles nothing and needs no network. For a bug report.
+
+    needleforce doctor --json
+    """
+    from needleforce.cli.checkup.findings import examine
+
+    found = examine(with_sizes=sizes)
+    write_out(found.json() if json else found.text())
+    return 0
