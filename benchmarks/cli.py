@@ -401,7 +401,7 @@ def inject_faults(
 
     Args:
         without_velocity: The arm sends no velocities, they are estimated.
-        markdown: Print the table of docs/how-to/loop.md.
+        markdown: Print the table in Markdown.
         strict: Exit with 1 if a fault is not recovered from, or a number is not finite.
     """
     from benchmarks.faults.study import fault_table, measure_faults

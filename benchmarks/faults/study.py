@@ -329,7 +329,7 @@ def recovery(seconds: float) -> str:
 
 
 def fault_table(results: Sequence[FaultResult]) -> ResultTable:
-    """Return the table for the terminal, and for docs/how-to/loop.md."""
+    """Return the table for the terminal, or in Markdown."""
     return ResultTable(
         title="Faults in a running insertion",
         heads=(

@@ -1,6 +1,6 @@
-"""Faults in a running insertion (docs/how-to/loop.md)."""
+"""Faults in a running insertion: beside this file, as `python -m benchmarks faults
+--markdown` printed them."""
 
-import re
 from pathlib import Path
 
 import pytest
@@ -11,13 +11,8 @@ from benchmarks.faults.study import FaultStudy, recovery
 
 def documented():
     """The documented rows: worst error [N], recovery and what is reported, by fault."""
-    page = (Path(__file__).parents[3] / "docs" / "how-to" / "loop.md").read_text(
-        encoding="utf-8"
-    )
-    table = re.search(
-        r"<!-- faults:begin -->\n(.*?)<!-- faults:end -->", page, re.DOTALL
-    )
-    rows = [line.split("|")[1:-1] for line in table[1].splitlines()[2:]]
+    table = Path(__file__).with_name("faults.md").read_text(encoding="utf-8")
+    rows = [line.split("|")[1:-1] for line in table.splitlines()[2:]]
     return {name.strip(): [cell.strip() for cell in cells] for name, *cells in rows}
 
 
