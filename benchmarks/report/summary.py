@@ -98,10 +98,9 @@ def summary_table(rows: Sequence[Row]) -> ResultTable:
         align="LLrrrrrL",
         lines=tuple(line.cells for line in lines),
         caption="Virtual force sensor on a simulated arm, but for `liver-real`, a "
-        "recording of real tissue. Several runs: median, of fractions mean [95 % "
-        "bootstrap interval over seeds; of fewer than five, over runs]. As run, best "
-        "K: the published method with commanded speed, its threshold and gain chosen "
-        "for each run.",
+        "recording of real tissue. Several runs: the median, of fractions the mean "
+        "[95 % interval, by bootstrap]. As run, best K: the published method with "
+        "commanded speed, its threshold and gain chosen for each run.",
     )
 
 
