@@ -237,7 +237,7 @@ def describe_missing(benchmark: Benchmark, request: Request) -> str:
             else f"a plant, one of {', '.join(benchmark.possible)}"
         )
     if request.data is None:
-        return "recordings: give --data DIR or set NEEDLEFORCE_DATA"
+        return "recordings"
     absent = [name for name in benchmark.needs if not (request.data / name).is_dir()]
     return f"the folder {', '.join(absent)} in {request.data}" if absent else ""
 

@@ -19,9 +19,9 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 from cyclopts.validators import Number
 
-from benchmarks import BenchmarkError, ResultsError
+from benchmarks import BenchmarkCode, BenchmarkError, ResultsError
 from benchmarks.campaign.workers import Workers
-from needleforce.cli.terminal import CommandError, progress_bar, run_command
+from needleforce.cli.terminal import progress_bar, run_command
 
 if TYPE_CHECKING:
     from rich.console import Console
@@ -67,14 +67,15 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 print_error=False,
                 result_action="return_value",
             )
-        except BenchmarkError as error:
-            raise CommandError(str(error)) from error
         except ModuleNotFoundError as error:
             extra = EXTRAS.get(error.name or "")
             if extra is None:
                 raise
-            why = f"{error.name} is not installed; pip install -e '.[{extra}]'"
-            raise CommandError(why) from error
+            raise BenchmarkError(
+                f"{error.name} is not installed",
+                BenchmarkCode.LIBRARY,
+                package=f"it: pip install -e '.[{extra}]'",
+            ) from error
         return code or 0
 
     return run_command(dispatch)
@@ -182,25 +183,20 @@ def run(
     from benchmarks.report.page import write_report
     from benchmarks.report.tables import new_console
     from benchmarks.targets import evaluate
-    from needleforce.plots import FiguresError, folder_if_filled
+    from needleforce.plots import folder_if_filled
 
     check_output(output, workers)
     plants = plant_names(plant)
     console = new_console()
-    try:
-        # The folder first: better before minutes of work than after.
-        with folder_if_filled(output.report) as folder:
-            plan = make_plan(Request(ids, plants, seeds, first_seed, data, folder))
-            outcomes = run_plan(plan, workers, output, console)
-            rows = [row for outcome in outcomes for row in outcome.rows]
-            print_outcomes(console, rows, outcomes, plan.skipped)
-            if folder is not None:
-                drawings = [
-                    drawing for outcome in outcomes for drawing in outcome.drawings
-                ]
-                console.print(f"Report: {write_report(folder, rows, drawings)}")
-    except FiguresError as error:
-        raise BenchmarkError(str(error)) from error
+    # The folder first: better before minutes of work than after.
+    with folder_if_filled(output.report) as folder:
+        plan = make_plan(Request(ids, plants, seeds, first_seed, data, folder))
+        outcomes = run_plan(plan, workers, output, console)
+        rows = [row for outcome in outcomes for row in outcome.rows]
+        print_outcomes(console, rows, outcomes, plan.skipped)
+        if folder is not None:
+            drawings = [drawing for outcome in outcomes for drawing in outcome.drawings]
+            console.print(f"Report: {write_report(folder, rows, drawings)}")
     has_failed = any(outcome.failure is not None for outcome in outcomes)
     has_missed = strict and not all(target.is_met for target in evaluate(rows))
     return FAILURE if has_failed or has_missed else 0

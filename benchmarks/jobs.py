@@ -66,7 +66,7 @@ class Job:
     def recordings(self) -> Path:
         """The folder of recordings; `DataError` where there is none."""
         if self.data is None:
-            raise DataError(f"{self.benchmark} needs recordings: give --data DIR")
+            raise DataError(f"{self.benchmark} needs recordings")
         return self.data
 
     @property

@@ -2,5 +2,5 @@
 
 Nothing here knows a robot or a needle, and nothing of ours is imported here.
 
-Reading order: `arrays`, `jit`, `records`, `linear_algebra`, `state`, `advice`.
+Reading order: `arrays`, `jit`, `records`, `linear_algebra`, `state`, `errors`.
 """

@@ -48,17 +48,10 @@ def install_command(extra: str) -> str:
     return f"pip install '{PACKAGE}[{extra}]'"
 
 
-def missing_module(name: str | None) -> str | None:
-    """Return what to do about a module of an extra that is not installed.
+def extra_of(name: str | None) -> str | None:
+    """Return the extra that brings a module, None for a module that no extra brings.
 
     Args:
         name: Its dotted name.
-
-    Returns:
-        One line; None for a module that no extra brings.
     """
-    module = (name or "").partition(".")[0]
-    extra = EXTRA_OF_MODULE.get(module)
-    if extra is None:
-        return None
-    return f"{module} is not installed; {install_command(extra)}"
+    return EXTRA_OF_MODULE.get((name or "").partition(".")[0])

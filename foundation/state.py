@@ -31,6 +31,7 @@ import msgspec
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.errors import CodedError, StateCode
 
 STATE_FORMAT = "needleforce-state"
 """Name of the file format."""
@@ -45,8 +46,10 @@ MAX_FILE_BYTES = 64 << 20
 """A state has one or two megabytes; a wrong file is not read to its end."""
 
 
-class StateError(ValueError):
+class StateError(CodedError, ValueError):
     """A state that is damaged, or a file that holds none; the message says where."""
+
+    usual_code = StateCode.DAMAGED
 
 
 class Envelope(msgspec.Struct, forbid_unknown_fields=True):
@@ -245,11 +248,13 @@ def read_sealed_state(path: str | os.PathLike[str], kinds: dict[str, Any]) -> An
         content = file.read(MAX_FILE_BYTES + 1)
     if len(content) > MAX_FILE_BYTES:
         size = f"more than {MAX_FILE_BYTES >> 20} MB, a state has one or two"
-        raise StateError(f"{path} holds no state: it has {size}")
+        raise StateError(f"{path} holds no state: it has {size}", StateCode.FILE)
     try:
         envelope = msgspec.msgpack.decode(content, type=Envelope)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
-        raise StateError(f"{path} holds no state, or is cut short: {error}") from error
+        raise StateError(
+            f"{path} holds no state, or is cut short: {error}", StateCode.FILE
+        ) from error
     _check_envelope(envelope, path, kinds)
     try:
         state = decode_state(envelope.data, kinds[envelope.kind])
@@ -266,20 +271,20 @@ def _check_envelope(
     if envelope.format != STATE_FORMAT:
         raise StateError(
             f"{path} holds no state: its format is {envelope.format!r}, expected "
-            f"{STATE_FORMAT!r}"
+            f"{STATE_FORMAT!r}",
+            StateCode.FILE,
         )
     if envelope.version != STATE_VERSION:
         raise StateError(
             f"{path} has version {envelope.version}, this package reads version "
-            f"{STATE_VERSION}: resume it with the package that wrote it"
+            f"{STATE_VERSION}",
+            StateCode.VERSION,
         )
     if envelope.sha256 != hashlib.sha256(envelope.data).hexdigest():
-        raise StateError(
-            f"{path} is damaged: its bytes do not have its sha256; take an older one, "
-            "or start and tare anew"
-        )
+        raise StateError(f"{path} is damaged: its bytes do not have its sha256")
     if envelope.kind not in kinds:
         known = ", ".join(kinds)
         raise StateError(
-            f"{path} holds the state of a {envelope.kind!r}, expected one of {known}"
+            f"{path} holds the state of a {envelope.kind!r}, expected one of {known}",
+            StateCode.KIND,
         )

@@ -103,8 +103,7 @@ def drive(
             if not (worst := np.abs(error).max()) < _MAX_POSITION_ERROR_rad:
                 raise PlantError(
                     f"a joint is {worst:.3g} rad off its motion at tick {k}, expected "
-                    f"less than {_MAX_POSITION_ERROR_rad}; use softer tissue or a "
-                    "slower motion"
+                    f"less than {_MAX_POSITION_ERROR_rad}"
                 )
             progress(k / ticks)
         trace.q_rad[k] = plant.q_rad

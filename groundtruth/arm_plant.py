@@ -12,8 +12,12 @@ import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
-from foundation.extras import install_command
-from groundtruth.errors import PlantError, PlantModelError, require_fraction
+from groundtruth.errors import (
+    PlantError,
+    PlantModelError,
+    SimulationCode,
+    require_fraction,
+)
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
 from groundtruth.rig_contacts import Contact, TouchedPoint, Vector3
 from groundtruth.scenarios import ElbowPush, LateralForce, Scenario, TissueMotion
@@ -415,8 +419,8 @@ class ArmPlant:
         """
         if mujoco is None:
             raise PlantError(
-                "the simulated arm needs mujoco, which is not installed; "
-                f"{install_command('demo')}"
+                "the simulated arm needs mujoco, which is not installed",
+                SimulationCode.LIBRARY,
             )
         self._model = arm_model(bodies, SUBSTEP_s)
         self._data = mujoco.MjData(self._model)

@@ -9,6 +9,7 @@ from copy import deepcopy
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
+from foundation.errors import StateCode
 from foundation.records import as_record, from_record, read_field
 from foundation.state import StateError, check_state
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
@@ -261,7 +262,8 @@ class Identifier:
         if not isinstance(snapshot, Snapshot) or snapshot.config != self._config:
             raise InvalidSnapshotError(
                 f"expected a Snapshot taken with {self._config}, got "
-                f"{type(snapshot).__name__}"
+                f"{type(snapshot).__name__}",
+                StateCode.KIND,
             )
         reference = Identifier(self._config).snapshot()
         try:

@@ -7,10 +7,10 @@ from itertools import repeat
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.advice import Message
 from foundation.arrays import Array
-from identification.advice import SignAdvice
+from foundation.errors import Suspicion
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
+from identification.errors import IdentificationCode
 from identification.estimate import Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
 from identification.published.offline import read_column
@@ -80,17 +80,25 @@ class SignCheck:
             speed_m_s = np.where(np.isfinite(speed_m_s), speed_m_s, 0.0)
             self._agreement += float(change_m @ speed_m_s)
 
-    def hints(self) -> tuple[str, ...]:
-        """Return one sentence per suspicion; none for a recording that looks right."""
+    def hints(self) -> tuple[Suspicion, ...]:
+        """Return suspicions about signs and units; none where all looks right."""
         start_m = self._start_m
         span_m = 0.0 if start_m is None else self._deepest_m - self._shallowest_m
-        hints: list[str] = []
+        hints: list[Suspicion] = []
         if span_m > MAX_DEPTH_M:
-            hints.append(f"depth spans {span_m:.3g} m; is it in millimetres?")
+            hints.append(
+                Suspicion(
+                    f"depth spans {span_m:.3g} m; is it in millimetres?",
+                    IdentificationCode.DEPTH_UNIT,
+                )
+            )
         if start_m is None or span_m < MIN_TRAVEL_M:
             hints.append(
-                f"depth moves by {span_m * 1e3:.3g} mm only; there is nothing to "
-                "identify"
+                Suspicion(
+                    f"depth moves by {span_m * 1e3:.3g} mm only; there is nothing to "
+                    "identify",
+                    IdentificationCode.NO_TRAVEL,
+                )
             )
             return tuple(hints)
         is_pulled = (
@@ -99,25 +107,25 @@ class SignCheck:
         )
         if is_pulled:
             hints.append(
-                Message(
+                Suspicion(
                     "the force is negative while the needle goes in; it must be "
-                    "positive when tissue pushes back: ",
-                    SignAdvice.FLIP_FORCE,
+                    "positive when tissue pushes back",
+                    IdentificationCode.FORCE_SIGN,
                 )
             )
         is_withdrawn = start_m - self._shallowest_m > WITHDRAWN_FRACTION * span_m
         if is_withdrawn and self._largest_N > self._smallest_N:
             hints.append(
-                Message(
-                    "depth falls before it rises; it must grow into the tissue: ",
-                    SignAdvice.FLIP_DEPTH,
+                Suspicion(
+                    "depth falls before it rises; it must grow into the tissue",
+                    IdentificationCode.DEPTH_SIGN,
                 )
             )
         if self._agreement < 0.0:
             hints.append(
-                Message(
-                    "speed has the sign opposite to the change of depth: ",
-                    SignAdvice.FLIP_SPEED,
+                Suspicion(
+                    "speed has the sign opposite to the change of depth",
+                    IdentificationCode.SPEED_SIGN,
                 )
             )
         return tuple(hints)
@@ -146,19 +154,21 @@ class ReplayStream:
         return self._identifier.layers
 
     @property
-    def hints(self) -> tuple[str, ...]:
+    def hints(self) -> tuple[Suspicion, ...]:
         """Suspicions about signs and units of all rows so far; rejected rows; gaps."""
         hints = list(self._signs.hints())
         counts = {status: self._rejected[status] for status in REPORTED_STATUSES}
         hints += [
-            f"rows that were rejected: {count} ({status.value})"
+            Suspicion(f"rows that were rejected: {count} ({status.value})")
             for status, count in counts.items()
             if count
         ]
         if self._gaps > 0:
             hints.append(
-                f"gaps in time longer than {self._gap_s:.3g} s: {self._gaps}; "
-                "predictions restart"
+                Suspicion(
+                    f"gaps in time longer than {self._gap_s:.3g} s: {self._gaps}; "
+                    "predictions restart"
+                )
             )
         return tuple(hints)
 
@@ -209,13 +219,13 @@ class Replay:
         t_s: Time stamps of the recording, shape (n,), read-only.
         estimates: One per row.
         layers: Layers traversed, as known at the end.
-        hints: Suspicions about signs and units.
+        hints: Suspicions about signs and units, as text with advice.
     """
 
     t_s: Array
     estimates: tuple[Estimate, ...]
     layers: tuple[LayerEstimate, ...]
-    hints: tuple[str, ...]
+    hints: tuple[Suspicion, ...]
 
 
 def replay(

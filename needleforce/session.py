@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from foundation.errors import CodedError, ErrorCode, StateCode
 from identification import MULTILAYER as DEFAULT_IDENTIFIER
 from identification import (
     Estimate,
@@ -56,11 +57,29 @@ CHECKPOINT_PERIOD_S = 0.25
 it is detected."""
 
 
-class InsertionError(Exception):
+class SessionCode(ErrorCode):
+    """Kinds of errors of a session."""
+
+    SETTING = (
+        "NF-SESSION-SETTING",
+        "A setting of the session cannot work.",
+        "Give what the message expects; `load_lwr` and `load_urdf` make a robot, "
+        "`SensorConfig` holds the settings of the sensor.",
+    )
+    PLAN = (
+        "NF-SESSION-PLAN",
+        "The snapshot is of a session that follows another plan, or none.",
+        "Call `follow` with the plan of the snapshot, or None, before `restore`.",
+    )
+
+
+class InsertionError(CodedError):
     """Base of a session's errors.
 
     Errors of `residual` and `identification` pass through a session unchanged.
     """
+
+    usual_code = SessionCode.SETTING
 
 
 class SessionSettingError(InsertionError, ValueError):
@@ -70,9 +89,13 @@ class SessionSettingError(InsertionError, ValueError):
 class SnapshotMismatchError(InsertionError, ValueError):
     """A snapshot that cannot be restored here; nothing has changed."""
 
+    usual_code = StateCode.DAMAGED
+
 
 class SnapshotFileError(InsertionError, ValueError):
     """A file that is no snapshot, or one of a version that cannot be read."""
+
+    usual_code = StateCode.FILE
 
 
 class SessionEstimate(NamedTuple):
@@ -393,7 +416,8 @@ class InsertionSession:
         """Refuse what is no snapshot of a session with these settings and this plan."""
         if not isinstance(snapshot, SessionSnapshot):
             raise SnapshotMismatchError(
-                f"expected a SessionSnapshot, got {type(snapshot).__name__}"
+                f"expected a SessionSnapshot, got {type(snapshot).__name__}",
+                StateCode.KIND,
             )
         if not (
             isinstance(snapshot.plan, PlanMemory)
@@ -403,16 +427,17 @@ class InsertionSession:
         if snapshot.speed_lag_s != self._speed_lag_s:
             raise SnapshotMismatchError(
                 f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this "
-                f"session has {self._speed_lag_s:g}"
+                f"session has {self._speed_lag_s:g}",
+                StateCode.OTHER,
             )
         if snapshot.plan.fingerprint != self._plan.memory.fingerprint:
             difference = (
-                "with another plan or entry: follow() the same"
+                "with another plan or entry"
                 if snapshot.plan.fingerprint
-                else "without a plan: follow(None)"
+                else "without a plan"
             )
             raise SnapshotMismatchError(
-                f"the snapshot is of a session {difference} before restore()"
+                f"the snapshot is of a session {difference}", SessionCode.PLAN
             )
 
     def _check_parts(self, snapshot: SessionSnapshot) -> "PlanState | None":
@@ -599,13 +624,12 @@ def _check_settings(robot: object, sensor_config: object, speed_lag_s: object) -
     """Raise `SessionSettingError` for arguments of a session that cannot work."""
     if not isinstance(robot, Robot):
         raise SessionSettingError(
-            f"robot is a {type(robot).__name__}, expected a Robot; load_lwr() or "
-            "load_urdf(path) of urdf makes one"
+            f"robot is a {type(robot).__name__}, expected a Robot"
         )
     if not isinstance(sensor_config, SensorConfig):
         raise SessionSettingError(
             f"sensor_config is a {type(sensor_config).__name__}, expected a "
-            "SensorConfig; SensorConfig() is the default"
+            "SensorConfig"
         )
     is_number = isinstance(speed_lag_s, numbers.Real)
     if not (is_number and 0.0 <= float(speed_lag_s) < math.inf):

@@ -8,6 +8,7 @@ so the kind that a file names also says which method it is of.
 import os
 from typing import Any, NamedTuple, get_type_hints
 
+from foundation.errors import StateCode
 from foundation.state import StateError, read_sealed_state, seal_state
 from identification import MultilayerConfig, PublishedConfig
 from identification import Snapshot as IdentifierSnapshot
@@ -41,7 +42,7 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
     try:
         content = seal_state(snapshot, _kind_of(snapshot))
     except StateError as error:
-        raise SnapshotFileError(str(error)) from error
+        raise SnapshotFileError(str(error), error.code) from error
     with whole_file(path) as file:
         file.write(content)
 
@@ -62,7 +63,7 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
     try:
         state = read_sealed_state(path, _TYPES)
     except StateError as error:
-        raise SnapshotFileError(str(error)) from error
+        raise SnapshotFileError(str(error), error.code) from error
     return _widened(state)
 
 
@@ -76,7 +77,8 @@ def _kind_of(snapshot: AnySnapshot) -> str:
         return f"identifier, {_method_of(snapshot)}"
     raise SnapshotFileError(
         "expected what snapshot() of a session, a sensor or an identifier returns, "
-        f"got a {type(snapshot).__name__}"
+        f"got a {type(snapshot).__name__}",
+        StateCode.KIND,
     )
 
 
@@ -87,7 +89,8 @@ def _method_of(identifier: IdentifierSnapshot) -> str:
             return method
     raise SnapshotFileError(
         f"the identifier's settings are a {type(identifier.config).__name__}, expected "
-        f"those of one of the methods {', '.join(_METHODS)}"
+        f"those of one of the methods {', '.join(_METHODS)}",
+        StateCode.KIND,
     )
 
 

@@ -2,6 +2,7 @@
 
 from collections.abc import Iterable
 
+from foundation.errors import CodedError, ErrorCode, StateCode
 from residual.estimate import SensorWarning
 
 
@@ -14,8 +15,134 @@ def named_joints(indices: Iterable[int]) -> str:
     return f"{'joint' if len(numbers) == 1 else 'joints'} {', '.join(numbers)}"
 
 
-class ResidualError(Exception):
+class SensorCode(ErrorCode):
+    """Kinds of errors of the virtual sensor."""
+
+    SETTING = (
+        "NF-SENSOR-SETTING",
+        "A setting of the sensor cannot work.",
+        "Correct the field of `SensorConfig`, or the argument, that the message names.",
+    )
+    FRICTION = (
+        "NF-SENSOR-FRICTION",
+        "The friction model does not fit the robot's joints.",
+        "Give `SensorConfig` a `friction` with one finite number for each joint.",
+    )
+    LIMITS = (
+        "NF-SENSOR-LIMITS",
+        "The robot's effort limits are too small to be torques.",
+        "Correct the effort limits in the robot's description; 0 where one is unknown.",
+    )
+    PINOCCHIO = (
+        "NF-SENSOR-PINOCCHIO",
+        "The installed Pinocchio keeps its intermediate results in another layout.",
+        "Install a version of Pinocchio that the package's requirements name.",
+    )
+    SAMPLE = (
+        "NF-SENSOR-SAMPLE",
+        "A sample is not usable: wrong shape, not finite, or not in SI units.",
+        "Skip the sample and go on; the state has not changed.",
+    )
+    CLOCK = (
+        "NF-SENSOR-CLOCK",
+        "The time step of a sample cannot be: not positive, not finite, or a day long.",
+        "Skip the sample and go on with the next time step; if it recurs, repair the "
+        "clock.",
+    )
+    SPIKE = (
+        "NF-SENSOR-SPIKE",
+        "A signal jumped further than an arm can.",
+        "Skip the sample; if it recurs, check the cables and the sensor.",
+    )
+    FROZEN = (
+        "NF-SENSOR-FROZEN",
+        "Noisy signals of all joints repeat bit for bit.",
+        "Check the sensors and the connection to the robot.",
+    )
+    SATURATED = (
+        "NF-SENSOR-SATURATED",
+        "A joint torque is at its effort limit.",
+        "Unload the arm, or correct the effort limits in the robot's description.",
+    )
+    MIXED = (
+        "NF-SENSOR-MIXED",
+        "One stream mixes two kinds of signals.",
+        "Keep to `update` or to `update_external_torque`, and to velocities or none; "
+        "or call `start_tare_recording` or `reset` first.",
+    )
+    CONTACT = (
+        "NF-SENSOR-CONTACT",
+        "A force is seen in what should be motion without contact.",
+        "Move in free air, then call `tare` again; `tare(ignore_contact=True)` takes "
+        "it as it is.",
+    )
+    GRAVITY_MISSING = (
+        "NF-SENSOR-GRAVITY-MISSING",
+        "The torques seem to have gravity removed already.",
+        "Set `torque_is_gravity_compensated=True`; `tare(ignore_contact=True)` tares "
+        "as it is.",
+    )
+    GRAVITY_TWICE = (
+        "NF-SENSOR-GRAVITY-TWICE",
+        "Gravity seems to be added to torques that contain it.",
+        "Set `torque_is_gravity_compensated=False`; `tare(ignore_contact=True)` tares "
+        "as it is.",
+    )
+    TORQUE_SIGN = (
+        "NF-SENSOR-TORQUE-SIGN",
+        "The torques seem to have the opposite sign.",
+        "Negate `tau`; `tare(ignore_contact=True)` tares as it is.",
+    )
+    TORQUE_KIND = (
+        "NF-SENSOR-TORQUE-KIND",
+        "Measured torques were given where external ones were expected.",
+        "Call `update` instead of `update_external_torque`.",
+    )
+    TORQUE_KIND_SIGN = (
+        "NF-SENSOR-TORQUE-KIND-SIGN",
+        "Measured torques of opposite sign were given instead of external ones.",
+        "Negate them and call `update` instead of `update_external_torque`.",
+    )
+    JOINT_ORDER = (
+        "NF-SENSOR-JOINT-ORDER",
+        "The torques of some joints seem to be exchanged.",
+        "Give the torques in the order of `Robot.joint_names`.",
+    )
+    POSITIONS = (
+        "NF-SENSOR-POSITIONS",
+        "The positions of some joints never change while others move.",
+        "Check that `q` holds every joint; if these joints do rest, tare without "
+        "contact.",
+    )
+    PAYLOAD = (
+        "NF-SENSOR-PAYLOAD",
+        "The robot's model has too much or too little mass at the flange.",
+        "Correct the hand, the tool and the `payload` of the robot; "
+        "`identify_payload_static` estimates it.",
+    )
+    NO_FREE_MOTION = (
+        "NF-SENSOR-NO-FREE-MOTION",
+        "Too little motion without contact was recorded for a tare.",
+        "Call `update` in free air first, in steps no longer than `max_gap_s`, then "
+        "`tare`.",
+    )
+    TARED_ALREADY = (
+        "NF-SENSOR-TARED-ALREADY",
+        "A tare was asked for twice with nothing recorded in between.",
+        "Call `start_tare_recording`, move in free air, then call `tare` again.",
+    )
+    VELOCITY = (
+        "NF-SENSOR-VELOCITY",
+        "The measured velocities are not the rate of the measured positions.",
+        "Correct the units, signs, order or delay of `dq`, then move in free air anew; "
+        "`tare(ignore_contact=True)` tares as it is.",
+    )
+
+
+class ResidualError(CodedError):
     """Base of every error that `residual` raises."""
+
+    usual_code = SensorCode.SETTING
 
 
 class ConfigurationError(ResidualError, ValueError):
@@ -32,10 +159,15 @@ class SampleError(ResidualError, ValueError):
             saturated torque.
     """
 
+    usual_code = SensorCode.SAMPLE
+
     def __init__(
-        self, message: str, warning: SensorWarning = SensorWarning.NONE
+        self,
+        message: str,
+        code: ErrorCode = SensorCode.SAMPLE,
+        warning: SensorWarning = SensorWarning.NONE,
     ) -> None:
-        super().__init__(message)
+        super().__init__(message, code)
         self.warning = warning
 
 
@@ -45,10 +177,16 @@ class TareError(ResidualError, RuntimeError):
     There are no data, a contact is in sight, or velocities are not rates of positions.
     """
 
+    usual_code = SensorCode.CONTACT
+
 
 class VelocityError(TareError):
     """A tare with measured velocities that are not the rate of the positions."""
 
+    usual_code = SensorCode.VELOCITY
+
 
 class SnapshotError(ResidualError, ValueError):
     """A snapshot that cannot be restored here: the message says what it is of."""
+
+    usual_code = StateCode.DAMAGED

@@ -7,7 +7,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from residual.checks.input import check_positive
-from residual.errors import ConfigurationError
+from residual.errors import ConfigurationError, SensorCode
 from urdf.errors import InputError, finite_array
 
 MAX_EXPONENT = 700.0
@@ -36,12 +36,15 @@ def _freeze_vectors(owner: object, names: tuple[str, ...]) -> None:
         try:
             array = finite_array(np.atleast_1d(getattr(owner, name)), (-1,), name)
         except (InputError, ValueError) as error:
-            raise ConfigurationError(f"{error}: one finite number per joint") from error
+            raise ConfigurationError(
+                f"{error}: one finite number per joint", SensorCode.FRICTION
+            ) from error
         object.__setattr__(owner, name, array)
     sizes = {getattr(owner, name).size for name in names}
     if len(sizes) > 1:
         raise ConfigurationError(
-            f"{', '.join(names)} differ in length: {sorted(sizes)}"
+            f"{', '.join(names)} differ in length: {sorted(sizes)}",
+            SensorCode.FRICTION,
         )
 
 
@@ -70,7 +73,9 @@ class JointFriction:
     def __post_init__(self) -> None:
         _freeze_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
         if (self.viscous_Nms < 0).any() or (self.coulomb_Nm < 0).any():
-            raise ConfigurationError("viscous_Nms and coulomb_Nm must not be negative")
+            raise ConfigurationError(
+                "viscous_Nms and coulomb_Nm must not be negative", SensorCode.FRICTION
+            )
         check_positive("reversal_speed_rad_s", self.reversal_speed_rad_s)
 
     def torque(self, dq: Array) -> Array:
@@ -127,10 +132,11 @@ def check_friction(friction: FrictionModel, joints: int) -> None:
         ]
     except ValueError as error:
         raise ConfigurationError(
-            f"friction does not fit {joints} joints: {error}"
+            f"friction does not fit {joints} joints: {error}", SensorCode.FRICTION
         ) from error
     for torque in torques:
         if np.shape(torque) != (joints,) or not np.isfinite(torque).all():
             raise ConfigurationError(
-                f"friction gives {torque!r}, expected {joints} finite numbers"
+                f"friction gives {torque!r}, expected {joints} finite numbers",
+                SensorCode.FRICTION,
             )

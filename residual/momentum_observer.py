@@ -37,7 +37,7 @@ from residual.checks.input import (
     check_rows,
     read_rows,
 )
-from residual.errors import ConfigurationError
+from residual.errors import ConfigurationError, SensorCode
 from residual.joint_friction import FrictionModel, check_friction
 from urdf import Robot
 
@@ -504,6 +504,7 @@ def _shared_rows(vectors: Any) -> Array:
     )
     if rows[-1].ctypes.data != final.ctypes.data:
         raise ConfigurationError(
-            "this version of pinocchio lays out its workspace in another way"
+            "this version of pinocchio lays out its workspace in another way",
+            SensorCode.PINOCCHIO,
         )
     return rows

@@ -15,7 +15,7 @@ from residual.checks.input import ROUNDING_S, check_rows, read_rows
 from residual.checks.outliers import FaultDetector, GuardState
 from residual.checks.stuck_signals import NoiseProbe, white_noise
 from residual.config import SensorConfig
-from residual.errors import SampleError
+from residual.errors import SampleError, SensorCode
 from residual.momentum_observer import MomentumObserver, MomentumState
 from residual.tool_kinematics import ToolKinematics
 from residual.velocity_filter import VelocityEstimator, VelocityState
@@ -182,8 +182,8 @@ class SampleStream:
         """Copy a sample, shape (2 or 3, n), and add gravity where it lacks."""
         if (dq is None) == self.has_velocity:
             raise SampleError(
-                "dq was given before and is missing now, or the reverse; keep to one "
-                "of the two for a stream, or reset() first"
+                "dq was given before and is missing now, or the reverse",
+                SensorCode.MIXED,
             )
         values = (q, torque) if dq is None else (q, dq, torque)
         rows = read_rows(self._names, values, self._joints)

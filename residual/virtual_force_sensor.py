@@ -7,15 +7,20 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.advice import Message
 from foundation.arrays import Array
-from residual.advice import TareAdvice
+from foundation.errors import StateCode
 from residual.bias.estimator import BiasEstimator
 from residual.bias.model import Tare
 from residual.checks.input import SampleClock, long_step_message
 from residual.checks.monitor import ConsistencyMonitor, MonitorState
 from residual.config import DEFAULT, SensorConfig
-from residual.errors import SampleError, SnapshotError, TareError, VelocityError
+from residual.errors import (
+    SampleError,
+    SensorCode,
+    SnapshotError,
+    TareError,
+    VelocityError,
+)
 from residual.estimate import (
     INITIALIZING,
     NOT_TARED,
@@ -188,35 +193,27 @@ class VirtualForceSensor:
                 nothing has then changed.
         """
         if self._monitor.velocity_fault and not ignore_contact:
-            raise VelocityError(
-                Message(
-                    f"{self._monitor.velocity_fault} No tare would hold: correct the "
-                    "signals and move in free air anew",
-                    TareAdvice.IGNORE_CONTACT,
-                )
-            )
+            raise VelocityError(f"{self._monitor.velocity_fault} No tare would hold")
         is_external = self._stream is not None and self._stream.is_external
         try:
             tare = self._offset.tare(
                 self._contact, ignore_contact=ignore_contact, is_external=is_external
             )
         except TareError as error:
-            raise TareError(self._with_likely_causes(error)) from None
+            raise error.reworded(self._with_likely_causes(error)) from None
         self._renew_gain()
         self._is_smoothing = False
         return tare
 
-    def _with_likely_causes(self, error: TareError) -> Message:
+    def _with_likely_causes(self, error: TareError) -> str:
         """Return the message of a refused tare with what may have caused it."""
-        texts: list[str] = [Message.of(error)]
-        if self.question:
-            texts = [Message(f"{self.question} If not, ", Message.of(error))]
+        texts = [f"{self.question} If not, {error}" if self.question else str(error)]
         if self.rejected and not len(self._offset.memory.recorder.sums):
             texts.append(
                 f"{self.rejected} samples were rejected, the last one: {self._refusal}"
             )
         texts.append(long_step_message(self.elapsed_s, self._config.max_gap_s))
-        return Message.joined("; ", texts)
+        return "; ".join(filter(None, texts))
 
     @property
     def question(self) -> str:
@@ -315,17 +312,21 @@ class VirtualForceSensor:
                 another robot or other settings; nothing has then changed.
         """
         if not isinstance(state, SensorState):
-            raise SnapshotError(f"expected a SensorState, got {type(state).__name__}")
+            raise SnapshotError(
+                f"expected a SensorState, got {type(state).__name__}", StateCode.KIND
+            )
         if state.robot != self._digest:
             raise SnapshotError(
                 "the snapshot is of another robot (joints, links, payload, frames or "
-                "limits differ); restore it with the robot it was taken with"
+                "limits differ)",
+                StateCode.OTHER,
             )
         config = settings_text(self._config, self._robot.nv)
         if state.config != config:
             raise SnapshotError(
                 f"the snapshot is of other settings: {state.config}, this sensor has "
-                f"{config}"
+                f"{config}",
+                StateCode.OTHER,
             )
         check_sensor_state(type(self)(self._robot, self._config), state)
         self.restore_unchecked(deepcopy(state))
@@ -387,9 +388,9 @@ class VirtualForceSensor:
         """Return a stream of another kind of torque; refuse one where a tare stands."""
         if self._stream is not None and not self._offset.is_fresh:
             raise SampleError(
-                "update() and update_external_torque() were mixed; a tare is of one "
-                "kind of torque: keep to one of the two, or start_tare_recording() "
-                "first"
+                "measured and external torques were mixed; a tare is of one kind of "
+                "torque",
+                SensorCode.MIXED,
             )
         return SampleStream(
             self._robot,

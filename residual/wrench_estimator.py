@@ -589,7 +589,7 @@ class WrenchEstimator:
             hidden_N2,
         )
         if not math.isfinite(axial):
-            raise SampleError("q and residual must be finite; skip this sample")
+            raise SampleError("q and residual must be finite")
         residual.setflags(write=False)
         wrench = smoothed.copy()
         wrench.setflags(write=False)

@@ -7,7 +7,8 @@ import tomllib
 
 import pytest
 
-from foundation.extras import EXTRA_OF_MODULE, EXTRAS, install_command, missing_module
+from foundation.extras import EXTRA_OF_MODULE, EXTRAS, extra_of, install_command
+from needleforce.cli.terminal import FAILED, run_command
 from tests.source_files import INSTALLED, ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -97,16 +98,25 @@ def test_the_core_loads_none_of_the_heavy_packages(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("module", "extra"), [("mujoco", "demo"), ("trimesh.remesh", "patient")]
+    ("module", "extra"),
+    [
+        ("mujoco", "demo"),
+        ("trimesh.remesh", "patient"),
+        ("telnetlib", None),
+        ("", None),
+    ],
 )
-def test_a_missing_module_is_one_line_with_the_command(module, extra):
-    line = missing_module(module)
-
-    assert line is not None
-    assert line.endswith(f"is not installed; {install_command(extra)}")
-    assert f"[{extra}]" in line
+def test_a_module_has_the_extra_that_brings_it(module, extra):
+    assert extra_of(module) == extra
+    assert extra_of(None) is None
 
 
-def test_a_module_that_no_extra_brings_has_no_such_line():
-    assert missing_module("telnetlib") is None
-    assert missing_module(None) is None
+def test_a_missing_module_is_one_line_with_the_command(capsys):
+    def work():
+        raise ModuleNotFoundError("No module named 'trimesh'", name="trimesh.remesh")
+
+    assert run_command(work) == FAILED
+    assert capsys.readouterr().err == (
+        "error NF-COMMAND-LIBRARY: trimesh.remesh is not installed. Install it: "
+        f"{install_command('patient')}\n"
+    )

@@ -10,6 +10,7 @@ from importlib import import_module
 import numpy as np
 import pytest
 
+from foundation.errors import CodedError
 from tests.source_files import (
     LIBRARIES,
     PACKAGE_SOURCES,
@@ -104,10 +105,11 @@ def test_a_library_has_a_public_face_types_and_one_base_error(package_name):
         for value in vars(module).values()
         if isinstance(value, type) and value.__module__ == module.__name__
     ]
-    bases = [error for error in own if error.__bases__ == (Exception,)]
+    errors = [value for value in own if issubclass(value, Exception)]
+    bases = [error for error in errors if error.__bases__ == (CodedError,)]
 
     assert len(bases) == 1
-    assert all(issubclass(error, bases[0]) for error in own)
+    assert all(issubclass(error, bases[0]) for error in errors)
     assert bases[0].__name__ in package.__all__
     assert (ROOT / package_name / "py.typed").is_file()
 

@@ -17,12 +17,11 @@ from xml.etree.ElementTree import Element
 import numpy as np
 import pinocchio as pin
 
-from foundation.advice import Message
-from urdf.advice import RobotAdvice
 from urdf.errors import (
     InputError,
     UnknownNameError,
     UnsupportedJointError,
+    UrdfCode,
     UrdfFileError,
 )
 from urdf.payload import require_physical
@@ -57,13 +56,15 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
     if root.tag != "robot":
         raise UrdfFileError(f"{path}: root element is <{root.tag}>, expected <robot>")
     if "http://www.ros.org/wiki/xacro" in text and "<xacro:" in text:
-        raise UrdfFileError(f"{path}: is a xacro file; expand it to a plain URDF first")
+        raise UrdfFileError(
+            f"{path}: is a xacro file, expected a plain URDF", UrdfCode.FILE
+        )
     links = root.findall("link")
     if len(links) > MAX_LINKS:
         raise UrdfFileError(
             f"{path}: has {len(links)} links, more than {MAX_LINKS}; a chain of that "
-            "depth can crash the URDF reader. Raise urdf.description.MAX_LINKS if the "
-            "robot is real"
+            "depth can crash the URDF reader",
+            UrdfCode.SIZE,
         )
     bare = Element(root.tag, root.attrib)
     for link in links:
@@ -92,20 +93,13 @@ def check_description(
         mimic = joint.find("mimic")
         if name not in locked and kind not in _ONE_NUMBER_JOINTS:
             raise UnsupportedJointError(
-                Message(
-                    f"{source}: joint {name!r} is of type {kind!r}, expected one of "
-                    f"{', '.join(_ONE_NUMBER_JOINTS)}; ",
-                    RobotAdvice.LOCK_JOINT,
-                    ", or give a continuous joint limits and call it revolute",
-                )
+                f"{source}: joint {name!r} is of type {kind!r}, expected one of "
+                f"{', '.join(_ONE_NUMBER_JOINTS)}"
             )
         if name not in locked and mimic is not None:
             raise UnsupportedJointError(
-                Message(
-                    f"{source}: joint {name!r} mimics {mimic.get('joint')!r}, so it "
-                    "does not move on its own; ",
-                    RobotAdvice.LOCK_JOINT,
-                )
+                f"{source}: joint {name!r} mimics {mimic.get('joint')!r}, so it "
+                "does not move on its own"
             )
     for link in root.findall("link"):
         inertial = link.find("inertial")
@@ -155,18 +149,19 @@ def _read_text(path: Path) -> str:
         # Not a pipe, device or folder: reading those may never end.
         if not path.is_file():
             raise UrdfFileError(
-                f"{path}: there is no such file; expected the path of a URDF file"
+                f"{path}: there is no such file; expected the path of a URDF file",
+                UrdfCode.FILE,
             )
         if path.stat().st_size > MAX_LINKS * _BYTES_PER_LINK:
             raise UrdfFileError(
                 f"{path}: is larger than any robot description "
-                f"({MAX_LINKS * _BYTES_PER_LINK} bytes); raise "
-                "urdf.description.MAX_LINKS if the robot is real"
+                f"({MAX_LINKS * _BYTES_PER_LINK} bytes)",
+                UrdfCode.SIZE,
             )
         return path.read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError) as error:
         raise UrdfFileError(
-            f"{path!s:.200}: cannot be read as text: {error}"
+            f"{path!s:.200}: cannot be read as text: {error}", UrdfCode.FILE
         ) from error
 
 
@@ -224,7 +219,9 @@ def _numbers(
     element = inertial.find(tag)
     text = None if element is None else element.get(key)
     if text is None:
-        raise UrdfFileError(f"{owner}: <inertial> needs <{tag}> with the number {key}")
+        raise UrdfFileError(
+            f"{owner}: <inertial> needs <{tag}> with the number {key}", UrdfCode.NUMBER
+        )
     words = [text] if count == 1 else [word for word in text.split(" ") if word]
     numbers = [float(word) for word in words if _NUMBER.fullmatch(word)]
     if len(numbers) != count or len(words) != count or not np.isfinite(numbers).all():
@@ -232,9 +229,8 @@ def _numbers(
             "one number" if count == 1 else f"{count} numbers with blanks between them"
         )
         raise UrdfFileError(
-            f'{owner}: <inertial> <{tag} {key}="{text}"> is not {expected}: write '
-            "digits with a decimal point, without commas, formulas, units or a blank "
-            "after a number. As it stands, the URDF reader would give the link no "
-            "inertia at all"
+            f'{owner}: <inertial> <{tag} {key}="{text}"> is not {expected}; the URDF '
+            "reader would give the link no inertia at all",
+            UrdfCode.NUMBER,
         )
     return numbers

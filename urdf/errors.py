@@ -4,14 +4,86 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
+from foundation.errors import CodedError, ErrorCode
+from foundation.extras import install_command
 
 
-class UrdfError(Exception):
+class UrdfCode(ErrorCode):
+    """Kinds of errors of robot descriptions."""
+
+    FILE = (
+        "NF-URDF-FILE",
+        "The robot's description cannot be read.",
+        "Give the path of a plain URDF file; expand a xacro file first.",
+    )
+    FORMAT = (
+        "NF-URDF-FORMAT",
+        "The file is not a robot description that can be loaded.",
+        "Correct the file; `check_urdf` of ROS names further mistakes.",
+    )
+    SIZE = (
+        "NF-URDF-SIZE",
+        "The description is larger than that of any known robot.",
+        "If the robot is real, raise `urdf.description.MAX_LINKS`.",
+    )
+    NUMBER = (
+        "NF-URDF-NUMBER",
+        "An inertial entry of the description holds no plain number.",
+        "Write digits with a decimal point: no commas, formulas, units or blanks.",
+    )
+    NAME = (
+        "NF-URDF-NAME",
+        "The robot has no link, joint or frame of that name.",
+        "Give one of the names that the message lists.",
+    )
+    ROBOT = (
+        "NF-URDF-ROBOT",
+        "No robot of that name is known.",
+        "Give one of the names that the message lists; `load_urdf` loads any other.",
+    )
+    TOOL_FRAME = (
+        "NF-URDF-TOOL-FRAME",
+        "The robot has no single last link that could carry the tool.",
+        "Give `tool_frame`, the frame at the needle's tip.",
+    )
+    JOINT = (
+        "NF-URDF-JOINT",
+        "A joint does not have one position and one velocity.",
+        "Lock it with `locked_joints`, or make it a revolute or a prismatic joint with "
+        "limits.",
+    )
+    INERTIA = (
+        "NF-URDF-INERTIA",
+        "The inertial parameters are none that a rigid body can have.",
+        "Check the numbers, their units and the axes they are expressed in.",
+    )
+    MASSLESS = (
+        "NF-URDF-MASSLESS",
+        "Some joints move no inertia, so the mass matrix cannot be inverted.",
+        "Give the links inertia, or lock these joints with `locked_joints`.",
+    )
+    ARGUMENT = (
+        "NF-URDF-ARGUMENT",
+        "An argument has the wrong shape, is not finite, or is out of its range.",
+        "Give what the message expects, in SI units.",
+    )
+    PACKAGE = (
+        "NF-URDF-PACKAGE",
+        "The package with that robot's description is not installed.",
+        f"Install it: {install_command('robots')}.",
+    )
+
+
+class UrdfError(CodedError):
     """Base of every error raised by `urdf`."""
+
+    usual_code = UrdfCode.ARGUMENT
 
 
 class UrdfFileError(UrdfError, ValueError):
     """A robot description is missing, unreadable, malformed or too large."""
+
+    usual_code = UrdfCode.FORMAT
 
 
 class UnknownNameError(UrdfError, LookupError):
@@ -20,13 +92,19 @@ class UnknownNameError(UrdfError, LookupError):
     The message lists those that do.
     """
 
+    usual_code = UrdfCode.NAME
+
 
 class InertiaError(UrdfError, ValueError):
     """Inertial parameters that no rigid body can have."""
 
+    usual_code = UrdfCode.INERTIA
+
 
 class UnsupportedJointError(UrdfError, ValueError):
     """A joint whose position and velocity do not have one number each."""
+
+    usual_code = UrdfCode.JOINT
 
 
 class InputError(UrdfError, ValueError):
@@ -34,7 +112,9 @@ class InputError(UrdfError, ValueError):
 
 
 class MissingPackageError(UrdfError, ImportError):
-    """An optional data package is not installed; the message says how to install it."""
+    """An optional data package is not installed; the advice says how to install it."""
+
+    usual_code = UrdfCode.PACKAGE
 
 
 def read_only(array: ArrayLike) -> Array:
@@ -70,7 +150,5 @@ def finite_array(value: ArrayLike, shape: tuple[int, ...], name: str) -> Array:
     ):
         raise InputError(f"{name} has shape {array.shape}, expected {expected}")
     if not np.isfinite(array).all():
-        raise InputError(
-            f"{name} has NaN or infinite entries; drop or repair those samples first"
-        )
+        raise InputError(f"{name} has NaN or infinite entries, expected finite numbers")
     return array

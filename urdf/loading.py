@@ -13,12 +13,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from foundation.advice import Message
 from foundation.arrays import Array
-from foundation.extras import install_command
-from urdf.advice import RobotAdvice
 from urdf.description import build_model, check_description, read_description
-from urdf.errors import InputError, MissingPackageError, UnknownNameError, finite_array
+from urdf.errors import (
+    InputError,
+    MissingPackageError,
+    UnknownNameError,
+    UrdfCode,
+    finite_array,
+)
 from urdf.payload import NeedleTool, Payload, require_mass, require_physical
 from urdf.robot import (
     STANDARD_GRAVITY_M_S2,
@@ -189,10 +192,8 @@ def example_robot_path(name: str) -> Path:
     """
     if name not in _EXAMPLES:
         raise UnknownNameError(
-            Message(
-                f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}; ",
-                RobotAdvice.LOAD_FILE,
-            )
+            f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}",
+            UrdfCode.ROBOT,
         )
     # Conda puts shared data below the prefix of Python, pip into a cmeel wheel.
     prefixes = [Path(sys.prefix)]
@@ -205,8 +206,7 @@ def example_robot_path(name: str) -> Path:
         if (folder / _EXAMPLES[name]).is_file():
             return folder / _EXAMPLES[name]
     raise MissingPackageError(
-        f"the description of {name!r} comes with {_PACKAGE}, which is not installed; "
-        f"{install_command('robots')}"
+        f"the description of {name!r} comes with {_PACKAGE}, which is not installed"
     )
 
 
@@ -237,8 +237,9 @@ def _last_link(model: pin.Model, source: str) -> str:
     ends = [f.name for index, f in frames if index not in inner and f.parentJoint != 0]
     if len(ends) != 1:
         raise UnknownNameError(
-            f"{source}: give tool_frame, for there is no single last link; "
-            f"it ends in: {', '.join(ends) or 'none'}"
+            f"{source}: there is no single last link that could carry the tool; it "
+            f"ends in: {', '.join(ends) or 'none'}",
+            UrdfCode.TOOL_FRAME,
         )
     return ends[0]
 

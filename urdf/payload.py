@@ -40,8 +40,7 @@ def require_mass(parameters: Array, owner: str) -> None:
     if not np.all(np.abs(parameters) <= _MAX_PARAMETER):
         raise InertiaError(
             f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, "
-            f"inertia) are not finite or above {_MAX_PARAMETER:g} in SI units; "
-            "check the numbers and their units"
+            f"inertia) are not finite or above {_MAX_PARAMETER:g} in SI units"
         )
     if parameters[0] == 0.0 and np.any(parameters):
         raise InertiaError(
@@ -70,8 +69,7 @@ def require_physical(parameters: Array, owner: str) -> None:
     if moments[0] < -slack:
         raise InertiaError(
             f"{owner}: inertia about the centre of mass is not positive definite "
-            f"(principal moments {shown} kg m^2); check signs and the frame it is "
-            "expressed in"
+            f"(principal moments {shown} kg m^2)"
         )
     if moments[0] + moments[1] < moments[2] - slack:
         raise InertiaError(

@@ -13,6 +13,7 @@ from urdf.errors import (
     InputError,
     UnknownNameError,
     UnsupportedJointError,
+    UrdfCode,
     finite_array,
     read_only,
 )
@@ -168,7 +169,7 @@ def _check_joints(model: pin.Model) -> None:
         if (joint.nq, joint.nv) != (1, 1):
             raise UnsupportedJointError(
                 f"joint {name!r} has {joint.nq} positions and {joint.nv} velocities, "
-                "expected one each: lock it, or make it a revolute or prismatic one"
+                "expected one each"
             )
 
 
@@ -246,8 +247,8 @@ def assemble_robot(
         ]
         raise InertiaError(
             f"the mass matrix of robot {robot.model.name!r} is not positive definite; "
-            f"joints that move no inertia: {', '.join(massless) or 'none alone'}. Give "
-            "the links inertia, or lock joints"
+            f"joints that move no inertia: {', '.join(massless) or 'none alone'}",
+            UrdfCode.MASSLESS,
         )
     return robot
 

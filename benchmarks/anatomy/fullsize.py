@@ -14,7 +14,7 @@ from time import perf_counter
 
 import numpy as np
 
-from benchmarks import BenchmarkError
+from benchmarks import BenchmarkCode, BenchmarkError, DataError
 from benchmarks.anatomy.study import CT_FOLDER
 from benchmarks.jobs import Progress
 from benchmarks.results import Measurement, our_measurement
@@ -28,7 +28,7 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
     """Yield time, memory and what the surfaces are like."""
     del seed  # nothing is drawn
     if data is None:
-        raise BenchmarkError("anatomy-fullsize needs the recordings: --data DIR")
+        raise DataError("anatomy-fullsize needs the recordings")
     with TemporaryDirectory() as folder:
         path = Path(folder) / "labels.nrrd"
         voxels = _write_finer(data / CT_FOLDER / "labels.nii.gz", path)
@@ -41,7 +41,8 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
                     progress(float(line))
         if child.returncode:
             raise BenchmarkError(
-                f"reading the full-size volume ended with {child.returncode}"
+                f"reading the full-size volume ended with {child.returncode}",
+                BenchmarkCode.RUN,
             )
     seconds, gigabytes, structures, closed, worst, triangles = map(float, lines[-1])
     values = {

@@ -100,7 +100,7 @@ def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
         if job is None:
             raise ResultsError(
                 f"{path} has a run that is not asked for: {row.scenario}, {row.plant}, "
-                f"seed {row.seed}; ask for it too, or write to another file"
+                f"seed {row.seed}"
             )
         rows.setdefault(job, []).append(row)
     return {

@@ -24,7 +24,7 @@ from typing import Annotated, TypeVar
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from benchmarks import BenchmarkError
+from benchmarks import BenchmarkCode, BenchmarkError
 
 THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 AHEAD = 2
@@ -152,14 +152,15 @@ def _on_cluster(
     try:
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
-        raise BenchmarkError(f"no Dask scheduler at {address}: {error}") from error
+        raise BenchmarkError(
+            f"no Dask scheduler at {address}: {error}", BenchmarkCode.CLUSTER
+        ) from error
     with client:
         try:
             client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError as error:
             raise BenchmarkError(
-                f"{address} has no workers; start some: "
-                f"dask worker {address} --nthreads 1"
+                f"{address} has no workers", BenchmarkCode.CLUSTER
             ) from error
         futures = client.map(work, jobs, pure=False)
         order = {future.key: index for index, future in enumerate(futures)}
@@ -182,4 +183,4 @@ def _on_cluster(
             why = (
                 f"lost the cluster at {address}; --resume goes on with what was written"
             )
-            raise BenchmarkError(why) from error
+            raise BenchmarkError(why, BenchmarkCode.CLUSTER) from error

@@ -12,7 +12,11 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from identification.config import Model
-from identification.errors import InvalidConfigError, InvalidLogError
+from identification.errors import (
+    IdentificationCode,
+    InvalidConfigError,
+    InvalidLogError,
+)
 
 RANK_TOLERANCE = 1e-3
 """Singular values of the scaled columns below this fraction of the largest count as
@@ -47,15 +51,19 @@ class LayerSpan:
         """Raise `InvalidConfigError` unless thickness and duration are positive."""
         values = (self.start_s, self.start_depth_m, self.thickness_m, self.rupture_s)
         if not np.all(np.isfinite(values)):
-            raise InvalidConfigError(f"layer span has non-finite values: {values}")
+            raise InvalidConfigError(
+                f"layer span has non-finite values: {values}", IdentificationCode.SPANS
+            )
         if self.thickness_m <= 0:
             raise InvalidConfigError(
-                f"thickness_m must be positive, got {self.thickness_m}"
+                f"thickness_m must be positive, got {self.thickness_m}",
+                IdentificationCode.SPANS,
             )
         if self.rupture_s <= self.start_s:
             raise InvalidConfigError(
                 f"a layer must rupture after it starts: start {self.start_s} s, "
-                f"rupture {self.rupture_s} s"
+                f"rupture {self.rupture_s} s",
+                IdentificationCode.SPANS,
             )
 
 
@@ -85,7 +93,8 @@ def regression_matrix(
         raise InvalidConfigError(f"unknown model {model!r}; choose 'ml' or 'kv'")
     if not layers:
         raise InvalidConfigError(
-            "at least one layer is needed to build a regression matrix"
+            "at least one layer is needed to build a regression matrix",
+            IdentificationCode.SPANS,
         )
     columns = []
     for layer in layers:
@@ -255,9 +264,7 @@ def identify_offline(
     """
     times_s = read_column("t_s", t_s, finite=True)
     if np.any(np.diff(times_s) <= 0):
-        raise InvalidLogError(
-            "t_s must increase; sort the recording or drop repeated samples"
-        )
+        raise InvalidLogError("t_s falls or repeats, expected times that increase")
     rows = len(times_s)
     depths_m = read_column("depth_m", depth_m, rows, finite=True)
     speeds_m_s = read_column("speed_m_s", speed_m_s, rows, finite=True)

@@ -6,7 +6,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.errors import AnatomyCode, VolumeError
 
 MIN_STEP_mm = 1e-3
 """Slices that are nearer to each other lie at the same place."""
@@ -66,8 +66,8 @@ def read_series(folder: Path) -> Any:
     series = reader.GetGDCMSeriesIDs(str(folder))
     if len(series) != 1:
         raise VolumeError(
-            f"{folder} holds {len(series)} DICOM series: expected one; put each into "
-            "its own folder"
+            f"{folder} holds {len(series)} DICOM series: expected one",
+            AnatomyCode.SERIES,
         )
     files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
     _require_one_scan(folder, files)
@@ -80,7 +80,8 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     slices = [_read_slice(name) for name in files]
     if np.ptp([item.geometry for item in slices], axis=0).any():
         raise VolumeError(
-            f"{folder}: slices differ in size, spacing or orientation: mixed series"
+            f"{folder}: slices differ in size, spacing or orientation: mixed series",
+            AnatomyCode.SERIES,
         )
     axes = slices[0].axes
     to_slice_axes = np.vstack((axes, np.cross(axes[0], axes[1]))).T
@@ -90,21 +91,24 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     usual_mm = float(np.median(distances_mm)) if len(distances_mm) else 0.0
     if usual_mm < MIN_STEP_mm:
         raise VolumeError(
-            f"{folder}: one slice, or all at the same place: expected one scan"
+            f"{folder}: one slice, or all at the same place: expected one scan",
+            AnatomyCode.SERIES,
         )
     worst = int(np.abs(distances_mm - usual_mm).argmax())
     if abs(distances_mm[worst] - usual_mm) > STEP_TOLERANCE * usual_mm:
         raise VolumeError(
             f"{folder}: slices are {usual_mm:.3f} mm apart, but "
             f"{distances_mm[worst]:.3f} mm after {Path(files[worst]).name}: a slice is "
-            "missing or doubled"
+            "missing or doubled",
+            AnatomyCode.SERIES,
         )
     largest_mm = np.abs(steps_mm[:, :2]).max()
     total_mm = np.abs(np.cumsum(steps_mm[:, :2], axis=0)).max()
     max_total_mm = MAX_SHEAR_PIXELS * slices[0].spacing_mm.min()
     if largest_mm > STEP_TOLERANCE * usual_mm or total_mm > max_total_mm:
         raise VolumeError(
-            f"{folder}: slices are sheared (gantry tilt): resample the scan"
+            f"{folder}: slices are sheared (gantry tilt): resample the scan",
+            AnatomyCode.GEOMETRY,
         )
 
 
@@ -119,7 +123,8 @@ def _read_slice(name: str) -> _Slice:
     for tag in SLICE_TAGS:
         if not reader.HasMetaDataKey(tag):
             raise VolumeError(
-                f"{name} has no DICOM tag {tag}: expected slices of one scan"
+                f"{name} has no DICOM tag {tag}: expected slices of one scan",
+                AnatomyCode.SERIES,
             )
         numbers += [float(text) for text in reader.GetMetaData(tag).split("\\")]
     return _Slice(np.array(numbers[:3]), np.array(numbers[3:]))

@@ -15,7 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.errors import AnatomyCode, VolumeError
 
 START_BYTES = 128
 """Of a NIfTI file; its spacing lies within."""
@@ -73,7 +73,8 @@ def require_whole_nifti(
     if not has_matrix and header["qform_code"] == "0":
         raise VolumeError(
             f"{path} does not say how it lies (neither qform nor sform): left and "
-            "right are unknown; export it again"
+            "right are unknown",
+            AnatomyCode.GEOMETRY,
         )
     stated_mm = _stated_spacing_mm(start)
     matrix_mm = _matrix_spacing_mm(header) if has_matrix else spacing_mm
@@ -83,7 +84,8 @@ def require_whole_nifti(
         raise VolumeError(
             f"{path}: its header states a spacing of {stated_mm.tolist()} mm (pixdim), "
             f"and its matrix (sform) one of {np.round(matrix_mm, 4).tolist()}: "
-            "expected the same; export it again"
+            "expected the same",
+            AnatomyCode.GEOMETRY,
         )
 
 
@@ -103,7 +105,7 @@ def _read_start(path: Path, header: Mapping[str, str]) -> bytes:
             raise EOFError(f"{file_bytes} bytes of {expected_bytes:.0f}")
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise VolumeError(
-            f"{path} ends early or is damaged: {error}; copy it again"
+            f"{path} ends early or is damaged: {error}", AnatomyCode.DAMAGED
         ) from error
     return start
 
@@ -150,4 +152,4 @@ def require_placed_nrrd(path: Path) -> None:
         reason = f"its space units are {units}: expected mm"
     else:
         return
-    raise VolumeError(f"{path}: {reason}; export it again")
+    raise VolumeError(f"{path}: {reason}", AnatomyCode.GEOMETRY)

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.path_layers import Layer, find_layers
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.surface import Surface, closed_surface
@@ -63,12 +63,17 @@ class Labels:
         by_name: dict[str, Structure] = {}
         for item in structures:
             if item.name in by_name:
-                raise VolumeError(f"two structures are named {item.name!r}: rename one")
+                raise VolumeError(
+                    f"two structures are named {item.name!r}", AnatomyCode.LABELS
+                )
             if (box := boxes[item.volume].get(item.value)) is not None:
                 voxels = np.count_nonzero(volumes[item.volume][box] == item.value)
                 by_name[item.name] = replace(item, voxels=int(voxels), box=box)
         if not by_name:
-            raise VolumeError("no voxel is labelled: expected at least one structure")
+            raise VolumeError(
+                "no voxel is labelled: expected at least one structure",
+                AnatomyCode.LABELS,
+            )
         return cls(volumes, grid, tuple(by_name.values()))
 
     def __getitem__(self, name: str) -> Structure:
@@ -76,7 +81,8 @@ class Labels:
         if name not in by_name:
             raise VolumeError(
                 f"no structure with voxels is named {name!r}; there are "
-                f"{', '.join(by_name)}"
+                f"{', '.join(by_name)}",
+                AnatomyCode.STRUCTURE,
             )
         return by_name[name]
 
@@ -195,7 +201,8 @@ def _find_body(scan: Volume) -> NDArray[np.bool_]:
         raise VolumeError(
             f"no body in a scan of {scan.values.min():g} to {scan.values.max():g}: "
             f"expected a CT in Hounsfield units with air, below {BODY_HU:g}, around "
-            "the patient"
+            "the patient",
+            AnatomyCode.SCAN,
         )
     # Lungs are open at the top of a scan, so holes are filled section by section.
     head_axis = int(np.abs(scan.grid.axes_m[2]).argmax())
@@ -223,7 +230,8 @@ def require_agreement(labels: Labels, scan: Volume) -> None:
     if (is_as_large or has_as_many) and shift > MAX_SHIFT_VOXELS:
         raise VolumeError(
             f"the labels' grid is as large as the scan's and lies {shift:.1f} voxels "
-            "beside it: origin, spacing or directions of one of the files are wrong"
+            "beside it: origin, spacing or directions of one of the files are wrong",
+            AnatomyCode.OTHER_SCAN,
         )
     for item in labels.structures:
         indices = scan.grid.indices(labels.grid.corners_m(item.box))
@@ -231,5 +239,6 @@ def require_agreement(labels: Labels, scan: Volume) -> None:
         if outside > MAX_OUTSIDE_VOXELS:
             raise VolumeError(
                 f"{item.name} lies {outside:.0f} voxels outside the scan: the labels "
-                "belong to another scan, or lost their origin when they were cropped"
+                "belong to another scan, or lost their origin when they were cropped",
+                AnatomyCode.OTHER_SCAN,
             )

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import RegistrationError, require_deviation
+from needleforce.anatomy.errors import AnatomyCode, RegistrationError, require_deviation
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
     MIN_WIDTH_m,
@@ -91,7 +91,10 @@ def fit_landmarks(
     count = len(landmarks.model_m)
     residual_rms_m = float(np.sqrt(fit.squares_m2 / count))
     if not landmarks.fit(std_m):
-        raise RegistrationError(_find_cause(landmarks, std_m, residual_rms_m))
+        raise RegistrationError(
+            _find_cause(landmarks, std_m, residual_rms_m),
+            AnatomyCode.MISFITTING_LANDMARKS,
+        )
     degrees = 3 * count - 6
     variance_m2 = fit.squares_m2 / degrees if count > 3 else np.nan
     if is_std_known:
@@ -118,21 +121,22 @@ def _checked_landmarks(model_m: ArrayLike, robot_m: ArrayLike) -> _Landmarks:
         shapes = f"{model.shape} and {robot.shape}"
         raise RegistrationError(f"landmarks of shapes {shapes}: expected (n, 3) twice")
     if len(model) < 3:
-        raise RegistrationError(f"too few landmarks: {len(model)}; touch three or more")
+        raise RegistrationError(
+            f"too few landmarks: {len(model)}, expected three or more"
+        )
     if not np.isfinite([model, robot]).all():
-        raise RegistrationError("a landmark is not finite; touch it again")
+        raise RegistrationError("a landmark is not finite")
     model_length_m, model_width_m, _ = rms_extents_m(model)
     robot_length_m, robot_width_m, _ = rms_extents_m(robot)
     ratio = robot_length_m / max(model_length_m, MIN_EXTENT_m)
     if not 1.0 / MAX_LENGTH_RATIO < ratio < MAX_LENGTH_RATIO:
         raise RegistrationError(
             f"the touched landmarks are {ratio:.3g} times as far apart as those of the "
-            "model: millimetres for metres? Give both in metres"
+            "model: millimetres for metres?"
         )
     if min(model_width_m, robot_width_m) < MIN_WIDTH_m:
         raise RegistrationError(
-            "the landmarks are collinear: the model could turn about their line; touch "
-            "one that lies aside"
+            "the landmarks are collinear: the model could turn about their line"
         )
     return _Landmarks(model, robot)
 

@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import VolumeError, require_deviation
+from needleforce.anatomy.errors import AnatomyCode, VolumeError, require_deviation
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.volume import Grid
 
@@ -187,20 +187,26 @@ def _checked_path(
     has_shape = entry.shape == (3,) and target.shape == (3,)
     if not has_shape or not np.all(np.isfinite([entry, target])):
         raise VolumeError(
-            f"entry {entry_m} and target {target_m}: expected two points of 3 numbers"
+            f"entry {entry_m} and target {target_m}: expected two points of 3 numbers",
+            AnatomyCode.PATH,
         )
     grid = labels.grid
     start, end = grid.indices(np.array([entry, target]))
     if np.any(end < -0.5) or np.any(end > np.array(grid.shape) - 0.5):
-        raise VolumeError(f"the target {target.tolist()} m lies outside the volume")
+        raise VolumeError(
+            f"the target {target.tolist()} m lies outside the volume", AnatomyCode.PATH
+        )
     outside_m = np.maximum(-start, start - grid.shape) * grid.spacing_m
     if outside_m.max() > MAX_OUTSIDE_m:
         raise VolumeError(
             f"the entry {entry.tolist()} lies {outside_m.max():.3g} m outside the "
-            "volume: expected metres, not millimetres"
+            "volume: expected metres, not millimetres",
+            AnatomyCode.PATH,
         )
     if np.linalg.norm(end - start) == 0.0:
-        raise VolumeError(f"entry and target are the same point {entry.tolist()}")
+        raise VolumeError(
+            f"entry and target are the same point {entry.tolist()}", AnatomyCode.PATH
+        )
     return _Path(start, end - start, float(np.linalg.norm(target - entry)))
 
 

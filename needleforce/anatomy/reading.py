@@ -17,7 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.anatomy.dicom_series import read_series
-from needleforce.anatomy.errors import VolumeError
+from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.file_checks import require_placed_nrrd, require_whole_nifti
 from needleforce.anatomy.labels import Labels, require_agreement
 from needleforce.anatomy.structures import Structure
@@ -112,7 +112,7 @@ def read_labels(
         labels = Labels.of(volumes, image.grid, structures)
         _require_all_named(labels)
     except VolumeError as error:
-        raise VolumeError(f"{path}: {error}") from None
+        raise error.reworded(f"{path}: {error}") from None
     if scan is not None:
         require_agreement(labels, scan)
     return labels
@@ -126,7 +126,8 @@ def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
     is_in_range = labels.min() >= 0 and max_label <= np.iinfo(np.uint16).max
     if not is_in_range or np.any(labels != values):
         raise VolumeError(
-            f"{path} holds {values.min():g} to {values.max():g}: expected labels"
+            f"{path} holds {values.min():g} to {values.max():g}: expected labels",
+            AnatomyCode.LABELS,
         )
     kind = np.uint8 if max_label < MAX_UINT8_LABELS else np.uint16
     return labels.astype(kind, copy=False)
@@ -138,7 +139,8 @@ def _require_all_named(labels: Labels) -> None:
     loose = labelled - sum(item.voxels for item in labels.structures)
     if loose:
         raise VolumeError(
-            f"{loose} voxels have labels of no segment: its header is damaged"
+            f"{loose} voxels have labels of no segment: its header is damaged",
+            AnatomyCode.LABELS,
         )
 
 
@@ -149,10 +151,13 @@ def _name_labels(volumes: Sequence[NDArray[Any]], names: Names) -> list[Structur
         stated = json.loads(Path(names).read_bytes()) if is_file else names
         name_by_value = msgspec.convert(stated or {}, dict[int, str], strict=False)
     except (OSError, ValueError, msgspec.ValidationError) as error:
-        raise VolumeError(f"cannot read names from {names}: {error}") from error
+        raise VolumeError(
+            f"cannot read names from {names}: {error}", AnatomyCode.LABELS
+        ) from error
     if len(volumes) > 1:
         raise VolumeError(
-            "several labels per voxel and no segments: expected a .seg.nrrd file"
+            "several labels per voxel and no segments: expected a .seg.nrrd file",
+            AnatomyCode.LABELS,
         )
     values = range(1, int(volumes[0].max()) + 1)
     return [
@@ -175,13 +180,14 @@ def _read_segments(header: Mapping[str, str], volumes: int) -> list[Structure]:
         if not 0 <= segment.volume < volumes:
             raise VolumeError(
                 f"segment {segment.name} lies in layer {segment.volume}; the file has "
-                f"{volumes}"
+                f"{volumes}",
+                AnatomyCode.LABELS,
             )
         place = (segment.volume, segment.value)
         if place in structures:
             raise VolumeError(
-                f"segment {segment.name} has the label {segment.value} of another: "
-                "give it its own"
+                f"segment {segment.name} has the label {segment.value} of another",
+                AnatomyCode.LABELS,
             )
         structure = Structure.named(segment.name, segment.value, segment.volume)
         structures[place] = replace(
@@ -198,7 +204,8 @@ def _read_segment(
     fields = {key.removeprefix(prefix): text for key, text in header.items()}
     if "ID" not in fields:
         raise VolumeError(
-            f"{prefix}ID is not in its header: expected {count} segments from 0 on"
+            f"{prefix}ID is not in its header: expected {count} segments from 0 on",
+            AnatomyCode.LABELS,
         )
     name = fields.get("Name", fields["ID"])
     # Slicer up to 4.10 states neither layer nor label: each component is a segment.
@@ -212,7 +219,8 @@ def _read_segment(
         )
     except ValueError as error:
         raise VolumeError(
-            f"segment {name}: {error}; expected numbers in its header"
+            f"segment {name}: {error}; expected numbers in its header",
+            AnatomyCode.LABELS,
         ) from error
 
 
@@ -239,7 +247,8 @@ def _read_image(path: Path) -> _Image:
     diagonal_m = float(np.linalg.norm(np.ptp(grid.corners_m(), axis=0)))
     if not MIN_DIAGONAL_m < diagonal_m < MAX_DIAGONAL_m:
         raise VolumeError(
-            f"{path} measures {diagonal_m:.3g} m: expected a file in millimetres"
+            f"{path} measures {diagonal_m:.3g} m: expected a file in millimetres",
+            AnatomyCode.GEOMETRY,
         )
     header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
     if header.get("nifti_type") == "1":
@@ -249,8 +258,7 @@ def _read_image(path: Path) -> _Image:
     elif not path.is_dir():
         raise VolumeError(
             f"{path}: whether a file of this kind says how it lies, and is whole, is "
-            "not known; export it as .nii, .nii.gz or .nrrd, or give the folder of a "
-            "DICOM series"
+            "not known"
         )
     return _Image(_components(image), grid, header)
 

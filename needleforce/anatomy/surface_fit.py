@@ -14,7 +14,7 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import RegistrationError, require_deviation
+from needleforce.anatomy.errors import AnatomyCode, RegistrationError, require_deviation
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
     MIN_WIDTH_m,
@@ -171,13 +171,15 @@ def fit_surface(
     if outliers > MAX_OUTLIERS:
         raise RegistrationError(
             f"{100.0 * outliers:.0f} % of the touches do not lie on the surface: "
-            "another organ, or a start too far away; register by landmarks again"
+            "another organ, or a start too far away",
+            AnatomyCode.MISFITTING_SURFACE,
         )
     if fit.median_m > noise_m:
         raise RegistrationError(
             f"half of the touches lie {1e3 * fit.median_m:.1f} mm or more from the "
             f"surface, expected {1e3 * noise_m:.1f} at most: the patient has moved, it "
-            "is another organ, or touch_std_m is too small"
+            "is another organ, or touch_std_m is too small",
+            AnatomyCode.MISFITTING_SURFACE,
         )
     if check:
         _require_no_sliding(surface, fit, noise_m)
@@ -191,11 +193,13 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     touches = np.asarray(touches_m, dtype=float)
     if touches.ndim != 2 or touches.shape[1:] != (3,) or not np.isfinite(touches).all():
         raise RegistrationError(
-            f"touches of shape {touches.shape}: expected finite (n, 3)"
+            f"touches of shape {touches.shape}: expected finite (n, 3)",
+            AnatomyCode.TOUCHES,
         )
     if len(touches) < MIN_TOUCHES:
         raise RegistrationError(
-            f"too few touches: {len(touches)}; touch {MIN_TOUCHES} or more"
+            f"too few touches: {len(touches)}, expected {MIN_TOUCHES} or more",
+            AnatomyCode.TOUCHES,
         )
     spread_m = float(np.linalg.norm(np.ptp(touches, axis=0)))
     extent_m = float(surface.mesh.scale)
@@ -203,13 +207,14 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     if is_too_large or spread_m / extent_m > MAX_LENGTH_RATIO:
         raise RegistrationError(
             f"the touches spread over {spread_m:.3g} m, the surface over "
-            f"{extent_m:.3g} m: millimetres for metres? Give both in metres"
+            f"{extent_m:.3g} m: millimetres for metres?",
+            AnatomyCode.TOUCHES,
         )
     _, width_m, _ = rms_extents_m(touches)
     if width_m < MIN_WIDTH_m:
         raise RegistrationError(
-            f"the touches spread over {1e3 * spread_m:.3g} mm, near a point or a line: "
-            "touch more of the surface"
+            f"the touches spread over {1e3 * spread_m:.3g} mm, near a point or a line",
+            AnatomyCode.TOUCHES,
         )
     return touches
 
@@ -306,7 +311,8 @@ def _require_no_sliding(surface: Surface, fit: _Fit, noise_m: float) -> None:
             raise RegistrationError(
                 f"the surface slides or spins on itself: pushed {1e3 * PUSH_m:g} mm "
                 f"along its weakest direction, the solution stays {1e3 * away_m:.1f} "
-                "mm away and fits as well; touch a part with edges or another shape"
+                "mm away and fits as well",
+                AnatomyCode.AMBIGUOUS_SURFACE,
             )
 
 
@@ -318,7 +324,8 @@ def _require_no_better(surface: Surface, fit: _Fit, noise_m: float) -> None:
         if away_m > FAR_m and other.median_m < BETTER_FIT * fit.median_m:
             raise RegistrationError(
                 f"another solution, {1e3 * away_m:.0f} mm away, fits better: the start "
-                "lies outside the basin; register by landmarks again"
+                "lies outside the basin",
+                AnatomyCode.AMBIGUOUS_SURFACE,
             )
 
 

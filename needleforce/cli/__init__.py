@@ -29,7 +29,7 @@ from needleforce.cli import (
     view,
 )
 from needleforce.cli.application import app
-from needleforce.cli.terminal import CommandError, run_command
+from needleforce.cli.terminal import CommandCode, CommandError, run_command
 
 __all__ = [
     "app",
@@ -58,8 +58,9 @@ def main(argv: Sequence[str] | None = None) -> int:
         # As a path it would be the current folder.
         if empty := [token for token in tokens if re.fullmatch(r"(-[\w-]+=)?", token)]:
             raise CommandError(
-                f"{empty[0]!r}: nothing is given there; leave it out, or give a name "
-                "or a value (a variable of the shell may not be set)"
+                f"{empty[0]!r}: nothing is given there, expected a name or a value (a "
+                "variable of the shell may not be set)",
+                CommandCode.USAGE,
             )
         try:
             command, bound, _ = app.parse_args(
@@ -69,7 +70,8 @@ def main(argv: Sequence[str] | None = None) -> int:
             unused = " ".join(map(repr, error.unused_tokens or ()))
             raise CommandError(
                 f"{unused}: not expected here; a command takes one name, and options "
-                "begin with --"
+                "begin with --",
+                CommandCode.USAGE,
             ) from error
         return command(*bound.args, **bound.kwargs) or 0
 

@@ -2,17 +2,10 @@
 
 import math
 
-from foundation.advice import Advice, Message
+from needleforce.cli.advice import WATCH_ADVICE, describe_error
 from needleforce.cli.terminal import CommandError, say
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import Status, TareError
-from residual.advice import TareAdvice
-
-_ADVICES: dict[Advice, str] = {
-    TareAdvice.IGNORE_CONTACT: "",
-    TareAdvice.COMPENSATE_GRAVITY: "give needleforce force --gravity-compensated",
-}
-"""Words of the command for what a refused tare advises; it has no option for some."""
 
 
 class SessionTare:
@@ -48,6 +41,6 @@ class SessionTare:
         try:
             session.tare()
         except TareError as error:
-            reason = Message.of(error).in_words(_ADVICES)
-            say(f"no tare at {estimate.time_s:.1f} s: {reason}")
+            reason = describe_error(error, WATCH_ADVICE)
+            say(f"no tare at {estimate.time_s:.1f} s, {reason}")
         return session.tared

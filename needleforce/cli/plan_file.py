@@ -12,7 +12,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.anatomy import AnatomyError, Labels, Layer, PlanMatch, read_labels
-from needleforce.cli.terminal import CommandError, progress_bar
+from needleforce.cli.terminal import CommandCode, CommandError, progress_bar
 from needleforce.scene import PlanScene
 
 PLAN = "plan.json"
@@ -128,9 +128,7 @@ def read_plan(place: Path) -> LoadedPlan:
         layers = _planned_layers(plan) or list(scene.layers)
         match = PlanMatch(layers, plan.offset_std_m)
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
-        raise CommandError(
-            f"{path}: {error}; docs/how-to/scene.md says what a plan holds"
-        ) from error
+        raise CommandError(f"{path}: {error}", CommandCode.PLAN) from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
     return LoadedPlan(scene._replace(layers=match.layers), match, entry_m)
 

@@ -12,9 +12,8 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import urdf
-from foundation.advice import Advice, Message
 from needleforce.cli.shared_options import RobotOptions, SensorOptions
-from needleforce.cli.terminal import CommandError
+from needleforce.cli.terminal import CommandCode, CommandError
 from needleforce.cli.toml_tables import NOTHING, convert_table
 from needleforce.recordings import load_mapping
 from needleforce.recordings.mapping import read_toml
@@ -27,7 +26,6 @@ from residual import (
     SigmoidFriction,
 )
 from urdf import NeedleTool, Payload, Robot, example_robot_path
-from urdf.advice import RobotAdvice
 from urdf.errors import finite_array
 
 LWR = "lwr"
@@ -35,12 +33,6 @@ LWR = "lwr"
 
 NEEDLE = "needle"
 """Name of the payload that a known LWR has without options."""
-
-_ADVICES: dict[Advice, str] = {
-    RobotAdvice.LOCK_JOINT: "lock it with --lock",
-    RobotAdvice.LOAD_FILE: "--urdf FILE loads any other",
-}
-"""Options for what messages about a robot advise."""
 
 
 def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
@@ -55,7 +47,7 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
     """
     payload = payload_from_options(options, mapping)
     if options.urdf is not None and options.robot is not None:
-        raise CommandError("--robot and --urdf name two robots; give one of them")
+        raise CommandError("--robot and --urdf name two robots, expected one of them")
     if options.lock and options.urdf is None:
         raise CommandError(
             "--lock holds joints of a robot of --urdf FILE; known robots have none"
@@ -74,12 +66,9 @@ def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
         "payload": payload,
     }
     locked_joints = dict(map(_parse_lock, options.lock))
-    try:
-        if options.urdf is None:
-            return urdf.load_example(str(options.robot), **tool)
-        return urdf.load_urdf(options.urdf, locked_joints=locked_joints, **tool)
-    except (urdf.UnsupportedJointError, urdf.UnknownNameError) as error:
-        raise CommandError(Message.of(error).in_words(_ADVICES)) from error
+    if options.urdf is None:
+        return urdf.load_example(str(options.robot), **tool)
+    return urdf.load_urdf(options.urdf, locked_joints=locked_joints, **tool)
 
 
 def _is_lwr(options: RobotOptions) -> bool:
@@ -143,7 +132,8 @@ def payload_from_options(
     if not isinstance(value, dict):
         raise CommandError(
             f"{mapping}: payload is {type(value).__name__}, expected a table, a file, "
-            "needle or none"
+            "needle or none",
+            CommandCode.FILE,
         )
     return _payload_from_table(value, where)
 
@@ -153,14 +143,16 @@ def _payload_from_table(table: Mapping[str, Any], where: str) -> Payload | Needl
     if "needle" in table:
         if len(table) > 1 or not isinstance(table["needle"], dict):
             raise CommandError(
-                f"{where}: give either a table [needle] alone, or mass_kg and com_m"
+                f"{where}: expected a table [needle] alone, or mass_kg and com_m",
+                CommandCode.FILE,
             )
         return convert_table(NeedleTool, table["needle"], f"{where}: [needle]")
     for name in ("mass_kg", "com_m"):
         if name not in table:
             raise CommandError(
                 f"{where}: {name} is missing; a payload has mass_kg, com_m and "
-                "inertia_kg_m2, or is a table [needle]"
+                "inertia_kg_m2, or is a table [needle]",
+                CommandCode.FILE,
             )
     point_mass = {"inertia_kg_m2": [[0.0] * 3] * 3}
     return convert_table(Payload, {**point_mass, **table}, where)
@@ -220,7 +212,8 @@ def with_friction(robot: Robot, path: str | None) -> RobotWithFriction:
         known = " or ".join(f"[{name}]" for name in _FRICTION_MODELS)
         raise CommandError(
             f"{path} has {', '.join(tables)}; expected one table of {known}, and "
-            f"{_ROTOR_INERTIA} if it counts"
+            f"{_ROTOR_INERTIA} if it counts",
+            CommandCode.FILE,
         )
     friction = None
     for name, table in tables.items():
@@ -261,7 +254,8 @@ def sensor_config(
         table = read_toml(options.config, "config file")
         if "friction" in table:
             raise CommandError(
-                f"{options.config}: give joint friction with --friction FILE"
+                f"{options.config}: unknown key 'friction'; joint friction stands in "
+                "the file of --friction"
             )
         config = convert_table(SensorConfig, table, options.config, config)
     settings = {

@@ -8,7 +8,9 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from types import FrameType
 
-from foundation.extras import missing_module
+from foundation.errors import CodedError, ErrorCode
+from foundation.extras import extra_of, install_command
+from needleforce.cli.advice import describe_error
 
 FAILED = 2
 """Exit code after one line that says what is wrong with options or files."""
@@ -22,23 +24,66 @@ READER_GONE = 141
 TERMINATED = 143
 """Exit code after SIGTERM."""
 
-_FORESEEN = (
-    "urdf",
-    "residual",
-    "identification",
-    "groundtruth",
-    "needleforce",
-    "cyclopts",
-)
-"""Packages whose own errors say what is wrong with the input."""
-
-
 Progress = Callable[[float], None]
 """Takes the fraction of a piece of work that is done."""
 
 
-class CommandError(ValueError):
+class CommandCode(ErrorCode):
+    """Kinds of errors of a command line; the advice is the command's own."""
+
+    USAGE = (
+        "NF-COMMAND-USAGE",
+        "The command line has a word, an option or a value that is not expected.",
+        "--help lists what a command takes",
+    )
+    OPTION = (
+        "NF-COMMAND-OPTION",
+        "The value of an option cannot be, or options contradict each other.",
+        "Give what the message expects; --help says what each option means",
+    )
+    FILE = (
+        "NF-COMMAND-FILE",
+        "A file that an option names has an unknown key, or a value that cannot be.",
+        "Correct the file",
+    )
+    ROBOT = (
+        "NF-COMMAND-ROBOT",
+        "The log or the arm has another number of joints than the robot.",
+        "Name another robot with --robot or --urdf FILE, where --lock JOINT holds "
+        "joints that are not measured; or name the columns with --q",
+    )
+    TARE = (
+        "NF-COMMAND-TARE",
+        "The log has no usable window for the tare.",
+        "Choose where the needle is free with --tare START:END, in seconds such as 0:4 "
+        "or +0:+4 from the log's first stamp; --no-tare goes without",
+    )
+    ARM = (
+        "NF-COMMAND-ARM",
+        "The arm sends nothing that can be used.",
+        "Check that the arm runs, and that it sends to this machine and port",
+    )
+    PLAN = (
+        "NF-COMMAND-PLAN",
+        "The plan's file cannot be read, or holds no plan that can be followed.",
+        "Give plan.json, or the folder that holds it beside labels.nii.gz",
+    )
+    LIBRARY = (
+        "NF-COMMAND-LIBRARY",
+        "The command needs a library that is not installed.",
+        f"Install it: {install_command('{extra}')}",
+    )
+    OUTPUT = (
+        "NF-COMMAND-OUTPUT",
+        "Standard output or another output of the command cannot be written.",
+        "Make room on the disk, or give another place",
+    )
+
+
+class CommandError(CodedError, ValueError):
     """An option, a file named by one, or a log that does not fit the robot."""
+
+    usual_code = CommandCode.OPTION
 
 
 class _Terminated(BaseException):
@@ -77,25 +122,29 @@ def run_command(work: Callable[[], int]) -> int:
         if is_terminated:
             say("terminated")
             return TERMINATED
-        say(f"error: {_describe_failure(error)}")
+        say(f"error {_describe_failure(error)}")
         return FAILED
 
 
 def _describe_failure(error: BaseException) -> str:
     """Return a foreseen failure in one line; raise what was not foreseen."""
-    if isinstance(error, ModuleNotFoundError) and (line := missing_module(error.name)):
-        return line
-    if type(error).__module__.partition(".")[0] in _FORESEEN:
+    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name)):
+        reason = f"{error.name} is not installed"
+        error = CommandError(reason, CommandCode.LIBRARY, extra=extra)
+    if type(error).__module__.partition(".")[0] == "cyclopts":
+        error = CommandError(str(error), CommandCode.USAGE)
+    if isinstance(error, CodedError):
         try:
             write_out("")
         except OSError:  # what a full disk has refused would be tried again at the end
             _close_output()
-        return str(error)
+        return describe_error(error)
     if not isinstance(error, OSError) or error.filename is not None:
         raise error
     # A failure without a file is one of standard output; others say which file.
     _close_output()
-    return f"cannot write standard output: {error.strerror or error}"
+    reason = f"cannot write standard output: {error.strerror or error}"
+    return describe_error(CommandError(reason, CommandCode.OUTPUT))
 
 
 @contextmanager

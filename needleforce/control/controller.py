@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import ControlCode, SettingError
 from needleforce.control.joint_limits import (
     Limits,
     SLACK_rad_s,
@@ -73,7 +73,10 @@ class Controller:
         self, robot: Robot, limits: Limits, solve: Solver = hierarchical
     ) -> None:
         if (joints := limits.joints.speed_rad_s.size) != robot.nv:
-            raise SettingError(f"limits of {joints} joints, the robot has {robot.nv}")
+            raise SettingError(
+                f"limits of {joints} joints, the robot has {robot.nv}",
+                ControlCode.LIMITS,
+            )
         self.tool = ToolState(robot)
         self._limits = limits.joints
         self._limit_rows = np.array(limits.joints)

@@ -10,8 +10,7 @@ from typing import Any
 
 import msgspec
 
-from foundation.extras import install_command
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import ControlCode, SettingError
 from needleforce.control.state_machine import State, transition
 
 MCAP_TOPIC = "/needleforce/events"
@@ -73,7 +72,8 @@ class EventLog:
             _ENCODER.encode(event)
         except (ValueError, RecursionError) as error:
             raise SettingError(
-                f"data of {event.event} cannot be written as JSON: {error}"
+                f"data of {event.event} cannot be written as JSON: {error}",
+                ControlCode.EVENT_LOG,
             ) from error
         self.events.append(event)
 
@@ -127,8 +127,7 @@ def _import_mcap(module: str) -> Any:
         return import_module(f"mcap.{module}")
     except ImportError:
         raise SettingError(
-            "MCAP files need mcap, which is not installed; "
-            f"{install_command('recordings')}"
+            "MCAP files need mcap, which is not installed", ControlCode.LIBRARY
         ) from None
 
 
@@ -150,11 +149,13 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
             event = msgspec.json.decode(line, type=LoggedEvent)
         except msgspec.DecodeError as error:
             raise SettingError(
-                f"{path}, line {number} is no event: {line[:80]!r}"
+                f"{path}, line {number} is no event: {line[:80]!r}",
+                ControlCode.EVENT_LOG,
             ) from error
         if event.seq not in (0, events[-1].seq + 1 if events else 0):
             raise SettingError(
-                f"{path}, line {number}: event {event.seq} is out of order"
+                f"{path}, line {number}: event {event.seq} is out of order",
+                ControlCode.EVENT_LOG,
             )
         events.append(event)
     return events
@@ -172,7 +173,8 @@ def _mcap_messages(data: bytes, path: str | Path) -> list[bytes]:
         return [message.data for _, _, message in messages]
     except Exception as error:  # whatever the library makes of a damaged file
         raise SettingError(
-            f"{path} is no MCAP file, or a damaged one: {error!r}"
+            f"{path} is no MCAP file, or a damaged one: {error!r}",
+            ControlCode.EVENT_LOG,
         ) from error
 
 

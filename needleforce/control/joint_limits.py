@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Matrix, Vector, WrittenMatrix
 from foundation.jit import compiled
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import ControlCode, SettingError
 from needleforce.control.setting_checks import require_positive
 from urdf import Robot
 
@@ -77,7 +77,8 @@ def _one_per_joint(joint_count: int, *limits: ArrayLike) -> JointLimits:
         rows = [np.broadcast_to(limit, joint_count) for limit in limits]
     except ValueError:
         raise SettingError(
-            f"limits must be one number or {joint_count}, one per joint"
+            f"limits must be one number or {joint_count}, one per joint",
+            ControlCode.LIMITS,
         ) from None
     return JointLimits(*np.array(rows, dtype=np.float64))
 
@@ -109,7 +110,7 @@ def _require_usable(limits: JointLimits, robot: Robot, margin_rad: float) -> Non
     for is_wrong, complaint in complaints:
         if is_wrong.any():
             joints = ", ".join(np.array(robot.joint_names)[is_wrong])
-            raise SettingError(f"joints {joints}: {complaint}")
+            raise SettingError(f"joints {joints}: {complaint}", ControlCode.LIMITS)
 
 
 @compiled

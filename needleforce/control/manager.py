@@ -9,7 +9,7 @@ from pathlib import Path
 from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import ControlCode, SettingError
 from needleforce.control.event_log import EventLog, LoggedEvent
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
@@ -283,6 +283,6 @@ def _require_session(session: Any, limits: Any) -> None:
     if config.frame is not None or x != 0.0 or y != 0.0 or z <= 0.0:
         raise SettingError(
             f"the session's needle is {config.insertion_axis} of frame {config.frame}; "
-            "motions are along z of the robot's tool frame: load the robot with such a "
-            "tool frame"
+            "motions are along z of the robot's tool frame",
+            ControlCode.FRAME,
         )

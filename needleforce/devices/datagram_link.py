@@ -5,7 +5,7 @@ from contextlib import suppress
 from time import monotonic
 from typing import NamedTuple
 
-from needleforce.devices.errors import DeviceSettingError, LinkError
+from needleforce.devices.errors import DeviceCode, DeviceSettingError, LinkError
 from needleforce.devices.link import Link
 
 LOOPBACK = "127.0.0.1"
@@ -54,8 +54,8 @@ def resolve_host(host: str) -> str:
         return socket.gethostbyname(host)
     except (OSError, ValueError) as error:
         raise LinkError(
-            f"{host!r} is no address and no name that is known here: {error}; give the "
-            "numeric address of the device"
+            f"{host!r} is no address and no name that is known here: {error}",
+            DeviceCode.SETTING,
         ) from error
 
 
@@ -102,9 +102,8 @@ class DatagramLink(Link):
         except OSError as error:
             self._socket.close()
             raise LinkError(
-                f"cannot listen on {host}:{port}: {error.strerror or error}; is "
-                "another program using the port, and is the address one of this "
-                "machine?"
+                f"cannot listen on {host}:{port}: {error.strerror or error}",
+                DeviceCode.PORT,
             ) from error
 
         self.address = Endpoint(*self._socket.getsockname())

@@ -62,10 +62,7 @@ class HaplyMaster(Link):
                 address, max_size=MAX_MESSAGE_BYTES, open_timeout=CONNECT_WAIT_S
             )
         except (OSError, self._socket_error) as error:
-            raise LinkError(
-                f"no haptic service at {address}: {error}; is it running, is a device "
-                "plugged in?"
-            ) from error
+            raise LinkError(f"no haptic service at {address}: {error}") from error
 
         self._force_N = np.zeros(3)
         self._max_force_N = max_force_N

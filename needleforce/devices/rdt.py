@@ -24,7 +24,7 @@ from needleforce.devices.datagram_link import (
     Endpoint,
     resolve_host,
 )
-from needleforce.devices.errors import DeviceSettingError, LinkError
+from needleforce.devices.errors import DeviceCode, DeviceSettingError, LinkError
 
 PORT = 49152
 """Of the sensor, unless it is configured otherwise."""
@@ -99,9 +99,7 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
         with urlopen(url, timeout=timeout_s) as reply:
             tree = ElementTree.fromstring(reply.read(MAX_REPLY_BYTES))
     except (OSError, HTTPException, ElementTree.ParseError, ValueError) as error:
-        raise LinkError(
-            f"no counts per newton from {url}: {error}; is it the sensor?"
-        ) from error
+        raise LinkError(f"no counts per newton from {url}: {error}") from error
 
     return Scale(
         per_N=_read_counts(tree, url, "calcpf", "scalfu", "N"),
@@ -131,7 +129,8 @@ def _read_counts(
     if unit is not None and unit.strip().replace("-", "") != si_unit:
         raise LinkError(
             f"{url} counts per {unit.strip()!r} under <{unit_name}>, expected "
-            f"{si_unit}: set the sensor to it, or give scale=Scale(per_N, per_Nm)"
+            f"{si_unit}",
+            DeviceCode.UNITS,
         )
 
     return counts

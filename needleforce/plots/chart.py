@@ -92,7 +92,7 @@ class Curve:
             if value is not None and (np.ndim(value) != 1 or len(value) != len(self.x)):
                 raise ChartError(
                     f"curve {self.label!r}: {name} has shape {np.shape(value)} where x "
-                    f"has {np.shape(self.x)}; give one value per point"
+                    f"has {np.shape(self.x)}"
                 )
 
 
@@ -175,7 +175,7 @@ class Chart:
 
     def __post_init__(self) -> None:
         if not self.panels:
-            raise ChartError(f"chart {self.title!r} has no panel; give at least one")
+            raise ChartError(f"chart {self.title!r} has no panel")
 
     def within(self, first: float, last: float) -> "Chart":
         """Return the chart between two places of the x axis.

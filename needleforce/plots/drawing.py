@@ -14,7 +14,6 @@ from typing import TYPE_CHECKING, Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from foundation.extras import install_command
 from needleforce.files import whole_file
 from needleforce.plots.chart import (
     BAND_STD,
@@ -26,7 +25,12 @@ from needleforce.plots.chart import (
     is_within,
     limits_of,
 )
-from needleforce.plots.errors import ChartError, MissingExtraError, WriteError
+from needleforce.plots.errors import (
+    ChartError,
+    FigureCode,
+    MissingExtraError,
+    WriteError,
+)
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -308,15 +312,15 @@ def require_matplotlib(purpose: str, path: str | Path | None = None) -> None:
     """
     if path is not None and Path(path).suffix.lower() not in FORMATS:
         raise ChartError(
-            f"cannot write {path}: its name must end in one of {', '.join(FORMATS)}"
+            f"cannot write {path}: its name must end in one of {', '.join(FORMATS)}",
+            FigureCode.FORMAT,
         )
     try:
         import jinja2  # noqa: F401
         import matplotlib.figure  # noqa: F401
     except ImportError as error:
         raise MissingExtraError(
-            f"{purpose} needs {error.name or 'matplotlib'}, which is not installed; "
-            f"{install_command('demo')}"
+            f"{purpose} needs {error.name or 'matplotlib'}, which is not installed"
         ) from error
 
 

@@ -68,7 +68,7 @@ class PageTable:
             if len(row) != len(self.head):
                 raise ChartError(
                     f"table {self.caption!r} has a row of {len(row)} cells under "
-                    f"{len(self.head)} heads; give one cell per head"
+                    f"{len(self.head)} heads"
                 )
 
 

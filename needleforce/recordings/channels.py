@@ -81,16 +81,15 @@ class Channel:
     meaning: str
 
     @property
-    def where(self) -> str:
-        """Where a user says which columns this channel is, for messages.
+    def places(self) -> dict[str, str]:
+        """What an advice about this channel names: the channel, and its option.
 
-        What only this package writes has no option.
+        What only this package writes has no option of its own, only an entry in the
+        mapping.
         """
-        entry = f"under {self.name} in the mapping"
-        if self.name.startswith("force_"):
-            return entry
-
-        return f"with --{self.name.replace('_', '-')}, or {entry}"
+        has_option = not self.name.startswith("force_")
+        option = self.name.replace("_", "-") if has_option else "mapping"
+        return {"channel": self.name, "option": f"--{option}"}
 
     @property
     def si_unit(self) -> str:

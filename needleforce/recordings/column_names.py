@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from needleforce.recordings.channels import UNSMOOTHED, Channel, Units, find_unit
-from needleforce.recordings.errors import ColumnError
+from needleforce.recordings.errors import ColumnError, RecordingCode
 from needleforce.recordings.table import Table
 
 MAX_UNIT_PARTS = 3
@@ -171,7 +171,7 @@ def _find_numbered(table: Table, pattern: str, expression: str) -> list[NamedVal
     for name in table.columns:
         match = re.fullmatch(expression, name)
         if match and (other := numbered.setdefault(int(match[1]), name)) != name:
-            raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}; name one")
+            raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}")
 
     if not numbered:
         raise _not_found(table, pattern)
@@ -192,7 +192,7 @@ def _in_order(
     if listed := list(islice(missing, MAX_LISTED_NUMBERS)):
         raise ColumnError(
             f"{pattern!r}: found the numbers {ordered[0]} to {ordered[-1]}, but not "
-            f"{', '.join(map(str, listed))}; list the columns to use"
+            f"{', '.join(map(str, listed))}"
         )
 
     names = [numbered[number] for number in ordered]
@@ -219,7 +219,7 @@ def _hint(names: list[str], pattern: str) -> str:
 
     head, colon, unit = pattern.rpartition(":")
     if colon and any(name.startswith(head) for name in names):
-        return f" The unit {unit!r} is none of this channel's; --help lists them."
+        return f" The unit {unit!r} is none of this channel's."
 
     bracketed = rf"{re.escape(pattern)}\s*[\[(]\D"
     with_unit = [name for name in names if re.match(bracketed, name)]
@@ -247,8 +247,9 @@ def detect_columns(table: Table, channel: Channel) -> list[NamedValues]:
 
     if len(candidates) > 1:
         raise ColumnError(
-            f"{channel.name}: several columns would fit ({', '.join(candidates)}); "
-            f"say which one {channel.where}"
+            f"{channel.name}: several columns would fit ({', '.join(candidates)})",
+            RecordingCode.COLUMN,
+            **channel.places,
         )
 
     return next(iter(candidates.values()), [])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from needleforce.recordings.errors import (
     FormatError,
+    RecordingCode,
     file_errors,
     optional_library,
     require_size,
@@ -41,7 +42,8 @@ def read_npz(path: Path, max_bytes: int) -> Table:
             raise FormatError(
                 f"{path} is not an npz archive, or it is cut short: an npz file ends "
                 "with its table of contents, so that nothing can be read without its "
-                "end"
+                "end",
+                RecordingCode.CUT,
             ) from error
 
 
@@ -127,7 +129,8 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
         raise FormatError(
             f"{path} is not a Parquet file, or it is damaged or cut short: a Parquet "
             "file ends with its table of contents, so that nothing can be read without "
-            f"its end ({error})"
+            f"its end ({error})",
+            RecordingCode.CUT,
         ) from error
 
 

@@ -102,7 +102,7 @@ class _CsvRows:
         if self._line_count - self._latest_row_line > MAX_LINES_WITHOUT_ROW:
             raise FormatError(
                 f"{MAX_LINES_WITHOUT_ROW} lines after line {self._latest_row_line} are "
-                "blank or comments; it is damaged, or no table: cut it there"
+                "blank or comments; it is damaged, or no table"
             )
 
     def end(self, tail: str, *, is_growing: bool) -> None:
@@ -155,7 +155,7 @@ class _CsvRows:
             if not (comment and is_header):
                 raise FormatError(
                     f"no header row: line {line_number} already holds numbers "
-                    f"({line[:60]!r}). Add a line with the column names above it"
+                    f"({line[:60]!r})"
                 )
 
         places: dict[str, int] = {}
@@ -370,7 +370,7 @@ def csv_tables(
             yield rows.read_waiting()
     except FormatError as error:
         losses = "".join(f" ({warning})" for warning in lines.warnings)
-        raise FormatError(f"{name}: {error}{losses}") from error
+        raise error.reworded(f"{name}: {error}{losses}") from error
 
     names = [name for i, name in enumerate(rows.names) if i not in rows.omitted]
     warnings = (*lines.warnings, *rows.faults.lines())

@@ -12,6 +12,7 @@ from pathlib import Path
 
 from needleforce.recordings.errors import (
     FileAccessError,
+    RecordingCode,
     file_errors,
     readable_path,
 )
@@ -150,15 +151,18 @@ def _require_unchanged(
     is_at_end = status.st_size == read_bytes
     if is_at_end and not (path.exists() and os.path.samestat(path.stat(), status)):
         raise FileAccessError(
-            f"{path} was renamed or removed while it was followed; start again"
+            f"{path} was renamed or removed while it was followed",
+            RecordingCode.CHANGED,
         )
 
     if status.st_size < read_bytes:
-        raise FileAccessError(f"{path} has become shorter while it was followed")
+        raise FileAccessError(
+            f"{path} has become shorter while it was followed", RecordingCode.CHANGED
+        )
 
     if os.pread(handle, len(tail), read_bytes - len(tail)) != tail:
         raise FileAccessError(
-            f"{path} was written anew while it was followed; start again"
+            f"{path} was written anew while it was followed", RecordingCode.CHANGED
         )
 
 

@@ -20,6 +20,7 @@ from needleforce.recordings.errors import (
     FaultCounts,
     LogError,
     MappingError,
+    RecordingCode,
 )
 from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.table import Table
@@ -189,8 +190,8 @@ def find_signal(
     scales = np.atleast_1d(np.array(spec.scale, dtype=np.float64))
     if scales.size not in (1, width):
         raise MappingError(
-            f"{channel.name}: {scales.size} scale factors for {width} columns; give "
-            f"one or {width}"
+            f"{channel.name}: {scales.size} scale factors for {width} columns, "
+            f"expected one or {width}"
         )
 
     names = tuple(column.name for column in columns)
@@ -215,7 +216,7 @@ def _widths(channel: Channel, columns: list[NamedValues]) -> list[int]:
     names = ", ".join(column.name for column in columns)
     if sum(widths) != 1 and not channel.per_joint:
         raise ColumnError(
-            f"{channel.name} is one column, but {names} gives {sum(widths)}; choose one"
+            f"{channel.name} is one column, but {names} gives {sum(widths)}"
         )
 
     if len({len(column.values) for column in columns}) > 1:
@@ -253,6 +254,5 @@ def require_equal_sizes(
             for key, count in joint_counts.items()
         )
         raise LogError(
-            f"channels differ in the number of joints: {listed}. Name the columns of "
-            "all joints, as in --q COLUMNS --tau COLUMNS, or in a mapping"
+            f"channels differ in the number of joints: {listed}", RecordingCode.JOINTS
         )

@@ -15,6 +15,7 @@ from needleforce.recordings.errors import (
     FaultCounts,
     LogError,
     MappingError,
+    RecordingCode,
     require_size,
 )
 from needleforce.recordings.log import Log
@@ -136,7 +137,9 @@ class LogStream:
         """Report what only the whole log shows."""
         self._report(self._faults.lines())
         if not self._kept_count:
-            raise LogError(f"of {self._row_count} rows none has a time stamp")
+            raise LogError(
+                f"of {self._row_count} rows none has a time stamp", RecordingCode.TIME
+            )
 
         self._report_implausible()
         self._report(self._row_clock.warnings())
@@ -150,9 +153,9 @@ class LogStream:
         time = find_signal(table, CHANNELS["time"], spec)
         if time is None:
             raise ColumnError(
-                "no time column found; say which one with --time, or the sample rate "
-                "with --rate (rate_hz in the mapping). "
-                f"Columns are: {table.describe()}{table.left_out()}"
+                "no time column found. "
+                f"Columns are: {table.describe()}{table.left_out()}",
+                RecordingCode.TIME_COLUMN,
             )
 
         return time
@@ -273,7 +276,8 @@ def _not_found(missing: list[Channel], table: Table) -> ColumnError:
     also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
     return ColumnError(
         f"no column found for {channel.name} ({channel.meaning}); usual names are "
-        f"{', '.join(channel.spellings)}. Say which one {channel.where}. "
-        f"{f'Nor for {also}. ' if also else ''}"
-        f"Columns are: {table.describe()}{table.left_out()}"
+        f"{', '.join(channel.spellings)}. {f'Nor for {also}. ' if also else ''}"
+        f"Columns are: {table.describe()}{table.left_out()}",
+        RecordingCode.COLUMN,
+        **channel.places,
     )

@@ -137,7 +137,7 @@ class ColumnMapping:
 
         if "time" in channels:
             raise MappingError(
-                "both rate_hz and a time column are given; keep one of them"
+                "both rate_hz and a time column are given, expected one of them"
             )
 
 
@@ -159,7 +159,7 @@ def _with_known_unit(name: str, spec: ColumnSpec) -> ColumnSpec:
     unit = find_unit(spec.unit, units)
     if unit is None:
         raise MappingError(
-            f"unit {spec.unit!r} of channel {name!r} is not known; use one of: "
+            f"unit {spec.unit!r} of channel {name!r} is not known, expected: "
             f"{', '.join(units)}"
         )
 
@@ -201,9 +201,7 @@ def load_mapping(path: str | Path) -> ColumnMapping:
         if f"`{entry_path}" not in message:
             message += f" - at `{entry_path}`"
 
-        raise MappingError(
-            f"{path}: {message}; a channel has columns, unit and scale"
-        ) from error
+        raise MappingError(f"{path}: {message}") from error
     except MappingError as error:
         raise MappingError(f"{path}: {error}") from error
 
@@ -214,7 +212,7 @@ def _convert_channel(name: str, entry: Any) -> ColumnSpec:
     if unknown := spec.keys() - _CHANNEL_KEYS:
         keys = ", ".join(map(repr, sorted(unknown)))
         raise MappingError(
-            f"[{name}] has {keys}; a channel has columns, unit and scale"
+            f"[{name}] has {keys}, expected only columns, unit and scale"
         )
 
     return msgspec.convert(spec, ColumnSpec)
@@ -236,7 +234,7 @@ def read_toml(path: str | Path, subject: str) -> dict[str, Any]:
             data = stream.read(MAX_TOML_BYTES + 1)
     except FileAccessError as error:
         message = str(error).replace("cannot read", f"cannot read the {subject}")
-        raise FileAccessError(message) from error
+        raise error.reworded(message) from error
 
     if len(data) > MAX_TOML_BYTES:
         raise FormatError(f"the {subject} {path} is longer than {MAX_TOML_BYTES} bytes")

@@ -15,6 +15,7 @@ from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
     MAX_BYTES,
     FileAccessError,
+    RecordingCode,
     RecordingError,
     file_errors,
     readable_path,
@@ -160,7 +161,7 @@ def stream_tables(
             try:
                 yield from stream_tables(copy, whole, request, max_bytes=max_bytes)
             except RecordingError as error:
-                raise type(error)(str(error).replace(str(copy), name)) from error
+                raise error.reworded(str(error).replace(str(copy), name)) from error
 
         return
 
@@ -203,7 +204,8 @@ def _binary_tables(
         yield read_parquet(path, max_bytes)
     else:
         raise FileAccessError(
-            f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}"
+            f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}",
+            RecordingCode.SUFFIX,
         )
 
 
@@ -211,12 +213,12 @@ def _require_followable(path: Path) -> None:
     """Raise `FileAccessError` if a recording that is no text cannot be followed."""
     if path.is_dir():
         raise FileAccessError(
-            f"{path} is a folder, which cannot be followed while it grows; name the "
-            ".mcap file in it, or read it when it is complete"
+            f"{path} is a folder, which cannot be followed while it grows",
+            RecordingCode.FOLLOW,
         )
 
     if not path.name.lower().endswith(".mcap"):
         raise FileAccessError(
-            f"{path} cannot be followed while it grows; only CSV and MCAP can. Record "
-            "one of them (ros2 bag record -s mcap), or read it when it is complete"
+            f"{path} cannot be followed while it grows; only CSV and MCAP can",
+            RecordingCode.FOLLOW,
         )

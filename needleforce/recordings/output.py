@@ -11,7 +11,12 @@ from numpy.typing import ArrayLike
 
 from needleforce.files import whole_file
 from needleforce.recordings.bags.messages import METADATA, is_bag
-from needleforce.recordings.errors import FileAccessError, LogError, file_errors
+from needleforce.recordings.errors import (
+    FileAccessError,
+    LogError,
+    RecordingCode,
+    file_errors,
+)
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
 from needleforce.recordings.table import TableColumns, TableLabels
@@ -33,19 +38,22 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
             ) from error
 
     if not arrays:
-        raise LogError("no columns to write")
+        raise LogError("no columns to write", RecordingCode.WRITE)
 
     first = next(iter(arrays.values()))
     row_count = len(first) if first.ndim else 0
     for name, values in arrays.items():
         if not name.strip() or name.startswith("#"):
-            raise LogError(f"column name {name!r} is empty or starts with '#'")
+            raise LogError(
+                f"column name {name!r} is empty or starts with '#'", RecordingCode.WRITE
+            )
 
         is_numeric = values.dtype.kind in "fiub"
         if not is_numeric or values.ndim not in (1, 2) or len(values) != row_count:
             raise LogError(
                 f"column {name!r} has shape {values.shape} and type {values.dtype}; "
-                f"expected numbers of shape ({row_count},) or ({row_count}, k)"
+                f"expected numbers of shape ({row_count},) or ({row_count}, k)",
+                RecordingCode.WRITE,
             )
 
     return arrays
@@ -142,11 +150,12 @@ def _find_writer(path: Path) -> Writer:
 
     if path.name.lower().endswith(".db3"):
         raise FileAccessError(
-            f"cannot write {path}: bags are written as MCAP; name it .mcap"
+            f"cannot write {path}: bags are written as .mcap only", RecordingCode.SUFFIX
         )
 
     raise FileAccessError(
-        f"{path} has no known suffix; known are: {', '.join(WRITERS)}"
+        f"{path} has no known suffix; known are: {', '.join(WRITERS)}",
+        RecordingCode.SUFFIX,
     )
 
 
@@ -199,11 +208,14 @@ def require_place(path: Path) -> None:
     with file_errors(path, "write"):
         if not path.parent.is_dir():
             raise FileAccessError(
-                f"cannot write {path}: there is no folder {path.parent}"
+                f"cannot write {path}: there is no folder {path.parent}",
+                RecordingCode.OUTPUT,
             )
 
         if path.is_dir():
-            raise FileAccessError(f"cannot write {path}: it is a folder")
+            raise FileAccessError(
+                f"cannot write {path}: it is a folder", RecordingCode.OUTPUT
+            )
 
 
 def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> None:
@@ -220,8 +232,8 @@ def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> No
         with file_errors(path, "write"):
             if _overlap(path, other_path):
                 raise FileAccessError(
-                    f"{option} and {other_option} both write to {path}; give each a "
-                    "place of its own"
+                    f"{option} and {other_option} both write to {path}",
+                    RecordingCode.OUTPUT,
                 )
 
     if source is not None and source.exists():
@@ -234,15 +246,15 @@ def _require_apart(path: Path, source: Path) -> None:
     """Raise `FileAccessError` if writing to a path would harm a recording."""
     if path.exists() and path.samefile(source):
         raise FileAccessError(
-            f"cannot write {path}: it is the log itself; give another name"
+            f"cannot write {path}: it is the log itself", RecordingCode.OUTPUT
         )
 
     folder = source.resolve().parent
     is_in_bag = source.is_file() and is_bag(source) and (folder / METADATA).exists()
     if _overlap(path, folder if is_in_bag else source):
         raise FileAccessError(
-            f"cannot write {path}: it and the log {source} lie one inside the other; "
-            "give a place outside"
+            f"cannot write {path}: it and the log {source} lie one inside the other",
+            RecordingCode.OUTPUT,
         )
 
 

@@ -5,7 +5,7 @@ import io
 import zlib
 from collections.abc import Iterable, Iterator
 
-from needleforce.recordings.errors import FormatError
+from needleforce.recordings.errors import FormatError, RecordingCode
 from needleforce.recordings.follow import BINARY, MAX_BLOCK_BYTES, head_of
 
 MAX_LINE_CHARACTERS = 1 << 24
@@ -92,14 +92,10 @@ class TextLines:
         head, blocks = head_of(self._blocks)
         if head in BINARY:
             kind = BINARY[head][1:]
-            raise FormatError(
-                f"it is {kind}, not text; give it as a file, under its own suffix"
-            )
+            raise FormatError(f"it is {kind}, not text", RecordingCode.SUFFIX)
 
         if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            raise FormatError(
-                "it is UTF-16 text; save it as UTF-8 (in Excel: CSV UTF-8)"
-            )
+            raise FormatError("it is UTF-16 text, expected UTF-8 (in Excel: CSV UTF-8)")
 
         yield from self._gunzip(blocks) if head.startswith(_GZIP_MAGIC) else blocks
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
-from needleforce.recordings.errors import FaultCounts, LogError
+from needleforce.recordings.errors import FaultCounts, LogError, RecordingCode
 
 NS_PER_S = 1_000_000_000
 
@@ -194,7 +194,8 @@ class RowClock:
         if self._advance_count < 2:
             raise LogError(
                 f"no usable time: of {self._row_count} samples none is later than the "
-                "first; at least two time stamps must advance"
+                "first; at least two time stamps must advance",
+                RecordingCode.TIME,
             )
 
         return self._faults.lines()

@@ -14,7 +14,13 @@ from typing import Any
 from numpy.typing import ArrayLike
 
 from needleforce.scene.nodes import EMPTY, PlanScene
-from needleforce.scene.state_ring import Closing, SceneError, StateRing, view_row
+from needleforce.scene.state_ring import (
+    Closing,
+    SceneCode,
+    SceneError,
+    StateRing,
+    view_row,
+)
 from needleforce.scene.viewer import Viewer
 from urdf import Robot
 
@@ -83,15 +89,18 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
     )
     process.start()
     other_end.close()
-    answer = "its process has not started"
+    answer: str | SceneError = "its process has not started"
     with suppress(EOFError, OSError):
         if pipe.poll(START_S):
             answer = pipe.recv()
 
-    if not answer.startswith("http"):
+    if isinstance(answer, SceneError) or not answer.startswith("http"):
         process.kill()
         ring.close()
-        raise SceneError(f"no page: {answer}")
+        reason = f"no page: {answer}"
+        if isinstance(answer, SceneError):
+            raise answer.reworded(reason)
+        raise SceneError(reason, SceneCode.PAGE)
 
     return LiveView(ring, process, pipe, answer)
 
@@ -114,7 +123,10 @@ def _serve(
 
     try:
         viewer = Viewer(robot, plan, **settings)
-    except (SceneError, OSError) as error:
+    except SceneError as error:
+        pipe.send(error)
+        return
+    except OSError as error:
         pipe.send(str(error))
         return
 

@@ -11,8 +11,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.extras import install_command
-from needleforce.scene.state_ring import Closing, SceneError
+from needleforce.scene.state_ring import Closing, SceneCode, SceneError
 
 PORT = 18944
 """Where Slicer connects, unless another port is given."""
@@ -47,7 +46,7 @@ class SlicerOutput(Closing):
             import pyigtl
         except ImportError as error:
             raise SceneError(
-                f"pyigtl is not installed; {install_command('slicer')}"
+                "pyigtl is not installed", SceneCode.LIBRARY, extra="slicer"
             ) from error
 
         self._igtl: Any = pyigtl
@@ -57,7 +56,7 @@ class SlicerOutput(Closing):
             )
         except (OSError, OverflowError) as error:
             raise SceneError(
-                f"port {port}: {error}; expected a free one, 0 to 65535"
+                f"port {port}: {error}; expected a free one, 0 to 65535", SceneCode.PAGE
             ) from error
 
         self._send = partial(self._server.send_message, wait=False)

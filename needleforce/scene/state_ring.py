@@ -15,6 +15,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
+from foundation.errors import CodedError, ErrorCode
+from foundation.extras import install_command
 
 ROWS = 4096
 """How many rows the ring has, four seconds at 1 kHz."""
@@ -124,8 +126,35 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
     return (*row, *np.asarray(q_rad, dtype=float).tolist())
 
 
-class SceneError(Exception):
+class SceneCode(ErrorCode):
+    """Kinds of errors of the 3-D scene and its outputs."""
+
+    CONTENT = (
+        "NF-SCENE-CONTENT",
+        "There is nothing that the scene could show, or it cannot be placed.",
+        "Give rows of an insertion, and two points for a plan.",
+    )
+    PAGE = (
+        "NF-SCENE-PAGE",
+        "The page of the scene cannot be opened.",
+        "Give an address of this machine and a free port.",
+    )
+    WRITE = (
+        "NF-SCENE-WRITE",
+        "The scene cannot be written to a file.",
+        "Give a place that can be written to.",
+    )
+    LIBRARY = (
+        "NF-SCENE-LIBRARY",
+        "The scene needs a library that is not installed.",
+        f"Install it: {install_command('{extra}')}.",
+    )
+
+
+class SceneError(CodedError):
     """A page or an output that cannot be opened, or what cannot be shown."""
+
+    usual_code = SceneCode.CONTENT
 
 
 class Closing(AbstractContextManager[Any]):

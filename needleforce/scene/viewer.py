@@ -15,7 +15,6 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from foundation.extras import install_command
 from needleforce.files import whole_file
 from needleforce.scene import nodes
 from needleforce.scene.row_text import (
@@ -24,7 +23,7 @@ from needleforce.scene.row_text import (
     rupture_text,
     state_lines,
 )
-from needleforce.scene.state_ring import FIELDS, SceneError, ViewRow
+from needleforce.scene.state_ring import FIELDS, SceneCode, SceneError, ViewRow
 from urdf import Robot
 
 NOTE = "Simulation and research only: not a medical device."
@@ -118,7 +117,8 @@ def check_address(host: str, port: int) -> None:
         if not is_busy or port == MAX_PORT:
             raise SceneError(
                 f"{host}, port {port}: {error}; expected an address of this machine, "
-                f"and a port of 0 to {MAX_PORT}"
+                f"and a port of 0 to {MAX_PORT}",
+                SceneCode.PAGE,
             ) from error
 
 
@@ -154,7 +154,7 @@ class Viewer:
             import viser
         except ImportError as error:
             raise SceneError(
-                f"viser is not installed; {install_command('scene')}"
+                "viser is not installed", SceneCode.LIBRARY, extra="scene"
             ) from error
 
         check_address(host, port)
@@ -419,7 +419,9 @@ class Viewer:
             with whole_file(path) as file:
                 file.write(serializer.as_html().encode())
         except OSError as error:
-            raise SceneError(f"cannot write {path}: {error.strerror}") from error
+            raise SceneError(
+                f"cannot write {path}: {error.strerror}", SceneCode.WRITE
+            ) from error
 
         return Path(path)
 

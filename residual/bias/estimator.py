@@ -7,16 +7,14 @@ from typing import ClassVar, Self
 import numpy as np
 import pinocchio as pin
 
-from foundation.advice import Message
 from foundation.arrays import Array
-from residual.advice import TareAdvice
 from residual.bias.fit import FreeMotionFit
 from residual.bias.joint_states import joint_states_step
 from residual.bias.model import BiasModel, Tare, TareBlocks
 from residual.bias.tare_check import check_free_of_contact
 from residual.checks.input import ROUNDING_S
 from residual.config import SensorConfig
-from residual.errors import TareError
+from residual.errors import SensorCode, TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
@@ -351,16 +349,18 @@ class BiasEstimator:
         memory = self.memory
         if memory.tared:
             raise TareError(
-                "already tared, and nothing was recorded since; call "
-                "start_tare_recording(), move in free air, then tare() again"
+                "already tared, and nothing was recorded since",
+                SensorCode.TARED_ALREADY,
             )
         if not len(memory.recorder.sums):
-            reason = Message(
+            reason = (
                 "no settled free motion has been recorded (less than "
-                f"{self.block_s:g} s of it); ",
-                TareAdvice.MOVE_FREELY,
+                f"{self.block_s:g} s of it)"
             )
-            raise TareError(Message.joined("; ", (reason, self.warning)))
+            raise TareError(
+                "; ".join(filter(None, (reason, self.warning))),
+                SensorCode.NO_FREE_MOTION,
+            )
         blocks = memory.recorder.blocks(memory.now_s, self._config.tare_window_s)
         fit = FreeMotionFit(self._basis, blocks)
         if not ignore_contact:

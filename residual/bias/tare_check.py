@@ -6,12 +6,11 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.optimize import linear_sum_assignment
 
-from foundation.advice import Message
 from foundation.arrays import Array
-from residual.advice import TareAdvice
+from foundation.errors import Suspicion
 from residual.bias.fit import FreeMotionFit
 from residual.bias.model import LINK_PARAMETERS, BiasModel, TareBlocks
-from residual.errors import TareError, named_joints
+from residual.errors import SensorCode, TareError, named_joints
 
 if TYPE_CHECKING:
     from residual.wrench_estimator import WrenchEstimator
@@ -140,14 +139,11 @@ def check_free_of_contact(
             f"the sensor reads {contacts[0].force_N:.2f} N along the needle where 0 +/-"
             f" {contacts[0].std_N:.2f} N is expected in free motion: "
         )
-    raise TareError(
-        Message(
-            reading,
-            cause or "the needle seems to be in contact, or the payload is wrong",
-            ". Tare in free air",
-            TareAdvice.IGNORE_CONTACT,
-        )
+    cause = cause or Suspicion(
+        "the needle seems to be in contact, or the payload is wrong",
+        SensorCode.CONTACT,
     )
+    raise TareError(f"{reading}{cause.text}", cause.code)
 
 
 def find_standing_contact(
@@ -288,8 +284,8 @@ def _best_range(information: Array, evidence: Array) -> tuple[int, int]:
 
 def explain_residual(
     basis: BiasModel, blocks: TareBlocks, *, is_external: bool, is_refused: bool
-) -> str:
-    """Return the likely cause of a residual that is not that of free motion, or "".
+) -> Suspicion | None:
+    """Return the likely cause of a residual that is not that of free motion, or None.
 
     At rest the residual of measured torques is ``g(q) - tau``: g(q) itself if gravity
     was taken out of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity
@@ -306,7 +302,7 @@ def explain_residual(
     scale = basis.prior.offset_fraction * basis.effort_Nm
     size = _rms(blocks.residual_Nm / scale)
     if size == 0.0 or not (is_refused or size > MIN_OFFSETS):
-        return ""
+        return None
     if is_refused and (missing := _missing_positions(blocks)):
         return missing
     gravity_Nm = np.array([basis.gravity_Nm(q) for q in blocks.q_rad])
@@ -319,22 +315,19 @@ def explain_residual(
         exchange = _exchanged_joints(gravity_Nm - blocks.residual_Nm, gravity_Nm)
         if exchange:
             return exchange
-    return _mass_at_flange(basis, blocks, scale) if is_refused else ""
+    return _mass_at_flange(basis, blocks, scale) if is_refused else None
 
 
 _GRAVITY_FACTORS = {
     False: {
-        1.0: Message("tau seems to leave gravity out; ", TareAdvice.COMPENSATE_GRAVITY),
-        2.0: Message("tau seems to have the wrong sign; ", TareAdvice.NEGATE_TORQUE),
-        -1.0: Message("gravity seems to be added twice; ", TareAdvice.KEEP_GRAVITY),
+        1.0: Suspicion("tau seems to leave gravity out", SensorCode.GRAVITY_MISSING),
+        2.0: Suspicion("tau seems to have the wrong sign", SensorCode.TORQUE_SIGN),
+        -1.0: Suspicion("gravity seems to be added twice", SensorCode.GRAVITY_TWICE),
     },
     True: {
-        1.0: Message(
-            "it seems to be the measured torque; ", TareAdvice.SEND_MEASURED_TORQUE
-        ),
-        -1.0: Message(
-            "it seems to be the negated measured torque; ",
-            TareAdvice.SEND_NEGATED_TORQUE,
+        1.0: Suspicion("it seems to be the measured torque", SensorCode.TORQUE_KIND),
+        -1.0: Suspicion(
+            "it seems to be the negated measured torque", SensorCode.TORQUE_KIND_SIGN
         ),
     },
 }
@@ -344,37 +337,40 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(np.square(values))))
 
 
-def _missing_positions(blocks: TareBlocks) -> str:
-    """Return which positions never changed while others did; "" if there are none."""
+def _missing_positions(blocks: TareBlocks) -> Suspicion | None:
+    """Return which positions never changed while others did; None if there are none."""
     travel_rad = np.ptp(blocks.q_rad, axis=0)
     still_joints = np.flatnonzero(travel_rad < STILL_RAD)
     if not still_joints.size or travel_rad.max() <= MOVED_RAD:
-        return ""
-    return (
+        return None
+    return Suspicion(
         f"q at {named_joints(still_joints)} never changed, others did: it seems to be "
-        "missing, unless the needle is in contact"
+        "missing, unless the needle is in contact",
+        SensorCode.POSITIONS,
     )
 
 
-def _gravity_treatment(residual: Array, gravity: Array, *, is_external: bool) -> str:
-    """Return how gravity was treated if the residual is a multiple of it, else "".
+def _gravity_treatment(
+    residual: Array, gravity: Array, *, is_external: bool
+) -> Suspicion | None:
+    """Return how gravity was treated if the residual is a multiple of it, else None.
 
     Both have the shape (m, n), relative to what an offset may be.
     """
     if not gravity.any():
-        return ""
+        return None
     factor = float(np.vdot(residual, gravity) / np.vdot(gravity, gravity))
     if _rms(residual - factor * gravity) >= MAX_REMAINING_RATIO * _rms(residual):
-        return ""
+        return None
     for known_factor, reason in _GRAVITY_FACTORS[is_external].items():
         if abs(factor / known_factor - 1.0) < FACTOR_TOLERANCE:
-            size = f"the residual is {factor:.2f} times gravity's torque g(q): "
-            return Message(size, reason)
-    return ""
+            size = f"the residual is {factor:.2f} times gravity's torque g(q)"
+            return reason._replace(text=f"{size}: {reason.text}")
+    return None
 
 
-def _exchanged_joints(torque: Array, gravity: Array) -> str:
-    """Return which joints seem to be exchanged, in words; "" if none."""
+def _exchanged_joints(torque: Array, gravity: Array) -> Suspicion | None:
+    """Return which joints seem to be exchanged; None if none."""
     order = _order_of_joints(torque, gravity)
     exchanges = [
         f"tau of joint {joint + 1} reads as joint {other + 1}'s"
@@ -382,8 +378,9 @@ def _exchanged_joints(torque: Array, gravity: Array) -> str:
         if joint != other
     ]
     if not exchanges:
-        return ""
-    return f"joints seem to be exchanged: {', '.join(exchanges)}"
+        return None
+    text = f"joints seem to be exchanged: {', '.join(exchanges)}"
+    return Suspicion(text, SensorCode.JOINT_ORDER)
 
 
 def _order_of_joints(torque: Array, gravity: Array) -> tuple[int, ...]:
@@ -400,10 +397,12 @@ def _order_of_joints(torque: Array, gravity: Array) -> tuple[int, ...]:
     return tuple(order.tolist()) if is_exchanged and is_explained else ()
 
 
-def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
+def _mass_at_flange(
+    basis: BiasModel, blocks: TareBlocks, scale: Array
+) -> Suspicion | None:
     """Return a mass behind the last joint that the model has too much of, or lacks.
 
-    It is empty if it is none. Least squares of the residual over its mass and first
+    None if there is none. Least squares of the residual over its mass and first
     moments, and an offset per joint.
     """
     joints = len(scale)
@@ -429,9 +428,10 @@ def _mass_at_flange(basis: BiasModel, blocks: TareBlocks, scale: Array) -> str:
     is_body = moment < MAX_COM_M * abs(mass_kg)
     is_explained = _rms(remaining) <= MAX_REMAINING_RATIO_OF_MASS * _rms(residual)
     if not (is_body and is_explained):
-        return ""
+        return None
     fault = "has about {:.2g} kg too much" if mass_kg > 0.0 else "lacks about {:.2g} kg"
-    return (
-        f"the robot's model {fault.format(abs(mass_kg))} at the flange: correct hand, "
-        "tool and payload in it, unless the needle is in contact"
+    return Suspicion(
+        f"the robot's model {fault.format(abs(mass_kg))} at the flange, unless the "
+        "needle is in contact",
+        SensorCode.PAYLOAD,
     )

@@ -12,7 +12,12 @@ from typing import Any
 import numpy as np
 
 from foundation.arrays import Array
-from residual.errors import ConfigurationError, SampleError, named_joints
+from residual.errors import (
+    ConfigurationError,
+    SampleError,
+    SensorCode,
+    named_joints,
+)
 
 MAX_PLAUSIBLE = 1e5
 """Largest joint signal in SI units [rad, rad/s, Nm]: none comes near it, and far beyond
@@ -54,17 +59,17 @@ def check_interval(dt_s: Any) -> float:
     step_s = dt_s if type(dt_s) is float else as_float(dt_s)
     if not 0.0 < step_s < math.inf:
         raise SampleError(
-            f"dt_s is {shown(dt_s)} s, expected a finite positive time step; "
-            "skip this sample or repair the clock"
+            f"dt_s is {shown(dt_s)} s, expected a finite positive time step",
+            SensorCode.CLOCK,
         )
     if step_s < MIN_STEP_S:
         raise SampleError(
-            f"dt_s is {step_s:.4g} s, shorter than any clock ticks; repair the clock"
+            f"dt_s is {step_s:.4g} s, shorter than any clock ticks", SensorCode.CLOCK
         )
     if step_s > MAX_STEP_S:
         raise SampleError(
-            f"dt_s is {step_s:.4g} s, more than a day: the clock was set; skip this "
-            "sample and go on with the next time step"
+            f"dt_s is {step_s:.4g} s, more than a day: the clock was set",
+            SensorCode.CLOCK,
         )
     return step_s
 
@@ -133,7 +138,7 @@ def check_joint_vector(name: str, value: object, joints: int) -> Array:
         return array
     if not np.isfinite(array).all():
         joints_text = named_joints(np.flatnonzero(~np.isfinite(array)))
-        raise SampleError(f"{name} is not finite at {joints_text}; skip this sample")
+        raise SampleError(f"{name} is not finite at {joints_text}")
     raise SampleError(
         f"{name} reaches {np.abs(array).max():.3g}, expected SI units far below "
         f"{MAX_PLAUSIBLE:g}"
@@ -269,7 +274,8 @@ class SampleClock:
         if elapsed_s <= 0.0:
             raise SampleError(
                 f"dt_s is {dt_s!r} s after a clock that went back by "
-                f"{-self.missed_s:.3g} s; rejected until it has caught up"
+                f"{-self.missed_s:.3g} s; rejected until it has caught up",
+                SensorCode.CLOCK,
             )
         return min(elapsed_s, MAX_STEP_S)
 
@@ -292,7 +298,7 @@ def known_limits(limits: Array, instead: float) -> Array:
     if absurd.size:
         raise ConfigurationError(
             f"effort limits at {named_joints(absurd)} are {limits[absurd].tolist()}, "
-            f"expected at least {MIN_EFFORT_LIMIT:g} Nm, or 0 where it is unknown: "
-            "correct the robot's description"
+            f"expected at least {MIN_EFFORT_LIMIT:g} Nm, or 0 where it is unknown",
+            SensorCode.LIMITS,
         )
     return np.where((limits > 0.0) & (limits < MAX_PLAUSIBLE), limits, instead)

@@ -25,7 +25,7 @@ from residual.checks.stuck_signals import (
     is_noise_resolved,
     white_noise,
 )
-from residual.errors import SampleError, named_joints
+from residual.errors import SampleError, SensorCode, named_joints
 from residual.estimate import SensorWarning
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
@@ -323,7 +323,8 @@ class FaultDetector:
         if frozen:
             raise SampleError(
                 f"{' and '.join(frozen)} of all joints repeat bit for bit although "
-                "they are noisy; check the sensors and the connection",
+                "they are noisy",
+                SensorCode.FROZEN,
                 SensorWarning.FROZEN,
             )
 
@@ -444,8 +445,8 @@ class FaultDetector:
                 else "the true one may be more"
             )
             raise SampleError(
-                f"tau is at the effort limit at {named_joints(clipped)}: {reason}; "
-                "unload the arm, or correct the limits of the robot's description",
+                f"tau is at the effort limit at {named_joints(clipped)}: {reason}",
+                SensorCode.SATURATED,
                 SensorWarning.SATURATED,
             )
 
@@ -473,6 +474,7 @@ class FaultDetector:
         raise SampleError(
             f"a signal jumped further than an arm can at {joints}; held back unless it "
             f"stays for {STAYED_S:g} s",
+            SensorCode.SPIKE,
             SensorWarning.SPIKE,
         )
 

@@ -107,7 +107,7 @@ MISTAKES = {
     "--plant soft": "no plant 'soft'; choose from: ideal, clean, fri, degraded",
     "--plant ,": "--plant: expected at least one name",
     "--data /no/such/folder": "no folder of recordings at",
-    "panda-real": "panda-real needs recordings: give --data DIR",
+    "panda-real": "panda-real needs recordings. Give the folder",
     "--json /no/such/folder/a.json": "cannot write",
     "--report file": "cannot write to",
     "--report .": "cannot write",
@@ -130,7 +130,7 @@ def test_a_mistake_is_one_line_and_code_2(
     error = capsys.readouterr().err
 
     assert message in error
-    assert error.startswith("error: ")
+    assert re.match("error NF-(BENCHMARK|COMMAND|FIGURE|RECORDING)-", error)
     assert error.count("\n") == 1
 
 

@@ -255,7 +255,9 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     none = str(tmp_path / "no" / "p.md")
 
     assert main(["results", str(tmp_path / "a.json"), "--page", none]) == 2
-    assert capsys.readouterr().err.startswith("error: cannot read or write")
+    assert capsys.readouterr().err.startswith(
+        "error NF-BENCHMARK-RESULTS: cannot read or write"
+    )
     assert main(["results"]) == 2
 
 

@@ -11,6 +11,7 @@ from hypothesis import strategies as st
 
 from groundtruth import insert_needle
 from identification import Identifier, replay
+from identification.errors import IdentificationCode
 from identification.log_replay import HEAD_ROWS, ReplayStream, SignCheck
 from needleforce.recordings.time_stamps import RowClock
 
@@ -82,19 +83,31 @@ def test_a_mostly_still_clock_has_a_usual_step():
 
     assert sum(estimate.status.is_used for estimate in result.estimates) == 100
     assert (
-        "longer than 0.25 s: 1;" in replay(t_s + 1e9 * (t_s > 0.5), t_s, t_s).hints[-1]
+        "longer than 0.25 s: 1;"
+        in replay(t_s + 1e9 * (t_s > 0.5), t_s, t_s).hints[-1].text
     )
 
 
 def test_wrong_speed_sign_and_still_depth_get_hints(columns):
     _, depth_m, force_N, speed_m_s = columns
-    for depth, speed, words in (
-        (depth_m, np.append(np.inf, -speed_m_s[1:]), "speed has the sign opposite"),
-        (0.0 * depth_m, speed_m_s, "there is nothing to identify"),
+    for depth, speed, words, code in (
+        (
+            depth_m,
+            np.append(np.inf, -speed_m_s[1:]),
+            "speed has the sign opposite",
+            IdentificationCode.SPEED_SIGN,
+        ),
+        (
+            0.0 * depth_m,
+            speed_m_s,
+            "there is nothing to identify",
+            IdentificationCode.NO_TRAVEL,
+        ),
     ):
         check = SignCheck()
         check.update(depth, speed, force_N)
-        assert words in check.hints()[-1]
+        assert words in check.hints()[-1].text
+        assert check.hints()[-1].code is code
 
 
 def test_repeated_rows_change_no_layer(columns):

@@ -324,7 +324,7 @@ def test_measured_torque_given_as_external_torque_is_named(lwr):
         sensor.update_external_torque(one[0], None, one[1], 1e-3)
 
     with pytest.raises(
-        TareError, match=r"the measured torque; call update\(\) instead"
+        TareError, match=r"(?s)the measured torque.*Call `update` instead"
     ):
         sensor.tare()
 

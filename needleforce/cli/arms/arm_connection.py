@@ -11,7 +11,13 @@ import numpy as np
 from groundtruth import simulate
 from needleforce.cli.robot import LWR, robot_from_options
 from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
-from needleforce.cli.terminal import CommandError, progress_bar, say, stop_request
+from needleforce.cli.terminal import (
+    CommandCode,
+    CommandError,
+    progress_bar,
+    say,
+    stop_request,
+)
 from needleforce.devices import ArmReading, FrankaArm, FriArm, ReplayArm, UrArm, pace
 from urdf import Robot
 
@@ -71,7 +77,8 @@ def open_arm(
         if arm.joints != robot.nv:
             raise CommandError(
                 f"{name} has {arm.joints} joints, the robot that describes it "
-                f"{robot.nv}: name another with --robot or --urdf"
+                f"{robot.nv}",
+                CommandCode.ROBOT,
             )
         yield ConnectedArm(arm, robot)
 
@@ -80,8 +87,8 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
     """Return an LWR 4+ that replays a simulated insertion."""
     if options not in (RobotOptions(), RobotOptions(robot=LWR)):
         raise CommandError(
-            f"{name} simulates an LWR 4+ with its needle; leave the options of the "
-            "robot out"
+            f"{name} simulates an LWR 4+ with its needle, expected no options of the "
+            "robot"
         )
     with progress_bar("simulating"):
         run = simulate(scenario, plant="clean")
@@ -149,6 +156,6 @@ def require_samples(arm_name: str, arm: Any) -> None:
     """Raise `CommandError` if nothing came from an arm."""
     if not arm.report.used:
         raise CommandError(
-            f"no sample came from {arm_name} ({arm.report}): expected one per cycle; "
-            "does the arm run, and does it send to this machine and port?"
+            f"no sample came from {arm_name} ({arm.report}), expected one per cycle",
+            CommandCode.ARM,
         )

@@ -20,7 +20,7 @@ from needleforce.cli.auto_tare import SessionTare
 from needleforce.cli.plan_file import LoadedPlan, read_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
-from needleforce.cli.terminal import CommandError, say, write_out
+from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
 from needleforce.devices import NetFT
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import InsertionSession, SessionEstimate
@@ -171,17 +171,15 @@ def _open_page(
     kind: str, port: int, model: Robot, plan: LoadedPlan | None, robot: RobotOptions
 ) -> Iterator[Any]:
     """Serve the scene beside the session."""
-    from needleforce.scene import SceneError, open_viewer
+    from needleforce.scene import open_viewer
     from needleforce.scene.nodes import EMPTY
 
     if robot.robot is None and robot.urdf is None:
         robot = replace(robot, robot=ROBOTS.get(kind))
     scene = EMPTY if plan is None else plan.scene
-    try:
-        page = open_viewer(model, scene, urdf_path=urdf_with_shapes(robot), port=port)
-    except SceneError as error:
-        raise CommandError(str(error)) from error
-    with page:
+    with open_viewer(
+        model, scene, urdf_path=urdf_with_shapes(robot), port=port
+    ) as page:
         say(f"{page.url} shows the scene")
         yield page
 
@@ -237,7 +235,7 @@ def watch_arm(
         display = Display(arm, reference, panel)
         for sample in samples_until_stopped(arm, options):
             if sample.tau_Nm is None:
-                raise CommandError(f"{arm_name}: {NO_TORQUES}")
+                raise CommandError(f"{arm_name}: {NO_TORQUES}", CommandCode.ARM)
             estimate = session.update(
                 sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
             )

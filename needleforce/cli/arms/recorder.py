@@ -15,7 +15,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from needleforce.cli.terminal import CommandError
+from needleforce.cli.terminal import CommandCode, CommandError
 from needleforce.devices import ArmReading
 from needleforce.recordings.output import check_writable, open_table
 from needleforce.recordings.table import TableLabels
@@ -71,7 +71,8 @@ class Recorder:
         fields = [field for field in COLUMNS if getattr(sample, field) is not None]
         if self.rows and fields != self._fields:
             raise CommandError(
-                f"samples had {self._fields}, one has {fields}: expected the same"
+                f"samples had {self._fields}, one has {fields}, expected the same",
+                CommandCode.ARM,
             )
         self._fields = fields
         self.time_s += sample.dt_s if self.rows else 0.0
@@ -87,7 +88,9 @@ class Recorder:
         try:
             error = self._pipe.recv()
         except EOFError:
-            error = CommandError("the process that writes the recording has ended")
+            error = CommandError(
+                "the process that writes the recording has ended", CommandCode.OUTPUT
+            )
         if error is not None:
             raise error
 

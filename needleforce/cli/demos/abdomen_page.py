@@ -10,7 +10,7 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
-from foundation.extras import missing_module
+from foundation.extras import extra_of
 from needleforce.anatomy import Labels, PlanState, Registration, Structure
 from needleforce.cli.demos.abdomen_insertion import (
     LANDMARKS,
@@ -22,7 +22,7 @@ from needleforce.cli.demos.result_page import DemoResult, NamedChart
 from needleforce.cli.plan_file import large_structures
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import RobotOptions
-from needleforce.cli.terminal import CommandError, progress_bar, write_out
+from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, write_out
 from needleforce.plots import (
     Chart,
     Curve,
@@ -74,7 +74,11 @@ def run(
         require_matplotlib("demo")
     for module in MODULES:
         if find_spec(module) is None:
-            raise CommandError(f"demo abdomen: {missing_module(module)}")
+            raise CommandError(
+                f"demo abdomen needs {module}, which is not installed",
+                CommandCode.LIBRARY,
+                extra=str(extra_of(module)),
+            )
     with progress_bar("demonstrating abdomen") as progress:
         insertion = insert(data, seed, progress)
     result = DemoResult(TITLE, _rows_of(insertion), (_force_chart(insertion),))

@@ -14,7 +14,7 @@ from groundtruth.torso import analytic_torso
 from needleforce import anatomy
 from needleforce.anatomy import Grid, Labels, Layer, Structure
 from needleforce.anatomy.path_layers import UNLABELLED
-from needleforce.cli.terminal import CommandError
+from needleforce.cli.terminal import CommandCode, CommandError
 
 VOXEL_m = 2e-3
 """Spacing of the analytic torso's scan [m]."""
@@ -88,7 +88,8 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
     if not files or not scans:
         raise CommandError(
             f"{folder}: expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it, "
-            "there or one folder down"
+            "there or one folder down",
+            CommandCode.FILE,
         )
     scan = anatomy.read_volume(scans[0])
     return anatomy.read_labels(files[0]).with_body(scan, fat=True)

@@ -87,7 +87,7 @@ def _check_tare_options(sensor: SensorOptions) -> None:
     if sensor.no_tare and (sensor.force_tare or sensor.tare is not None):
         option = "--tare" if sensor.tare is not None else "--force-tare"
         raise CommandError(
-            f"{option} and --no-tare contradict each other; give one of them"
+            f"{option} and --no-tare contradict each other, expected one of them"
         )
     if sensor.tare is not None:
         parse_tare_window(sensor.tare, 0.0)

@@ -7,11 +7,10 @@ from operator import attrgetter
 
 import numpy as np
 
-from foundation.advice import Advice, Message
 from foundation.arrays import Array
 from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, Estimate, LayerEstimate
-from identification.advice import SignAdvice
 from identification.log_replay import ReplayStream
+from needleforce.cli.advice import describe_suspicion
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.shared_options import IdentificationOptions
 from needleforce.cli.terminal import say
@@ -43,14 +42,6 @@ DRAWN_COLUMNS = (
 
 _UNTARED = "whose status says that the force is not tared or not settled"
 _DOUBTFUL = f"with a warning ({', '.join(WORTHLESS)})"
-
-_FACTOR = "; a factor of -1 after the unit does, as in"
-_ADVICES: dict[Advice, str] = {
-    SignAdvice.FLIP_FORCE: f"flip its sign{_FACTOR} --force fz:N:-1",
-    SignAdvice.FLIP_DEPTH: f"flip its sign{_FACTOR} --depth z:m:-1",
-    SignAdvice.FLIP_SPEED: f"flip one of them{_FACTOR} --speed v:m/s:-1",
-}
-"""Options for what hints about signs advise."""
 
 
 def usable_force(chunk: LogChunk, ignored: Counter[str]) -> Array:
@@ -125,7 +116,7 @@ def identify_layers(
         overview.add({"depth_m": depth_m, "force_N": force_N} | columns)
         if table is not None:
             table.append(columns)
-    warnings = (*_count_ignored(ignored), *_describe_hints(stream.hints))
+    warnings = (*_count_ignored(ignored), *map(describe_suspicion, stream.hints))
     layers = stream.layers
     for warning in warnings:
         say(f"warning: {warning}")
@@ -140,11 +131,6 @@ def _count_ignored(ignored: Counter[str]) -> list[str]:
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
         for reason, count in (+ignored).items()
     ]
-
-
-def _describe_hints(hints: Iterable[str]) -> list[str]:
-    """Return hints about signs and units, with the options that mend them."""
-    return [Message(hint).in_words(_ADVICES) for hint in hints]
 
 
 _NUMBERS = (

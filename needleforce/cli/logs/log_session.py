@@ -56,7 +56,7 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
     """
     if source == STANDARD_STREAM or readable_path(source).is_fifo():
         raise CommandError(
-            "a report needs a file, not a pipe; or give --report DIR to force"
+            "a report needs a file, not a pipe; force --report DIR takes a pipe"
         )
     table = next(recordings.stream_tables(source, FollowOptions()))
     mapping = mapping_from_options(columns)

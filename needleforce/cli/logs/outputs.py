@@ -115,7 +115,7 @@ def _cut_to_window(chart: plots.Chart, output: Output) -> plots.Chart:
     if not start < end:
         raise CommandError(
             f"no figure from {window.start:g} to {window.end:g}: its axis, "
-            f"{chart.x_label}, runs from {low:g} to {high:g}; give --from and --to "
+            f"{chart.x_label}, runs from {low:g} to {high:g}; expected --from and --to "
             "within that"
         )
     return chart.within(start, end)

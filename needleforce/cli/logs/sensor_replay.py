@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 from foundation.arrays import Array
 from needleforce.cli.logs.tare_schedule import TareSchedule, TareWindow
 from needleforce.cli.shared_options import SensorOptions
-from needleforce.cli.terminal import CommandError
+from needleforce.cli.terminal import CommandCode, CommandError
 from needleforce.recordings.log_stream import LogChunk
 from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor
 from residual.checks.input import ROUNDING_S
@@ -44,13 +44,12 @@ def has_status(rows: ForceRows, status: Status) -> NDArray[np.bool_]:
     return rows["force_status"] == STATUS_CODES[status]
 
 
-def require_joints(q_rad: Array, robot: Robot, choice: str = "") -> None:
+def require_joints(q_rad: Array, robot: Robot) -> None:
     """Refuse a log whose channels have another number of joints than the robot.
 
     Args:
         q_rad: Joint positions of the log, shape (m, n).
         robot: The robot that the options describe.
-        choice: What else a user may choose, at the end of the message.
 
     Raises:
         CommandError: The numbers differ.
@@ -60,9 +59,8 @@ def require_joints(q_rad: Array, robot: Robot, choice: str = "") -> None:
     if columns != len(names):
         raise CommandError(
             f"the log has {columns} columns per joint signal, the robot has "
-            f"{len(names)} joints: {', '.join(names)}. Name another robot with --robot "
-            "or --urdf FILE, where --lock holds joints that are not in the "
-            f"log{choice}"
+            f"{len(names)} joints: {', '.join(names)}",
+            CommandCode.ROBOT,
         )
 
 
@@ -237,8 +235,7 @@ class SensorReplay:
 
     def _start(self, q_rad: Array, first_s: float) -> TareSchedule:
         """Check the joints of the first rows, start the clock, and plan the tare."""
-        choice = ", or choose columns with --q, --tau and so on"
-        require_joints(q_rad, self.robot, choice)
+        require_joints(q_rad, self.robot)
         self._clock = SteadyClock(first_s)
         return TareSchedule(self.sensor, self.rejected, self._options, first_s)
 

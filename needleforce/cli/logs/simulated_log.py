@@ -89,9 +89,9 @@ def _check_simulation(
 ) -> Scenario:
     """Return the scenario of that name, once it and its files are known to work."""
     if not paths:
-        raise CommandError("nothing to write: name a file with -o FILE or --truth FILE")
+        raise CommandError("nothing to write, expected -o FILE or --truth FILE")
     if scenario is None:
-        raise CommandError("no scenario is named; --list prints them")
+        raise CommandError("no scenario is named; --list prints the scenarios")
     if seed < 0:
         raise CommandError(f"--seed {seed}: expected a whole number from 0 up")
     chosen = scenario_named(scenario, seed)

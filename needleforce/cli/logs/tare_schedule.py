@@ -4,13 +4,10 @@ import math
 from collections import Counter
 from typing import NamedTuple
 
-from foundation.advice import Advice, Message
 from needleforce.cli.shared_options import SensorOptions
-from needleforce.cli.terminal import CommandError
+from needleforce.cli.terminal import CommandCode, CommandError
 from residual import Status, TareError, VirtualForceSensor
-from residual.advice import TareAdvice
 from residual.bias.model import Tare
-from residual.errors import VelocityError
 
 AUTOMATIC_S = 2.0
 """Without a choice of the user's, so much from the start of the log is taken for free
@@ -18,37 +15,6 @@ motion [s]: whoever records an insertion starts before contact, but not long bef
 
 MAX_LISTED_REASONS = 4
 """Reasons of rejection that a message lists."""
-
-_WINDOW = (
-    "expected START:END in seconds, such as 0:4, or +0:+4 from the log's first stamp"
-)
-"""How a window of ``--tare`` is written."""
-
-_CHOICES = (
-    "choose where the needle is free with --tare START:END, or go without with "
-    "--no-tare"
-)
-"""What a user may do where the automatic tare fails."""
-
-_UNITS = (
-    "Say unit and factor of the columns: --q q_*:deg, --dq dq_*:deg/s or dq_*:rad/s:-1"
-)
-"""What a user may do where velocities are not the rate of the positions."""
-
-_ADVICES: dict[Advice, str] = {
-    TareAdvice.IGNORE_CONTACT: ", or --force-tare if you know better",
-    TareAdvice.COMPENSATE_GRAVITY: "give --gravity-compensated",
-    TareAdvice.KEEP_GRAVITY: "leave --gravity-compensated out",
-    TareAdvice.NEGATE_TORQUE: "negate it, as in --tau tau_*:Nm:-1",
-    TareAdvice.SEND_MEASURED_TORQUE: (
-        "leave --external-torque out and read it with --tau"
-    ),
-    TareAdvice.SEND_NEGATED_TORQUE: (
-        "leave --external-torque out and negate it, as in --tau tau_*:Nm:-1"
-    ),
-    TareAdvice.MOVE_FREELY: "choose a longer window, without gaps in time",
-}
-"""Options for what a refused tare advises."""
 
 
 class TareWindow(NamedTuple):
@@ -80,7 +46,7 @@ def parse_tare_window(text: str, first_s: float) -> TareWindow:
     """
     start, colon, end = text.partition(":")
     if not colon:
-        raise CommandError(f"--tare {text}: {_WINDOW}")
+        raise CommandError(f"--tare {text}: expected START:END", CommandCode.TARE)
     start_s = _parse_log_time(text, start, first_s) if start.strip() else first_s
     return TareWindow(start_s, _parse_log_time(text, end, first_s))
 
@@ -92,7 +58,10 @@ def _parse_log_time(option: str, text: str, first_s: float) -> float:
     except ValueError:
         time_s = math.nan
     if not math.isfinite(time_s):
-        raise CommandError(f"--tare {option}: {text!r} is no time; {_WINDOW}")
+        raise CommandError(
+            f"--tare {option}: {text!r} is no time, expected START:END",
+            CommandCode.TARE,
+        )
     return first_s + time_s if text.strip().startswith("+") else time_s
 
 
@@ -184,7 +153,8 @@ class TareSchedule:
             raise CommandError(
                 f"the log ends before the filters have settled and {AUTOMATIC_S:g} s "
                 "of free motion were seen, so it cannot be tared"
-                f"{self._rejections_since_start}; {_CHOICES}"
+                f"{self._rejections_since_start}",
+                CommandCode.TARE,
             )
 
     @property
@@ -196,31 +166,32 @@ class TareSchedule:
         """Refuse a window that ends before it starts, or lies outside the log."""
         first = f"{self._first_s:.12g} s"
         if not window.start_s < window.end_s:
-            problem = (
-                "START must come before END in a log whose first stamp is "
-                f"{first}; if the unit is wrong, say --time COLUMN:UNIT"
+            raise CommandError(
+                f"--tare {self._options.tare}: START must come before END in a log "
+                f"whose first stamp is {first}; if the unit is wrong, say --time "
+                "COLUMN:UNIT",
+                CommandCode.TARE,
             )
-            raise CommandError(f"--tare {self._options.tare}: {problem}; {_WINDOW}")
         if self._first_s < window.end_s <= last_s and window.start_s < last_s:
             return
         log = f"runs from {first} to {last_s:.12g} s"
         if math.isinf(last_s):
             log = f"starts at {first}"
         raise CommandError(
-            f"--tare {self._options.tare}: lies outside the log, which {log}; {_WINDOW}"
+            f"--tare {self._options.tare}: lies outside the log, which {log}",
+            CommandCode.TARE,
         )
 
     def _take_tare(self, window: TareWindow) -> None:
         """Tare the sensor on what was recorded in a window."""
         if not self._has_settled:
-            reason = self._rejections_since_start or "; choose a window that ends later"
             raise CommandError(
-                f"no tare from {window}: the filters had not settled by then{reason}"
+                f"no tare from {window}: the filters had not settled by then"
+                f"{self._rejections_since_start}",
+                CommandCode.TARE,
             )
         try:
             tare = self._sensor.tare(ignore_contact=self._options.force_tare)
         except TareError as error:
-            reason = Message.of(error).in_words(_ADVICES)
-            choices = _UNITS if isinstance(error, VelocityError) else f"Or {_CHOICES}"
-            raise CommandError(f"no tare from {window}: {reason}. {choices}") from error
+            raise error.reworded(f"no tare from {window}: {error}") from error
         self.done = window._replace(tare=tare)

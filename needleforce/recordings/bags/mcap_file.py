@@ -22,6 +22,7 @@ from needleforce.recordings.bags.messages import (
 )
 from needleforce.recordings.errors import (
     FormatError,
+    RecordingCode,
     optional_library,
     require_size,
 )
@@ -298,7 +299,8 @@ def _unpack(packed: bytes, compression: str, size: int) -> bytes:
         stream = lz4.open(io.BytesIO(packed))
     else:
         raise FormatError(
-            f"has chunks compressed with {compression!r}; zstd and lz4 can be read"
+            f"has chunks compressed with {compression!r}; zstd and lz4 can be read",
+            RecordingCode.BAG,
         )
 
     unpacked = bytearray()

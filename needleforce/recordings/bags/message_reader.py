@@ -11,6 +11,7 @@ from needleforce.recordings.bags.messages import BAG_SUFFIXES, RawMessage, bag_f
 from needleforce.recordings.bags.sqlite_file import sqlite_messages
 from needleforce.recordings.errors import (
     FormatError,
+    RecordingCode,
     file_errors,
     optional_library,
     readable_path,
@@ -46,8 +47,8 @@ def read_messages(
     files = bag_files(path) if path.is_dir() else [path]
     if not files:
         raise FormatError(
-            f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files; those that "
-            "end in .zstd must be unpacked: zstd -d"
+            f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files",
+            RecordingCode.BAG,
         )
 
     limit = max_bytes // CHUNK_DIVISOR
@@ -72,6 +73,6 @@ def _messages_of_file(
                 reader = McapReader(file, file_faults, limit)
                 yield from reader.messages(options)
     except FormatError as error:
-        raise FormatError(f"{file} {error}") from error
+        raise error.reworded(f"{file} {error}") from error
     finally:
         faults.extend(f"{file.name} {fault}" for fault in file_faults)

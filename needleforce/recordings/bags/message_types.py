@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from needleforce.recordings.bags.messages import BagTopic
-from needleforce.recordings.errors import FormatError, optional_library
+from needleforce.recordings.errors import FormatError, RecordingCode, optional_library
 from needleforce.recordings.time_stamps import NS_PER_S
 
 STANDARD = "ROS2_HUMBLE"
@@ -76,7 +76,10 @@ def _types_of(kind: str, definition: str) -> Any:
             return store
 
     if kind not in standard.fielddefs:
-        raise FormatError(f"holds messages of the type {kind}, without its definition")
+        raise FormatError(
+            f"holds messages of the type {kind}, without its definition",
+            RecordingCode.BAG,
+        )
 
     return standard
 
@@ -175,7 +178,10 @@ class TopicDecoder:
 
     def __init__(self, topic: BagTopic) -> None:
         if topic.encoding != CDR:
-            raise FormatError(f"is encoded as {topic.encoding!r}; ROS 2 has {CDR!r}")
+            raise FormatError(
+                f"is encoded as {topic.encoding!r}; ROS 2 has {CDR!r}",
+                RecordingCode.BAG,
+            )
 
         self._kind = topic.kind
         self._types = _types_of(topic.kind, topic.definition)
@@ -223,9 +229,7 @@ class TopicDecoder:
     def decode(self, data: bytes) -> MessageContent:
         """Decode a message; `FormatError` if it does not fit its type."""
         if data.startswith(_ZSTD_MAGIC):
-            raise FormatError(
-                "is compressed message by message; unpack it with: ros2 bag convert"
-            )
+            raise FormatError("is compressed message by message", RecordingCode.BAG)
 
         try:
             message = self._types.deserialize_cdr(data, self._kind)

@@ -8,6 +8,7 @@ from needleforce.recordings.bags.messages import BagTopic, RawMessage, require_m
 from needleforce.recordings.errors import (
     FileAccessError,
     FormatError,
+    RecordingCode,
     optional_library,
 )
 
@@ -36,8 +37,8 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
     if _URI_CHARACTERS & set(str(path)) or not path.suffix.islower():
         raise FileAccessError(
             f"cannot read {path}: a bag in an SQLite file needs a path without ?, # "
-            "and %, and the suffix .db3 in small letters; give another name, or use "
-            ".mcap"
+            "and %, and the suffix .db3 in small letters",
+            RecordingCode.SUFFIX,
         )
 
     with path.open("rb") as stream:
@@ -67,8 +68,7 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
             ) from error
 
         raise FormatError(
-            f"is cut short or damaged ({error}); its messages may be had with: "
-            f"sqlite3 {path.name} .recover | sqlite3 recovered.db3"
+            f"is cut short or damaged ({error})", RecordingCode.CUT
         ) from error
 
 

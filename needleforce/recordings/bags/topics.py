@@ -16,7 +16,7 @@ from needleforce.recordings.bags.message_types import (
     size_of,
 )
 from needleforce.recordings.bags.messages import BagTopic, RawMessage
-from needleforce.recordings.errors import FormatError
+from needleforce.recordings.errors import FormatError, RecordingCode
 from needleforce.recordings.table import Table
 from needleforce.recordings.time_stamps import NS_PER_S
 
@@ -259,7 +259,9 @@ class Bag:
         topics = self.topics.values()
         if not topics:
             faults = "".join(f" ({fault})" for fault in self.faults)
-            raise FormatError(f"{self.path} holds no messages{faults}")
+            raise FormatError(
+                f"{self.path} holds no messages{faults}", RecordingCode.BAG
+            )
 
         widths = {
             name: width for topic in topics for name, width in topic.columns.items()
@@ -270,7 +272,8 @@ class Bag:
                 for topic in topics
             )
             raise FormatError(
-                f"{self.path} holds no topic with numbers: {'; '.join(reasons)}"
+                f"{self.path} holds no topic with numbers: {'; '.join(reasons)}",
+                RecordingCode.BAG,
             )
 
         return Table(

@@ -349,7 +349,7 @@ def test_files_of_other_kinds_are_refused(tmp_path, name):
     sitk.WriteImage(
         sitk.GetImageFromArray(np.ones((9, 9, 9), np.uint8)), str(tmp_path / name)
     )
-    with pytest.raises(VolumeError, match="export it as"):
+    with pytest.raises(VolumeError, match="Export it again, as"):
         read_volume(tmp_path / name)
 
 

@@ -80,7 +80,7 @@ LOGS = {
 OPTIONS = {
     "--tau effort": "no column 'effort'.*Columns are",
     "--q q_rad_{1..6}": (
-        "number of joints: q has 6 .q_rad_1.*; tau has 7 .tau_Nm_1.*--q COLUMNS"
+        "number of joints: q has 6 .q_rad_1.*; tau has 7 .tau_Nm_1.*--q q_\\*"
     ),
     "--mapping missing.toml": "cannot read the mapping",
     "--mapping three.toml": "payload is int, expected a table, a file, needle or none",
@@ -113,7 +113,7 @@ OPTIONS = {
     "--config choice.toml": "mode: .* 'axail', expected 'axial' or 'point' or 'full'",
     "--config range.toml": "range.toml: gain_per_s is -5.0",
     "--config frame.toml": "no frame 'nowhere'",
-    "--config given_friction.toml": "give joint friction with --friction FILE",
+    "--config given_friction.toml": "joint friction stands in the file of --friction",
     "--gain inf": "gain_per_s is inf, expected a finite number",
     "--insertion-axis 0 0 0": (
         "insertion_axis is .0.0, 0.0, 0.0.: they must not all be zero"
@@ -177,7 +177,7 @@ EMPTY = [["force", ""], ["report", "good.csv", ""], ["force", "good.csv", "--rep
         ),
         *((text.split(), message) for text, message in USAGE.items()),
         *(
-            (argv, f"{argv[-1]!r}: nothing is given there; leave it out, or give a")
+            (argv, f"{argv[-1]!r}: nothing is given there, expected a name")
             for argv in EMPTY
         ),
     ],

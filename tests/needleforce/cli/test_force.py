@@ -226,8 +226,8 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
     for text in (
         "rate of q: is it in deg/s?",
         "--force-tare",
-        ". Say unit",
-        "--dq dq_*:deg/s",
+        "Give unit and factor",
+        "NF-SENSOR-VELOCITY",
     ):
         assert text in refused
     _, printed = run(log, *TARE, "--dq", "dq_rad_s:deg/s")
@@ -249,14 +249,17 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
     [
         (
             "0:2.5 --external-torque --tau-ext tau_Nm",
-            "torque; leave --external-torque out and read",
+            "torque. Leave --external-torque out and read",
         ),
         (
             "0:2.5 --external-torque --tau-ext tau_Nm:Nm:-1",
-            "torque; leave --external-torque out and negate it, as in --tau "
-            "tau_*:Nm:-1. Tare",
+            "torque. Leave --external-torque out and negate the torques, as in --tau "
+            "tau_*:Nm:-1; --force-tare",
         ),
-        ("1:1.01", "s of it); choose a longer window, without gaps in time. Or"),
+        (
+            "1:1.01",
+            "s of it). Choose a longer window with --tare START:END, without gaps",
+        ),
     ],
 )
 def test_refused_tare_advises_options_and_no_code(log, capsys, options, advice):
@@ -271,7 +274,7 @@ def test_option_cures_torque_without_gravity_or_negated(run, lwr, tmp_path, caps
     for tau_Nm, advice, cure in (
         (
             columns["tau_Nm"] - gravity,
-            "give --gravity-compensated",
+            "Give --gravity-compensated",
             ["--gravity-compensated"],
         ),
         (-columns["tau_Nm"], "--tau tau_*:Nm:-1", ["--tau", "tau_Nm:Nm:-1"]),

@@ -85,13 +85,13 @@ def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
     force_N = needle["force_N"]
     *_, said = identify("--report", str(tmp_path / "page"), force_N=-force_N)
 
-    assert "flip its sign; a factor of -1 after the unit does" in said
+    assert "Negate it, as in --force fz:N:-1" in said
 
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
 
     assert "<p class=notice>Warning: " in page
-    assert "flip its sign" in page
-    assert "flip" not in identify("--force", "force_N:N:-1", force_N=-force_N)[2]
+    assert "NF-IDENTIFICATION-FORCE-SIGN: the force is negative" in page
+    assert "Negate" not in identify("--force", "force_N:N:-1", force_N=-force_N)[2]
 
     for name, option in {"depth_m": "depth z:m", "speed_m_s": "speed v:m/s"}.items():
         *_, said = identify(**{"speed_m_s": (), name: -needle[name]})

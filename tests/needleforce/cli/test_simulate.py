@@ -161,8 +161,8 @@ def test_list_names_every_scenario(capsys):
 @pytest.mark.parametrize(
     ("options", "said"),
     [
-        (ID, "nothing to write: name a file with -o FILE or --truth FILE"),
-        ("-o x.csv", "no scenario is named; --list prints them"),
+        (ID, "nothing to write, expected -o FILE or --truth FILE"),
+        ("-o x.csv", "no scenario is named; --list prints the scenarios"),
         ("gel-26 -o x.csv", "no scenario 'gel-26'; known: gel-25-constant"),
         (f"{ID} -o x.xyz", "x.xyz has no known suffix; known are: .csv"),
         (f"{ID} -o x.csv --seed -1", "expected a whole number from 0 up"),
@@ -184,6 +184,6 @@ def test_missing_mujoco_is_named_with_its_package(capsys, monkeypatch, tmp_path)
         ["simulate", "free-motion", "-o", str(tmp_path / "x.csv")], capsys
     )
 
-    assert message.startswith("error: the simulated arm needs")
+    assert message.startswith("error NF-SIMULATION-LIBRARY: the simulated arm needs")
     assert "mujoco" in message
     assert "pip install" in message

@@ -110,9 +110,9 @@ def test_output_never_replaces_its_own_standard_input(logs, tmp_path, suffix):
 
     assert (process.returncode, log.read_bytes() == content) == (2, True)
 
-    message = f"cannot write {log}: it is the log itself; give another name"
+    message = f"cannot write {log}: it is the log itself."
 
-    assert process.stderr.decode() == f"error: {message}\n"
+    assert process.stderr.decode().startswith(f"error NF-RECORDING-OUTPUT: {message}")
 
 
 def test_bag_may_grow_or_come_piped(logs, tmp_path):
@@ -355,7 +355,9 @@ def test_full_disk_is_reported(logs, output):
 
     (line,) = process.stderr.splitlines()
 
-    assert line == b"error: cannot write standard output: No space left on device"
+    assert line.startswith(
+        b"error NF-COMMAND-OUTPUT: cannot write standard output: No space left on "
+    )
 
 
 @pytest.mark.parametrize(

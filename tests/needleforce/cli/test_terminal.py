@@ -49,14 +49,25 @@ def _open_output(monkeypatch):
 @pytest.mark.parametrize(
     ("error", "code", "said"),
     [
-        (CommandError("no such\noption"), FAILED, "error: no such option\n"),
-        (FileAccessError("no such\nfile"), FAILED, "error: no such file\n"),
+        (
+            CommandError("no such\noption"),
+            FAILED,
+            "error NF-COMMAND-OPTION: no such option. Give what the message expects; "
+            "--help says what each option means\n",
+        ),
+        (
+            FileAccessError("no such\nfile"),
+            FAILED,
+            "error NF-RECORDING-ACCESS: no such file. Check the name and the "
+            "permissions\n",
+        ),
         (KeyboardInterrupt(), INTERRUPTED, "interrupted\n"),
         (BrokenPipeError(), READER_GONE, ""),
         (
             OSError(28, "disk full"),
             FAILED,
-            "error: cannot write standard output: disk full\n",
+            "error NF-COMMAND-OUTPUT: cannot write standard output: disk full. Make "
+            "room on the disk, or give another place\n",
         ),
     ],
 )
@@ -172,7 +183,7 @@ def check(source, **outputs):
         ("other.csv", {"figure": "no/where.svg"}, "there is no folder no"),
         ("log.csv", {"output": "t.csv"}, "it is a folder"),
         ("log.csv", {"report": "r" * 300}, "File name too long"),
-        ("log.csv", {"output": "bag.db3"}, "bags are written as MCAP; name it .mcap"),
+        ("log.csv", {"output": "bag.db3"}, "bags are written as .mcap only"),
     ],
     ids=str,
 )

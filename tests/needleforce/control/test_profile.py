@@ -276,5 +276,5 @@ def test_targets_on_the_needle_line_have_depths():
     assert depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), axis) == pytest.approx(0.05)
 
     for target in ((0.1, 0.0, 0.3), (0.1, 0.01, 0.2)):
-        with pytest.raises(SettingError, match="align the needle"):
+        with pytest.raises(SettingError, match="Align the needle"):
             depth_of(target, (0.1, 0.0, 0.25), axis)

@@ -199,13 +199,13 @@ def test_compressed_bags_are_refused_with_advice(tmp_path):
     write_bag(tmp_path / "m", rows, storage="sqlite3", compression="MESSAGE")
 
     with pytest.raises(
-        FormatError, match=r"is compressed message by message; .*ros2 bag convert"
+        FormatError, match=r"(?s)is compressed message by message.*ros2 bag convert"
     ):
         read_log(tmp_path / "m")
 
     write_bag(tmp_path / "f.db3", rows, storage="sqlite3", compression="FILE")
 
-    with pytest.raises(FormatError, match=r"\.zstd must be unpacked: zstd -d"):
+    with pytest.raises(FormatError, match=r"(?s)without .mcap or .db3 files.*zstd -d"):
         read_log(tmp_path / "f.db3")
 
 
@@ -251,7 +251,7 @@ def test_a_cut_sqlite_bag_error_advises_recovery(tmp_path, bags, fraction):
     (tmp_path / name).write_bytes(data[: int(fraction * len(data))])
 
     with pytest.raises(
-        FormatError, match=rf"{name} is cut short or .*sqlite3 {name} \.recover"
+        FormatError, match=rf"(?s){name} is cut short or .*sqlite3 FILE \.recover"
     ):
         read_table(tmp_path / name)
 
@@ -274,7 +274,7 @@ def test_an_sqlite_bag_of_other_content_is_refused(tmp_path, change):
         connection.executescript(change)
 
     with pytest.raises(
-        FormatError, match=r"damaged .*\.recover|no tables messages and topics"
+        FormatError, match=r"(?s)damaged .*\.recover|no tables messages and topics"
     ):
         read_table(path)
 

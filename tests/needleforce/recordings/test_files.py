@@ -136,12 +136,12 @@ def test_text_other_than_utf8_is_read_and_reported(read):
             "no column holds a number: column 't f' holds text .line 2, '0 1'",
         ),
         *(
-            (head + bytes(3), f"it is {suffix[1:]}, not text; give it as a file")
+            (head + bytes(3), f"it is {suffix[1:]}, not text")
             for head, suffix in BINARY.items()
         ),
         (b"#a\n\x00\x01", "only comments.*goes on with NUL bytes"),
         (b"\x00" * 9, "it is not text"),
-        ("t,f\n0,1\n".encode("utf-16"), "it is UTF-16 text; save it as UTF-8"),
+        ("t,f\n0,1\n".encode("utf-16"), "it is UTF-16 text, expected UTF-8"),
     ],
 )
 def test_other_than_csv_is_refused_with_the_reason(read, text, message):

@@ -74,7 +74,7 @@ def test_a_chunk_unpacking_beyond_the_limit_is_refused(tmp_path, compression, de
 
     with (
         bounded(),
-        pytest.raises(FormatError, match=r"raise max_bytes|holds no messages"),
+        pytest.raises(FormatError, match=r"raise `max_bytes`|holds no messages"),
     ):
         read_table(path, max_bytes=SMALL)
 
@@ -86,7 +86,7 @@ def test_a_chunk_unpacking_beyond_the_limit_is_refused(tmp_path, compression, de
             b"# note\n" * (BOMB // 28),
             60.0,
             SMALL,
-            "raise max_bytes|lines after line 2 are",
+            "raise `max_bytes`|lines after line 2 are",
         ),
         (
             b"\n" * BOMB,
@@ -116,7 +116,7 @@ def test_an_npz_unpacking_beyond_the_limit_is_refused(tmp_path, order):
     unused = np.zeros((3000, BOMB // 3000 // 8), order=order)
     np.savez_compressed(path, t=np.arange(3000.0), f=np.ones(3000), unused=unused)
 
-    with bounded(), pytest.raises(FormatError, match="raise max_bytes"):
+    with bounded(), pytest.raises(FormatError, match="raise `max_bytes`"):
         read_log(path, max_bytes=SMALL)
 
 
@@ -125,7 +125,7 @@ def test_a_parquet_unpacking_beyond_the_limit_is_refused(tmp_path):
     pq.write_table(pa.table({"t": np.zeros(BOMB // 8)}), path)
 
     assert path.stat().st_size < SMALL
-    with bounded(), pytest.raises(FormatError, match="raise max_bytes"):
+    with bounded(), pytest.raises(FormatError, match="raise `max_bytes`"):
         read_table(path, max_bytes=SMALL)
 
 

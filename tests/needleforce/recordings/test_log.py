@@ -370,7 +370,7 @@ def test_an_empty_optional_channel_is_omitted_and_reported():
 
 def test_no_time_and_no_rate_is_refused():
     with pytest.raises(
-        ColumnError, match="no time column found; say which one with --time"
+        ColumnError, match=r"(?s)no time column found.*Name it under `time`"
     ):
         log_of(f=ONES)
 

@@ -337,14 +337,14 @@ def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
             1.0,
             [],
             2,
-            "error: the log has 6 columns per joint signal, the robot has 7 joints",
+            "error NF-COMMAND-ROBOT: the log has 6 columns .* the robot has 7 joints",
         ),
         (
             7,
             1.0,
             ["--tare", "-3"],
             2,
-            "error: --tare -3: expected seconds of free motion",
+            "error NF-COMMAND-OPTION: --tare -3: expected seconds of free motion",
         ),
         (
             7,
@@ -365,9 +365,9 @@ def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
             -1.0,
             ["--tare", "1"],
             0,
-            "no tare at 1.0 s: .* wrong sign; negate it. Tare in free",
+            "no tare at 1.0 s, NF-SENSOR-TORQUE-SIGN: .* wrong sign. Record it",
         ),
-        (7, np.nan, [], 2, "error: tau_Nm has no finite value"),
+        (7, np.nan, [], 2, "error NF-RECORDING-LOG: tau_Nm has no finite value"),
     ],
 )
 def test_a_recording_without_tare_is_reported(
@@ -475,7 +475,10 @@ def test_joints_the_robot_lacks_stay_locked():
 @pytest.mark.parametrize(
     ("options", "why"),
     [
-        (["--port", "70000"], "error: 127.0.0.1, port 70000: .*expected an address"),
+        (
+            ["--port", "70000"],
+            "error NF-SCENE-PAGE: 127.0.0.1, port 70000: .*expected an address",
+        ),
         (["--port", "-1"], "port -1: .*a port of 0 to 65535"),
         (
             ["--host", "nosuchhost.invalid"],

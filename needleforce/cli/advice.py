@@ -1,0 +1,132 @@
+"""What a user of the command line may do about an error, by the error's code.
+
+An error of a package brings advice for callers of the library. Here stands what the
+command says in its place. A code without an entry has advice that names nothing of the
+library, and serves both.
+"""
+
+from foundation.errors import CodedError, Suspicion, fill_advice
+
+_KEEP_TARE = "--force-tare keeps this tare, --no-tare goes without"
+
+COMMAND_ADVICE: dict[str, str] = {
+    "NF-SENSOR-SETTING": "Correct the value in the file of --config, or the option of "
+    "that name",
+    "NF-SENSOR-FRICTION": "Give one finite number for each joint in the file of "
+    "--friction",
+    "NF-SENSOR-MIXED": "Give a log in which every row has the same channels",
+    "NF-SENSOR-CONTACT": "Choose where the needle is free with --tare START:END; "
+    + _KEEP_TARE,
+    "NF-SENSOR-GRAVITY-MISSING": f"Give --gravity-compensated; {_KEEP_TARE}",
+    "NF-SENSOR-GRAVITY-TWICE": f"Leave --gravity-compensated out; {_KEEP_TARE}",
+    "NF-SENSOR-TORQUE-SIGN": "Negate the torques, as in --tau tau_*:Nm:-1; "
+    + _KEEP_TARE,
+    "NF-SENSOR-TORQUE-KIND": "Leave --external-torque out and read the torques with "
+    f"--tau; {_KEEP_TARE}",
+    "NF-SENSOR-TORQUE-KIND-SIGN": "Leave --external-torque out and negate the torques, "
+    f"as in --tau tau_*:Nm:-1; {_KEEP_TARE}",
+    "NF-SENSOR-JOINT-ORDER": "List the columns in the robot's order, as in --tau "
+    f"tau_2,tau_1; {_KEEP_TARE}",
+    "NF-SENSOR-POSITIONS": "Name the columns of all joints with --q; choose where the "
+    f"needle is free with --tare START:END; {_KEEP_TARE}",
+    "NF-SENSOR-PAYLOAD": "Describe hand and tool with --payload FILE; choose where the "
+    f"needle is free with --tare START:END; {_KEEP_TARE}",
+    "NF-SENSOR-NO-FREE-MOTION": "Choose a longer window with --tare START:END, without "
+    "gaps in time; --no-tare goes without",
+    "NF-SENSOR-TARED-ALREADY": "Give one --tare",
+    "NF-SENSOR-VELOCITY": "Give unit and factor of the columns, as in --q q_*:deg or "
+    f"--dq dq_*:rad/s:-1; {_KEEP_TARE}",
+    "NF-IDENTIFICATION-SETTING": "Choose another --method",
+    "NF-IDENTIFICATION-SPANS": "Choose another --method",
+    "NF-IDENTIFICATION-DEPTH-UNIT": "Give the unit, as in --depth z:mm",
+    "NF-IDENTIFICATION-NO-TRAVEL": "Give the unit, as in --depth z:m, or another "
+    "recording",
+    "NF-IDENTIFICATION-FORCE-SIGN": "Negate it, as in --force fz:N:-1",
+    "NF-IDENTIFICATION-DEPTH-SIGN": "Negate it, as in --depth z:m:-1, unless the "
+    "recording begins with a withdrawal",
+    "NF-IDENTIFICATION-SPEED-SIGN": "Negate one of them, as in --speed v:m/s:-1",
+    "NF-URDF-FORMAT": "Correct the file; check_urdf of ROS names further mistakes",
+    "NF-URDF-SIZE": "Give the description of a single robot with --urdf FILE",
+    "NF-URDF-ROBOT": "Give one of these names to --robot; --urdf FILE loads any other",
+    "NF-URDF-TOOL-FRAME": "Name the frame at the needle's tip with --tool-frame",
+    "NF-URDF-JOINT": "Lock it with --lock JOINT, or make it a revolute or a prismatic "
+    "joint with limits",
+    "NF-URDF-MASSLESS": "Give the links inertia, or lock these joints with --lock "
+    "JOINT",
+    "NF-SIMULATION-SCENARIO": "needleforce simulate --list prints the scenarios",
+    "NF-SIMULATION-PLANT-MODEL": "Give one of these names to --plant",
+    "NF-RECORDING-SIZE": "Read a part of the recording",
+    "NF-RECORDING-COLUMN": "Name it with {option}, or under {channel} in the file of "
+    "--mapping; --print-config prints such a file",
+    "NF-RECORDING-TIME-COLUMN": "Name it with --time, or give the sample rate with "
+    "--rate",
+    "NF-RECORDING-TIME": "Name column and unit, as in --time stamp:ms, or give the "
+    "sample rate with --rate",
+    "NF-RECORDING-MAPPING": "Correct the options, or the file of --mapping, where a "
+    "channel has columns, unit and scale",
+    "NF-RECORDING-JOINTS": "Name the columns of all joints, as in --q q_* --tau tau_*",
+    "NF-RECORDING-WRITE": "Give another place and form with -o FILE",
+    "NF-CONTROL-LIMITS": "Correct the joint limits in the robot's description",
+    "NF-CONTROL-FRAME": "Name a frame whose z axis is the needle with --tool-frame",
+    "NF-CONTROL-EVENT-LOG": "Give a log of events that the control wrote",
+    "NF-DEVICE-UNITS": "Set the sensor to N and Nm on its own page",
+    "NF-ANATOMY-LANDMARKS-MISFIT": "Check the order and the place of the landmarks and "
+    "touch them again",
+    "NF-FIGURE-CHART": "Widen the window of --from and --to",
+    "NF-STATE-FILE": "Give a file that holds a snapshot",
+    "NF-STATE-KIND": "Give the snapshot of such an object",
+    "NF-STATE-OTHER": "Give the robot and the settings of the snapshot",
+    "NF-SESSION-SETTING": "Correct the options of the robot",
+    "NF-SESSION-PLAN": "Give the plan of the snapshot",
+}
+"""Advice of the commands, by the label of the code; ``{place}`` as in the error's."""
+
+WATCH_ADVICE: dict[str, str] = {
+    "NF-SENSOR-CONTACT": "Keep the needle free; the next attempt follows by itself",
+    "NF-SENSOR-GRAVITY-MISSING": "Record it, and use needleforce force "
+    "--gravity-compensated",
+    "NF-SENSOR-GRAVITY-TWICE": "Check which torques the robot sends",
+    "NF-SENSOR-TORQUE-SIGN": "Record it, and negate the torques with needleforce force "
+    "--tau tau_*:Nm:-1",
+    "NF-SENSOR-JOINT-ORDER": "Check the order in which the robot sends its joints",
+    "NF-SENSOR-POSITIONS": "Check that positions of every joint are sent",
+    "NF-SENSOR-PAYLOAD": "Describe hand and tool with --payload FILE",
+    "NF-SENSOR-NO-FREE-MOTION": "Move without contact; the next attempt follows by "
+    "itself",
+    "NF-SENSOR-VELOCITY": "Check the units and signs that the robot sends",
+}
+"""What `view` and `live` say instead: they tare by themselves, and have no option to
+override it."""
+
+
+def advise(error: CodedError, overrides: dict[str, str] | None = None) -> str:
+    """Return what a user of the command may do about an error.
+
+    Args:
+        error: The error.
+        overrides: Advice that a command has in place of `COMMAND_ADVICE`.
+    """
+    label = error.code.label
+    advice = COMMAND_ADVICE | (overrides or {})
+    return fill_advice(advice.get(label, error.code.cure), error.places).rstrip(".")
+
+
+def describe_error(error: CodedError, overrides: dict[str, str] | None = None) -> str:
+    """Return an error in one line: code, what came and was expected, what to do."""
+    text = _as_sentence(str(error))
+    return f"{error.code}: {text} {advise(error, overrides)}"
+
+
+def describe_suspicion(suspicion: Suspicion) -> str:
+    """Return a suspicion in one line, with what a user of the command may do."""
+    if suspicion.code is None:
+        return suspicion.text
+    label = suspicion.code.label
+    advice = COMMAND_ADVICE.get(label, suspicion.code.cure)
+    return f"{label}: {_as_sentence(suspicion.text)} {advice.rstrip('.')}"
+
+
+def _as_sentence(text: str) -> str:
+    """Return a text that ends as a sentence does."""
+    text = text.rstrip()
+    return text if text.endswith((".", "?", "!")) else f"{text}."
