@@ -68,6 +68,11 @@ class CommandCode(ErrorCode):
         "The plan's file cannot be read, or holds no plan that can be followed.",
         "Give plan.json, or the folder that holds it beside labels.nii.gz",
     )
+    HIDDEN = (
+        "NF-COMMAND-HIDDEN",
+        "A file or folder of the user hides a package of this project.",
+        "Rename it, or work in another folder",
+    )
     LIBRARY = (
         "NF-COMMAND-LIBRARY",
         "The command needs a library that is not installed.",

@@ -65,7 +65,7 @@ LOGS = {
     "empty.csv": "empty.csv",
     "cut.csv": "the log ends before",
     "no_torque.csv": "no column found for tau .*Columns are: t_s, q_rad_1",
-    "early.npz": "no tare from .*needle.*--force-tare.*--tare START:END.*--no-tare",
+    "early.npz": "no tare from .*needle.*--tare START:END.*--force-tare.*--no-tare",
     "milli.npz": (
         "2 s of free motion .* samples were rejected, .* x tau .* seems to be in mNm"
     ),
