@@ -9,7 +9,7 @@ import pytest
 
 from tests.source_files import ROOT
 
-CURE = "rename it, or work in another folder"
+CURE = "Rename it, or work in another folder"
 
 AS_EDITABLE = """
 import sys

@@ -122,7 +122,7 @@ OPTIONS = {
     "--friction rotor_sign.toml": "must not be negative",
     "--tare 4": "expected START:END",
     "--tare 0:60": "outside the log, which runs from 0 s to 1.199 s",
-    "--tare=-3:-1": "outside the log, which starts at 0 s; expected",
+    "--tare=-3:-1": "outside the log, which starts at 0 s",
     "--tare 0.1:0.11": "0.1 to 0.11 s: the filters had not settled by then",
     "": (
         "the log ends before the filters have settled and 2 s of free motion.*--no-tare"
