@@ -25,8 +25,9 @@ extensions = [
     "command_pages",
     "docstrings",
     "mathml",
+    "sphinx_gallery.gen_gallery",
 ]
-exclude_patterns = ["_build", "extensions"]
+exclude_patterns = ["_build", "extensions", "figures"]
 
 # Pages
 myst_enable_extensions = ["dollarmath", "colon_fence", "deflist"]
@@ -40,6 +41,22 @@ autodoc_typehints_format = "short"
 python_use_unqualified_type_names = True
 maximum_signature_line_length = 70
 napoleon_numpy_docstring = False
+
+# The gallery
+sphinx_gallery_conf = {
+    "examples_dirs": str(DOCS.parent / "examples"),
+    "gallery_dirs": "gallery",
+    "filename_pattern": r"\.py$",
+    "within_subsection_order": "gallery_run.ORDER",
+    "reset_modules": ("gallery_run.prepare",),
+    "image_srcset": ["2x"],
+    "first_notebook_cell": "%matplotlib inline",
+    "download_all_examples": False,
+    "show_memory": False,
+    "show_signature": False,
+    "min_reported_time": 1e9,  # s; pages are the same whatever the machine
+    "write_computation_times": False,
+}
 
 # Look
 html_theme = "furo"

@@ -1,59 +1,49 @@
-"""A hand on the needle's hub leads the arm, which feels it through its joint torques.
+"""Lead the arm by hand
+=====================
 
-The simulated arm stands in for yours; see `needleforce.control.ports.Arm`. Not a
-medical device.
+The arm yields to a hand on the needle's hub, which it feels through its joint torques.
 """
 
-import math
-
+import matplotlib.pyplot as plt
 import numpy as np
 
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm
-from needleforce.control import AxialSpeed, Controller, Fixture, Guidance, Limits
+from needleforce import control
 from residual import SensorConfig, Status, VirtualForceSensor
 
 TARE_s = 3.0  # a stroke in free air until then
 PUSH_s = TARE_s + 0.5
 PUSH_N = 4.0
-
-
-def push(t_s):
-    """Return the force of the hand: along x, half a second after the tare."""
-    return (PUSH_N if t_s > PUSH_s else 0.0, 0.0, 0.0)
-
-
-hand = HandOnArm(at="hub", force_N=push)
+hand = HandOnArm(at="hub", force_N=lambda t_s: (PUSH_N * (t_s > PUSH_s), 0.0, 0.0))
 arm = SimulatedArm(plant="clean", contacts=[hand], duration_s=TARE_s + 1.5)
-
-control = Controller(arm.robot, Limits(arm.robot))
-control.tool.update(arm.home_rad)
-line = Fixture.here(control.tool)
-guidance = Guidance(arm.robot)
+controller = control.Controller(arm.robot, control.Limits(arm.robot))
+controller.tool.update(arm.home_rad)
+line = control.Fixture.here(controller.tool)
+guidance = control.Guidance(arm.robot)
 sensor = VirtualForceSensor(arm.robot, SensorConfig(smooth_momentum=False))
-start_m = arm.truth.tip_m
-
+tips_m = []
 for sample in arm:
     wrench = sensor.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
-
-    if arm.time_s < TARE_s:
-        # Move up and down along the needle: the tare learns from it.
-        phase = 2.0 * math.pi * arm.time_s / TARE_s
-        tasks = [line, AxialSpeed(-0.05 * math.sin(phase))]
+    if arm.time_s < TARE_s:  # move along the needle: the tare learns from it
+        speed_m_s = -0.05 * np.sin(2.0 * np.pi * arm.time_s / TARE_s)
+        tasks = [line, control.AxialSpeed(speed_m_s)]
     else:
         if not sensor.tared:
             sensor.tare()
-            start_m = arm.truth.tip_m
-        follow_hand = guidance.update(
-            wrench.residual,
-            sensor.residual_std_Nm,
-            sample.dt_s,
-            is_valid=wrench.status is Status.OK,
-        )
-        tasks = [follow_hand]
+        is_ok = wrench.status is Status.OK
+        noise_Nm = sensor.residual_std_Nm
+        lead = guidance.update(wrench.residual, noise_Nm, sample.dt_s, is_valid=is_ok)
+        tasks = [lead]
+    arm.send(controller.update(sample, tasks).dq_rad_s)
+    tips_m.append(arm.truth.tip_m)
 
-    command = control.update(sample, tasks)  # never raises; within all limits
-    arm.send(command.dq_rad_s)
-
-moved_m = np.linalg.norm(arm.truth.tip_m - start_m)
-print(f"pushed by {PUSH_N:g} N for a second, the tip moved {1e3 * moved_m:.0f} mm")
+moved_mm = 1e3 * (np.array(tips_m) - tips_m[0])
+times_s = np.linspace(0.0, arm.time_s, len(moved_mm))
+plt.plot(times_s, moved_mm, label=["x", "y", "z"])
+plt.axvspan(PUSH_s, arm.time_s, alpha=0.15, label=f"the hand pushes by {PUSH_N:g} N")
+plt.xlabel("time [s]")
+plt.ylabel("motion of the tip [mm]")
+plt.legend()
+plt.show()
+print(f"pushed for a second, the tip moved {np.linalg.norm(moved_mm[-1]):.0f} mm")

@@ -1,5 +1,10 @@
-"""A robot that estimates the external torque itself: wrench and layers from it."""
+"""A robot that estimates the external torque itself
+==================================================
 
+Panda and others send it. Wrench and layers follow from it as from measured torques.
+"""
+
+import matplotlib.pyplot as plt
 import numpy as np
 
 from groundtruth import simulate
@@ -10,7 +15,7 @@ NOISE_Nm = 0.02
 TICK_s = 1e-3
 
 # What such a robot sends: the external torque, with an offset and some noise.
-arm = simulate("gel-25-constant", "ideal")
+arm = simulate("gel-25-constant", "clean")
 true_Nm = arm.truth.external_torque_Nm
 noise = np.random.default_rng(0).standard_normal(true_Nm.shape)
 external_torque_Nm = true_Nm + OFFSET_Nm + NOISE_Nm * noise
@@ -27,6 +32,15 @@ for t_s, q, torque in zip(
     forces_N.append(estimate.wrench.axial)
     if estimate.identification.identified_layer is not None:
         break
+
+count = len(forces_N)
+plt.plot(arm.signals.t_s[:count], forces_N, label="from the robot's own torques")
+plt.plot(arm.signals.t_s[:count], arm.truth.axial_N[:count], "k:", label="true force")
+plt.axvline(arm.tare_end_s, color="gray", linestyle="dotted", label="tare()")
+plt.xlabel("time [s]")
+plt.ylabel("axial force [N]")
+plt.legend()
+plt.show()
 
 gel = session.layers[0]
 print(f"at most {max(forces_N):.2f} N; the gel is {1e3 * gel.thickness_m:.1f} mm thick")

@@ -1,51 +1,49 @@
-"""Stop in the middle of an insertion and resume in another process, bit for bit."""
+"""Stop an insertion and resume it in another process
+==================================================
+
+A snapshot holds all that a session knows: the numbers go on bit for bit.
+"""
 
 import tempfile
 from pathlib import Path
 
+import matplotlib.pyplot as plt
+
 from groundtruth import simulate
 from needleforce import InsertionSession, read_snapshot, write_snapshot
 
-TICK_s = 1e-3
-FIVE_SECONDS = 5000  # ticks
-
 arm = simulate("gel-25-constant", "clean")
 signals = arm.signals
-ticks = list(
-    zip(
-        signals.t_s.tolist(),
-        signals.q_rad,
-        signals.dq_rad_s,
-        signals.tau_Nm,
-        strict=True,
-    )
-)
-middle = len(ticks) // 2
 
 
 def feed(session, ticks):
-    """Update a session with some ticks, and return the last estimate."""
-    for t_s, q, dq, tau in ticks:
-        if not session.tared and t_s > arm.tare_end_s:
+    """Update a session with some ticks, and return its tip forces."""
+    forces_N = []
+    for k in ticks:
+        if not session.tared and signals.t_s[k] > arm.tare_end_s:
             session.tare()
-        estimate = session.update(q, dq, tau, TICK_s)
-    return estimate
+        sample = (signals.q_rad[k], signals.dq_rad_s[k], signals.tau_Nm[k])
+        estimate = session.update(*sample, 1e-3)
+        forces_N.append(estimate.identification.tip_force_N)
+    return forces_N
 
 
+before = range(20_000)
+after = range(20_000, 25_000)
+stopped = InsertionSession(arm.robot)
+before_N = feed(stopped, before)
+resumed = InsertionSession(arm.robot)  # the same robot, the same settings
 with tempfile.TemporaryDirectory() as folder:
     file = Path(folder) / "insertion.snapshot"
-
-    stopped = InsertionSession(arm.robot)
-    feed(stopped, ticks[:middle])
     write_snapshot(stopped.snapshot(), file)
-
-    # In another process: the same robot and the same settings.
-    resumed = InsertionSession(arm.robot)
     resumed.restore(read_snapshot(file))
 
-following = ticks[middle : middle + FIVE_SECONDS]
-here = feed(stopped, following)
-there = feed(resumed, following)
-assert here.wrench.axial == there.wrench.axial
-assert here.identification == there.identification
-print(f"both read {here.wrench.axial:.6f} N five seconds later")
+resumed_N = feed(resumed, after)
+assert resumed_N == feed(stopped, after)
+plt.plot(signals.t_s[before], before_N, label="until the stop")
+plt.plot(signals.t_s[after], resumed_N, label="resumed")
+plt.xlabel("time [s]")
+plt.ylabel("tip force [N]")
+plt.legend()
+plt.show()
+print(f"both read {resumed_N[-1]:.6f} N five seconds later")

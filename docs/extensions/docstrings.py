@@ -6,6 +6,7 @@ default. Equations, which are indented, keep their lines; names in single backti
 become links.
 """
 
+import inspect
 import re
 import textwrap
 from dataclasses import is_dataclass
@@ -119,7 +120,7 @@ def process_docstring(
     """Change the lines of a docstring in place, before its sections are read."""
     if kind == "class":
         text = SECTION.sub("", "\n".join(lines) + "\n")
-        lines[:] = text.splitlines()
+        lines[:] = text.splitlines() + variables_of(value)
     if kind in FIELDS:
         description = description_of(path)
         if description is not None:
@@ -138,6 +139,16 @@ def restore_fields(
     if kind in FIELDS:
         text = hidden_texts.pop(path, [])
         lines[:] = [link_names(line, path) for line in keep_equations(text)]
+
+
+def variables_of(holder: type) -> list[str]:
+    """Return the attributes that are set in ``__init__``, as a list of their own."""
+    members = {name for base in holder.__mro__ for name in vars(base)}
+    for base in holder.__mro__:
+        members |= set(inspect.get_annotations(base))
+    fields = described_fields(clean_docstring(holder))
+    inner = {name: words for name, words in fields.items() if name not in members}
+    return ["", *(f":ivar {name}: {words}" for name, words in inner.items()), ""]
 
 
 def hide_signature(

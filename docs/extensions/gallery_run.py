@@ -1,0 +1,49 @@
+"""How the scripts of the gallery run: in which order, and with which style."""
+
+from functools import cache
+from pathlib import Path
+from typing import Any
+
+import matplotlib.pyplot as plt
+from sphinx_gallery.sorting import ExplicitOrder
+
+import groundtruth
+
+STYLE = Path(groundtruth.__file__).parents[1] / "needleforce/plots/chart.mplstyle"
+SIZE_inch = (7.0, 3.6)
+
+SCRIPTS = (
+    "controller_loop",
+    "csv_to_layers",
+    "virtual_sensor",
+    "known_push",
+    "tare",
+    "observer_gain",
+    "noise_spectrum",
+    "estimated_velocity",
+    "own_torque_estimate",
+    "own_urdf",
+    "payload_from_log",
+    "rupture_alarms",
+    "published_method",
+    "stop_and_resume",
+    "virtual_fixture",
+    "hand_guidance",
+    "remote_centre",
+    "teleoperation",
+    "autonomous_insertion",
+    "landmarks",
+    "watched_plan",
+)
+"""The scripts in examples/, in the order of the gallery."""
+
+ORDER = ExplicitOrder([f"{name}.py" for name in SCRIPTS])
+
+groundtruth.simulate = cache(groundtruth.simulate)  # equal arguments give equal runs
+
+
+def prepare(gallery_conf: dict[str, Any], script: str | Path) -> None:
+    """Draw the pictures of a script in the style of our charts."""
+    plt.style.use(["default", STYLE])
+    plt.rcParams["figure.figsize"] = SIZE_inch
+    plt.rcParams["figure.constrained_layout.use"] = True

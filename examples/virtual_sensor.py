@@ -1,0 +1,43 @@
+"""The force on the needle, without a force sensor
+================================================
+
+The force computed from joint torques, beside the true one.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from groundtruth import simulate
+from residual import VirtualForceSensor
+
+arm = simulate("gel-25-constant", "clean")  # stands in for your robot
+signals = arm.signals
+sensor = VirtualForceSensor(arm.robot)
+
+forces_N = []
+stds_N = []
+for q, dq, tau, t_s in zip(
+    signals.q_rad, signals.dq_rad_s, signals.tau_Nm, signals.t_s, strict=True
+):
+    if not sensor.tared and t_s > arm.tare_end_s:
+        sensor.tare()  # once, while the needle is still in free air
+    estimate = sensor.update(q, dq, tau, 1e-3)
+    forces_N.append(estimate.axial)
+    stds_N.append(estimate.axial_std)
+
+inserting = (signals.t_s > arm.tare_end_s) & (signals.t_s < 32.0)
+t_s = signals.t_s[inserting]
+true_N = arm.truth.axial_N[inserting]
+force_N = np.array(forces_N)[inserting]
+two_sigma_N = 2.0 * np.array(stds_N)[inserting]
+
+plt.fill_between(t_s, force_N - two_sigma_N, force_N + two_sigma_N, alpha=0.3)
+plt.plot(t_s, force_N, label="from joint torques, ± 2 σ")
+plt.plot(t_s, true_N, "k:", label="true force")
+plt.xlabel("time [s]")
+plt.ylabel("axial force [N]")
+plt.legend()
+plt.show()
+
+rms_N = np.sqrt(np.mean((force_N - true_N) ** 2))
+print(f"rms error {rms_N:.3f} N")
