@@ -4,14 +4,13 @@
 One call a tick, one tare, and what to check before the force is used.
 """
 
-import gc
-
 import matplotlib.pyplot as plt
 
 from groundtruth import simulate
 from needleforce import InsertionSession
 from residual import Status
 
+END_s = 34.0  # the needle is through the gel
 arm = simulate("gel-25-constant", "clean")  # replace by your robot's interface
 signals = arm.signals
 session = InsertionSession(arm.robot)
@@ -27,12 +26,13 @@ for t_s, q, dq, tau in zip(
     # Tare once, while the needle is still in free air.
     if not session.tared and t_s > arm.tare_end_s:
         session.tare()
-        gc.freeze()  # what lives until now lives on: the collector may skip it
 
     # Without a force of this tick, or with a doubtful one, hold the last command.
     if estimate.status is not Status.OK or estimate.warnings:
         continue
     rows.append((t_s, estimate.wrench.axial, estimate.identification.tip_force_N))
+    if t_s > END_s:
+        break
     rupture = estimate.identification.rupture
     if rupture is not None:
         plt.axvline(t_s, color="gray", label=f"layer {rupture.layer} ruptured")

@@ -31,11 +31,12 @@ for layer in result.layers:
     friction = f"{layer.friction_N:.2f} ± {layer.friction_std_N:.2f} N"
     print(f"layer {layer.layer}: {thickness}, {stiffness}, friction {friction}")
 
-inserting = (log.t_s > run.tare_end_s) & (log["depth_m"] > -2e-3)
-depth_mm = 1e3 * log["depth_m"]
-tip_N = np.array([estimate.tip_force_N for estimate in result.estimates])
-plt.plot(depth_mm[inserting], log["force_N"][inserting], label="force at the base")
-plt.plot(depth_mm[inserting], tip_N[inserting], label="force at the tip")
+inserting = np.flatnonzero(log.t_s > run.tare_end_s)
+inserting = inserting[: np.argmax(log["depth_m"][inserting])]
+depth_mm = 1e3 * log["depth_m"][inserting]
+tip_N = [result.estimates[row].tip_force_N for row in inserting]
+plt.plot(depth_mm, log["force_N"][inserting], label="force at the base")
+plt.plot(depth_mm, tip_N, label="force at the tip")
 for layer in result.layers:
     plt.axvline(1e3 * layer.rupture.depth_m, color="gray", lw=1)
 plt.xlabel("depth [mm]; lines: ruptures")

@@ -11,7 +11,7 @@ import numpy as np
 from groundtruth import insert_needle
 from identification import MULTILAYER, PUBLISHED, replay
 
-run = insert_needle("stack-glove-constant", rate_hz=500.0)
+run = insert_needle("stack-constant", rate_hz=200.0)
 inserting = (run.depth_m > 0.0) & (run.speed_m_s > 1e-4)
 depth_mm = 1e3 * run.depth_m[inserting]
 

@@ -10,9 +10,10 @@ import matplotlib.pyplot as plt
 from groundtruth import insert_needle
 from identification import Identifier
 
-TICK_s = 1e-3
+TICK_s = 2e-3
 
-run = insert_needle("stack-glove-constant")  # a needle with a force sensor, three gels
+# A needle with a force sensor, and three gels.
+run = insert_needle("stack-glove-constant", rate_hz=1.0 / TICK_s)
 identifier = Identifier()
 alarms = []
 for depth_m, speed_m_s, force_N in zip(

@@ -13,11 +13,10 @@ from residual import VirtualForceSensor
 arm = simulate("gel-25-constant", "clean")  # stands in for your robot
 signals = arm.signals
 sensor = VirtualForceSensor(arm.robot)
-before_contact = np.flatnonzero(signals.t_s < arm.tare_end_s + 4.0)
+before_contact = np.flatnonzero(signals.t_s < arm.tare_end_s)
 tare_s = 5.0
 
 forces_N = []
-stds_N = []
 for k in before_contact:
     if not sensor.tared and signals.t_s[k] > tare_s:
         sensor.tare()
@@ -26,13 +25,12 @@ for k in before_contact:
     tau = signals.tau_Nm[k]
     estimate = sensor.update(q, dq, tau, 1e-3)
     forces_N.append(estimate.axial)
-    stds_N.append(estimate.axial_std)
 
 t_s = signals.t_s[before_contact]
 force_N = np.array(forces_N)
 plt.plot(t_s, force_N, label="axial force")
 plt.axvline(tare_s, color="black", linestyle="dotted", label="tare()")
-plt.axhline(0.0, color="gray", lw=0.8, label="true force")
+plt.axhline(0.0, color="gray", lw=0.8, label="true force: none")
 plt.xlabel("time [s]")
 plt.ylabel("axial force [N]")
 plt.legend()

@@ -14,18 +14,20 @@ arm = simulate("gel-25-constant", "clean")  # stands in for your robot
 signals = arm.signals
 sensor = VirtualForceSensor(arm.robot)
 
+ticks = np.flatnonzero(signals.t_s < 32.0)  # until the needle is through the gel
+
 forces_N = []
 stds_N = []
-for q, dq, tau, t_s in zip(
-    signals.q_rad, signals.dq_rad_s, signals.tau_Nm, signals.t_s, strict=True
-):
-    if not sensor.tared and t_s > arm.tare_end_s:
+for k in ticks:
+    if not sensor.tared and signals.t_s[k] > arm.tare_end_s:
         sensor.tare()  # once, while the needle is still in free air
-    estimate = sensor.update(q, dq, tau, 1e-3)
+    q = signals.q_rad[k]
+    dq = signals.dq_rad_s[k]
+    estimate = sensor.update(q, dq, signals.tau_Nm[k], 1e-3)
     forces_N.append(estimate.axial)
     stds_N.append(estimate.axial_std)
 
-inserting = (signals.t_s > arm.tare_end_s) & (signals.t_s < 32.0)
+inserting = ticks[signals.t_s[ticks] > arm.tare_end_s]
 t_s = signals.t_s[inserting]
 true_N = arm.truth.axial_N[inserting]
 force_N = np.array(forces_N)[inserting]

@@ -5,6 +5,7 @@ A plan names the layers; each rupture corrects it. The browser page shows both.
 """
 
 import matplotlib.pyplot as plt
+import numpy as np
 
 from groundtruth import simulate
 from needleforce import InsertionSession
@@ -39,9 +40,10 @@ if __name__ == "__main__":  # the page is a process of its own
                 rows.append((t_s, 1e3 * plan.offset_m, 1e3 * plan.offset_std_m))
             if estimate.identification.identified_layer is not None:
                 break
-    times_s, offset_mm, std_mm = zip(*rows, strict=True)
-    plt.errorbar(times_s, offset_mm, std_mm, errorevery=500)
-    plt.xlabel("time [s]")
-    plt.ylabel("the patient lies deeper than planned by [mm], ± 1 σ")
+    times_s, offset_mm, std_mm = np.array(rows).T
+    plt.plot(times_s, offset_mm)
+    plt.fill_between(times_s, offset_mm - std_mm, offset_mm + std_mm, alpha=0.3)
+    plt.xlabel("time [s]; the gel ruptures at 27.7 s")
+    plt.ylabel("deeper than planned by [mm], ± σ")
     plt.show()
     print(f"deeper than planned by {offset_mm[-1]:+.1f} ± {std_mm[-1]:.1f} mm")

@@ -46,4 +46,5 @@ def prepare(gallery_conf: dict[str, Any], script: str | Path) -> None:
     """Draw the pictures of a script in the style of our charts."""
     plt.style.use(["default", STYLE])
     plt.rcParams["figure.figsize"] = SIZE_inch
+    plt.rcParams["text.parse_math"] = True  # 10⁻² on logarithmic axes
     plt.rcParams["figure.constrained_layout.use"] = True
