@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, LOG, app
-from needleforce.cli.terminal import say
+from needleforce.cli.terminal import require_modules, say
 
 ANNOUNCEMENT = (
     "A simulated arm pushes a needle through three gels; the force at its tip is "
@@ -17,6 +17,9 @@ ANNOUNCEMENT = (
 
 DEFAULT_FOLDER = Path("demo")
 """Folder of the insertion's page."""
+
+MODULES = ("mujoco", "matplotlib", "jinja2")
+"""Modules of extras that the insertion needs."""
 
 
 @Parameter(name="*", group=LIVE_OUTPUT)
@@ -62,6 +65,7 @@ def demo_command(
     needleforce demo teleop --report teleop
     """
     if kind == "insertion":
+        require_modules("demo", MODULES)
         say(ANNOUNCEMENT)
         from needleforce.cli.demos import insertion_page
 

@@ -6,6 +6,7 @@ import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from importlib.util import find_spec
 from types import FrameType
 
 from foundation.errors import CodedError, ErrorCode
@@ -150,6 +151,25 @@ def _describe_failure(error: BaseException) -> str:
     _close_output()
     reason = f"cannot write standard output: {error.strerror or error}"
     return describe_error(CommandError(reason, CommandCode.OUTPUT))
+
+
+def require_modules(command: str, modules: Iterable[str]) -> None:
+    """Find out before the work what is missing for it.
+
+    Args:
+        command: What needs the modules.
+        modules: Modules of extras.
+
+    Raises:
+        CommandError: One of them is not installed.
+    """
+    for module in modules:
+        if find_spec(module) is None:
+            raise CommandError(
+                f"{command} needs {module}, which is not installed",
+                CommandCode.LIBRARY,
+                extra=str(extra_of(module)),
+            )
 
 
 @contextmanager

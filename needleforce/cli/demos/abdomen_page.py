@@ -10,7 +10,6 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
-from foundation.extras import extra_of
 from needleforce.anatomy import Labels, PlanState, Registration, Structure
 from needleforce.cli.demos.abdomen_insertion import (
     LANDMARKS,
@@ -22,7 +21,7 @@ from needleforce.cli.demos.result_page import DemoResult, NamedChart
 from needleforce.cli.plan_file import large_structures
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import RobotOptions
-from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, write_out
+from needleforce.cli.terminal import progress_bar, require_modules, write_out
 from needleforce.plots import (
     Chart,
     Curve,
@@ -72,13 +71,7 @@ def run(
     """
     if folder is not None or picture is not None:
         require_matplotlib("demo")
-    for module in MODULES:
-        if find_spec(module) is None:
-            raise CommandError(
-                f"demo abdomen needs {module}, which is not installed",
-                CommandCode.LIBRARY,
-                extra=str(extra_of(module)),
-            )
+    require_modules("demo abdomen", MODULES)
     with progress_bar("demonstrating abdomen") as progress:
         insertion = insert(data, seed, progress)
     result = DemoResult(TITLE, _rows_of(insertion), (_force_chart(insertion),))

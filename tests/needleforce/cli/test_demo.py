@@ -1,5 +1,6 @@
 """The first command: a simulated insertion beside its truth, in tables and a page."""
 
+import importlib.util
 import re
 from dataclasses import replace
 
@@ -119,6 +120,24 @@ def test_a_second_run_replaces_the_page_of_the_first(command, tmp_path):
 def test_a_negative_seed_is_refused(command, capsys):
     assert command("--seed", "-1") == FAILED
     assert "--seed -1: expected a whole number from 0 up" in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("module", ["mujoco", "jinja2"])
+def test_a_missing_package_is_named_before_anything_is_done(
+    command, capsys, monkeypatch, module
+):
+    known = importlib.util.find_spec
+    monkeypatch.setattr(
+        "needleforce.cli.terminal.find_spec",
+        lambda name: None if name == module else known(name),
+    )
+
+    assert command() == FAILED
+
+    (line,) = capsys.readouterr().err.splitlines()
+
+    assert f"demo needs {module}, which is not installed" in line
+    assert "pip install 'needleforce[demo]'" in line
 
 
 @needs_chromium
