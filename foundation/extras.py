@@ -5,7 +5,7 @@ PACKAGE = "needleforce"
 
 EXTRAS = {
     "demo": "the simulated arm; figures and report pages",
-    "robots": "descriptions of the Franka Panda and the UR10",
+    "robots": "descriptions of the Franka Panda, UR3 to UR10, xArm 7",
     "recordings": "Parquet files and ROS 2 bags",
     "patient": "CT and segmentations, planned layers, registration",
     "scene": "the 3-D scene in a browser, with the patient in it",

@@ -1,6 +1,7 @@
 """The core is light: what some users need comes with an extra named for its use."""
 
 import ast
+import re
 import subprocess
 import sys
 import tomllib
@@ -57,6 +58,16 @@ def test_every_extra_of_a_user_is_described():
 
     assert set(EXTRAS) == extras - OF_DEVELOPERS
     assert all(EXTRAS.values())
+
+
+def test_the_page_on_installing_lists_every_extra():
+    page = (ROOT / "docs" / "how-to" / "install.md").read_text(encoding="utf-8")
+    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| +([\d.]+) \|$", page, re.MULTILINE)
+
+    assert [name for name, _, _ in rows] == list(EXTRAS)
+
+    for name, adds, _ in rows:
+        assert adds.startswith(EXTRAS[name])
 
 
 def test_each_module_that_the_product_imports_is_of_the_core_or_of_an_extra():
