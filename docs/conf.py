@@ -22,6 +22,7 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "api_pages",
+    "code_pages",
     "command_pages",
     "docstrings",
     "mathml",

@@ -71,7 +71,7 @@ PAGES = [
         if path.suffix == ".md" and DOCS in path.parents
     ),
 ]
-GENERATED = re.compile(r"(^|/)(api|gallery)/|(^|/)(command-line|benchmarks)\.md$")
+GENERATED = re.compile(r"(^|/)(api|gallery)/|(^|/)(command-line|benchmarks|codes)\.md$")
 """Pages that exist once the site is built, which checks links to them and anchors."""
 README = (ROOT / "README.md").read_text(encoding="utf-8")
 CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")

@@ -15,6 +15,7 @@ from types import ModuleType
 from typing import Any, NamedTuple
 
 from sphinx.application import Sphinx
+from sphinx.errors import ExtensionError
 from sphinx.pycode import ModuleAnalyzer
 
 
@@ -245,15 +246,40 @@ def page_of(package_name: str) -> str:
     return page
 
 
+def check_homes() -> None:
+    """Refuse a public name that no page describes.
+
+    Raises:
+        ExtensionError: A package offers a name whose home does not.
+    """
+    described = {
+        (item.home, item.name)
+        for package_name in PACKAGES
+        for item in public_names(package_name)
+        if item.home == package_name
+    }
+    for package_name in PACKAGES:
+        for item in public_names(package_name):
+            if (item.home, item.name) not in described:
+                raise ExtensionError(
+                    f"{item.path} is described nowhere: {item.home} does not offer it"
+                )
+
+
+def write_if_changed(path: Path, text: str) -> None:
+    """Write a page unless it is there already: Sphinx reads again what is new."""
+    if not path.exists() or path.read_text(encoding="utf-8") != text:
+        path.write_text(text, encoding="utf-8")
+
+
 def write_pages(app: Sphinx) -> None:
-    """Write the pages beside the others, where they differ from what is there."""
+    """Write the pages beside the others."""
+    check_homes()
     folder = Path(app.srcdir) / "reference" / "api"
     folder.mkdir(parents=True, exist_ok=True)
     pages = {"index": INDEX} | {name: page_of(name) for name in PACKAGES}
-    for package_name, page in pages.items():
-        path = folder / f"{package_name}.rst"
-        if not path.exists() or path.read_text(encoding="utf-8") != page:
-            path.write_text(page, encoding="utf-8")
+    for name, page in pages.items():
+        write_if_changed(folder / f"{name}.rst", page)
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

@@ -4,6 +4,7 @@ import re
 from pathlib import Path
 from typing import NamedTuple
 
+from api_pages import write_if_changed
 from cyclopts import App
 from sphinx.application import Sphinx
 
@@ -41,7 +42,6 @@ INTRODUCTION = re.compile(r"\A# .*?(?=^## (?!Table of Contents))", re.DOTALL | r
 COMPLETION = re.compile(
     r"^## needleforce --install-completion.*?(?=^## )", re.DOTALL | re.M
 )
-LIST_ITEM = re.compile(r"^(\* `[^`]*`(?:, `[^`]*`)*: )", re.M)
 
 
 def text_of(page: CommandPage) -> str:
@@ -56,13 +56,10 @@ def text_of(page: CommandPage) -> str:
 
 
 def write_pages(app: Sphinx) -> None:
-    """Write the pages beside the others, where they differ from what is there."""
+    """Write the pages beside the others."""
     folder = Path(app.srcdir) / "reference"
     for page in PAGES:
-        path = folder / f"{page.name}.md"
-        text = text_of(page)
-        if not path.exists() or path.read_text(encoding="utf-8") != text:
-            path.write_text(text, encoding="utf-8")
+        write_if_changed(folder / f"{page.name}.md", text_of(page))
 
 
 def setup(app: Sphinx) -> dict[str, bool]:

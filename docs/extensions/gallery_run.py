@@ -10,7 +10,7 @@ from sphinx_gallery.sorting import ExplicitOrder
 import groundtruth
 
 STYLE = Path(groundtruth.__file__).parents[1] / "needleforce/plots/chart.mplstyle"
-SIZE_inch = (7.0, 3.6)
+SIZE_inch = (5.4, 3.2)  # text is legible on a telephone too
 
 SCRIPTS = (
     "controller_loop",
