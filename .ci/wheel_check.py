@@ -4,9 +4,11 @@ Run from another directory by an interpreter into which nothing but the wheel wa
 installed.
 """
 
+import json
 import subprocess
 import sys
 from importlib.metadata import files, metadata
+from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
@@ -79,6 +81,19 @@ def check_commands() -> None:
             command, capture_output=True, text=True, check=True
         ).stdout
         assert "LOG" in said, command
+    found = subprocess.run(
+        [str(beside), "doctor", "--json"], capture_output=True, text=True, check=True
+    ).stdout
+    assert not any(extra["is_installed"] for extra in json.loads(found)["extras"])
+    refused = subprocess.run([str(beside), "demo"], capture_output=True, text=True)
+    assert refused.returncode == 2, refused.stderr
+    assert "pip install 'needleforce[demo]'" in refused.stderr, refused.stderr
+
+
+def check_light() -> None:
+    """The core brings nothing that only extras need."""
+    heavy = ("trimesh", "shapely", "lxml", "PIL", "matplotlib", "yourdfpy", "mujoco")
+    assert not [name for name in heavy if find_spec(name) is not None]
 
 
 if __name__ == "__main__":
@@ -86,4 +101,5 @@ if __name__ == "__main__":
     check_imported_from_the_wheel()
     check_a_force()
     check_commands()
+    check_light()
     sys.stdout.write(f"{NAME} works as installed from its wheel\n")

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import msgspec
 
-from foundation.compile_cache import CompileCache, inspect_cache
 from foundation.extras import PACKAGE, install_command
+from needleforce.cli.checkup.compiler import CompileCache, inspect_cache
 from needleforce.cli.checkup.distributions import (
     ExtraState,
     InstalledSize,

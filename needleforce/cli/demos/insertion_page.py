@@ -14,10 +14,11 @@ from needleforce.cli.demos.insertion_run import (
     MULTILAYER_METHOD,
     ComparedInsertion,
     FoundRupture,
+    begin_session,
     is_insertion,
     judge,
     published_method,
-    run_method,
+    run_session,
 )
 from needleforce.cli.demos.result_page import NOT_MEDICAL
 from needleforce.cli.terminal import CommandError, staged_progress, write_out
@@ -129,12 +130,15 @@ def compare(seed: int) -> ComparedInsertion:
     """
     with staged_progress("simulating arm, needle and gels") as progress:
         insertion = simulate(SCENARIO, PLANT, seed, progress)
+    # Sessions begin outside of a bar: the compiler shows its own progress.
+    session = begin_session(insertion, MULTILAYER_METHOD)
     with staged_progress("estimating from joint signals") as progress:
-        multilayer = run_method(insertion, MULTILAYER_METHOD, progress)
+        multilayer = run_session(insertion, session, progress)
     motion = insertion.scenario.motion
     surface_m = -float(motion.position_m(insertion.tare_end_s))
+    session = begin_session(insertion, published_method(surface_m))
     with staged_progress("the same by the published method") as progress:
-        published = run_method(insertion, published_method(surface_m), progress)
+        published = run_session(insertion, session, progress)
     return ComparedInsertion(
         run=insertion,
         multilayer=judge(insertion, multilayer),

@@ -99,19 +99,27 @@ class MethodResult:
     layers: tuple[LayerEstimate, ...]
 
 
-def run_method(run: Run, method: MethodSettings, progress: Progress) -> MethodResult:
+def begin_session(run: Run, settings: MethodSettings) -> InsertionSession:
+    """Return a session for the robot of an insertion; the first one compiles."""
+    return InsertionSession(
+        run.robot,
+        settings.sensor,
+        settings.identifier,
+        speed_lag_s=settings.speed_lag_s,
+    )
+
+
+def run_session(
+    run: Run, session: InsertionSession, progress: Progress
+) -> MethodResult:
     """Run a session over the signals of an insertion, tared once in free air.
 
     Args:
-        run: The insertion; only its robot, its signals and the end of its free motion
-            are used.
-        method: Settings of the session.
+        run: The insertion; only its signals and the end of its free motion are used.
+        session: A session that has seen nothing.
         progress: Takes the fraction of the samples that are done.
     """
     signals = run.signals
-    session = InsertionSession(
-        run.robot, method.sensor, method.identifier, speed_lag_s=method.speed_lag_s
-    )
     count = len(signals.t_s)
     series = np.zeros((4, count))
     alarms: list[Alarm] = []

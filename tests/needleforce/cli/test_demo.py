@@ -9,7 +9,11 @@ import pytest
 
 from needleforce.cli import main
 from needleforce.cli.demos import insertion_page
-from needleforce.cli.demos.insertion_run import MULTILAYER_METHOD, run_method
+from needleforce.cli.demos.insertion_run import (
+    MULTILAYER_METHOD,
+    begin_session,
+    run_session,
+)
 from needleforce.cli.terminal import FAILED
 from tests.chromium import PHONE, logged, measured, needs_chromium
 from tests.insertion_run import cut
@@ -63,7 +67,8 @@ def test_a_method_needs_the_signals_and_no_truth(compared):
     run = compared.run
     beginning = slice(int(np.searchsorted(run.signals.t_s, run.tare_end_s + 1.0)))
     blind = replace(run, signals=cut(run.signals, beginning), truth=None)
-    result = run_method(blind, MULTILAYER_METHOD, lambda _: None)
+    session = begin_session(blind, MULTILAYER_METHOD)
+    result = run_session(blind, session, lambda _: None)
 
     assert np.array_equal(result.force_N, compared.multilayer.result.force_N[beginning])
 

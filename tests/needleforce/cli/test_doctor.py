@@ -9,11 +9,10 @@ from importlib import metadata
 
 import pytest
 
-from foundation import compile_cache
-from foundation.compile_cache import CompileCache, inspect_cache
 from foundation.extras import EXTRAS, install_command
 from needleforce.cli import main
-from needleforce.cli.checkup import distributions, findings, machine
+from needleforce.cli.checkup import compiler, distributions, findings, machine
+from needleforce.cli.checkup.compiler import CompileCache, inspect_cache
 from needleforce.cli.checkup.distributions import (
     extra_states,
     installed_sizes,
@@ -128,7 +127,7 @@ def test_requirements_of_other_platforms_are_left_out(monkeypatch):
 
 
 def test_cache_counts_the_modules_whose_code_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(compile_cache, "_cache_root", lambda: tmp_path)
+    monkeypatch.setattr(compiler, "_cache_root", lambda: tmp_path)
     empty = inspect_cache()
 
     assert empty.modules > 5
