@@ -75,15 +75,18 @@ def test_values_that_travel_together_have_names():
 
 
 def constants_of_one_line(tree):
+    """Lines that bind several constants; the variables of a script are none."""
     return [
         node.lineno
         for node in tree.body
         if isinstance(node, ast.Assign) and isinstance(node.targets[0], ast.Tuple)
+        if any(name[0].isupper() for name in map(ast.unparse, node.targets[0].elts))
     ]
 
 
 def test_one_constant_stands_on_one_line():
     assert offenders(SOURCES, constants_of_one_line) == {}
+    assert constants_of_one_line(ast.parse("a, b = f()\nA, B = f()")) == [2]
 
 
 def limits_of_other_names(tree):

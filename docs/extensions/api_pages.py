@@ -7,7 +7,8 @@ Names are grouped by the module that they come from; the modules follow the pack
 import ast
 import inspect
 import re
-import sys
+from dataclasses import is_dataclass
+from enum import Enum
 from importlib import import_module
 from itertools import groupby
 from pathlib import Path
@@ -185,11 +186,21 @@ def directive_of(item: PublicName) -> str:
     return f".. py:data:: {item.path}\n   :type: {kind}\n\n{lines}"
 
 
-def line_of(item: PublicName) -> int:
-    """Return where a class or function begins in its module; constants come last."""
-    if isinstance(item.value, type) or inspect.isfunction(item.value):
-        return inspect.getsourcelines(item.value)[1]
-    return sys.maxsize
+def is_record(value: type) -> bool:
+    """Return whether a class is a bare record or an enumeration."""
+    return is_dataclass(value) or issubclass(value, tuple | Enum)
+
+
+def place_of(item: PublicName) -> tuple[int, int]:
+    """Return what comes first in a group: what does something, then its records.
+
+    Each of them in the order of the source; constants come last.
+    """
+    value = item.value
+    if not (isinstance(value, type) or inspect.isfunction(value)):
+        return 2, 0
+    is_of_records = isinstance(value, type) and is_record(value)
+    return int(is_of_records), inspect.getsourcelines(value)[1]
 
 
 def first_line(module_name: str) -> str:
@@ -220,7 +231,7 @@ def groups_of(package_name: str) -> list[tuple[str, list[PublicName]]]:
         group = group_of(item)
         return group == ERRORS, order.index(group)
 
-    own.sort(key=line_of)
+    own.sort(key=place_of)
     own.sort(key=rank)
     return [(group, list(items)) for group, items in groupby(own, key=group_of)]
 

@@ -9,11 +9,10 @@ become links.
 import inspect
 import re
 import textwrap
-from dataclasses import is_dataclass
 from functools import cache
 from typing import Any
 
-from api_pages import PACKAGES, public_names, resolve
+from api_pages import PACKAGES, is_record, public_names, resolve
 from sphinx.application import Sphinx
 
 SECTION = re.compile(r"^Attributes:\n((?:[ ]{4}.*\n|\n)+)", re.MULTILINE)
@@ -157,9 +156,8 @@ def hide_signature(
     """Leave out the arguments of a record: they are its fields, listed below."""
     if not isinstance(value, type):
         return None
-    is_record = is_dataclass(value) or hasattr(value, "_fields")
     has_fields = bool(described_fields(clean_docstring(value)))
-    return ("", "") if is_record and has_fields else None
+    return ("", "") if is_record(value) and has_fields else None
 
 
 def setup(app: Sphinx) -> dict[str, bool]:
