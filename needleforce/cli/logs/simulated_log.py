@@ -136,6 +136,8 @@ def tissue_table(
         table[name] = getattr(truth, name)
     table["rupture"] = _rupture_marks(truth.ruptures, t_s, on_surface=False)
     table["surface_rupture"] = _rupture_marks(truth.ruptures, t_s, on_surface=True)
+    if truth.layer_friction_N.shape[1]:
+        table["layer_friction_N"] = truth.layer_friction_N
     return table
 
 
@@ -145,8 +147,6 @@ def truth_table(run: Run) -> dict[str, NDArray]:
     table = tissue_table(truth, truth.t_s, truth.depth_m, truth.speed_m_s)
     table["t_s"] = truth.t_s + _shift_s(run)
     table["tau_ext_Nm"] = truth.external_torque_Nm
-    if truth.layer_friction_N.shape[1]:
-        table["layer_friction_N"] = truth.layer_friction_N
     return table
 
 

@@ -129,6 +129,7 @@ def test_a_needle_without_an_arm_is_depth_and_force(tmp_path, monkeypatch, capsy
     assert list(columns) == ["t_s", "depth_m", "force_N"]
     assert np.std(columns["force_N"] - truth["axial_N"]) < 0.02
     assert np.flatnonzero(truth["rupture"]).size == 1
+    assert np.max(truth["layer_friction_N_1"]) == pytest.approx(0.26, abs=0.02)
 
 
 def test_surface_rupture_is_marked_and_none_hides_another(run):

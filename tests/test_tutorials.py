@@ -1,0 +1,153 @@
+"""The tutorials: every command and program on them runs and prints what they show."""
+
+import io
+import re
+import shlex
+import socket
+import subprocess
+import sys
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import pytest
+
+from needleforce.cli import main
+from needleforce.cli.plan_file import read_plan
+from tests.insertion_run import simulated
+
+TUTORIALS = Path(__file__).parents[1] / "docs" / "tutorials"
+MAX_WORDS = 900
+ANSWERS = r"^```sh\n(needleforce .*?)\n```$(?:\n\n^```text\n(.*?)^```$)?"
+NUMBER = r"-?\d+(?:\.\d+)?"
+TOLERANCE = 0.15
+"""Relative difference of a printed number that another machine's rounding may make."""
+
+
+def page(name):
+    return (TUTORIALS / f"{name}.md").read_text(encoding="utf-8")
+
+
+def programs(name):
+    return re.findall(r"^```python\n(.*?)^```$", page(name), re.DOTALL | re.MULTILINE)
+
+
+def commands(name):
+    """Every command of a page, and what the page shows of what it printed."""
+    blocks = re.findall(ANSWERS, page(name), re.DOTALL | re.MULTILINE)
+    return [
+        (shlex.split(line)[1:], answer if line is block.splitlines()[-1] else "")
+        for block, answer in blocks
+        for line in block.splitlines()
+    ]
+
+
+def print_of(arguments, capsys):
+    code = main(arguments)
+    out, err = capsys.readouterr()
+    return code, out + err
+
+
+def is_like(shown, printed):
+    """Whether two lines have the same words, and nearly the same numbers."""
+    words = [re.sub(NUMBER, "", line).split() for line in (shown, printed)]
+    numbers = [
+        [float(text) for text in re.findall(NUMBER, line)] for line in (shown, printed)
+    ]
+    return words[0] == words[1] and numbers[1] == pytest.approx(
+        numbers[0], rel=TOLERANCE, abs=TOLERANCE
+    )
+
+
+@pytest.mark.parametrize("path", sorted(TUTORIALS.glob("*.md")), ids=lambda p: p.stem)
+def test_a_tutorial_is_short(path):
+    assert len(path.read_text(encoding="utf-8").split()) <= MAX_WORDS
+
+
+@pytest.mark.parametrize("name", ["csv", "arm-log"])
+def test_the_commands_of_a_recording_print_what_is_shown(
+    name, tmp_path, monkeypatch, capsys
+):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    for arguments, answer in commands(name):
+        code, printed = print_of(arguments, capsys)
+
+        assert code == (2 if answer.startswith("error ") else 0)
+
+        for shown in answer.splitlines():
+            start = shown.removesuffix("...").rstrip()
+            lines = [
+                line[: len(start)] if "..." in shown else line
+                for line in printed.splitlines()
+            ]
+            assert any(is_like(start, line) for line in lines), shown
+
+
+def test_the_truth_of_the_csv_is_the_one_shown(tmp_path, monkeypatch, capsys):
+    monkeypatch.chdir(tmp_path)
+    arguments, _ = commands("csv")[0]
+    main(arguments)
+    (program,) = programs("csv")
+    (tmp_path / "truth.py").write_text(program, encoding="utf-8")
+    output = subprocess.run(
+        [sys.executable, "truth.py"], capture_output=True, text=True, check=True
+    ).stdout
+
+    assert f"```text\n{output}```" in page("csv")
+
+
+def free_port():
+    with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as link:
+        link.bind(("127.0.0.1", 0))
+        return link.getsockname()[1]
+
+
+def test_the_emulated_arm_is_watched_by_the_program(tmp_path, monkeypatch):
+    controller, watch = programs("live-arm")
+    port = str(free_port())
+    controller = controller.replace("49938", port).replace("40_000", "2_000")
+    (tmp_path / "lwr_controller.py").write_text(controller, encoding="utf-8")
+    root = str(TUTORIALS.parents[1])
+    process = subprocess.Popen(
+        [sys.executable, "lwr_controller.py"],
+        cwd=tmp_path,
+        env={"PYTHONPATH": root, "PATH": ""},
+        stdin=subprocess.PIPE,
+        stdout=subprocess.PIPE,
+        text=True,
+    )
+    try:
+        assert process.stdout.read(len("Start")) == "Start"
+
+        def press_enter():
+            process.stdin.write("\n")
+            process.stdin.flush()
+
+        watch = watch.replace("FriArm()", f"FriArm(port={port}, give_up_s=20.0)")
+        watch = watch.replace("    for sample", "    press_enter()\n    for sample")
+        said = io.StringIO()
+        with redirect_stdout(said):
+            exec(compile(watch, "watch.py", "exec"), {"press_enter": press_enter})
+
+        assert re.search(r"^\d+ used", said.getvalue(), re.MULTILINE)
+        assert "2000 cycles" in process.communicate(timeout=60.0)[0]
+    finally:
+        process.kill()
+        process.wait()
+
+
+def test_the_plan_of_the_tutorial_is_followed(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr("groundtruth.simulate", simulated)
+    text = page("watch-plan")
+    (plan,) = re.findall(r"^```json\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
+    (tmp_path / "plan.json").write_text(plan, encoding="utf-8")
+    layers = [layer.name for layer in read_plan(tmp_path / "plan.json").match.layers]
+
+    assert "second gel" in layers
+
+    (program,) = programs("watch-plan")
+    exec(compile(program, "plan.py", "exec"), {})
+    shown = re.findall(r"^```text\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)[-1]
+    printed = capsys.readouterr().out
+
+    assert all(map(is_like, shown.splitlines(), printed.splitlines()))
