@@ -28,13 +28,18 @@ if TYPE_CHECKING:
 
     from benchmarks.catalogue import Plan
     from benchmarks.jobs import Outcome
-    from benchmarks.results import Row
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
 EXTRAS = dict.fromkeys(
     ("rich", "mujoco", "matplotlib", "pandas", "psutil"), "bench"
 ) | {"distributed": "cluster"}
 """Which extra brings a package that may be missing."""
+READING_AID = (
+    "How far estimates are from the truth, which a simulation knows. ours: this "
+    "toolkit; published: the method of Ferro et al. on the same signals. Force ft: of "
+    "a force sensor at the needle; virtual: estimated from joint torques."
+)
+"""Stands above the tables of a run."""
 FAILURE = 1
 """Exit code of a command that has done its work, and found what the help names."""
 USAGE = 2
@@ -159,9 +164,10 @@ def run(
     data: Annotated[Path | None, Parameter(env_var=DATA_VARIABLE)] = None,
     output: OutputOptions = _OUTPUT,
     workers: Workers = _WORKERS,
+    targets: bool = False,
     strict: bool = False,
 ) -> int:
-    """Run benchmarks, print tables and targets.
+    """Run benchmarks and print their results as tables.
 
     Args:
         ids: Names of the list; or several at once: tissue, robustness, control
@@ -177,26 +183,29 @@ def run(
         data: Folder of real recordings.
         output: Where numbers are written.
         workers: Who does the runs.
+        targets: Show what the numbers should be too, and whether they are.
         strict: Exit with 1 if a target is missed.
     """
     from benchmarks.catalogue import Request, make_plan
     from benchmarks.report.page import write_report
     from benchmarks.report.tables import new_console
     from benchmarks.targets import evaluate
-    from needleforce.plots import folder_if_filled
+    from needleforce.plots import PAGE, whole_folder
 
     check_output(output, workers)
     plants = plant_names(plant)
     console = new_console()
     # The folder first: better before minutes of work than after.
-    with folder_if_filled(output.report) as folder:
+    with whole_folder(output.report) as folder:
         plan = make_plan(Request(ids, plants, seeds, first_seed, data, folder))
         outcomes = run_plan(plan, workers, output, console)
         rows = [row for outcome in outcomes for row in outcome.rows]
-        print_outcomes(console, rows, outcomes, plan.skipped)
+        print_outcomes(console, outcomes, plan.skipped, with_targets=targets)
         if folder is not None:
             drawings = [drawing for outcome in outcomes for drawing in outcome.drawings]
-            console.print(f"Report: {write_report(folder, rows, drawings)}")
+            write_report(folder, rows, drawings, with_targets=targets)
+    if output.report is not None:
+        console.print(f"Figures and tables: {output.report / PAGE}", soft_wrap=True)
     has_failed = any(outcome.failure is not None for outcome in outcomes)
     has_missed = strict and not all(target.is_met for target in evaluate(rows))
     return FAILURE if has_failed or has_missed else 0
@@ -240,14 +249,20 @@ def run_plan(
 
 def print_outcomes(
     console: "Console",
-    rows: Sequence["Row"],
     outcomes: Sequence["Outcome"],
     skipped: Sequence[str],
+    *,
+    with_targets: bool,
 ) -> None:
-    """Print tables, what failed and what was left out."""
+    """Print how to read the tables, the tables, what failed and what was left out."""
+    from benchmarks.report.summary import answer
     from benchmarks.report.tables import result_tables
 
-    for table in result_tables(rows):
+    rows = [row for outcome in outcomes for row in outcome.rows]
+    tables = result_tables(rows, with_targets=with_targets)
+    if tables:
+        console.print(f"{answer(rows)}\n{READING_AID}\n".lstrip())
+    for table in tables:
         console.print(table.rich())
     for outcome in outcomes:
         if outcome.failure is not None:
@@ -292,6 +307,7 @@ def show_results(
     page: Path | None = None,
     readme: Path | None = None,
     limits: Path | None = None,
+    targets: bool = False,
 ) -> None:
     """Print the summary of runs; write all tables to a page.
 
@@ -302,6 +318,7 @@ def show_results(
         page: Write all tables there.
         readme: Write the summary between the marks of that page (README.md).
         limits: Write the worst rows of robustness between the marks of that page.
+        targets: Show too whether the targets are met.
     """
     from benchmarks.report.summary import (
         fill,
@@ -333,7 +350,8 @@ def show_results(
         raise ResultsError(
             f"cannot read or write {error.filename}: {error.strerror}"
         ) from error
-    new_console().print(summary_table(rows).rich())
+    table = summary_table(rows).choose_targets(are_shown=targets)
+    new_console().print(table.rich())
 
 
 @app.command(name="speed")
@@ -344,6 +362,7 @@ def time_updates(
     scene: bool = False,
     kdl: bool = False,
     ticks: Positive = 1_000_000,
+    targets: bool = False,
     strict: bool = False,
 ) -> int:
     """Time the estimators beside their bare dynamics. Takes about 75 s.
@@ -357,6 +376,7 @@ def time_updates(
         kdl: Instead, error and time beside orocos KDL's estimator, if that is
             installed.
         ticks: How many, with --soak.
+        targets: Show what the numbers should be too, and whether they are.
         strict: Exit with 1 if a target is missed.
     """
     from benchmarks.performance.control_speed import control_speed_report
@@ -383,7 +403,7 @@ def time_updates(
         else:
             tables, is_met = speed_report(measure_speed(update))
     for table in tables:
-        new_console().print(table.rich())
+        new_console().print(table.choose_targets(are_shown=targets).rich())
     return FAILURE if strict and not is_met else 0
 
 
@@ -422,6 +442,7 @@ def stream_recordings(
     seconds: Positive = 60,
     format: Sequence[Literal[".csv", ".npz", ".parquet", ".mcap"]] = (),
     folder: Path | None = None,
+    targets: bool = False,
     strict: bool = False,
 ) -> int:
     """Send a long recording through the commands.
@@ -430,6 +451,7 @@ def stream_recordings(
         seconds: Length of the recording; 3600 needs 3 GB on the disk and ten minutes.
         format: Of the recording; may be given more than once (default .csv).
         folder: Where the files lie meanwhile.
+        targets: Show what the numbers should be too, and whether they are.
         strict: Exit with 1 if a target is missed.
     """
     from benchmarks.performance.long_runs import (
@@ -450,5 +472,6 @@ def stream_recordings(
             measure_stream(*case, seconds, folder, partial(update, index))
             for index, case in enumerate(cases)
         ]
-    new_console().print(stream_table(speeds).rich())
+    table = stream_table(speeds).choose_targets(are_shown=targets)
+    new_console().print(table.rich())
     return FAILURE if strict and not all(speed.is_met for speed in speeds) else 0

@@ -482,11 +482,14 @@ def stream_table(speeds: Sequence[StreamSpeed]) -> ResultTable:
         lines.append((speed.command, speed.suffix, str(speed.rows), *numbers, mark))
     return ResultTable(
         title=f"A recording of {speeds[0].seconds:g} s at 1 kHz through the commands, "
-        f"CSV out (targets: {MIN_TIMES_REAL:g} times real time of one core (x wall: "
-        f"by the clock), memory grows by {MAX_GROWTH_MB:g} MB at most)",
+        "CSV out",
+        caption="x real: seconds of the recording per second of one core; x wall: per "
+        "second by the clock. MB: memory after a tenth, at the end, at most.",
+        target_caption=f"Targets: {MIN_TIMES_REAL:g} x real; memory grows by "
+        f"{MAX_GROWTH_MB:g} MB at most.",
         heads=(
             *("command", "log", "rows", "us per row", "x real", "x wall"),
-            *("MB 10 %", "MB end", "MB most", ""),
+            *("MB 10 %", "MB end", "MB most", "target"),
         ),
         align="LL" + 7 * "r" + "L",
         lines=tuple(lines),

@@ -17,7 +17,7 @@ from benchmarks.report.published_figures import (
     TABLE_ONE,
     PublishedFigure,
 )
-from benchmarks.report.summary import results_page
+from benchmarks.report.summary import answer, results_page
 from benchmarks.report.tables import ResultTable, result_tables
 from benchmarks.results import Row, to_json
 from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
@@ -347,7 +347,11 @@ LEAD = (
 
 
 def write_report(
-    folder: Path, rows: Sequence[Row], drawings: Sequence[Drawing]
+    folder: Path,
+    rows: Sequence[Row],
+    drawings: Sequence[Drawing],
+    *,
+    with_targets: bool = False,
 ) -> Path:
     """Write ``index.html`` with everything inside; beside it numbers and tables.
 
@@ -358,25 +362,31 @@ def write_report(
     """
     write_file(folder / "results.json", to_json(rows))
     command = "python -m benchmarks results results.json --page results.md"
-    write_file(folder / "results.md", results_page(rows, command).encode())
+    page = results_page(rows, command, with_targets=with_targets)
+    write_file(folder / "results.md", page.encode())
     gels = gel_friction(rows)
     everything = [
         *drawings,
         *([] if gels is None else [_friction_drawing(folder, gels)]),
     ]
     figures = published_sections(everything, rows)
+    tables = result_tables(rows, with_targets=with_targets)
     numbers = Section(
         heading="All numbers of these runs",
         anchor="numbers",
         paragraphs=(
-            "As printed by the command, targets last; `results.json` beside this page "
-            "has them all.",
+            "As printed by the command; `results.json` beside this page has them all.",
         ),
-        tables=tuple(map(page_table, result_tables(rows))),
+        tables=tuple(map(page_table, tables)),
     )
     sections = [*figures, *further_sections(everything), numbers]
     return write_page(
-        folder / PAGE, Page(title=TITLE, lead=LEAD, sections=tuple(sections))
+        folder / PAGE,
+        Page(
+            title=TITLE,
+            lead=tuple(filter(None, (answer(rows), *LEAD))),
+            sections=tuple(sections),
+        ),
     )
 
 

@@ -2,13 +2,14 @@
 
 import math
 import re
-from collections.abc import Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from benchmarks import ResultsError
 from benchmarks.insertion.perturbations import PERTURBATIONS
 from benchmarks.report.frames import (
+    FORCE_ERROR,
     NOTHING,
     Format,
     Frame,
@@ -48,6 +49,75 @@ def worst_rows(rows: Sequence[Row]) -> str:
     ]
     worst = replace(table, lines=tuple(lines))
     return "\n".join([*worst.markdown(), "", table.caption]) + "\n"
+
+
+class AnswerPart(NamedTuple):
+    """A number that the page begins with.
+
+    Attributes:
+        metric: Its metric.
+        words: What it is.
+        form: Sums up the values of all runs.
+    """
+
+    metric: str
+    words: str
+    form: Callable[[Any], str]
+
+
+def answer(rows: Iterable[Row]) -> str:
+    """Return how far the force is off and which ruptures were found, in sentences.
+
+    Medians over runs, of fractions means: of the virtual force sensor, else of a
+    force sensor at the needle. Empty where these runs have neither.
+    """
+    frame = frame_of(rows)
+    is_virtual = not select(frame, source="virtual", method="ours").empty
+    chosen = select(frame, source="virtual" if is_virtual else "ft")
+    sentences: list[str] = []
+    for name, words, form in ANSWERS:
+        if name == FORCE_ERROR and not is_virtual:
+            continue
+        values = {
+            method: select(chosen, metric=name, method=method)["value"].dropna()
+            for method in ("ours", *PUBLISHED_METHODS)
+        }
+        if values["ours"].empty:
+            continue
+        text = f"{words}: {form(values['ours'])}"
+        for method, description in PUBLISHED_METHODS.items():
+            if not values[method].empty:
+                text += f", by the published method{description} {form(values[method])}"
+                break
+        sentences.append(f"{text}.")
+    return " ".join(sentences)
+
+
+PUBLISHED_METHODS = {
+    "published-best-K": " with the gain that suits each run best",
+    "published-as-run": " with its authors' settings",
+    "published": "",
+}
+"""With which of its settings the published method stands beside ours: the kindest that
+the runs have."""
+
+
+def _median_N(values: Any) -> str:
+    return f"{values.median():.3f} N"
+
+
+def _mean_percent(values: Any) -> str:
+    return f"{100.0 * values.mean():.0f} %"
+
+
+ANSWERS: tuple[AnswerPart, ...] = (
+    AnswerPart(
+        FORCE_ERROR, "Error of the axial force from joint torques, rms", _median_N
+    ),
+    AnswerPart("rupture_recall", "Ruptures found", _mean_percent),
+    AnswerPart("rupture_precision", "Alarms that are right", _mean_percent),
+)
+"""What the page begins with, where the runs have it."""
 
 
 class SummaryLine(NamedTuple):
@@ -143,8 +213,16 @@ def summarize_headline(
     )
 
 
-def results_page(rows: Sequence[Row], command: str) -> str:
-    """Return all tables of runs as a page, with the command line that writes it."""
+def results_page(
+    rows: Sequence[Row], command: str, *, with_targets: bool = True
+) -> str:
+    """Return all tables of runs as a page.
+
+    Args:
+        rows: The runs.
+        command: The command line that writes the page.
+        with_targets: Whether what the numbers should be is shown too.
+    """
     parts = [
         "# Results",
         "",
@@ -157,7 +235,8 @@ def results_page(rows: Sequence[Row], command: str) -> str:
     ]
     # What is missed must not stand at the bottom of a long page.
     for table in sorted(
-        result_tables(rows), key=lambda table: table.title != "Targets"
+        result_tables(rows, with_targets=with_targets),
+        key=lambda table: table.title != "Targets",
     ):
         parts += [f"## {table.title}", ""]
         parts += [table.caption, ""] if table.caption else []

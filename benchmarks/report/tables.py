@@ -6,7 +6,7 @@ each of its columns selects rows of the group and sums them up in a cell.
 
 import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import msgspec
@@ -36,6 +36,8 @@ from benchmarks.targets import (
 
 COLORS = {"met": "green", "missed": "red", NOT_FINITE: "red"}
 """Of cells, by what they say."""
+TARGET_HEADS = ("target", "targets")
+"""Heads of the columns that say what a number should be."""
 MIN_WIDTH = 200
 """Of a table that goes into a file or a pipe."""
 
@@ -63,6 +65,7 @@ class ResultTable:
         align: One letter per column: ``r`` right, ``L`` left on one line, ``l`` left.
         lines: Cells of every line.
         caption: Stands below it.
+        target_caption: Stands below it as well where targets are shown.
     """
 
     title: str
@@ -70,6 +73,29 @@ class ResultTable:
     align: str
     lines: tuple[tuple[str, ...], ...]
     caption: str = ""
+    target_caption: str = ""
+
+    def choose_targets(self, *, are_shown: bool) -> "ResultTable":
+        """Return it with or without the columns that say what a number should be.
+
+        Those are the columns headed ``target`` and the mark, without a head, after
+        them.
+        """
+        if are_shown:
+            caption = f"{self.caption} {self.target_caption}".strip()
+            return replace(self, caption=caption, target_caption="")
+        kept = [
+            number
+            for number, head in enumerate(self.heads)
+            if not _is_of_target(head, self.heads[number - 1] if number else "")
+        ]
+        return replace(
+            self,
+            heads=tuple(self.heads[number] for number in kept),
+            align="".join(self.align[number] for number in kept),
+            lines=tuple(tuple(line[number] for number in kept) for line in self.lines),
+            target_caption="",
+        )
 
     def rich(self) -> Table:
         """Return it for the terminal."""
@@ -89,6 +115,11 @@ class ResultTable:
             "| " + " | ".join(row).replace("| missed", "| **missed**") + " |"
             for row in rows
         ]
+
+
+def _is_of_target(head: str, head_before: str) -> bool:
+    """Return whether a column is one of targets, or the mark beside one."""
+    return head in TARGET_HEADS or (not head and head_before in TARGET_HEADS)
 
 
 class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -134,6 +165,7 @@ class TableSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         shows: Name of the table in `metrics.csv`; groups without one of its metrics
             are left out.
         caption: Stands below it.
+        target_caption: Stands below it as well where targets are shown.
         worst_first: Metrics whose worst run decides the order, worst first;
             ``target``: missed targets come first; ``shortfall``: of our fractions.
         has_worst: Whether a cell shows the worst of several runs too.
@@ -145,6 +177,7 @@ class TableSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     columns: tuple[Column, ...]
     shows: str = ""
     caption: str = ""
+    target_caption: str = ""
     worst_first: tuple[str, ...] = ()
     has_worst: bool = True
     perturbed: bool = False
@@ -204,6 +237,7 @@ def build_table(spec: TableSpec, frame: Frame) -> ResultTable:
         ),
         lines=tuple(lines),
         caption=spec.caption,
+        target_caption=spec.target_caption,
     )
 
 
@@ -385,11 +419,19 @@ def show_value(value: float) -> str:
     return NOTHING if math.isnan(value) else f"{value:.4g}"
 
 
-def result_tables(rows: Sequence[Row]) -> list[ResultTable]:
-    """Return the tables that these rows have something for."""
+def result_tables(
+    rows: Sequence[Row], *, with_targets: bool = True
+) -> list[ResultTable]:
+    """Return the tables that these rows have something for.
+
+    Args:
+        rows: The rows.
+        with_targets: Whether what the numbers should be is shown too, beside them and
+            in a table of its own.
+    """
     frame = frame_of(rows)
-    tables = [
-        *(build_table(spec, frame) for spec in TABLES.values()),
-        target_table(rows),
-    ]
+    tables = [build_table(spec, frame) for spec in TABLES.values()]
+    tables = [table.choose_targets(are_shown=with_targets) for table in tables]
+    if with_targets:
+        tables.append(target_table(rows))
     return [table for table in tables if table.lines]

@@ -44,7 +44,7 @@ COMMAND_ADVICE: dict[str, str] = {
     "NF-IDENTIFICATION-FORCE-SIGN": "Negate it, as in --force fz:N:-1",
     "NF-IDENTIFICATION-DEPTH-SIGN": "Negate it, as in --depth z:m:-1, unless the "
     "recording begins with a withdrawal",
-    "NF-IDENTIFICATION-SPEED-SIGN": "Negate one of them, as in --speed v:m/s:-1",
+    "NF-IDENTIFICATION-SPEED-SIGN": "Negate it, as in --speed v:m/s:-1, or the depth",
     "NF-URDF-FORMAT": "Correct the file; check_urdf of ROS names further mistakes",
     "NF-URDF-SIZE": "Give the description of a single robot with --urdf FILE",
     "NF-URDF-ROBOT": "Give one of these names to --robot; --urdf FILE loads any other",

@@ -4,7 +4,7 @@ matplotlib and jinja2 are imported only when something is drawn.
 
 Reading order: `chart` (charts as plain data), `palette` (colours, line styles, words of
 an axis), `drawing` (charts saved as PNG, SVG or PDF), `page` (one HTML file with
-figures, tables and text inside), `errors`.
+figures, tables and text inside), `report_folder`, `errors`.
 """
 
 from needleforce.plots import palette as palette
@@ -20,15 +20,19 @@ from needleforce.plots.drawing import (
     require_matplotlib as require_matplotlib,
     save_figure as save_figure,
 )
-from needleforce.plots.errors import FiguresError as FiguresError
+from needleforce.plots.errors import (
+    ChartError as ChartError,
+    FiguresError as FiguresError,
+    WriteError as WriteError,
+)
 from needleforce.plots.page import (
     PAGE as PAGE,
     Page as Page,
     PageFigure as PageFigure,
     PageTable as PageTable,
     Section as Section,
-    folder_if_filled as folder_if_filled,
     save_page_figure as save_page_figure,
     settings_table as settings_table,
     write_page as write_page,
 )
+from needleforce.plots.report_folder import whole_folder as whole_folder

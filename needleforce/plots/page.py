@@ -3,19 +3,13 @@
 import re
 from base64 import b64encode
 from collections.abc import Iterator
-from contextlib import contextmanager, suppress
 from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
 from needleforce.plots.chart import WIDE_IN, Chart
-from needleforce.plots.drawing import (
-    printable,
-    require_matplotlib,
-    save_figure,
-    write_file,
-)
+from needleforce.plots.drawing import printable, save_figure, write_file
 from needleforce.plots.errors import ChartError, WriteError
 
 MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
@@ -203,34 +197,3 @@ def _describe_setting(value: Any) -> str:
     values = value if isinstance(value, tuple | list) else (value,)
     texts = [f"{item:g}" if isinstance(item, float) else str(item) for item in values]
     return ", ".join(texts) or "none"
-
-
-@contextmanager
-def folder_if_filled(path: str | Path | None) -> Iterator[Path | None]:
-    """Make the folder of a report before the work; remove it if it stays empty.
-
-    Args:
-        path: The folder; None for no report.
-
-    Raises:
-        WriteError: The folder cannot be made.
-    """
-    if path is None:
-        yield None
-        return
-    require_matplotlib("--report")
-    folder = Path(path)
-    new_folders = [place for place in (folder, *folder.parents) if not place.exists()]
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(
-            f"cannot write to {folder}: {error.strerror or error}"
-        ) from error
-    try:
-        yield folder
-    finally:
-        # One that holds something is not removed, nor those it lies in.
-        with suppress(OSError):
-            for place in new_folders:
-                place.rmdir()

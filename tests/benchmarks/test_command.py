@@ -50,7 +50,7 @@ def run(*arguments):
 def test_a_run_fails_for_missed_targets_when_strict(
     capsys,
 ):
-    assert run("--plant", "degraded") == 0
+    assert run("--plant", "degraded", "--targets") == 0
 
     out = capsys.readouterr().out
     for words in (
@@ -64,6 +64,38 @@ def test_a_run_fails_for_missed_targets_when_strict(
     assert run("liver-constant", "--plant", "degraded", "--strict") == 0
     assert run("gel-25-constant", "--plant", "degraded", "--strict") == 1
     assert run("gel-25-constant", "--plant", "degraded") == 0
+
+
+def test_tables_begin_with_the_answer_and_show_targets_only_if_asked(capsys):
+    assert run("--plant", "degraded") == 0
+
+    plain = capsys.readouterr().out
+
+    assert "joint torques, rms: 0.125 N, by the published method 1.250 N." in plain
+    assert "ours: this toolkit" in plain
+    for words in ("target", "Target", "missed", " met "):
+        assert words not in plain
+
+    assert run("--plant", "degraded", "--strict") == 1
+
+    strict = capsys.readouterr().out
+
+    assert re.sub("in . s", "", strict) == re.sub("in . s", "", plain)
+
+
+def test_a_report_is_named_last_and_begins_with_the_answer(tmp_path, capsys):
+    pytest.importorskip("matplotlib")
+    folder = tmp_path / "report"
+
+    assert run("--plant", "degraded", "--report", str(folder)) == 0
+
+    last = capsys.readouterr().out.splitlines()[-1]
+    page = (folder / "index.html").read_text(encoding="utf-8")
+
+    assert last == f"Figures and tables: {folder / 'index.html'}"
+    assert page.index("rms: 0.125 N") < page.index("Counterparts of the figures")
+    assert "missed" not in page
+    assert "missed" not in (folder / "results.md").read_text(encoding="utf-8")
 
 
 def test_plants_may_be_listed_and_runs_are_repeatable(tmp_path):

@@ -17,6 +17,7 @@ from benchmarks.report.frames import frame_of
 from benchmarks.report.summary import BEGIN, END, summary_block, summary_table
 from benchmarks.report.tables import (
     TABLES,
+    ResultTable,
     build_table,
     new_console,
     result_tables,
@@ -485,3 +486,25 @@ def test_a_metric_has_its_names_unit_and_tolerance():
         1e-3,
         -27.5,
     )
+
+
+def test_a_table_without_targets_loses_their_columns_and_caption_only():
+    table = ResultTable(
+        title="a",
+        heads=("what", "ratio", "target", "", "mean", ""),
+        align="LrrLrL",
+        lines=(("x", "1", "≤ 2", "met", "3", "y"),),
+        caption="Plain.",
+        target_caption="Missed first.",
+    )
+    plain = table.choose_targets(are_shown=False)
+
+    assert plain.heads == ("what", "ratio", "mean", "")
+    assert plain.align == "LrrL"
+    assert plain.lines == (("x", "1", "3", "y"),)
+    assert plain.caption == "Plain."
+
+    full = table.choose_targets(are_shown=True)
+
+    assert full.lines == table.lines
+    assert full.caption == "Plain. Missed first."

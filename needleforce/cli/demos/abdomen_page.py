@@ -23,6 +23,7 @@ from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import progress_bar, require_modules, write_out
 from needleforce.plots import (
+    PAGE,
     Chart,
     Curve,
     Instants,
@@ -30,10 +31,14 @@ from needleforce.plots import (
     Panel,
     palette,
     require_matplotlib,
+    whole_folder,
 )
 
 MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "mujoco")
 """Modules of extras that the demonstration needs."""
+
+SCENE = "scene.html"
+"""Name of the scene in the folder of a report."""
 
 UP = (0.0, 0.0, 1.0)
 """Direction to the head in the model, and up in the scene."""
@@ -76,15 +81,18 @@ def run(
         insertion = insert(data, seed, progress)
     result = DemoResult(TITLE, _rows_of(insertion), (_force_chart(insertion),))
     result.print_table()
-    if folder is not None:
-        folder.mkdir(parents=True, exist_ok=True)
-        plane = draw_plane(insertion, folder / "slice.png")
-        figure = PageFigure(path=plane, alt=SLICE_CAPTION, caption=SLICE_CAPTION)
-        result.write_page("abdomen", folder, [figure])
+    with whole_folder(folder) as place:
+        if place is not None:
+            plane = draw_plane(insertion, place / "slice.png")
+            figure = PageFigure(path=plane, alt=SLICE_CAPTION, caption=SLICE_CAPTION)
+            result.write_page("abdomen", place, [figure])
+            if find_spec("viser") is not None:
+                write_scene(insertion, place / SCENE)
     if picture is not None:
         draw_plane(insertion, picture)
-    if folder is not None and find_spec("viser") is not None:
-        write_out(f"{write_scene(insertion, folder / 'scene.html')}\n")
+    if folder is not None:
+        pages = [folder / name for name in (PAGE, SCENE) if (folder / name).exists()]
+        write_out("".join(f"{page}\n" for page in pages))
     return 0
 
 

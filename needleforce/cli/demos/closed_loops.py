@@ -12,7 +12,7 @@ from needleforce.cli.demos.guidance import guide_by_hand
 from needleforce.cli.demos.remote_centre import turn_about_entry
 from needleforce.cli.demos.result_page import DemoResult
 from needleforce.cli.demos.teleoperation import teleoperate_needle
-from needleforce.cli.terminal import CommandError, Progress, progress_bar
+from needleforce.cli.terminal import CommandError, Progress, progress_bar, write_out
 
 DEMOS: dict[str, Callable[[Progress], DemoResult]] = {
     "guidance": guide_by_hand,
@@ -44,8 +44,11 @@ def run(kind: str, *, folder: Path | None, picture: Path | None) -> int:
     with progress_bar(f"demonstrating {kind}") as progress:
         result = DEMOS[kind](progress)
     result.print_table()
+    with plots.whole_folder(folder) as place:
+        if place is not None:
+            result.write_page(kind, place)
     if folder is not None:
-        result.write_page(kind, folder)
+        write_out(f"{folder / plots.PAGE}\n")
     if picture is not None:
         plots.save_figure(result.charts[0].chart, picture)
     return 0

@@ -105,11 +105,12 @@ def run(folder: Path, seed: int, picture: Path | None) -> int:
     _refuse_other_page(folder)
     compared = compare(seed)
     write_out(tables_text(compared))
-    with plots.folder_if_filled(folder):
-        page = write_page(compared, folder)
+    with plots.whole_folder(folder) as place:
+        if place is not None:
+            write_page(compared, place)
     if picture is not None:
         plots.save_figure(force_chart(compared), picture)
-    write_out(f"\npicture: {page}\n\n{next_text()}")
+    write_out(f"\npicture: {folder / plots.PAGE}\n\n{next_text()}")
     return 0
 
 

@@ -46,14 +46,13 @@ class DemoResult(NamedTuple):
     def write_page(
         self, kind: str, folder: Path, pictures: Sequence[PageFigure] = ()
     ) -> None:
-        """Write a page with table and figures into a folder; print its name.
+        """Write a page with table and figures into a folder.
 
         Args:
             kind: The demonstration.
             folder: Folder of the page.
             pictures: Figures that stand before the charts.
         """
-        folder.mkdir(parents=True, exist_ok=True)
         figures = [*pictures]
         for name, chart, caption in self.charts:
             place = folder / f"{name}.svg"
@@ -69,7 +68,7 @@ class DemoResult(NamedTuple):
         page = plots.Page(
             title=f"needleforce demo {kind}", lead=(NOT_MEDICAL,), sections=(section,)
         )
-        write_out(f"{plots.write_page(folder / plots.PAGE, page)}\n")
+        plots.write_page(folder / plots.PAGE, page)
 
 
 def panel_over_time(t_s: Array, y_label: str, style: LineStyle, y: Array) -> Panel:

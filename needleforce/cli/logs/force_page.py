@@ -98,6 +98,16 @@ class ForcePage:
             **marks,
         )
 
+    @property
+    def title(self) -> str:
+        """What the page of a report shows."""
+        return "Forces" if self.layers is None else "Forces and layers"
+
+    def answer(self) -> tuple[str, ...]:
+        """Return what was found, in sentences."""
+        layers = () if self.layers is None else self.layers.answer()
+        return (self.result.answer(), *layers)
+
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
         """Save the charts of a report in a folder.
 
@@ -115,13 +125,17 @@ class ForcePage:
         caption = "What was used, done and found"
         table = plots.PageTable(caption=caption, head=("", ""), rows=lines)
         summary = plots.Section(heading="Summary", anchor="summary", tables=(table,))
+        layers = () if self.layers is None else self.layers.sections(folder)
+        return forces, *layers, summary
+
+    def settings(self) -> tuple[plots.Section, ...]:
+        """Return the settings of the sensor, and of the identification."""
         settings = plots.settings_table(
             self.result.replay.config, "As in a file for --config, SI units"
         )
         heading = "Settings of the sensor"
         sensor = plots.Section(heading=heading, anchor="sensor", tables=(settings,))
-        layers = () if self.layers is None else self.layers.sections(folder)
-        return forces, summary, sensor, *layers
+        return (sensor, *(() if self.layers is None else self.layers.settings()))
 
     def _marks(self, x: Array, start_s: float) -> dict[str, Any]:
         """Return the tare and the rejected rows as marks of a chart over time."""

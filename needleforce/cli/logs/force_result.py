@@ -119,6 +119,21 @@ class ForceResult:
             axial.add(rows["axial_N"][chosen], rows["axial_std_N"][chosen])
             self.counts[status] += int(np.count_nonzero(chosen))
 
+    def answer(self) -> str:
+        """Return the range of the axial force, with its standard deviation."""
+        status = Status.OK if self.counts[Status.OK] else Status.NOT_TARED
+        if not self.counts[status]:
+            return "No force: no sample was valid after the filters had settled."
+        axial = self._axial[status]
+        std_N = axial.sum_of_std_N / self.counts[status]
+        text = (
+            f"Force along the needle: {axial.min_N:.2f} to {axial.max_N:.2f} N, with a "
+            f"standard deviation of {std_N:.2f} N."
+        )
+        if status is Status.OK:
+            return text
+        return f"{text} Not tared: it carries the errors of model and torque sensors."
+
     def summary(self) -> Iterator[tuple[str, str]]:
         """Yield label and text of every line: what was used, done and estimated."""
         replay = self.replay

@@ -1,5 +1,6 @@
 """Layers of a log in words, in a chart, and as sections of a page."""
 
+from collections.abc import Iterable
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -98,6 +99,28 @@ class LayerPage:
             height_in=CHART_HEIGHT_IN,
         )
 
+    @property
+    def title(self) -> str:
+        """What the page of a report shows."""
+        return "Layers"
+
+    def answer(self) -> tuple[str, ...]:
+        """Return the ruptures found and the friction of their layers, in sentences."""
+        layers = self.result.layers
+        if not layers:
+            return ("No rupture was detected.",)
+        depths_mm = [M_TO_MM * layer.rupture.depth_m for layer in layers]
+        depths = _join(f"{depth_mm:.1f} mm" for depth_mm in depths_mm)
+        plural = "s" if len(layers) > 1 else ""
+        sentences = [f"{len(layers)} rupture{plural} detected, at a depth of {depths}."]
+        known = [layer for layer in layers if layer.friction_identified]
+        if known:
+            frictions = _join(
+                f"{layer.friction_N:.2f} N (layer {layer.layer})" for layer in known
+            )
+            sentences.append(f"Friction of the layers traversed: {frictions}.")
+        return (" ".join(sentences),)
+
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
         """Save the chart of a report in a folder.
 
@@ -127,6 +150,11 @@ class LayerPage:
             figures=(figure,),
             tables=(table,),
         )
+        return (layers,)
+
+    def settings(self) -> tuple[plots.Section, ...]:
+        """Return the settings of the identification."""
+        result = self.result
         settings = plots.settings_table(
             METHODS[result.method], f"Method {result.method}, SI units"
         )
@@ -135,7 +163,7 @@ class LayerPage:
             anchor="identification",
             tables=(settings,),
         )
-        return layers, identification
+        return (identification,)
 
     def _parameter_panel(self, name: str, rows: LayerRows, x: Array) -> Panel:
         """Return a parameter with its band, where the method states one."""
@@ -163,6 +191,12 @@ class LayerPage:
             plots.Instants("estimated rupture time", palette.RUPTURE, ruptures),
             plots.Instants("friction identified", palette.COMPENSATION, identified),
         )
+
+
+def _join(texts: Iterable[str]) -> str:
+    """Return texts as a list in a sentence."""
+    *others, last = texts
+    return f"{', '.join(others)} and {last}" if others else last
 
 
 def _drawn_rows(rows: LayerRows) -> LayerRows:

@@ -41,8 +41,21 @@ class LogPage(Protocol):
         """Return the figure over time or depth."""
         ...
 
+    @property
+    def title(self) -> str:
+        """What the page of a report shows."""
+        ...
+
+    def answer(self) -> tuple[str, ...]:
+        """Return what was found, in sentences: how the page of a report begins."""
+        ...
+
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
         """Save the charts of a report in a folder; return the sections of its page."""
+        ...
+
+    def settings(self) -> tuple[plots.Section, ...]:
+        """Return the settings used: how the page of a report ends."""
         ...
 
 
@@ -65,7 +78,7 @@ def run_log(
     """
     check_outputs(source, output)
     with (
-        plots.folder_if_filled(output.report) as folder,
+        plots.whole_folder(output.report) as folder,
         stop_request() as is_stopped,
     ):
         log = LogSession(source, output, request, is_stopped)
@@ -82,12 +95,18 @@ def run_log(
 
 
 def _write_report(page: LogPage, log: LogSession, folder: Path) -> None:
-    """Write the page of a log; its first section shows what was wrong with the log."""
+    """Write the page of a log: what was found first, settings last.
+
+    Its first section shows what was wrong with the log.
+    """
     first, *others = page.sections(folder)
     notices = (*(f"Warning: {text}" for text in log.warnings), *first.notices)
-    sections = (replace(first, notices=notices), *others)
-    title = f"{first.heading} from {log.name}"
-    plots.write_page(folder / plots.PAGE, plots.Page(title=title, sections=sections))
+    document = plots.Page(
+        title=f"{page.title} from {log.name}",
+        lead=page.answer(),
+        sections=(replace(first, notices=notices), *others, *page.settings()),
+    )
+    plots.write_page(folder / plots.PAGE, document)
 
 
 class _Window(NamedTuple):

@@ -375,6 +375,7 @@ def test_log_without_valid_row_has_figures(lwr, tmp_path, capsys):
         assert main([*argv, *window, "--report", str(tmp_path / "page")]) == 2
         printed = capsys.readouterr()
         assert (
-            "time of the log [s], runs from 0 to 0.099; expected --from and" in printed.err
+            "time of the log [s], runs from 0 to 0.099; expected --from and"
+            in printed.err
         )
         assert ("no sample was valid" in printed.out, path.exists()) == (True, False)

@@ -95,7 +95,7 @@ def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
 
     for name, option in {"depth_m": "depth z:m", "speed_m_s": "speed v:m/s"}.items():
         *_, said = identify(**{"speed_m_s": (), name: -needle[name]})
-        assert f"does, as in --{option}:-1" in said
+        assert f"Negate it, as in --{option}:-1" in said
         assert "fz" not in said
     in_mN = {"speed_m_s": (), "force_N": (), "force": 1e3 * force_N}
     *_, said = identify(**in_mN)
@@ -204,7 +204,7 @@ def test_report_shows_forces_and_their_layers(insertion):
         for name in ("a/log", "layers")
     )
 
-    assert "Forces from log.npz" in page
+    assert "Forces and layers from log.npz" in page
     assert "Layers from forces.csv" in alone
 
     for label in ("robot", "samples", "rejected", "gaps", "tare", "lag"):
