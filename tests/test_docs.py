@@ -228,18 +228,16 @@ def test_every_link_leads_to_a_file(page):
 
 
 @pytest.mark.parametrize(
-    "page", ["loop", "noise-and-rate", "stop-and-resume", "tare", "tool-and-payload"]
+    "page", ["loop", "noise-and-rate", "stop-and-resume", "tool-and-payload"]
 )
 def test_the_examples_of_a_task_run(page, tmp_path, monkeypatch):
     monkeypatch.chdir(tmp_path)
-    monkeypatch.setattr("groundtruth.simulate", simulated)
     text = (DOCS / "how-to" / f"{page}.md").read_text(encoding="utf-8")
     for code in examples(text):
         names, _ = run_example(code)
 
         if "session" in names:
             assert isinstance(names["session"], InsertionSession)
-            assert names["session"].tared == (page == "tare")
 
 
 @pytest.mark.parametrize(
