@@ -13,12 +13,15 @@ import pytest
 
 from groundtruth import insert_needle
 from needleforce.cli import main
+from needleforce.cli.arms.recorder import COLUMNS as RECORDED
 from needleforce.cli.logs.row_overview import MAX_ROWS
 from needleforce.cli.logs.sensor_replay import STATUS_CODES
+from needleforce.cli.logs.simulated_log import signal_table, truth_table
 from needleforce.cli.logs.tare_schedule import AUTOMATIC_S
 from needleforce.cli.terminal import FAILED, INTERRUPTED, READER_GONE, TERMINATED
 from needleforce.recordings import read_table, write_table
 from residual import SensorConfig, SensorWarning
+from tests.insertion_run import short_run
 from tests.needleforce.cli.residual_command_log import SMALL_ARM, write_insertion
 from urdf import MissingPackageError, example_robot_path, load_urdf
 
@@ -107,9 +110,10 @@ def test_numbers_of_the_page_match_the_code():
 
     words = {"initializing": "filters settle"}
     for status, code in STATUS_CODES.items():
-        assert f"{code} {words.get(status.value, status.value)}" in FORCE
+        assert f"{code} {words.get(status.value, status.value)}" in FILES_PAGE
     for warning in SensorWarning:
-        assert f"{warning.value} {warning.name.lower().replace('_', ' ')}" in FORCE
+        name = warning.name.lower().replace("_", " ")
+        assert f"{warning.value} {name}" in FILES_PAGE
 
     assert f"the first {AUTOMATIC_S:g} s after the filters have settled" in FORCE
 
@@ -133,10 +137,31 @@ def test_summary_has_the_lines_of_the_page(capsys):
     assert chosen == [line for line in shown if line.startswith(exact)]
 
 
+def columns_section(title):
+    """The part of the page on files under a heading."""
+    return FILES_PAGE.split(f"\n## {title}\n")[1].split("\n## ")[0]
+
+
+def columns_named(title):
+    """Names of columns in the table under a heading."""
+    table = columns_section(title).split("| column | what |")[1].split("\n\n")[0]
+    cells = [row.split("|")[1] for row in table.splitlines()[2:]]
+    return [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
+
+
+def test_tables_of_recordings_and_ground_truth_match_the_code():
+    run = short_run()
+    recorded = {"t_s", *RECORDED.values()}
+    written = {"Recordings of an arm": {*signal_table(run)} | recorded}
+    written["Ground truth"] = set(truth_table(run))
+    for title, names in written.items():
+        assert {name.removesuffix("_1") for name in columns_named(title)} == names
+
+
 @pytest.mark.parametrize("mode", ["axial", "point", "full"])
 def test_table_of_forces_matches_the_code(mode):
     main(["force", "insertion.csv", "--mode", mode, "--no-tare", "-o", "table.csv"])
-    table = FORCE.split("## The table of forces")[1].split("\n## ")[0]
+    table = columns_section("Forces")
     shown = []
     for cells, modes in re.findall(r"^\| (`.*?) \|.*\| (.*) \|$", table, re.MULTILINE):
         if modes.startswith("all") or f"`{mode}`" in modes:
@@ -158,9 +183,7 @@ def test_identification_page_runs_and_names_its_columns(tmp_path, monkeypatch, c
     assert main(shlex.split(line)) == 0
     assert "friction N" in capsys.readouterr().out
 
-    table = FILES_PAGE.split("| column | what |")[1].split("\n\n")[0]
-    cells = [row.split("|")[1] for row in table.splitlines()[2:]]
-    names = [name for cell in cells for name in re.findall(r"`(\w+)`", cell)]
+    names = columns_named("Estimates of the identification")
 
     assert names == list(read_table("estimates.csv").columns)
 
