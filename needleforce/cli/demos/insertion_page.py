@@ -2,6 +2,7 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import NamedTuple
 
 import numpy as np
@@ -39,6 +40,9 @@ DRAWN_TICKS = 20
 CHART_HEIGHT_IN = 4.6
 LAYER_TINTS = ("#f3f0e6", "#e3e9f2", "#eaf3e6")
 """Colours of the layers behind the curves."""
+
+TERMINAL_LETTERS = 80
+"""Letters of a line of text on a terminal."""
 
 M_TO_MM = 1e3
 S_TO_MS = 1e3
@@ -103,9 +107,9 @@ def run(folder: Path, seed: int, picture: Path | None) -> int:
     if seed < 0:
         raise CommandError(f"--seed {seed}: expected a whole number from 0 up")
     _refuse_other_page(folder)
-    compared = compare(seed)
-    write_out(tables_text(compared))
     with plots.whole_folder(folder) as place:
+        compared = compare(seed)
+        write_out(tables_text(compared))
         if place is not None:
             write_page(compared, place)
     if picture is not None:
@@ -151,10 +155,16 @@ def tables_text(compared: ComparedInsertion) -> str:
     """Return the tables of layers and of methods as lines of text."""
     layers = [LAYER_HEAD, *layer_rows(compared)]
     methods = [METHOD_HEAD, *method_rows(compared)]
+    notes = "".join(map(_wrapped, (LAYER_NOTE, METHOD_NOTE, NOT_MEDICAL)))
     return (
-        f"\n{answer(compared)}\n\n{_columns(layers)}\n{_columns(methods)}\n"
-        f"{LAYER_NOTE}\n{METHOD_NOTE}\n{NOT_MEDICAL}\n"
+        f"\n{_wrapped(answer(compared))}\n{_columns(layers)}\n{_columns(methods)}\n"
+        f"{notes}"
     )
+
+
+def _wrapped(text: str) -> str:
+    """Return text in lines that a terminal shows without breaking them."""
+    return f"{fill(text, TERMINAL_LETTERS)}\n"
 
 
 def answer(compared: ComparedInsertion) -> str:

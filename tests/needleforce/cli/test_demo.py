@@ -82,6 +82,9 @@ def test_the_command_prints_tables_picture_and_what_to_try_next(command, capsys)
     assert "the first time" in printed.err.splitlines()[0]
 
     lines = printed.out.splitlines()
+
+    assert max(map(len, lines)) <= 96
+
     cells = re.split(r"\s{2,}", next(line for line in lines if "1 gel 25 %" in line))
 
     assert cells[1] == "28.2"
@@ -120,6 +123,16 @@ def test_a_second_run_replaces_the_page_of_the_first(command, tmp_path):
     assert command("--report", "page") == 0
     assert command("--report", "page", "--figure", "figure.svg") == 0
     assert (tmp_path / "figure.svg").read_text(encoding="utf-8").startswith("<?xml")
+
+
+def test_a_folder_that_cannot_be_made_is_refused_before_the_work(
+    command, capsys, monkeypatch, tmp_path
+):
+    (tmp_path / "taken").write_text("")
+    monkeypatch.setattr(insertion_page, "compare", lambda seed: pytest.fail("worked"))
+
+    assert command("--report", "taken") == FAILED
+    assert "cannot write to taken" in capsys.readouterr().err
 
 
 def test_a_negative_seed_is_refused(command, capsys):
