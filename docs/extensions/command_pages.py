@@ -43,10 +43,14 @@ COMPLETION = re.compile(
     r"^## needleforce --install-completion.*?(?=^## )", re.DOTALL | re.M
 )
 
+OUR_CALL = re.compile(r"(?<=\w) -m sphinx\b")
+"""How this build was called, which the parser takes for a part of the usage."""
+
 
 def text_of(page: CommandPage) -> str:
     """Return the page: what each command does, then its options, by group."""
     help_text = page.app.generate_docs(output_format="markdown", usage_name=page.words)
+    help_text = OUR_CALL.sub("", help_text)
     commands = COMPLETION.sub("", INTRODUCTION.sub("", help_text))
     examples = re.compile(rf"^({re.escape(page.words)} .*)$(?!\n```)", re.M)
     commands = examples.sub(r"```sh\n\1\n```", commands)
