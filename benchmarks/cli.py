@@ -316,7 +316,7 @@ def show_results(
     Args:
         files: Results from run --json.
         page: Write all tables there.
-        readme: Write the summary between the marks of that page (README.md).
+        readme: Write the summary between the marks of that page.
         limits: Write the worst rows of robustness between the marks of that page.
         targets: Show too whether the targets are met.
     """

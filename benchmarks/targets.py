@@ -350,7 +350,7 @@ def _change(metric: str, old: Row | None, new: Row | None) -> Change:
 
 
 class Headline(NamedTuple):
-    """A line of the README's summary: one metric over a group of runs.
+    """A line of the summary: one metric over a group of runs.
 
     Attributes:
         metric: A name of `metrics.csv`.
@@ -391,4 +391,4 @@ HEADLINES = (
         "pullout_coverage_78mm", ".2f", _PULL_OUT, "ft", "recording", "liver-real"
     ),
 )
-"""At most eight: the README shows them."""
+"""At most eight: they fit on a screen."""

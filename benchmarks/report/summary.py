@@ -245,7 +245,7 @@ def results_page(
 
 
 def summary_block(rows: Sequence[Row], command: str) -> str:
-    """Return the README's table, with the command that prints it."""
+    """Return the summary as Markdown, with the command that prints it."""
     table = summary_table(rows)
     lines = [*table.markdown(), "", table.caption, "", f"```sh\n{command}\n```"]
     return "\n".join(lines) + "\n"
