@@ -23,7 +23,7 @@ from needleforce.cli.demos.insertion_run import (
 )
 from needleforce.cli.demos.result_page import NOT_MEDICAL
 from needleforce.cli.terminal import CommandError, staged_progress, write_out
-from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading, palette
+from needleforce.plots import Chart, Curve, Instants, Panel, Shading, palette
 
 SCENARIO = "stack-glove-constant"
 """What is inserted into: see `needleforce simulate --list`."""
@@ -73,7 +73,7 @@ METHOD_NOTE = (
 
 CAPTION = (
     "Above, the force on the needle; below, its part at the tip, which falls where a "
-    "layer ruptures. Black: the simulation's truth, which no method sees. Bands: two "
+    "layer ruptures. Black: the ground truth, which no method sees. Bands: two "
     "standard deviations to either side. Marks on the lower edge: where each rupture "
     "was reported."
 )
@@ -263,15 +263,14 @@ def next_text() -> str:
 
 
 class DrawnForce(NamedTuple):
-    """A force of both methods and the truth, at every sample, shape (n,) each.
+    """A force of both methods and the ground truth, at every sample, shape (n,) each.
 
     Attributes:
         y_label: Label of the y axis.
-        true_N: The truth.
+        true_N: The ground truth.
         ours_N: Of the multi-layer method.
         ours_std_N: Its standard deviation.
         published_N: Of the published method.
-        true_style: Line of the truth.
     """
 
     y_label: str
@@ -279,7 +278,6 @@ class DrawnForce(NamedTuple):
     ours_N: Array
     ours_std_N: Array
     published_N: Array
-    true_style: LineStyle
 
 
 def force_chart(compared: ComparedInsertion) -> Chart:
@@ -293,7 +291,6 @@ def force_chart(compared: ComparedInsertion) -> Chart:
         ours.force_N,
         ours.force_std_N,
         published.force_N,
-        palette.TRUE,
     )
     tip = DrawnForce(
         "force at the tip [N]",
@@ -301,12 +298,11 @@ def force_chart(compared: ComparedInsertion) -> Chart:
         ours.tip_N,
         ours.tip_std_N,
         published.tip_N,
-        palette.TRUE,
     )
     drawn = np.flatnonzero(is_insertion(run))[::DRAWN_TICKS]
     return Chart(
         title="A needle through three gels\n"
-        f"insertion by a simulated LWR 4+, plant model {run.plant}, seed {run.seed}",
+        f"simulated LWR 4+, plant model {run.plant}, seed {run.seed}",
         x_label="depth of the tip below the surface [mm]",
         panels=(_panel(run, needle, drawn), _panel(run, tip, drawn)),
         shadings=_layer_shadings(compared),
@@ -316,7 +312,7 @@ def force_chart(compared: ComparedInsertion) -> Chart:
 
 
 def _panel(run: Run, force: DrawnForce, drawn: NDArray[np.intp]) -> Panel:
-    """Return one force of both methods and the truth, over depth."""
+    """Return one force of both methods and the ground truth, over depth."""
     depth_mm = M_TO_MM * run.truth.depth_m[drawn]
     published = Curve(
         style=palette.PUBLISHED,
@@ -333,7 +329,7 @@ def _panel(run: Run, force: DrawnForce, drawn: NDArray[np.intp]) -> Panel:
         band_label="± 2 std",
     )
     true = Curve(
-        style=force.true_style, x=depth_mm, y=force.true_N[drawn], label="truth"
+        style=palette.TRUE, x=depth_mm, y=force.true_N[drawn], label="ground truth"
     )
     return Panel(y_label=force.y_label, curves=(published, ours, true))
 
@@ -370,7 +366,7 @@ def write_page(compared: ComparedInsertion, folder: Path) -> Path:
     figure = plots.save_page_figure(
         force_chart(compared),
         folder / "insertion.svg",
-        alt="Forces on the needle and at its tip over depth, with the truth",
+        alt="Forces on the needle and at its tip over depth, with the ground truth",
         caption=CAPTION,
         is_alone=True,
     )
@@ -415,5 +411,5 @@ def _describe_simulation(run: Run) -> str:
         f"A simulated KUKA LWR 4+ pushes a needle through {run.scenario.title}, and "
         "back out. Forces and layers are estimated from its joint positions, "
         "velocities and torques alone, with the errors of a real arm (plant model "
-        f"`{run.plant}`, seed {run.seed}); the simulation knows the truth."
+        f"`{run.plant}`, seed {run.seed}); the simulation knows the ground truth."
     )
