@@ -62,11 +62,14 @@ class DemoResult(NamedTuple):
         table = plots.PageTable(
             caption="Result", head=("what", "value"), rows=self.rows
         )
-        section = plots.Section(
-            heading=self.title, anchor=kind, figures=tuple(figures), tables=(table,)
+        result = plots.Section(heading=self.title, anchor=kind, tables=(table,))
+        drawn = plots.Section(
+            heading="Figures", anchor="figures", figures=tuple(figures)
         )
         page = plots.Page(
-            title=f"needleforce demo {kind}", lead=(NOT_MEDICAL,), sections=(section,)
+            title=f"needleforce demo {kind}",
+            lead=(NOT_MEDICAL,),
+            sections=(result, drawn),
         )
         plots.write_page(folder / plots.PAGE, page)
 

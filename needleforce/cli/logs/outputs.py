@@ -90,7 +90,10 @@ def run_log(
             chart = _cut_to_window(page.chart(output.over), output)
             plots.save_figure(chart, output.figure)
     finally:  # a figure that cannot be drawn costs no result
-        write_out(page.text(), to_stderr=output.output == STANDARD_STREAM)
+        text = page.text()
+        if output.report is not None:
+            text += f"\npage: {output.report / plots.PAGE}\n"
+        write_out(text, to_stderr=output.output == STANDARD_STREAM)
     return log.exit_code
 
 

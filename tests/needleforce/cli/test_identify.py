@@ -207,6 +207,20 @@ def test_report_shows_forces_and_their_layers(insertion):
     assert "Forces and layers from log.npz" in page
     assert "Layers from forces.csv" in alone
 
+    # The answer stands first, before any section; settings stand last.
+    lead = page[: page.index("<section")]
+
+    assert re.search(r"Force along the needle: \S+ to \S+ N", lead)
+    assert re.search(r"ruptures? detected, at a depth of [\d.]+ mm", lead)
+    assert re.findall('<section id="([^"]+)"', page) == [
+        "forces",
+        "layers",
+        "summary",
+        "sensor",
+        "identification",
+    ]
+    assert re.findall('<section id="([^"]+)"', alone) == ["layers", "identification"]
+
     for label in ("robot", "samples", "rejected", "gaps", "tare", "lag"):
         assert f"<td>{label}</td>" in page
 
