@@ -318,7 +318,7 @@ def show_results(
         page: Write all tables there.
         readme: Write the summary between the marks of that page.
         limits: Write the worst rows of robustness between the marks of that page.
-        targets: Show too whether the targets are met.
+        targets: Show too, on that page as well, whether the targets are met.
     """
     from benchmarks.report.summary import (
         fill,
@@ -336,7 +336,12 @@ def show_results(
     try:
         if page is not None:
             page.write_text(
-                results_page(rows, f"{command} --page {page.name}"), encoding="utf-8"
+                results_page(
+                    rows,
+                    f"{command} --page {page.name}{' --targets' if targets else ''}",
+                    with_targets=targets,
+                ),
+                encoding="utf-8",
             )
         if readme is not None:
             text = readme.read_text(encoding="utf-8")

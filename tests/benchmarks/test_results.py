@@ -230,7 +230,10 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     readme.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
     paths = ["--page", str(page), "--readme", str(readme)]
 
-    assert main(["results", str(tmp_path / "a.json"), *paths]) == 0
+    assert main(["results", str(tmp_path / "a.json"), "--page", str(page)]) == 0
+    assert "missed" not in capsys.readouterr().out
+    assert "missed" not in page.read_text(encoding="utf-8")
+    assert main(["results", str(tmp_path / "a.json"), *paths, "--targets"]) == 0
     assert "0.021 [0.012, 0.030]" in capsys.readouterr().out
 
     block = summary_block(
