@@ -38,7 +38,7 @@ for t_s in times_s:
 for joint in (1, 3, 5):
     (line,) = plt.plot(times_s, np.array(residuals_Nm)[:, joint], label=f"J{joint + 1}")
     plt.hlines(push_Nm[joint], PUSH_START_s, times_s[-1], line.get_color(), "dotted")
-plt.axvline(PUSH_START_s + 1.0 / GAIN_per_s, color="gray", lw=1)
+plt.axvline(PUSH_START_s + 1.0 / GAIN_per_s, color="gray", lw=1, label="1/K later")
 plt.xlabel("time [s]")
 plt.ylabel("external torque [Nm]")
 plt.legend(title="dotted: true")

@@ -30,7 +30,7 @@ for gain_per_s in gains_per_s:
         forces_N.append(estimate.axial_unsmoothed)
     noise_N = np.std(forces_N[1000:])
     lag_ms = 1e3 / gain_per_s
-    plt.plot(lag_ms, noise_N, "o", color="tab:blue")
+    plt.plot(lag_ms, noise_N, "o", color="black")
     plt.annotate(f" K = {gain_per_s:.0f}/s", (lag_ms, noise_N))
     print(f"K = {gain_per_s:3.0f}/s: lag {lag_ms:4.1f} ms, noise {noise_N:.3f} N")
 plt.xlabel("lag 1/K [ms]")

@@ -8,8 +8,10 @@ import matplotlib.pyplot as plt
 from sphinx_gallery.sorting import ExplicitOrder
 
 import groundtruth
+from needleforce.plots import palette
 
 STYLE = Path(groundtruth.__file__).parents[1] / "needleforce/plots/chart.mplstyle"
+COLOURS = (palette.BLUE, palette.VERMILION, palette.GREEN, palette.PURPLE)
 SIZE_inch = (5.4, 3.2)  # text is legible on a telephone too
 
 SCRIPTS = (
@@ -47,4 +49,5 @@ def prepare(gallery_conf: dict[str, Any], script: str | Path) -> None:
     plt.style.use(["default", STYLE])
     plt.rcParams["figure.figsize"] = SIZE_inch
     plt.rcParams["text.parse_math"] = True  # 10⁻² on logarithmic axes
+    plt.rcParams["axes.prop_cycle"] = plt.cycler(color=COLOURS)
     plt.rcParams["figure.constrained_layout.use"] = True
