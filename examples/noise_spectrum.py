@@ -24,13 +24,13 @@ rng = np.random.default_rng(0)
 sensor = VirtualForceSensor(robot)
 
 forces_N = []
-for _ in range(20_000):
+for _ in range(12_000):
     tau_Nm = gravity_Nm + rng.normal(0.0, NOISE_Nm, 7)
     estimate = sensor.update(q_rad, at_rest, tau_Nm, TICK_s)
     forces_N.append([estimate.axial_unsmoothed, estimate.axial])
-settled_N = np.array(forces_N)[5000:]
+settled_N = np.array(forces_N)[2000:]
 
-frequency_Hz, density = welch(settled_N, 1.0 / TICK_s, nperseg=2048, axis=0)
+frequency_Hz, density = welch(settled_N, 1.0 / TICK_s, nperseg=1024, axis=0)
 corner_Hz = DEFAULT.gain_per_s / (2.0 * np.pi)
 plt.loglog(frequency_Hz[1:], np.sqrt(density[1:, 0]), label="axial_unsmoothed")
 plt.loglog(frequency_Hz[1:], np.sqrt(density[1:, 1]), label="axial")

@@ -19,7 +19,7 @@ at_rest = np.zeros(7)
 robot = load_lwr(payload=NeedleTool())
 gravity_Nm = pin.computeGeneralizedGravity(robot.model, robot.create_data(), q_rad)
 rng = np.random.default_rng(0)
-measured_Nm = gravity_Nm + rng.normal(0.0, NOISE_Nm, (4000, 7))
+measured_Nm = gravity_Nm + rng.normal(0.0, NOISE_Nm, (3000, 7))
 
 gains_per_s = (20.0, 40.0, 70.0, 120.0, 200.0)
 for gain_per_s in gains_per_s:
@@ -28,7 +28,7 @@ for gain_per_s in gains_per_s:
     for tau_Nm in measured_Nm:
         estimate = sensor.update(q_rad, at_rest, tau_Nm, TICK_s)
         forces_N.append(estimate.axial_unsmoothed)
-    noise_N = np.std(forces_N[1000:])
+    noise_N = np.std(forces_N[500:])
     lag_ms = 1e3 / gain_per_s
     plt.plot(lag_ms, noise_N, "o", color="black")
     plt.annotate(f" K = {gain_per_s:.0f}/s", (lag_ms, noise_N))

@@ -11,13 +11,14 @@ from groundtruth import insert_needle
 from identification import Identifier
 
 TICK_s = 2e-3
+END = 30_000  # ticks; the needle is through the gels
 
 # A needle with a force sensor, and three gels.
 run = insert_needle("stack-glove-constant", rate_hz=1.0 / TICK_s)
 identifier = Identifier()
 alarms = []
 for depth_m, speed_m_s, force_N in zip(
-    run.depth_m, run.speed_m_s, run.force_N, strict=True
+    run.depth_m[:END], run.speed_m_s[:END], run.force_N[:END], strict=True
 ):
     estimate = identifier.update(depth_m, speed_m_s, force_N, TICK_s)
     if estimate.rupture is not None:

@@ -28,8 +28,8 @@ def feed(session, ticks):
     return forces_N
 
 
-before = range(20_000)
-after = range(20_000, 25_000)
+before = range(18_000)
+after = range(18_000, 21_000)
 stopped = InsertionSession(arm.robot)
 before_N = feed(stopped, before)
 resumed = InsertionSession(arm.robot)  # the same robot, the same settings
@@ -46,4 +46,4 @@ plt.xlabel("time [s]")
 plt.ylabel("tip force [N]")
 plt.legend()
 plt.show()
-print(f"both read {resumed_N[-1]:.6f} N five seconds later")
+print(f"both read {resumed_N[-1]:.6f} N three seconds later")

@@ -49,7 +49,7 @@ SAYS = {
     ),
     "remote_centre": r"entry held within 0\.0\d\d mm; tip back within 0\.\d\d mm",
     "rupture_alarms": r"(layer \d: alarm [1-4]\d ms after the rupture began\n){3}$",
-    "stop_and_resume": r"both read -?\d\.\d{6} N five seconds later",
+    "stop_and_resume": r"both read -?\d\.\d{6} N three seconds later",
     "tare": r"in free air at most 0\.[3-9]\d N before .*, 0\.[01]\d N after",
     "teleoperation": r"2\d\.\d mm deep, 0\.\d\d N shown",
     "virtual_fixture": (

@@ -5,6 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import matplotlib.pyplot as plt
+from cycler import cycler
 from sphinx_gallery.sorting import ExplicitOrder
 
 import groundtruth
@@ -49,5 +50,5 @@ def prepare(gallery_conf: dict[str, Any], script: str | Path) -> None:
     plt.style.use(["default", STYLE])
     plt.rcParams["figure.figsize"] = SIZE_inch
     plt.rcParams["text.parse_math"] = True  # 10⁻² on logarithmic axes
-    plt.rcParams["axes.prop_cycle"] = plt.cycler(color=COLOURS)
+    plt.rcParams["axes.prop_cycle"] = cycler(color=COLOURS)
     plt.rcParams["figure.constrained_layout.use"] = True
