@@ -27,6 +27,7 @@ import numpy as np
 numba: Any = import_module("numba")  # its annotations do not describe its own use
 types: Any = numba.types
 imputils: Any = import_module("numba.core.imputils")
+registry: Any = import_module("numba.core.registry")
 
 Function = TypeVar("Function", bound=Callable[..., Any])
 
@@ -39,15 +40,19 @@ SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 MAX_FOLDERS = 4
 """Versions of one module's compiled code that stay on disk: the newest ones."""
 
+_inside: list[Any] = []
+"""What `compiled_inside` has made: the compiler only refers to it."""
+
 PROJECT = Path(__file__).resolve().parents[1]
 """The folder in which the project's packages lie."""
 
 
 def compiled(function: Function) -> Function:
-    """Compile a pure function.
+    """Compile a pure function that Python calls.
 
     It takes and returns numbers, truth values, arrays, and named or plain tuples of
-    them; it raises nothing, and calls compiled functions only, of any module.
+    them; it raises nothing, and calls compiled functions only, of any module. Loops
+    over numbers compile in a tenth of the time that expressions of arrays take.
 
     Where every parameter is annotated as ``float``, ``int``, ``bool``, one of
     `foundation.arrays`, a `NamedTuple` of such, a state (see `foundation.records`),
@@ -65,11 +70,8 @@ def compiled(function: Function) -> Function:
     """
     if not COMPILER:
         return function
-    hints = get_type_hints(function, include_extras=True)
-    parameters = [
-        compiler_type(hints.get(name)) for name in signature(function).parameters
-    ]
-    signatures = () if None in parameters else (tuple(parameters),)
+    parameters = parameter_types(function)
+    signatures = () if parameters is None else (parameters,)
     configured_folder = numba.config.CACHE_DIR
     numba.config.CACHE_DIR = str(cache_folder(function.__module__, getfile(function)))
     try:
@@ -78,6 +80,46 @@ def compiled(function: Function) -> Function:
         return numba.njit(*signatures)(function)
     finally:
         numba.config.CACHE_DIR = configured_folder
+
+
+def compiled_inside(function: Function) -> Function:
+    """Compile a pure function into the `compiled` functions that call it.
+
+    Python sees the function itself, in plain Python. What is compiled has no entry of
+    its own, neither for Python nor in the cache, which halves the time that it takes.
+
+    Raises:
+        TypeError: For a parameter without a type that the compiler knows.
+    """
+    if not COMPILER:
+        return function
+    parameters = parameter_types(function)
+    if parameters is None:
+        raise TypeError(f"{function.__qualname__} has a parameter of an open type")
+    dispatcher = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
+    find_template = dispatcher.get_call_template
+
+    def get_call_template(arguments: Any, keywords: Any) -> Any:
+        # Its one signature: arguments are converted, rather than compiled for anew.
+        if not dispatcher.overloads:
+            dispatcher.compile(parameters)
+            dispatcher.disable_compile()
+        return find_template(arguments, keywords)
+
+    dispatcher.get_call_template = get_call_template
+    _inside.append(dispatcher)
+    typing_context = registry.cpu_target.typing_context
+    typing_context.insert_global(function, types.Dispatcher(dispatcher))
+    return function
+
+
+def parameter_types(function: Callable[..., Any]) -> tuple[Any, ...] | None:
+    """Return the compiler's types of all parameters, None if one of them is open."""
+    hints = get_type_hints(function, include_extras=True)
+    parameters = [
+        compiler_type(hints.get(name)) for name in signature(function).parameters
+    ]
+    return None if None in parameters else tuple(parameters)
 
 
 def compiler_type(hint: Any) -> Any:

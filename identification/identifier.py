@@ -27,7 +27,7 @@ from identification.estimate import (
     make_estimate,
 )
 from identification.multilayer.method import MultilayerMethod, MultilayerState
-from identification.published.online import PublishedMethod, PublishedState
+from identification.published.state import PublishedState
 from identification.sample_check import STATUSES, CheckState, as_scalar
 from identification.travel_filter import TravelState, process_sample
 
@@ -82,6 +82,9 @@ def make_method(config: MultilayerConfig | PublishedConfig) -> Method:
     if type(config) is MultilayerConfig:
         return MultilayerMethod(config)
     if type(config) is PublishedConfig:
+        # Imported here: what only it needs is compiled when it is asked for.
+        from identification.published.online import PublishedMethod
+
         return PublishedMethod(config)
     raise InvalidConfigError(
         "config must be one of MultilayerConfig, PublishedConfig, got "

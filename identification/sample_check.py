@@ -16,7 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
 from identification.config import CheckConfig
 from identification.estimate import SampleStatus
 
@@ -129,7 +129,7 @@ def is_used(status: int) -> bool:
     return status in (OK, TIME_GAP)
 
 
-@compiled
+@compiled_inside
 def check_numbers(sample: RawSample, force_limit_N: float) -> int:
     """Return the status of a raw sample whose motion is not checked yet."""
     dt_s = sample.dt_s
@@ -146,13 +146,13 @@ def check_numbers(sample: RawSample, force_limit_N: float) -> int:
     return FORCE_RANGE if abs(sample.force_N) > force_limit_N else OK
 
 
-@compiled
+@compiled_inside
 def shortest_gap(state: CheckState, limits: CheckConfig) -> float:
     """Return the time from which on a step is a gap at present."""
     return max(limits.gap_s, STEPS_OF_A_GAP * state.usual_dt_s)
 
 
-@compiled
+@compiled_inside
 def advance_clock(state: CheckState, dt_s: float, limits: CheckConfig) -> None:
     """Let a time step pass, and learn from it what is usual unless it is a gap."""
     usual_dt_s = state.usual_dt_s if state.usual_dt_s != 0.0 else dt_s
@@ -161,7 +161,7 @@ def advance_clock(state: CheckState, dt_s: float, limits: CheckConfig) -> None:
     state.time_s += dt_s
 
 
-@compiled
+@compiled_inside
 def is_depth_jump(
     unexplained_m: float, fastest_m_s: float, dt_s: float, is_gap: bool, jump_m: float
 ) -> bool:
@@ -173,7 +173,7 @@ def is_depth_jump(
     return abs(unexplained_m) > jump_m + max(fastest_m_s, unseen_m_s) * dt_s
 
 
-@compiled
+@compiled_inside
 def has_wrong_sign(state: CheckState, sign_travel_m: float) -> bool:
     """Return whether the travels by depth and by speed contradict each other."""
     by_depth_m = state.travel_by_depth_m
@@ -182,7 +182,7 @@ def has_wrong_sign(state: CheckState, sign_travel_m: float) -> bool:
     return by_depth_m * by_speed_m < 0.0 and smaller_m > sign_travel_m
 
 
-@compiled
+@compiled_inside
 def compare_depth_with_speed(
     sample: RawSample,
     state: CheckState,
@@ -226,7 +226,7 @@ def compare_depth_with_speed(
     return CheckResult(status, elapsed_s)
 
 
-@compiled
+@compiled_inside
 def check_sample(
     sample: RawSample,
     state: CheckState,

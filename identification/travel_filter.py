@@ -12,7 +12,7 @@ import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
 from identification.config import CheckConfig
 from identification.sample_check import (
     CheckState,
@@ -148,7 +148,7 @@ class Travel(NamedTuple):
     speed_std_m_s: float
 
 
-@compiled
+@compiled_inside
 def learn_noise(noise: LearnedNoise, value: float, dt_s: float, floor: float) -> None:
     """Learn the noise of a signal from one value, `dt_s` after the last one.
 
@@ -177,7 +177,7 @@ def learn_noise(noise: LearnedNoise, value: float, dt_s: float, floor: float) ->
     noise.dt_s = dt_s
 
 
-@compiled
+@compiled_inside
 def learn_smooth_noise(
     noise: LearnedNoise, mean: float, dt_s: float, floor: float
 ) -> None:
@@ -201,7 +201,7 @@ def white_variance(single: LearnedNoise, means: LearnedNoise, dt_s: float) -> fl
     return max(single.variance, means.min_variance * BLOCK_S / dt_s)
 
 
-@compiled
+@compiled_inside
 def learn_from_block(
     state: TravelState,
     depth_m: float,
@@ -234,7 +234,7 @@ def learn_from_block(
     state.block_speed_sum_m_s = 0.0
 
 
-@compiled
+@compiled_inside
 def acceleration_density(state: TravelState, gain: float) -> float:
     """Return the spectral density of the acceleration [m²/s³].
 
@@ -248,7 +248,7 @@ def acceleration_density(state: TravelState, gain: float) -> float:
     return max(significance, 1.0) ** 2 * ACCELERATION_M2_PER_S3
 
 
-@compiled
+@compiled_inside
 def start_travel(
     state: TravelState, depth_m: float, speed_m_s: float, noise_variance: float
 ) -> None:
@@ -265,7 +265,7 @@ def start_travel(
     state.speed_innovation = 0.0
 
 
-@compiled
+@compiled_inside
 def predict_travel(state: TravelState, dt_s: float, density: float) -> None:
     """Predict depth and speed over a time step; exact for white acceleration."""
     state.depth_m += state.speed_m_s * dt_s
@@ -281,14 +281,14 @@ def predict_travel(state: TravelState, dt_s: float, density: float) -> None:
     state.noise_covariance += dt_s * state.speed_noise
 
 
-@compiled
+@compiled_inside
 def standardise(innovation: float, variance: float) -> float:
     """Return an innovation in standard deviations, clipped."""
     ratio = innovation / math.sqrt(variance)
     return min(max(ratio, -MAX_INNOVATION), MAX_INNOVATION)
 
 
-@compiled
+@compiled_inside
 def correct_by_depth(state: TravelState, depth_m: float, variance: float) -> float:
     """Use a measured depth; return its standardised innovation."""
     total = state.depth_variance + variance
@@ -315,7 +315,7 @@ def correct_by_depth(state: TravelState, depth_m: float, variance: float) -> flo
     return standardise(innovation_m, total)
 
 
-@compiled
+@compiled_inside
 def correct_by_speed(state: TravelState, speed_m_s: float, variance: float) -> float:
     """Use a measured speed; return its standardised innovation."""
     total = state.speed_variance + variance

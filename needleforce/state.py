@@ -13,7 +13,7 @@ from foundation.state import StateError, read_sealed_state, seal_state
 from identification import MultilayerConfig, PublishedConfig
 from identification import Snapshot as IdentifierSnapshot
 from identification.multilayer.method import MultilayerState
-from identification.published.online import PublishedState
+from identification.published.state import PublishedState
 from needleforce.files import whole_file
 from needleforce.session import (
     Checkpoint,

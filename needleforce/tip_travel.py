@@ -3,6 +3,8 @@
 import math
 from typing import NamedTuple
 
+import numpy as np
+
 from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled
 from foundation.linear_algebra import dot
@@ -89,9 +91,16 @@ def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
         dq: Joint velocities [rad/s], shape (n,).
     """
     place, axes, jacobian, tip, direction = needle
-    position = place + tip[0] * axes[0] + tip[1] * axes[1] + tip[2] * axes[2]
-    along = direction[0] * axes[0] + direction[1] * axes[1] + direction[2] * axes[2]
-    twist = dq.dot(jacobian)
+    position = place.copy()
+    along = np.zeros(3)
+    for i in range(3):
+        for k in range(3):
+            position[i] += tip[k] * axes[k, i]
+            along[i] += direction[k] * axes[k, i]
+    twist = np.zeros(6)
+    for j in range(len(dq)):
+        for k in range(6):
+            twist[k] += dq[j] * jacobian[j, k]
     x, y, z = position
     a, b, c = along
     speed = a * twist[0] + b * twist[1] + c * twist[2]
@@ -100,4 +109,4 @@ def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
         + (z * a - x * c) * twist[4]
         + (x * b - y * a) * twist[5]
     )
-    return float(dot(axis, position)), float(speed)
+    return dot(axis, position), speed

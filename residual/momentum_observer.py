@@ -26,7 +26,7 @@ from foundation.arrays import (
     WrittenMatrix,
     WrittenVector,
 )
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
 from foundation.linear_algebra import dot
 from residual.checks.input import (
     MAX_PLAUSIBLE,
@@ -130,7 +130,7 @@ def set_step_weights(
             row[TORQUE + END] = -half
 
 
-@compiled
+@compiled_inside
 def set_momentum(
     rows: WrittenMatrix,
     twists: Matrix,
@@ -154,7 +154,7 @@ def set_momentum(
         rows[CORIOLIS + END, j] = coriolis
 
 
-@compiled
+@compiled_inside
 def momentum_smoothing_step(
     momentum: WrittenVector, smoothed: Vector, noise_threshold: Vector, dt_s: float
 ) -> None:
@@ -174,16 +174,23 @@ def momentum_smoothing_step(
         dt_s: Length of the tick.
     """
     # With s the length of the tick in time constants at rest, and x the distance in
-    # thresholds, behind / (1 + s (1 + x^4)) remains. In place, for speed.
+    # thresholds, behind / (1 + s (1 + x^4)) remains.
     rest_step = BANDWIDTH_PER_S * dt_s  # s
-    behind = momentum - smoothed
-    divisor = behind / noise_threshold  # x
-    divisor *= divisor
-    divisor *= divisor  # x^4
-    divisor *= rest_step
-    divisor += 1.0 + rest_step
-    behind /= divisor
-    momentum -= behind
+    for j in range(len(momentum)):
+        behind = momentum[j] - smoothed[j]
+        x = behind / noise_threshold[j]
+        momentum[j] -= behind / (1.0 + rest_step * (1.0 + x * x * x * x))
+
+
+@compiled_inside
+def set_residual(rows: WrittenMatrix, weights: Matrix) -> None:
+    """Write the residual after a tick; arguments of `momentum_step`."""
+    for j in range(rows.shape[1]):
+        row_weights = weights[j if len(weights) > 1 else 0]
+        residual = 0.0
+        for k in range(ROWS):
+            residual += row_weights[k] * rows[k, j]
+        rows[RESIDUAL, j] = residual
 
 
 @compiled
@@ -223,25 +230,27 @@ def momentum_step(  # noqa: PLR0913 - tuples are slow to pass from Python in eve
         Whether the sample is finite and of plausible size; if not, nothing has
         happened.
     """
-    numbers = sample.ravel()
+    joints = len(load)
+    squared_sum = 0.0
+    for k in range(len(sample)):
+        squared_sum += dot(sample[k], sample[k])
     # Written so that a NaN is refused, too.
-    if not dot(numbers, numbers) < MAX_SQUARED_SUM:
+    if not squared_sum < MAX_SQUARED_SUM:
         return False
     dq = sample[1]
-    torque = sample[2]
     set_momentum(rows, twists, momenta, directions, crossing, armature, dq)
-    rows[GRAVITY + END] = load
-    rows[TORQUE + END] = torque
+    for j in range(joints):
+        rows[GRAVITY + END, j] = load[j]
+        rows[TORQUE + END, j] = sample[2, j]
     if dt_s > 0.0:
         if noise_threshold.size:
             momentum_smoothing_step(
                 rows[MOMENTUM + END], rows[MOMENTUM], noise_threshold, dt_s
             )
-        if len(weights) == 1:
-            rows[RESIDUAL] = weights.dot(rows)[0]
-        else:
-            rows[RESIDUAL] = (weights.T * rows).sum(axis=0)
-    rows[MOMENTUM:ROWS_BEFORE] = rows[ROWS_BEFORE:]
+        set_residual(rows, weights)
+    for k in range(MOMENTUM, ROWS_BEFORE):
+        for j in range(joints):
+            rows[k, j] = rows[k + END, j]
     return True
 
 

@@ -79,16 +79,25 @@ def lag_pair_step(
         Position behind both lags, its rate, and torque behind both lags, shape (3, n).
     """
     n = len(signals) // 2
-    rows[INPUT, :n] = signals[:n]
-    rows[INPUT, n:] = rows[INPUT_BEFORE, n:] if is_held else signals[n:]
-    outputs = factors.dot(rows)
-    rows[FIRST_LAG] = outputs[0]
-    rows[SECOND_LAG] = outputs[1]
-    rows[INPUT_BEFORE] = signals
-    matched = np.empty((3, n))
-    matched[0] = outputs[1, :n]
-    matched[1] = outputs[2, :n]
-    matched[2] = outputs[1, n:]
+    matched = np.zeros((3, n))
+    for j in range(2 * n):
+        is_torque = j >= n
+        rows[INPUT, j] = rows[INPUT_BEFORE, j] if is_torque and is_held else signals[j]
+        first = 0.0
+        second = 0.0
+        rate = 0.0
+        for k in range(ROWS):
+            first += factors[0, k] * rows[k, j]
+            second += factors[1, k] * rows[k, j]
+            rate += factors[2, k] * rows[k, j]
+        rows[FIRST_LAG, j] = first
+        rows[SECOND_LAG, j] = second
+        rows[INPUT_BEFORE, j] = signals[j]
+        if is_torque:
+            matched[2, j - n] = second
+        else:
+            matched[0, j] = second
+            matched[1, j] = rate
     return matched
 
 

@@ -9,10 +9,16 @@ import math
 from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import NDArray
 
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import (
+    decompose_symmetric,
+    dot,
+    multiply,
+    multiply_transposed,
+    multiply_vector,
+)
 from residual.checks.input import check_joint_vector
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import ConfigurationError, SampleError
@@ -141,37 +147,66 @@ class WrenchFilterState(NamedTuple):
         return cls(np.zeros(components), np.zeros(components), np.zeros(2))
 
 
-@compiled
-def pseudo_inverse(
-    symmetric: Matrix, min_ratio: float
-) -> tuple[Array, NDArray[np.bool_]]:
+class PseudoInverse(NamedTuple):
+    """Pseudo-inverse of a symmetric matrix; for k unknowns.
+
+    Attributes:
+        matrix: The inverse, shape (k, k).
+        unseen_part: Sum of the squares of each unknown's components along directions
+            that stay at zero, shape (k,).
+    """
+
+    matrix: Array
+    unseen_part: Array
+
+
+@compiled_inside
+def pseudo_inverse(symmetric: Matrix, min_ratio: float) -> PseudoInverse:
     """Return the pseudo-inverse of a symmetric matrix without negative eigenvalues.
 
     Directions whose eigenvalue is below ``min_ratio`` times the largest stay at zero.
-
-    Returns:
-        The inverse, shape (k, k), and which unknowns have a part in such a direction,
-        shape (k,).
     """
-    values, vectors = np.linalg.eigh(symmetric)
-    is_seen = values > values[-1] * min_ratio
-    scale = is_seen / np.where(is_seen, values, 1.0)
-    unseen_part = (vectors * vectors).dot(1.0 - is_seen)
-    return (vectors * scale).dot(vectors.T), unseen_part > MIN_UNSEEN_PART
+    count = len(symmetric)
+    eigen = decompose_symmetric(symmetric)
+    min_eigenvalue = eigen.values[count - 1] * min_ratio
+    inverse = np.zeros((count, count))
+    unseen_part = np.zeros(count)
+    for m in range(count):
+        is_seen = eigen.values[m] > min_eigenvalue
+        for i in range(count):
+            component = eigen.vectors[i, m]
+            if is_seen:
+                for j in range(count):
+                    inverse[i, j] += component * eigen.vectors[j, m] / eigen.values[m]
+            else:
+                unseen_part[i] += component * component
+    return PseudoInverse(inverse, unseen_part)
 
 
-@compiled
-def inverse_of(covariance: Matrix) -> tuple[Array, bool]:
-    """Return the inverse of a covariance, shape (n, n), and whether it is valid.
+def inverse_of(covariance: Array) -> Array | None:
+    """Return the inverse of a covariance, shape (n, n), None if it is not valid.
 
     A valid covariance is symmetric, positive definite and finite.
     """
     asymmetry = np.abs(covariance - covariance.T).sum()
     # Written so that a NaN is not valid either.
     if not asymmetry <= MAX_ASYMMETRY * abs(np.trace(covariance)):
-        return covariance.copy(), False
-    values, vectors = np.linalg.eigh(covariance)
-    return (vectors / values).dot(vectors.T), bool(values[0] > 0.0)
+        return None
+    eigen = decompose_symmetric(covariance)
+    if eigen.values[0] <= 0.0:
+        return None
+    return (eigen.vectors / eigen.values).dot(eigen.vectors.T)
+
+
+@compiled_inside
+def condition_number(information: Matrix) -> float:
+    """Return the square root of the ratio of the extreme eigenvalues, limited."""
+    eigenvalues = decompose_symmetric(information).values
+    least = eigenvalues[0]
+    largest = eigenvalues[len(eigenvalues) - 1]
+    if least > largest / MAX_CONDITIONING**2:
+        return math.sqrt(largest / least)
+    return MAX_CONDITIONING
 
 
 @compiled
@@ -201,31 +236,33 @@ def weighted_inverse(
         The solution; its covariance has `UNSEEN_STD` squared on the diagonal where x
         cannot be observed.
     """
-    weighted = jacobian.dot(precision)
-    information = weighted.dot(jacobian.T)
-    inverse, is_unseen = pseudo_inverse(
-        information + np.diag(damping), MIN_EIGENVALUE_RATIO
-    )
-    matrix = inverse.dot(weighted)
-    covariance = matrix.dot(error_covariance).dot(matrix.T) + (inverse * damping).dot(
-        inverse
-    )
-    for i in range(len(is_unseen)):
-        if is_unseen[i]:
+    count = len(jacobian)
+    weighted = multiply(jacobian, precision)
+    information = multiply_transposed(weighted, jacobian)
+    conditioning = condition_number(information)
+    for i in range(count):
+        information[i, i] += damping[i]
+    inverse, unseen_part = pseudo_inverse(information, MIN_EIGENVALUE_RATIO)
+    matrix = multiply(inverse, weighted)
+    covariance = multiply_transposed(multiply(matrix, error_covariance), matrix)
+    damping_fraction = np.zeros(count)
+    for i in range(count):
+        damping_fraction[i] = inverse[i, i] * damping[i]
+        for j in range(count):
+            for k in range(count):
+                covariance[i, j] += inverse[i, k] * damping[k] * inverse[k, j]
+    for i in range(count):
+        if unseen_part[i] > MIN_UNSEEN_PART:
             covariance[i, i] = UNSEEN_VARIANCE
-    eigenvalues = np.linalg.eigvalsh(information)
-    conditioning = MAX_CONDITIONING
-    if eigenvalues[0] > eigenvalues[-1] / conditioning**2:
-        conditioning = math.sqrt(eigenvalues[-1] / eigenvalues[0])
-    return WrenchSolution(matrix, covariance, conditioning, np.diag(inverse) * damping)
+    return WrenchSolution(matrix, covariance, conditioning, damping_fraction)
 
 
 @compiled
 def smallest_singular_value(rows: Matrix) -> float:
-    """Return the smallest singular value of a matrix with k rows, shape (k, n)."""
+    """Return the smallest of the min(k, n) singular values of a (k, n) matrix."""
     count, joints = rows.shape
-    gram = rows.dot(rows.T) if count < joints else rows.T.dot(rows)
-    return math.sqrt(max(np.linalg.eigvalsh(gram)[0], 0.0))
+    eigenvalues = decompose_symmetric(multiply_transposed(rows, rows)).values
+    return math.sqrt(max(eigenvalues[max(count - joints, 0)], 0.0))
 
 
 @compiled
@@ -238,12 +275,20 @@ def unexplained_form(rows: Matrix, precision: Matrix) -> Array:
     n).
     """
     count, joints = rows.shape
+    form = np.zeros((joints, joints))
     if count >= joints:
-        return np.zeros((joints, joints))
-    weighted = rows.dot(precision)
-    inverse, _ = pseudo_inverse(weighted.dot(rows.T), MIN_EIGENVALUE_RATIO)
-    remaining = precision - weighted.T.dot(inverse).dot(weighted)
-    return remaining / (joints - count)
+        return form
+    weighted = multiply(rows, precision)
+    information = multiply_transposed(weighted, rows)
+    inverse = pseudo_inverse(information, MIN_EIGENVALUE_RATIO).matrix
+    solution = multiply(inverse, weighted)
+    for i in range(joints):
+        for j in range(joints):
+            explained = 0.0
+            for k in range(count):
+                explained += weighted[k, i] * solution[k, j]
+            form[i, j] = (precision[i, j] - explained) / (joints - count)
+    return form
 
 
 @compiled
@@ -255,11 +300,16 @@ def axial_variances(direction: Vector, covariance: Matrix) -> Array:
     component is not observed, both variances are those of the unseen.
     """
     variances = np.full(2, UNSEEN_VARIANCE)
-    if np.diag(covariance).max() >= UNSEEN_VARIANCE:
-        return variances
-    across = np.eye(3) - np.outer(direction, direction)
-    variances[0] = direction.dot(covariance).dot(direction)
-    variances[1] = np.linalg.eigvalsh(across.dot(covariance).dot(across))[-1]
+    for i in range(3):
+        if covariance[i, i] >= UNSEEN_VARIANCE:
+            return variances
+    across = np.zeros((3, 3))  # the projector across the direction
+    for i in range(3):
+        for j in range(3):
+            across[i, j] = (1.0 if i == j else 0.0) - direction[i] * direction[j]
+    covariance_across = multiply(multiply(across, covariance), across)
+    variances[0] = dot(direction, multiply_vector(covariance, direction))
+    variances[1] = decompose_symmetric(covariance_across).values[2]
     return variances
 
 
@@ -269,11 +319,14 @@ def has_turned(q: Vector, configuration_rad: Vector) -> bool:
 
     Both are joint positions [rad], shape (n,); a NaN is too far.
     """
-    turn_rad = q - configuration_rad
-    return not (turn_rad * turn_rad).sum() <= MAX_TURN_RAD**2
+    total = 0.0
+    for j in range(len(q)):
+        turn_rad = q[j] - configuration_rad[j]
+        total += turn_rad * turn_rad
+    return not total <= MAX_TURN_RAD**2
 
 
-@compiled
+@compiled_inside
 def split_force(direction: Vector, force: Vector) -> tuple[float, float]:
     """Return the force along a direction [N], and the square of that across [N^2].
 
@@ -286,7 +339,7 @@ def split_force(direction: Vector, force: Vector) -> tuple[float, float]:
     return along, x * x + y * y + z * z - along * along
 
 
-@compiled
+@compiled_inside
 def smoothing_step(
     smoothed: WrittenVector,
     wrench: Vector,
@@ -313,7 +366,9 @@ def smoothing_step(
     Returns:
         How far the smoothed force is behind afterwards, as `split_force` does.
     """
-    behind = wrench - smoothed
+    behind = np.zeros(len(wrench))
+    for k in range(len(wrench)):
+        behind[k] = wrench[k] - smoothed[k]
     along, across_squared = split_force(direction, behind)
     # Half the square across: two components of the lateral force are noisy.
     distance_squared = (
@@ -324,7 +379,8 @@ def smoothing_step(
     divisor = (
         1.0 + fixed_lag + adaptive_lag / (1.0 + distance_squared * distance_squared)
     )
-    smoothed += behind / divisor
+    for k in range(len(wrench)):
+        smoothed[k] += behind[k] / divisor
     remaining = 1.0 - 1.0 / divisor
     return along * remaining, across_squared * remaining * remaining
 
@@ -371,7 +427,7 @@ def wrench_step(  # noqa: PLR0913 - tuples are slow to pass from Python in every
         standard deviation of one of its components, and resistance before it is
         smoothed [N].
     """
-    wrench = matrix.dot(residual)
+    wrench = multiply_vector(matrix, residual)
     unsmoothed, _ = split_force(direction, wrench)
     smoothing_step(smoothed, wrench, direction, noises_N2, smoothing_lag, 0.0)
     along, across_squared = split_force(direction, smoothed)
@@ -472,8 +528,8 @@ class WrenchEstimator:
                 f"covariance has shape {covariance_Nm2.shape}, expected {shape}"
             )
         covariance = np.array(covariance_Nm2, order="C")
-        inverse, is_valid = inverse_of(covariance)
-        if not is_valid:
+        inverse = inverse_of(covariance)
+        if inverse is None:
             raise ConfigurationError(
                 "covariance_Nm2 is not finite, symmetric, positive definite"
             )

@@ -5,10 +5,9 @@ Lengths are in mm, speeds in mm/s, forces in N.
 
 from typing import NamedTuple
 
-import numpy as np
-
 from foundation.arrays import Vector
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import index_of_largest
 from foundation.records import read_element
 from identification.multilayer.block import Block
 from identification.multilayer.events import History
@@ -92,7 +91,7 @@ class RuptureCount(NamedTuple):
     likeliest: int
 
 
-@compiled
+@compiled_inside
 def released_force(mean: Vector, assumption: Assumptions, history: History) -> float:
     """Return the force that the last rupture of a component has released."""
     released = mean[RELEASED] - mean[FADING]
@@ -103,7 +102,7 @@ def released_force(mean: Vector, assumption: Assumptions, history: History) -> f
     return min(released, history.rupture_force_N - mean[OFFSET])
 
 
-@compiled
+@compiled_inside
 def is_undone(history: History, block: Block) -> bool:
     """Return whether the force is higher again, long after the rupture.
 
@@ -145,7 +144,7 @@ def compare_counts(
         fallen = history.rupture_force_N - history.min_force_N
         if fallen <= VISIBLE_FRACTION * clear_fall:
             more = 0.0
-    ruptures = int(evidence.ruptures[np.argmax(evidence.weights)])
+    ruptures = int(evidence.ruptures[index_of_largest(evidence.weights)])
     return RuptureCount(more, fewer, likeliest, ruptures)
 
 

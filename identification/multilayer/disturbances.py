@@ -7,7 +7,7 @@ stationary variance.
 import math
 from typing import NamedTuple
 
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
 
 HEARTBEAT_HZ = 1.2
 """Frequency of the heartbeat."""
@@ -84,7 +84,7 @@ def smooth_walk(travel: float, length: float) -> Transition:
     )
 
 
-@compiled
+@compiled_inside
 def driven(transition: Transition, rate: float, variance: float) -> RandomMotion:
     """Return a step with the noise that keeps its stationary variances.
 
@@ -106,21 +106,21 @@ def driven(transition: Transition, rate: float, variance: float) -> RandomMotion
     )
 
 
-@compiled
+@compiled_inside
 def heartbeat_step(duration_s: float, variance: float) -> RandomMotion:
     """Return the step of the force by the heartbeat."""
     transition = oscillation(duration_s, HEARTBEAT_HZ, HEARTBEAT_DAMPING)
     return driven(transition, 2.0 * math.pi * HEARTBEAT_HZ, variance)
 
 
-@compiled
+@compiled_inside
 def breathing_step(duration_s: float, variance: float) -> RandomMotion:
     """Return the step of the force by breathing."""
     transition = oscillation(duration_s, BREATHING_HZ, BREATHING_DAMPING)
     return driven(transition, 2.0 * math.pi * BREATHING_HZ, variance)
 
 
-@compiled
+@compiled_inside
 def smooth_walk_step(travel: float, length: float, variance: float) -> RandomMotion:
     """Return the step, over a travel, of an error that lasts for a length."""
     return driven(smooth_walk(travel, length), 1.0 / length, variance)

@@ -27,7 +27,8 @@ from foundation.arrays import (
     WrittenMatrix,
     WrittenVector,
 )
-from foundation.jit import compiled
+from foundation.jit import compiled_inside
+from foundation.linear_algebra import dot, multiply_vector
 from identification.multilayer.block import Block
 from identification.multilayer.force_model import (
     FADING,
@@ -190,7 +191,7 @@ class Gaussian(NamedTuple):
     covariance: WrittenMatrix
 
 
-@compiled
+@compiled_inside
 def clear_rows(step: LinearMap, begin: int, end: int) -> None:
     """Set the unknowns from `begin` to before `end` to zero after the event."""
     for i in range(begin, end):
@@ -198,7 +199,16 @@ def clear_rows(step: LinearMap, begin: int, end: int) -> None:
             step.transition[i, j] = 0.0
 
 
-@compiled
+@compiled_inside
+def take_tip_force(
+    step: LinearMap, unknown: int, tip_row: Vector, fraction: float
+) -> None:
+    """Let an unknown take a fraction of the tip force at the event."""
+    for j in range(UNKNOWNS):
+        step.transition[unknown, j] = fraction * tip_row[j]
+
+
+@compiled_inside
 def begin_contact(step: LinearMap, block: Block) -> None:
     """Begin a layer without friction; the shaft may have some from before."""
     clear_rows(step, LAYER_COULOMB, LAYER_VISCOUS + 1)
@@ -206,7 +216,7 @@ def begin_contact(step: LinearMap, block: Block) -> None:
     step.variance[TRAVERSED_COULOMB] = initial_std**2
 
 
-@compiled
+@compiled_inside
 def release_model_error(
     step: LinearMap, mean: Vector, tip_row: WrittenVector, block: Block
 ) -> None:
@@ -216,17 +226,17 @@ def release_model_error(
     `tip_row`, which then includes the error, and sets the variance of `RELEASE_STRETCH`
     from the tip force without it. So `map_event` calls it before `tip_row` is used.
     """
-    tip_force = np.dot(tip_row, mean)
+    tip_force = dot(tip_row, mean)
     step.variance[RELEASE_STRETCH] = (RELEASE_LENGTH_LOG_STD * tip_force) ** 2
     tip_row[MODEL_ERROR] = 1.0
     clear_rows(step, MODEL_ERROR, MODEL_ERROR_SLOPE + 1)
-    shaft_friction = block.force_before_N - mean[OFFSET] - np.dot(tip_row, mean)
+    shaft_friction = block.force_before_N - mean[OFFSET] - dot(tip_row, mean)
     error_std = MODEL_ERROR_FRACTION * TRAVERSED_ERROR_FRACTION * shaft_friction
     step.variance[MODEL_ERROR] = error_std**2
     step.variance[MODEL_ERROR_SLOPE] = step.variance[MODEL_ERROR] / MODEL_ERROR_MM**2
 
 
-@compiled
+@compiled_inside
 def leave_friction_on_shaft(
     step: LinearMap, assumption: Assumptions, block: Block
 ) -> None:
@@ -238,23 +248,23 @@ def leave_friction_on_shaft(
         step.transition[TRAVERSED_VISCOUS, LAYER_VISCOUS] = length
 
 
-@compiled
+@compiled_inside
 def hold_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> None:
     """Release the tip force and hold about half of it, as a partial rupture does."""
-    tip_force = np.dot(tip_row, mean)
-    step.transition[RELEASED] = tip_row
-    step.transition[HELD] = HELD_FRACTION * tip_row
+    tip_force = dot(tip_row, mean)
+    take_tip_force(step, RELEASED, tip_row, 1.0)
+    take_tip_force(step, HELD, tip_row, HELD_FRACTION)
     step.variance[HELD] = (HELD_FRACTION_STD * tip_force) ** 2 + MIN_HELD_VARIANCE_N2
 
 
-@compiled
+@compiled_inside
 def keep_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> None:
     """Let part of the tip force outlast the release, until it fades with travel."""
-    step.transition[FADING] = FADING_FRACTION * tip_row
-    step.variance[FADING] = (FADING_FRACTION_STD * np.dot(tip_row, mean)) ** 2
+    take_tip_force(step, FADING, tip_row, FADING_FRACTION)
+    step.variance[FADING] = (FADING_FRACTION_STD * dot(tip_row, mean)) ** 2
 
 
-@compiled
+@compiled_inside
 def begins_friction_record(assumption: Assumptions, kind: int, reported: int) -> bool:
     """Return whether an event begins a new friction record, for the section it ends.
 
@@ -270,14 +280,14 @@ def begins_friction_record(assumption: Assumptions, kind: int, reported: int) ->
     return assumption.medium == LAYER or was_met_in_air
 
 
-@compiled
+@compiled_inside
 def start_friction_record(step: LinearMap) -> None:
     """Move the last section's friction to the one before; the last starts at zero."""
     clear_rows(step, FRICTION_LAST, FRICTION_BEFORE + 1)
     step.transition[FRICTION_BEFORE, FRICTION_LAST] = 1.0
 
 
-@compiled
+@compiled_inside
 def add_to_friction_record(
     step: LinearMap, mean: Vector, block: Block, length: float, tissue_speed_std: float
 ) -> None:
@@ -288,7 +298,7 @@ def add_to_friction_record(
     step.variance[FRICTION_LAST] = unseen_friction**2
 
 
-@compiled
+@compiled_inside
 def map_event(
     mean: Vector, assumption: Assumptions, event: Event, block: Block
 ) -> LinearMap:
@@ -296,9 +306,13 @@ def map_event(
 
     The mean force that they predict at the event stays the same.
     """
-    step = LinearMap(np.eye(UNKNOWNS), np.zeros(UNKNOWNS))
+    step = LinearMap(np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS))
+    for i in range(UNKNOWNS):
+        step.transition[i, i] = 1.0
+    row = regressor(assumption, block)
     tip_row = np.zeros(UNKNOWNS)  # the tip force is tip_row @ mean
-    tip_row[TIP_BEGIN:TIP_END] = regressor(assumption, block)[TIP_BEGIN:TIP_END]
+    for i in range(TIP_BEGIN, TIP_END):
+        tip_row[i] = row[i]
     clear_rows(step, TIP_BEGIN, TIP_END)
     if event.kind == CONTACT:
         begin_contact(step, block)
@@ -306,19 +320,19 @@ def map_event(
         # Changes tip_row, so it comes before all that use it; below likewise.
         release_model_error(step, mean, tip_row, block)
         leave_friction_on_shaft(step, assumption, block)
-        step.transition[RELEASED] = tip_row
+        take_tip_force(step, RELEASED, tip_row, 1.0)
     elif event.kind == PARTIAL_RUPTURE:
         release_model_error(step, mean, tip_row, block)
         hold_part_of_tip_force(step, mean, tip_row)
     elif event.kind == MEMBRANE_MET:
         leave_friction_on_shaft(step, assumption, block)
-        step.transition[HELD] = tip_row
+        take_tip_force(step, HELD, tip_row, 1.0)
     if event.keeps_force:
         keep_part_of_tip_force(step, mean, tip_row)
     return step
 
 
-@compiled
+@compiled_inside
 def add_prior(gaussian: Gaussian, event: Event, speed: float) -> None:
     """Add the prior of what the tip is in after an event."""
     if event.next_medium == MEMBRANE:
@@ -329,7 +343,7 @@ def add_prior(gaussian: Gaussian, event: Event, speed: float) -> None:
             add_friction_prior(gaussian.mean, gaussian.covariance, speed)
 
 
-@compiled
+@compiled_inside
 def apply_event(
     gaussian: Gaussian,
     assumption: Assumptions,
@@ -356,7 +370,7 @@ def apply_event(
         start_friction_record(step)
     if assumption.medium == LAYER:
         add_to_friction_record(step, mean, block, new_length, tissue_speed_std)
-    mean_after = np.dot(step.transition, mean)
+    mean_after = multiply_vector(step.transition, mean)
     # map_rows returns the transpose, (T P).T; applied twice that is T P T.T.
     covariance = map_rows(step.transition, gaussian.covariance)
     covariance = map_rows(step.transition, covariance)
@@ -367,7 +381,7 @@ def apply_event(
     return after
 
 
-@compiled
+@compiled_inside
 def update_assumption(
     child: Assumptions, parent: Assumptions, event: Event, block: Block, reported: int
 ) -> None:
@@ -399,7 +413,7 @@ def update_assumption(
     child.is_punctured = 1.0 if is_puncture else 0.0
 
 
-@compiled
+@compiled_inside
 def record_rupture(history: History, kind: int, block: Block) -> None:
     """Record a rupture at the beginning of a block.
 
@@ -414,7 +428,7 @@ def record_rupture(history: History, kind: int, block: Block) -> None:
     history.min_force_N = block.force_before_N
 
 
-@compiled
+@compiled_inside
 def record_section(
     history: History,
     before: Gaussian,
@@ -442,7 +456,7 @@ def record_section(
     history.viscous_variance = before.covariance[LAYER_VISCOUS, LAYER_VISCOUS]
 
 
-@compiled
+@compiled_inside
 def record_contact(history: History, depth_mm: float, is_first: bool) -> None:
     """Record that tissue begins here and that nothing is known of it yet."""
     history.section_start_mm = depth_mm

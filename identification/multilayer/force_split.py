@@ -11,7 +11,7 @@ import math
 from typing import NamedTuple
 
 from foundation.arrays import Matrix
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
 from identification.estimate import Outputs
 from identification.multilayer.evidence import MM_PER_M
 from identification.multilayer.needle_contact import (
@@ -136,7 +136,7 @@ def friction_variance(friction: Friction, deflection: float, speed: float) -> fl
     return variance + speed * speed * friction.viscous_variance
 
 
-@compiled
+@compiled_inside
 def net_force_std(
     posterior: ShaftPosterior,
     friction: Friction,
@@ -159,14 +159,14 @@ def net_force_std(
     return math.sqrt(max(noise + variance + 2.0 * cross_covariance, 0.0))
 
 
-@compiled
+@compiled_inside
 def noise_std(posterior: ShaftPosterior, contact: NeedleContact) -> float:
     """Return the standard deviation of the force less the offset."""
     noise = posterior.noise_variance + posterior.offset_variance
     return math.sqrt(noise + contact.motion_variance_N2)
 
 
-@compiled
+@compiled_inside
 def relax(contact: NeedleContact, speed: float) -> SlidingShaft:
     """Return how the shaft slides.
 
@@ -180,7 +180,7 @@ def relax(contact: NeedleContact, speed: float) -> SlidingShaft:
     )
 
 
-@compiled
+@compiled_inside
 def measure_embedded(depth_m: float, layers: Matrix) -> EmbeddedFraction:
     """Return the fractions of the friction of the layers still on the shaft."""
     coulomb = TINY
@@ -197,7 +197,7 @@ def measure_embedded(depth_m: float, layers: Matrix) -> EmbeddedFraction:
     return EmbeddedFraction(coulomb / all_coulomb, viscous / all_viscous)
 
 
-@compiled
+@compiled_inside
 def truncate_at_zero(tip_force: float, variance: float) -> TipForce:
     """Cut a tip force off at zero, since no tissue pulls the tip.
 
@@ -215,7 +215,7 @@ def truncate_at_zero(tip_force: float, variance: float) -> TipForce:
     return TipForce(std * (ratio + hazard), variance * hazard * (hazard + ratio))
 
 
-@compiled
+@compiled_inside
 def split_in_air(
     posterior: ShaftPosterior, contact: NeedleContact, force: float, tip_force: float
 ) -> Forces:
@@ -232,14 +232,14 @@ def split_in_air(
     return Forces(net, std, net, std, 0.0, 0.0, posterior.offset + tip_force)
 
 
-@compiled
+@compiled_inside
 def traversed_friction(posterior: ShaftPosterior, sliding: SlidingShaft) -> float:
     """Return the friction of the layers traversed [N]."""
     coulomb = sliding.deflection * posterior.traversed.coulomb
     return coulomb + sliding.speed * posterior.traversed.viscous
 
 
-@compiled
+@compiled_inside
 def traversed_std(
     posterior: ShaftPosterior, contact: NeedleContact, sliding: SlidingShaft
 ) -> float:
@@ -251,7 +251,7 @@ def traversed_std(
     return net_force_std(posterior, friction, sliding, variance)
 
 
-@compiled
+@compiled_inside
 def split_in_channel(
     posterior: ShaftPosterior,
     contact: NeedleContact,
@@ -290,7 +290,7 @@ def split_in_channel(
     return Forces(net - friction, enhanced_std, 0.0, std, net, std, predicted)
 
 
-@compiled
+@compiled_inside
 def split_at_front(
     posterior: ShaftPosterior,
     contact: NeedleContact,
@@ -342,7 +342,7 @@ def split_at_front(
     )
 
 
-@compiled
+@compiled_inside
 def split_force(
     posterior: ShaftPosterior,
     contact: NeedleContact,
@@ -377,7 +377,7 @@ def split_force(
     return split_at_front(posterior, contact, sliding, force, travel)
 
 
-@compiled
+@compiled_inside
 def find_layer(posterior: ShaftPosterior, layers: Matrix, depth_m: float) -> int:
     """Return the layer that the tip is in, 0 in free air in front of the first."""
     if depth_m < posterior.contact_depth_m:
@@ -389,7 +389,7 @@ def find_layer(posterior: ShaftPosterior, layers: Matrix, depth_m: float) -> int
     return number
 
 
-@compiled
+@compiled_inside
 def damping_at(friction: Friction, speed: float) -> Damping:
     """Return Coulomb and viscous friction as one damping at a speed."""
     value = friction.coulomb / speed + friction.viscous

@@ -3,7 +3,8 @@
 import numpy as np
 
 from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import dot
 from identification.multilayer.force_model import UNKNOWNS
 
 
@@ -42,7 +43,7 @@ def update(
             covariance[i, j] -= gain * cross_covariance[j]
 
 
-@compiled
+@compiled_inside
 def update_to_zero(
     mean: WrittenVector, covariance: WrittenMatrix, row: Vector, variance: float
 ) -> None:
@@ -55,12 +56,12 @@ def update_to_zero(
         variance: Of that knowledge.
     """
     cross_covariance = times(covariance, row)
-    innovation = -np.dot(row, mean)
-    total_variance = np.dot(row, cross_covariance) + variance
+    innovation = -dot(row, mean)
+    total_variance = dot(row, cross_covariance) + variance
     update(mean, covariance, cross_covariance, innovation, total_variance)
 
 
-@compiled
+@compiled_inside
 def map_rows(transition: Matrix, matrix: Matrix) -> Matrix:
     """Return (transition @ matrix).T, for a transition with many zeros.
 

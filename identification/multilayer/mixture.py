@@ -34,7 +34,8 @@ from foundation.arrays import (
     WrittenMatrix,
     WrittenVector,
 )
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import dot, sort_descending
 from foundation.records import read_column, read_element, record_array
 from identification.multilayer.block import Block
 from identification.multilayer.disturbances import (
@@ -267,8 +268,7 @@ Rows = NDArray[np.int64]
 """Row numbers of components, shape (m,)."""
 
 
-@compiled
-def _probabilities(log_weights: Vector) -> Array:
+def _probabilities(log_weights: Array) -> Array:
     weights = np.exp(log_weights - log_weights.max())
     return weights / weights.sum()
 
@@ -567,8 +567,8 @@ def correct(mixture: Mixture, size: int, block: Block, variance: float) -> None:
         row = regressor(assumption, block)
         noise = force_variance(mean, row, assumption, block, variance, shape_error)
         cross_covariance = times(covariance, row)
-        total_variance = max(np.dot(row, cross_covariance), 0.0) + noise
-        innovation = block.force_N - np.dot(row, mean)
+        total_variance = max(dot(row, cross_covariance), 0.0) + noise
+        innovation = block.force_N - dot(row, mean)
         surprise = innovation * innovation / total_variance
         log_likelihood = -0.5 * (
             math.log(total_variance)
@@ -580,7 +580,7 @@ def correct(mixture: Mixture, size: int, block: Block, variance: float) -> None:
         update(mean, covariance, cross_covariance, innovation, total_variance)
 
 
-@compiled
+@compiled_inside
 def set_to_zero(
     mean: WrittenVector, covariance: WrittenMatrix, index: int, zero_std: float
 ) -> float:
@@ -594,12 +594,14 @@ def set_to_zero(
     if value >= -zero_std - math.sqrt(variance):
         return 0.0
     total_variance = variance + zero_std**2
-    cross_covariance = covariance[:, index].copy()
+    cross_covariance = np.zeros(UNKNOWNS)
+    for i in range(UNKNOWNS):
+        cross_covariance[i] = covariance[i, index]
     update(mean, covariance, cross_covariance, -value, total_variance)
     return -0.5 * value**2 / total_variance
 
 
-@compiled
+@compiled_inside
 def constrain_sign(
     mean: WrittenVector, covariance: WrittenMatrix, assumption: Assumptions
 ) -> float:
@@ -616,7 +618,7 @@ def constrain_sign(
     return log_weight
 
 
-@compiled
+@compiled_inside
 def is_release_over(assumption: Assumptions, block: Block) -> bool:
     """Return whether a release that has not been checked yet is over."""
     end_mm = assumption.release_start_mm + assumption.release_length_mm
@@ -624,7 +626,7 @@ def is_release_over(assumption: Assumptions, block: Block) -> bool:
     return assumption.unchecked_force_N > 0.0 and is_over
 
 
-@compiled
+@compiled_inside
 def is_release_too_small(mean: Vector, assumption: Assumptions, block: Block) -> bool:
     """Return whether a release that is over released less than a rupture does."""
     if not is_release_over(assumption, block):
@@ -636,7 +638,7 @@ def is_release_too_small(mean: Vector, assumption: Assumptions, block: Block) ->
     return released < max(fraction, MIN_RELEASED_SIGMAS * block.noise_std_N)
 
 
-@compiled
+@compiled_inside
 def has_negative_stiffness_or_friction(
     mean: Vector, covariance: WrittenMatrix, assumption: Assumptions, block: Block
 ) -> bool:
@@ -687,7 +689,7 @@ def penalise_implausible(
         mixture.log_weights[k] = log_weight
 
 
-@compiled
+@compiled_inside
 def record_event(
     mixture: Mixture, row: int, parent: int, event: Event, block: Block, reported: int
 ) -> None:
@@ -708,9 +710,10 @@ def record_event(
     history = mixture.history[row]
     update_assumption(child, assumption, event, block, reported)
     if event.kind in (LAYER_END, PARTIAL_RUPTURE):
-        tip_and_layer = slice(TIP_BEGIN, LAYER_VISCOUS + 1)
-        regressors = regressor(assumption, block)[tip_and_layer]
-        force = np.dot(regressors, mixture.means[parent, tip_and_layer])
+        regressors = regressor(assumption, block)
+        force = 0.0
+        for i in range(TIP_BEGIN, LAYER_VISCOUS + 1):  # tip and layer
+            force += regressors[i] * mixture.means[parent, i]
         child.unchecked_force_N = force
         record_rupture(history, event.kind, block)
     if event.kind == CONTACT:
@@ -763,8 +766,10 @@ def add_children(
             mixture.assumptions[row] = mixture.assumptions[size]
             mixture.history[row] = mixture.history[size]
         mixture.assumptions[row].release_length_mm = event.release_lengths_mm[i]
-        mixture.means[row] = new.mean
-        mixture.covariances[row] = new.covariance
+        for j in range(UNKNOWNS):
+            mixture.means[row, j] = new.mean[j]
+            for k in range(UNKNOWNS):
+                mixture.covariances[row, j, k] = new.covariance[j, k]
         mixture.log_weights[row] = log_weight
 
 
@@ -828,10 +833,12 @@ def choose_parents(mixture: Mixture, depth_mm: float) -> Rows:
     Components whose last release is not over are left out: until then the force does
     not show what the rupture was.
     """
-    size = len(mixture.log_weights)
     best = np.full(TIP_STATES, -1)
-    min_log_weight = mixture.log_weights.max() - MAX_PARENT_LOG_WEIGHT_GAP
-    for k in range(size):
+    max_log_weight = mixture.log_weights[0]
+    for log_weight in mixture.log_weights:
+        max_log_weight = max(max_log_weight, log_weight)
+    min_log_weight = max_log_weight - MAX_PARENT_LOG_WEIGHT_GAP
+    for k in range(len(mixture.log_weights)):
         assumption = mixture.assumptions[k]
         release_mm = max(assumption.release_length_mm, MIN_RELEASE_MM)
         is_over = depth_mm > assumption.release_start_mm + release_mm
@@ -840,8 +847,17 @@ def choose_parents(mixture: Mixture, depth_mm: float) -> Rows:
             state = int(2.0 * assumption.medium + assumption.holds_force)
             if best[state] < 0 or log_weight > mixture.log_weights[best[state]]:
                 best[state] = k
-    rows = best[best >= 0]
-    return rows[np.argsort(-mixture.log_weights[rows], kind="mergesort")]
+    best_log_weights = np.full(TIP_STATES, -math.inf)
+    count = 0
+    for state in range(TIP_STATES):
+        if best[state] >= 0:
+            best_log_weights[state] = mixture.log_weights[best[state]]
+            count += 1
+    order = sort_descending(best_log_weights)
+    rows = np.zeros(count, dtype=np.int64)
+    for k in range(count):
+        rows[k] = best[order[k]]
+    return rows
 
 
 class Ranking(NamedTuple):
@@ -859,13 +875,19 @@ class Ranking(NamedTuple):
 @compiled
 def rank(mixture: Mixture, depth_mm: float) -> tuple[Rows, Array]:
     """Return the fields of a `Ranking`, within the quota of each class."""
-    log_weights = mixture.log_weights - mixture.log_weights.max()
-    log_weights -= math.log(np.exp(log_weights).sum())
-    places = list(QUOTAS)
-    rows = np.zeros(len(log_weights), dtype=np.int64)
+    order = sort_descending(mixture.log_weights)
+    max_log_weight = mixture.log_weights[order[0]]
+    total = 0.0
+    for log_weight in mixture.log_weights:
+        total += math.exp(log_weight - max_log_weight)
+    log_total = max_log_weight + math.log(total)
+    rows = np.zeros(MAX_KEPT, dtype=np.int64)
+    log_weights = np.zeros(MAX_KEPT)
+    places = np.array(QUOTAS)
     size = 0
-    for k in np.argsort(-log_weights, kind="mergesort"):
-        if log_weights[k] <= MIN_LOG_WEIGHT:
+    for k in order:
+        log_weight = mixture.log_weights[k] - log_total
+        if log_weight <= MIN_LOG_WEIGHT:
             break
         assumption = mixture.assumptions[k]
         is_membrane = assumption.medium == MEMBRANE
@@ -875,8 +897,9 @@ def rank(mixture: Mixture, depth_mm: float) -> tuple[Rows, Array]:
         if places[class_index] > 0:
             places[class_index] -= 1
             rows[size] = k
+            log_weights[size] = log_weight
             size += 1
-    return rows[:size], log_weights[rows[:size]]
+    return rows[:size], log_weights[:size]
 
 
 class MixtureMemory:

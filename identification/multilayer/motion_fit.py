@@ -25,6 +25,7 @@ import numpy as np
 
 from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled
+from foundation.linear_algebra import decompose_cholesky, dot, solve_cholesky
 from identification.multilayer.needle_contact import contact_along
 from identification.multilayer.priors import (
     COULOMB_SPEED_MM_S,
@@ -223,20 +224,21 @@ def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
     Returns:
         Two arrays of shape (n,).
     """
-    place = np.zeros_like(time_s)
-    speed = np.zeros_like(time_s)
+    place = np.zeros(len(time_s))
+    speed = np.zeros(len(time_s))
     for k in range(len(beats)):
         rate = 2.0 * math.pi * beats[k, 0]
-        a = beats[k, 1]
-        b = beats[k, 2]
-        c = beats[k, 3]
-        d = beats[k, 4]
-        cosine = np.cos(rate * time_s)
-        sine = np.sin(rate * time_s)
-        cosine_2 = cosine * cosine - sine * sine
-        sine_2 = 2.0 * cosine * sine
-        place += a * cosine + b * sine + c * cosine_2 + d * sine_2
-        speed += rate * (b * cosine - a * sine + 2.0 * (d * cosine_2 - c * sine_2))
+        for i in range(len(time_s)):
+            cosine = math.cos(rate * time_s[i])
+            sine = math.sin(rate * time_s[i])
+            for h in range(1, 3):
+                a = beats[k, 2 * h - 1]
+                b = beats[k, 2 * h]
+                place[i] += a * cosine + b * sine
+                speed[i] += h * rate * (b * cosine - a * sine)
+                double_sine = 2.0 * cosine * sine
+                cosine = cosine * cosine - sine * sine
+                sine = double_sine
     return place, speed
 
 
@@ -255,25 +257,26 @@ def _derivatives(beats: Matrix, time_s: Vector) -> Pair:
     speeds = np.zeros((beats.size, len(time_s)))
     for k in range(len(beats)):
         row = 5 * k
-        phase = 2.0 * math.pi * beats[k, 0] * time_s
-        cosine = np.cos(phase)
-        sine = np.sin(phase)
-        for h in range(1, 3):
-            hertz = 2.0 * math.pi * h
-            rate = hertz * beats[k, 0]
-            a = beats[k, 2 * h - 1]
-            b = beats[k, 2 * h]
-            if h == 2:
+        for i in range(len(time_s)):
+            time = time_s[i]
+            cosine = math.cos(2.0 * math.pi * beats[k, 0] * time)
+            sine = math.sin(2.0 * math.pi * beats[k, 0] * time)
+            for h in range(1, 3):
+                hertz = 2.0 * math.pi * h
+                rate = hertz * beats[k, 0]
+                a = beats[k, 2 * h - 1]
+                b = beats[k, 2 * h]
+                ahead = b * cosine - a * sine
+                behind = a * cosine + b * sine
+                places[row, i] += hertz * time * ahead
+                speeds[row, i] += hertz * (ahead - rate * time * behind)
+                places[row + 2 * h - 1, i] = cosine
+                places[row + 2 * h, i] = sine
+                speeds[row + 2 * h - 1, i] = -rate * sine
+                speeds[row + 2 * h, i] = rate * cosine
                 double_sine = 2.0 * cosine * sine
                 cosine = cosine * cosine - sine * sine
                 sine = double_sine
-            ahead = b * cosine - a * sine
-            places[row] += hertz * time_s * ahead
-            speeds[row] += hertz * (ahead - rate * time_s * (a * cosine + b * sine))
-            places[row + 2 * h - 1] = cosine
-            places[row + 2 * h] = sine
-            speeds[row + 2 * h - 1] = -rate * sine
-            speeds[row + 2 * h] = rate * cosine
     return places, speeds
 
 
@@ -301,10 +304,22 @@ def solve_least_squares(
         information: Prior information on the unknowns, shape (n, n).
         pull: That information times the prior mean, shape (n,).
     """
-    square = np.dot(rows.T, rows) + information
-    square += np.diag(REGULARISATION * np.diag(square) + TINY)
-    unknowns = np.linalg.solve(square, np.dot(rows.T, values) + pull)
-    return LinearFit(unknowns, values - np.dot(rows, unknowns))
+    count, size = rows.shape
+    square = information.copy()
+    right_side = pull.copy()
+    for k in range(count):
+        for i in range(size):
+            factor = rows[k, i]
+            right_side[i] += factor * values[k]
+            for j in range(i + 1):
+                square[i, j] += factor * rows[k, j]
+    for i in range(size):
+        square[i, i] += REGULARISATION * square[i, i] + TINY
+    unknowns = solve_cholesky(decompose_cholesky(square), right_side)
+    errors = values.copy()
+    for k in range(count):
+        errors[k] -= dot(rows[k], unknowns)
+    return LinearFit(unknowns, errors)
 
 
 class Waves(NamedTuple):
@@ -340,32 +355,43 @@ def fit_waves(
         weight: One over the standard deviation of each force, shape (n,).
         force: Over its deviation, shape (n,).
     """
-    ago_s = time_s - time_s[-1]
-    columns = np.ones((COURSE_COLUMNS + 2 * WAVE_COLUMNS * len(hz), len(travel)))
-    columns[1] = travel
-    columns[2] = travel * travel
-    columns[3] = travel**3
-    columns[4] = speed
-    columns[5] = speed * travel
-    columns[6] = 1.0 * (later >= 0.0)
-    columns[7] = np.maximum(later, 0.0)
-    row = COURSE_COLUMNS
-    for k in range(2 * len(hz)):
-        phase = 2.0 * math.pi * hz[k // 2] * (1 + k % 2) * ago_s
-        cosine = np.cos(phase)
-        sine = np.sin(phase)
-        columns[row] = cosine
-        columns[row + 1] = cosine * travel
-        columns[row + 2] = sine
-        columns[row + 3] = sine * travel
-        row += WAVE_COLUMNS
-    columns *= weight
-    scale = np.sqrt((columns * columns).sum(axis=1)) + TINY
-    matrix = np.ascontiguousarray(columns.T / scale)
-    nothing = np.zeros(len(scale))
-    solution = solve_least_squares(matrix, force, np.diag(nothing), nothing)
-    error = np.dot(solution.errors, solution.errors) / len(travel)
-    return solution.unknowns / scale, error
+    count = len(travel)
+    matrix = np.zeros((count, COURSE_COLUMNS + 2 * WAVE_COLUMNS * len(hz)))
+    columns = matrix.shape[1]
+    scale = np.zeros(columns)
+    for i in range(count):
+        row = matrix[i]
+        row[0] = 1.0
+        row[1] = travel[i]
+        row[2] = travel[i] ** 2
+        row[3] = travel[i] ** 3
+        row[4] = speed[i]
+        row[5] = speed[i] * travel[i]
+        row[6] = 1.0 if later[i] >= 0.0 else 0.0
+        row[7] = max(later[i], 0.0)
+        column = COURSE_COLUMNS
+        for k in range(2 * len(hz)):
+            frequency_hz = hz[k // 2] * (1 + k % 2)
+            phase = 2.0 * math.pi * frequency_hz * (time_s[i] - time_s[count - 1])
+            row[column] = math.cos(phase)
+            row[column + 1] = row[column] * travel[i]
+            row[column + 2] = math.sin(phase)
+            row[column + 3] = row[column + 2] * travel[i]
+            column += WAVE_COLUMNS
+        for j in range(columns):
+            row[j] *= weight[i]
+            scale[j] += row[j] ** 2
+    for j in range(columns):
+        scale[j] = math.sqrt(scale[j]) + TINY
+    for i in range(count):
+        for j in range(columns):
+            matrix[i, j] /= scale[j]
+    nothing = np.zeros((columns, columns))
+    solution = solve_least_squares(matrix, force, nothing, nothing[0])
+    coefficients = np.zeros(columns)
+    for j in range(columns):
+        coefficients[j] = solution.unknowns[j] / scale[j]
+    return coefficients, dot(solution.errors, solution.errors) / count
 
 
 @compiled
@@ -440,11 +466,18 @@ def force_changes(
     """
     w, g = contact
     depths, speeds = courses
-    forces = np.zeros((len(depths), len(weight)))
+    count = len(weight)
+    changes = np.zeros((count, len(depths) - 1))
+    first = np.zeros(count)
     for k in range(len(depths)):
         rows = force_rows((w[k], g[k]), depths[k], speeds[k], weight, begin)
-        forces[k] = np.dot(rows, linear)
-    return (forces[1:] - forces[0]).T
+        for i in range(count):
+            force = dot(rows[i], linear)
+            if k == 0:
+                first[i] = force
+            else:
+                changes[i, k - 1] = force - first[i]
+    return changes
 
 
 @compiled
@@ -463,17 +496,28 @@ def gauss_newton_step(
         damping: Levenberg's.
     """
     linear, slopes = rows
-    n = len(prior)
-    size = len(prior) + len(stds)
+    count, own = linear.shape
+    numbers = len(stds)
+    size = own + numbers
+    columns = np.zeros((count, size))
+    squares = np.zeros(numbers)
+    for i in range(count):
+        for j in range(own):
+            columns[i, j] = linear[i, j]
+        for k in range(numbers):
+            columns[i, own + k] = slopes[i, k]
+            squares[k] += slopes[i, k] ** 2
     information = np.zeros((size, size))
     all_pull = np.zeros(size)
-    information[:n, :n] = prior
-    all_pull[n:] = pull
-    for k in range(len(stds)):
-        own = stds[k] ** -2.0
-        information[n + k, n + k] = own + damping * (own + (slopes[:, k] ** 2).sum())
-    columns = np.concatenate((linear, slopes), axis=1)
-    return solve_least_squares(columns, error, information, all_pull).unknowns[n:]
+    for i in range(own):
+        for j in range(own):
+            information[i, j] = prior[i, j]
+    for k in range(numbers):
+        prior_information = stds[k] ** -2.0
+        damped = damping * (prior_information + squares[k])
+        information[own + k, own + k] = prior_information + damped
+        all_pull[own + k] = pull[k]
+    return solve_least_squares(columns, error, information, all_pull).unknowns[own:]
 
 
 def turned(fit: Fit, time_s: float) -> Fit:
@@ -629,7 +673,7 @@ class Window:
         contact = contact_along(depths)
         courses = (depths, speeds)
         changes = force_changes(contact, courses, self._weight, self._begin, linear)
-        return np.ascontiguousarray(changes / steps.T)
+        return changes / steps.T
 
     @property
     def error_at_rest(self) -> float:

@@ -10,7 +10,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Matrix
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
 from identification.multilayer.evidence import MM_PER_M
 
 MAX_BLOCK_S = 0.01
@@ -117,7 +117,7 @@ class Presliding(NamedTuple):
     remaining: float
 
 
-@compiled
+@compiled_inside
 def slide(deflection: float, travel_mm: float) -> Presliding:
     """Return the presliding deflection after a travel.
 
@@ -181,7 +181,7 @@ class ContactSample(NamedTuple):
     dt_s: float
 
 
-@compiled
+@compiled_inside
 def update_inertia(contact: NeedleContact, sample: ContactSample) -> None:
     """Update how uncertain the force is by the arm's acceleration."""
     dt_s = sample.dt_s
@@ -196,7 +196,7 @@ def update_inertia(contact: NeedleContact, sample: ContactSample) -> None:
     contact.motion_variance_N2 = min(force_variance_N2, contact.inertia_variance_N2)
 
 
-@compiled
+@compiled_inside
 def update_friction_state(contact: NeedleContact, sample: ContactSample) -> None:
     """Update presliding deflection and relaxation at rest."""
     depth_m = sample.depth_m
@@ -219,7 +219,7 @@ def update_friction_state(contact: NeedleContact, sample: ContactSample) -> None
     contact.relaxation = relaxation
 
 
-@compiled
+@compiled_inside
 def fill_block(contact: NeedleContact, sample: ContactSample) -> bool:
     """Add a sample to the block, and return whether it is full.
 
@@ -239,7 +239,7 @@ def fill_block(contact: NeedleContact, sample: ContactSample) -> bool:
     return is_far and contact.block_s > MIN_BLOCK_S * (1.0 - ROUNDING)
 
 
-@compiled
+@compiled_inside
 def update_contact(contact: NeedleContact, sample: ContactSample) -> bool:
     """Use one sample, and return whether the block being filled is full."""
     update_inertia(contact, sample)

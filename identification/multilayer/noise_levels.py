@@ -21,7 +21,8 @@ from foundation.arrays import (
     WrittenMatrix,
     WrittenVector,
 )
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import order_statistic
 from identification.multilayer.disturbances import (
     BREATHING_DAMPING,
     BREATHING_HZ,
@@ -357,27 +358,29 @@ def add_force(
         squares: Of the differences, which are changed, shape (8, n).
         counts: Of the differences, which are changed, shape (8,).
     """
-    past = np.append(past[1:], force)
     newest = len(past) - 1
+    later = np.zeros(len(past))
+    for i in range(newest):
+        later[i] = past[i + 1]
+    later[newest] = force
     for k in range(LAGS):
         lag = 2**k
         if steps <= 2 * lag:
             break
-        difference = past[newest] - 2.0 * past[newest - lag] + past[newest - 2 * lag]
+        difference = force - 2.0 * later[newest - lag] + later[newest - 2 * lag]
         squares[k, int(counts[k]) % squares.shape[1]] = difference**2
         counts[k] += 1.0
-    return past
+    return later
 
 
 @compiled
 def difference_variance(squares: Matrix, counts: Vector, k: int) -> float:
     """Return the variance of the differences at a lag, by their median."""
     size = min(int(counts[k]), squares.shape[1])
-    middle = size // 2
-    return np.partition(squares[k, :size], middle)[middle] / MEDIAN_OF_SQUARE
+    return order_statistic(squares[k, :size], size // 2) / MEDIAN_OF_SQUARE
 
 
-@compiled
+@compiled_inside
 def chance_of_motion(levels: Vector, counts: Vector, design: Matrix) -> Vector:
     """Return what white and coloured noise show at each lag by chance, shape (8,)."""
     chance = np.zeros(LAGS)

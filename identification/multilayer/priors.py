@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import WrittenMatrix, WrittenVector
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import dot
 from identification.multilayer.force_model import (
     HELD,
     LAYER_COULOMB,
@@ -128,7 +129,7 @@ def friction_fraction(speed: float) -> FrictionFraction:
     )
 
 
-@compiled
+@compiled_inside
 def add_membrane_prior(mean: WrittenVector, covariance: WrittenMatrix) -> None:
     """Set the prior of a membrane's stiffness."""
     mean[STIFFNESS] = MEMBRANE_STIFFNESS_N_PER_MM
@@ -137,7 +138,7 @@ def add_membrane_prior(mean: WrittenVector, covariance: WrittenMatrix) -> None:
     covariance[STIFFENING, STIFFENING] = MEMBRANE_STIFFENING_STD_N_PER_MM2**2
 
 
-@compiled
+@compiled_inside
 def add_stiffness_prior(
     mean: WrittenVector, covariance: WrittenMatrix, speed: float
 ) -> None:
@@ -149,7 +150,7 @@ def add_stiffness_prior(
     covariance[STIFFENING, STIFFENING] += STIFFENING_STD_N_PER_MM2**2
 
 
-@compiled
+@compiled_inside
 def add_friction_prior(
     mean: WrittenVector, covariance: WrittenMatrix, speed: float
 ) -> None:
@@ -171,7 +172,7 @@ def add_friction_prior(
         covariance[HELD, i] += CUTTING_PER_STIFFNESS_MM * covariance[STIFFNESS, i]
 
 
-@compiled
+@compiled_inside
 def use_friction_fraction(
     mean: WrittenVector, covariance: WrittenMatrix, speed: float, is_due: bool
 ) -> bool:
@@ -199,8 +200,8 @@ def use_friction_fraction(
     row[STIFFNESS] = 1.0
     row[LAYER_COULOMB] = 1.0
     row[LAYER_VISCOUS] = speed
-    slope = np.dot(row, mean)
-    variance = np.dot(row, times(covariance, row))
+    slope = dot(row, mean)
+    variance = dot(row, times(covariance, row))
     known_std = KNOWN_SLOPE_FRACTION * max(slope, MIN_KNOWN_SLOPE_N_PER_MM)
     if variance > known_std**2 and not is_due:
         return False

@@ -9,8 +9,9 @@ from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Vector, WrittenMatrix, WrittenVector
-from foundation.jit import compiled
+from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import add_up, dot, index_of_largest
 from identification.multilayer.block import Block
 from identification.multilayer.events import Gaussian
 from identification.multilayer.evidence import MM_PER_M, Evidence
@@ -136,7 +137,7 @@ class ShaftMixture(NamedTuple):
     tip_force: float
 
 
-@compiled
+@compiled_inside
 def shaft_rows(assumption: Assumptions, depth_mm: float, met: float) -> WrittenMatrix:
     """Return the map of a component's unknowns to the quantities, shape (8, 20).
 
@@ -160,15 +161,99 @@ def shaft_rows(assumption: Assumptions, depth_mm: float, met: float) -> WrittenM
     return rows
 
 
-@compiled
+@compiled_inside
 def predict_tip_force(mixture: Mixture, component: int, block: Block) -> float:
     """Return the tip force of a component [N]."""
-    tip = slice(TIP_BEGIN, TIP_END)
     row = regressor(mixture.assumptions[component], block)
-    return np.dot(row[tip], mixture.means[component, tip])
+    tip_force = 0.0
+    for i in range(TIP_BEGIN, TIP_END):
+        tip_force += row[i] * mixture.means[component, i]
+    return tip_force
 
 
-@compiled
+@compiled_inside
+def normalise(weights: WrittenVector) -> None:
+    """Divide weights by their sum."""
+    total = add_up(weights)
+    for k in range(len(weights)):
+        weights[k] /= total
+
+
+class MixtureWeights(NamedTuple):
+    """Weights of n components, normalised; those left out have zero.
+
+    Attributes:
+        means: Weights for the means, shape (n,).
+        spreads: Weights for the covariance around those means, shape (n,).
+    """
+
+    means: WrittenVector
+    spreads: WrittenVector
+
+
+@compiled_inside
+def leave_out_unlikely(trusted: Vector, weights: Vector) -> MixtureWeights:
+    """Return weights without the least likely components; see `mix_components`."""
+    count = len(weights)
+    means = np.zeros(count)
+    spreads = np.zeros(count)
+    min_trusted = MIN_WEIGHT * add_up(trusted)
+    for k in range(count):
+        if trusted[k] > min_trusted:
+            means[k] = trusted[k]
+        if weights[k] > MIN_WEIGHT or means[k] > 0.0:
+            spreads[k] = weights[k]
+    normalise(means)
+    normalise(spreads)
+    return MixtureWeights(means, spreads)
+
+
+@compiled_inside
+def add_covariance(
+    covariance: WrittenMatrix, weight: float, rows: Matrix, of_unknowns: Matrix
+) -> None:
+    """Add ``weight * rows @ of_unknowns @ rows.T``, for rows with many zeros.
+
+    Args:
+        covariance: Of the quantities, which is changed, shape (8, 8).
+        weight: Of the component.
+        rows: See `shaft_rows`, shape (8, 20).
+        of_unknowns: Covariance of the component's unknowns, shape (20, 20).
+    """
+    for b in range(QUANTITIES):
+        for j in range(UNKNOWNS):
+            if rows[b, j] == 0.0:
+                continue
+            factor = weight * rows[b, j]
+            for a in range(QUANTITIES):
+                product = 0.0
+                for i in range(UNKNOWNS):
+                    product += rows[a, i] * of_unknowns[j, i]
+                covariance[a, b] += factor * product
+
+
+@compiled_inside
+def add_spread(
+    covariance: WrittenMatrix, weights: Vector, values: Matrix, mean: Vector
+) -> None:
+    """Add the spread of the components' values about their mean.
+
+    Args:
+        covariance: Of the quantities, which is changed, shape (8, 8).
+        weights: Of the components, shape (n,).
+        values: What each component says, shape (n, 8).
+        mean: Of the mixture, shape (8,).
+    """
+    for k in range(len(weights)):
+        for a in range(QUANTITIES):
+            deviation = weights[k] * (values[k, a] - mean[a])
+            for b in range(QUANTITIES):
+                covariance[a, b] += deviation * (values[k, b] - mean[b])
+    for a in range(QUANTITIES):
+        covariance[a, a] = max(covariance[a, a], 0.0)
+
+
+@compiled_inside
 def mix_components(
     mixture: Mixture, trusted: Vector, weights: Vector, block: Block
 ) -> ShaftMixture:
@@ -180,38 +265,33 @@ def mix_components(
         weights: Weights for the covariance around those means, shape (n,).
         block: Place of the tip.
     """
-    trusted = np.where(trusted > MIN_WEIGHT * trusted.sum(), trusted, 0.0)
-    weights = np.where((weights > MIN_WEIGHT) | (trusted > 0.0), weights, 0.0)
-    trusted = trusted / trusted.sum()
-    weights = weights / weights.sum()
-    values = np.zeros((len(weights), QUANTITIES))
+    used = leave_out_unlikely(trusted, weights)
+    count = len(weights)
+    values = np.zeros((count, QUANTITIES))
     mean = np.zeros(QUANTITIES)
     covariance = np.zeros((QUANTITIES, QUANTITIES))
     met_probability = 0.0
     contact_mm = 0.0
-    components = np.flatnonzero(weights)
-    for k in components:
+    for k in range(count):
+        if used.spreads[k] == 0.0:
+            continue
         assumption = mixture.assumptions[k]
         has_met = assumption.medium != AIR or assumption.ruptures > 0.0
         if has_met and met_probability == 0.0:
             contact_mm = mixture.history[k].contact_mm
         if has_met:
-            met_probability += trusted[k]
+            met_probability += used.means[k]
         rows = shaft_rows(assumption, block.depth_mm, 1.0 if has_met else 0.0)
-        values[k] = np.dot(rows, mixture.means[k])
-        mean += trusted[k] * values[k]
-        columns = np.ascontiguousarray(rows.T)
-        covariance += weights[k] * np.dot(np.dot(rows, mixture.covariances[k]), columns)
-    for k in components:
-        deviation = values[k] - mean
-        covariance += weights[k] * np.outer(deviation, deviation)
-    for i in range(QUANTITIES):
-        covariance[i, i] = max(covariance[i, i], 0.0)
-    tip_force = predict_tip_force(mixture, int(np.argmax(trusted)), block)
+        for a in range(QUANTITIES):
+            values[k, a] = dot(rows[a], mixture.means[k])
+            mean[a] += used.means[k] * values[k, a]
+        add_covariance(covariance, used.spreads[k], rows, mixture.covariances[k])
+    add_spread(covariance, used.spreads, values, mean)
+    tip_force = predict_tip_force(mixture, index_of_largest(used.means), block)
     return ShaftMixture(mean, covariance, met_probability, contact_mm, tip_force)
 
 
-@compiled
+@compiled_inside
 def trust_components(evidence: Evidence, block: Block, reported: int) -> WrittenVector:
     """Return weights for the means: of the components that ruptures reported support.
 
@@ -228,7 +308,7 @@ def trust_components(evidence: Evidence, block: Block, reported: int) -> Written
     return trusted
 
 
-@compiled
+@compiled_inside
 def set_friction(friction: Friction, shaft: Gaussian, first: int) -> None:
     """Set a friction to the quantities `first` (Coulomb) and the next (viscous)."""
     second = first + 1
@@ -262,7 +342,7 @@ def update_posterior(
     """
     posterior = posteriors[0]
     trusted = trust_components(evidence, block, reported)
-    if trusted.sum() <= MIN_TRUSTED_PROBABILITY:
+    if add_up(trusted) <= MIN_TRUSTED_PROBABILITY:
         trusted = evidence.weights
     shaft = mix_components(evidence.mixture, trusted, evidence.weights, block)
     is_met = shaft.met_probability > MET_PROBABILITY

@@ -13,7 +13,8 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import WrittenMatrix, WrittenVector
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import multiply, multiply_transposed, multiply_vector
 
 JERK_MM2_PER_S5 = 1e-4
 """Spectral density of the jerk."""
@@ -77,7 +78,7 @@ FIRST_SPEED_FILTER = SpeedFilter(np.zeros(STATES), np.zeros((STATES, STATES)), 0
 """The filter before the first block."""
 
 
-@compiled
+@compiled_inside
 def begin_speed_filter(
     state: SpeedFilter,
     depth: float,
@@ -90,7 +91,9 @@ def begin_speed_filter(
 
     `density` is that of the depth's white noise [mm² s].
     """
-    mean = np.array([depth, speed, 0.0])
+    mean = np.zeros(STATES)
+    mean[0] = depth
+    mean[1] = speed
     covariance = np.zeros((STATES, STATES))
     covariance[0, 0] = density / duration_s
     covariance[1, 1] = 4.0 * speed_std**2 + MIN_SPEED_VARIANCE
@@ -130,19 +133,27 @@ def filter_speed(
     usual_square = SIGNIFICANT_INNOVATION * gain / (2.0 - gain)
     haste = max(state.innovation**2 / usual_square, 1.0)
     t = duration_s
-    transition = np.array([[1.0, t, 0.5 * t * t], [0.0, 1.0, t], [0.0, 0.0, 1.0]])
-    row = np.array([t * t / 2.0, t, 1.0])
+    transition = np.eye(STATES)
+    transition[0, 1] = t
+    transition[0, 2] = 0.5 * t * t
+    transition[1, 2] = t
     jerk = haste**2 * JERK_MM2_PER_S5
-    mean = np.dot(transition, state.mean)
-    covariance = np.dot(transition, np.dot(transition, state.covariance).T)
+    mean = multiply_vector(transition, state.mean)
+    covariance = multiply_transposed(multiply(transition, state.covariance), transition)
     for i in range(STATES):
         for j in range(STATES):
-            covariance[i, j] += jerk * t * row[i] * row[j] / (5.0 - i - j)
+            part = transition[i, 2] * transition[j, 2] / (5.0 - i - j)
+            covariance[i, j] += jerk * t * part
     total = covariance[0, 0] + density / duration_s
     error = depth - mean[0]
+    gain_by_state = covariance[0].copy()
+    for i in range(STATES):
+        gain_by_state[i] /= total
     cross_covariance = covariance[0].copy()
-    mean = mean + cross_covariance * (error / total)
-    covariance = covariance - np.outer(cross_covariance, cross_covariance / total)
+    for i in range(STATES):
+        mean[i] += gain_by_state[i] * error
+        for j in range(STATES):
+            covariance[i, j] -= cross_covariance[i] * gain_by_state[j]
     standardised = error / math.sqrt(total)
     standardised = min(max(standardised, -MAX_INNOVATION), MAX_INNOVATION)
     innovation = state.innovation + gain * (standardised - state.innovation)

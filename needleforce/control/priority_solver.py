@@ -14,7 +14,7 @@ from collections.abc import Callable, Sequence
 import numpy as np
 
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
 from foundation.linear_algebra import dot
 from needleforce.control.errors import SettingError
 from needleforce.control.joint_limits import SLACK_rad_s
@@ -169,7 +169,7 @@ def meet_all_rows(
     return is_within
 
 
-@compiled
+@compiled_inside
 def null_space(rows: Matrix) -> Matrix:
     """Return orthonormal directions that move no row, in columns."""
     if rows.size == 0:
@@ -179,7 +179,7 @@ def null_space(rows: Matrix) -> Matrix:
     return np.ascontiguousarray(right_vectors[rank:].T)
 
 
-@compiled
+@compiled_inside
 def find_blocking_joint(
     velocity: Vector, step: Vector, bounds: Matrix, held_at: Vector
 ) -> tuple[float, int]:
@@ -208,7 +208,7 @@ def find_blocking_joint(
     return (max(room[joint] / step[joint], 0.0) if joint >= 0 else 1.0), joint
 
 
-@compiled
+@compiled_inside
 def find_joint_to_release(
     held_rows: Matrix, gradient: Vector, held_at: Vector, is_first_taken: bool
 ) -> int:

@@ -7,10 +7,10 @@ link runs beside the sensor: its friction reads as an external torque against th
 motion, and it stays at rest.
 """
 
-import numpy as np
+import math
 
-from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
-from foundation.jit import compiled
+from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.jit import compiled, compiled_inside
 
 TORQUE_LAG_S = 0.05
 """Lag of the torque that hysteresis follows. The residual is 14 ms late: states that
@@ -22,15 +22,14 @@ POSITION_LAG_S = 0.01
 reason."""
 
 
-@compiled
-def play_operator(state: Matrix, change: Vector, half_width: Matrix) -> Array:
+@compiled_inside
+def play_operator(state: float, change: float, half_width: float) -> float:
     """Return +1 once a signal has risen by the loop's width, -1 once it has fallen.
 
-    It remembers at rest, as strain gauges and bearings do. States, -1 to 1, and half
-    widths have the shape (loops, n), the change (n,); half widths and change are in the
-    signal's unit.
+    It remembers at rest, as strain gauges and bearings do. The state is within -1 to
+    1; half width and change are in the signal's unit.
     """
-    return np.minimum(np.maximum(state + change / half_width, -1.0), 1.0)
+    return min(max(state + change / half_width, -1.0), 1.0)
 
 
 @compiled
@@ -65,14 +64,21 @@ def joint_states_step(  # noqa: PLR0913 - tuples are slow to pass from Python
         dt_s: Time since the step before, > 0.
     """
     count = len(plays)
-    torque_change = (torque - lagged_torque) * (dt_s / (TORQUE_LAG_S + dt_s))
-    q_change = (q - lagged_q) * (dt_s / (POSITION_LAG_S + dt_s))
-    plays[:loops] = play_operator(plays[:loops], torque_change, half_widths[:loops])
-    plays[loops:] = play_operator(plays[loops:], q_change, half_widths[loops:])
-    lagged_torque += torque_change
-    lagged_q += q_change
-    speed = q_change / dt_s
-    sliding = plays[loops:].sum(axis=0) / (count - loops)
-    states[:count] = plays
-    states[count] = sliding * np.exp(-np.abs(speed) / stribeck_rad_s)
-    states[count + 1] = speed
+    torque_gain = dt_s / (TORQUE_LAG_S + dt_s)
+    q_gain = dt_s / (POSITION_LAG_S + dt_s)
+    for j in range(len(q)):
+        torque_change = (torque[j] - lagged_torque[j]) * torque_gain
+        q_change = (q[j] - lagged_q[j]) * q_gain
+        lagged_torque[j] += torque_change
+        lagged_q[j] += q_change
+        sliding = 0.0
+        for k in range(count):
+            change = torque_change if k < loops else q_change
+            plays[k, j] = play_operator(plays[k, j], change, half_widths[k, j])
+            states[k, j] = plays[k, j]
+            if k >= loops:
+                sliding += plays[k, j]
+        sliding /= count - loops
+        speed = q_change / dt_s
+        states[count, j] = sliding * math.exp(-abs(speed) / stribeck_rad_s)
+        states[count + 1, j] = speed

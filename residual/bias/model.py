@@ -180,20 +180,25 @@ def all_columns(
     """
     joints, link_columns = links.shape
     count = len(states)
-    # Regressors of each joint's own parameters, one row per parameter.
-    own = np.empty((count + (4 if len(ripple_per_rad) else 2), joints))
-    own[:count] = states
-    own[count] = age_s
-    own[count + 1] = -fading_s * math.expm1(-age_s / fading_s)
-    if len(ripple_per_rad):
-        own[count + 2] = np.sin(ripple_per_rad * q)
-        own[count + 3] = np.cos(ripple_per_rad * q)
+    has_ripple = len(ripple_per_rad) > 0
     own_start = joints + link_columns
-    columns = np.zeros((joints, own_start + own.size))
-    columns[:, joints:own_start] = links
-    for k in range(joints):
-        columns[k, own_start + k :: joints] = own[:, k]
-        columns[k, k] = 1.0
+    # Behind the columns of the links each parameter has one column per joint.
+    sine_start = own_start + (count + 2) * joints
+    size = sine_start + (2 * joints if has_ripple else 0)
+    faded_age_s = -fading_s * math.expm1(-age_s / fading_s)
+    columns = np.zeros((joints, size))
+    for j in range(joints):
+        columns[j, j] = 1.0
+        for k in range(link_columns):
+            columns[j, joints + k] = links[j, k]
+        for k in range(count):
+            columns[j, own_start + k * joints + j] = states[k, j]
+        columns[j, own_start + count * joints + j] = age_s
+        columns[j, own_start + (count + 1) * joints + j] = faded_age_s
+        if has_ripple:
+            phase = ripple_per_rad[j] * q[j]
+            columns[j, sine_start + j] = math.sin(phase)
+            columns[j, sine_start + joints + j] = math.cos(phase)
     return columns
 
 

@@ -130,13 +130,19 @@ def fresh_distance(
     It is infinite if all positions or all torques repeat. Samples have positions first
     and torques last, shape (2 n,) or (3 n,), n joints; no weight is 0.
     """
-    difference = (signals - signals_before) * weights
-    position_repeats = difference[0] == 0.0 and not difference[:joints].any()
-    torque_repeats = difference[-1] == 0.0 and not difference[-joints:].any()
+    size = len(signals)
+    position_repeats = True
+    torque_repeats = True
+    total = 0.0
+    for k in range(size):
+        difference = (signals[k] - signals_before[k]) * weights[k]
+        total += difference * difference
+        if difference != 0.0:
+            position_repeats = position_repeats and k >= joints
+            torque_repeats = torque_repeats and k < size - joints
     if position_repeats or torque_repeats:
         return math.inf
-    # `dot` warns of an overflow.
-    return math.sqrt(np.vdot(difference, difference))
+    return math.sqrt(total)
 
 
 def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:

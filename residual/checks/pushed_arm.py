@@ -6,7 +6,16 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array, Matrix, Vector
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import (
+    decompose_cholesky,
+    dot,
+    invert_definite,
+    multiply,
+    multiply_transposed,
+    multiply_vector,
+    solve_cholesky,
+)
 
 PRESENT_S = 0.06
 """Time constant of the smoothed torque of the present."""
@@ -100,22 +109,32 @@ class SplitChange(NamedTuple):
     explained: Array
 
 
-@compiled
+@compiled_inside
 def split_change(rows: Matrix, covariance: Matrix, change: Vector) -> SplitChange:
     """Split a change of torque [Nm], shape (n,), by least squares.
 
     Unknowns of a wrench make torque by ``rows``, shape (k, n); the covariance [Nm^2]
     has the shape (n, n).
     """
-    precision = np.linalg.inv(covariance).T  # symmetric: transposed for its layout
-    weighted = rows.dot(precision)
-    information = weighted.dot(rows.T)
-    information += (UNSEEN_RATIO * np.trace(information) + MIN_INFORMATION) * np.eye(
-        len(rows)
+    count, joints = rows.shape
+    precision = invert_definite(covariance)
+    weighted = multiply(rows, precision)
+    information = multiply_transposed(weighted, rows)
+    trace = 0.0
+    for i in range(count):
+        trace += information[i, i]
+    for i in range(count):
+        information[i, i] += UNSEEN_RATIO * trace + MIN_INFORMATION
+    wrench = solve_cholesky(
+        decompose_cholesky(information), multiply_vector(weighted, change)
     )
-    explained = np.linalg.solve(information, weighted.dot(change)).dot(rows)
-    remaining = change - explained
-    square = remaining.dot(precision).dot(remaining) / (len(change) - len(rows))
+    explained = np.zeros(joints)
+    remaining = np.zeros(joints)
+    for j in range(joints):
+        for i in range(count):
+            explained[j] += wrench[i] * rows[i, j]
+        remaining[j] = change[j] - explained[j]
+    square = dot(remaining, multiply_vector(precision, remaining)) / (joints - count)
     return SplitChange(square, explained)
 
 
@@ -131,16 +150,33 @@ def unusual_change(rows: Matrix, change: Vector, usual: Matrix, limit: float) ->
         limit: A value beyond it is computed again with errors of sensors and lever arms
             in the explained part, which lowers it.
     """
-    if len(rows) >= len(change):
+    joints = len(change)
+    if len(rows) >= joints:
         return 0.0
-    diagonal = DIAGONAL_WEIGHT * np.diag(usual) + MIN_CHANGE_NM**2
-    covariance = (1.0 - DIAGONAL_WEIGHT) * usual + np.diag(diagonal)
+    covariance = np.zeros((joints, joints))
+    for i in range(joints):
+        for j in range(joints):
+            covariance[i, j] = (1.0 - DIAGONAL_WEIGHT) * usual[i, j]
+        covariance[i, i] += DIAGONAL_WEIGHT * usual[i, i] + MIN_CHANGE_NM**2
     split = split_change(rows, covariance, change)
     if split.unexplained > limit:
-        error_Nm = CHANGE_ERROR_RATIO * np.abs(split.explained).max()
-        covariance += error_Nm**2 * np.eye(len(change))
+        largest_Nm = 0.0
+        for j in range(joints):
+            largest_Nm = max(largest_Nm, abs(split.explained[j]))
+        for j in range(joints):
+            covariance[j, j] += (CHANGE_ERROR_RATIO * largest_Nm) ** 2
         split = split_change(rows, covariance, change)
     return split.unexplained
+
+
+@compiled_inside
+def approach(values: Vector, target: Vector, dt_s: float, lag_s: float) -> Array:
+    """Return values after a first-order lag towards a target, shape (n,)."""
+    gain = -math.expm1(-dt_s / lag_s)
+    later = np.zeros(len(values))
+    for j in range(len(values)):
+        later[j] = values[j] + gain * (target[j] - values[j])
+    return later
 
 
 @compiled
@@ -166,22 +202,27 @@ def change_step(
         pushed_s: See there.
         dt_s: Time since then.
     """
+    joints = len(residual)
+    present = approach(present, residual, dt_s, PRESENT_S)
+    change = np.zeros(joints)
+    for j in range(joints):
+        change[j] = present[j] - reference[j]
     square = 0.0
-    present = present - math.expm1(-dt_s / PRESENT_S) * (residual - present)
-    change = present - reference
     if learned_s >= LEARNED_S:
         square = unusual_change(rows, change, usual, USUAL)
+    own_reference = reference.copy()
+    own_usual = usual.copy()
     if square > (RELEASED if pushed_s > 0.0 else PUSHED):
         if pushed_s < MAX_PUSH_S:
             return TorqueChange(
-                present, reference.copy(), usual.copy(), learned_s, pushed_s + dt_s
+                present, own_reference, own_usual, learned_s, pushed_s + dt_s
             )
-        reference = present.copy()
+        own_reference = present.copy()
     if square < USUAL:
         learned_s += dt_s
         weight = min(dt_s / min(learned_s, USUAL_S), 1.0)
-        usual = usual + weight * (np.outer(change, change) - usual)
-    else:
-        usual = usual.copy()
-    reference = reference - math.expm1(-dt_s / REFERENCE_S) * (present - reference)
-    return TorqueChange(present, reference, usual, learned_s, 0.0)
+        for i in range(joints):
+            for j in range(joints):
+                own_usual[i, j] += weight * (change[i] * change[j] - usual[i, j])
+    own_reference = approach(own_reference, present, dt_s, REFERENCE_S)
+    return TorqueChange(present, own_reference, own_usual, learned_s, 0.0)

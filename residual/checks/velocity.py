@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import Array, Blocks, Matrix, Vector
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
 from residual.errors import named_joints
 
 TRAVEL_S = 1.0
@@ -165,11 +165,20 @@ def first_match(q: Array, dq: Array) -> VelocityMatch:
     return VelocityMatch(motion, sums)
 
 
-@compiled
-def is_travelling(travel: Vector, travel_dq: Vector) -> NDArray[np.bool_]:
-    """Return which joints have moved far enough to be checked, shape (n,)."""
-    scaled_rad = np.maximum(DQ_TRAVEL_RATIO * np.abs(travel), np.abs(travel_dq))
+@compiled_inside
+def is_travelling(travel: float, travel_dq: float) -> bool:
+    """Return whether a joint has moved far enough to be checked."""
+    scaled_rad = max(DQ_TRAVEL_RATIO * abs(travel), abs(travel_dq))
     return scaled_rad > DQ_TRAVEL_RATIO * MIN_TRAVEL_RAD
+
+
+@compiled
+def is_any_travelling(travel: Vector, travel_dq: Vector) -> bool:
+    """Return whether any joint has moved far enough; arguments of shape (n,)."""
+    is_any = False
+    for j in range(len(travel)):
+        is_any = is_any or is_travelling(travel[j], travel_dq[j])
+    return is_any
 
 
 @compiled
@@ -188,20 +197,27 @@ def travel_step(
     Arguments are fields of the `JointTravel` before and position and velocity now.
     Where a position has jumped, or the step is too long, travel begins anew.
     """
-    step = q - q_before
-    step_dq = 0.5 * dt_s * (dq + dq_before)
-    rate = step / dt_s
-    travel = np.zeros_like(q)
-    travel_dq = np.zeros_like(q)
-    rate_change = np.abs(rate - rate_before).max()
-    if rate_change <= MAX_ACCELERATION_RAD_S2 * dt_s and dt_s <= MAX_TRAPEZOID_S:
-        fading = math.exp(-dt_s / TRAVEL_S)
-        travel = fading * travel_before + step
-        travel_dq = fading * travel_dq_before + step_dq
-    tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * np.maximum(
-        np.abs(step), np.abs(step_dq)
-    )
-    excess = np.maximum(np.abs(travel_dq - travel) - tolerated, 0.0) ** 2
+    joints = len(q)
+    rate = np.zeros(joints)
+    travel = np.zeros(joints)
+    travel_dq = np.zeros(joints)
+    excess = np.zeros(joints)
+    max_rate_change = 0.0
+    for j in range(joints):
+        rate[j] = (q[j] - q_before[j]) / dt_s
+        max_rate_change = max(max_rate_change, abs(rate[j] - rate_before[j]))
+    is_smooth = max_rate_change <= MAX_ACCELERATION_RAD_S2 * dt_s
+    is_continued = is_smooth and dt_s <= MAX_TRAPEZOID_S
+    fading = math.exp(-dt_s / TRAVEL_S)
+    for j in range(joints):
+        step = q[j] - q_before[j]
+        step_dq = 0.5 * dt_s * (dq[j] + dq_before[j])
+        if is_continued:
+            travel[j] = fading * travel_before[j] + step
+            travel_dq[j] = fading * travel_dq_before[j] + step_dq
+        larger_step = max(abs(step), abs(step_dq))
+        tolerated = TOLERATED_RAD + TOLERATED_LAG_S / dt_s * larger_step
+        excess[j] = max(abs(travel_dq[j] - travel[j]) - tolerated, 0.0) ** 2
     return JointTravel(q.copy(), dq.copy(), rate, travel, travel_dq, excess)
 
 
@@ -223,21 +239,35 @@ def sums_step(  # noqa: PLR0913 - tuples of read-only arrays cannot be passed
     The first arguments are the fields of the `TravelSums` before; then follow travel at
     the check before, and fields of the `JointTravel` now.
     """
-    own = np.stack((travel_dq, travel, (travel - travel_before) / dt_s), axis=1)
-    pairs = own.reshape(-1, 3, 1) * own.reshape(-1, 1, 3)
-    square = (travel * travel).reshape(1, -1)
-    product = np.outer(travel_dq, travel)
+    joints = len(travel)
     faded = 1.0 - math.exp(-dt_s / MEMORY_S)
-    moving = 1.0 * is_travelling(travel, travel_dq)
-    row_moving = moving.reshape(-1, 1)
-    block_moving = moving.reshape(-1, 1, 1)
-    return TravelSums(
-        checked_s + moving * (dt_s - faded * checked_s),
-        excess_sum + moving * (dt_s * excess - faded * excess_sum),
-        moments + block_moving * (dt_s * pairs - faded * moments),
-        squares + row_moving * (dt_s * square - faded * squares),
-        products + row_moving * (dt_s * product - faded * products),
+    later = TravelSums(
+        checked_s.copy(),
+        excess_sum.copy(),
+        moments.copy(),
+        squares.copy(),
+        products.copy(),
     )
+    own = np.zeros(3)
+    for i in range(joints):
+        if not is_travelling(travel[i], travel_dq[i]):
+            continue
+        later.checked_s[i] += dt_s - faded * checked_s[i]
+        later.excess[i] += dt_s * excess[i] - faded * excess_sum[i]
+        own[0] = travel_dq[i]
+        own[1] = travel[i]
+        own[2] = (travel[i] - travel_before[i]) / dt_s
+        for a in range(3):
+            for b in range(3):
+                later.moments[i, a, b] += (
+                    dt_s * own[a] * own[b] - faded * moments[i, a, b]
+                )
+        for j in range(joints):
+            later.squares[i, j] += dt_s * travel[j] ** 2 - faded * squares[i, j]
+            later.products[i, j] += (
+                dt_s * travel_dq[i] * travel[j] - faded * products[i, j]
+            )
+    return later
 
 
 def velocity_match_step(
@@ -258,7 +288,7 @@ def velocity_match_step(
         dq,
         dt_s,
     )
-    if not is_travelling(motion.travel, motion.travel_dq).any():
+    if not is_any_travelling(motion.travel, motion.travel_dq):
         return VelocityMatch(motion, match.sums)
     sums = sums_step(
         *match.sums,

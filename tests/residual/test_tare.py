@@ -215,18 +215,18 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
 
 
 def test_hysteresis_state_remembers_and_turns_over_width():
-    half_width = np.array([[0.01]])
-    trend = np.zeros((1, 1))
+    half_width = 0.01
+    trend = 0.0
     for _ in range(10):
-        trend = play_operator(trend, np.array([0.002]), half_width)
+        trend = play_operator(trend, 0.002, half_width)
 
-    assert trend[0, 0] == 1.0
-    assert play_operator(trend, np.zeros(1), half_width)[0, 0] == 1.0
+    assert trend == 1.0
+    assert play_operator(trend, 0.0, half_width) == 1.0
 
-    back = play_operator(trend, np.array([-0.01]), half_width)
+    back = play_operator(trend, -0.01, half_width)
 
-    assert back[0, 0] == pytest.approx(0.0)
-    assert play_operator(back, np.array([-1.0]), half_width)[0, 0] == -1.0
+    assert back == pytest.approx(0.0)
+    assert play_operator(back, -1.0, half_width) == -1.0
 
 
 def test_settings_that_cannot_work_are_refused(lwr):
