@@ -1,28 +1,32 @@
-"""The decorator of functions that every tick calls.
+"""The decorators of functions that every tick calls.
 
-The compiler is numba. What it made is kept on disk in folders whose names are hashes of
-the sources it depends on: the function's own file and all files of this project that
-this file imports, directly or through others. A change in any of them makes a new
-folder, so compiled code may call functions and use constants of other files.
-
+The compiler is numba; what it has made is kept on disk (`foundation.compile_cache`).
 With ``NUMBA_DISABLE_JIT=1`` in the environment everything runs as plain Python, fifty
 times slower, for debugging.
 """
 
-import hashlib
-import os
-import re
-import sys
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import is_dataclass
 from functools import cache
 from importlib import import_module
-from inspect import getfile, signature
+from inspect import signature
 from pathlib import Path
-from shutil import rmtree
-from typing import Annotated, Any, TypeVar, cast, get_args, get_origin, get_type_hints
+from threading import RLock
+from typing import (
+    Annotated,
+    Any,
+    NamedTuple,
+    TypeVar,
+    cast,
+    get_args,
+    get_origin,
+    get_type_hints,
+)
 
 import numpy as np
+
+from foundation.compile_cache import FunctionCache, cache_of
+from foundation.first_use import compile_with_helper
 
 numba: Any = import_module("numba")  # its annotations do not describe its own use
 types: Any = numba.types
@@ -37,14 +41,14 @@ COMPILER = "" if numba.config.DISABLE_JIT else f"numba {numba.__version__}"
 SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 """Types of numbers in annotations, and the compiler's."""
 
-MAX_FOLDERS = 4
-"""Versions of one module's compiled code that stay on disk: the newest ones."""
+_lock = RLock()
+"""One thread at a time compiles."""
+
+_waiting: list["Entry"] = []
+"""Functions that Python may call and that are not compiled yet."""
 
 _inside: list[Any] = []
 """What `compiled_inside` has made: the compiler only refers to it."""
-
-PROJECT = Path(__file__).resolve().parents[1]
-"""The folder in which the project's packages lie."""
 
 
 def compiled(function: Function) -> Function:
@@ -54,72 +58,163 @@ def compiled(function: Function) -> Function:
     them; it raises nothing, and calls compiled functions only, of any module. Loops
     over numbers compile in a tenth of the time that expressions of arrays take.
 
-    Where every parameter is annotated as ``float``, ``int``, ``bool``, one of
-    `foundation.arrays`, a `NamedTuple` of such, a state (see `foundation.records`),
-    or a plain tuple of a fixed number of them, it is compiled when its module is
-    imported; what it calls then stands above it or in a module imported there. Where
-    one is not (``Any``, ``tuple[float, ...]``), it
-    is compiled at the first call with these types: whoever calls it in a tick calls it
-    once when constructed. No tick waits for a compiler.
+    Every parameter is annotated as ``float``, ``int``, ``bool``, one of
+    `foundation.arrays`, a `NamedTuple` of such, a state (see `foundation.records`), or
+    a plain tuple of a fixed number of them. Functions wait until `compile_waiting` is
+    called, which whoever calls them in a tick does when constructed: no tick waits for
+    a compiler. A call before compiles them, too.
 
     A named tuple that it returns costs Python 1.2 us to receive; between compiled
     functions named tuples are free.
 
     Returns:
         The compiled function, or the function itself where compiling is disabled.
-    """
-    if not COMPILER:
-        return function
-    parameters = parameter_types(function)
-    signatures = () if parameters is None else (parameters,)
-    configured_folder = numba.config.CACHE_DIR
-    numba.config.CACHE_DIR = str(cache_folder(function.__module__, getfile(function)))
-    try:
-        return numba.njit(*signatures, cache=True)(function)
-    except Exception:  # there is no folder to write into, or a damaged file in it
-        return numba.njit(*signatures)(function)
-    finally:
-        numba.config.CACHE_DIR = configured_folder
-
-
-def compiled_inside(function: Function) -> Function:
-    """Compile a pure function into the `compiled` functions that call it.
-
-    Python sees the function itself, in plain Python. What is compiled has no entry of
-    its own, neither for Python nor in the cache, which halves the time that it takes.
 
     Raises:
         TypeError: For a parameter without a type that the compiler knows.
     """
     if not COMPILER:
         return function
-    parameters = parameter_types(function)
-    if parameters is None:
-        raise TypeError(f"{function.__qualname__} has a parameter of an open type")
+    dispatcher = numba.njit(function)
+    cache = cache_of(function)
+    if cache is not None:
+        dispatcher._cache = cache
+    entry = Entry(dispatcher, parameter_types(function), cache)
+    _waiting.append(entry)
+    _compile_on_demand(entry)
+    return dispatcher
+
+
+def compiled_inside(function: Function) -> Function:
+    """Compile a pure function into the `compiled` functions that call it.
+
+    Python sees the function itself, in plain Python. What is compiled has no entry of
+    its own, neither for Python nor in the cache: it takes less time, at a second start
+    none.
+
+    Raises:
+        TypeError: For a parameter without a type that the compiler knows.
+    """
+    if not COMPILER:
+        return function
     dispatcher = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
-    find_template = dispatcher.get_call_template
-
-    def get_call_template(arguments: Any, keywords: Any) -> Any:
-        # Its one signature: arguments are converted, rather than compiled for anew.
-        if not dispatcher.overloads:
-            dispatcher.compile(parameters)
-            dispatcher.disable_compile()
-        return find_template(arguments, keywords)
-
-    dispatcher.get_call_template = get_call_template
+    entry = Entry(dispatcher, parameter_types(function), None)
+    _compile_on_demand(entry)
     _inside.append(dispatcher)
     typing_context = registry.cpu_target.typing_context
     typing_context.insert_global(function, types.Dispatcher(dispatcher))
     return function
 
 
-def parameter_types(function: Callable[..., Any]) -> tuple[Any, ...] | None:
-    """Return the compiler's types of all parameters, None if one of them is open."""
+class Entry(NamedTuple):
+    """A function with its one signature.
+
+    Attributes:
+        dispatcher: What the compiler has made of it.
+        parameters: The compiler's types of its parameters.
+        cache: Where it is kept on disk; None where nothing is.
+    """
+
+    dispatcher: Any
+    parameters: tuple[Any, ...]
+    cache: FunctionCache | None
+
+    @property
+    def module(self) -> str:
+        """Name of the module that it stands in."""
+        return self.dispatcher.py_func.__module__
+
+    @property
+    def file(self) -> Path:
+        """File of that module."""
+        return Path(self.dispatcher.py_func.__code__.co_filename)
+
+    @property
+    def is_cold(self) -> bool:
+        """Whether it has to be compiled, rather than loaded from disk."""
+        is_kept = self.cache is not None and self.cache.is_warm
+        return not self.dispatcher.overloads and not is_kept
+
+    def compile(self) -> None:
+        """Compile it, or load it from disk, for its one signature."""
+        if not self.dispatcher.overloads:
+            self.dispatcher.compile(self.parameters)
+            self.dispatcher.disable_compile()
+
+    def check_types(self, arguments: Sequence[Any]) -> None:
+        """Check arguments of its first call, which no one else does.
+
+        Raises:
+            TypeError: For one that does not convert to the type of its parameter.
+        """
+        context = registry.cpu_target.typing_context
+        for value, wanted in zip(arguments, self.parameters, strict=True):
+            given = self.dispatcher.typeof_pyval(value)
+            if context.can_convert(given, wanted) is None:
+                name = self.dispatcher.py_func.__qualname__
+                raise TypeError(f"{name} takes {wanted}, got {given}")
+
+
+def _compile_on_demand(entry: Entry) -> None:
+    """Let a function be compiled when compiled code or Python calls it first."""
+    dispatcher = entry.dispatcher
+    find_template = dispatcher.get_call_template
+
+    def get_call_template(arguments: Any, keywords: Any) -> Any:
+        # Its one signature: arguments are converted, rather than compiled for anew.
+        entry.compile()
+        return find_template(arguments, keywords)
+
+    def compile_for_arguments(*arguments: Any, **keywords: Any) -> Any:
+        compile_waiting()
+        entry.compile()
+        del dispatcher._compile_for_args
+        _, values = dispatcher._compiler.fold_argument_types(arguments, keywords)
+        entry.check_types(values)
+        return dispatcher.overloads[entry.parameters].entry_point
+
+    dispatcher.get_call_template = get_call_template
+    dispatcher._compile_for_args = compile_for_arguments
+
+
+def compile_waiting() -> None:
+    """Compile all functions of the modules imported so far, or load them from disk.
+
+    Says so on stderr where it takes more than a moment. Where enough has to be compiled
+    and can be kept, a second process compiles half of it: the compiler works on one
+    function at a time in each.
+    """
+    with _lock:
+        entries = _waiting.copy()
+        _waiting.clear()
+        cold = [entry for entry in entries if entry.is_cold]
+        if cold:
+            compile_with_helper(cold)
+        for entry in entries:
+            entry.compile()
+
+
+def waiting_entries() -> list[Entry]:
+    """Return the functions that are not compiled yet."""
+    return _waiting.copy()
+
+
+def parameter_types(function: Callable[..., Any]) -> tuple[Any, ...]:
+    """Return the compiler's types of all parameters of a function.
+
+    Raises:
+        TypeError: Where one is open.
+    """
     hints = get_type_hints(function, include_extras=True)
-    parameters = [
-        compiler_type(hints.get(name)) for name in signature(function).parameters
-    ]
-    return None if None in parameters else tuple(parameters)
+    names = signature(function).parameters
+    parameters = [compiler_type(hints.get(name)) for name in names]
+    if None in parameters:
+        open_name = list(names)[parameters.index(None)]
+        raise TypeError(
+            f"the type of {open_name} of {function.__qualname__} is not known to the "
+            "compiler; see foundation.jit.compiled"
+        )
+    return tuple(parameters)
 
 
 def compiler_type(hint: Any) -> Any:
@@ -195,79 +290,3 @@ def record_dtype(kind: type) -> np.dtype[Any]:
             inner = get_args(hint)
             parts.append((name, record_dtype(inner[0]), (len(inner),)))
     return np.dtype(parts, align=True)
-
-
-def cache_folder(module: str, file: str) -> Path:
-    """Return the folder of a module's compiled code, named by a hash of its sources.
-
-    It lies below ``NUMBA_CACHE_DIR`` where the user has set that, else beside this
-    file, else, where that cannot be written, in the user's own cache folder.
-    """
-    name = f"{module}-{hash_sources(Path(file).resolve())}"
-    folder = _cache_root() / name
-    if not folder.exists():
-        _remove_old_folders(folder.parent, module)
-    return folder
-
-
-@cache
-def _cache_root() -> Path:
-    if numba.config.CACHE_DIR:
-        return Path(numba.config.CACHE_DIR)
-    beside = Path(__file__).resolve().parent / "__pycache__"
-    if os.access(beside if beside.exists() else beside.parent, os.W_OK):
-        return beside
-    home = os.environ.get("XDG_CACHE_HOME") or Path.home() / ".cache"
-    return Path(home) / "needleforce"
-
-
-def _remove_old_folders(root: Path, module: str) -> None:
-    """Remove the oldest folders of a module, so that a new one has its place."""
-    try:
-        folders = [
-            (path.stat().st_mtime, path)
-            for path in root.glob(f"{module}-*")
-            if re.fullmatch(rf"{re.escape(module)}-[0-9a-f]{{16}}", path.name)
-        ]
-        for _, path in sorted(folders)[: -(MAX_FOLDERS - 1)]:
-            rmtree(path, ignore_errors=True)
-    except OSError:  # another process is doing the same
-        return
-
-
-@cache
-def hash_sources(file: Path) -> str:
-    """Return 16 hexadecimal digits that change with a file or any that it imports."""
-    digest = hashlib.sha256(f"{sys.version_info[:2]} {numba.__version__}".encode())
-    for path in sorted(_imported_files(file)):
-        digest.update(path.read_bytes())
-    return digest.hexdigest()[:16]
-
-
-def _imported_files(file: Path) -> set[Path]:
-    """Return a file and all files of the project that it imports, also indirectly."""
-    files = {file}
-    waiting = [file]
-    while waiting:
-        new = _direct_imports(waiting.pop()) - files
-        files |= new
-        waiting += new
-    return files
-
-
-IMPORT = re.compile(
-    r"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE
-)
-"""An import at the left margin: the module and the names, or the module alone."""
-
-
-@cache
-def _direct_imports(file: Path) -> frozenset[Path]:
-    """Return the files of the project that the imports of a file name."""
-    found = set()
-    for module, names, plain in IMPORT.findall(file.read_text(encoding="utf-8")):
-        place = PROJECT.joinpath(*(module or plain).split("."))
-        candidates = [place.with_suffix(".py"), place / "__init__.py"]
-        candidates += [place / f"{name}.py" for name in re.findall(r"\w+", names)]
-        found |= {path for path in candidates if path.is_file()}
-    return frozenset(found)

@@ -10,6 +10,7 @@ from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
 from foundation.errors import StateCode
+from foundation.jit import compile_waiting
 from foundation.records import as_record, from_record, read_field
 from foundation.state import StateError, check_state
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
@@ -130,6 +131,7 @@ class Identifier:
             InvalidConfigError: Another type of configuration.
         """
         self._method = make_method(config)
+        compile_waiting()
         self._config = config
         self._limits = as_record(config.check)
         self._max_force_N = float(config.check.force_limit_N)

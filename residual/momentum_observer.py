@@ -26,7 +26,7 @@ from foundation.arrays import (
     WrittenMatrix,
     WrittenVector,
 )
-from foundation.jit import compiled, compiled_inside
+from foundation.jit import compile_waiting, compiled, compiled_inside
 from foundation.linear_algebra import dot
 from residual.checks.input import (
     MAX_PLAUSIBLE,
@@ -36,6 +36,7 @@ from residual.checks.input import (
     check_positive,
     check_rows,
     read_rows,
+    round_step,
 )
 from residual.errors import ConfigurationError, SensorCode
 from residual.joint_friction import FrictionModel, check_friction
@@ -307,6 +308,7 @@ class MomentumObserver:
         friction: FrictionModel | None = None,
         max_gap_s: float = 0.1,
     ) -> None:
+        compile_waiting()
         check_choice("alignment", alignment, get_args(Alignment))
         check_positive("max_gap_s", max_gap_s)
         self._joints = robot.nv
@@ -331,7 +333,7 @@ class MomentumObserver:
         self._is_held = alignment == "hold"
         self._max_gap_s = max_gap_s
         self._weights = np.zeros((len(self._gains), ROWS))
-        self._dt_s = math.nan
+        self._step_s = math.nan
         self.reset()
 
     @property
@@ -379,9 +381,9 @@ class MomentumObserver:
         dq = sample[1]
         if not memory.started or dt_s > self._max_gap_s:
             dt_s = 0.0
-        elif dt_s != self._dt_s:  # on an even clock this happens only once
-            set_step_weights(self._weights, self._gains, dt_s, self._is_held)
-            self._dt_s = dt_s
+        elif (step_s := round_step(dt_s)) != self._step_s:  # on an even clock once
+            set_step_weights(self._weights, self._gains, step_s, self._is_held)
+            self._step_s = step_s
         load = pin.computeGeneralizedGravity(self._model, self._data, q)
         if self._friction is not None:
             # A model that writes into its argument must not change the caller's sample.

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
-from foundation.jit import compiled
+from foundation.jit import compile_waiting, compiled
 from residual.checks.input import (
     ROUNDING_S,
     check_choice,
@@ -169,6 +169,7 @@ class VelocityEstimator:
         alignment: Alignment = "trapezoid",
         max_gap_s: float = 0.1,
     ) -> None:
+        compile_waiting()
         check_positive(
             "bandwidth_per_s",
             bandwidth_per_s,

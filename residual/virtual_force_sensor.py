@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from foundation.errors import StateCode
+from foundation.jit import compile_waiting
 from residual.bias.estimator import BiasEstimator
 from residual.bias.model import Tare
 from residual.checks.input import SampleClock, long_step_message
@@ -81,6 +82,7 @@ class VirtualForceSensor:
     __copy__ = deepcopy
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
+        compile_waiting()
         self._digest = robot_digest(robot)
         self._robot = robot
         self._config = config

@@ -11,7 +11,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
-from foundation.jit import compiled, compiled_inside
+from foundation.jit import compile_waiting, compiled, compiled_inside
 from foundation.linear_algebra import (
     decompose_symmetric,
     dot,
@@ -478,6 +478,7 @@ class WrenchEstimator:
     """
 
     def __init__(self, robot: Robot, config: SensorConfig = DEFAULT) -> None:
+        compile_waiting()
         self.kinematics = ToolKinematics(
             robot, config.frame, config.insertion_axis, config.tool_offset_m
         )

@@ -7,7 +7,7 @@ stationary variance.
 import math
 from typing import NamedTuple
 
-from foundation.jit import compiled, compiled_inside
+from foundation.jit import compiled_inside
 
 HEARTBEAT_HZ = 1.2
 """Frequency of the heartbeat."""
@@ -57,7 +57,7 @@ class RandomMotion(NamedTuple):
     rate_variance: float
 
 
-@compiled
+@compiled_inside
 def oscillation(duration_s: float, frequency_hz: float, damping: float) -> Transition:
     """Return the transition of a damped oscillator's deflection and rate."""
     w = 2.0 * math.pi * frequency_hz
@@ -73,7 +73,7 @@ def oscillation(duration_s: float, frequency_hz: float, damping: float) -> Trans
     )
 
 
-@compiled
+@compiled_inside
 def smooth_walk(travel: float, length: float) -> Transition:
     """Return the transition of a critically damped value and its slope (Matern 3/2)."""
     reach = travel / length

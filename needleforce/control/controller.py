@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.jit import compile_waiting
 from needleforce.control.errors import ControlCode, SettingError
 from needleforce.control.joint_limits import (
     Limits,
@@ -72,6 +73,7 @@ class Controller:
     def __init__(
         self, robot: Robot, limits: Limits, solve: Solver = hierarchical
     ) -> None:
+        compile_waiting()
         if (joints := limits.joints.speed_rad_s.size) != robot.nv:
             raise SettingError(
                 f"limits of {joints} joints, the robot has {robot.nv}",

@@ -27,6 +27,10 @@ MIN_STEP_S = 1e-12
 """Shortest time step: no clock ticks faster, and the inverse of a far shorter one
 overflows."""
 
+STEP_GRID_S = 2.0**-30
+"""Distance of the time steps that are told apart, about a nanosecond. As a power of two
+it has steps such as 1/1024 s on the grid, rather than halfway between two points."""
+
 MAX_STEP_S = 86_400.0
 """Longest time step: beyond a day it is no pause but a clock that was set, from boot
 time to date perhaps."""
@@ -48,6 +52,15 @@ MAX_SHOWN = 200
 
 FLOAT64 = np.dtype(np.float64)
 """The ``dtype`` of arrays of floats."""
+
+
+def round_step(dt_s: float) -> float:
+    """Return the time step on the grid of `STEP_GRID_S` that is nearest.
+
+    On it the steps of an even clock are equal, whatever rounding makes of each. A step
+    far below the grid is returned as it is.
+    """
+    return round(dt_s / STEP_GRID_S) * STEP_GRID_S or dt_s
 
 
 def check_interval(dt_s: Any) -> float:

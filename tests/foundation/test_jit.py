@@ -4,14 +4,16 @@ import os
 import subprocess
 import sys
 from pathlib import Path
+from types import SimpleNamespace
 from typing import NamedTuple
 
 import numpy as np
 import pytest
+from numba.core.caching import IndexDataCacheFile
 
-from foundation import jit
+from foundation import compile_cache, first_use, jit
 from foundation.arrays import Vector
-from foundation.jit import COMPILER, compiled
+from foundation.jit import COMPILER, compiled, compiled_inside
 from identification import MULTILAYER, PUBLISHED, replay
 from needleforce import InsertionSession
 from urdf import NeedleTool, load_lwr
@@ -36,7 +38,9 @@ def test_named_tuples_are_read_by_name_when_compiled():
     def energy(spring: Spring, length: float) -> float:
         return 0.5 * spring.stiffness * (length - spring.rest_lengths[0]) ** 2
 
-    assert energy.signatures
+    jit.compile_waiting()
+
+    assert len(energy.signatures) == 1
 
     read_only = np.ones(1)
     read_only.setflags(write=False)
@@ -55,19 +59,19 @@ def project(tmp_path, monkeypatch):
     (folder / "middle.py").write_text("from made_up.base import (\n    WIDTH,\n)\n")
     (folder / "user.py").write_text("from made_up import middle\n")
     (folder / "other.py").write_text("WIDTH = 2\n")
-    monkeypatch.setattr(jit, "PROJECT", tmp_path)
+    monkeypatch.setattr(compile_cache, "PROJECT", tmp_path)
     return folder
 
 
 def digest_after_change(folder, changed):
     """The hash of `user` before and after a change in one file of its package."""
-    jit.hash_sources.cache_clear()
-    jit._direct_imports.cache_clear()
-    before = jit.hash_sources(folder / "user.py")
+    compile_cache.hash_sources.cache_clear()
+    compile_cache._direct_imports.cache_clear()
+    before = compile_cache.hash_sources(folder / "user.py")
     (folder / changed).write_text("WIDTH = 3\n")
-    jit.hash_sources.cache_clear()
-    jit._direct_imports.cache_clear()
-    return before, jit.hash_sources(folder / "user.py")
+    compile_cache.hash_sources.cache_clear()
+    compile_cache._direct_imports.cache_clear()
+    return before, compile_cache.hash_sources(folder / "user.py")
 
 
 def test_change_in_indirect_import_makes_new_folder(project):
@@ -81,13 +85,13 @@ def test_change_in_unrelated_file_keeps_the_folder(project):
 
 
 def test_only_the_newest_folders_stay(tmp_path, monkeypatch):
-    monkeypatch.setattr(jit, "_cache_root", lambda: tmp_path)
+    monkeypatch.setattr(compile_cache, "cache_roots", lambda: [tmp_path])
     for k in range(8):
         folder = tmp_path / f"made_up-{k:016x}"
         folder.mkdir()
         os.utime(folder, (k, k))
     (tmp_path / "made_up_other-0000000000000000").mkdir()
-    jit.cache_folder("made_up", __file__)
+    compile_cache.cache_folder("made_up", __file__)
     names = sorted(path.name for path in tmp_path.iterdir())
 
     assert names == [
@@ -96,24 +100,133 @@ def test_only_the_newest_folders_stay(tmp_path, monkeypatch):
     ]
 
 
+def double_it(x: float) -> float:
+    """A function to compile."""
+    return 2.0 * x
+
+
 @needs_compiler
-@pytest.mark.parametrize(
-    "error", [RuntimeError("no locator"), EOFError(), OSError("disk full")]
+def test_where_nothing_can_be_kept_it_compiles_all_the_same(monkeypatch):
+    monkeypatch.setattr(compile_cache, "cache_roots", lambda: [])
+    double = compiled(double_it)
+
+    assert double(2) == 4.0
+
+
+@needs_compiler
+@pytest.mark.parametrize("error", [OSError("disk full"), PermissionError("not yours")])
+def test_what_cannot_be_written_is_compiled_all_the_same(monkeypatch, tmp_path, error):
+    monkeypatch.setattr(compile_cache, "cache_roots", lambda: [tmp_path])
+
+    def refuse(self, key, data):
+        raise error
+
+    monkeypatch.setattr(IndexDataCacheFile, "save", refuse)
+
+    assert compiled(double_it)(2.0) == 4.0
+
+
+@needs_compiler
+def test_a_file_that_was_cut_off_is_compiled_again(monkeypatch, tmp_path):
+    monkeypatch.setattr(compile_cache, "cache_roots", lambda: [tmp_path])
+
+    assert compiled(double_it)(2.0) == 4.0
+
+    kept = list(tmp_path.rglob("*.nb?"))
+    for path in kept:
+        path.write_bytes(path.read_bytes()[:40])
+
+    assert len(kept) == 2
+    assert compiled(double_it)(2.0) == 4.0
+
+
+@needs_compiler
+def test_warm_folder_is_used_where_it_cannot_be_written(monkeypatch, tmp_path):
+    warm = tmp_path / "warm"
+    monkeypatch.setattr(compile_cache, "cache_roots", lambda: [warm, tmp_path / "own"])
+    compiled(double_it)(2.0)
+    monkeypatch.setattr(compile_cache, "can_write", lambda folder: folder != warm)
+    double = compiled(double_it)
+
+    assert double(2.0) == 4.0
+    assert double.stats.cache_hits
+    assert not (tmp_path / "own").exists()
+
+
+@needs_compiler
+def test_first_call_refuses_what_does_not_convert(monkeypatch):
+    monkeypatch.setattr(compile_cache, "cache_roots", lambda: [])
+    double = compiled(double_it)
+    with pytest.raises(TypeError, match="takes float64"):
+        double(np.zeros(3))
+
+
+@needs_compiler
+def test_open_type_is_refused_when_decorated():
+    with pytest.raises(TypeError, match="the type of x of"):
+        compiled(lambda x: x)
+
+
+@compiled_inside
+def triple_it(x: float) -> float:
+    """A function that only compiled functions call."""
+    return 3.0 * x
+
+
+@needs_compiler
+def test_function_inside_others_stays_plain_for_python(monkeypatch):
+    monkeypatch.setattr(compile_cache, "cache_roots", lambda: [])
+
+    @compiled
+    def six_times(x: float) -> float:
+        return 2.0 * triple_it(x)
+
+    assert six_times(1.0) == 6.0
+    assert triple_it(1.0) == 3.0
+    assert not hasattr(triple_it, "py_func")
+
+
+FIRST_USE = (
+    "from identification import Identifier; "
+    "print(Identifier().update(0.0, None, 0.1, 1e-3).status.name)"
 )
-def test_where_nothing_can_be_kept_it_compiles_all_the_same(monkeypatch, error):
-    import numba
 
-    def njit(*types, cache=False):
-        if cache:
-            raise error
-        return lambda function: function
 
-    monkeypatch.setattr(numba, "njit", njit)
+def start(environment, script=FIRST_USE):
+    """Start another interpreter with an environment beside the present one."""
+    return subprocess.Popen(
+        [sys.executable, "-c", script],
+        cwd=ROOT,
+        env=os.environ | environment,
+        stdout=subprocess.PIPE,
+        stderr=subprocess.PIPE,
+        text=True,
+    )
 
-    def double(x):
-        return 2.0 * x
 
-    assert compiled(double)(2.0) == 4.0
+@needs_compiler
+def test_two_first_uses_at_once_share_a_folder_and_say_so_once_each(tmp_path):
+    environment = {"NUMBA_CACHE_DIR": str(tmp_path)}
+    outputs = [run.communicate() for run in [start(environment), start(environment)]]
+
+    for printed, said in outputs:
+        assert printed == "OK\n"
+        assert said.count("\n") == 1
+        assert "compiling once, about" in said
+
+    printed, said = start(environment).communicate()
+
+    assert (printed, said) == ("OK\n", "")
+
+
+def test_modules_are_shared_out_by_size(tmp_path):
+    made = []
+    for name, size in (("a", 100), ("b", 60), ("c", 50), ("d", 5)):
+        file = tmp_path / f"{name}.py"
+        file.write_text("#" * size)
+        made.append(SimpleNamespace(module=name, file=file))
+
+    assert first_use.choose_modules(made) == {"b", "c"}
 
 
 def test_functions_stay_plain_where_compiling_is_disabled():
@@ -147,6 +260,7 @@ def test_every_compiled_function_is_compiled_once_before_the_first_sample():
         for function in vars(module).values()
         if hasattr(function, "py_func")
     }
+    jit.compile_waiting()
     before = {name: len(function.signatures) for name, function in found.items()}
 
     assert len(found) > 20

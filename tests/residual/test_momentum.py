@@ -15,6 +15,7 @@ from residual import (
     SigmoidFriction,
     VelocityEstimator,
 )
+from residual.checks.input import round_step
 from residual.momentum_observer import ROWS, set_step_weights
 from residual.velocity_filter import lag_pair_coefficients
 from tests.residual.guarded_sensor import feed, rows_of
@@ -118,7 +119,7 @@ def test_observer_and_pure_step_on_the_matrices_agree(arm, gain, alignment, requ
     observer.update(q[0], dq[0], tau[0], 0.0)
     for k in range(1, len(times)):
         after = sample_rows(k)
-        dt = times[k] - times[k - 1]
+        dt = round_step(times[k] - times[k - 1])
         before[0] = expected
         expected = step(before, after, gain, dt, alignment)
         before = after
