@@ -17,7 +17,6 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import import_module
-from inspect import getfile
 from pathlib import Path
 from shutil import rmtree
 from typing import Any, NamedTuple
@@ -149,16 +148,15 @@ def _direct_imports(file: Path) -> frozenset[Path]:
 class _FolderLocator(caching._CacheLocator):
     """Tells the compiler the folder of a function's module."""
 
-    def __init__(self, function: Callable[..., Any]) -> None:
-        folder = cache_folder(function.__module__, getfile(function))
-        if folder is None:
-            raise OSError("there is no folder to keep compiled code in")
+    def __init__(self, folder: Path, line: int) -> None:
         self._folder = folder
-        self._line = function.__code__.co_firstlineno
+        self._line = line
 
     @classmethod
     def from_function(cls, function: Callable[..., Any], file: str) -> Any:
-        return cls(function)
+        folder = cache_folder(function.__module__, file)
+        line = function.__code__.co_firstlineno
+        return None if folder is None else cls(folder, line)
 
     def ensure_cache_path(self) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -220,5 +218,5 @@ def cache_of(function: Callable[..., Any]) -> FunctionCache | None:
     """Return the cache of a function, None where nothing can be kept."""
     try:
         return FunctionCache(function)
-    except (OSError, RuntimeError):
+    except RuntimeError:  # there is no folder
         return None

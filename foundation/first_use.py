@@ -4,14 +4,8 @@ import os
 import subprocess
 import sys
 from collections.abc import Iterable, Sequence
-from importlib import import_module
 from pathlib import Path
-from typing import TYPE_CHECKING
-
-from foundation.compile_cache import find_cache
-
-if TYPE_CHECKING:
-    from foundation.jit import Entry
+from typing import Any, NamedTuple
 
 SECONDS_PER_FUNCTION = 0.3
 """Processor time that a function takes to compile, on average."""
@@ -26,21 +20,75 @@ HELPER_START = 0.1
 """Part of the whole work that the start of a second process costs it."""
 
 HELPER = (
-    "import sys; from foundation.first_use import compile_modules; "
+    "import sys; from foundation.jit import compile_modules; "
     "compile_modules(sys.argv[1:])"
 )
 """What the second process runs; the modules follow as arguments."""
 
 
-def compile_with_helper(cold: Sequence["Entry"]) -> None:
+class Entry(NamedTuple):
+    """A function with its one signature.
+
+    Attributes:
+        dispatcher: What the compiler has made of it.
+        parameters: The compiler's types of its parameters.
+        cache: Where it is kept on disk, a `foundation.compile_cache.FunctionCache`;
+            None where nothing is.
+    """
+
+    dispatcher: Any
+    parameters: list[Any]
+    cache: Any
+
+    @property
+    def module(self) -> str:
+        """Name of the module that it stands in."""
+        return self.dispatcher.py_func.__module__
+
+    @property
+    def file(self) -> Path:
+        """File of that module."""
+        return Path(self.dispatcher.py_func.__code__.co_filename)
+
+    @property
+    def is_cold(self) -> bool:
+        """Whether it has to be compiled, rather than loaded from disk."""
+        is_kept = self.cache is not None and self.cache.is_warm
+        return not self.dispatcher.overloads and not is_kept
+
+    def compile(self) -> None:
+        """Compile it, or load it from disk, for its one signature."""
+        if not self.dispatcher.overloads:
+            self.dispatcher.compile(tuple(self.parameters))
+            self.dispatcher.disable_compile()
+
+    def check_types(self, arguments: Sequence[Any]) -> None:
+        """Check arguments of its first call, which no one else does.
+
+        Raises:
+            TypeError: For one that does not convert to the type of its parameter.
+        """
+        context = self.dispatcher.targetdescr.typing_context
+        for value, wanted in zip(arguments, self.parameters, strict=True):
+            given = self.dispatcher.typeof_pyval(value)
+            if context.can_convert(given, wanted) is None:
+                name = self.dispatcher.py_func.__qualname__
+                raise TypeError(f"{name} takes {wanted}, got {given}")
+
+
+def compile_cold(cold: Sequence[Entry], *, is_kept: bool) -> None:
     """Compile functions that are not on disk, half of them in a second process.
 
     What the second process was given and did not keep is left to the caller.
+
+    Args:
+        cold: The functions.
+        is_kept: Whether there is a folder to keep them in.
     """
-    progress = _Progress(len(cold))
+    progress = _Progress(len(cold), is_kept=is_kept)
     is_shared = (
         len(cold) >= MIN_SHARED
-        and progress.is_kept
+        and is_kept
         and (os.cpu_count() or 1) > 1
         and Path(sys.executable or "").name.startswith("python")
     )
@@ -59,7 +107,7 @@ def compile_with_helper(cold: Sequence["Entry"]) -> None:
         progress.finish()
 
 
-def choose_modules(entries: Iterable["Entry"]) -> set[str]:
+def choose_modules(entries: Iterable[Entry]) -> set[str]:
     """Choose modules that hold about half of the work, by the size of their sources."""
     files = {entry.module: entry.file for entry in entries}
     sizes = {module: file.stat().st_size for module, file in files.items()}
@@ -89,29 +137,16 @@ def _start_helper(modules: Iterable[str]) -> subprocess.Popen[bytes] | None:
         return None
 
 
-def compile_modules(modules: Sequence[str]) -> None:
-    """Compile and keep the functions of some modules; the work of the helper."""
-    from foundation.jit import waiting_entries
-
-    for module in modules:
-        import_module(module)
-    for entry in waiting_entries():
-        if entry.module in modules:
-            entry.compile()
-
-
 class _Progress:
     """Says on stderr that something is compiled, and on a terminal how far it is."""
 
-    def __init__(self, count: int) -> None:
+    def __init__(self, count: int, *, is_kept: bool) -> None:
         seconds = SECONDS_PER_FUNCTION * count
         self._done = 0
         self._count = count
         self._is_announced = seconds >= MIN_ANNOUNCED_S
-        status = find_cache()
-        self.is_kept = status.folder is not None and status.is_writable
         self._text = f"needleforce: compiling once, about {seconds:.0f} s"
-        if not self.is_kept:
+        if not is_kept:
             self._text = (
                 f"needleforce: compiling, about {seconds:.0f} s at every start: no "
                 "folder can be written; name one in NUMBA_CACHE_DIR"

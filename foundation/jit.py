@@ -10,12 +10,10 @@ from dataclasses import is_dataclass
 from functools import cache
 from importlib import import_module
 from inspect import signature
-from pathlib import Path
 from threading import RLock
 from typing import (
     Annotated,
     Any,
-    NamedTuple,
     TypeVar,
     cast,
     get_args,
@@ -25,8 +23,8 @@ from typing import (
 
 import numpy as np
 
-from foundation.compile_cache import FunctionCache, cache_of
-from foundation.first_use import compile_with_helper
+from foundation.compile_cache import cache_of, find_cache
+from foundation.first_use import Entry, compile_cold
 
 numba: Any = import_module("numba")  # its annotations do not describe its own use
 types: Any = numba.types
@@ -44,7 +42,7 @@ SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 _lock = RLock()
 """One thread at a time compiles."""
 
-_waiting: list["Entry"] = []
+_waiting: list[Entry] = []
 """Functions that Python may call and that are not compiled yet."""
 
 _inside: list[Any] = []
@@ -106,55 +104,6 @@ def compiled_inside(function: Function) -> Function:
     return function
 
 
-class Entry(NamedTuple):
-    """A function with its one signature.
-
-    Attributes:
-        dispatcher: What the compiler has made of it.
-        parameters: The compiler's types of its parameters.
-        cache: Where it is kept on disk; None where nothing is.
-    """
-
-    dispatcher: Any
-    parameters: tuple[Any, ...]
-    cache: FunctionCache | None
-
-    @property
-    def module(self) -> str:
-        """Name of the module that it stands in."""
-        return self.dispatcher.py_func.__module__
-
-    @property
-    def file(self) -> Path:
-        """File of that module."""
-        return Path(self.dispatcher.py_func.__code__.co_filename)
-
-    @property
-    def is_cold(self) -> bool:
-        """Whether it has to be compiled, rather than loaded from disk."""
-        is_kept = self.cache is not None and self.cache.is_warm
-        return not self.dispatcher.overloads and not is_kept
-
-    def compile(self) -> None:
-        """Compile it, or load it from disk, for its one signature."""
-        if not self.dispatcher.overloads:
-            self.dispatcher.compile(self.parameters)
-            self.dispatcher.disable_compile()
-
-    def check_types(self, arguments: Sequence[Any]) -> None:
-        """Check arguments of its first call, which no one else does.
-
-        Raises:
-            TypeError: For one that does not convert to the type of its parameter.
-        """
-        context = registry.cpu_target.typing_context
-        for value, wanted in zip(arguments, self.parameters, strict=True):
-            given = self.dispatcher.typeof_pyval(value)
-            if context.can_convert(given, wanted) is None:
-                name = self.dispatcher.py_func.__qualname__
-                raise TypeError(f"{name} takes {wanted}, got {given}")
-
-
 def _compile_on_demand(entry: Entry) -> None:
     """Let a function be compiled when compiled code or Python calls it first."""
     dispatcher = entry.dispatcher
@@ -171,7 +120,7 @@ def _compile_on_demand(entry: Entry) -> None:
         del dispatcher._compile_for_args
         _, values = dispatcher._compiler.fold_argument_types(arguments, keywords)
         entry.check_types(values)
-        return dispatcher.overloads[entry.parameters].entry_point
+        return dispatcher.overloads[tuple(entry.parameters)].entry_point
 
     dispatcher.get_call_template = get_call_template
     dispatcher._compile_for_args = compile_for_arguments
@@ -189,17 +138,25 @@ def compile_waiting() -> None:
         _waiting.clear()
         cold = [entry for entry in entries if entry.is_cold]
         if cold:
-            compile_with_helper(cold)
+            compile_cold(cold, is_kept=find_cache().is_writable)
         for entry in entries:
             entry.compile()
 
 
-def waiting_entries() -> list[Entry]:
-    """Return the functions that are not compiled yet."""
-    return _waiting.copy()
+def compile_modules(modules: Sequence[str]) -> None:
+    """Compile and keep the functions of some modules: the work of the second process.
+
+    Args:
+        modules: Their dotted names.
+    """
+    for module in modules:
+        import_module(module)
+    for entry in _waiting:
+        if entry.module in modules:
+            entry.compile()
 
 
-def parameter_types(function: Callable[..., Any]) -> tuple[Any, ...]:
+def parameter_types(function: Callable[..., Any]) -> list[Any]:
     """Return the compiler's types of all parameters of a function.
 
     Raises:
@@ -214,7 +171,7 @@ def parameter_types(function: Callable[..., Any]) -> tuple[Any, ...]:
             f"the type of {open_name} of {function.__qualname__} is not known to the "
             "compiler; see foundation.jit.compiled"
         )
-    return tuple(parameters)
+    return parameters
 
 
 def compiler_type(hint: Any) -> Any:

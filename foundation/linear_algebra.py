@@ -168,8 +168,8 @@ def rotate_to_zero(work: WrittenMatrix, vectors: WrittenMatrix, p: int, q: int) 
         q: Its column, another.
     """
     ratio = (work[q, q] - work[p, p]) / (2.0 * work[p, q])
-    tangent = math.copysign(1.0, ratio) / (abs(ratio) + math.sqrt(1.0 + ratio * ratio))
-    cosine = 1.0 / math.sqrt(1.0 + tangent * tangent)
+    tangent = math.copysign(1.0, ratio) / (abs(ratio) + math.hypot(1.0, ratio))
+    cosine = 1.0 / math.hypot(1.0, tangent)
     sine = tangent * cosine
     for k in range(len(work)):
         a = work[k, p]
@@ -235,7 +235,8 @@ def decompose_symmetric(matrix: Matrix) -> Eigensystem:
             break
         for p in range(n):
             for q in range(p + 1, n):
-                if work[p, q] != 0.0:
+                negligible = ROUNDING * ROUNDING * abs(work[p, p] * work[q, q])
+                if work[p, q] * work[p, q] > negligible:
                     rotate_to_zero(work, vectors, p, q)
     for i in range(n):
         values[i] = work[i, i]

@@ -36,6 +36,7 @@ BUILTIN = {
 catches and turns into an error with a code."""
 
 CAUGHT = {
+    "foundation/first_use.py",
     "foundation/jit.py",
     "foundation/records.py",
     "identification/published/offline.py",

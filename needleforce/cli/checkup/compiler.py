@@ -1,17 +1,17 @@
 """What lies in the cache of compiled code, without compiling anything."""
 
-import os
 import re
 from dataclasses import dataclass
 from pathlib import Path
 
-from foundation.jit import COMPILER, PROJECT, _cache_root, hash_sources
+from foundation.compile_cache import PROJECT, can_write, find_cache, hash_sources
+from foundation.jit import COMPILER
 
 PACKAGES = ("foundation", "urdf", "residual", "identification")
 """Packages with compiled functions."""
 
 COMPILED = re.compile(r"^@compiled$", re.MULTILINE)
-"""How a source marks a function that is compiled when its module is imported."""
+"""How a source marks a function that Python calls and that is compiled."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -40,7 +40,7 @@ class CompileCache:
 
 def inspect_cache() -> CompileCache:
     """Return the state of the cache; nothing is compiled or written."""
-    root = _cache_root()
+    root = find_cache().folder or Path()
     sources = [
         path
         for package in PACKAGES
@@ -51,7 +51,7 @@ def inspect_cache() -> CompileCache:
     return CompileCache(
         compiler=COMPILER,
         folder=str(root),
-        is_writable=_is_writable(root),
+        is_writable=can_write(root),
         modules=len(sources),
         kept_modules=len(kept),
     )
@@ -62,9 +62,3 @@ def _is_kept(root: Path, source: Path) -> bool:
     module = ".".join(source.relative_to(PROJECT).with_suffix("").parts)
     folder = root / f"{module}-{hash_sources(source)}"
     return any(folder.rglob("*.nbi"))
-
-
-def _is_writable(folder: Path) -> bool:
-    """Return whether files can be written into a folder, or it can be made."""
-    existing = next(place for place in (folder, *folder.parents) if place.exists())
-    return os.access(existing, os.W_OK)

@@ -9,6 +9,7 @@ from importlib import metadata
 
 import pytest
 
+from foundation.compile_cache import CacheStatus
 from foundation.extras import EXTRAS, install_command
 from needleforce.cli import main
 from needleforce.cli.checkup import compiler, distributions, findings, machine
@@ -127,7 +128,9 @@ def test_requirements_of_other_platforms_are_left_out(monkeypatch):
 
 
 def test_cache_counts_the_modules_whose_code_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(compiler, "_cache_root", lambda: tmp_path)
+    monkeypatch.setattr(
+        compiler, "find_cache", lambda: CacheStatus(tmp_path, True, False)
+    )
     empty = inspect_cache()
 
     assert empty.modules > 5
