@@ -179,7 +179,7 @@ def test_speed_lag_smooths_over_the_true_time(whole):
 @pytest.mark.parametrize(
     ("arguments", "options", "match"),
     [
-        (("arm.urdf",), {}, r"robot is a str, expected a Robot; .*load_urdf"),
+        (("arm.urdf",), {}, r"(?s)robot is a str, expected a Robot.*`load_urdf`"),
         ((RUN.robot, {"mode": "full"}), {}, r"sensor_config is a dict, .*SensorConfig"),
         ((RUN.robot,), {"speed_lag_s": -1.0}, "speed_lag_s is -1.0, expected a finite"),
         (
