@@ -333,6 +333,7 @@ class MomentumObserver:
         self._is_held = alignment == "hold"
         self._max_gap_s = max_gap_s
         self._weights = np.zeros((len(self._gains), ROWS))
+        self._dt_s = math.nan
         self._step_s = math.nan
         self.reset()
 
@@ -371,6 +372,14 @@ class MomentumObserver:
         residual.setflags(write=False)
         return residual
 
+    def _set_weights(self, dt_s: float) -> None:
+        """Set the weights of a time step, unless it only differs by rounding."""
+        self._dt_s = dt_s
+        step_s = round_step(dt_s)
+        if step_s != self._step_s:
+            set_step_weights(self._weights, self._gains, step_s, self._is_held)
+            self._step_s = step_s
+
     def step(self, sample: Array, dt_s: float) -> Array:
         """Take a sample as one contiguous array, shape (3, n), and a checked time step.
 
@@ -381,9 +390,8 @@ class MomentumObserver:
         dq = sample[1]
         if not memory.started or dt_s > self._max_gap_s:
             dt_s = 0.0
-        elif (step_s := round_step(dt_s)) != self._step_s:  # on an even clock once
-            set_step_weights(self._weights, self._gains, step_s, self._is_held)
-            self._step_s = step_s
+        elif dt_s != self._dt_s:
+            self._set_weights(dt_s)
         load = pin.computeGeneralizedGravity(self._model, self._data, q)
         if self._friction is not None:
             # A model that writes into its argument must not change the caller's sample.

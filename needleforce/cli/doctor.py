@@ -11,6 +11,13 @@ from needleforce.cli.terminal import write_out
 @app.command(name="doctor")
 def doctor_command(
     *,
+    compile: Annotated[
+        bool,
+        Parameter(
+            group=LIVE_OUTPUT,
+            help="First compile what is not kept yet, so that no later start has to.",
+        ),
+    ] = False,
     json: Annotated[bool, Parameter(group=LIVE_OUTPUT, help="Print JSON.")] = False,
     sizes: Annotated[
         bool,
@@ -23,12 +30,15 @@ def doctor_command(
 ) -> int:
     """Print versions, extras, compiler and cache, cores, clock, real-time permission.
 
-    Compiles nothing and needs no network. For a bug report.
+    Unless told to it compiles nothing; it needs no network. For a bug report.
 
     needleforce doctor --json
     """
+    from needleforce.cli.checkup.compiler import compile_everything
     from needleforce.cli.checkup.findings import examine
 
+    if compile:
+        compile_everything()
     found = examine(with_sizes=sizes)
     write_out(found.json() if json else found.text())
     return 0

@@ -2,12 +2,13 @@
 
 import re
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 
 from foundation.compile_cache import PROJECT, can_write, find_cache, hash_sources
-from foundation.jit import COMPILER
+from foundation.jit import COMPILER, compile_waiting
 
-PACKAGES = ("foundation", "urdf", "residual", "identification")
+PACKAGES = ("foundation", "residual", "identification", "needleforce")
 """Packages with compiled functions."""
 
 COMPILED = re.compile(r"^@compiled$", re.MULTILINE)
@@ -41,12 +42,7 @@ class CompileCache:
 def inspect_cache() -> CompileCache:
     """Return the state of the cache; nothing is compiled or written."""
     root = find_cache().folder or Path()
-    sources = [
-        path
-        for package in PACKAGES
-        for path in sorted((PROJECT / package).rglob("*.py"))
-        if COMPILED.search(path.read_text(encoding="utf-8"))
-    ]
+    sources = _compiled_sources()
     kept = [path for path in sources if _is_kept(root, path)]
     return CompileCache(
         compiler=COMPILER,
@@ -57,8 +53,28 @@ def inspect_cache() -> CompileCache:
     )
 
 
+def compile_everything() -> None:
+    """Compile and keep what is not kept yet: nothing has to be compiled later."""
+    for source in _compiled_sources():
+        import_module(_module_name(source))
+    compile_waiting()
+
+
+def _compiled_sources() -> list[Path]:
+    """Return the files with compiled functions that Python calls."""
+    return [
+        path
+        for package in PACKAGES
+        for path in sorted((PROJECT / package).rglob("*.py"))
+        if COMPILED.search(path.read_text(encoding="utf-8"))
+    ]
+
+
+def _module_name(source: Path) -> str:
+    return ".".join(source.relative_to(PROJECT).with_suffix("").parts)
+
+
 def _is_kept(root: Path, source: Path) -> bool:
     """Return whether the compiled code of a source is in the cache."""
-    module = ".".join(source.relative_to(PROJECT).with_suffix("").parts)
-    folder = root / f"{module}-{hash_sources(source)}"
+    folder = root / f"{_module_name(source)}-{hash_sources(source)}"
     return any(folder.rglob("*.nbi"))

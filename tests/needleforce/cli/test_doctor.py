@@ -158,6 +158,19 @@ def test_the_trial_of_a_priority_leaves_this_thread_as_it_was():
     assert os.sched_getscheduler(0) == before
 
 
+def test_compile_leaves_nothing_for_a_later_start(tmp_path):
+    environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, "-m", "needleforce", "doctor", "--compile", "--json"]
+    done = subprocess.run(
+        command, capture_output=True, text=True, env=environment, check=True
+    )
+    cache = json.loads(done.stdout)["cache"]
+
+    assert "compiling once, about" in done.stderr
+    assert cache["kept_modules"] == cache["modules"] > 5
+    assert cache["folder"] == str(tmp_path)
+
+
 def test_nothing_is_compiled_or_written(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     done = subprocess.run(
