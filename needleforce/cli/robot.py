@@ -164,7 +164,8 @@ def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
         return ['payload = "none"  # or "needle", a file, or a table [payload]']
     title = "[payload]  # in flange axes; inertia about the centre of mass"
     if isinstance(payload, NeedleTool):
-        title = "[payload.needle]  # force sensor and needle; see docs/how-to/tool-and-payload.md"
+        page = "docs/how-to/tool-and-payload.md"
+        title = f"[payload.needle]  # force sensor and needle; see {page}"
     lines = [title]
     for item in fields(payload):
         value = np.asarray(getattr(payload, item.name))
