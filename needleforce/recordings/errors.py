@@ -20,7 +20,7 @@ class RecordingCode(ErrorCode):
     ACCESS = (
         "NF-RECORDING-ACCESS",
         "A file cannot be opened or written.",
-        "Check the name and the permissions.",
+        "Check the name, the permissions and the space that is left.",
     )
     SUFFIX = (
         "NF-RECORDING-SUFFIX",

@@ -92,7 +92,7 @@ def test_an_empty_folder_fails_in_one_line(tmp_path, name):
 
     nowhere = run_job(Job(benchmark=name, plant="recording"), silent)
 
-    assert nowhere.failure == f"DataError: {name} needs recordings: give --data DIR"
+    assert nowhere.failure == f"DataError: {name} needs recordings"
 
 
 def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, lwr):

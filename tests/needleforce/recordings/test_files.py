@@ -347,7 +347,9 @@ def test_a_missing_library_error_says_what_to_install(
         monkeypatch.setitem(sys.modules, module, None)
 
     for use in (read_table, lambda path: write_table(path, {"t_s": [0.0], "f": [1.0]})):
-        with pytest.raises(FileAccessError, match=rf"need {library},.*\[recordings\]"):
+        with pytest.raises(
+            FileAccessError, match=rf"(?s)need {library},.*\[recordings\]"
+        ):
             use(path)
 
 
