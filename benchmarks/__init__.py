@@ -38,6 +38,11 @@ class BenchmarkCode(ErrorCode):
         "A file of results cannot be read, written or compared.",
         "Give a file that run --json wrote, or a place that can be written to",
     )
+    RESUME = (
+        "NF-BENCHMARK-RESUME",
+        "The file to go on with holds a run that is not asked for.",
+        "Ask for that run too, or write to another file",
+    )
     METRIC = (
         "NF-BENCHMARK-METRIC",
         "A benchmark has measured a number that is not among the metrics.",

@@ -305,8 +305,6 @@ def compare(old: Path, new: Path) -> int:
 def show_results(
     *files: Annotated[Path, Parameter(required=True)],
     page: Path | None = None,
-    readme: Path | None = None,
-    limits: Path | None = None,
     targets: bool = False,
 ) -> None:
     """Print the summary of runs; write all tables to a page.
@@ -316,17 +314,9 @@ def show_results(
     Args:
         files: Results from run --json.
         page: Write all tables there.
-        readme: Write the summary between the marks of that page.
-        limits: Write the worst rows of robustness between the marks of that page.
         targets: Show too, on that page as well, whether the targets are met.
     """
-    from benchmarks.report.summary import (
-        fill,
-        results_page,
-        summary_block,
-        summary_table,
-        worst_rows,
-    )
+    from benchmarks.report.summary import results_page, summary_table
     from benchmarks.report.tables import new_console
     from benchmarks.results import read_merged
 
@@ -343,17 +333,9 @@ def show_results(
                 ),
                 encoding="utf-8",
             )
-        if readme is not None:
-            text = readme.read_text(encoding="utf-8")
-            readme.write_text(
-                fill(text, summary_block(rows, command)), encoding="utf-8"
-            )
-        if limits is not None:
-            text = limits.read_text(encoding="utf-8")
-            limits.write_text(fill(text, worst_rows(rows)), encoding="utf-8")
     except OSError as error:
         raise ResultsError(
-            f"cannot read or write {error.filename}: {error.strerror}"
+            f"cannot write {error.filename}: {error.strerror}"
         ) from error
     table = summary_table(rows).choose_targets(are_shown=targets)
     new_console().print(table.rich())

@@ -15,7 +15,7 @@ JOYSTICK_m_s = (0.01, 0.005, -0.02)  # aside, and down along the needle
 
 
 def drive(with_fixture):
-    """Return time, and the path of the tip [mm]."""
+    """Return the path of the tip, shape (3, n) [mm]."""
     arm = SimulatedArm(plant="clean", duration_s=2.0)
     controller = control.Controller(arm.robot, control.Limits(arm.robot))
     controller.tool.update(arm.home_rad)
@@ -28,11 +28,11 @@ def drive(with_fixture):
     if with_fixture:
         tasks = [fixture, joystick, posture]
     start_m = arm.truth.tip_m
-    path = []
+    path_mm = []
     for sample in arm:
         arm.send(controller.update(sample, tasks).dq_rad_s)
-        path.append(1e3 * (arm.truth.tip_m - start_m))
-    return np.array(path).T
+        path_mm.append(1e3 * (arm.truth.tip_m - start_m))
+    return np.array(path_mm).T
 
 
 for with_fixture, name in ((False, "joystick alone"), (True, "below a fixture")):

@@ -47,7 +47,7 @@ class CacheStatus(NamedTuple):
 
 def find_cache() -> CacheStatus:
     """Find where the compiled code of the estimators is kept."""
-    name = _folder_name("residual.momentum_observer")
+    name = folder_name("residual.momentum_observer")
     for root in cache_roots():
         is_warm = (root / name).is_dir()
         if is_warm or can_write(root):
@@ -55,7 +55,8 @@ def find_cache() -> CacheStatus:
     return CacheStatus(None, False, False)
 
 
-def _folder_name(module: str) -> str:
+def folder_name(module: str) -> str:
+    """Return the name of the folder of a module's compiled code, at present."""
     file = PROJECT.joinpath(*module.split(".")).with_suffix(".py")
     return f"{module}-{hash_sources(file)}"
 

@@ -12,7 +12,7 @@ EXTRAS = {
     "slicer": "the needle shown live in 3D Slicer",
     "devices": "haptic device, Franka and UR arms",
     "cluster": "benchmark campaigns on several machines",
-    "docs": "building these pages",
+    "docs": "building the documentation",
 }
 """What each extra of a user adds, by its name in ``pip install 'needleforce[NAME]'``.
 

@@ -86,17 +86,18 @@ def compile_cold(cold: Sequence[Entry], *, is_kept: bool) -> None:
         is_kept: Whether there is a folder to keep them in.
     """
     progress = _Progress(len(cold), is_kept=is_kept)
+    # An interpreter inside another program cannot run a second process of ours.
     is_shared = (
         len(cold) >= MIN_SHARED
         and is_kept
         and (os.cpu_count() or 1) > 1
         and Path(sys.executable or "").name.startswith("python")
     )
-    others = choose_modules(cold) if is_shared else set()
-    helper = _start_helper(others) if others else None
+    helper_modules = choose_modules(cold) if is_shared else set()
+    helper = _start_helper(helper_modules) if helper_modules else None
     try:
         for entry in cold:
-            if entry.module not in others:
+            if entry.module not in helper_modules:
                 entry.compile()
                 progress.show_next()
         if helper is not None:
@@ -112,15 +113,15 @@ def choose_modules(entries: Iterable[Entry]) -> set[str]:
     files = {entry.module: entry.file for entry in entries}
     sizes = {module: file.stat().st_size for module, file in files.items()}
     own_size = 0.0
-    other_size = HELPER_START * sum(sizes.values())
-    others: set[str] = set()
+    helper_size = HELPER_START * sum(sizes.values())
+    helper_modules: set[str] = set()
     for module in sorted(sizes, key=lambda name: -sizes[name]):
-        if other_size < own_size:
-            others.add(module)
-            other_size += sizes[module]
+        if helper_size < own_size:
+            helper_modules.add(module)
+            helper_size += sizes[module]
         else:
             own_size += sizes[module]
-    return others
+    return helper_modules
 
 
 def _start_helper(modules: Iterable[str]) -> subprocess.Popen[bytes] | None:

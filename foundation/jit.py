@@ -46,7 +46,7 @@ _waiting: list[Entry] = []
 """Functions that Python may call and that are not compiled yet."""
 
 _inside: list[Any] = []
-"""What `compiled_inside` has made: the compiler only refers to it."""
+"""What `compiled_inside` has made. The compiler holds only weak references to it."""
 
 
 def compiled(function: Function) -> Function:
@@ -76,7 +76,7 @@ def compiled(function: Function) -> Function:
     dispatcher = numba.njit(function)
     cache = cache_of(function)
     if cache is not None:
-        dispatcher._cache = cache
+        dispatcher._cache = cache  # as the compiler's own option `cache` does
     entry = Entry(dispatcher, parameter_types(function), cache)
     _waiting.append(entry)
     _compile_on_demand(entry)
@@ -105,7 +105,12 @@ def compiled_inside(function: Function) -> Function:
 
 
 def _compile_on_demand(entry: Entry) -> None:
-    """Let a function be compiled when compiled code or Python calls it first."""
+    """Let a function be compiled when compiled code or Python calls it first.
+
+    The compiler asks a dispatcher for a template to type a call in compiled code, and
+    has it compile for the arguments when Python calls it. Both are replaced, since it
+    would compile a version for each combination of types.
+    """
     dispatcher = entry.dispatcher
     find_template = dispatcher.get_call_template
 

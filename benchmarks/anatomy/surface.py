@@ -183,7 +183,7 @@ def write_series(image: Any, folder: Path, uid: str = "2.25.42") -> None:
     cosines = np.array(image.GetDirection()).reshape(3, 3)
     writer = SimpleITK.ImageFileWriter()
     writer.KeepOriginalImageUIDOn()
-    turned = "\\".join(f"{layer:.12f}" for layer in cosines[:, :2].T.ravel())
+    turned = "\\".join(f"{cosine:.12f}" for cosine in cosines[:, :2].T.ravel())
     for k in range(size[2]):
         section = SimpleITK.Cast(image[:, :, k], SimpleITK.sitkInt16)
         place = image.TransformIndexToPhysicalPoint((0, 0, k))
@@ -193,7 +193,10 @@ def write_series(image: Any, folder: Path, uid: str = "2.25.42") -> None:
             ("0020|000e", f"{uid}.1"),
             ("0008|0018", f"{uid}.1.{k + 1}"),
             ("0020|0013", str(k)),
-            ("0020|0032", "\\".join(f"{layer:.10f}" for layer in place)),
+            (
+                "0020|0032",
+                "\\".join(f"{coordinate_mm:.10f}" for coordinate_mm in place),
+            ),
             ("0020|0037", turned),
         ):
             section.SetMetaData(tag, value)

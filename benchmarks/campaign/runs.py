@@ -12,7 +12,7 @@ from time import perf_counter
 
 import msgspec
 
-from benchmarks import ResultsError
+from benchmarks import BenchmarkCode, ResultsError
 from benchmarks.campaign.workers import DIED, Workers, answers
 from benchmarks.catalogue import run_job
 from benchmarks.jobs import Job, Outcome
@@ -100,7 +100,8 @@ def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
         if job is None:
             raise ResultsError(
                 f"{path} has a run that is not asked for: {row.scenario}, {row.plant}, "
-                f"seed {row.seed}"
+                f"seed {row.seed}",
+                BenchmarkCode.RESUME,
             )
         rows.setdefault(job, []).append(row)
     return {

@@ -1,13 +1,9 @@
-"""The summary of runs, and the pages that results are written into."""
+"""The summary of runs, and the page of all their tables."""
 
 import math
-import re
 from collections.abc import Callable, Iterable, Sequence
-from dataclasses import replace
 from typing import Any, NamedTuple
 
-from benchmarks import ResultsError
-from benchmarks.insertion.perturbations import PERTURBATIONS
 from benchmarks.report.frames import (
     FORCE_ERROR,
     NOTHING,
@@ -18,37 +14,14 @@ from benchmarks.report.frames import (
     summarize,
 )
 from benchmarks.report.tables import (
-    TABLES,
     ResultTable,
-    build_table,
     met_mark,
     result_tables,
 )
 from benchmarks.results import Row, metric
 from benchmarks.targets import GROUPS, HEADLINES, Headline, evaluate
 
-WORST_ROWS = 8
-"""Of the robustness table, that `results --limits` writes."""
-BEGIN = "<!-- results:begin -->"
-END = "<!-- results:end -->"
 SUMMED_METHODS = ("published", "published-best-K", "ours")
-
-
-def worst_rows(rows: Sequence[Row]) -> str:
-    """Return the worst lines of the robustness table, for a page.
-
-    Raises:
-        ResultsError: There are none.
-    """
-    table = build_table(TABLES["robustness"], frame_of(rows))
-    if not table.lines:
-        raise ResultsError("no runs of robustness among the results")
-    names = {name: item.what for name, item in PERTURBATIONS.items()}
-    lines = [
-        (names.get(plant, plant), *cells) for plant, *cells in table.lines[:WORST_ROWS]
-    ]
-    worst = replace(table, lines=tuple(lines))
-    return "\n".join([*worst.markdown(), "", table.caption]) + "\n"
 
 
 class AnswerPart(NamedTuple):
@@ -68,8 +41,9 @@ class AnswerPart(NamedTuple):
 def answer(rows: Iterable[Row]) -> str:
     """Return how far the force is off and which ruptures were found, in sentences.
 
-    Medians over runs, of fractions means: of the virtual force sensor, else of a
-    force sensor at the needle. Empty where these runs have neither.
+    An error is the median over the runs, a fraction their mean. The runs of the virtual
+    force sensor count or, without any, those of a force sensor at the needle. The text
+    is empty where there are neither.
     """
     frame = frame_of(rows)
     is_virtual = not select(frame, source="virtual", method="ours").empty
@@ -242,23 +216,3 @@ def results_page(
         parts += [table.caption, ""] if table.caption else []
         parts += [*table.markdown(), ""]
     return "\n".join(parts)
-
-
-def summary_block(rows: Sequence[Row], command: str) -> str:
-    """Return the summary as Markdown, with the command that prints it."""
-    table = summary_table(rows)
-    lines = [*table.markdown(), "", table.caption, "", f"```sh\n{command}\n```"]
-    return "\n".join(lines) + "\n"
-
-
-def fill(text: str, block: str) -> str:
-    """Return the page with the block between its marks.
-
-    Raises:
-        ResultsError: The page does not have each mark once, in order.
-    """
-    filled = f"{BEGIN}\n{block}{END}"
-    text, count = re.subn(f"{BEGIN}\n.*?{END}", lambda _: filled, text, flags=re.DOTALL)
-    if count != 1:
-        raise ResultsError(f"expected one {BEGIN} and, after it, one {END} in the page")
-    return text

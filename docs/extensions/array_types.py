@@ -17,7 +17,7 @@ class ArrayLike:
 
 
 class ArrayMeta(type):
-    """Counts numpy's arrays as ours, as the code that reads snapshots checks."""
+    """Count numpy's arrays as instances: what reads snapshots asks for that."""
 
     def __instancecheck__(cls, value: Any) -> bool:
         """Return whether a value is an array."""

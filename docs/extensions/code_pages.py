@@ -31,7 +31,7 @@ AREAS = {
 
 INTRODUCTION = """# Errors, statuses and warnings
 
-An error's message ends with its code. Here is what each means, and what to do: in a
+Each error has a code. Here is what each means, and what to do: in a
 program that calls the library, and on the command line where that differs.
 `python -m needleforce.codes CODE` prints the same.
 

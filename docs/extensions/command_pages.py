@@ -52,10 +52,9 @@ def text_of(page: CommandPage) -> str:
     help_text = page.app.generate_docs(output_format="markdown", usage_name=page.words)
     help_text = OUR_CALL.sub("", help_text)
     commands = COMPLETION.sub("", INTRODUCTION.sub("", help_text))
+    # A line just above a fence is the usage, and stands in a block already.
     examples = re.compile(rf"^({re.escape(page.words)} .*)$(?!\n```)", re.M)
     commands = examples.sub(r"```sh\n\1\n```", commands)
-    usage = re.compile(r"```console\n```sh\n(.*)\n```\n```")
-    commands = usage.sub(r"```console\n\1\n```", commands)
     return f"# {page.title}\n\n{page.app.help}\n\n{commands}"
 
 

@@ -11,8 +11,8 @@ from sphinx_gallery.sorting import ExplicitOrder
 
 import groundtruth
 from needleforce.plots import palette
+from needleforce.plots.drawing import STYLE
 
-STYLE = Path(groundtruth.__file__).parents[1] / "needleforce/plots/chart.mplstyle"
 COLOURS = (palette.BLUE, palette.VERMILION, palette.GREEN, palette.PURPLE)
 SIZE_inch = (5.4, 3.2)  # text is legible on a telephone too
 

@@ -386,8 +386,8 @@ def fit_waves(
     for i in range(count):
         for j in range(columns):
             matrix[i, j] /= scale[j]
-    nothing = np.zeros((columns, columns))
-    solution = solve_least_squares(matrix, force, nothing, nothing[0])
+    no_information = np.zeros((columns, columns))
+    solution = solve_least_squares(matrix, force, no_information, no_information[0])
     coefficients = np.zeros(columns)
     for j in range(columns):
         coefficients[j] = solution.unknowns[j] / scale[j]
@@ -468,15 +468,15 @@ def force_changes(
     depths, speeds = courses
     count = len(weight)
     changes = np.zeros((count, len(depths) - 1))
-    first = np.zeros(count)
+    first_forces = np.zeros(count)
     for k in range(len(depths)):
         rows = force_rows((w[k], g[k]), depths[k], speeds[k], weight, begin)
         for i in range(count):
             force = dot(rows[i], linear)
             if k == 0:
-                first[i] = force
+                first_forces[i] = force
             else:
-                changes[i, k - 1] = force - first[i]
+                changes[i, k - 1] = force - first_forces[i]
     return changes
 
 
@@ -496,28 +496,29 @@ def gauss_newton_step(
         damping: Levenberg's.
     """
     linear, slopes = rows
-    count, own = linear.shape
-    numbers = len(stds)
-    size = own + numbers
+    count, linear_count = linear.shape
+    number_count = len(stds)
+    size = linear_count + number_count
     columns = np.zeros((count, size))
-    squares = np.zeros(numbers)
+    squares = np.zeros(number_count)
     for i in range(count):
-        for j in range(own):
+        for j in range(linear_count):
             columns[i, j] = linear[i, j]
-        for k in range(numbers):
-            columns[i, own + k] = slopes[i, k]
+        for k in range(number_count):
+            columns[i, linear_count + k] = slopes[i, k]
             squares[k] += slopes[i, k] ** 2
     information = np.zeros((size, size))
     all_pull = np.zeros(size)
-    for i in range(own):
-        for j in range(own):
+    for i in range(linear_count):
+        for j in range(linear_count):
             information[i, j] = prior[i, j]
-    for k in range(numbers):
+    for k in range(number_count):
         prior_information = stds[k] ** -2.0
         damped = damping * (prior_information + squares[k])
-        information[own + k, own + k] = prior_information + damped
-        all_pull[own + k] = pull[k]
-    return solve_least_squares(columns, error, information, all_pull).unknowns[own:]
+        information[linear_count + k, linear_count + k] = prior_information + damped
+        all_pull[linear_count + k] = pull[k]
+    fit = solve_least_squares(columns, error, information, all_pull)
+    return fit.unknowns[linear_count:]
 
 
 def turned(fit: Fit, time_s: float) -> Fit:

@@ -359,18 +359,18 @@ def add_force(
         counts: Of the differences, which are changed, shape (8,).
     """
     newest = len(past) - 1
-    later = np.zeros(len(past))
+    forces = np.zeros(len(past))
     for i in range(newest):
-        later[i] = past[i + 1]
-    later[newest] = force
+        forces[i] = past[i + 1]
+    forces[newest] = force
     for k in range(LAGS):
         lag = 2**k
         if steps <= 2 * lag:
             break
-        difference = force - 2.0 * later[newest - lag] + later[newest - 2 * lag]
+        difference = force - 2.0 * forces[newest - lag] + forces[newest - 2 * lag]
         squares[k, int(counts[k]) % squares.shape[1]] = difference**2
         counts[k] += 1.0
-    return later
+    return forces
 
 
 @compiled

@@ -256,7 +256,8 @@ def sensor_config(
         if "friction" in table:
             raise CommandError(
                 f"{options.config}: unknown key 'friction'; joint friction stands in "
-                "the file of --friction"
+                "the file of --friction",
+                CommandCode.FILE,
             )
         config = convert_table(SensorConfig, table, options.config, config)
     settings = {

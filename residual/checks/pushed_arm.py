@@ -173,10 +173,10 @@ def unusual_change(rows: Matrix, change: Vector, usual: Matrix, limit: float) ->
 def approach(values: Vector, target: Vector, dt_s: float, lag_s: float) -> Array:
     """Return values after a first-order lag towards a target, shape (n,)."""
     gain = -math.expm1(-dt_s / lag_s)
-    later = np.zeros(len(values))
+    approached = np.zeros(len(values))
     for j in range(len(values)):
-        later[j] = values[j] + gain * (target[j] - values[j])
-    return later
+        approached[j] = values[j] + gain * (target[j] - values[j])
+    return approached
 
 
 @compiled

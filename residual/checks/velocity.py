@@ -241,33 +241,33 @@ def sums_step(  # noqa: PLR0913 - tuples of read-only arrays cannot be passed
     """
     joints = len(travel)
     faded = 1.0 - math.exp(-dt_s / MEMORY_S)
-    later = TravelSums(
+    sums = TravelSums(
         checked_s.copy(),
         excess_sum.copy(),
         moments.copy(),
         squares.copy(),
         products.copy(),
     )
-    own = np.zeros(3)
+    travels = np.zeros(3)
     for i in range(joints):
         if not is_travelling(travel[i], travel_dq[i]):
             continue
-        later.checked_s[i] += dt_s - faded * checked_s[i]
-        later.excess[i] += dt_s * excess[i] - faded * excess_sum[i]
-        own[0] = travel_dq[i]
-        own[1] = travel[i]
-        own[2] = (travel[i] - travel_before[i]) / dt_s
+        sums.checked_s[i] += dt_s - faded * checked_s[i]
+        sums.excess[i] += dt_s * excess[i] - faded * excess_sum[i]
+        travels[0] = travel_dq[i]
+        travels[1] = travel[i]
+        travels[2] = (travel[i] - travel_before[i]) / dt_s
         for a in range(3):
             for b in range(3):
-                later.moments[i, a, b] += (
-                    dt_s * own[a] * own[b] - faded * moments[i, a, b]
+                sums.moments[i, a, b] += (
+                    dt_s * travels[a] * travels[b] - faded * moments[i, a, b]
                 )
         for j in range(joints):
-            later.squares[i, j] += dt_s * travel[j] ** 2 - faded * squares[i, j]
-            later.products[i, j] += (
+            sums.squares[i, j] += dt_s * travel[j] ** 2 - faded * squares[i, j]
+            sums.products[i, j] += (
                 dt_s * travel_dq[i] * travel[j] - faded * products[i, j]
             )
-    return later
+    return sums
 
 
 def velocity_match_step(

@@ -14,7 +14,7 @@ from benchmarks import ResultsError
 from benchmarks.catalogue import BENCHMARKS, Request, make_plan
 from benchmarks.cli import main
 from benchmarks.report.frames import frame_of
-from benchmarks.report.summary import BEGIN, END, summary_block, summary_table
+from benchmarks.report.summary import summary_table
 from benchmarks.report.tables import (
     TABLES,
     ResultTable,
@@ -223,12 +223,10 @@ def test_the_summary_has_eight_lines_bad_ones_first():
     }
 
 
-def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
+def test_the_command_writes_the_page(tmp_path, capsys):
     write_results(tmp_path / "a.json", clean_rows())
     page = tmp_path / "results.md"
-    readme = tmp_path / "README.md"
-    readme.write_text(f"before\n{BEGIN}\nold\n{END}\nafter\n", encoding="utf-8")
-    paths = ["--page", str(page), "--readme", str(readme)]
+    paths = ["--page", str(page)]
 
     assert main(["results", str(tmp_path / "a.json"), "--page", str(page)]) == 0
     assert "missed" not in capsys.readouterr().out
@@ -236,17 +234,9 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
     assert main(["results", str(tmp_path / "a.json"), *paths, "--targets"]) == 0
     assert "0.021 [0.012, 0.030]" in capsys.readouterr().out
 
-    block = summary_block(
-        read_results(tmp_path / "a.json"), "python -m benchmarks results a.json"
-    )
-
-    assert (
-        readme.read_text(encoding="utf-8") == f"before\n{BEGIN}\n{block}{END}\nafter\n"
-    )
-    assert "python -m benchmarks results a.json" in block
-
     text = page.read_text(encoding="utf-8")
 
+    assert "python -m benchmarks results a.json" in text
     assert str(tmp_path) not in text
 
     titles = [line[3:] for line in text.splitlines() if line.startswith("## ")]
@@ -260,22 +250,9 @@ def test_the_command_writes_the_page_and_the_readme(tmp_path, capsys):
 
     assert main(["results", str(tmp_path / "a.json"), "--page", none]) == 2
     assert capsys.readouterr().err.startswith(
-        "error NF-BENCHMARK-RESULTS: cannot read or write"
+        "error NF-BENCHMARK-RESULTS: cannot write"
     )
     assert main(["results"]) == 2
-
-
-@pytest.mark.parametrize(
-    "text", ["none", f"{END} {BEGIN}", f"{BEGIN} {END} {BEGIN}", BEGIN]
-)
-def test_a_page_without_its_marks_stays_unchanged(text, tmp_path, capsys):
-    write_results(tmp_path / "a.json", [make_row()])
-    page = tmp_path / "page.md"
-    page.write_text(text, encoding="utf-8")
-
-    assert main(["results", str(tmp_path / "a.json"), "--readme", str(page)]) == 2
-    assert "results:begin" in capsys.readouterr().err
-    assert page.read_text(encoding="utf-8") == text
 
 
 def goal(metric="wrench_rmse_N", **limits):

@@ -5,7 +5,7 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from foundation.compile_cache import PROJECT, can_write, find_cache, hash_sources
+from foundation.compile_cache import PROJECT, find_cache, folder_name
 from foundation.jit import COMPILER, compile_waiting
 
 PACKAGES = ("foundation", "residual", "identification", "needleforce")
@@ -21,7 +21,7 @@ class CompileCache:
 
     Attributes:
         compiler: Name and version; empty where compiling is disabled.
-        folder: Where compiled code is kept.
+        folder: Where compiled code is kept; empty where no folder can be written.
         is_writable: Whether new code can be kept there.
         modules: Modules with compiled functions.
         kept_modules: Those of them whose code, as it now stands, is kept.
@@ -35,19 +35,19 @@ class CompileCache:
 
     @property
     def is_warm(self) -> bool:
-        """Whether nothing has to be compiled at the next start."""
+        """Whether nothing has to be compiled when the first estimator is made."""
         return self.kept_modules == self.modules
 
 
 def inspect_cache() -> CompileCache:
     """Return the state of the cache; nothing is compiled or written."""
-    root = find_cache().folder or Path()
+    cache = find_cache()
     sources = _compiled_sources()
-    kept = [path for path in sources if _is_kept(root, path)]
+    kept = [path for path in sources if _is_kept(cache.folder, path)]
     return CompileCache(
         compiler=COMPILER,
-        folder=str(root),
-        is_writable=can_write(root),
+        folder=str(cache.folder or ""),
+        is_writable=cache.is_writable,
         modules=len(sources),
         kept_modules=len(kept),
     )
@@ -74,7 +74,8 @@ def _module_name(source: Path) -> str:
     return ".".join(source.relative_to(PROJECT).with_suffix("").parts)
 
 
-def _is_kept(root: Path, source: Path) -> bool:
+def _is_kept(root: Path | None, source: Path) -> bool:
     """Return whether the compiled code of a source is in the cache."""
-    folder = root / f"{_module_name(source)}-{hash_sources(source)}"
-    return any(folder.rglob("*.nbi"))
+    if root is None:
+        return False
+    return any((root / folder_name(_module_name(source))).rglob("*.nbi"))

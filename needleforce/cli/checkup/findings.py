@@ -3,10 +3,10 @@
 import platform
 import sys
 from dataclasses import dataclass
-from pathlib import Path
 
 import msgspec
 
+from foundation.compile_cache import PROJECT
 from foundation.extras import PACKAGE, install_command
 from needleforce.cli.checkup.compiler import CompileCache, inspect_cache
 from needleforce.cli.checkup.distributions import (
@@ -102,7 +102,7 @@ def examine(*, with_sizes: bool) -> Findings:
     """
     return Findings(
         version=version_of(PACKAGE) or "not installed",
-        folder=str(Path(__file__).resolve().parents[3]),
+        folder=str(PROJECT),
         python=platform.python_version(),
         executable=sys.executable,
         core=core_versions(),
@@ -125,12 +125,12 @@ def _describe_cache(cache: CompileCache) -> str:
         state = "warm: nothing is left to compile"
     else:
         state = (
-            f"{cache.kept_modules} of {cache.modules} modules compiled; the next start "
-            "compiles the others"
+            f"{cache.kept_modules} of {cache.modules} modules compiled; the first "
+            "estimator compiles the others"
         )
     if not cache.is_writable:
         state += "; not writable: set NUMBA_CACHE_DIR to a folder that is"
-    return f"{cache.folder}, {state}"
+    return f"{cache.folder or 'no folder'}, {state}"
 
 
 def _describe_cores(machine: Machine) -> str:

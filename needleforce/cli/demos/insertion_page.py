@@ -22,7 +22,7 @@ from needleforce.cli.demos.insertion_run import (
     run_session,
 )
 from needleforce.cli.demos.result_page import NOT_MEDICAL
-from needleforce.cli.terminal import CommandError, staged_progress, write_out
+from needleforce.cli.terminal import CommandError, aligned, staged_progress, write_out
 from needleforce.plots import Chart, Curve, Instants, Panel, Shading, palette
 
 SCENARIO = "stack-glove-constant"
@@ -257,9 +257,8 @@ def _columns(rows: Sequence[Sequence[str]]) -> str:
 
 def next_text() -> str:
     """Return the commands to try next, one a line."""
-    width = max(len(command) for command, _ in NEXT)
-    lines = [f"  {command:<{width}}  # {purpose}\n" for command, purpose in NEXT]
-    return f"next:\n{''.join(lines)}"
+    lines = [(f"  {command}", f"# {purpose}") for command, purpose in NEXT]
+    return "next:\n" + aligned(lines)
 
 
 class DrawnForce(NamedTuple):
