@@ -58,8 +58,8 @@ def _open_output(monkeypatch):
         (
             FileAccessError("no such\nfile"),
             FAILED,
-            "error NF-RECORDING-ACCESS: no such file. Check the name and the "
-            "permissions\n",
+            "error NF-RECORDING-ACCESS: no such file. Check the name, the permissions "
+            "and the space that is left\n",
         ),
         (KeyboardInterrupt(), INTERRUPTED, "interrupted\n"),
         (BrokenPipeError(), READER_GONE, ""),
