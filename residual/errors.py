@@ -137,6 +137,12 @@ class SensorCode(ErrorCode):
         "Correct the units, signs, order or delay of `dq`, then move in free air anew; "
         "`tare(ignore_contact=True)` tares as it is.",
     )
+    VELOCITY_MISSING = (
+        "NF-SENSOR-VELOCITY-MISSING",
+        "The measured velocities stand still while the positions move.",
+        "Pass `dq=None` in every sample, and velocities are estimated from `q`; "
+        "`tare(ignore_contact=True)` tares as it is.",
+    )
 
 
 class ResidualError(CodedError):

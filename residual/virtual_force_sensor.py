@@ -14,6 +14,7 @@ from residual.bias.estimator import BiasEstimator
 from residual.bias.model import Tare
 from residual.checks.input import SampleClock, long_step_message
 from residual.checks.monitor import ConsistencyMonitor, MonitorState
+from residual.checks.velocity import is_velocity_missing
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import (
     SampleError,
@@ -195,7 +196,7 @@ class VirtualForceSensor:
                 nothing has then changed.
         """
         if self._monitor.velocity_fault and not ignore_contact:
-            raise VelocityError(f"{self._monitor.velocity_fault} No tare would hold")
+            raise _velocity_error(self._monitor.velocity_fault)
         is_external = self._stream is not None and self._stream.is_external
         try:
             tare = self._offset.tare(
@@ -505,3 +506,10 @@ class VirtualForceSensor:
             message=str(error),
             warnings=estimate.warnings | error.warning,
         )
+
+
+def _velocity_error(fault: str) -> VelocityError:
+    """Return the error of a tare with a `residual.checks.velocity.velocity_fault`."""
+    is_missing = is_velocity_missing(fault)
+    code = SensorCode.VELOCITY_MISSING if is_missing else SensorCode.VELOCITY
+    return VelocityError(f"{fault} No tare would hold", code)

@@ -35,7 +35,10 @@ COMMAND_ADVICE: dict[str, str] = {
     "gaps in time; --no-tare goes without",
     "NF-SENSOR-TARED-ALREADY": "Give one --tare",
     "NF-SENSOR-VELOCITY": "Give unit and factor of the columns, as in --q q_*:deg or "
-    f"--dq dq_*:rad/s:-1; {_KEEP_TARE}",
+    "--dq dq_*:rad/s:-1, or leave velocities out with --dq none, which estimates them "
+    f"from q; {_KEEP_TARE}",
+    "NF-SENSOR-VELOCITY-MISSING": "Give --dq none, which estimates velocities from q; "
+    + _KEEP_TARE,
     "NF-IDENTIFICATION-SETTING": "Choose another --method",
     "NF-IDENTIFICATION-SPANS": "Choose another --method",
     "NF-IDENTIFICATION-DEPTH-UNIT": "Give the unit, as in --depth z:mm",
@@ -58,6 +61,8 @@ COMMAND_ADVICE: dict[str, str] = {
     "NF-RECORDING-SIZE": "Read a part of the recording",
     "NF-RECORDING-COLUMN": "Name it with {option}, or under {channel} in the file of "
     "--mapping; --print-config prints such a file",
+    "NF-RECORDING-PARTIAL": "Leave the channel out with {option} none, or name its "
+    "columns with {option}",
     "NF-RECORDING-TIME-COLUMN": "Name it with --time, or give the sample rate with "
     "--rate",
     "NF-RECORDING-TIME": "Name column and unit, as in --time stamp:ms, or give the "
@@ -94,6 +99,8 @@ WATCH_ADVICE: dict[str, str] = {
     "NF-SENSOR-NO-FREE-MOTION": "Move without contact; the next attempt follows by "
     "itself",
     "NF-SENSOR-VELOCITY": "Check the units and signs that the robot sends",
+    "NF-SENSOR-VELOCITY-MISSING": "Check that the robot sends velocities; of a "
+    'recording, write dq = "none" in the file of --mapping, and they are estimated',
 }
 """What `view` and `live` say instead: they tare by themselves, and have no option to
 override it."""

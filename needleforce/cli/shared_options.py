@@ -51,7 +51,7 @@ class JointColumns(Columns):
 
     Attributes:
         q: Joint position (rad, deg).
-        dq: Joint velocity (rad/s, deg/s).
+        dq: Joint velocity (rad/s, deg/s); none to estimate it from the positions.
         tau: Measured joint torque (Nm, mNm, Ncm, kNm).
         tau_ext: External joint torque as the robot estimates it (Nm, mNm, Ncm, kNm).
     """

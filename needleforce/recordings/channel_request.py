@@ -10,8 +10,8 @@ from needleforce.recordings.column_names import (
     detect_columns,
     find_columns,
 )
-from needleforce.recordings.errors import ColumnError
-from needleforce.recordings.mapping import ColumnMapping, ColumnSpec
+from needleforce.recordings.errors import ColumnError, MappingError
+from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
 from needleforce.recordings.table import Table
 
 
@@ -34,6 +34,25 @@ class ChannelRequest:
     optional: tuple[str, ...] = ()
     joints: tuple[str, ...] = ()
 
+    @property
+    def requested(self) -> tuple[str, ...]:
+        """The channels that are looked for: required ones first, none left out.
+
+        Raises:
+            MappingError: The mapping leaves out one that is required.
+        """
+        left_out = self.mapping.left_out
+        for name in self.required:
+            if name in left_out:
+                raise MappingError(
+                    f"{name} = {LEFT_OUT!r} leaves out a channel that is needed; only "
+                    "others can be left out, such as dq"
+                )
+
+        named = (*self.required, *self.optional)
+        known = tuple(name for name in CHANNELS if name != "time")
+        return tuple(name for name in named or known if name not in left_out)
+
     def columns(self, table: Table) -> frozenset[str] | None:
         """Return the names of the columns that the channels need.
 
@@ -45,7 +64,7 @@ class ChannelRequest:
         Raises:
             ColumnError: A mapped channel was not found, or is ambiguous.
         """
-        requested = (*self.required, *self.optional) or tuple(CHANNELS)
+        requested = self.requested
         # Mapped channels first: the topics they choose decide where others would be
         # ambiguous.
         names = [name for name in (*requested, "time") if name in self.mapping.channels]

@@ -83,6 +83,12 @@ class RecordingCode(ErrorCode):
         "Give a name that the message lists, a pattern such as q_* or a unit such as "
         "z:mm.",
     )
+    PARTIAL = (
+        "NF-RECORDING-PARTIAL",
+        "A channel that may be left out has no values for some joints.",
+        "Leave it out with `ColumnSpec(columns=LEFT_OUT)` under `{channel}` in the "
+        "`mapping`, or name its columns there.",
+    )
     TIME_COLUMN = (
         "NF-RECORDING-TIME-COLUMN",
         "No column of time stamps was found.",

@@ -22,7 +22,7 @@ from needleforce.recordings.errors import (
     MappingError,
     RecordingCode,
 )
-from needleforce.recordings.mapping import ColumnSpec
+from needleforce.recordings.mapping import LEFT_OUT, ColumnSpec
 from needleforce.recordings.table import Table
 
 
@@ -60,6 +60,10 @@ MIN_STEP_NS = 1e5
 
 MIN_STEP_US = 200.0
 """A median step of so many units, and fewer than `MIN_STEP_NS`, is in microseconds."""
+
+
+MIN_TRAVEL_RAD = 1e-3
+"""An arm whose joints moved by less may have been at rest, with velocities of zero."""
 
 
 @dataclass(slots=True, eq=False)
@@ -149,6 +153,43 @@ class Signal:
         return (
             f"{name}: {quantity} reaches {self.size:.4g} in SI; if the file is in "
             f"{unit}, say unit = {unit!r}, or --{name} COLUMN:{unit}",
+        )
+
+
+class VelocityWatch:
+    """Notices velocities that are zero in all rows, as drivers send that have none."""
+
+    def __init__(self) -> None:
+        self._first_rad: Array | None = None
+        self._travel_rad = 0.0
+        self._is_sent = False
+
+    def update(self, values: Mapping[str, Array]) -> None:
+        """Look at further rows; channels by key, of shape (n, joints)."""
+        if not values.keys() >= {"q_rad", "dq_rad_s"} or self._is_sent:
+            return
+
+        q_rad = values["q_rad"]
+        self._is_sent = bool(values["dq_rad_s"].any())
+        if self._is_sent or not len(q_rad):
+            return
+
+        if self._first_rad is None:
+            self._first_rad = q_rad[0].copy()
+
+        travel_rad = np.abs(q_rad - self._first_rad)
+        finite_rad = travel_rad[np.isfinite(travel_rad)]
+        self._travel_rad = max(self._travel_rad, float(finite_rad.max(initial=0.0)))
+
+    def warnings(self) -> tuple[str, ...]:
+        """Report, at the end, zeros in all rows of an arm that has moved."""
+        if self._is_sent or self._travel_rad < MIN_TRAVEL_RAD:
+            return ()
+
+        return (
+            f"dq is zero in all rows, and q moves by {self._travel_rad:.3g} rad: it "
+            f"seems not to be sent; leave it out with --dq {LEFT_OUT}, or with "
+            f'dq = "{LEFT_OUT}" in the mapping, and it is estimated from q',
         )
 
 

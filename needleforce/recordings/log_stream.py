@@ -19,7 +19,12 @@ from needleforce.recordings.errors import (
     require_size,
 )
 from needleforce.recordings.log import Log
-from needleforce.recordings.log_signal import Signal, find_signal, require_equal_sizes
+from needleforce.recordings.log_signal import (
+    Signal,
+    VelocityWatch,
+    find_signal,
+    require_equal_sizes,
+)
 from needleforce.recordings.table import HEAD_ROWS, Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
@@ -71,6 +76,7 @@ class LogStream:
         self._clock_start_ns = 0  # of whole nanoseconds too large for float64
         self._faults = FaultCounts()
         self._row_clock = RowClock()
+        self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
 
@@ -143,6 +149,7 @@ class LogStream:
 
         self._report_implausible()
         self._report(self._row_clock.warnings())
+        self._report(self._velocity_watch.warnings())
         for key, signal in self._signals.items():
             if key != "t_s":
                 self._report(signal.report_not_finite())
@@ -175,7 +182,10 @@ class LogStream:
                 continue
 
             is_named = is_required or spec is not None
-            if is_named or np.isfinite(signal.read(table)[:HEAD_ROWS]).any():
+            head = signal.read(table)[:HEAD_ROWS]
+            if not is_required:
+                _require_all_joints(channel, head)
+            if is_named or np.isfinite(head).any():
                 self._signals[channel.key] = signal
             else:
                 self._report(
@@ -197,17 +207,17 @@ class LogStream:
         """Return the channels that are looked for, apart from time.
 
         Raises:
-            MappingError: The request names one that does not exist.
+            MappingError: The request names one that does not exist, or the mapping
+                leaves out one that is required.
         """
         known = tuple(name for name in CHANNELS if name != "time")
-        requested = (*self._request.required, *self._request.optional)
-        for name in requested:
+        for name in (*self._request.required, *self._request.optional):
             if name not in known:
                 raise MappingError(
                     f"unknown channel {name!r}; channels are: {', '.join(known)}"
                 )
 
-        return requested or known
+        return self._request.requested
 
     def _read_chunk(self, table: Table) -> Iterator[LogChunk]:
         """Yield the rows of a table that have a time stamp, if there are any."""
@@ -229,6 +239,8 @@ class LogStream:
 
         for key, signal in self._signals.items():
             signal.watch(values[key])
+
+        self._velocity_watch.update(values)
 
         if is_first:
             self._report_implausible()
@@ -268,6 +280,27 @@ class LogStream:
             return to_seconds(stamps, self._clock_start_ns)
 
         return column_s - self._clock_start_ns / NS_PER_S
+
+
+def _require_all_joints(channel: Channel, head: Array) -> None:
+    """Refuse a channel that may be left out if some joints, not all, have no value.
+
+    Args:
+        channel: The channel.
+        head: Its first values, shape (n,) or (n, joints).
+
+    Raises:
+        ColumnError: Such joints; every row would be rejected.
+    """
+    is_known = np.isfinite(head).any(axis=0)
+    if channel.per_joint and is_known.any() and not is_known.all():
+        numbers = ", ".join(str(i + 1) for i in np.flatnonzero(~is_known).tolist())
+        raise ColumnError(
+            f"{channel.name} has no finite value at joint {numbers} in the first "
+            f"{len(head)} rows",
+            RecordingCode.PARTIAL,
+            **channel.places,
+        )
 
 
 def _not_found(missing: list[Channel], table: Table) -> ColumnError:

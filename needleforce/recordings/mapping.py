@@ -23,6 +23,9 @@ from needleforce.recordings.errors import (
 MAX_TOML_BYTES = 1 << 22
 """No mapping is longer; a file named by mistake may be."""
 
+LEFT_OUT = "none"
+"""Stands in place of a channel's columns if the channel is not to be read."""
+
 _TOP_KEYS = frozenset({"rate_hz", "joints", "reference_topic", "payload"})
 """What a mapping in TOML may have beside channels."""
 
@@ -35,7 +38,8 @@ class ColumnSpec:
     """The columns of one channel.
 
     Attributes:
-        columns: Name or pattern, as `q{1..7}` or `q_*`, or several, by joint.
+        columns: Name or pattern, as `q{1..7}` or `q_*`, or several, by joint; or
+            `LEFT_OUT`.
         unit: In the file; None to take it from the column's name, else SI.
         scale: Factor for all columns, or one for each, applied after conversion to SI;
             a negative one turns a sign.
@@ -114,6 +118,13 @@ class ColumnMapping:
     joints: tuple[str, ...] = ()
     reference_topic: str | None = None
     payload: Any = None
+
+    @property
+    def left_out(self) -> frozenset[str]:
+        """The channels that are not to be read, although the file may have them."""
+        return frozenset(
+            name for name, spec in self.channels.items() if spec.columns == LEFT_OUT
+        )
 
     def __post_init__(self) -> None:
         """Check names, units and the rate, and write units as `CHANNELS` does.

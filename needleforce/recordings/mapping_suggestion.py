@@ -13,7 +13,7 @@ from needleforce.recordings.channels import CHANNELS, Channel
 from needleforce.recordings.column_names import parse_column_name
 from needleforce.recordings.errors import ColumnError, readable_path
 from needleforce.recordings.follow import STANDARD_STREAM, FollowOptions
-from needleforce.recordings.mapping import ColumnMapping, ColumnSpec
+from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
 from needleforce.recordings.open_recording import stream_tables
 from needleforce.recordings.table import Table
 
@@ -140,6 +140,14 @@ def mapping_text(
     lines: list[str] = []
     used: set[str] = set()
     for name in channels:
+        if name in known.left_out:
+            lines += [
+                f"[{name}]",
+                f"columns = {json.dumps(LEFT_OUT)}  # not read",
+                "",
+            ]
+            continue
+
         spec = known.channels.get(name)
         lines += [*_channel_lines(table, CHANNELS[name], spec, used), ""]
 

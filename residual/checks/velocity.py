@@ -90,6 +90,9 @@ MIN_REPORTED_LAG_S = 0.1
 MIN_LAG_CHECKED_S = 2.0
 """Time of motion before a lag is reported."""
 
+STANDS_STILL = "stands still while q moves: is it sent at all?"
+"""The fault of velocities that are zeros or another constant."""
+
 STILL_RATIO = 1e-3
 """A signal whose travel is less than this fraction of the other's stands still."""
 
@@ -331,6 +334,14 @@ def velocity_fault(match: VelocityMatch) -> str:
     )
 
 
+def is_velocity_missing(fault: str) -> bool:
+    """Return whether a `velocity_fault` has velocities that stand still, and no others.
+
+    There is then nothing in them to be corrected.
+    """
+    return all(text.endswith(STANDS_STILL) for text in fault.split("; "))
+
+
 def _other_joint_fault(sums: TravelSums, i: int, differs: NDArray[np.bool_]) -> str:
     """Return that dq of joint i is the rate of another joint; "" if it is none's.
 
@@ -383,7 +394,7 @@ def _factor_fault(sums: TravelSums, i: int) -> str:
     product = sums.moments[i, 0, 1]
     square = sums.moments[i, 1, 1]
     if square_dq < STILL_RATIO**2 * square:
-        return "stands still while q moves: is it sent at all?"
+        return STANDS_STILL
     if square < STILL_RATIO**2 * square_dq:
         return "moves while q stands still: is q sent at all?"
     if product**2 < (1.0 - MAX_UNEXPLAINED_RATIO) * square_dq * square:

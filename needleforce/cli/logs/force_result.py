@@ -9,7 +9,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay, has_status
-from needleforce.cli.logs.tare_schedule import describe_rejections
+from needleforce.cli.logs.tare_schedule import describe_rejections, velocity_advice
 from residual import SensorConfig, SensorWarning, Status
 
 
@@ -140,11 +140,11 @@ class ForceResult:
         yield "robot", self._describe_robot()
         yield "sensor", replay.description
         yield "samples", self._describe_samples()
-        yield "rejected", describe_rejections(replay.rejected) or "none"
+        yield "rejected", self._describe_rejections()
         yield "gaps", self._describe_gaps()
         yield "warnings", self._describe_warnings()
         if replay.velocity_fault:
-            yield "velocity", replay.velocity_fault
+            yield "velocity", f"{replay.velocity_fault}; --dq none estimates it from q"
         if replay.question:
             yield "signals", replay.question
         yield "tare", self._describe_tare()
@@ -167,6 +167,11 @@ class ForceResult:
         ]
         span = f"{self.counts.total()} in {self.replay.duration_s:.4g} s"
         return f"{span} at {self._rate_hz:.4g} Hz: {', '.join(counts)}"
+
+    def _describe_rejections(self) -> str:
+        rejected = self.replay.rejected
+        text = describe_rejections(rejected)
+        return f"{text}{velocity_advice(rejected)}" if text else "none"
 
     def _describe_gaps(self) -> str:
         replay = self.replay

@@ -65,6 +65,13 @@ def _parse_log_time(option: str, text: str, first_s: float) -> float:
     return first_s + time_s if text.strip().startswith("+") else time_s
 
 
+def velocity_advice(rejected: Counter[str]) -> str:
+    """Return what helps where velocities are why samples were rejected; else ""."""
+    if not any(reason.startswith("dq ") for reason in rejected):
+        return ""
+    return "; --dq none leaves velocities out and estimates them from q"
+
+
 def describe_rejections(rejected: Counter[str]) -> str:
     """Return how many samples were rejected, and for which reasons; empty if none."""
     common = rejected.most_common(MAX_LISTED_REASONS)
@@ -159,8 +166,11 @@ class TareSchedule:
 
     @property
     def _rejections_since_start(self) -> str:
-        text = describe_rejections(self._rejected - self._rejected_at_start)
-        return f"; samples were rejected, {text}" if text else ""
+        rejected = self._rejected - self._rejected_at_start
+        if not rejected:
+            return ""
+        advice = velocity_advice(rejected)
+        return f"; samples were rejected, {describe_rejections(rejected)}{advice}"
 
     def _require_inside(self, window: TareWindow, last_s: float) -> None:
         """Refuse a window that ends before it starts, or lies outside the log."""

@@ -245,6 +245,43 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
 
 
 @pytest.mark.parametrize(
+    ("joint", "value", "fault"),
+    [
+        (slice(None), 0.0, "stands still while q moves"),
+        (1, np.nan, "dq has no finite value at joint 2"),
+    ],
+    ids=["zeros", "NaN"],
+)
+def test_velocities_not_sent_are_named_with_the_option_that_works(
+    run, lwr, tmp_path, capsys, joint, value, fault
+):
+    columns = insertion(lwr)
+    columns["dq_rad_s"][:, joint] = value
+    log = str(tmp_path / "log.npz")
+    write_table(log, columns)
+    refused = refusal(["force", log, *TARE], capsys)
+
+    assert fault in refused
+    assert "--dq none" in refused
+
+    mapping = tmp_path / "map.toml"
+    mapping.write_text('dq = "none"\n')
+    for options in (["--dq", "none"], ["--mapping", str(mapping)]):
+        forces, printed = run(log, *TARE, *options)
+
+        assert "velocity estimated" in printed
+        assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+
+
+def test_velocities_lost_later_are_counted_with_advice(run, lwr):
+    columns = insertion(lwr)
+    columns["dq_rad_s"][3000:, 0] = np.nan
+    _, printed = run(columns, *TARE)
+
+    assert "1000 x dq is not finite at joint 1; --dq none" in printed
+
+
+@pytest.mark.parametrize(
     ("options", "advice"),
     [
         (

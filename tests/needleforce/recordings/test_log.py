@@ -368,6 +368,25 @@ def test_an_empty_optional_channel_is_omitted_and_reported():
     assert "dq: its columns hold no finite value in the first rows" in log.warnings[0]
 
 
+def test_channels_left_out_are_not_read_and_needed_ones_stay():
+    columns = {"t": T, "q": ONES, "dq": ONES}
+
+    assert list(log_of(mapped(dq="none"), ("q",), ("dq",), **columns).channels) == [
+        "q_rad"
+    ]
+    assert list(log_of(mapped(dq="none"), **columns).channels) == ["q_rad"]
+    with pytest.raises(MappingError, match="q = 'none' leaves out a channel"):
+        log_of(mapped(q="none"), ("q",), **columns)
+
+
+@pytest.mark.parametrize(("travel", "is_reported"), [(0.5, True), (0.0, False)])
+def test_velocities_of_zero_are_reported_if_the_arm_moved(travel, is_reported):
+    q = np.linspace(0.0, travel, 300)
+    log = log_of(None, ("q",), ("dq",), t=0.01 * np.arange(300), q=q, dq=0.0 * q)
+
+    assert any("dq is zero in all rows" in text for text in log.warnings) == is_reported
+
+
 def test_no_time_and_no_rate_is_refused():
     with pytest.raises(
         ColumnError, match=r"(?s)no time column found.*Name it under `time`"
