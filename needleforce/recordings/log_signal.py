@@ -174,10 +174,9 @@ class VelocityWatch:
         if self._is_sent or not len(q_rad):
             return
 
-        if self._first_rad is None:
-            self._first_rad = q_rad[0].copy()
-
-        travel_rad = np.abs(q_rad - self._first_rad)
+        first_rad = q_rad[0].copy() if self._first_rad is None else self._first_rad
+        self._first_rad = first_rad
+        travel_rad = np.abs(q_rad - first_rad)
         finite_rad = travel_rad[np.isfinite(travel_rad)]
         self._travel_rad = max(self._travel_rad, float(finite_rad.max(initial=0.0)))
 
