@@ -35,12 +35,15 @@ class Columns:
     Attributes:
         time: Time stamp (s, ms, us, ns).
         rate: Sample rate, when there is no time.
+        sort_within: Sort rows that come so much later than newer ones (default: 1 s for
+            a file, 0 for rows used as they come).
         mapping: TOML file that says all this.
         print_config: Print such a file for this log, to be edited, and stop.
     """
 
     time: Annotated[str | None, _COLUMN] = None
     rate: Annotated[float | None, Parameter(metavar="HZ")] = None
+    sort_within: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
     print_config: bool = False
 

@@ -20,7 +20,11 @@ from needleforce.recordings.errors import (
     require_size,
 )
 from needleforce.recordings.table import START_KEY, Table
-from needleforce.recordings.time_stamps import start_of_clock, to_seconds
+from needleforce.recordings.time_stamps import (
+    first_valid_stamp,
+    start_of_clock,
+    to_seconds,
+)
 
 BYTES_PER_NUMBER = 8
 """Of a number in memory, as float64 or int64."""
@@ -191,7 +195,8 @@ def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
         if arrow.types.is_timestamp(cells.type):
             stamps_ns, is_known = _read_stamps(cells, arrow)
             if is_known.any():
-                start_ns = start_ns or start_of_clock(int(stamps_ns[is_known][0]))
+                first_ns = first_valid_stamp(stamps_ns[is_known])
+                start_ns = start_ns or start_of_clock(first_ns)
 
             columns[name] = np.where(is_known, to_seconds(stamps_ns, start_ns), np.nan)
             seconds.add(name)

@@ -25,13 +25,21 @@ from needleforce.recordings.log_signal import (
     find_signal,
     require_equal_sizes,
 )
+from needleforce.recordings.stamp_order import SORTED_WITHIN_S, Rows, StampOrder
 from needleforce.recordings.table import HEAD_ROWS, Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
     RowClock,
+    first_valid_stamp,
     start_of_clock,
     to_seconds,
 )
+
+MAX_CHUNK_ROWS = 1 << 14
+"""Of a file that is held as a whole so many rows are worked on at a time."""
+
+ROW = "row"
+"""Name of the numbers of rows in the file, beside the keys of channels."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -59,13 +67,18 @@ class LogStream:
         tables: From `stream_tables`, with the same request.
         request: Which channels are read, and which columns they are; by default all
             that look like one.
+        sorted_within_s: Rows are sorted that come no later than this after newer ones,
+            if the mapping does not say how late; 0 for rows that are used as they come.
 
     Attributes:
         start_ns: The instant of t_s = 0, see `Table`; known after the first chunk.
     """
 
     def __init__(
-        self, tables: Iterable[Table], request: ChannelRequest | None = None
+        self,
+        tables: Iterable[Table],
+        request: ChannelRequest | None = None,
+        sorted_within_s: float = SORTED_WITHIN_S,
     ) -> None:
         self._tables = iter(tables)
         self._request = request or ChannelRequest()
@@ -76,9 +89,20 @@ class LogStream:
         self._clock_start_ns = 0  # of whole nanoseconds too large for float64
         self._faults = FaultCounts()
         self._row_clock = RowClock()
+        mapping = self._request.mapping
+        if mapping.sort_within_s is not None:
+            sorted_within_s = mapping.sort_within_s
+
+        has_stamps = mapping.rate_hz is None
+        self._order = StampOrder(sorted_within_s) if has_stamps else None
         self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
+
+    @property
+    def bad_stamp_count(self) -> int:
+        """How many rows were left out so far because their time stamp is bad."""
+        return 0 if self._order is None else self._order.bad_count
 
     def take_warnings(self) -> tuple[str, ...]:
         """Return what was wrong with the recording since the last call."""
@@ -102,6 +126,10 @@ class LogStream:
             self._report(table.warnings)
             if len(table) or table is head:
                 yield from self._read_chunk(table)
+
+        if self._order is not None:
+            yield from self._chunks(self._order.finish())
+            self._report(self._order.take_warnings())
 
         self._report_end()
 
@@ -220,37 +248,69 @@ class LogStream:
         return self._request.requested
 
     def _read_chunk(self, table: Table) -> Iterator[LogChunk]:
-        """Yield the rows of a table that have a time stamp, if there are any."""
+        """Yield rows that are ready once those of a table were read."""
         values = {key: signal.read(table) for key, signal in self._signals.items()}
         row_count = len(next(iter(values.values())))
         values["t_s"] = self._time_s(table, values, row_count)
-        is_first = not self._row_count
-        if is_first:
+        if not self._row_count:
             require_equal_sizes(values, self._signals)
 
+        values[ROW] = np.arange(
+            self._row_count + 1.0, self._row_count + 1.0 + row_count
+        )
+        self._row_count += row_count
+        for start in range(0, row_count, MAX_CHUNK_ROWS):
+            end = start + MAX_CHUNK_ROWS
+            part = {key: array[start:end] for key, array in values.items()}
+            yield from self._in_order(self._watched(part))
+
+    def _watched(self, values: Rows) -> Rows:
+        """Return the rows that have a time stamp; note what is odd in channels."""
         has_stamp = np.isfinite(values["t_s"])
         if not has_stamp.all():
             self._faults.note(
                 "time: rows without a stamp, left out",
-                f"row {self._row_count + int(np.argmin(has_stamp)) + 1}",
+                f"row {values[ROW][np.argmin(has_stamp)]:.0f}",
                 int(np.count_nonzero(~has_stamp)),
             )
             values = {key: array[has_stamp] for key, array in values.items()}
 
+        is_first = not self._kept_count
+        self._kept_count += len(values["t_s"])
         for key, signal in self._signals.items():
-            signal.watch(values[key])
+            if key != "t_s":
+                signal.watch(values[key])
 
         self._velocity_watch.update(values)
-
         if is_first:
             self._report_implausible()
 
-        t_s = values.pop("t_s")
-        self._kept_count += len(t_s)
-        self._row_count += row_count
-        if len(t_s):
-            dt_s = self._row_clock.update(t_s)
-            yield LogChunk(t_s=t_s, dt_s=dt_s, channels=values)
+        return values
+
+    def _in_order(self, values: Rows) -> Iterator[LogChunk]:
+        """Yield the rows whose place in time is known, once further rows were read."""
+        if self._order is None:
+            yield from self._chunks([values] if len(values["t_s"]) else [])
+            return
+
+        if len(values["t_s"]):
+            yield from self._chunks(self._order.add(values))
+
+        self._report(self._order.take_warnings())
+
+    def _chunks(self, parts: Iterable[Rows]) -> Iterator[LogChunk]:
+        """Yield rows in the order of time as chunks of the log."""
+        for part in parts:
+            rows = part.pop(ROW)
+            t_s = part.pop("t_s")
+            time = self._signals.get("t_s")
+            if time is not None:
+                time.watch(t_s)
+                self._report(time.report_implausible())
+
+            yield LogChunk(
+                t_s=t_s, dt_s=self._row_clock.update(t_s, rows), channels=part
+            )
 
     def _time_s(
         self, table: Table, values: Mapping[str, Array], row_count: int
@@ -274,7 +334,7 @@ class LogStream:
         stamps = table.columns.get(signal.columns[0], column_s)
         is_whole = stamps.dtype.kind == "i"
         if is_whole and not self._row_count:
-            self._clock_start_ns = start_of_clock(int(stamps[0]))
+            self._clock_start_ns = start_of_clock(first_valid_stamp(stamps))
             self.start_ns = self._clock_start_ns
         if is_whole and self._clock_start_ns:
             return to_seconds(stamps, self._clock_start_ns)

@@ -20,13 +20,18 @@ from needleforce.recordings.errors import (
     readable_path,
 )
 
+MAX_SORT_WITHIN_S = 3600.0
+"""In a wider window too many rows would have to be held to be sorted."""
+
 MAX_TOML_BYTES = 1 << 22
 """No mapping is longer; a file named by mistake may be."""
 
 LEFT_OUT = "none"
 """Stands in place of a channel's columns if the channel is not to be read."""
 
-_TOP_KEYS = frozenset({"rate_hz", "joints", "reference_topic", "payload"})
+_TOP_KEYS = frozenset(
+    {"rate_hz", "joints", "reference_topic", "sort_within_s", "payload"}
+)
 """What a mapping in TOML may have beside channels."""
 
 _CHANNEL_KEYS = frozenset({"columns", "unit", "scale"})
@@ -110,6 +115,8 @@ class ColumnMapping:
         joints: The robot's joints, in its order, into which the joint signals of a bag
             are put by name.
         reference_topic: Topic of a bag whose messages are the rows of the log.
+        sort_within_s: Rows are sorted that come no later than this after newer ones;
+            None for the usual time.
         payload: What hangs on the robot, for the command that needs to know it.
     """
 
@@ -117,6 +124,7 @@ class ColumnMapping:
     rate_hz: float | None = None
     joints: tuple[str, ...] = ()
     reference_topic: str | None = None
+    sort_within_s: float | None = None
     payload: Any = None
 
     @property
@@ -132,6 +140,13 @@ class ColumnMapping:
         Raises:
             MappingError: One is not known, or they contradict each other.
         """
+        sort_within_s = self.sort_within_s
+        if sort_within_s is not None and not 0.0 <= sort_within_s <= MAX_SORT_WITHIN_S:
+            raise MappingError(
+                f"sort_within_s = {sort_within_s!r:.60} must be a time in s from 0 to "
+                f"{MAX_SORT_WITHIN_S:g}"
+            )
+
         channels = {
             name: _with_known_unit(name, spec) for name, spec in self.channels.items()
         }
@@ -187,7 +202,7 @@ def load_mapping(path: str | Path) -> ColumnMapping:
 
     Each channel is a table with `columns` and, if needed, `unit` and `scale`, or just
     the columns (`depth = "z"`). At the top may stand `rate_hz`, `joints`,
-    `reference_topic` and `payload`, see `ColumnMapping`.
+    `reference_topic`, `sort_within_s` and `payload`, see `ColumnMapping`.
 
     Raises:
         FileAccessError: the file cannot be read.

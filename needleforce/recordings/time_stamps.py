@@ -24,6 +24,12 @@ MAX_EXACT_INTEGER = 1 << 53
 INT64_END = 1 << 63
 """From here on int64 holds no number."""
 
+FIRST_STAMPS = 200
+"""So many first stamps say when a clock began."""
+
+MAX_HEAD_NS = 3600 * NS_PER_S
+"""First stamps that are farther from the others are none of the same clock."""
+
 MIN_RUN_SET_BACK_S = 0.1
 """A clock counts as set back when the rows behind the latest span so much time."""
 
@@ -44,6 +50,19 @@ def start_of_clock(first_ns: int) -> int:
     return 0 if abs(first_ns) < MAX_EXACT_NS // 2 else first_ns
 
 
+def first_valid_stamp(stamps_ns: NDArray[np.int64]) -> int:
+    """Return the first stamp that is near most of the others, shape (n,), n > 0.
+
+    The very first may be one that was never set.
+    """
+    head_ns = stamps_ns[:FIRST_STAMPS]
+    distinct_ns = np.unique(head_ns)
+    middle_ns = int(distinct_ns[len(distinct_ns) // 2])
+    # Python's integers, which do not overflow.
+    near = (ns for ns in head_ns.tolist() if abs(ns - middle_ns) <= MAX_HEAD_NS)
+    return next(near)
+
+
 def to_seconds(stamps_ns: NDArray[np.int64], start_ns: int) -> Array:
     """Return stamps in seconds since `start_ns`, as the nearest doubles.
 
@@ -59,10 +78,10 @@ def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
 
 
 def exceed_float64(values: np.ndarray) -> bool:
-    """Return whether float64 rounds whole numbers as large as these, and int64 not."""
+    """Return whether float64 rounds one of some whole numbers, and int64 does not."""
     # Not abs, which overflows for the least integer; a NaN is not larger than anything.
     is_large = (values > MAX_EXACT_INTEGER) & (values < INT64_END)
-    return bool(len(values)) and bool(is_large.all())
+    return bool(is_large.any())
 
 
 def interpolate(
@@ -128,11 +147,13 @@ class RowClock:
         self._faults.note(_SET_BACK, "", 0)
         self._faults.note(_BACKWARD, "", 0)
 
-    def update(self, t_s: Array) -> Array:
+    def update(self, t_s: Array, rows: Array | None = None) -> Array:
         """Return the time since the latest row that advanced, for every row.
 
         Args:
             t_s: Time stamps, shape (n,).
+            rows: Their numbers in the file, for messages, shape (n,); None to count
+                from 1.
 
         Returns:
             Time in s, shape (n,): not positive for a row that does not advance, inf for
@@ -141,7 +162,15 @@ class RowClock:
         """
         dt_s = np.diff(t_s, prepend=self._latest_s)
         if not (dt_s > 0.0).all():
-            return np.array([self._update_one(stamp_s) for stamp_s in t_s.tolist()])
+            if rows is None:
+                rows = np.arange(
+                    self._row_count + 1.0, self._row_count + 1.0 + t_s.size
+                )
+
+            numbered = zip(t_s.tolist(), rows.tolist(), strict=True)
+            return np.array(
+                [self._update_one(stamp_s, row) for stamp_s, row in numbered]
+            )
 
         if t_s.size:
             self._latest_s = float(t_s[-1])
@@ -151,8 +180,13 @@ class RowClock:
 
         return dt_s
 
-    def _update_one(self, stamp_s: float) -> float:
-        """Return the time since the latest row that advanced, for the next row."""
+    def _update_one(self, stamp_s: float, row: float) -> float:
+        """Return the time since the latest row that advanced, for the next row.
+
+        Args:
+            stamp_s: Its time stamp.
+            row: Its number in the file.
+        """
         latest_s = self._latest_s
         dt_s = stamp_s - latest_s
         fault = _REPEATED if dt_s == 0.0 else _BACKWARD
@@ -169,7 +203,7 @@ class RowClock:
             self._behind_s.clear()
 
         if stamp_s <= latest_s:
-            place = f"row {self._row_count}, {stamp_s:.9g} s after {latest_s:.9g} s"
+            place = f"row {row:.0f}, {stamp_s:.9g} s after {latest_s:.9g} s"
             self._faults.note(fault, place)
 
         return dt_s

@@ -119,6 +119,12 @@ class ForceResult:
             axial.add(rows["axial_N"][chosen], rows["axial_std_N"][chosen])
             self.counts[status] += int(np.count_nonzero(chosen))
 
+    def count_bad_stamps(self, count: int) -> None:
+        """Count rows that were left out because of their time stamp, at the end."""
+        if count:
+            self.counts[Status.REJECTED] += count
+            self.replay.rejected["bad time stamp"] += count
+
     def answer(self) -> str:
         """Return the range of the axial force, with its standard deviation."""
         status = Status.OK if self.counts[Status.OK] else Status.NOT_TARED
@@ -205,7 +211,8 @@ class ForceResult:
         tare = window.tare
         offset_Nm = float(np.abs(tare.mean[: len(tare.noise_Nm2)]).max())
         return (
-            f"{window} of the log, kind {tare.kind!r}, offsets up to {offset_Nm:.2g} Nm"
+            f"{window} of the log{window.note}, kind {tare.kind!r}, offsets up to "
+            f"{offset_Nm:.2g} Nm"
         )
 
     def _describe_axial_force(self) -> str:

@@ -122,6 +122,7 @@ def estimate_forces(
                 table.append(force_table(rows, config))
             if layers is not None:
                 chunks.append(_as_depth_log(chunk, rows))
+        result.count_bad_stamps(log.bad_stamp_count)
         replay.finish(is_whole=not log.is_stopped())
     result.rows = overview.columns()
     if layers is None or not result.counts[Status.OK]:

@@ -20,6 +20,7 @@ from needleforce.recordings.errors import readable_path
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping import parse_column_spec
+from needleforce.recordings.stamp_order import SORTED_WITHIN_S
 
 
 def mapping_from_options(columns: Columns) -> ColumnMapping:
@@ -39,7 +40,12 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
             channels.pop("time", None)
         else:
             rate_hz = base.rate_hz
-    return replace(base, channels=channels, rate_hz=rate_hz)
+    sort_within_s = columns.sort_within
+    if sort_within_s is None:
+        sort_within_s = base.sort_within_s
+    return replace(
+        base, channels=channels, rate_hz=rate_hz, sort_within_s=sort_within_s
+    )
 
 
 def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool:
@@ -88,6 +94,7 @@ class LogSession:
         is_stopped: Whether Ctrl-C has ended the log.
         warnings: What was wrong with the log so far.
         start_ns: Start of the log's clock, see `Table`; known with the first rows.
+        bad_stamp_count: Rows that were left out so far for a bad time stamp.
 
     Raises:
         CommandError: The time of ``--idle`` is not positive.
@@ -110,6 +117,7 @@ class LogSession:
         self.is_stopped = is_stopped
         self.warnings: list[str] = []
         self.start_ns = 0
+        self.bad_stamp_count = 0
         self._source = source
         self._output = output
         self._request = request
@@ -134,7 +142,9 @@ class LogSession:
                 warn=self._warn,
             )
             tables = recordings.stream_tables(self._source, options, self._request)
-            yield from self._chunks(LogStream(tables, self._request))
+            # Rows that come live are used at once.
+            sorted_within_s = 0.0 if self.is_live else SORTED_WITHIN_S
+            yield from self._chunks(LogStream(tables, self._request, sorted_within_s))
         if self.exit_code:
             say("interrupted: the results are those of the rows read so far")
 
@@ -150,6 +160,7 @@ class LogSession:
                 raise KeyboardInterrupt from None
             raise
         finally:
+            self.bad_stamp_count = stream.bad_stamp_count
             self._warn(*stream.take_warnings())
 
     def _warn(self, *warnings: str) -> None:

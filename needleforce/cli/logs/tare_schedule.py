@@ -13,6 +13,10 @@ AUTOMATIC_S = 2.0
 """Without a choice of the user's, so much from the start of the log is taken for free
 motion [s]: whoever records an insertion starts before contact, but not long before."""
 
+MAX_UNUSED_S = 0.1
+"""A window whose first or last samples were not used for longer is reported as it was
+used [s]; the filters bridge no longer gap."""
+
 MAX_LISTED_REASONS = 4
 """Reasons of rejection that a message lists."""
 
@@ -23,11 +27,13 @@ class TareWindow(NamedTuple):
     Attributes:
         start_s: Start on the log's clock [s].
         end_s: End on the log's clock [s].
+        note: In brackets, how it differs from the one that was asked for; mostly empty.
         tare: The tare; None before it was taken.
     """
 
     start_s: float
     end_s: float
+    note: str = ""
     tare: Tare | None = None
 
     def __str__(self) -> str:
@@ -117,6 +123,8 @@ class TareSchedule:
             self._window = window._replace(start_s=max(window.start_s, first_s))
         self._must_start = self._window is not None
         self._has_settled = False
+        self._first_used_s = math.nan
+        self._latest_used_s = math.nan
 
     def before(self, t_s: float) -> None:
         """Start the recording or take the tare, before the sample of this time [s]."""
@@ -135,7 +143,12 @@ class TareSchedule:
 
         Without a window of the user's, the automatic one begins then.
         """
-        if status is not Status.NOT_TARED or self._must_start:
+        if self._must_start or self.done is not None:
+            return
+        self._latest_used_s = t_s
+        if math.isnan(self._first_used_s):
+            self._first_used_s = t_s
+        if status is not Status.NOT_TARED:
             return
         self._has_settled = True
         if self._window is None and not self._options.no_tare:
@@ -194,14 +207,30 @@ class TareSchedule:
 
     def _take_tare(self, window: TareWindow) -> None:
         """Tare the sensor on what was recorded in a window."""
+        window = self._used_part(window)
         if not self._has_settled:
             raise CommandError(
-                f"no tare from {window}: the filters had not settled by then"
+                f"no tare from {window}{window.note}: the filters had not settled by "
+                f"then"
                 f"{self._rejections_since_start}",
                 CommandCode.TARE,
             )
         try:
             tare = self._sensor.tare(ignore_contact=self._options.force_tare)
         except TareError as error:
-            raise error.reworded(f"no tare from {window}: {error}") from error
+            text = f"no tare from {window}{window.note}: {error}"
+            raise error.reworded(text) from error
         self.done = window._replace(tare=tare)
+
+    def _used_part(self, window: TareWindow) -> TareWindow:
+        """Return the part of a window from which samples were used."""
+        first_s = self._first_used_s
+        latest_s = self._latest_used_s
+        part = window
+        if first_s > window.start_s + MAX_UNUSED_S:
+            part = part._replace(start_s=first_s)
+        if latest_s < window.end_s - MAX_UNUSED_S:
+            part = part._replace(end_s=latest_s)
+        if part == window:
+            return window
+        return part._replace(note=f" (of {window}; the rest has no samples to use)")

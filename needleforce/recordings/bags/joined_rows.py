@@ -13,6 +13,7 @@ from needleforce.recordings.errors import ColumnError
 from needleforce.recordings.table import HEAD_ROWS, Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
+    first_valid_stamp,
     interpolate,
     start_of_clock,
     to_seconds,
@@ -164,7 +165,7 @@ class JoinedRows:
         reference = self.reference
         at_ns = reference.stamps_ns()[:row_count]
         if self._is_new and at_ns.size:
-            self._start_ns = start_of_clock(int(at_ns[0]))
+            self._start_ns = start_of_clock(first_valid_stamp(at_ns))
 
         columns: dict[str, Array] = {"t_s": to_seconds(at_ns, self._start_ns)}
         joint_names: dict[str, tuple[str, ...]] = {}

@@ -72,11 +72,11 @@ def test_stamps_that_do_not_advance_are_counted(t_s):
         with pytest.raises(
             LogError, match=r"no usable time.* at least two time stamps must advance"
         ):
-            log_of(t_s=t_s, force_N=np.zeros(t_s.size))
+            log_of(t_s=t_s, force_N=np.zeros(t_s.size), sorted_within_s=0.0)
 
         return
 
-    log = log_of(t_s=t_s, force_N=np.zeros(t_s.size))
+    log = log_of(t_s=t_s, force_N=np.zeros(t_s.size), sorted_within_s=0.0)
     faults = [warning for warning in log.warnings if "set back" not in warning]
     counted = sum(int(warning.split(": ")[2].split()[0]) for warning in faults)
 
@@ -177,11 +177,10 @@ def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix):
     assert to_nanoseconds(again.t_s, again.start_ns).tolist() == stamps_ns.tolist()
 
 
-def log_of(mapping=None, required=(), optional=(), **columns):
+def log_of(mapping=None, required=(), optional=(), sorted_within_s=1.0, **columns):
     table = Table(columns=columns)
-    return LogStream(
-        [table], ChannelRequest(mapping or mapped(), required, optional)
-    ).joined()
+    request = ChannelRequest(mapping or mapped(), required, optional)
+    return LogStream([table], request, sorted_within_s).joined()
 
 
 T = np.arange(3.0) / 100
@@ -403,7 +402,7 @@ def test_implausible_si_values_of_assumed_units_are_reported():
     }
     hints = log_of(**names).warnings
 
-    assert [hint.split(":")[0] for hint in hints] == ["time", "q", "depth", "speed"]
+    assert {hint.split(":")[0] for hint in hints} == {"time", "q", "depth", "speed"}
     assert (
         "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', "
         "or --depth COLUMN:mm" in hints
