@@ -8,7 +8,9 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.channel_units import ChannelUnit, advice_places
 from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.column_names import columns_in_other_units
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
@@ -16,6 +18,8 @@ from needleforce.recordings.errors import (
     LogError,
     MappingError,
     RecordingCode,
+    RecordingError,
+    UnitError,
     require_size,
 )
 from needleforce.recordings.log import Log
@@ -72,6 +76,7 @@ class LogStream:
 
     Attributes:
         start_ns: The instant of t_s = 0, see `Table`; known after the first chunk.
+        units: In which unit each channel is read; known after the first chunk.
     """
 
     def __init__(
@@ -98,6 +103,7 @@ class LogStream:
         self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
+        self.units: tuple[ChannelUnit, ...] = ()
 
     @property
     def bad_stamp_count(self) -> int:
@@ -122,6 +128,7 @@ class LogStream:
         if self._request.mapping.rate_hz is None:
             self._signals = {"t_s": self._find_time(head), **self._signals}
 
+        self.units = tuple(signal.channel_unit for signal in self._signals.values())
         for table in chain([head], self._tables):
             self._report(table.warnings)
             if len(table) or table is head:
@@ -156,16 +163,17 @@ class LogStream:
             channels=channels,
             warnings=self.take_warnings(),
             start_ns=self.start_ns,
+            units=self.units,
         )
 
     def _report(self, warnings: Iterable[str]) -> None:
         """Add warnings that were not reported before."""
         self._warnings |= dict.fromkeys(warnings)
 
-    def _report_implausible(self) -> None:
-        """Add warnings of signals that can hardly be in SI units."""
+    def _require_plausible(self) -> None:
+        """Raise `UnitError` if a channel can hardly be in the unit that was assumed."""
         for signal in self._signals.values():
-            self._report(signal.report_implausible())
+            signal.require_plausible()
 
     def _report_end(self) -> None:
         """Report what only the whole log shows."""
@@ -175,7 +183,10 @@ class LogStream:
                 f"of {self._row_count} rows none has a time stamp", RecordingCode.TIME
             )
 
-        self._report_implausible()
+        self._require_plausible()
+        for signal in self._signals.values():
+            self._report(signal.report_implausible())
+
         self._report(self._row_clock.warnings())
         self._report(self._velocity_watch.warnings())
         for key, signal in self._signals.items():
@@ -186,6 +197,8 @@ class LogStream:
         """Find the column of time stamps; `ColumnError` if there is none."""
         spec = self._request.mapping.channels.get("time")
         time = find_signal(table, CHANNELS["time"], spec)
+        if time is None and not table.has_header:
+            raise _no_header([CHANNELS["time"]], table)
         if time is None:
             raise ColumnError(
                 "no time column found. "
@@ -283,7 +296,7 @@ class LogStream:
 
         self._velocity_watch.update(values)
         if is_first:
-            self._report_implausible()
+            self._require_plausible()
 
         return values
 
@@ -363,14 +376,43 @@ def _require_all_joints(channel: Channel, head: Array) -> None:
         )
 
 
-def _not_found(missing: list[Channel], table: Table) -> ColumnError:
+def _not_found(missing: list[Channel], table: Table) -> RecordingError:
     """Return the error for required channels that no column of a table is."""
     channel, *others = missing
+    for name, unit in columns_in_other_units(table, channel).items():
+        return UnitError(
+            f"{channel.name}: column {name!r} is in {unit!r}, which is no known unit "
+            f"of {channel.name}; expected one of {', '.join(channel.units)}",
+            **advice_places(channel, [name], f"{channel.si_unit}:FACTOR"),
+        )
+
+    if not table.has_header:
+        return _no_header(missing, table)
+
     also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
     return ColumnError(
         f"no column found for {channel.name} ({channel.meaning}); usual names are "
         f"{', '.join(channel.spellings)}. {f'Nor for {also}. ' if also else ''}"
         f"Columns are: {table.describe()}{table.left_out()}",
         RecordingCode.COLUMN,
+        **channel.places,
+    )
+
+
+def _no_header(missing: list[Channel], table: Table) -> ColumnError:
+    """Return the error for required channels of a file whose columns have no names."""
+    time = CHANNELS["time"]
+    named = [time, *(channel for channel in missing if channel is not time)]
+    options = [
+        f"{channel.places['option']} column_{number}:{channel.usual_unit}"
+        for number, channel in enumerate(named, 1)
+    ]
+    channel = missing[0]
+    return ColumnError(
+        f"no column is known to be {', '.join(each.name for each in missing)}: the "
+        f"file has no header. Columns are: {table.describe()}",
+        RecordingCode.HEADERLESS,
+        options=" ".join(options),
+        unit=channel.usual_unit,
         **channel.places,
     )
