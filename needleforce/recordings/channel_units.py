@@ -57,11 +57,13 @@ class ChannelUnit(NamedTuple):
         channel: Its name, such as `q`.
         columns: Its columns, by joint.
         units: Of each column.
+        scale: Factor or factors of the mapping, applied after the conversion to SI.
     """
 
     channel: str
     columns: tuple[str, ...]
     units: tuple[ColumnUnit, ...]
+    scale: float | tuple[float, ...] = 1.0
 
     def __str__(self) -> str:
         """Return columns, units and their origin in one line."""
@@ -71,6 +73,10 @@ class ChannelUnit(NamedTuple):
         ):
             names = [column.column for column in group]
             parts.append(f"{describe_columns(names)} in {unit} ({source})")
+
+        scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
+        if any(scale != 1.0 for scale in scales):
+            parts.append(f"times {', '.join(f'{scale:g}' for scale in scales)}")
 
         return "; ".join(parts)
 
@@ -82,6 +88,7 @@ class ChannelUnit(NamedTuple):
             "units": [column.unit for column in self.units],
             "origins": [str(column.origin) for column in self.units],
             "lines": [column.line_number or None for column in self.units],
+            "scale": self.scale,
         }
 
 

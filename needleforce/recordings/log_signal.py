@@ -87,6 +87,7 @@ class Signal:
         columns: Names of its columns.
         units: Of the columns, and whence they are known.
         factors: To SI, one for each value of a row.
+        scale: Factor or factors of the mapping, which these contain.
         row_count: Rows watched so far.
         finite_count: Rows with finite values among them.
         large_count: Rows among these with a value larger than is plausible.
@@ -99,6 +100,7 @@ class Signal:
     columns: tuple[str, ...]
     units: tuple[ColumnUnit, ...]
     factors: Array
+    scale: float | tuple[float, ...] = 1.0
     row_count: int = 0
     finite_count: int = 0
     large_count: int = 0
@@ -109,7 +111,7 @@ class Signal:
     @property
     def channel_unit(self) -> ChannelUnit:
         """The unit in which the channel is read, for a summary."""
-        return ChannelUnit(self.channel.name, self.columns, self.units)
+        return ChannelUnit(self.channel.name, self.columns, self.units, self.scale)
 
     def _has_origin(self, *origins: UnitOrigin) -> bool:
         """Return whether the unit of a column is known from one of these."""
@@ -305,7 +307,7 @@ def find_signal(
     units = units_of_columns(table, channel, names, spec)
     si_factors = np.array([channel.units[column.unit] for column in units])
     factors = np.repeat(si_factors, widths) * scales
-    return Signal(channel, names, units, factors)
+    return Signal(channel, names, units, factors, spec.scale)
 
 
 def _widths(channel: Channel, columns: list[NamedValues]) -> list[int]:

@@ -1,5 +1,6 @@
 """From tables to a log: channels in SI units, whole or row by row as they come."""
 
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
@@ -198,7 +199,7 @@ class LogStream:
         spec = self._request.mapping.channels.get("time")
         time = find_signal(table, CHANNELS["time"], spec)
         if time is None and not table.has_header:
-            raise _no_header([CHANNELS["time"]], table)
+            raise _no_header([CHANNELS["time"]], table, self._request)
         if time is None:
             raise ColumnError(
                 "no time column found. "
@@ -237,7 +238,7 @@ class LogStream:
                 )
 
         if missing:
-            raise _not_found(missing, table)
+            raise _not_found(missing, table, self._request)
 
         if not self._signals:
             raise ColumnError(
@@ -376,7 +377,9 @@ def _require_all_joints(channel: Channel, head: Array) -> None:
         )
 
 
-def _not_found(missing: list[Channel], table: Table) -> RecordingError:
+def _not_found(
+    missing: list[Channel], table: Table, request: ChannelRequest
+) -> RecordingError:
     """Return the error for required channels that no column of a table is."""
     channel, *others = missing
     for name, unit in columns_in_other_units(table, channel).items():
@@ -387,7 +390,7 @@ def _not_found(missing: list[Channel], table: Table) -> RecordingError:
         )
 
     if not table.has_header:
-        return _no_header(missing, table)
+        return _no_header(missing, table, request)
 
     also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
     return ColumnError(
@@ -399,20 +402,29 @@ def _not_found(missing: list[Channel], table: Table) -> RecordingError:
     )
 
 
-def _no_header(missing: list[Channel], table: Table) -> ColumnError:
+def _no_header(
+    missing: list[Channel], table: Table, request: ChannelRequest
+) -> ColumnError:
     """Return the error for required channels of a file whose columns have no names."""
     time = CHANNELS["time"]
     named = [time, *(channel for channel in missing if channel is not time)]
-    options = [
-        f"{channel.places['option']} column_{number}:{channel.usual_unit}"
-        for number, channel in enumerate(named, 1)
-    ]
-    channel = missing[0]
+    joint_count = max(len(request.mapping.joints or request.joints), 1)
+    options: list[str] = []
+    first = 1
+    for channel in named:
+        last = first + (joint_count if channel.per_joint else 1) - 1
+        columns = f"column_{first}"
+        if last > first:
+            columns = f"column_{{{first}..{last}}}"
+
+        value = shlex.quote(f"{columns}:{channel.usual_unit}")
+        options.append(f"{channel.places['option']} {value}")
+        first = last + 1
+
     return ColumnError(
         f"no column is known to be {', '.join(each.name for each in missing)}: the "
         f"file has no header. Columns are: {table.describe()}",
         RecordingCode.HEADERLESS,
         options=" ".join(options),
-        unit=channel.usual_unit,
-        **channel.places,
+        **missing[0].places,
     )

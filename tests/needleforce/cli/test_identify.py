@@ -252,10 +252,15 @@ def test_report_shows_forces_and_their_layers(insertion):
         "forces",
         "layers",
         "summary",
+        "channels",
         "sensor",
         "identification",
     ]
-    assert re.findall('<section id="([^"]+)"', alone) == ["layers", "identification"]
+    assert re.findall('<section id="([^"]+)"', alone) == [
+        "layers",
+        "channels",
+        "identification",
+    ]
 
     for label in ("robot", "samples", "rejected", "gaps", "tare", "lag"):
         assert f"<td>{label}</td>" in page

@@ -162,8 +162,21 @@ def test_numbers_without_a_header_are_read_by_number(tmp_path):
     path = tmp_path / "log.txt"
     path.write_text(rows_of("\t"), encoding="utf-8")
 
-    with pytest.raises(ColumnError, match=r"the file has no header\. Columns are: col"):
+    with pytest.raises(
+        ColumnError, match=r"the file has no header\. Columns"
+    ) as caught:
         read_log(path, required=("depth", "force"))
+
+    assert caught.value.places["options"] == (
+        "--time column_1:s --depth column_2:mm --force column_3:N"
+    )
+
+    with pytest.raises(ColumnError) as caught:
+        read_log(path, required=("q", "tau"), joints=("a", "b", "c"))
+
+    assert caught.value.places["options"] == (
+        "--time column_1:s --q 'column_{2..4}:rad' --tau 'column_{5..7}:Nm'"
+    )
 
     mapping = mapped(
         time=ColumnSpec(columns="column_1", unit="s"),

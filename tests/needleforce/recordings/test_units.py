@@ -119,6 +119,7 @@ def test_the_origin_of_every_unit_is_said():
         "units": ["mm"],
         "origins": ["row of units"],
         "lines": [2],
+        "scale": 1.0,
     }
 
 
