@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import parse_column_name, written_unit
-from needleforce.recordings.errors import UnitError
+from needleforce.recordings.errors import RecordingCode, UnitError
 from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.table import Table
 from needleforce.recordings.units import find_unit
@@ -214,6 +214,7 @@ def _other_unit(
         f"{channel.name}: {statement.place} says that column {name!r} is in "
         f"{statement.text!r}, which is no known unit of {channel.name}; expected one "
         f"of {', '.join(channel.units)}",
+        RecordingCode.UNIT,
         **advice_places(channel, columns, f"{channel.si_unit}:FACTOR"),
     )
 
@@ -230,6 +231,7 @@ def _disagreement(
     )
     return UnitError(
         f"{channel.name}: of column {name!r} {said}; correct one of them in the file",
+        RecordingCode.UNIT,
         **advice_places(channel, columns, "UNIT"),
     )
 
@@ -248,6 +250,7 @@ def _contradiction(
         f"{channel.name}: the mapping says {asked} for column {name!r}, and "
         f"{statement.place} says {stated}; leave the unit out, or, if the file is "
         "wrong, state its unit and a factor",
+        RecordingCode.UNIT,
         **advice_places(channel, columns, f"{stated}:{factor:.6g}"),
     )
 

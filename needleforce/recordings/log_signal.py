@@ -187,6 +187,7 @@ class Signal:
         if is_large and self._has_origin(UnitOrigin.ASSUMED):
             raise UnitError(
                 f"{self._describe_size()}. The file states no unit",
+                RecordingCode.UNIT,
                 **advice_places(self.channel, self.columns, self._likely_unit()),
             )
 

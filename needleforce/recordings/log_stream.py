@@ -386,6 +386,7 @@ def _not_found(
         return UnitError(
             f"{channel.name}: column {name!r} is in {unit!r}, which is no known unit "
             f"of {channel.name}; expected one of {', '.join(channel.units)}",
+            RecordingCode.UNIT,
             **advice_places(channel, [name], f"{channel.si_unit}:FACTOR"),
         )
 
