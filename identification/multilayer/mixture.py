@@ -55,6 +55,7 @@ from identification.multilayer.events import (
     History,
     apply_event,
     record_contact,
+    record_membrane,
     record_rupture,
     record_section,
     update_assumption,
@@ -759,6 +760,9 @@ def add_children(
             start_mm = history.section_start_mm
         friction = new.mean[FRICTION_LAST]
         record_section(history, old, start_mm, block.depth_mm, friction)
+    elif assumption.medium == MEMBRANE and assumption.holds_force == 0.0:
+        travel_mm = block.depth_mm - assumption.tip_start_mm
+        record_membrane(mixture.history[size], old, travel_mm)
     log_weight = mixture.log_weights[parent] + math.log(event.probability)
     for i in range(len(event.release_lengths_mm)):
         row = size + i
