@@ -6,9 +6,9 @@ Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a pa
 given in the axes of the robot's flange frame, whose z points outward; gravity in base
 axes.
 
-Reading order: `robot` (what the estimators get), `loading` with `description` (from a
-file, or from numbers, to a robot), `payload` (with the ten numbers of a body),
-`payload_identification`.
+Reading order: `robot` (what the estimators get), `loading` with `description`,
+`joint_choice` and `inertia_check` (from a file, or from numbers, to a robot), `payload`
+(with the ten numbers of a body), `payload_identification`.
 """
 
 from urdf.errors import (

@@ -24,7 +24,8 @@ class UrdfCode(ErrorCode):
     SIZE = (
         "NF-URDF-SIZE",
         "The description is larger than that of any known robot.",
-        "If the robot is real, raise `urdf.description.MAX_LINKS`.",
+        "Name the joints of the log with `keep_joints`; for a real robot raise "
+        "`urdf.xml_reader.MAX_JOINTS` or `urdf.joint_choice.MAX_MOVING_JOINTS`.",
     )
     NUMBER = (
         "NF-URDF-NUMBER",
@@ -48,19 +49,22 @@ class UrdfCode(ErrorCode):
     )
     JOINT = (
         "NF-URDF-JOINT",
-        "A joint does not have one position and one velocity.",
-        "Lock it with `locked_joints`, or make it a revolute or a prismatic joint with "
-        "limits.",
+        "Joints do not have one position and one velocity each.",
+        "Name the joints of the log with `keep_joints`: all others are locked; or lock "
+        "single ones with `locked_joints`.",
     )
     INERTIA = (
         "NF-URDF-INERTIA",
         "The inertial parameters are none that a rigid body can have.",
-        "Check the numbers, their units and the axes they are expressed in.",
+        "Check the numbers, their units and the axes they are expressed in; "
+        "`check_inertias=False` accepts them.",
     )
     MASSLESS = (
         "NF-URDF-MASSLESS",
-        "Some joints move no inertia, so the mass matrix cannot be inverted.",
-        "Give the links inertia, or lock these joints with `locked_joints`.",
+        "Links move without inertia, so their weight is missing.",
+        "Give the links mass, centre and inertia; lock their joints with "
+        "`locked_joints`, or all that the log does not have with `keep_joints`; "
+        "`check_inertias=False` goes on without their weight.",
     )
     ARGUMENT = (
         "NF-URDF-ARGUMENT",

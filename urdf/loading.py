@@ -3,7 +3,7 @@
 import sys
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from importlib import metadata
 from importlib.resources import files
 from os import PathLike
@@ -14,7 +14,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from urdf.description import build_model, check_description, read_description
+from urdf.description import build_model, read_bodies, read_description
 from urdf.errors import (
     InputError,
     MissingPackageError,
@@ -22,12 +22,16 @@ from urdf.errors import (
     UrdfCode,
     finite_array,
 )
+from urdf.inertia_check import check_inertia
+from urdf.joint_choice import weld_joints
 from urdf.payload import NeedleTool, Payload, require_mass, require_physical
 from urdf.robot import (
     STANDARD_GRAVITY_M_S2,
     TOOL_FRAME,
     Robot,
     assemble_robot,
+    require_invertible,
+    require_simple_joints,
     rigid_motion,
 )
 
@@ -36,12 +40,13 @@ LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
 the torque sensors ripple with the motor angle."""
 
 
-def load_urdf(
+def load_urdf(  # noqa: PLR0913 - options of one file, each by name and with a default
     path: str | PathLike[str],
     *,
     tool_frame: str | None = None,
     tool_placement: pin.SE3 | ArrayLike | None = None,
     locked_joints: Iterable[str] | Mapping[str, float] = (),
+    keep_joints: Iterable[str] | None = None,
     without: Iterable[str] = (),
     gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
     payload: Payload | NeedleTool | None = None,
@@ -49,31 +54,36 @@ def load_urdf(
 ) -> Robot:
     """Load a URDF file. Meshes are neither needed nor looked for.
 
+    A continuous joint is an angle without limits; what is odd in the description and
+    could be loaded stands in the robot's ``warnings``.
+
     Args:
         path: The file.
         tool_frame: Link or joint whose frame is both the tool frame and the flange that
             carries the payload (a needle tool then moves the tool frame on to its tip).
-            Default: the last link, if there is one only.
+            Default: the last moving link, if there is one only.
         tool_placement: Where the tool is mounted in that frame, if not at its origin or
             not along its z axis: ``pin.SE3``, a homogeneous matrix of shape (4, 4), or
             an offset of shape (3,), m. It adds the frame ``tool``, which is then tool
             frame and flange.
         locked_joints: Joints to weld, at zero, or at the positions (rad or m) of a
-            mapping.
+            mapping. A joint that mimics one of them is welded with it.
+        keep_joints: Joints that move, as those that a log has; all others are welded.
+            Default: all that are not locked.
         without: Links to leave out, such as a hand that has been taken off, each with
             its joint, its inertia and all that it carries.
         gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
         payload: What hangs on the flange, in its frame.
-        check_inertias: False accepts links no rigid body could be, as identified models
-            have.
+        check_inertias: False accepts links without inertia, and links no rigid body
+            could be, as identified models have, with a warning.
 
     Raises:
         UrdfFileError: Missing, unreadable, malformed or too large a file.
         UnknownNameError: No such tool frame, link or joint, or no single last link.
-        UnsupportedJointError: A joint of several numbers or a mimic, not locked; none
-            that moves.
-        InertiaError: A link with inertia no rigid body can have, or a joint that moves
-            none.
+        UnsupportedJointError: Joints of several numbers or mimics, not locked; none
+            that moves, or more than 100.
+        InertiaError: Links that move without inertia, or with one that no rigid body
+            can have; with the checks off only if none has any.
         InputError: Gravity, payload, placement or locked positions of the wrong kind.
     """
     source = str(path)
@@ -89,19 +99,21 @@ def load_urdf(
             raise InputError(
                 f"locked_joints: position of {name!r} is {value}, expected a number"
             )
+    if isinstance(keep_joints, str):
+        raise InputError(
+            f"keep_joints is the string {keep_joints!r}, expected a list of names"
+        )
     root = read_description(Path(path), without)
-    check_description(root, source, locked=locked, check_inertias=check_inertias)
+    weld_joints(root, source, locked=locked, kept=keep_joints)
+    bodies = read_bodies(root, source)
     model = build_model(root, source)
+    require_simple_joints(model)
     flange_frame = tool_frame if tool_frame is not None else _last_link(model, source)
-    model = _lock(model, locked, source)
-    return assemble_robot(
-        model,
-        flange_frame,
-        tool_placement,
-        payload,
-        gravity_m_s2,
-        check_inertias=check_inertias,
-    )
+    robot = assemble_robot(model, flange_frame, tool_placement, payload, gravity_m_s2)
+    warning = check_inertia(robot, bodies, source, accept=not check_inertias)
+    if check_inertias:
+        require_invertible(robot)
+    return replace(robot, warnings=(warning,)) if warning else robot
 
 
 def load_lwr(
@@ -210,26 +222,6 @@ def example_robot_path(name: str) -> Path:
     )
 
 
-def _lock(model: pin.Model, locked: dict[str, float], source: str) -> pin.Model:
-    """Return the model with joints welded at positions (rad or m)."""
-    if not locked:
-        return model
-    names = list(model.names)
-    step = np.zeros(model.nv)
-    for name, position in locked.items():
-        if name not in names[1:]:
-            raise UnknownNameError(
-                f"{source}: cannot lock {name!r}, there is no such joint; "
-                f"joints: {', '.join(names[1:])}"
-            )
-        # Through the tangent, so that a continuous joint (a point on the circle) locks
-        # like any other.
-        step[model.joints[names.index(name)].idx_v] = position
-    posture = pin.integrate(model, pin.neutral(model), step)
-    joints = [names.index(name) for name in locked]
-    return pin.buildReducedModel(model, joints, posture)
-
-
 def _last_link(model: pin.Model, source: str) -> str:
     """Return the name of the one moving link that carries no other."""
     inner = {0, *(frame.parentFrame for frame in model.frames)}
@@ -321,14 +313,10 @@ def build_serial_robot(
             require_physical(joint.inertia, f"link behind joint {joint.name!r}")
         _append_joint(model, joint)
     placement = pin.SE3.Identity() if tool_placement is None else tool_placement
-    return assemble_robot(
-        model,
-        names[-1],
-        placement,
-        payload,
-        gravity_m_s2,
-        check_inertias=check_inertias,
-    )
+    robot = assemble_robot(model, names[-1], placement, payload, gravity_m_s2)
+    if check_inertias:
+        require_invertible(robot)
+    return robot
 
 
 def _append_joint(model: pin.Model, joint: SerialJoint) -> None:

@@ -26,8 +26,19 @@ from urdf.errors import InertiaError, InputError, finite_array, read_only
 _ROUNDING = 1e-6
 # Of the inertia about the origin, lost in doubles when m c^2 is subtracted.
 _CANCELLATION = 1e-12
-# In kg, kg m, kg m^2: beyond any link, and no product of them overflows.
-_MAX_PARAMETER = 1e9
+MAX_PARAMETER = 1e9
+"""In kg, kg m, kg m^2: beyond any link, and no product of them overflows."""
+
+
+def rounding_of(parameters: Array, largest_kg_m2: float) -> float:
+    """Return by how much rounding may make a moment impossible [kg m^2].
+
+    Args:
+        parameters: The ten parameters of a body, shape (10,).
+        largest_kg_m2: The largest of its principal moments.
+    """
+    about_origin = float(np.sum(np.abs(parameters[[4, 6, 9]])))
+    return _ROUNDING * abs(largest_kg_m2) + _CANCELLATION * about_origin
 
 
 def require_mass(parameters: Array, owner: str) -> None:
@@ -37,10 +48,10 @@ def require_mass(parameters: Array, owner: str) -> None:
         parameters: The ten parameters of a body, shape (10,).
         owner: Name of the body in the message.
     """
-    if not np.all(np.abs(parameters) <= _MAX_PARAMETER):
+    if not np.all(np.abs(parameters) <= MAX_PARAMETER):
         raise InertiaError(
             f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, "
-            f"inertia) are not finite or above {_MAX_PARAMETER:g} in SI units"
+            f"inertia) are not finite or above {MAX_PARAMETER:g} in SI units"
         )
     if parameters[0] == 0.0 and np.any(parameters):
         raise InertiaError(
@@ -64,7 +75,7 @@ def require_physical(parameters: Array, owner: str) -> None:
     if mass == 0.0:
         return
     moments = np.linalg.eigvalsh(pin.Inertia.FromDynamicParameters(parameters).inertia)
-    slack = _ROUNDING * moments[2] + _CANCELLATION * np.sum(parameters[[4, 6, 9]])
+    slack = rounding_of(parameters, float(moments[2]))
     shown = ", ".join(f"{moment:.6g}" for moment in moments)
     if moments[0] < -slack:
         raise InertiaError(

@@ -42,6 +42,7 @@ class Robot:
         tool_frame: Frame whose wrench is of interest.
         flange_frame: Frame that carries the payload.
         payload: Body that hangs on the flange, in the flange frame.
+        warnings: What is odd in the robot's description, and what it does to a force.
         model: The arm with its payload.
         tool_frame_id: Index of the tool frame in ``model.frames``.
         position_lower_rad: Lower limits of the positions, shape (nv,), read-only like
@@ -53,14 +54,15 @@ class Robot:
 
     Raises:
         UnknownNameError: The tool or flange frame is not in the model.
-        UnsupportedJointError: A joint of several numbers, as Pinocchio's continuous and
-            ball joints are, or none that moves.
+        UnsupportedJointError: A joint of several numbers, as a ball joint or a point on
+            the circle is, or none that moves.
     """
 
     bare_model: pin.Model
     tool_frame: str
     flange_frame: str
     payload: Payload | None = None
+    warnings: tuple[str, ...] = ()
     model: pin.Model = field(init=False, repr=False)
     tool_frame_id: int = field(init=False)
     position_lower_rad: Array = field(init=False, repr=False)
@@ -70,7 +72,7 @@ class Robot:
 
     def __post_init__(self) -> None:
         bare = pin.Model(self.bare_model)
-        _check_joints(bare)
+        require_simple_joints(bare)
         object.__setattr__(self, "bare_model", bare)
         object.__setattr__(self, "model", pin.Model(bare))
         object.__setattr__(self, "tool_frame_id", self.frame_id(self.tool_frame))
@@ -161,8 +163,11 @@ class Robot:
         return replace(self, bare_model=bare)
 
 
-def _check_joints(model: pin.Model) -> None:
-    """Refuse joints of several positions or velocities, and robots without joints."""
+def require_simple_joints(model: pin.Model) -> None:
+    """Refuse joints of several positions or velocities, and robots without joints.
+
+    `UnsupportedJointError` names them.
+    """
     if model.nv == 0:
         raise UnsupportedJointError(f"robot {model.name!r} has no joint that moves")
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
@@ -206,8 +211,6 @@ def assemble_robot(
     tool_placement: pin.SE3 | ArrayLike | None,
     payload: Payload | NeedleTool | None,
     gravity_m_s2: ArrayLike,
-    *,
-    check_inertias: bool,
 ) -> Robot:
     """Return a robot of a model, with gravity set and the tool mounted.
 
@@ -217,7 +220,7 @@ def assemble_robot(
         raise InputError(
             f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"
         )
-    _check_joints(model)
+    require_simple_joints(model)
     model.gravity = pin.Motion(
         finite_array(gravity_m_s2, (3,), "gravity_m_s2").copy(), np.zeros(3)
     )
@@ -237,20 +240,23 @@ def assemble_robot(
             _add_frame(model, name, flange_frame, along_z, "a NeedleTool")
         tool_frame = TIP_FRAME
         body = body.payload
-    robot = Robot(
+    return Robot(
         bare_model=model, tool_frame=tool_frame, flange_frame=flange_frame, payload=body
     )
+
+
+def require_invertible(robot: Robot) -> None:
+    """Raise `InertiaError` for a mass matrix that cannot be inverted."""
     mass_matrix = pin.crba(robot.model, robot.create_data(), pin.neutral(robot.model))
-    if check_inertias and np.linalg.eigvalsh(mass_matrix)[0] <= 0.0:
-        massless = [
-            robot.joint_names[k] for k in np.flatnonzero(np.diag(mass_matrix) <= 0.0)
-        ]
-        raise InertiaError(
-            f"the mass matrix of robot {robot.model.name!r} is not positive definite; "
-            f"joints that move no inertia: {', '.join(massless) or 'none alone'}",
-            UrdfCode.MASSLESS,
-        )
-    return robot
+    if np.linalg.eigvalsh(mass_matrix)[0] > 0.0:
+        return
+    is_massless = np.diag(mass_matrix) <= 0.0
+    massless = [robot.joint_names[k] for k in np.flatnonzero(is_massless)]
+    raise InertiaError(
+        f"the mass matrix of robot {robot.model.name!r} is not positive definite; "
+        f"joints that move no inertia: {', '.join(massless) or 'none alone'}",
+        UrdfCode.MASSLESS,
+    )
 
 
 def _add_frame(

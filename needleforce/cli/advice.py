@@ -49,13 +49,17 @@ COMMAND_ADVICE: dict[str, str] = {
     "recording begins with a withdrawal",
     "NF-IDENTIFICATION-SPEED-SIGN": "Negate it, as in --speed v:m/s:-1, or the depth",
     "NF-URDF-FORMAT": "Correct the file; check_urdf of ROS names further mistakes",
-    "NF-URDF-SIZE": "Give the description of a single robot with --urdf FILE",
+    "NF-URDF-SIZE": "Give the description of a single robot with --urdf FILE; "
+    "--lock-others locks every joint that the log does not have",
     "NF-URDF-ROBOT": "Give one of these names to --robot; --urdf FILE loads any other",
     "NF-URDF-TOOL-FRAME": "Name the frame at the needle's tip with --tool-frame",
-    "NF-URDF-JOINT": "Lock it with --lock JOINT, or make it a revolute or a prismatic "
-    "joint with limits",
-    "NF-URDF-MASSLESS": "Give the links inertia, or lock these joints with --lock "
-    "JOINT",
+    "NF-URDF-JOINT": "--lock-others locks every joint that the log does not have, "
+    "--lock JOINT a single one",
+    "NF-URDF-INERTIA": "Correct the numbers in the file; --accept-inertia goes on, "
+    "with a warning",
+    "NF-URDF-MASSLESS": "Give the links mass, centre and inertia; --lock-others locks "
+    "every joint that the log does not have; --accept-inertia goes on without their "
+    "weight, with a warning",
     "NF-SIMULATION-SCENARIO": "needleforce simulate --list prints the scenarios",
     "NF-SIMULATION-PLANT-MODEL": "Give one of these names to --plant",
     "NF-RECORDING-SIZE": "Read a part of the recording",
@@ -63,9 +67,6 @@ COMMAND_ADVICE: dict[str, str] = {
     "--mapping; --print-config prints such a file",
     "NF-RECORDING-PARTIAL": "Leave the channel out with {option} none, or name its "
     "columns with {option}",
-    "NF-RECORDING-HEADERLESS": "Name columns by their number, with their units, as in "
-    "{options}",
-    "NF-RECORDING-UNIT": "Give it with the column, as in {option} {value}",
     "NF-RECORDING-TIME-COLUMN": "Name it with --time, or give the sample rate with "
     "--rate",
     "NF-RECORDING-TIME": "Name column and unit, as in --time stamp:ms, or give the "

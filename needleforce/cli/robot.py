@@ -3,7 +3,8 @@
 Arm, payload, friction and settings.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
+from contextlib import suppress
 from dataclasses import fields, replace
 from importlib.resources import files
 from pathlib import Path
@@ -12,8 +13,9 @@ from typing import Any, NamedTuple
 import numpy as np
 
 import urdf
+from foundation.arrays import Array
 from needleforce.cli.shared_options import RobotOptions, SensorOptions
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.cli.terminal import CommandCode, CommandError, say
 from needleforce.cli.toml_tables import NOTHING, convert_table
 from needleforce.recordings import load_mapping
 from needleforce.recordings.mapping import read_toml
@@ -27,48 +29,186 @@ from residual import (
 )
 from urdf import NeedleTool, Payload, Robot, example_robot_path
 from urdf.errors import finite_array
+from urdf.joint_choice import joints_towards, movable_joints
+from urdf.robot import STANDARD_GRAVITY_M_S2
 
 LWR = "lwr"
 """Name of the arm that is taken without options."""
+
+MOUNT_TILT_DEG = {"wall": 90.0, "ceiling": 180.0}
+"""By how much a mounting turns the base about its y axis from upright."""
+
+GRAVITY_DIGITS = 9
+"""Digits of a gravity from an angle: the sine of 180 degrees is zero."""
+
+MIN_GRAVITY_M_S2 = 9.7
+MAX_GRAVITY_M_S2 = 9.9
+"""Weaker and stronger than anywhere on Earth: a unit vector, or another unit."""
 
 NEEDLE = "needle"
 """Name of the payload that a known LWR has without options."""
 
 
-def robot_from_options(options: RobotOptions, mapping: str | None) -> Robot:
-    """Return the robot that the options describe.
+class LogJoints(NamedTuple):
+    """What a log says about its joints.
+
+    Attributes:
+        names: Their names; empty if it names none.
+        number: How many there are; None if that is not known.
+    """
+
+    names: tuple[str, ...] = ()
+    number: int | None = None
+
+
+def robot_from_options(
+    options: RobotOptions,
+    mapping: str | None,
+    find_joints: Callable[[], LogJoints] = LogJoints,
+) -> Robot:
+    """Return the robot that the options describe; what is odd in it is said on stderr.
 
     Args:
         options: Options of the command.
         mapping: File of the mapping, which may name the payload.
+        find_joints: Returns what the log says about its joints; called for
+            ``--lock-others``. By default nothing is known.
 
     Raises:
         CommandError: Options contradict each other, or the robot cannot be loaded.
     """
     payload = payload_from_options(options, mapping)
-    if options.urdf is not None and options.robot is not None:
-        raise CommandError("--robot and --urdf name two robots, expected one of them")
-    if options.lock and options.urdf is None:
-        raise CommandError(
-            "--lock holds joints of a robot of --urdf FILE; known robots have none"
-        )
+    _check_robot_options(options)
+    gravity_m_s2 = gravity_from_options(options)
     if _is_lwr(options):
-        if options.tool_frame or options.tip_offset or options.without:
-            raise CommandError(
-                "--tool-frame, --tip-offset and --without describe a robot of --robot "
-                "NAME or --urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
-            )
-        return urdf.load_lwr(payload=payload)
+        return urdf.load_lwr(payload=payload, gravity_m_s2=gravity_m_s2)
     tool: dict[str, Any] = {
         "tool_frame": options.tool_frame,
         "tool_placement": options.tip_offset,
         "without": options.without,
+        "gravity_m_s2": gravity_m_s2,
         "payload": payload,
     }
-    locked_joints = dict(map(_parse_lock, options.lock))
     if options.urdf is None:
         return urdf.load_example(str(options.robot), **tool)
-    return urdf.load_urdf(options.urdf, locked_joints=locked_joints, **tool)
+    locked_joints = dict(map(_parse_lock, options.lock))
+    kept_joints = None
+    if options.lock_others:
+        kept_joints = _joints_to_keep(options, locked_joints, find_joints())
+    robot = urdf.load_urdf(
+        options.urdf,
+        locked_joints=locked_joints,
+        keep_joints=kept_joints,
+        check_inertias=not options.accept_inertia,
+        **tool,
+    )
+    for warning in robot.warnings:
+        say(f"warning: {warning}")
+    return robot
+
+
+def _check_robot_options(options: RobotOptions) -> None:
+    """Refuse options of the robot that contradict each other."""
+    if options.urdf is not None and options.robot is not None:
+        raise CommandError("--robot and --urdf name two robots, expected one of them")
+    for_urdf = {
+        "--lock": options.lock,
+        "--lock-others": options.lock_others,
+        "--accept-inertia": options.accept_inertia,
+    }
+    for option, value in for_urdf.items():
+        if value and options.urdf is None:
+            raise CommandError(
+                f"{option} is for a robot of --urdf FILE; known robots have no joints "
+                "to lock and all their inertia"
+            )
+    if _is_lwr(options) and (
+        options.tool_frame or options.tip_offset or options.without
+    ):
+        raise CommandError(
+            "--tool-frame, --tip-offset and --without describe a robot of --robot "
+            "NAME or --urdf FILE; the LWR 4+ takes a [needle] in --payload FILE"
+        )
+
+
+def gravity_from_options(options: RobotOptions) -> Array:
+    """Return gravity in base axes [m/s^2], shape (3,).
+
+    Raises:
+        CommandError: It is not as strong as on Earth, or the mounting is not known.
+    """
+    if options.gravity is not None and options.mount:
+        raise CommandError("--gravity and --mount say the same, expected one of them")
+    if options.gravity is not None:
+        size_m_s2 = float(np.linalg.norm(options.gravity))
+        if not MIN_GRAVITY_M_S2 <= size_m_s2 <= MAX_GRAVITY_M_S2:
+            raise CommandError(
+                f"--gravity {' '.join(f'{value:g}' for value in options.gravity)}: is "
+                f"{size_m_s2:.4g} m/s^2, expected about 9.81, as in 0 0 9.81 for a "
+                "robot that hangs from the ceiling"
+            )
+        return np.array(options.gravity)
+    tilt_rad = np.deg2rad(_parse_mount(options.mount))
+    down_m_s2 = STANDARD_GRAVITY_M_S2[2]
+    # The base is turned about its y axis: R_y(tilt)' g.
+    gravity_m_s2 = down_m_s2 * np.array([-np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
+    return np.round(gravity_m_s2, GRAVITY_DIGITS) + 0.0  # never -0.0
+
+
+def _parse_mount(words: tuple[str, ...]) -> float:
+    """Return by how many degrees the base is turned about its y axis from upright."""
+    text = " ".join(words)
+    if not words:
+        return 0.0
+    if text in MOUNT_TILT_DEG:
+        return MOUNT_TILT_DEG[text]
+    kind, _, tilt = text.replace("=", " ").replace(":", " ").partition(" ")
+    with suppress(ValueError):
+        if kind == "tilt" and np.isfinite(float(tilt)):
+            return float(tilt)
+    raise CommandError(
+        f"--mount {text}: expected wall, ceiling or tilt DEG, as in --mount tilt 30, "
+        "and the log before it"
+    )
+
+
+def _joints_to_keep(
+    options: RobotOptions, locked: Mapping[str, float], joints: LogJoints
+) -> tuple[str, ...]:
+    """Return the joints that ``--lock-others`` leaves.
+
+    They are those that the log names. Of a log that names none they are those on the
+    way to the tool, if it has so many.
+    """
+    path = Path(str(options.urdf))
+    movable = [
+        name for name in movable_joints(path, options.without) if name not in locked
+    ]
+    if joints.names:
+        kept = tuple(name for name in movable if name in joints.names)
+        if kept:
+            return kept
+        raise CommandError(
+            f"--lock-others: the log has the joints {', '.join(joints.names)}, the "
+            f"robot {', '.join(movable)}: none of one name; name the robot's in the "
+            "order of the log with joints = [...] in the file of --mapping",
+            CommandCode.ROBOT,
+        )
+    if joints.number == len(movable):
+        return tuple(movable)
+    route = tuple(
+        name
+        for name in joints_towards(path, options.tool_frame, options.without)
+        if name not in locked
+    )
+    if joints.number not in (None, len(route)):
+        raise CommandError(
+            f"--lock-others: the log has {joints.number} columns per joint signal and "
+            f"names no joints, on the way to the tool move {len(route)}: "
+            f"{', '.join(route)}",
+            CommandCode.ROBOT,
+        )
+    return route
 
 
 def _is_lwr(options: RobotOptions) -> bool:

@@ -18,8 +18,8 @@ Source = Annotated[
         name="LOG",
         group=LOG,
         allow_leading_hyphen=True,
-        help="Recording: .csv, .csv.gz, .txt, .lvm, .npz, .parquet, or a ROS 2 bag; - "
-        "for standard input.",
+        help="Recording: .csv, .csv.gz, .npz, .parquet, or a ROS 2 bag; - for standard "
+        "input.",
     ),
 ]
 
@@ -33,7 +33,7 @@ class Columns:
     """Which columns are which channels; a field with a channel's name has its columns.
 
     Attributes:
-        time: Time stamp (s, ms, us, ns, min).
+        time: Time stamp (s, ms, us, ns).
         rate: Sample rate, when there is no time.
         sort_within: Sort rows that come so much later than newer ones (default: 1 s for
             a file, 0 for rows used as they come).
@@ -54,9 +54,9 @@ class JointColumns(Columns):
 
     Attributes:
         q: Joint position (rad, deg).
-        dq: Joint velocity (rad/s, deg/s, rpm); none to estimate it from the positions.
-        tau: Measured joint torque (Nm, mNm, Nmm, Ncm, kNm, in-lbf, ft-lbf).
-        tau_ext: External joint torque as the robot estimates it (units as of tau).
+        dq: Joint velocity (rad/s, deg/s); none to estimate it from the positions.
+        tau: Measured joint torque (Nm, mNm, Ncm, kNm).
+        tau_ext: External joint torque as the robot estimates it (Nm, mNm, Ncm, kNm).
     """
 
     q: Annotated[str | None, _COLUMN] = None
@@ -72,9 +72,8 @@ class DepthColumns(Columns):
     Attributes:
         depth: Travel of the needle tip along its axis, growing into the tissue (m, cm,
             mm, um, inch).
-        speed: Rate of depth (m/s, cm/s, mm/s, um/s, mm/min).
-        force: Axial force, positive when tissue pushes back (N, mN, cN, kN, gf, kgf,
-            lbf, ozf).
+        speed: Rate of depth (m/s, cm/s, mm/s, um/s).
+        force: Axial force, positive when tissue pushes back (N, mN, kN, lbf).
     """
 
     depth: Annotated[str | None, _COLUMN] = None
@@ -149,6 +148,15 @@ class RobotOptions:
             the hand is off.
         lock: With --urdf: joints that are not in the log, held at a position in rad or
             m (default: 0).
+        lock_others: With --urdf: lock every joint that the log does not have; where it
+            names no joints, every joint that is not on the way to the tool.
+        accept_inertia: With --urdf: go on although moving links have no inertia, or one
+            that no rigid body has, with a warning in every result.
+        gravity: Gravity in the axes of the robot's base [m/s^2] (default: 0 0 -9.80665,
+            a base that stands upright).
+        mount: How the base is mounted, instead of --gravity: wall (its x axis points
+            down), ceiling, or tilt DEG (turned so far about its y axis from upright, x
+            axis down).
         payload: What is on the flange: a TOML file; the published 304 g force sensor
             and needle (default of the LWR); or nothing (default of other robots). It
             overrides the mapping.
@@ -163,6 +171,17 @@ class RobotOptions:
     ] = ()
     lock: Annotated[
         tuple[str, ...], Parameter(metavar="JOINT[=POSITION]", consume_multiple=True)
+    ] = ()
+    lock_others: Annotated[bool, Parameter(negative="")] = False
+    accept_inertia: Annotated[bool, Parameter(negative="")] = False
+    gravity: Annotated[Direction | None, Parameter(metavar="X Y Z")] = None
+    mount: Annotated[
+        tuple[str, ...],
+        Parameter(
+            metavar="wall|ceiling|tilt DEG",
+            consume_multiple=True,
+            allow_leading_hyphen=False,
+        ),
     ] = ()
     payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
 

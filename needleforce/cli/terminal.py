@@ -50,8 +50,9 @@ class CommandCode(ErrorCode):
     ROBOT = (
         "NF-COMMAND-ROBOT",
         "The log or the arm has another number of joints than the robot.",
-        "Name another robot with --robot or --urdf FILE, where --lock JOINT holds "
-        "joints that are not measured; or name the columns with --q",
+        "Name another robot with --robot or --urdf FILE, where --lock-others locks "
+        "every joint that the log does not have and --lock JOINT a single one; or name "
+        "the columns with --q",
     )
     TARE = (
         "NF-COMMAND-TARE",

@@ -1,6 +1,5 @@
 """From tables to a log: channels in SI units, whole or row by row as they come."""
 
-import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
@@ -9,9 +8,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import ChannelUnit, advice_places
 from needleforce.recordings.channels import CHANNELS, Channel
-from needleforce.recordings.column_names import columns_in_other_units
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
@@ -19,8 +16,6 @@ from needleforce.recordings.errors import (
     LogError,
     MappingError,
     RecordingCode,
-    RecordingError,
-    UnitError,
     require_size,
 )
 from needleforce.recordings.log import Log
@@ -77,7 +72,6 @@ class LogStream:
 
     Attributes:
         start_ns: The instant of t_s = 0, see `Table`; known after the first chunk.
-        units: In which unit each channel is read; known after the first chunk.
     """
 
     def __init__(
@@ -104,7 +98,6 @@ class LogStream:
         self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
-        self.units: tuple[ChannelUnit, ...] = ()
 
     @property
     def bad_stamp_count(self) -> int:
@@ -129,7 +122,6 @@ class LogStream:
         if self._request.mapping.rate_hz is None:
             self._signals = {"t_s": self._find_time(head), **self._signals}
 
-        self.units = tuple(signal.channel_unit for signal in self._signals.values())
         for table in chain([head], self._tables):
             self._report(table.warnings)
             if len(table) or table is head:
@@ -164,17 +156,16 @@ class LogStream:
             channels=channels,
             warnings=self.take_warnings(),
             start_ns=self.start_ns,
-            units=self.units,
         )
 
     def _report(self, warnings: Iterable[str]) -> None:
         """Add warnings that were not reported before."""
         self._warnings |= dict.fromkeys(warnings)
 
-    def _require_plausible(self) -> None:
-        """Raise `UnitError` if a channel can hardly be in the unit that was assumed."""
+    def _report_implausible(self) -> None:
+        """Add warnings of signals that can hardly be in SI units."""
         for signal in self._signals.values():
-            signal.require_plausible()
+            self._report(signal.report_implausible())
 
     def _report_end(self) -> None:
         """Report what only the whole log shows."""
@@ -184,10 +175,7 @@ class LogStream:
                 f"of {self._row_count} rows none has a time stamp", RecordingCode.TIME
             )
 
-        self._require_plausible()
-        for signal in self._signals.values():
-            self._report(signal.report_implausible())
-
+        self._report_implausible()
         self._report(self._row_clock.warnings())
         self._report(self._velocity_watch.warnings())
         for key, signal in self._signals.items():
@@ -198,8 +186,6 @@ class LogStream:
         """Find the column of time stamps; `ColumnError` if there is none."""
         spec = self._request.mapping.channels.get("time")
         time = find_signal(table, CHANNELS["time"], spec)
-        if time is None and not table.has_header:
-            raise _no_header([CHANNELS["time"]], table, self._request)
         if time is None:
             raise ColumnError(
                 "no time column found. "
@@ -238,7 +224,7 @@ class LogStream:
                 )
 
         if missing:
-            raise _not_found(missing, table, self._request)
+            raise _not_found(missing, table)
 
         if not self._signals:
             raise ColumnError(
@@ -297,7 +283,7 @@ class LogStream:
 
         self._velocity_watch.update(values)
         if is_first:
-            self._require_plausible()
+            self._report_implausible()
 
         return values
 
@@ -377,22 +363,9 @@ def _require_all_joints(channel: Channel, head: Array) -> None:
         )
 
 
-def _not_found(
-    missing: list[Channel], table: Table, request: ChannelRequest
-) -> RecordingError:
+def _not_found(missing: list[Channel], table: Table) -> ColumnError:
     """Return the error for required channels that no column of a table is."""
     channel, *others = missing
-    for name, unit in columns_in_other_units(table, channel).items():
-        return UnitError(
-            f"{channel.name}: column {name!r} is in {unit!r}, which is no known unit "
-            f"of {channel.name}; expected one of {', '.join(channel.units)}",
-            RecordingCode.UNIT,
-            **advice_places(channel, [name], f"{channel.si_unit}:FACTOR"),
-        )
-
-    if not table.has_header:
-        return _no_header(missing, table, request)
-
     also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
     return ColumnError(
         f"no column found for {channel.name} ({channel.meaning}); usual names are "
@@ -400,32 +373,4 @@ def _not_found(
         f"Columns are: {table.describe()}{table.left_out()}",
         RecordingCode.COLUMN,
         **channel.places,
-    )
-
-
-def _no_header(
-    missing: list[Channel], table: Table, request: ChannelRequest
-) -> ColumnError:
-    """Return the error for required channels of a file whose columns have no names."""
-    time = CHANNELS["time"]
-    named = [time, *(channel for channel in missing if channel is not time)]
-    joint_count = max(len(request.mapping.joints or request.joints), 1)
-    options: list[str] = []
-    first = 1
-    for channel in named:
-        last = first + (joint_count if channel.per_joint else 1) - 1
-        columns = f"column_{first}"
-        if last > first:
-            columns = f"column_{{{first}..{last}}}"
-
-        value = shlex.quote(f"{columns}:{channel.usual_unit}")
-        options.append(f"{channel.places['option']} {value}")
-        first = last + 1
-
-    return ColumnError(
-        f"no column is known to be {', '.join(each.name for each in missing)}: the "
-        f"file has no header. Columns are: {table.describe()}",
-        RecordingCode.HEADERLESS,
-        options=" ".join(options),
-        **missing[0].places,
     )

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -27,18 +26,6 @@ MAX_LISTED_NOTES = 3
 """A message repeats so many notes on columns left out; the others are counted."""
 
 
-class StatedUnit(NamedTuple):
-    """What a file says of the unit of a column, apart from the column's name.
-
-    Attributes:
-        text: As it is written, without brackets.
-        line_number: Where it stands in the file, from 1.
-    """
-
-    text: str
-    line_number: int
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Table:
     """Named columns as read from a file, in the file's own units.
@@ -55,9 +42,6 @@ class Table:
             unless stamps are too large for seconds in float64 to resolve nanoseconds.
         seconds: Names of the columns of time stamps; they are in seconds, whatever unit
             the name says.
-        units: By name of a column: what a row of units says of it.
-        has_header: Whether the columns have names in the file; without, they are called
-            `column_1`, `column_2`, ...
     """
 
     columns: TableColumns
@@ -65,8 +49,6 @@ class Table:
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
     seconds: frozenset[str] = frozenset()
-    units: Mapping[str, StatedUnit] = field(default_factory=dict)
-    has_header: bool = True
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns.
@@ -103,9 +85,8 @@ class Table:
         return ", ".join(names[:limit]) + more
 
     def left_out(self, limit: int = MAX_LISTED_NOTES) -> str:
-        """Return in brackets which columns were left out or renamed, and why."""
-        odd = ("was left out", "twice", "_X ")
-        notes = [note for note in self.warnings if any(word in note for word in odd)]
+        """Return in brackets which columns the reader left out, and why."""
+        notes = [note for note in self.warnings if note.endswith("was left out")]
         more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
         return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
 

@@ -118,6 +118,7 @@ class ForcePage:
         forces = plots.Section(
             heading="Forces",
             anchor="forces",
+            notices=tuple(f"Warning: {text}" for text in self._model_warnings()),
             paragraphs=(f"Made by `needleforce force`: {origin}.",),
             figures=self._save_figures(folder),
         )
@@ -127,6 +128,10 @@ class ForcePage:
         summary = plots.Section(heading="Summary", anchor="summary", tables=(table,))
         layers = () if self.layers is None else self.layers.sections(folder)
         return forces, *layers, summary
+
+    def _model_warnings(self) -> tuple[str, ...]:
+        """Return what is odd in the robot's description."""
+        return self.result.replay.robot.warnings
 
     def settings(self) -> tuple[plots.Section, ...]:
         """Return the settings of the sensor, and of the identification."""

@@ -11,6 +11,7 @@ from foundation.arrays import Array
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay, has_status
 from needleforce.cli.logs.tare_schedule import describe_rejections, velocity_advice
 from residual import SensorConfig, SensorWarning, Status
+from urdf.robot import STANDARD_GRAVITY_M_S2
 
 
 class VectorColumns(NamedTuple):
@@ -144,6 +145,8 @@ class ForceResult:
         """Yield label and text of every line: what was used, done and estimated."""
         replay = self.replay
         yield "robot", self._describe_robot()
+        for warning in replay.robot.warnings:
+            yield "model", warning
         yield "sensor", replay.description
         yield "samples", self._describe_samples()
         yield "rejected", self._describe_rejections()
@@ -163,7 +166,12 @@ class ForceResult:
     def _describe_robot(self) -> str:
         robot = self.replay.robot
         mass_kg = robot.payload.mass_kg if robot.payload is not None else 0.0
-        return f"{robot.model.name}, {robot.nv} joints, payload {mass_kg:.3g} kg"
+        text = f"{robot.model.name}, {robot.nv} joints, payload {mass_kg:.3g} kg"
+        gravity_m_s2 = robot.gravity_m_s2.tolist()
+        if tuple(gravity_m_s2) == STANDARD_GRAVITY_M_S2:
+            return text
+        shown = " ".join(f"{component:.4g}" for component in gravity_m_s2)
+        return f"{text}, gravity {shown} m/s^2 in base axes"
 
     def _describe_samples(self) -> str:
         counts = [

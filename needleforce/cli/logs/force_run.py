@@ -1,11 +1,13 @@
 """`needleforce force`: from options and a log to forces, and layers if asked for."""
 
 from dataclasses import replace
+from functools import partial
 
 from needleforce.cli.logs.force_page import ForcePage
 from needleforce.cli.logs.force_result import ForceResult, force_table
 from needleforce.cli.logs.layer_page import LayerPage
 from needleforce.cli.logs.layer_result import identify_layers
+from needleforce.cli.logs.log_joints import find_log_joints
 from needleforce.cli.logs.log_session import LogSession, mapping_from_options
 from needleforce.cli.logs.outputs import open_output, run_log
 from needleforce.cli.logs.row_overview import RowOverview
@@ -57,9 +59,10 @@ def run(
     Raises:
         CommandError: Options contradict each other, or the log does not fit the robot.
     """
-    robot = robot_from_options(robot_options, columns.mapping)
     mapping = mapping_from_options(columns)
     torque = "tau_ext" if sensor.external_torque else "tau"
+    find_joints = partial(find_log_joints, source, mapping, torque)
+    robot = robot_from_options(robot_options, columns.mapping, find_joints)
     joints = robot.joint_names
     if columns.print_config:
         payload = payload_lines(payload_from_options(robot_options, columns.mapping))

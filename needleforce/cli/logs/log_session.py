@@ -16,7 +16,6 @@ from needleforce.recordings import (
     RecordingError,
 )
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import ChannelUnit
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log_stream import LogChunk
@@ -96,7 +95,6 @@ class LogSession:
         warnings: What was wrong with the log so far.
         start_ns: Start of the log's clock, see `Table`; known with the first rows.
         bad_stamp_count: Rows that were left out so far for a bad time stamp.
-        units: In which unit each channel is read; known with the first rows.
 
     Raises:
         CommandError: The time of ``--idle`` is not positive.
@@ -120,7 +118,6 @@ class LogSession:
         self.warnings: list[str] = []
         self.start_ns = 0
         self.bad_stamp_count = 0
-        self.units: tuple[ChannelUnit, ...] = ()
         self._source = source
         self._output = output
         self._request = request
@@ -156,7 +153,6 @@ class LogSession:
         try:
             for chunk in stream:
                 self.start_ns = stream.start_ns
-                self.units = stream.units
                 self._warn(*stream.take_warnings())
                 yield chunk
         except RecordingError:

@@ -4,6 +4,7 @@ import sys
 from collections import Counter
 from collections.abc import Iterator
 from contextlib import redirect_stdout
+from functools import partial
 from pathlib import Path
 from time import sleep
 from typing import NamedTuple
@@ -12,6 +13,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.cli.auto_tare import SessionTare
+from needleforce.cli.logs.log_joints import find_log_joints
 from needleforce.cli.logs.sensor_replay import require_joints
 from needleforce.cli.logs.tare_schedule import describe_rejections
 from needleforce.cli.plan_file import LoadedPlan, read_plan
@@ -24,7 +26,7 @@ from needleforce.cli.terminal import (
     stop_request,
     write_out,
 )
-from needleforce.recordings import Log, load_mapping, read_log
+from needleforce.recordings import ColumnMapping, Log, load_mapping, read_log
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.output import check_outputs, require_place
 from needleforce.scene import Viewer, view_row
@@ -105,7 +107,9 @@ def view_recording(
         The exit code.
     """
     page.check(recording)
-    model = robot_from_options(robot, mapping)
+    columns = load_mapping(mapping) if mapping else ColumnMapping()
+    find_joints = partial(find_log_joints, str(recording), columns, "tau")
+    model = robot_from_options(robot, mapping, find_joints)
     plan = None if anatomy is None else read_plan(anatomy)
     rows = replay_session(recording, model, tare_s=tare_s, mapping=mapping, plan=plan)
     scene = EMPTY if plan is None else plan.scene

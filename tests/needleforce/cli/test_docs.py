@@ -98,7 +98,7 @@ def test_pipe_of_the_page_runs():
 
 
 def test_numbers_of_the_page_match_the_code():
-    assert len(COMMANDS) == 11
+    assert len(COMMANDS) == 13
     assert set(FILES) == set(re.findall(r"\w+\.toml", " ".join(COMMANDS)))
 
     codes = FORCE.split("## Exit codes")[1]
