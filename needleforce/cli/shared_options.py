@@ -18,8 +18,8 @@ Source = Annotated[
         name="LOG",
         group=LOG,
         allow_leading_hyphen=True,
-        help="Recording: .csv, .csv.gz, .npz, .parquet, or a ROS 2 bag; - for standard "
-        "input.",
+        help="Recording: .csv, .csv.gz, .npz, .parquet, or a ROS bag (.mcap, .db3, "
+        ".bag); - for standard input.",
     ),
 ]
 

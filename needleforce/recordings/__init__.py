@@ -1,6 +1,6 @@
 """Logs in and out: which column is which channel, and in which unit.
 
-`read_log` turns a file (CSV, npz, Parquet, ROS 2 bag) into a `Log` in SI units;
+`read_log` turns a file (CSV, npz, Parquet, ROS bag) into a `Log` in SI units;
 `write_table` and `write_log` write results. A `ColumnMapping`, from a small TOML file
 or the command line, says which columns to use where their names do not. Row by row,
 whatever the length: `stream_tables` and `LogStream` in, `open_table` out.

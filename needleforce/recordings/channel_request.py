@@ -10,7 +10,7 @@ from needleforce.recordings.column_names import (
     detect_columns,
     find_columns,
 )
-from needleforce.recordings.errors import ColumnError, MappingError
+from needleforce.recordings.errors import ColumnError, MappingError, RecordingCode
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
 from needleforce.recordings.table import Table
 
@@ -90,7 +90,7 @@ class ChannelRequest:
         the one whose elements are the robot's joints.
         """
         try:
-            return detect_columns(table, CHANNELS[name])
+            return channel_columns(table, CHANNELS[name], None)
         except ColumnError:
             nearby = self._columns_nearby(table, chosen)
             if nearby:
@@ -133,6 +133,17 @@ def channel_columns(
         ColumnError: They are not there, or ambiguous.
     """
     if spec is None:
+        known = table.known.get(channel.name, ())
+        if len(known) > 1:
+            raise ColumnError(
+                f"{channel.name}: several columns would fit ({', '.join(known)})",
+                RecordingCode.COLUMN,
+                **channel.places,
+            )
+
+        if known:
+            return [NamedValues(known[0], table.columns[known[0]])]
+
         return detect_columns(table, channel)
 
     return [

@@ -25,8 +25,8 @@ class RecordingCode(ErrorCode):
     SUFFIX = (
         "NF-RECORDING-SUFFIX",
         "The ending of the file's name is none of a known format.",
-        "Name it .csv, .csv.gz, .npz, .parquet or .mcap; a bag may also be .db3 or a "
-        "folder.",
+        "Name it .csv, .csv.gz, .npz, .parquet or .mcap; a bag may also be .db3, .bag "
+        "or a folder.",
     )
     LIBRARY = (
         "NF-RECORDING-LIBRARY",

@@ -26,7 +26,7 @@ from needleforce.recordings.log_signal import (
     require_equal_sizes,
 )
 from needleforce.recordings.stamp_order import SORTED_WITHIN_S, Rows, StampOrder
-from needleforce.recordings.table import HEAD_ROWS, Table
+from needleforce.recordings.table import HEAD_ROWS, Table, ToolMass, tool_mass_in
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
     RowClock,
@@ -72,6 +72,7 @@ class LogStream:
 
     Attributes:
         start_ns: The instant of t_s = 0, see `Table`; known after the first chunk.
+        tool_mass: What the recording says hangs on the flange, likewise.
     """
 
     def __init__(
@@ -98,6 +99,7 @@ class LogStream:
         self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
+        self.tool_mass: ToolMass | None = None
 
     @property
     def bad_stamp_count(self) -> int:
@@ -118,6 +120,7 @@ class LogStream:
         head = next(self._tables)
         self._report(head.warnings)
         self.start_ns = head.start_ns
+        self.tool_mass = head.tool_mass or tool_mass_in(head)
         self._find_channels(head)
         if self._request.mapping.rate_hz is None:
             self._signals = {"t_s": self._find_time(head), **self._signals}

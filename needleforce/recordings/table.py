@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from types import MappingProxyType
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -26,6 +27,18 @@ MAX_LISTED_NOTES = 3
 """A message repeats so many notes on columns left out; the others are counted."""
 
 
+class ToolMass(NamedTuple):
+    """The mass on the flange that a recording states.
+
+    Attributes:
+        mass_kg: Of hand, tool and load together.
+        source: Where it stands.
+    """
+
+    mass_kg: float
+    source: str
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Table:
     """Named columns as read from a file, in the file's own units.
@@ -42,6 +55,8 @@ class Table:
             unless stamps are too large for seconds in float64 to resolve nanoseconds.
         seconds: Names of the columns of time stamps; they are in seconds, whatever unit
             the name says.
+        known: Columns that are channels by the type of their messages, by channel.
+        tool_mass: What the recording says hangs on the flange; None if it does not.
     """
 
     columns: TableColumns
@@ -49,6 +64,8 @@ class Table:
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
     seconds: frozenset[str] = frozenset()
+    known: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+    tool_mass: ToolMass | None = None
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns.
@@ -89,6 +106,25 @@ class Table:
         notes = [note for note in self.warnings if note.endswith("was left out")]
         more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
         return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
+
+
+def tool_mass_in(table: Table) -> ToolMass | None:
+    """Return the mass on the flange that columns state, as Franka calls them.
+
+    They are `m_total`, or `m_ee` and `m_load`, perhaps after the path of a topic.
+    """
+    masses: dict[str, float] = {}
+    for name, values in table.columns.items():
+        stem = name.replace(".", "/").rpartition("/")[2]
+        finite = values[np.isfinite(values)] if values.ndim == 1 else values[:0, 0]
+        if stem in ("m_total", "m_ee", "m_load") and finite.size:
+            masses[stem] = float(finite[0])
+
+    if "m_total" in masses:
+        return ToolMass(masses["m_total"], "m_total")
+    if "m_ee" in masses:
+        return ToolMass(masses["m_ee"] + masses.get("m_load", 0.0), "m_ee and m_load")
+    return None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

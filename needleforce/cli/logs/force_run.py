@@ -13,6 +13,7 @@ from needleforce.cli.logs.outputs import open_output, run_log
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
 from needleforce.cli.logs.tare_schedule import parse_tare_window
+from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.robot import (
     payload_from_options,
     payload_lines,
@@ -118,6 +119,8 @@ def estimate_forces(
     frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
     with open_output(output, log, TableLabels(frame=frame)) as table:
         for chunk in log:
+            if not result.counts:
+                log.warn(*tool_mass_warnings(log.tool_mass, replay.robot))
             rows = replay.run(chunk)
             result.add(rows)
             overview.add(rows)

@@ -21,6 +21,7 @@ from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.stamp_order import SORTED_WITHIN_S
+from needleforce.recordings.table import ToolMass
 
 
 def mapping_from_options(columns: Columns) -> ColumnMapping:
@@ -94,6 +95,7 @@ class LogSession:
         is_stopped: Whether Ctrl-C has ended the log.
         warnings: What was wrong with the log so far.
         start_ns: Start of the log's clock, see `Table`; known with the first rows.
+        tool_mass: What the log says hangs on the flange; likewise.
         bad_stamp_count: Rows that were left out so far for a bad time stamp.
 
     Raises:
@@ -117,6 +119,7 @@ class LogSession:
         self.is_stopped = is_stopped
         self.warnings: list[str] = []
         self.start_ns = 0
+        self.tool_mass: ToolMass | None = None
         self.bad_stamp_count = 0
         self._source = source
         self._output = output
@@ -139,7 +142,7 @@ class LogSession:
                 idle_s=self._output.idle,
                 should_stop=self.is_stopped,
                 progress=progress,
-                warn=self._warn,
+                warn=self.warn,
             )
             tables = recordings.stream_tables(self._source, options, self._request)
             # Rows that come live are used at once.
@@ -153,7 +156,8 @@ class LogSession:
         try:
             for chunk in stream:
                 self.start_ns = stream.start_ns
-                self._warn(*stream.take_warnings())
+                self.tool_mass = stream.tool_mass
+                self.warn(*stream.take_warnings())
                 yield chunk
         except RecordingError:
             if self.is_stopped():
@@ -161,9 +165,10 @@ class LogSession:
             raise
         finally:
             self.bad_stamp_count = stream.bad_stamp_count
-            self._warn(*stream.take_warnings())
+            self.warn(*stream.take_warnings())
 
-    def _warn(self, *warnings: str) -> None:
+    def warn(self, *warnings: str) -> None:
+        """Report what is wrong with the log, and keep it for a page."""
         self.warnings += warnings
         for warning in warnings:
             say(f"warning: {warning}")

@@ -26,6 +26,16 @@ EQUAL_RATE_RATIO = 0.9
 """A topic with this fraction of another's messages counts as equally fast: a few
 messages that were lost shall make no difference."""
 
+UNIVERSAL_ROBOTS_JOINTS = (
+    "shoulder_pan_joint",
+    "shoulder_lift_joint",
+    "elbow_joint",
+    "wrist_1_joint",
+    "wrist_2_joint",
+    "wrist_3_joint",
+)
+"""How the joints of all arms of Universal Robots are called, after a prefix."""
+
 LATE_NS = NS_PER_S
 """A topic whose messages come so much later than those of others loses nothing."""
 
@@ -81,8 +91,40 @@ class JoinedRows:
             topic.choose(columns.get(name, ()), order.joints)
 
         self._warnings += self._rate_warnings()
+        self._warnings += _current_warnings(self.topics.values(), request)
+        self._warnings += self._put_on_one_clock()
+        self._tool_mass = bag.tool_mass
+        self._known = {
+            channel: chosen
+            for channel, names in bag.known.items()
+            if (chosen := tuple(name for name in names if name in needed))
+        }
         self._start_ns = 0
         self._is_new = True  # before the first table
+
+    def _put_on_one_clock(self) -> list[str]:
+        """Put messages without a stamp on the clock of those that have one.
+
+        Returns:
+            A note if that is another clock than the recorder's, as in simulation.
+        """
+        topics = (self.reference, *self._others)
+        source = next((topic for topic in topics if topic.has_stamp), None)
+        if source is None or abs(source.offset_ns) <= LATE_NS:
+            return []
+
+        unstamped = [topic for topic in topics if not topic.has_stamp]
+        for topic in unstamped:
+            topic.source = source
+
+        names = ", ".join(topic.name for topic in unstamped)
+        if not unstamped:
+            return []
+
+        return [
+            f"{names} has no source time stamps and was put on the clock of "
+            f"{source.name}, {source.offset_ns / NS_PER_S:.6g} s from the recorder's"
+        ]
 
     def _rate_warnings(self) -> list[str]:
         """Return a note if topics differ in rate, and are interpolated therefore.
@@ -192,7 +234,29 @@ class JoinedRows:
             warnings=warnings,
             joint_names=joint_names,
             start_ns=self._start_ns,
+            known=self._known,
+            tool_mass=self._tool_mass,
         )
+
+
+def _current_warnings(topics: Iterable[Topic], request: ChannelRequest) -> list[str]:
+    """Return a note where efforts are those of a driver that sends motor currents."""
+    spec = request.mapping.channels.get("tau")
+    if spec is not None and spec.scale != 1.0:
+        return []
+
+    return [
+        f"{topic.name}: the driver of Universal Robots sends motor currents in A as "
+        "effort, unless it was set to send torques; give the torque constants of the "
+        "joints in Nm/A as scale = [...] under [tau] in a mapping (--print-config "
+        "prints one)"
+        for topic in topics
+        if any(name.endswith("/effort") for name in topic.widths)
+        and all(
+            any(joint.endswith(name) for joint in topic.joints)
+            for name in UNIVERSAL_ROBOTS_JOINTS
+        )
+    ]
 
 
 def _choose_reference(

@@ -7,7 +7,12 @@ from operator import attrgetter
 from pathlib import Path
 
 from needleforce.recordings.bags.mcap_file import McapReader
-from needleforce.recordings.bags.messages import BAG_SUFFIXES, RawMessage, bag_files
+from needleforce.recordings.bags.messages import (
+    ROS1_SUFFIXES,
+    RawMessage,
+    bag_files,
+)
+from needleforce.recordings.bags.ros1_file import Ros1Reader
 from needleforce.recordings.bags.sqlite_file import sqlite_messages
 from needleforce.recordings.errors import (
     FormatError,
@@ -47,7 +52,7 @@ def read_messages(
     files = bag_files(path) if path.is_dir() else [path]
     if not files:
         raise FormatError(
-            f"{path} is a folder without {' or '.join(BAG_SUFFIXES)} files",
+            f"{path} is a folder without .mcap, .db3 or .bag files",
             RecordingCode.BAG,
         )
 
@@ -69,6 +74,10 @@ def _messages_of_file(
         with file_errors(file):
             if file.name.lower().endswith(".db3"):
                 yield from sqlite_messages(readable_path(file), file_faults)
+            elif file.name.lower().endswith(ROS1_SUFFIXES):
+                yield from Ros1Reader(
+                    readable_path(file), file_faults, limit
+                ).messages()
             else:
                 reader = McapReader(file, file_faults, limit)
                 yield from reader.messages(options)

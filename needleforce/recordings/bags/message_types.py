@@ -1,7 +1,7 @@
 """ROS messages as columns of numbers; the library `rosbags` has their types."""
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Collection, Iterator, Mapping
 from contextlib import suppress
 from functools import cache, lru_cache
 from operator import attrgetter
@@ -9,15 +9,12 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
-from needleforce.recordings.bags.messages import BagTopic
+from needleforce.recordings.bags.messages import CDR, ROS1, BagTopic
 from needleforce.recordings.errors import FormatError, RecordingCode, optional_library
 from needleforce.recordings.time_stamps import NS_PER_S
 
 STANDARD = "ROS2_HUMBLE"
 """Whose standard messages are meant where a bag holds no definitions."""
-
-CDR = "cdr"
-"""How ROS 2 serialises messages."""
 
 MAX_ELEMENTS = 64
 """Longer arrays are images and point clouds, not signals."""
@@ -35,6 +32,37 @@ _VECTOR_FIELDS = (tuple("xyzw"), tuple("xyz"), tuple("xy"))
 """Fields of messages that are one vector."""
 
 _STAMP_FIELDS = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
+
+_TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
+
+_COUNTER = ("header", "seq")
+"""What ROS 1 counts in headers is no signal."""
+
+_KNOWN_CHANNELS: dict[str, dict[str, tuple[str, ...]]] = {
+    "franka_msgs/msg/FrankaState": {
+        "q": ("q",),
+        "dq": ("dq",),
+        "tau": ("tau_J",),
+        "tau_ext": ("tau_ext_hat_filtered",),
+    },
+    "franka_msgs/msg/FrankaRobotState": {
+        "q": ("measured_joint_state", "position"),
+        "dq": ("measured_joint_state", "velocity"),
+        "tau": ("measured_joint_state", "effort"),
+        "tau_ext": ("tau_ext_hat_filtered", "effort"),
+    },
+}
+"""Fields that are channels, by the type of their messages, as Franka publishes them."""
+
+_TOOL_MASSES: dict[str, tuple[tuple[str, ...], ...]] = {
+    "franka_msgs/msg/FrankaState": (("m_total",), ("m_ee",), ("m_load",)),
+    "franka_msgs/msg/FrankaRobotState": (
+        ("inertia_total", "inertia", "m"),
+        ("inertia_ee", "inertia", "m"),
+        ("inertia_load", "inertia", "m"),
+    ),
+}
+"""Fields of the mass on the flange: the whole, or else its parts."""
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
@@ -59,10 +87,17 @@ def standard_types() -> Any:
     return library.get_typestore(getattr(library.Stores, STANDARD))
 
 
+@cache
+def _ros1_types() -> Any:
+    """Return the type store of ROS 1's own messages."""
+    library = optional_library("rosbags.typesys", "ROS 1 bags")
+    return library.get_typestore(library.Stores.ROS1_NOETIC)
+
+
 @lru_cache(maxsize=256)
-def _types_of(kind: str, definition: str) -> Any:
+def _types_of(kind: str, definition: str, encoding: str) -> Any:
     """Return a store with a type as the bag defines it, else as ROS does."""
-    standard = standard_types()
+    standard = _ros1_types() if encoding == ROS1 else standard_types()
     library = optional_library("rosbags.typesys", "ROS 2 bags")
     if definition and len(definition) <= MAX_DEFINITION_CHARACTERS:
         # The parser raises whatever a damaged definition makes it run into; some types
@@ -71,6 +106,11 @@ def _types_of(kind: str, definition: str) -> Any:
             types = dict(library.get_types_from_msg(definition, kind))
             _require_plain(types)
             store = library.get_typestore(library.Stores.EMPTY)
+            if encoding == ROS1:
+                # Times are part of ROS 1's language, so that bags do not define them.
+                defined = standard.fielddefs.items()
+                types |= {name: type_ for name, type_ in defined if name in _TIME_TYPES}
+
             store.register(types)
             store.get_msgdef(kind)
             return store
@@ -167,6 +207,10 @@ class _NamedColumn(NamedTuple):
 class TopicDecoder:
     """Decodes the messages of one topic.
 
+    Attributes:
+        known: Columns that are channels by the type of the messages, by channel.
+        tool_masses: Columns of the mass on the flange: the whole, then its parts.
+
     A column is called by its topic and the fields that lead to it:
     `/joint_states/position`. Vectors are one column of several numbers:
     `/ft/wrench/force_xyz`. In a `...Stamped` message the one field beside the header
@@ -177,14 +221,19 @@ class TopicDecoder:
     """
 
     def __init__(self, topic: BagTopic) -> None:
-        if topic.encoding != CDR:
+        if topic.encoding not in (CDR, ROS1):
             raise FormatError(
                 f"is encoded as {topic.encoding!r}; ROS 2 has {CDR!r}",
                 RecordingCode.BAG,
             )
 
         self._kind = topic.kind
-        self._types = _types_of(topic.kind, topic.definition)
+        self._types = _types_of(topic.kind, topic.definition, topic.encoding)
+        self._deserialize = (
+            self._types.deserialize_ros1
+            if topic.encoding == ROS1
+            else self._types.deserialize_cdr
+        )
         try:
             fields = {name for name, _ in self._types.get_msgdef(topic.kind).fields}
             columns = list(self._find_columns((), topic.kind))
@@ -194,17 +243,40 @@ class TopicDecoder:
             ) from error
 
         self._has_stamp = {column.path for column in columns} >= _STAMP_FIELDS
-        self._name_field = next((name for name in _NAME_FIELDS if name in fields), None)
+        self._name_field = self._find_name_field(fields)
+        self.known = {
+            channel: _column_name(topic, path)
+            for channel, path in _KNOWN_CHANNELS.get(topic.kind, {}).items()
+        }
+        self.tool_masses = tuple(
+            _column_name(topic, path) for path in _TOOL_MASSES.get(topic.kind, ())
+        )
         self._columns = [
             _NamedColumn(
                 name=_column_name(topic, column.path),
                 get=column.get,
                 is_array=column.is_array,
-                is_beside_names=len(column.path) == 1,
+                is_beside_names=column.path[:-1] in self._named_parts,
             )
             for column in columns
-            if not (self._has_stamp and column.path in _STAMP_FIELDS)
+            if column.path != _COUNTER
+            and not (self._has_stamp and column.path in _STAMP_FIELDS)
         ]
+
+    def _find_name_field(self, fields: Collection[str]) -> Callable[[Any], Any] | None:
+        """Return what gets the joints' names of a message; None if none names joints.
+
+        A message whose joints are named in parts has them in the part that is measured.
+        """
+        part = _KNOWN_CHANNELS.get(self._kind, {}).get("q", ())[:-1]
+        if part:
+            parts = {path[:-1] for path in _KNOWN_CHANNELS[self._kind].values()}
+            self._named_parts: set[tuple[str, ...]] = parts
+            return attrgetter(".".join((*part, _NAME_FIELDS[0])))
+
+        self._named_parts = {()}
+        name = next((name for name in _NAME_FIELDS if name in fields), None)
+        return None if name is None else attrgetter(name)
 
     def _find_columns(self, path: tuple[str, ...], kind: str) -> Iterator[_FieldColumn]:
         """Yield where there are numbers in a type: single ones, vectors and arrays."""
@@ -232,7 +304,7 @@ class TopicDecoder:
             raise FormatError("is compressed message by message", RecordingCode.BAG)
 
         try:
-            message = self._types.deserialize_cdr(data, self._kind)
+            message = self._deserialize(data, self._kind)
         except Exception as error:
             # Damaged bytes end in whatever the generated code runs into.
             raise FormatError(f"does not fit its type {self._kind}") from error
@@ -265,7 +337,7 @@ class TopicDecoder:
         if self._name_field is None:
             return ()
 
-        field = getattr(message, self._name_field)
+        field = self._name_field(message)
         names = tuple(field) if isinstance(field, list) else ()
         is_unique = all(names) and len(set(names)) == len(names)
         return names if is_unique else ()

@@ -1,4 +1,4 @@
-"""The messages of a ROS 2 bag as bytes, and the files that hold them."""
+"""The messages of a ROS bag as bytes, and the files that hold them."""
 
 import re
 from pathlib import Path
@@ -6,7 +6,16 @@ from typing import NamedTuple
 
 from needleforce.recordings.errors import FormatError, file_errors
 
-BAG_SUFFIXES = (".mcap", ".db3")
+ROS1_SUFFIXES = (".bag", ".bag.active")
+"""Of ROS 1; the second is one whose recorder was killed."""
+
+BAG_SUFFIXES = (".mcap", ".db3", *ROS1_SUFFIXES)
+
+CDR = "cdr"
+"""How ROS 2 serialises messages."""
+
+ROS1 = "ros1"
+"""How ROS 1 does."""
 
 METADATA = "metadata.yaml"
 """The file beside the files of a bag that is a folder."""
@@ -18,7 +27,7 @@ class BagTopic(NamedTuple):
     Attributes:
         name: Such as /joint_states.
         kind: The type of its messages, such as sensor_msgs/msg/JointState.
-        encoding: Of the messages, cdr for ROS 2.
+        encoding: Of the messages, `CDR` or `ROS1`.
         definition: Of the type, as the bag holds it; empty if it holds none.
     """
 
@@ -48,7 +57,7 @@ for."""
 
 
 def is_bag(path: Path) -> bool:
-    """Return whether a path names a ROS 2 bag: by its suffix, or as a folder of one."""
+    """Return whether a path names a ROS bag: by its suffix, or as a folder of one."""
     has_suffix = path.name.lower().endswith(BAG_SUFFIXES)
     return has_suffix or (path.is_dir() and bool(bag_files(path)))
 

@@ -1,4 +1,4 @@
-"""ROS 2 bags as tables: topics are columns, the messages of one topic are the rows."""
+"""ROS bags as tables: topics are columns, the messages of one topic are the rows."""
 
 from collections.abc import Iterator
 from dataclasses import replace
@@ -21,7 +21,7 @@ SETTLED_NS = NS_PER_S
 def bag_tables(
     path: Path, request: ChannelRequest | None, options: FollowOptions, max_bytes: int
 ) -> Iterator[Table]:
-    """Read a ROS 2 bag in tables of at most `MAX_TABLE_ROWS`.
+    """Read a ROS bag in tables of at most `MAX_TABLE_ROWS`.
 
     A file is read from its start twice: until it is clear which topics are read, and
     for their rows. An MCAP file that is followed is read on as a recorder writes it,

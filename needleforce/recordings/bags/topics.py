@@ -17,7 +17,7 @@ from needleforce.recordings.bags.message_types import (
 )
 from needleforce.recordings.bags.messages import BagTopic, RawMessage
 from needleforce.recordings.errors import FormatError, RecordingCode
-from needleforce.recordings.table import Table
+from needleforce.recordings.table import Table, ToolMass
 from needleforce.recordings.time_stamps import NS_PER_S
 
 LEARNED_MESSAGES = 20
@@ -31,6 +31,18 @@ MAX_BRIDGED_PERIODS = 5.0
 
 MIN_RATE_HZ = 1e-9
 """A topic of one message has no rate; it is bridged as one of this rate."""
+
+MAX_OFFSET_STEP_NS = NS_PER_S
+"""Source and recorder agree to this from message to message, if neither was set."""
+
+MAX_BAD_STAMPS = 8
+"""After so many messages in a row whose stamps do not fit, the source's clock was
+set."""
+
+MAX_RUN_NS = 86_400 * NS_PER_S
+"""A simulated clock, which begins at zero, has not run for longer than a day."""
+
+_BAD_STAMP = "messages with a bad time stamp, left out"
 
 BEFORE_ALL_NS = -(1 << 62)
 """Earlier than any stamp."""
@@ -46,6 +58,18 @@ class TopicRow(NamedTuple):
 
     stamp_ns: int
     values: tuple[Any, ...]
+
+
+class RawStamp(NamedTuple):
+    """When a message was made and recorded, each on its own clock.
+
+    Attributes:
+        stamp_ns: Of the source, in ns.
+        log_ns: Of the recorder, in ns.
+    """
+
+    stamp_ns: int
+    log_ns: int
 
 
 class Topic:
@@ -66,6 +90,11 @@ class Topic:
         named: Columns whose elements have names.
         has_stamp: Whether messages have a time stamp of the source.
         fault: Why its messages cannot be read; empty if they can.
+        known: Columns that are channels by the type of the messages, by channel.
+        tool_mass: What its first message says hangs on the flange; None if nothing.
+        source: Topic on whose clock messages without a stamp are put; None for that of
+            the recorder.
+        offset_ns: Of the source's clock from the recorder's, at the latest message.
         joints: Order of the joints in rows.
         widths: Of the columns in rows.
         rows: What was collected.
@@ -83,6 +112,10 @@ class Topic:
         self.named: set[str] = set()
         self.has_stamp = False
         self.fault = ""
+        self.source: Topic | None = None
+        self._learned_ns: list[RawStamp] = []
+        self.known: dict[str, str] = {}
+        self.tool_mass: ToolMass | None = None
         self.choose((), ())
 
     @property
@@ -117,6 +150,10 @@ class Topic:
 
         self.fault = ""
         self.has_stamp = content.stamp_ns is not None
+        if content.stamp_ns is not None:
+            self._learned_ns.append(RawStamp(content.stamp_ns, message.log_ns))
+            self.offset_ns = self._usual_offset_ns()
+
         if content.named:
             known = self.joint_names
             self.joint_names += [name for name in content.names if name not in known]
@@ -124,6 +161,40 @@ class Topic:
         self.named |= content.named
         for name, value in content.values.items():
             self.columns.setdefault(name, size_of(value))
+
+        known = self._decoder.known
+        self.known = {
+            channel: name for channel, name in known.items() if name in self.columns
+        }
+        self.tool_mass = self.tool_mass or self._tool_mass_in(content)
+
+    def _usual_offset_ns(self) -> int:
+        """Return how far the source's clock is ahead of the recorder's, in most."""
+        offsets_ns = sorted(
+            stamp.stamp_ns - stamp.log_ns
+            for stamp in self._learned_ns
+            if stamp.stamp_ns
+        )
+        return offsets_ns[len(offsets_ns) // 2] if offsets_ns else 0
+
+    @property
+    def _begins_at_zero(self) -> bool:
+        """Whether a stamp of zero is one of a simulated clock, not one never set."""
+        stamps_ns = (stamp.stamp_ns for stamp in self._learned_ns)
+        return 0 < min(filter(None, stamps_ns), default=0) < MAX_RUN_NS
+
+    def _tool_mass_in(self, content: MessageContent) -> ToolMass | None:
+        """Return the mass on the flange that a message states; None if it does not."""
+        masses = [
+            float(content.values[name])
+            for name in self._decoder.tool_masses
+            if name in content.values
+        ]
+        if not masses:
+            return None
+
+        total_kg, *parts_kg = masses
+        return ToolMass(total_kg or sum(parts_kg), self._decoder.tool_masses[0])
 
     def describe(self) -> str:
         """Return the topic in one line."""
@@ -140,6 +211,9 @@ class Topic:
             for name in columns
         }
         self._faults: Counter[str] = Counter()
+        self._first_bad = ""
+        self._bad_in_row = 0
+        self.offset_ns = self._usual_offset_ns()
         self.rows: list[TopicRow] = []
         self.latest_ns = BEFORE_ALL_NS
 
@@ -159,15 +233,42 @@ class Topic:
             if missing:
                 self._faults["messages that lack joints"] += 1
 
-        if content.stamp_ns == 0 and message.log_ns:
-            self._faults[
-                "messages without a source time stamp; the recorder's was taken"
-            ] += 1
+        stamp_ns = self._stamp_ns(content, message)
+        if stamp_ns is None:
+            return
 
-        stamp_ns = content.stamp_ns or message.log_ns
         values = tuple(self._numbers(name, content) for name in self.widths)
         self.rows.append(TopicRow(stamp_ns, values))
         self.latest_ns = max(self.latest_ns, stamp_ns)
+
+    def _stamp_ns(self, content: MessageContent, message: RawMessage) -> int | None:
+        """Return the time stamp of a message; None if it is bad."""
+        stamp_ns = content.stamp_ns
+        if stamp_ns is None:
+            offset_ns = 0 if self.source is None else self.source.offset_ns
+            return message.log_ns + offset_ns
+
+        if not (stamp_ns or self._begins_at_zero) and message.log_ns:
+            self._faults[
+                "messages without a source time stamp; the recorder's was taken"
+            ] += 1
+            return message.log_ns + self.offset_ns
+
+        offset_ns = stamp_ns - message.log_ns
+        fits = abs(offset_ns - self.offset_ns) <= MAX_OFFSET_STEP_NS
+        follows = abs(stamp_ns - self.latest_ns) <= MAX_OFFSET_STEP_NS
+        self._bad_in_row = 0 if fits or follows else self._bad_in_row + 1
+        if 0 < self._bad_in_row <= MAX_BAD_STAMPS:
+            self._faults[_BAD_STAMP] += 1
+            self._first_bad = self._first_bad or (
+                f" (first: {stamp_ns / NS_PER_S:.13g} s, "
+                f"recorded at {message.log_ns / NS_PER_S:.13g} s)"
+            )
+            return None
+
+        self._bad_in_row = 0
+        self.offset_ns = offset_ns
+        return stamp_ns
 
     def _numbers(self, name: str, content: MessageContent) -> Any:
         """Return the numbers of one column of a message; what does not fit is NaN."""
@@ -205,8 +306,10 @@ class Topic:
 
     def notes(self) -> list[str]:
         """Return what was left out or guessed so far, one sentence each."""
+        first = {_BAD_STAMP: self._first_bad}
         return [
-            f"{self.name}: {fault}: {count}" for fault, count in self._faults.items()
+            f"{self.name}: {fault}: {count}{first.get(fault, '')}"
+            for fault, count in self._faults.items()
         ]
 
 
@@ -250,6 +353,22 @@ class Bag:
             "what came after, if anything, is lost"
         ]
 
+    @property
+    def tool_mass(self) -> ToolMass | None:
+        """What the messages of a topic say hangs on the flange; None if none does."""
+        masses = (topic.tool_mass for topic in self.topics.values())
+        return next((mass for mass in masses if mass is not None), None)
+
+    @property
+    def known(self) -> dict[str, tuple[str, ...]]:
+        """Columns that are channels by the type of their messages, by channel."""
+        known: dict[str, tuple[str, ...]] = {}
+        for topic in self.topics.values():
+            for channel, name in topic.known.items():
+                known[channel] = (*known.get(channel, ()), name)
+
+        return known
+
     def table(self) -> Table:
         """Return all columns without rows, to look columns up by name.
 
@@ -286,6 +405,8 @@ class Bag:
                 for topic in topics
                 for name in topic.named
             },
+            known=self.known,
+            tool_mass=self.tool_mass,
             warnings=tuple(
                 f"{topic.name!r}: {topic.topic.kind} {topic.fault}"
                 for topic in topics

@@ -205,7 +205,9 @@ def test_compressed_bags_are_refused_with_advice(tmp_path):
 
     write_bag(tmp_path / "f.db3", rows, storage="sqlite3", compression="FILE")
 
-    with pytest.raises(FormatError, match=r"(?s)without .mcap or .db3 files.*zstd -d"):
+    with pytest.raises(
+        FormatError, match=r"(?s)without .mcap, .db3 or .bag files.*zstd -d"
+    ):
         read_log(tmp_path / "f.db3")
 
 

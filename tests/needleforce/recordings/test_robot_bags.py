@@ -1,0 +1,257 @@
+"""Bags as drivers of robots record them, of ROS 1 and ROS 2, need no mapping."""
+
+import numpy as np
+import pytest
+from rosbags.rosbag1 import Writer
+from rosbags.rosbag2 import StoragePlugin
+from rosbags.rosbag2 import Writer as Ros2Writer
+from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+from needleforce.cli.logs.tool_mass import model_tool_mass_kg, tool_mass_warnings
+from needleforce.recordings import ColumnError, FormatError, read_log
+from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.follow import FollowOptions
+from needleforce.recordings.log_stream import LogStream
+from needleforce.recordings.open_recording import stream_tables
+from needleforce.recordings.table import ToolMass
+from tests.needleforce.recordings.bag_samples import (
+    START_NS,
+    STEP_NS,
+    joint_state,
+    number,
+    write_bag,
+)
+from urdf import Payload
+
+ROWS = 60
+JOINTS = [f"panda_joint{i}" for i in range(1, 8)]
+Q_RAD = np.arange(ROWS)[:, None] * 0.01 + np.arange(7)
+FRANKA_STATE = """std_msgs/Header header
+float64[7] q
+float64[7] q_d
+float64[7] dq
+float64[7] tau_J
+float64[7] tau_J_d
+float64[6] O_F_ext_hat_K
+float64[7] tau_ext_hat_filtered
+float64 m_ee
+float64 m_load
+float64 m_total
+uint8 ROBOT_MODE_OTHER=0
+uint8 robot_mode
+"""
+ROBOT_STATE = """std_msgs/Header header
+sensor_msgs/JointState measured_joint_state
+sensor_msgs/JointState desired_joint_state
+float64[7] dtau_j
+sensor_msgs/JointState tau_ext_hat_filtered
+geometry_msgs/InertiaStamped inertia_total
+"""
+UR_JOINTS = ["elbow_joint", "shoulder_lift_joint", "shoulder_pan_joint"] + [
+    f"wrist_{i}_joint" for i in (1, 2, 3)
+]
+
+
+@pytest.fixture(scope="module")
+def ros1():
+    types = get_typestore(Stores.ROS1_NOETIC)
+    types.register(get_types_from_msg(FRANKA_STATE, "franka_msgs/msg/FrankaState"))
+    return types
+
+
+def make(types, kind, *values):
+    return types.types[kind](*values)
+
+
+def ros1_header(types, k):
+    stamp = divmod(START_NS + k * STEP_NS, 1_000_000_000)
+    time = make(types, "builtin_interfaces/msg/Time", *stamp)
+    return make(types, "std_msgs/msg/Header", k, time, "base")
+
+
+def write_ros1(path, types, rows, compression=None):
+    """Write rows of topic, number and message."""
+    bag = Writer(path)
+    if compression is not None:
+        bag.set_compression(compression)
+
+    connections = {}
+    with bag:
+        for topic, k, content in rows:
+            kind = content.__msgtype__
+            if topic not in connections:
+                connections[topic] = bag.add_connection(topic, kind, typestore=types)
+
+            log_ns = START_NS + k * STEP_NS + 500
+            data = types.serialize_ros1(content, kind)
+            bag.write(connections[topic], log_ns, data)
+
+    return path
+
+
+def franka_rows(types):
+    zeros = np.zeros(7)
+    for k in range(ROWS):
+        header = ros1_header(types, k)
+        q = Q_RAD[k]
+        state = (q, zeros, 2.0 * q, 3.0 * q, zeros, np.zeros(6), 4.0 * q, 0.7, 0.1, 0.8)
+        kind = "franka_msgs/msg/FrankaState"
+        yield "/arm/franka_states", k, make(types, kind, header, *state, 0)
+        signals = (JOINTS, 9.0 * q, zeros, zeros)
+        kind = "sensor_msgs/msg/JointState"
+        yield "/joint_states", k, make(types, kind, header, *signals)
+
+
+def assert_franka(log, count=ROWS):
+    for name, factor in (("q_rad", 1), ("dq_rad_s", 2), ("tau_Nm", 3)):
+        np.testing.assert_allclose(log[name], factor * Q_RAD[:count])
+
+
+@pytest.mark.parametrize("compression", [None, "LZ4", "BZ2"])
+def test_franka_states_of_ros1_are_found_beside_joint_states(
+    tmp_path, ros1, compression
+):
+    packing = compression and Writer.CompressionFormat[compression]
+    path = write_ros1(tmp_path / "arm.bag", ros1, franka_rows(ros1), packing)
+    log = read_log(path, required=["q", "tau"], optional=["dq"], joints=JOINTS)
+
+    assert_franka(log)
+    assert log.start_ns == START_NS
+    assert log.warnings == ()
+
+
+def test_joint_states_and_wrench_of_ros1_are_columns(tmp_path, ros1):
+    def rows():
+        for k in range(ROWS):
+            header = ros1_header(ros1, k)
+            zeros = np.zeros(7)
+            signals = (JOINTS[::-1], Q_RAD[k], zeros, 2.0 * Q_RAD[k])
+            kind = "sensor_msgs/msg/JointState"
+            yield "/joint_states", k, make(ros1, kind, header, *signals)
+            kind = "geometry_msgs/msg/Vector3"
+            vectors = [make(ros1, kind, 0.0, 0.0, float(k)) for _ in range(2)]
+            wrench = make(ros1, "geometry_msgs/msg/Wrench", *vectors)
+            kind = "geometry_msgs/msg/WrenchStamped"
+            yield "/ft", k, make(ros1, kind, header, wrench)
+
+    path = write_ros1(tmp_path / "arm.bag", ros1, rows())
+    log = read_log(path, required=["q", "tau"], joints=JOINTS)
+
+    np.testing.assert_allclose(log["q_rad"], Q_RAD[:, ::-1])
+    with pytest.raises(ColumnError, match=r"/ft/force_xyz \(3 columns\)"):
+        read_log(path, required=["force"])
+
+
+def test_a_ros1_bag_that_was_cut_gives_what_is_whole(tmp_path, ros1):
+    path = write_ros1(tmp_path / "arm.bag", ros1, franka_rows(ros1))
+    data = path.read_bytes()
+    cut = tmp_path / "cut.bag.active"
+    cut.write_bytes(data[: data.index(b"op=\x04") * 2 // 3])
+    log = read_log(cut, required=["q", "tau"], optional=["dq"])
+
+    assert 10 < len(log) < ROWS
+    assert_franka(log, len(log))
+    assert "cut.bag.active is cut short" in log.warnings[0]
+    cut.write_bytes(b"#ROSBAG V1.2\n" + data)
+    with pytest.raises(FormatError, match="ROS 1 bag"):
+        read_log(cut)
+
+
+def test_franka_robot_states_of_ros2_are_put_in_order(tmp_path):
+    types = get_typestore(Stores.ROS2_HUMBLE)
+    kind = "franka_msgs/msg/FrankaRobotState"
+    types.register(get_types_from_msg(ROBOT_STATE, kind))
+    path = tmp_path / "bag"
+    with Ros2Writer(path, version=8, storage_plugin=StoragePlugin.MCAP) as bag:
+        connection = bag.add_connection("/state", kind, typestore=types)
+        for k in range(ROWS):
+            stamp_ns = START_NS + k * STEP_NS
+            q = Q_RAD[k][::-1]
+            names = JOINTS[::-1]
+            external = joint_state(stamp_ns, names, (), (), 4.0 * q)
+            vector = make(types, "geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
+            inertia = make(types, "geometry_msgs/msg/Inertia", 0.9, vector, *[0.0] * 6)
+            content = make(
+                types,
+                kind,
+                external.header,
+                joint_state(stamp_ns, names, q, 2.0 * q, 3.0 * q),
+                joint_state(stamp_ns, names, 0.0 * q, 0.0 * q, 0.0 * q),
+                np.zeros(7),
+                external,
+                make(
+                    types, "geometry_msgs/msg/InertiaStamped", external.header, inertia
+                ),
+            )
+            data = types.serialize_cdr(content, kind)
+            bag.write(connection, stamp_ns + 500, data)
+
+    asked = ("q", "tau", "tau_ext")
+    assert_franka(read_log(path, required=("q", "tau", "dq"), joints=JOINTS))
+    np.testing.assert_allclose(
+        read_log(path, required=asked, joints=JOINTS)["tau_ext_Nm"], 4.0 * Q_RAD
+    )
+    request = ChannelRequest(required=("q",), joints=tuple(JOINTS))
+    stream = LogStream(stream_tables(path, FollowOptions(), request), request)
+    list(stream)
+
+    assert stream.tool_mass == ToolMass(0.9, "/state/inertia_total/inertia/m")
+
+
+@pytest.mark.parametrize(("stated_kg", "is_named"), [(0.32, False), (0.8, True)])
+def test_another_tool_mass_is_one_warning_with_both(lwr, stated_kg, is_named):
+    payload = Payload(
+        mass_kg=0.3, com_m=(0.0, 0.0, 0.1), inertia_kg_m2=np.zeros((3, 3))
+    )
+    robot = lwr.with_payload(payload)
+    warnings = tool_mass_warnings(ToolMass(stated_kg, "m_total"), robot)
+
+    assert model_tool_mass_kg(robot) == pytest.approx(0.3)
+    assert [("0.8 kg" in text, "0.3 kg" in text) for text in warnings] == (
+        [(True, True)] if is_named else []
+    )
+
+
+def test_efforts_of_a_ur_driver_are_called_currents(tmp_path):
+    names = [f"left_{name}" for name in UR_JOINTS]
+    rows = [
+        (
+            "/joint_states",
+            START_NS + k * STEP_NS,
+            joint_state(START_NS + k * STEP_NS, names, range(6), range(6), range(6)),
+        )
+        for k in range(ROWS)
+    ]
+    log = read_log(write_bag(tmp_path / "ur", rows), required=["q", "tau"])
+
+    assert any("motor currents in A" in text for text in log.warnings)
+
+
+@pytest.mark.parametrize("first_ns", [0, 5_000_000_000])
+def test_a_simulated_clock_is_the_clock_of_all_topics(tmp_path, first_ns):
+    rows = []
+    for k in range(ROWS):
+        log_ns = START_NS + k * STEP_NS
+        state = joint_state(first_ns + k * STEP_NS, JOINTS, Q_RAD[k])
+        rows += [("/joint_states", log_ns + 500, state)]
+        rows += [("/depth_mm", log_ns + 500, number(k))]
+
+    log = read_log(write_bag(tmp_path / "sim", rows), required=["q", "depth"])
+
+    assert log.t_s[0] == first_ns / 1e9
+    np.testing.assert_allclose(np.diff(log.t_s), STEP_NS / 1e9)
+    np.testing.assert_allclose(log["depth_m"], np.arange(ROWS) / 1e3, atol=2e-3)
+    assert any("put on the clock of /joint_states" in text for text in log.warnings)
+
+
+def test_a_bad_stamp_in_a_bag_costs_its_message(tmp_path):
+    rows = []
+    for k in range(ROWS):
+        log_ns = START_NS + k * STEP_NS
+        stamp_ns = log_ns + (400_000_000_000 if k == 30 else 0)
+        rows.append(("/joint_states", log_ns, joint_state(stamp_ns, JOINTS, Q_RAD[k])))
+
+    log = read_log(write_bag(tmp_path / "bag", rows), required=["q"])
+
+    np.testing.assert_allclose(log["q_rad"], np.delete(Q_RAD, 30, axis=0))
+    assert "messages with a bad time stamp, left out: 1 (first: " in log.warnings[0]
