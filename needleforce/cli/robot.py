@@ -14,6 +14,12 @@ import numpy as np
 
 import urdf
 from foundation.arrays import Array
+from needleforce.cli.kept_joints import (
+    LogJoints,
+    assumed_positions,
+    joints_to_keep,
+    parse_lock,
+)
 from needleforce.cli.shared_options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say
 from needleforce.cli.toml_tables import NOTHING, convert_table
@@ -29,7 +35,6 @@ from residual import (
 )
 from urdf import NeedleTool, Payload, Robot, example_robot_path
 from urdf.errors import finite_array
-from urdf.joint_choice import joints_towards, movable_joints
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
 LWR = "lwr"
@@ -47,18 +52,6 @@ MAX_GRAVITY_M_S2 = 9.9
 
 NEEDLE = "needle"
 """Name of the payload that a known LWR has without options."""
-
-
-class LogJoints(NamedTuple):
-    """What a log says about its joints.
-
-    Attributes:
-        names: Their names; empty if it names none.
-        number: How many there are; None if that is not known.
-    """
-
-    names: tuple[str, ...] = ()
-    number: int | None = None
 
 
 def robot_from_options(
@@ -91,10 +84,10 @@ def robot_from_options(
     }
     if options.urdf is None:
         return urdf.load_example(str(options.robot), **tool)
-    locked_joints = dict(map(_parse_lock, options.lock))
+    locked_joints = dict(map(parse_lock, options.lock))
     kept_joints = None
     if options.lock_others:
-        kept_joints = _joints_to_keep(options, locked_joints, find_joints())
+        kept_joints = joints_to_keep(options, locked_joints, find_joints())
     robot = urdf.load_urdf(
         options.urdf,
         locked_joints=locked_joints,
@@ -102,6 +95,11 @@ def robot_from_options(
         check_inertias=not options.accept_inertia,
         **tool,
     )
+    if kept_joints is not None:
+        chosen = {*kept_joints, *locked_joints}
+        robot = replace(
+            robot, warnings=robot.warnings + assumed_positions(options, chosen)
+        )
     for warning in robot.warnings:
         say(f"warning: {warning}")
     return robot
@@ -172,60 +170,9 @@ def _parse_mount(words: tuple[str, ...]) -> float:
     )
 
 
-def _joints_to_keep(
-    options: RobotOptions, locked: Mapping[str, float], joints: LogJoints
-) -> tuple[str, ...]:
-    """Return the joints that ``--lock-others`` leaves.
-
-    They are those that the log names. Of a log that names none they are those on the
-    way to the tool, if it has so many.
-    """
-    path = Path(str(options.urdf))
-    movable = [
-        name for name in movable_joints(path, options.without) if name not in locked
-    ]
-    if joints.names:
-        kept = tuple(name for name in movable if name in joints.names)
-        if kept:
-            return kept
-        raise CommandError(
-            f"--lock-others: the log has the joints {', '.join(joints.names)}, the "
-            f"robot {', '.join(movable)}: none of one name; name the robot's in the "
-            "order of the log with joints = [...] in the file of --mapping",
-            CommandCode.ROBOT,
-        )
-    if joints.number == len(movable):
-        return tuple(movable)
-    route = tuple(
-        name
-        for name in joints_towards(path, options.tool_frame, options.without)
-        if name not in locked
-    )
-    if joints.number not in (None, len(route)):
-        raise CommandError(
-            f"--lock-others: the log has {joints.number} columns per joint signal and "
-            f"names no joints, on the way to the tool move {len(route)}: "
-            f"{', '.join(route)}",
-            CommandCode.ROBOT,
-        )
-    return route
-
-
 def _is_lwr(options: RobotOptions) -> bool:
     """Return whether the robot is the known LWR 4+."""
     return options.urdf is None and options.robot in (None, LWR)
-
-
-def _parse_lock(text: str) -> tuple[str, float]:
-    """Return name and position [rad, m] of a joint that ``--lock`` holds."""
-    name, equals, position = text.partition("=")
-    try:
-        return name, float(position) if equals else 0.0
-    except ValueError as error:
-        raise CommandError(
-            f"--lock {text}: {position!r} is no number; expected JOINT or "
-            "JOINT=POSITION"
-        ) from error
 
 
 def urdf_with_shapes(options: RobotOptions) -> Path | None:

@@ -3,7 +3,7 @@
 from contextlib import suppress
 
 from needleforce import recordings
-from needleforce.cli.robot import LogJoints
+from needleforce.cli.kept_joints import LogJoints
 from needleforce.recordings import ColumnError, ColumnMapping, FollowOptions
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import readable_path

@@ -89,9 +89,23 @@ def test_joints_that_the_log_names_are_kept_in_the_order_of_the_robot(
     assert "arm, 3 joints" in out
 
     options += ["--lock", "gripper=0.05", "--force-tare"]
-    _, out, _ = force_of(capsys, [log, *options], tmp_path)
+    _, out, err = force_of(capsys, [log, *options], tmp_path)
 
     assert "arm, 2 joints" in out
+    assert err == ""
+
+
+def test_a_joint_before_the_tool_that_the_log_lacks_is_named(arm, tmp_path, capsys):
+    log = write_insertion(tmp_path / "log.npz", robot_of(arm, keep_joints=["elbow"]))
+    (tmp_path / "names.toml").write_text('joints = ["elbow"]')
+    options = ["--lock-others", "--mapping", tmp_path / "names.toml", "--no-tare"]
+    argv = ["force", log, "--urdf", arm, *options, *ON_TIP[:-4]]
+
+    assert main([str(word) for word in argv]) == 0
+
+    printed = capsys.readouterr()
+    for text in (printed.out, printed.err):
+        assert "are locked at 0: shoulder; --lock JOINT=POSITION" in text
 
 
 def test_a_mapping_names_the_joints_of_a_log_without_names(arm, tmp_path, capsys):
@@ -102,6 +116,12 @@ def test_a_mapping_names_the_joints_of_a_log_without_names(arm, tmp_path, capsys
     _, out, _ = force_of(capsys, [log, "--urdf", arm, *options], tmp_path)
 
     assert "arm, 2 joints" in out
+
+    for names in ('"left/shoulder", "left/elbow"', '"shoulder_1", "elbow_1"'):
+        (tmp_path / "names.toml").write_text(f"joints = [{names}]")
+        _, out, _ = force_of(capsys, [log, "--urdf", arm, *options], tmp_path)
+
+        assert "arm, 2 joints" in out
 
     (tmp_path / "names.toml").write_text('joints = ["j1", "j2"]')
     argv = ["force", log, "--urdf", arm, *options, *ON_TIP]

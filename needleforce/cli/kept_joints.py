@@ -1,0 +1,129 @@
+"""Which joints of a URDF move: those of the log; ``--lock-others`` locks the rest."""
+
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from itertools import product
+from pathlib import Path
+from typing import NamedTuple
+
+from needleforce.cli.shared_options import RobotOptions
+from needleforce.cli.terminal import CommandCode, CommandError
+from urdf import UnknownNameError
+from urdf.joint_choice import joints_towards, movable_joints
+
+
+class LogJoints(NamedTuple):
+    """What a log says about its joints.
+
+    Attributes:
+        names: Their names; empty if it names none.
+        number: How many there are; None if that is not known.
+    """
+
+    names: tuple[str, ...] = ()
+    number: int | None = None
+
+
+def joints_to_keep(
+    options: RobotOptions, locked: Mapping[str, float], joints: LogJoints
+) -> tuple[str, ...]:
+    """Return the joints that ``--lock-others`` leaves.
+
+    They are those that the log names. Of a log that names none they are those on the
+    way to the tool, if it has so many.
+
+    Args:
+        options: Options of the command, with ``--urdf``.
+        locked: Positions of the joints of ``--lock``.
+        joints: What the log says about its joints.
+
+    Raises:
+        CommandError: The joints of the log are none of the robot's.
+    """
+    path = Path(str(options.urdf))
+    movable = [
+        name for name in movable_joints(path, options.without) if name not in locked
+    ]
+    if joints.names:
+        kept = _named_alike(movable, joints.names)
+        if kept:
+            return kept
+        raise CommandError(
+            f"--lock-others: the log has the joints {', '.join(joints.names)}, the "
+            f"robot {', '.join(movable)}: none of one name; name the robot's in the "
+            "order of the log with joints = [...] in the file of --mapping",
+            CommandCode.ROBOT,
+        )
+    if joints.number == len(movable):
+        return tuple(movable)
+    route = tuple(
+        name
+        for name in joints_towards(path, options.tool_frame, options.without)
+        if name not in locked
+    )
+    if joints.number not in (None, len(route)):
+        raise CommandError(
+            f"--lock-others: the log has {joints.number} columns per joint signal and "
+            f"names no joints, on the way to the tool move {len(route)}: "
+            f"{', '.join(route)}",
+            CommandCode.ROBOT,
+        )
+    return route
+
+
+def _named_alike(joints: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
+    """Return the joints of the robot that a log names, up to a common prefix or suffix.
+
+    None if no name is the same and no prefix or suffix fits more joints than others do.
+    """
+    same = tuple(joint for joint in joints if joint in names)
+    if same:
+        return same
+    alike: dict[tuple[str, str], list[str]] = {}
+    for joint, name in product(joints, names):
+        longer, shorter = (name, joint) if len(name) > len(joint) else (joint, name)
+        owner = "log" if longer == name else "robot"
+        if longer.endswith(shorter):
+            prefix = f"{owner} {longer.removesuffix(shorter)}"
+            alike.setdefault((prefix, ""), []).append(joint)
+        elif longer.startswith(shorter):
+            suffix = longer.removeprefix(shorter)
+            alike.setdefault((owner, suffix), []).append(joint)
+    best = sorted(alike.values(), key=len, reverse=True)
+    is_clear = bool(best) and (len(best) == 1 or len(best[0]) > len(best[1]))
+    return tuple(best[0]) if is_clear else ()
+
+
+def assumed_positions(
+    options: RobotOptions, chosen: Collection[str]
+) -> tuple[str, ...]:
+    """Return a warning of joints that carry the tool and are locked at zero unasked.
+
+    Args:
+        options: Options of the command, with ``--urdf``.
+        chosen: Joints that the log or ``--lock`` names.
+    """
+    path = Path(str(options.urdf))
+    route: tuple[str, ...] = ()
+    with suppress(UnknownNameError):  # no single last link: the tool was named later
+        route = joints_towards(path, options.tool_frame, options.without)
+    assumed = [name for name in route if name not in chosen]
+    if not assumed:
+        return ()
+    names = ", ".join(assumed)
+    return (
+        f"{path}: joints on the way to the tool that the log does not have are locked "
+        f"at 0: {names}; --lock JOINT=POSITION where one stands elsewhere",
+    )
+
+
+def parse_lock(text: str) -> tuple[str, float]:
+    """Return name and position [rad, m] of a joint that ``--lock`` holds."""
+    name, equals, position = text.partition("=")
+    try:
+        return name, float(position) if equals else 0.0
+    except ValueError as error:
+        raise CommandError(
+            f"--lock {text}: {position!r} is no number; expected JOINT or "
+            "JOINT=POSITION"
+        ) from error
