@@ -47,6 +47,7 @@ from identification.multilayer.force_model import (
     OFFSET,
     RELEASE_STRETCH,
     RELEASED,
+    STIFFENING,
     STIFFNESS,
     TIP_BEGIN,
     TIP_END,
@@ -454,6 +455,26 @@ def record_section(
     history.coulomb_variance = before.covariance[LAYER_COULOMB, LAYER_COULOMB]
     history.viscous_Ns_per_mm2 = before.mean[LAYER_VISCOUS]
     history.viscous_variance = before.covariance[LAYER_VISCOUS, LAYER_VISCOUS]
+
+
+@compiled_inside
+def record_membrane(history: History, before: Gaussian, travel_mm: float) -> None:
+    """Record the mean stiffness of a membrane that was met in air, K + H x.
+
+    A membrane has no friction: what rubs is the layer behind it.
+
+    Args:
+        history: Record that is changed.
+        before: Unknowns before the puncture.
+        travel_mm: x, over which the membrane was pushed in.
+    """
+    mean = before.mean
+    covariance = before.covariance
+    variance = covariance[STIFFNESS, STIFFNESS]
+    variance += 2.0 * travel_mm * covariance[STIFFNESS, STIFFENING]
+    variance += travel_mm**2 * covariance[STIFFENING, STIFFENING]
+    history.stiffness_N_per_mm = mean[STIFFNESS] + mean[STIFFENING] * travel_mm
+    history.stiffness_variance = variance
 
 
 @compiled_inside

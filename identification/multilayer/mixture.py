@@ -55,6 +55,7 @@ from identification.multilayer.events import (
     History,
     apply_event,
     record_contact,
+    record_membrane,
     record_rupture,
     record_section,
     update_assumption,
@@ -720,6 +721,36 @@ def record_event(
         record_contact(history, block.depth_mm, assumption.ruptures == 0.0)
 
 
+@compiled_inside
+def record_end(
+    history: History,
+    assumption: Assumptions,
+    before: Gaussian,
+    after: Gaussian,
+    start_mm: float,
+    block: Block,
+    reported: int,
+) -> None:
+    """Record what an event ends: a section of a layer, or a membrane met in air.
+
+    Args:
+        history: Of the child.
+        assumption: What its parent assumes.
+        before: Unknowns before the event.
+        after: Unknowns after it.
+        start_mm: Depth at which the section begins that entered since the last event.
+        block: Where the event is.
+        reported: Ruptures reported so far.
+    """
+    if assumption.medium == LAYER:
+        if assumption.ruptures > reported:
+            start_mm = history.section_start_mm
+        friction = after.mean[FRICTION_LAST]
+        record_section(history, before, start_mm, block.depth_mm, friction)
+    elif assumption.medium == MEMBRANE and assumption.holds_force == 0.0:
+        record_membrane(history, before, block.depth_mm - assumption.tip_start_mm)
+
+
 @compiled
 def add_children(
     mixture: Mixture,
@@ -753,12 +784,7 @@ def add_children(
     )
     # The first child is written whole, the others are copies with other lengths.
     record_event(mixture, size, parent, event, block, reported)
-    if assumption.medium == LAYER:
-        history = mixture.history[size]
-        if assumption.ruptures > reported:
-            start_mm = history.section_start_mm
-        friction = new.mean[FRICTION_LAST]
-        record_section(history, old, start_mm, block.depth_mm, friction)
+    record_end(mixture.history[size], assumption, old, new, start_mm, block, reported)
     log_weight = mixture.log_weights[parent] + math.log(event.probability)
     for i in range(len(event.release_lengths_mm)):
         row = size + i

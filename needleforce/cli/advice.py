@@ -67,6 +67,9 @@ COMMAND_ADVICE: dict[str, str] = {
     "--mapping; --print-config prints such a file",
     "NF-RECORDING-PARTIAL": "Leave the channel out with {option} none, or name its "
     "columns with {option}",
+    "NF-RECORDING-HEADERLESS": "Name columns by their number, with their units, as in "
+    "{options}",
+    "NF-RECORDING-UNIT": "Give it with the column, as in {option} {value}",
     "NF-RECORDING-TIME-COLUMN": "Name it with --time, or give the sample rate with "
     "--rate",
     "NF-RECORDING-TIME": "Name column and unit, as in --time stamp:ms, or give the "

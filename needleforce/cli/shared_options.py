@@ -18,8 +18,8 @@ Source = Annotated[
         name="LOG",
         group=LOG,
         allow_leading_hyphen=True,
-        help="Recording: .csv, .csv.gz, .npz, .parquet, or a ROS bag (.mcap, .db3, "
-        ".bag); - for standard input.",
+        help="Recording: .csv, .csv.gz, .txt, .lvm, .npz, .parquet, or a ROS bag "
+        "(.mcap, .db3, .bag); - for standard input.",
     ),
 ]
 
@@ -33,7 +33,7 @@ class Columns:
     """Which columns are which channels; a field with a channel's name has its columns.
 
     Attributes:
-        time: Time stamp (s, ms, us, ns).
+        time: Time stamp (s, ms, us, ns, min).
         rate: Sample rate, when there is no time.
         sort_within: Sort rows that come so much later than newer ones (default: 1 s for
             a file, 0 for rows used as they come).
@@ -54,9 +54,9 @@ class JointColumns(Columns):
 
     Attributes:
         q: Joint position (rad, deg).
-        dq: Joint velocity (rad/s, deg/s); none to estimate it from the positions.
-        tau: Measured joint torque (Nm, mNm, Ncm, kNm).
-        tau_ext: External joint torque as the robot estimates it (Nm, mNm, Ncm, kNm).
+        dq: Joint velocity (rad/s, deg/s, rpm); none to estimate it from the positions.
+        tau: Measured joint torque (Nm, mNm, Nmm, Ncm, kNm, in-lbf, ft-lbf).
+        tau_ext: External joint torque as the robot estimates it (units as of tau).
     """
 
     q: Annotated[str | None, _COLUMN] = None
@@ -72,8 +72,9 @@ class DepthColumns(Columns):
     Attributes:
         depth: Travel of the needle tip along its axis, growing into the tissue (m, cm,
             mm, um, inch).
-        speed: Rate of depth (m/s, cm/s, mm/s, um/s).
-        force: Axial force, positive when tissue pushes back (N, mN, kN, lbf).
+        speed: Rate of depth (m/s, cm/s, mm/s, um/s, mm/min).
+        force: Axial force, positive when tissue pushes back (N, mN, cN, kN, gf, kgf,
+            lbf, ozf).
     """
 
     depth: Annotated[str | None, _COLUMN] = None

@@ -5,10 +5,11 @@
 or the command line, says which columns to use where their names do not. Row by row,
 whatever the length: `stream_tables` and `LogStream` in, `open_table` out.
 
-Reading order: `open_recording`, `table` (what a file holds), `time_stamps`, `channels`
-(units and usual names), `column_names`, `mapping`, `channel_request`, `log`,
-`log_signal`, `log_stream`, `mapping_suggestion`. The formats: `follow` (bytes as they
-come), `text_lines`, `csv_file`, `columnar` (npz, Parquet), `bags` (ROS 2). Writing:
+Reading order: `open_recording`, `table` (what a file holds), `time_stamps`, `units`,
+`channels` (usual names), `column_names`, `mapping`, `channel_request`, `log`,
+`channel_units`, `log_signal`, `log_stream`, `mapping_suggestion`. The formats: `follow`
+(bytes as they come), `text_lines`, `csv_header` (where a table begins), `csv_file`,
+`columnar` (npz, Parquet), `bags` (ROS 2), `conversions` (what is not read). Writing:
 `output`, `writers`.
 """
 
@@ -21,6 +22,7 @@ from needleforce.recordings.errors import (
     LogError as LogError,
     MappingError as MappingError,
     RecordingError as RecordingError,
+    UnitError as UnitError,
 )
 from needleforce.recordings.follow import FollowOptions as FollowOptions
 from needleforce.recordings.log import Log as Log

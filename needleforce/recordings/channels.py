@@ -1,21 +1,24 @@
-"""The channels of a log: their names, their units, and their usual column names."""
+"""The channels of a log: their names, their units, and their usual column names.
 
-from collections.abc import Mapping
+Names of columns are compared in lower case, with `_` for spaces and hyphens, and
+without accents.
+"""
+
+import re
+import unicodedata
 from dataclasses import dataclass
-from math import pi
-from typing import NamedTuple
 
-Units = Mapping[str, float]
-"""Units that may stand in a file, with their factors to SI; the first is SI."""
-
-_TIME = {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}
-_ANGLE = {"rad": 1.0, "deg": pi / 180.0}
-_ANGULAR_SPEED = {"rad/s": 1.0, "deg/s": pi / 180.0}
-_TORQUE = {"Nm": 1.0, "mNm": 1e-3, "Ncm": 1e-2, "kNm": 1e3}
-_LENGTH = {"m": 1.0, "cm": 1e-2, "mm": 1e-3, "um": 1e-6, "inch": 0.0254}
-_SPEED = {"m/s": 1.0, "cm/s": 1e-2, "mm/s": 1e-3, "um/s": 1e-6}
-_FORCE = {"N": 1.0, "mN": 1e-3, "kN": 1e3, "lbf": 4.4482216152605}
-_CODE = {"1": 1.0}
+from needleforce.recordings.units import (
+    ANGLE,
+    ANGULAR_SPEED,
+    CODE,
+    FORCE,
+    LENGTH,
+    SPEED,
+    TIME,
+    TORQUE,
+    Units,
+)
 
 FORCE_STATUS = ("ok", "not tared", "initializing", "rejected")
 """What 0, 1, 2, ... of the column `force_status` mean; only the first is a usable
@@ -35,31 +38,6 @@ UNSMOOTHED = "axial_unsmoothed"
 """The column of the force that `needleforce force` has not smoothed or delayed."""
 
 
-class UnitSpelling(NamedTuple):
-    """How people write a part of a unit.
-
-    Attributes:
-        written: In a file.
-        meant: In `Units`.
-    """
-
-    written: str
-    meant: str
-
-
-_UNIT_SPELLINGS = (
-    UnitSpelling("µ", "u"),  # micro sign
-    UnitSpelling("μ", "u"),  # Greek letter
-    UnitSpelling("°", "deg"),
-    UnitSpelling("N·m", "Nm"),
-    UnitSpelling("N.m", "Nm"),
-    UnitSpelling("N*m", "Nm"),
-    UnitSpelling("_per_", "/"),
-    UnitSpelling("_", "/"),
-)
-"""Applied in this order."""
-
-
 @dataclass(frozen=True, slots=True)
 class Channel:
     """One quantity of a log.
@@ -71,6 +49,10 @@ class Channel:
         per_joint: One column per joint (2-D) rather than one value (1-D).
         spellings: Usual column names, without unit and number and in lower case.
         meaning: One phrase for help texts.
+        machine_words: What testing machines and other languages call it; these count
+            where no column has a usual name.
+        words_with_unit: Names that say it only beside one of its units, as
+            `Position (mm)` does; these count last.
     """
 
     name: str
@@ -79,6 +61,8 @@ class Channel:
     per_joint: bool
     spellings: tuple[str, ...]
     meaning: str
+    machine_words: tuple[str, ...] = ()
+    words_with_unit: tuple[str, ...] = ()
 
     @property
     def places(self) -> dict[str, str]:
@@ -96,50 +80,86 @@ class Channel:
         """The SI unit of this channel."""
         return next(iter(self.units))
 
+    @property
+    def usual_unit(self) -> str:
+        """The unit that an example in an advice has."""
+        return _USUAL_UNITS.get(self.name, self.si_unit)
+
+
+_USUAL_UNITS = {"depth": "mm", "speed": "mm/s"}
+"""Units in which laboratories write what they do not write in SI units."""
+
+
+def normalised_name(name: str) -> str:
+    """Return a name in lower case without accents, with `_` for spaces and hyphens."""
+    decomposed = unicodedata.normalize("NFKD", name)
+    letters = "".join(c for c in decomposed if not unicodedata.combining(c))
+    return re.sub(r"[\s\-_]+", "_", letters.lower()).strip("_:.")
+
+
+def _words(text: str) -> tuple[str, ...]:
+    """Return the names in a text, as `normalised_name` writes them."""
+    return tuple(map(normalised_name, text.split()))
+
 
 def _joint_channel(
-    name: str, key: str, units: Units, spellings: str, meaning: str
+    name: str, key: str, units: Units, spellings: str, meaning: str, **more: str
 ) -> Channel:
     """Return a channel of one column per joint; its spellings are words."""
-    return Channel(name, key, units, True, tuple(spellings.split()), meaning)
+    names = {field: _words(text) for field, text in more.items()}
+    return Channel(name, key, units, True, tuple(spellings.split()), meaning, **names)
 
 
 def _single_channel(
-    name: str, key: str, units: Units, spellings: str, meaning: str
+    name: str, key: str, units: Units, spellings: str, meaning: str, **more: str
 ) -> Channel:
     """Return a channel of one column; its spellings are words."""
-    return Channel(name, key, units, False, tuple(spellings.split()), meaning)
+    names = {field: _words(text) for field, text in more.items()}
+    return Channel(name, key, units, False, tuple(spellings.split()), meaning, **names)
 
 
 _ALL_CHANNELS = (
     _single_channel(
-        "time", "t_s", _TIME, "t time timestamp time_stamp stamp", "time stamp"
+        "time",
+        "t_s",
+        TIME,
+        "t time timestamp time_stamp stamp",
+        "time stamp",
+        machine_words="elapsed_time running_time test_time time_elapsed total_time "
+        "x_value zeit prüfzeit pruefzeit testzeit messzeit temps tempo tiempo zaman "
+        "時間 経過時間 试验时间",
     ),
     _joint_channel(
         "q",
         "q_rad",
-        _ANGLE,
+        ANGLE,
         "q position pos joint_position joint_positions actual_q",
         "joint positions",
+        machine_words="joint_angle joint_angles actual_joint_position "
+        "actual_joint_positions",
     ),
     _joint_channel(
         "dq",
         "dq_rad_s",
-        _ANGULAR_SPEED,
+        ANGULAR_SPEED,
         "dq qd qdot q_dot velocity vel joint_velocity joint_velocities actual_qd",
         "joint velocities",
+        machine_words="joint_speed joint_speeds actual_joint_velocity "
+        "actual_joint_velocities",
     ),
     _joint_channel(
         "tau",
         "tau_Nm",
-        _TORQUE,
+        TORQUE,
         "tau tau_j effort torque joint_torque joint_torques",
         "measured joint torques",
+        machine_words="joint_effort joint_efforts actual_joint_torque "
+        "actual_joint_torques measured_torque measured_torques",
     ),
     _joint_channel(
         "tau_ext",
         "tau_ext_Nm",
-        _TORQUE,
+        TORQUE,
         "tau_ext tau_external tau_ext_hat tau_ext_hat_filtered external_torque "
         "external_torques external_joint_torque external_joint_torques",
         "external joint torques as the robot estimates them",
@@ -147,38 +167,57 @@ _ALL_CHANNELS = (
     _single_channel(
         "depth",
         "depth_m",
-        _LENGTH,
+        LENGTH,
         "depth z insertion_depth travel",
         "depth of the needle tip",
+        machine_words="displacement disp axial_displacement compressive_displacement "
+        "crosshead crosshead_displacement crosshead_position crosshead_travel "
+        "crosshead_extension extension compressive_extension tensile_extension "
+        "primary_extension stroke distance penetration penetration_depth indentation "
+        "grip_separation standard_travel standardweg traverse traversenweg verfahrweg "
+        "weg hub eindringtiefe einstichtiefe déplacement course allongement corsa "
+        "spostamento desplazamiento carrera uzama ストローク 変位 位移",
+        words_with_unit="position pos needle_position axial_position height",
     ),
     _single_channel(
-        "speed", "speed_m_s", _SPEED, "speed v insertion_speed", "rate of depth"
+        "speed",
+        "speed_m_s",
+        SPEED,
+        "speed v insertion_speed",
+        "rate of depth",
+        words_with_unit="velocity vel crosshead_speed geschwindigkeit vitesse velocità "
+        "velocidad",
     ),
     _single_channel(
         "force",
         "force_N",
-        _FORCE,
+        FORCE,
         f"force f fz f_z force_z axial {UNSMOOTHED} axial_force insertion_force",
         "axial force, positive when tissue pushes back",
+        machine_words="load axial_load compressive_load compression_load tensile_load "
+        "load_cell loadcell needle_force standard_force test_force compressive_force "
+        "standardkraft kraft axialkraft prüfkraft pruefkraft druckkraft zugkraft last "
+        "effort_axial charge forza carico fuerza carga kuvvet yük 試験力 荷重 载荷",
+        words_with_unit="reading",
     ),
     _single_channel(
         "force_std",
         "force_std_N",
-        _FORCE,
+        FORCE,
         "force_std axial_std",
         "standard deviation of the force",
     ),
     _single_channel(
         "force_status",
         "force_status",
-        _CODE,
+        CODE,
         "force_status",
         "whether the force can be used, as `needleforce force` writes it",
     ),
     _single_channel(
         "force_warnings",
         "force_warnings",
-        _CODE,
+        CODE,
         "force_warnings",
         "what may be wrong with the force, as `needleforce force` writes it",
     ),
@@ -186,12 +225,3 @@ _ALL_CHANNELS = (
 
 CHANNELS = {channel.name: channel for channel in _ALL_CHANNELS}
 """Every channel by the name that mappings use."""
-
-
-def find_unit(text: str, units: Units) -> str | None:
-    """Return the key of `units` that a text such as `mm/s`, `mm_s` or `µs` spells."""
-    unit = text.strip()
-    for spelling in _UNIT_SPELLINGS:
-        unit = unit.replace(spelling.written, spelling.meant)
-
-    return unit if unit in units else None

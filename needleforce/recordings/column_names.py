@@ -5,16 +5,17 @@ up to them would take all memory.
 """
 
 import re
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from difflib import get_close_matches
 from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
-from needleforce.recordings.channels import UNSMOOTHED, Channel, Units, find_unit
+from needleforce.recordings.channels import UNSMOOTHED, Channel, normalised_name
 from needleforce.recordings.errors import ColumnError, RecordingCode
 from needleforce.recordings.table import Table
+from needleforce.recordings.units import Units, find_unit
 
 MAX_UNIT_PARTS = 3
 """The longest unit in a name has so many parts: `mm_per_s`."""
@@ -25,7 +26,9 @@ MAX_LISTED_NUMBERS = 5
 MAX_COMPARED_NAMES = 1000
 """So many names are compared with one that was not found."""
 
-_BRACKETED_UNIT = re.compile(r"^(?P<stem>.*\S)\s*[\[(](?P<unit>[^\[\]()]+)[\])]$")
+_BRACKETED_UNIT = re.compile(
+    r"^(?P<stem>.*\S)\s*[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]$"
+)
 _NUMBERED_NAME = re.compile(
     r"^(?P<stem>.*?[^\d_.\[ ])(?P<mark>[_. ]?)\[?(?P<number>\d{1,9})\]?$"
 )
@@ -65,8 +68,8 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
     """Split a column name into its parts.
 
     Only a unit of the quantity looked for is read as one. Understands `q1`, `q_1`,
-    `q[0]`, `q1_deg`, `q_deg_1`, `z [mm]`, `z (mm)`, `speed_mm_s` and a leading path
-    such as `/joint_states/`.
+    `q[0]`, `q1_deg`, `q_deg_1`, `z [mm]`, `z (mm)`, `z/mm`, `z mm`, `z in mm`,
+    `speed_mm_s` and a leading path such as `/joint_states/`.
     """
     stem, unit = split_unit(name.strip(), units)
     number = None
@@ -79,11 +82,11 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
         if unit is None:
             stem, unit = split_unit(stem, units)
 
-    return ColumnName(stem.rsplit("/", 1)[-1].strip().lower(), family, number, unit)
+    return ColumnName(normalised_name(stem.rsplit("/", 1)[-1]), family, number, unit)
 
 
 def split_unit(name: str, units: Units) -> tuple[str, str | None]:
-    """Split a unit off the end of a name, as in `z [mm]` or `speed_mm_s`.
+    """Split a unit off the end of a name, as in `z [mm]`, `z/mm` or `speed_mm_s`.
 
     Returns:
         The name without its unit, and the unit; None without one.
@@ -92,13 +95,36 @@ def split_unit(name: str, units: Units) -> tuple[str, str | None]:
     if match and (unit := find_unit(match["unit"], units)):
         return match["stem"], unit
 
-    for part_count in range(MAX_UNIT_PARTS, 0, -1):
-        head, *tail = name.rsplit("_", part_count)
-        is_split = len(tail) == part_count
-        if is_split and (unit := find_unit("_".join(tail), units)):
-            return head, unit
+    for head, tail in _possible_units(name):
+        if unit := find_unit(tail, units):
+            return re.sub(r"[\s,:]+(?:in)?[\s,:]*$", "", head), unit
 
     return name, None
+
+
+def _possible_units(name: str) -> Iterator[tuple[str, str]]:
+    """Yield the ways to split a name before a unit without brackets, the longest first.
+
+    A path such as `/arm/m` is none of a quotient.
+    """
+    if not name.startswith("/"):
+        for match in re.finditer("/", name):
+            yield name[: match.start()], name[match.end() :]
+
+    for separator in ("_", " "):
+        for part_count in range(MAX_UNIT_PARTS, 0, -1):
+            head, *tail = name.rsplit(separator, part_count)
+            if len(tail) == part_count and head.strip():
+                yield head, separator.join(tail)
+
+
+def written_unit(name: str) -> str | None:
+    """Return what stands in brackets at the end of a name, whether it is a unit or not.
+
+    `wrench[2]` has an element there, and no unit.
+    """
+    match = _BRACKETED_UNIT.match(name.strip())
+    return None if match is None or match["unit"].isdigit() else match["unit"].strip()
 
 
 def find_columns(table: Table, pattern: str) -> list[NamedValues]:
@@ -230,16 +256,45 @@ def _hint(names: list[str], pattern: str) -> str:
 def detect_columns(table: Table, channel: Channel) -> list[NamedValues]:
     """Return the columns whose names say that they are this channel, in joint order.
 
+    Usual names come before the words of testing machines, and these before names that
+    say it only beside a unit. A column whose unit is none of the channel's is left out.
+
     Returns:
         The columns; none if no name says so.
 
     Raises:
         ColumnError: Several would fit, or a joint's column is missing.
     """
-    parsed = {name: parse_column_name(name, channel.units) for name in table.columns}
-    parsed = {
-        name: parts for name, parts in parsed.items() if parts.stem in channel.spellings
+    fitting = {
+        name: parse_column_name(name, channel.units)
+        for name in table.columns
+        if states_other_unit(table, name, channel) is None
     }
+    with_unit = {
+        name: parts
+        for name, parts in fitting.items()
+        if parts.unit or name in table.units
+    }
+    for names, words in (
+        (fitting, channel.spellings),
+        (fitting, channel.machine_words),
+        (with_unit, channel.words_with_unit),
+    ):
+        parsed = {name: parts for name, parts in names.items() if parts.stem in words}
+        if parsed:
+            return _only_candidate(table, channel, parsed)
+
+    return []
+
+
+def _only_candidate(
+    table: Table, channel: Channel, parsed: Mapping[str, ColumnName]
+) -> list[NamedValues]:
+    """Return the columns of a channel among those whose names say that they are it.
+
+    Raises:
+        ColumnError: Several would fit, or a joint's column is missing.
+    """
     if channel.per_joint:
         candidates = _joint_candidates(table, parsed)
     else:
@@ -253,6 +308,33 @@ def detect_columns(table: Table, channel: Channel) -> list[NamedValues]:
         )
 
     return next(iter(candidates.values()), [])
+
+
+def states_other_unit(table: Table, name: str, channel: Channel) -> str | None:
+    """Return the unit that the row of units states, if it is none of the channel's."""
+    stated = table.units.get(name)
+    if stated is None or find_unit(stated.text, channel.units) is not None:
+        return None
+
+    return stated.text
+
+
+def columns_in_other_units(table: Table, channel: Channel) -> dict[str, str]:
+    """Return columns that have a channel's name and no unit of it, with their units."""
+    words = {*channel.spellings, *channel.machine_words, *channel.words_with_unit}
+    columns: dict[str, str] = {}
+    for name in table.columns:
+        unit = states_other_unit(table, name, channel)
+        stem = parse_column_name(name, channel.units).stem
+        bracketed = _BRACKETED_UNIT.match(name.strip())
+        if unit is None and bracketed and stem not in words:
+            unit = bracketed["unit"]
+            stem = parse_column_name(bracketed["stem"], channel.units).stem
+
+        if unit is not None and stem in words:
+            columns[name] = unit
+
+    return columns
 
 
 def _joint_candidates(

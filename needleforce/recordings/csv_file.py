@@ -1,14 +1,21 @@
 """CSV and its kin, plain or compressed with gzip: read whole or as it comes."""
 
-import csv
 import re
-from collections.abc import Iterable, Iterator
+from collections import deque
+from collections.abc import Iterable, Iterator, Sequence
 from contextlib import suppress
 from math import nan
-from typing import NamedTuple
 
 import numpy as np
 
+from needleforce.recordings.csv_header import (
+    COMMENT,
+    WHITE_SPACE,
+    NumberedRow,
+    TableStart,
+    find_table,
+    split_line,
+)
 from needleforce.recordings.errors import (
     MAX_BYTES,
     FaultCount,
@@ -17,11 +24,27 @@ from needleforce.recordings.errors import (
     require_size,
 )
 from needleforce.recordings.follow import FollowOptions
-from needleforce.recordings.table import HEAD_ROWS, START_KEY, Table
+from needleforce.recordings.table import HEAD_ROWS, START_KEY, StatedUnit, Table
 from needleforce.recordings.text_lines import TextLines
 from needleforce.recordings.time_stamps import exceed_float64
+from needleforce.recordings.written_numbers import (
+    Commas,
+    meaning_of_commas,
+    read_number,
+    read_with_commas,
+)
 
-CSV_SUFFIXES = (".csv", ".csv.gz", ".tsv", ".tsv.gz", ".txt")
+CSV_SUFFIXES = (
+    ".csv",
+    ".csv.gz",
+    ".tsv",
+    ".tsv.gz",
+    ".txt",
+    ".txt.gz",
+    ".dat",
+    ".asc",
+    ".lvm",
+)
 
 ROW_BYTES = 100
 """Memory that Python adds to the text of a row."""
@@ -30,68 +53,64 @@ MAX_LINES_WITHOUT_ROW = 1_000_000
 """A megabyte of gzip can hold a thousand million line ends, which take minutes to
 look at."""
 
-_DELIMITERS = (",", ";", "\t")
-_COMMENT = "#"
-_START_COMMENT = re.compile(rf"{_COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$")
-_EXPECTED = (
-    "cells are separated by commas, semicolons or tabs, and what stands above the "
-    "header begins with #"
-)
+LINES_LOOKED_AT = (HEAD_ROWS + 1, HEAD_ROWS + 50, 400, 800, 1600, 3200, 5000)
+"""After so many lines, blank ones and comments aside, the table is looked for; the last
+time it must be there."""
 
+NAMING_COMMENTS = 2
+"""So many comments above the first row may hold its names and units."""
 
-class NumberedRow(NamedTuple):
-    """A row of a table as text.
-
-    Attributes:
-        line_number: In the file, from 1.
-        text: The line.
-    """
-
-    line_number: int
-    text: str
+_START_COMMENT = re.compile(rf"{COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$")
+_NUL = "\0"
 
 
 class _CsvRows:
-    """Sorts lines into header, comments and rows, and turns rows into columns.
+    """Sorts lines into what stands above the table, comments and rows.
 
-    Lines starting with `#` are comments. Rows with another number of cells than the
-    header are left out, and so are columns without any number in the first rows read;
-    which these are does not depend on how the lines come.
+    Lines starting with `#` are comments. Where the table begins is decided from the
+    first rows, see `find_table`. Rows with another number of cells than the header are
+    left out, and so are columns without any number in the first rows read; which these
+    are does not depend on how the lines come.
 
     Attributes:
-        names: Of the columns, unique; one without a name is `column_N`.
-        waiting: Rows that wait to be read.
+        names: Of the columns, unique; one without a name is `column_N`. None before the
+            table has been found.
+        units: What a row of units says, by name of the column.
+        waiting: Rows that wait to be read; before the table has been found all lines.
         omitted: Which columns are left out, by their place, and why.
         faults: What is wrong with rows and cells.
     """
 
     def __init__(self) -> None:
         self.names: tuple[str, ...] = ()
+        self.units: dict[str, StatedUnit] = {}
         self.waiting: list[NumberedRow] = []
         self.omitted: dict[int, str] = {}
         self.faults = FaultCounts()
         self._delimiter = ","
-        self._latest_comment = ""
-        self._header = ""
+        self._commas = Commas.UNKNOWN
+        self._comments: deque[NumberedRow] = deque(maxlen=NAMING_COMMENTS)
+        self._header_warnings: tuple[str, ...] = ()
+        self._has_header = False
+        self._looks = 0
         self._line_count = 0
         self._latest_row_line = 0
         self._start_ns = 0
         self._is_chosen = False  # which columns are left out
         self._has_number: set[int] = set()
 
-    def add(self, lines: list[str]) -> None:
+    def add(self, lines: Sequence[str]) -> None:
         """Add whole lines.
 
         Raises:
-            FormatError: The header is none, or names a column twice; or no row has come
-                for very many lines.
+            FormatError: There is no table in very many lines, or no row has come for
+                very many.
         """
         for line_number, line in enumerate(lines, self._line_count + 1):
             if _is_row(line):
-                if self.names or self._read_header(line, line_number):
-                    self.waiting.append(NumberedRow(line_number, line))
-            elif not self.names and line.strip():
-                self._latest_comment = line
+                self.waiting.append(NumberedRow(line_number, line))
+            elif not self.waiting and line.strip():
+                self._comments.append(NumberedRow(line_number, line))
                 if match := _START_COMMENT.match(line):
                     self._start_ns = int(match[1])
 
@@ -105,6 +124,42 @@ class _CsvRows:
                 "blank or comments; it is damaged, or no table"
             )
 
+    def find_head(self) -> bool:
+        """Return whether the table has been found, and its first rows have come.
+
+        Whatever the pieces in which lines come, the same numbers of them are looked at.
+
+        Raises:
+            FormatError: In very many lines there is no table.
+        """
+        while not self.names and len(self.waiting) >= LINES_LOOKED_AT[self._looks]:
+            lines = self.waiting[: LINES_LOOKED_AT[self._looks]]
+            self._looks += 1
+            if self._looks == len(LINES_LOOKED_AT):
+                self._begin(find_table(lines, self._comments))
+                break
+
+            with suppress(FormatError):
+                start = find_table(lines, self._comments)
+                if start.row_count >= HEAD_ROWS:
+                    self._begin(start)
+
+        return bool(self.names) and len(self.waiting) >= HEAD_ROWS
+
+    def _begin(self, start: TableStart) -> None:
+        """Take the names of a table that was found; what stands above it goes."""
+        self.names = start.names
+        self.units = start.units
+        self._delimiter = start.delimiter
+        self._has_header = bool(start.header_line)
+        self._header_warnings = start.warnings
+        self.waiting = self.waiting[start.first_row :]
+        self._commas = meaning_of_commas(
+            cell
+            for row in self.waiting[:HEAD_ROWS]
+            for cell in split_line(row.text, self._delimiter)
+        )
+
     def end(self, tail: str, *, is_growing: bool) -> None:
         """Add what stands behind the last line end.
 
@@ -112,10 +167,14 @@ class _CsvRows:
         be known, unless the file was still being written.
 
         Raises:
-            FormatError: There was no header, or no row.
+            FormatError: There is no table.
         """
-        if self._latest_row_line and _is_row(tail):
-            cell_count = tail.count(self._delimiter) + 1
+        if not self.names:
+            with suppress(FormatError):
+                self._begin(find_table(self.waiting, self._comments))
+
+        if self.names and _is_row(tail):
+            cell_count = len(split_line(tail, self._delimiter))
             if cell_count < len(self.names) or is_growing:
                 self.faults.note(
                     f"line {self._line_count + 1}, the last, is cut short "
@@ -126,63 +185,11 @@ class _CsvRows:
 
         self.add([tail])
         if not self.names:
-            raise FormatError(
-                "only comments; expected a header row and rows of numbers"
-            )
-
-        if not self._latest_row_line:
-            header = self._header.strip()[:200]
-            raise FormatError(f"a header but no rows; the header is: {header}")
-
-    def _read_header(self, line: str, line_number: int) -> bool:
-        """Read the header from the first line that is no comment.
-
-        A comment just before it counts as the header if that line holds numbers and the
-        comment has as many cells (`numpy.savetxt` writes its header so).
-
-        Returns:
-            Whether the line is a row.
-        """
-        self._delimiter = max(_DELIMITERS, key=line.count)
-        self._header = line
-        cells = self._split(line)
-        names = cells
-        is_row = _has_number(cells)
-        if is_row:
-            comment = self._latest_comment
-            names = self._split(comment.lstrip(_COMMENT))
-            is_header = not _has_number(names) and len(names) == len(cells)
-            if not (comment and is_header):
-                raise FormatError(
-                    f"no header row: line {line_number} already holds numbers "
-                    f"({line[:60]!r})"
-                )
-
-        places: dict[str, int] = {}
-        for place, text in enumerate(names, 1):
-            name = text.strip() or f"column_{place}"
-            if places.setdefault(name, place) != place:
-                raise FormatError(
-                    f"the header names {name!r} twice, in columns {places[name]} and "
-                    f"{place}"
-                )
-
-        self.names = tuple(places)
-        return is_row
-
-    def _split(self, line: str) -> list[str]:
-        """Split a line into cells; a quoted cell ends with its line at the latest."""
-        if '"' in line:
-            with suppress(csv.Error):
-                return next(
-                    csv.reader([line], delimiter=self._delimiter, skipinitialspace=True)
-                )
-
-        return line.split(self._delimiter)
+            self._begin(find_table(self.waiting, self._comments))
 
     def _split_row(self, line: str) -> list[str]:
         """Split a row into cells, without empty ones behind the header's."""
-        cells = self._split(line)
+        cells = split_line(line, self._delimiter)
         while len(cells) > len(self.names) and not cells[-1].strip():
             cells.pop()
 
@@ -200,7 +207,10 @@ class _CsvRows:
             if not self._is_chosen:
                 self._choose_columns(len(values))
 
-        warnings = () if self._is_chosen else tuple(self.omitted.values())
+        warnings: tuple[str, ...] = ()
+        if not self._is_chosen:
+            warnings = (*self._header_warnings, *self.omitted.values())
+
         self._is_chosen = True
 
         columns: dict[str, np.ndarray] = {
@@ -210,14 +220,22 @@ class _CsvRows:
         }
         self._restore_large_integers(columns, rows)
         self.waiting = self.waiting[len(rows) :]
-        return Table(columns=columns, start_ns=self._start_ns, warnings=warnings)
+        return Table(
+            columns=columns,
+            start_ns=self._start_ns,
+            warnings=warnings,
+            units=self.units,
+            has_header=self._has_header,
+        )
 
     def _read_fast(self, rows: list[NumberedRow]) -> np.ndarray | None:
         """Return the numbers in rows, shape (n, k), if all cells hold numbers."""
         lines = [row.text for row in rows]
+        delimiter = None if self._delimiter == WHITE_SPACE else self._delimiter
+        quote = '"' if lines and '"' in lines[0] else None
         try:
             values = np.loadtxt(
-                lines, delimiter=self._delimiter, comments=None, ndmin=2
+                lines, delimiter=delimiter, comments=None, ndmin=2, quotechar=quote
             )
         except ValueError:
             return None
@@ -229,6 +247,11 @@ class _CsvRows:
         width = len(self.names)
         numbers = []
         for line_number, line in rows:
+            if _NUL in line:
+                place = f"line {line_number}"
+                self.faults.note("rows with NUL bytes, left out", place)
+                continue
+
             cells = self._split_row(line)
             if len(cells) == width:
                 numbers.append(self._read_cells(line_number, cells))
@@ -251,7 +274,9 @@ class _CsvRows:
             place = self.names.index(name)
             all_cells = (self._split_row(row.text) for row in rows)
             texts = [
-                cells[place] for cells in all_cells if len(cells) == len(self.names)
+                cells[place]
+                for row, cells in zip(rows, all_cells, strict=True)
+                if len(cells) == len(self.names) and _NUL not in row.text
             ]
             with suppress(ValueError, OverflowError):  # some are no whole numbers
                 columns[name] = np.array([int(text) for text in texts], dtype=np.int64)
@@ -264,12 +289,11 @@ class _CsvRows:
         values = []
         for i, text in enumerate(cells):
             cell = text.strip()
-            value = _number(cell)
-            if value is None and self._delimiter != ",":
-                value = _number(cell.replace(",", "."))
+            value = read_number(cell)
+            if value is None and "," in cell:
+                value = read_with_commas(cell, self._commas)
                 if value is not None:
-                    place = f"line {line_number}"
-                    self.faults.note("decimal commas read as points", place)
+                    self.faults.note(self._commas.value, f"line {line_number}")
 
             if value is not None:
                 self._has_number.add(i)
@@ -289,11 +313,8 @@ class _CsvRows:
         """Decide from the first rows which columns are left out."""
         width = len(self.names)
         if not row_count:
-            first = next(iter(self.faults.values())).first
-            raise FormatError(
-                f"no row has the header's {width} cells (first: {first}); "
-                f"check the delimiter and the header: {_EXPECTED}"
-            )
+            fault, (_, first) = next(iter(self.faults.items()))
+            raise FormatError(f"no row can be read: {fault} (first: {first})")
 
         for i in sorted(set(range(width)) - self._has_number):
             text = self.faults.pop(self._not_numbers(i), FaultCount(0, "")).first
@@ -302,25 +323,12 @@ class _CsvRows:
 
         if len(self.omitted) == width:
             reasons = "; ".join(self.omitted.values())
-            raise FormatError(f"no column holds a number: {reasons[:500]}; {_EXPECTED}")
+            raise FormatError(f"no column holds a number: {reasons[:500]}")
 
 
 def _is_row(line: str) -> bool:
     """Return whether a line is neither blank nor a comment."""
-    return line[:1] not in ("", _COMMENT) and not line.isspace()
-
-
-def _has_number(cells: Iterable[str]) -> bool:
-    """Return whether any cell holds a number."""
-    return any(_number(cell) is not None for cell in cells)
-
-
-def _number(cell: str) -> float | None:
-    """Return the number in a cell; None if it holds none."""
-    try:
-        return None if "_" in cell else float(cell)  # 1_0 is Python's way to write 10
-    except ValueError:
-        return None
+    return line[:1] not in ("", COMMENT) and not line.isspace()
 
 
 def csv_tables(
@@ -354,7 +362,7 @@ def csv_tables(
     try:
         for batch in lines:
             rows.add(batch)
-            while len(rows.waiting) >= (HEAD_ROWS if is_first else 1):
+            while rows.find_head() if is_first else rows.waiting:
                 yield rows.read_waiting()
                 is_first = False
                 read_bytes = lines.size
@@ -366,7 +374,7 @@ def csv_tables(
             lines.forgive_end()
 
         rows.end(lines.tail, is_growing=options.follow)
-        if rows.waiting:
+        if rows.waiting or is_first:
             yield rows.read_waiting()
     except FormatError as error:
         losses = "".join(f" ({warning})" for warning in lines.warnings)

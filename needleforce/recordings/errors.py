@@ -28,6 +28,11 @@ class RecordingCode(ErrorCode):
         "Name it .csv, .csv.gz, .npz, .parquet or .mcap; a bag may also be .db3, .bag "
         "or a folder.",
     )
+    CONVERT = (
+        "NF-RECORDING-CONVERT",
+        "The format is not read, but can be converted to one that is.",
+        "Convert it, in the folder of the file: {command}",
+    )
     LIBRARY = (
         "NF-RECORDING-LIBRARY",
         "The format needs libraries that are not installed.",
@@ -89,6 +94,18 @@ class RecordingCode(ErrorCode):
         "Leave it out with `ColumnSpec(columns=LEFT_OUT)` under `{channel}` in the "
         "`mapping`, or name its columns there.",
     )
+    HEADERLESS = (
+        "NF-RECORDING-HEADERLESS",
+        "The file has no header, so that no column has a name.",
+        "Name column_1, column_2 and so on under {channel} and others in the "
+        "`mapping`, each with its `unit`.",
+    )
+    UNIT = (
+        "NF-RECORDING-UNIT",
+        "The unit of a column is not known, or is contradicted by the file.",
+        "Give {channel} its `unit` in the `mapping`; a `scale` may stand for a unit "
+        "that is not known.",
+    )
     TIME_COLUMN = (
         "NF-RECORDING-TIME-COLUMN",
         "No column of time stamps was found.",
@@ -143,6 +160,12 @@ class ColumnError(RecordingError, LookupError):
     """A column was not found, or more than one would fit."""
 
     usual_code = RecordingCode.NAME
+
+
+class UnitError(RecordingError, ValueError):
+    """The unit of a column is not known, or contradicted by names, rows or values."""
+
+    usual_code = RecordingCode.UNIT
 
 
 class MappingError(RecordingError, ValueError):

@@ -7,6 +7,7 @@ from types import MappingProxyType
 import numpy as np
 
 from foundation.arrays import Array
+from needleforce.recordings.channel_units import ChannelUnit
 from needleforce.recordings.errors import ColumnError, LogError
 from needleforce.recordings.table import read_only
 
@@ -25,12 +26,15 @@ class Log:
         channels: By name, shape (n,) or (n, joints).
         warnings: What is wrong with the recording, one sentence each.
         start_ns: The instant of t_s = 0, see `Table`.
+        units: In which unit of the file each channel was read, and whence that is
+            known.
     """
 
     t_s: Array
     channels: Mapping[str, Array]
     warnings: tuple[str, ...] = ()
     start_ns: int = 0
+    units: tuple[ChannelUnit, ...] = ()
 
     def __post_init__(self) -> None:
         """Copy, freeze and check the data.

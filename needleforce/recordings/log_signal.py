@@ -6,21 +6,27 @@ from math import prod
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import channel_columns
-from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import (
-    NamedValues,
-    find_columns,
-    parse_column_name,
+from needleforce.recordings.channel_units import (
+    ChannelUnit,
+    ColumnUnit,
+    UnitOrigin,
+    advice_places,
+    describe_columns,
+    units_of_columns,
 )
+from needleforce.recordings.channels import Channel
+from needleforce.recordings.column_names import NamedValues, find_columns
 from needleforce.recordings.errors import (
     ColumnError,
     FaultCounts,
     LogError,
     MappingError,
     RecordingCode,
+    UnitError,
 )
 from needleforce.recordings.mapping import LEFT_OUT, ColumnSpec
 from needleforce.recordings.table import Table
@@ -30,30 +36,36 @@ class PlausibleSize(NamedTuple):
     """The largest value of a channel that is plausible for a robot or a needle.
 
     Attributes:
-        name: Of the channel, for the message.
         limit: In SI units.
         unit: In which a file is likely to be whose values are larger.
+        reason: Why larger values are not plausible.
     """
 
-    name: str
     limit: float
     unit: str
+    reason: str
 
 
 _PLAUSIBLE_SIZES = {
-    # The median step: ten samples a second are not a force log.
-    "t_s": PlausibleSize("time", 0.1, "ms"),
-    # Two turns of a joint.
-    "q_rad": PlausibleSize("q", 4.0 * np.pi, "deg"),
-    # No arm that leads a needle has such a torque.
-    "tau_Nm": PlausibleSize("tau", 2000.0, "mNm"),
-    # A needle of a metre.
-    "depth_m": PlausibleSize("depth", 1.0, "mm"),
-    "speed_m_s": PlausibleSize("speed", 1.0, "mm/s"),
-    # Such a force buckles any needle.
-    "force_N": PlausibleSize("force", 200.0, "mN"),
+    "t_s": PlausibleSize(0.5, "ms", "a force log has more than two rows a second"),
+    "q_rad": PlausibleSize(4.0 * np.pi, "deg", "no joint turns more than two turns"),
+    "dq_rad_s": PlausibleSize(30.0, "deg/s", "no arm that leads a needle is as fast"),
+    "tau_Nm": PlausibleSize(2000.0, "mNm", "no arm that leads a needle is as strong"),
+    "tau_ext_Nm": PlausibleSize(
+        2000.0, "mNm", "no arm that leads a needle is as strong"
+    ),
+    "depth_m": PlausibleSize(1.0, "mm", "no needle is longer than a metre"),
+    "speed_m_s": PlausibleSize(1.0, "mm/s", "no needle is led as fast"),
+    "force_N": PlausibleSize(200.0, "mN", "such a force buckles any needle"),
 }
-_ANY_SIZE = PlausibleSize("", np.inf, "")
+_ANY_SIZE = PlausibleSize(np.inf, "", "")
+
+MAX_LARGE_FRACTION = 0.05
+"""If more of the rows are larger than is plausible, an assumed unit is contradicted;
+fewer may be spikes."""
+
+MIN_PLAUSIBLE_FORCE_N = 0.05
+"""A needle that meets tissue feels more [N]; a file in kN holds such numbers."""
 
 MIN_STEP_NS = 1e5
 """A median step of so many units is one in nanoseconds, in logs up to 10 kHz."""
@@ -73,9 +85,12 @@ class Signal:
     Attributes:
         channel: The channel.
         columns: Names of its columns.
+        units: Of the columns, and whence they are known.
         factors: To SI, one for each value of a row.
-        is_sure: Whether the unit is stated, or was doubted before.
+        scale: Factor or factors of the mapping, which these contain.
         row_count: Rows watched so far.
+        finite_count: Rows with finite values among them.
+        large_count: Rows among these with a value larger than is plausible.
         size: The largest magnitude in SI units, of time the median step.
         any_finite: Whether there was a finite value so far.
         faults: Rows that are not finite.
@@ -83,12 +98,24 @@ class Signal:
 
     channel: Channel
     columns: tuple[str, ...]
+    units: tuple[ColumnUnit, ...]
     factors: Array
-    is_sure: bool
+    scale: float | tuple[float, ...] = 1.0
     row_count: int = 0
+    finite_count: int = 0
+    large_count: int = 0
     size: float = 0.0
     any_finite: bool = False
     faults: FaultCounts = field(default_factory=FaultCounts)
+
+    @property
+    def channel_unit(self) -> ChannelUnit:
+        """The unit in which the channel is read, for a summary."""
+        return ChannelUnit(self.channel.name, self.columns, self.units, self.scale)
+
+    def _has_origin(self, *origins: UnitOrigin) -> bool:
+        """Return whether the unit of a column is known from one of these."""
+        return any(unit.origin in origins for unit in self.units)
 
     def read(self, table: Table) -> Array:
         """Return the values of a table in SI units, shape (n,) or (n, joints)."""
@@ -113,17 +140,29 @@ class Signal:
             )
 
         self.any_finite = self.any_finite or bool(is_finite.any())
-        if not self.is_sure:
-            self._update_size(values[is_finite])
+        if self._has_origin(UnitOrigin.ASSUMED, UnitOrigin.FORMAT):
+            self._update_size(values, is_finite)
 
         self.row_count += len(values)
 
-    def _update_size(self, values: Array) -> None:
-        """Update the size by further finite values."""
-        if self.channel.key != "t_s":
-            self.size = max(self.size, float(np.max(np.abs(values), initial=0.0)))
-        elif not self.row_count and values.size > 1:
-            self.size = float(np.median(np.abs(np.diff(values))))
+    def _update_size(self, values: Array, is_finite: NDArray[np.bool_]) -> None:
+        """Update the size by further values, and count the rows that are too large."""
+        if self.channel.key == "t_s":
+            stamps_s = values[is_finite]
+            if not self.row_count and stamps_s.size > 1:
+                self.size = float(np.median(np.abs(np.diff(stamps_s))))
+                self.finite_count = 1
+                self.large_count = int(self.size > _PLAUSIBLE_SIZES["t_s"].limit)
+
+            return
+
+        limit = _PLAUSIBLE_SIZES.get(self.channel.key, _ANY_SIZE).limit
+        sizes = np.where(is_finite, np.abs(values), 0.0).reshape(len(values), -1)
+        largest = sizes.max(axis=1, initial=0.0)
+        self.size = max(self.size, float(largest.max(initial=0.0)))
+        has_value = is_finite.reshape(sizes.shape).any(axis=1)
+        self.finite_count += int(np.count_nonzero(has_value))
+        self.large_count += int(np.count_nonzero(largest > limit))
 
     def report_not_finite(self) -> tuple[str, ...]:
         """Report rows that are not finite.
@@ -138,22 +177,52 @@ class Signal:
 
         return self.faults.lines()
 
+    def require_plausible(self) -> None:
+        """Check that the values can be in the unit that was assumed.
+
+        Raises:
+            UnitError: More than `MAX_LARGE_FRACTION` of the rows are too large for it.
+        """
+        is_large = self.large_count > MAX_LARGE_FRACTION * self.finite_count
+        if is_large and self._has_origin(UnitOrigin.ASSUMED):
+            raise UnitError(
+                f"{self._describe_size()}. The file states no unit",
+                RecordingCode.UNIT,
+                **advice_places(self.channel, self.columns, self._likely_unit()),
+            )
+
     def report_implausible(self) -> tuple[str, ...]:
-        """Report, once, values of an assumed unit that can hardly be in SI units."""
-        name, limit, unit = _PLAUSIBLE_SIZES.get(self.channel.key, _ANY_SIZE)
-        if self.is_sure or self.size <= limit:
+        """Report values too large for the unit that were not refused.
+
+        They are few enough to be spikes, or the format of the file defines the unit.
+        """
+        is_small = 0.0 < self.size < MIN_PLAUSIBLE_FORCE_N
+        if is_small and self.channel.key == "force_N":
+            return (
+                f"force: {describe_columns(self.columns)}, taken as in N, nowhere "
+                f"exceeds {self.size:.4g} N; the file states no unit, and may be in kN",
+            )
+        if not self.large_count:
             return ()
 
-        self.is_sure = True
-        quantity = "it"
-        if self.channel.key == "t_s":
-            quantity = "its median step"
-            unit = _unit_of_step(self.size, unit)
+        return (f"{self._describe_size()}; rows beyond it: {self.large_count}",)
 
+    def _describe_size(self) -> str:
+        """Return what is odd about the size of the values, in words."""
+        limit, _, reason = _PLAUSIBLE_SIZES[self.channel.key]
+        unit = self.channel.si_unit
+        names = describe_columns(self.columns)
+        is_time = self.channel.key == "t_s"
+        quantity = "the median step of" if is_time else "the size of"
         return (
-            f"{name}: {quantity} reaches {self.size:.4g} in SI; if the file is in "
-            f"{unit}, say unit = {unit!r}, or --{name} COLUMN:{unit}",
+            f"{self.channel.name}: {quantity} {names}, taken as in {unit}, is "
+            f"{self.size:.4g} {unit}, expected at most {limit:.3g} ({reason})"
         )
+
+    def _likely_unit(self) -> str:
+        """Return the unit in which the file is likely to be."""
+        unit = _PLAUSIBLE_SIZES[self.channel.key].unit
+        return _unit_of_step(self.size, unit) if self.channel.key == "t_s" else unit
 
 
 class VelocityWatch:
@@ -205,7 +274,7 @@ def find_signal(
 ) -> Signal | None:
     """Find a channel in a table.
 
-    The unit is the specification's, else that in each column's name, else SI.
+    Its unit is that of `units_of_columns`.
 
     Args:
         table: With rows or without.
@@ -219,6 +288,7 @@ def find_signal(
         ColumnError: The columns are not there, ambiguous, or too many.
         LogError: They differ in length.
         MappingError: There are more or fewer scale factors than columns.
+        UnitError: See `units_of_columns`.
     """
     columns = channel_columns(table, channel, spec)
     if not columns:
@@ -235,14 +305,10 @@ def find_signal(
         )
 
     names = tuple(column.name for column in columns)
-    units: list[str | None] = []
-    for name in names:
-        unit = spec.unit or parse_column_name(name, channel.units).unit
-        units.append("s" if name in table.seconds else unit)
-
-    si_factors = np.array([channel.units[unit or channel.si_unit] for unit in units])
+    units = units_of_columns(table, channel, names, spec)
+    si_factors = np.array([channel.units[column.unit] for column in units])
     factors = np.repeat(si_factors, widths) * scales
-    return Signal(channel, names, factors, all(units))
+    return Signal(channel, names, units, factors, spec.scale)
 
 
 def _widths(channel: Channel, columns: list[NamedValues]) -> list[int]:

@@ -1,5 +1,6 @@
 """From tables to a log: channels in SI units, whole or row by row as they come."""
 
+import shlex
 from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import chain
@@ -8,7 +9,9 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.channel_units import ChannelUnit, advice_places
 from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.column_names import columns_in_other_units
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
@@ -16,6 +19,8 @@ from needleforce.recordings.errors import (
     LogError,
     MappingError,
     RecordingCode,
+    RecordingError,
+    UnitError,
     require_size,
 )
 from needleforce.recordings.log import Log
@@ -73,6 +78,7 @@ class LogStream:
     Attributes:
         start_ns: The instant of t_s = 0, see `Table`; known after the first chunk.
         tool_mass: What the recording says hangs on the flange, likewise.
+        units: In which unit each channel is read; known after the first chunk.
     """
 
     def __init__(
@@ -100,6 +106,7 @@ class LogStream:
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
         self.tool_mass: ToolMass | None = None
+        self.units: tuple[ChannelUnit, ...] = ()
 
     @property
     def bad_stamp_count(self) -> int:
@@ -125,6 +132,7 @@ class LogStream:
         if self._request.mapping.rate_hz is None:
             self._signals = {"t_s": self._find_time(head), **self._signals}
 
+        self.units = tuple(signal.channel_unit for signal in self._signals.values())
         for table in chain([head], self._tables):
             self._report(table.warnings)
             if len(table) or table is head:
@@ -159,16 +167,17 @@ class LogStream:
             channels=channels,
             warnings=self.take_warnings(),
             start_ns=self.start_ns,
+            units=self.units,
         )
 
     def _report(self, warnings: Iterable[str]) -> None:
         """Add warnings that were not reported before."""
         self._warnings |= dict.fromkeys(warnings)
 
-    def _report_implausible(self) -> None:
-        """Add warnings of signals that can hardly be in SI units."""
+    def _require_plausible(self) -> None:
+        """Raise `UnitError` if a channel can hardly be in the unit that was assumed."""
         for signal in self._signals.values():
-            self._report(signal.report_implausible())
+            signal.require_plausible()
 
     def _report_end(self) -> None:
         """Report what only the whole log shows."""
@@ -178,7 +187,10 @@ class LogStream:
                 f"of {self._row_count} rows none has a time stamp", RecordingCode.TIME
             )
 
-        self._report_implausible()
+        self._require_plausible()
+        for signal in self._signals.values():
+            self._report(signal.report_implausible())
+
         self._report(self._row_clock.warnings())
         self._report(self._velocity_watch.warnings())
         for key, signal in self._signals.items():
@@ -189,6 +201,8 @@ class LogStream:
         """Find the column of time stamps; `ColumnError` if there is none."""
         spec = self._request.mapping.channels.get("time")
         time = find_signal(table, CHANNELS["time"], spec)
+        if time is None and not table.has_header:
+            raise _no_header([CHANNELS["time"]], table, self._request)
         if time is None:
             raise ColumnError(
                 "no time column found. "
@@ -227,7 +241,7 @@ class LogStream:
                 )
 
         if missing:
-            raise _not_found(missing, table)
+            raise _not_found(missing, table, self._request)
 
         if not self._signals:
             raise ColumnError(
@@ -278,6 +292,9 @@ class LogStream:
             )
             values = {key: array[has_stamp] for key, array in values.items()}
 
+        if not len(values["t_s"]):
+            return values
+
         is_first = not self._kept_count
         self._kept_count += len(values["t_s"])
         for key, signal in self._signals.items():
@@ -286,7 +303,7 @@ class LogStream:
 
         self._velocity_watch.update(values)
         if is_first:
-            self._report_implausible()
+            self._require_plausible()
 
         return values
 
@@ -366,9 +383,22 @@ def _require_all_joints(channel: Channel, head: Array) -> None:
         )
 
 
-def _not_found(missing: list[Channel], table: Table) -> ColumnError:
+def _not_found(
+    missing: list[Channel], table: Table, request: ChannelRequest
+) -> RecordingError:
     """Return the error for required channels that no column of a table is."""
     channel, *others = missing
+    for name, unit in columns_in_other_units(table, channel).items():
+        return UnitError(
+            f"{channel.name}: column {name!r} is in {unit!r}, which is no known unit "
+            f"of {channel.name}; expected one of {', '.join(channel.units)}",
+            RecordingCode.UNIT,
+            **advice_places(channel, [name], f"{channel.si_unit}:FACTOR"),
+        )
+
+    if not table.has_header:
+        return _no_header(missing, table, request)
+
     also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
     return ColumnError(
         f"no column found for {channel.name} ({channel.meaning}); usual names are "
@@ -376,4 +406,32 @@ def _not_found(missing: list[Channel], table: Table) -> ColumnError:
         f"Columns are: {table.describe()}{table.left_out()}",
         RecordingCode.COLUMN,
         **channel.places,
+    )
+
+
+def _no_header(
+    missing: list[Channel], table: Table, request: ChannelRequest
+) -> ColumnError:
+    """Return the error for required channels of a file whose columns have no names."""
+    time = CHANNELS["time"]
+    named = [time, *(channel for channel in missing if channel is not time)]
+    joint_count = max(len(request.mapping.joints or request.joints), 1)
+    options: list[str] = []
+    first = 1
+    for channel in named:
+        last = first + (joint_count if channel.per_joint else 1) - 1
+        columns = f"column_{first}"
+        if last > first:
+            columns = f"column_{{{first}..{last}}}"
+
+        value = shlex.quote(f"{columns}:{channel.usual_unit}")
+        options.append(f"{channel.places['option']} {value}")
+        first = last + 1
+
+    return ColumnError(
+        f"no column is known to be {', '.join(each.name for each in missing)}: the "
+        f"file has no header. Columns are: {table.describe()}",
+        RecordingCode.HEADERLESS,
+        options=" ".join(options),
+        **missing[0].places,
     )

@@ -11,7 +11,7 @@ from typing import Any
 
 import msgspec
 
-from needleforce.recordings.channels import CHANNELS, Channel, find_unit
+from needleforce.recordings.channels import CHANNELS, Channel
 from needleforce.recordings.errors import (
     FileAccessError,
     FormatError,
@@ -19,6 +19,7 @@ from needleforce.recordings.errors import (
     file_errors,
     readable_path,
 )
+from needleforce.recordings.units import find_unit
 
 MAX_SORT_WITHIN_S = 3600.0
 """In a wider window too many rows would have to be held to be sorted."""

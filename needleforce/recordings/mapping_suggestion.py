@@ -9,9 +9,9 @@ from needleforce.recordings.bags.messages import is_bag
 from needleforce.recordings.bags.tables import learn_topics
 from needleforce.recordings.bags.topics import Bag
 from needleforce.recordings.channel_request import ChannelRequest, channel_columns
+from needleforce.recordings.channel_units import units_of_columns
 from needleforce.recordings.channels import CHANNELS, Channel
-from needleforce.recordings.column_names import parse_column_name
-from needleforce.recordings.errors import ColumnError, readable_path
+from needleforce.recordings.errors import ColumnError, UnitError, readable_path
 from needleforce.recordings.follow import STANDARD_STREAM, FollowOptions
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
 from needleforce.recordings.open_recording import stream_tables
@@ -195,20 +195,26 @@ def _channel_lines(
     return [
         f"[{channel.name}]  # {channel.meaning}",
         f"columns = {json.dumps(names[0] if len(names) == 1 else names)}",
-        _unit_line(channel, spec, names),
+        _unit_line(table, channel, spec, names),
         f"scale = {json.dumps(spec.scale if spec else 1.0)}  # -1.0 turns the sign"
         f"{joint_note}",
     ]
 
 
-def _unit_line(channel: Channel, spec: ColumnSpec | None, names: list[str]) -> str:
+def _unit_line(
+    table: Table, channel: Channel, spec: ColumnSpec | None, names: Sequence[str]
+) -> str:
     """Return the line of TOML that says the unit of a channel's columns."""
-    stated = spec.unit if spec else None
-    units = {stated or parse_column_name(name, channel.units).unit for name in names}
+    try:
+        columns = units_of_columns(table, channel, names, spec)
+    except UnitError as error:
+        return comment_line(str(error))
+
+    units = {column.unit for column in columns}
     if len(units) > 1:
         return "# No unit for all: they are those of the names."
 
     (unit,) = units
-    known_units = f"of {', '.join(channel.units)}"
-    note = known_units if unit else f"assumed; {known_units}"
-    return f"unit = {json.dumps(unit or channel.si_unit)}  # {note}"
+    sources = dict.fromkeys(column.source for column in columns)
+    note = f"{', '.join(sources)}; of {', '.join(channel.units)}"
+    return f"unit = {json.dumps(unit)}  # {note}"

@@ -11,6 +11,7 @@ from needleforce.recordings.bags.messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bags.tables import bag_tables
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.columnar import read_npz, read_parquet
+from needleforce.recordings.conversions import conversion_of
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
     MAX_BYTES,
@@ -203,6 +204,14 @@ def _binary_tables(
     elif name.endswith(".parquet"):
         yield read_parquet(path, max_bytes)
     else:
+        conversion = conversion_of(path.name)
+        if conversion:
+            raise FileAccessError(
+                f"{path} is not read as it is",
+                RecordingCode.CONVERT,
+                command=conversion,
+            )
+
         raise FileAccessError(
             f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}",
             RecordingCode.SUFFIX,

@@ -39,6 +39,18 @@ class ToolMass(NamedTuple):
     source: str
 
 
+class StatedUnit(NamedTuple):
+    """What a file says of the unit of a column, apart from the column's name.
+
+    Attributes:
+        text: As it is written, without brackets.
+        line_number: Where it stands in the file, from 1.
+    """
+
+    text: str
+    line_number: int
+
+
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Table:
     """Named columns as read from a file, in the file's own units.
@@ -57,6 +69,9 @@ class Table:
             the name says.
         known: Columns that are channels by the type of their messages, by channel.
         tool_mass: What the recording says hangs on the flange; None if it does not.
+        units: By name of a column: what a row of units says of it.
+        has_header: Whether the columns have names in the file; without, they are called
+            `column_1`, `column_2`, ...
     """
 
     columns: TableColumns
@@ -66,6 +81,8 @@ class Table:
     seconds: frozenset[str] = frozenset()
     known: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     tool_mass: ToolMass | None = None
+    units: Mapping[str, StatedUnit] = field(default_factory=dict)
+    has_header: bool = True
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns.
@@ -102,8 +119,9 @@ class Table:
         return ", ".join(names[:limit]) + more
 
     def left_out(self, limit: int = MAX_LISTED_NOTES) -> str:
-        """Return in brackets which columns the reader left out, and why."""
-        notes = [note for note in self.warnings if note.endswith("was left out")]
+        """Return in brackets which columns were left out or renamed, and why."""
+        odd = ("was left out", "twice", "_X ")
+        notes = [note for note in self.warnings if any(word in note for word in odd)]
         more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
         return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
 

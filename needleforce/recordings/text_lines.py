@@ -2,6 +2,7 @@
 
 import codecs
 import io
+import re
 import zlib
 from collections.abc import Iterable, Iterator
 
@@ -16,9 +17,32 @@ _GZIP_MAGIC = b"\x1f\x8b"
 _GZIP_WINDOW = 31
 """For zlib: the largest window, with the head and the checksum of gzip."""
 
+MAX_NUL_BYTES = 1 << 24
+"""After so many in a row nothing more is expected of a file."""
+
+SNIFFED_BYTES = 1024
+"""The first bytes of a text, which show its encoding."""
+
+MIN_NUL_FRACTION = 0.7
+"""Of every second byte of UTF-16 without a mark, at least so many are NUL: those of
+letters, digits and separators."""
+
 _CUT_SHORT = "the compressed file is cut short"
 _DAMAGED = "the compressed file is damaged"
 _NUL_BYTES = "the file goes on with NUL bytes, as power loss may leave them"
+
+_UTF_8 = "utf-8-sig"
+_UTF_16_LITTLE = "utf-16-le"
+_UTF_16_BIG = "utf-16-be"
+_SHIFT_JIS = "cp932"
+_SHIFT_JIS_WORDS = tuple(
+    word.encode(_SHIFT_JIS)
+    for word in ("時間", "試験力", "荷重", "変位", "ストローク", "名前")
+)
+"""Words in the exports of Japanese machines; as other text they make no sense."""
+
+_NUL = "\0"
+_NUL_RUN = re.compile("\0+")
 
 _WINDOWS_CHARACTERS = {
     0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)
@@ -29,8 +53,10 @@ _WINDOWS_CHARACTERS = {
 class TextLines:
     """Iterates over the whole lines of a text, in lists of those that came together.
 
-    Text compressed with gzip is unpacked, whatever its suffix, line ends may be of any
-    kind, and what is not UTF-8 is read as Windows text.
+    Text compressed with gzip is unpacked, whatever its suffix, and line ends may be of
+    any kind. UTF-16 is known by its mark or by its NUL bytes; what else is not UTF-8 is
+    read as Windows text. NUL bytes in a row, as a power loss may leave them, become one
+    such character, so that they cost the line in which they stand.
 
     Attributes:
         tail: What stands behind the last line end, once all is read.
@@ -40,31 +66,37 @@ class TextLines:
 
     def __init__(self, blocks: Iterable[bytes]) -> None:
         self._blocks = blocks
-        decoder = codecs.getincrementaldecoder("utf-8-sig")("surrogateescape")
-        self._decoder = io.IncrementalNewlineDecoder(decoder, translate=True)
         self._line_count = 0
         self._fault = ""
         self._is_blank = True
+        self._is_nul = False
         self.tail = ""
         self.size = 0
         self.warnings: list[str] = []
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the lines, without their ends; `FormatError` if there is no text."""
-        for block in self._plain_blocks():
+        head, blocks = head_of(self._plain_blocks(), SNIFFED_BYTES)
+        encoding = _encoding(head)
+        errors = "surrogateescape" if encoding == _UTF_8 else "replace"
+        decoder = io.IncrementalNewlineDecoder(
+            codecs.getincrementaldecoder(encoding)(errors), translate=True
+        )
+        nul_bytes = 0
+        for block in blocks:
             self.size += len(block)
-            text, nul, _ = block.partition(b"\x00")
-            yield from self._split(self._decoder.decode(text))
-            if nul:
-                self._fault = _NUL_BYTES
+            yield from self._split(decoder.decode(block))
+            nul_bytes = 0 if block.strip(b"\0") else nul_bytes + len(block)
+            if nul_bytes > MAX_NUL_BYTES:
                 break
 
-        yield from self._split(self._decoder.decode(b"", final=True))
-        is_nul = self._fault == _NUL_BYTES
+        yield from self._split(decoder.decode(b"", final=True))
+        if _NUL in self.tail:
+            self._fault = self._fault or _NUL_BYTES
         if self._fault:
             self._report_loss()
         if self._is_blank:
-            state = "is not text" if is_nul else "is empty"
+            state = "is not text" if self._is_nul else "is empty"
             raise FormatError(f"it {state}; expected a header row and rows of numbers")
 
     def _report_loss(self) -> None:
@@ -93,9 +125,6 @@ class TextLines:
         if head in BINARY:
             kind = BINARY[head][1:]
             raise FormatError(f"it is {kind}, not text", RecordingCode.SUFFIX)
-
-        if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
-            raise FormatError("it is UTF-16 text, expected UTF-8 (in Excel: CSV UTF-8)")
 
         yield from self._gunzip(blocks) if head.startswith(_GZIP_MAGIC) else blocks
 
@@ -131,8 +160,11 @@ class TextLines:
         if text != escaped and note not in self.warnings:
             self.warnings.append(note)
 
-        self._is_blank = self._is_blank and not text.strip()
+        if _NUL in text:
+            self._is_nul = True
+            text = _NUL_RUN.sub(_NUL, text)
 
+        self._is_blank = self._is_blank and not text.replace(_NUL, "").strip()
         *lines, self.tail = (self.tail + text).split("\n")
         if len(self.tail) > MAX_LINE_CHARACTERS:
             raise FormatError(
@@ -142,3 +174,25 @@ class TextLines:
         if lines:
             self._line_count += len(lines)
             yield lines
+
+
+def _encoding(head: bytes) -> str:
+    """Return the encoding of a text from its first bytes."""
+    if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
+        return "utf-16"
+
+    if any(word in head for word in _SHIFT_JIS_WORDS):
+        return _SHIFT_JIS
+
+    first = head[0 : len(head) // 2 * 2 : 2]
+    second = head[1 : len(head) // 2 * 2 : 2]
+    if not first:
+        return _UTF_8
+
+    limit = MIN_NUL_FRACTION * len(first)
+    if second.count(0) >= limit and not first.count(0):
+        return _UTF_16_LITTLE
+    if first.count(0) >= limit and not second.count(0):
+        return _UTF_16_BIG
+
+    return _UTF_8

@@ -49,6 +49,7 @@ CAUGHT = {
     "needleforce/cli/toml_tables.py",
     "needleforce/devices/haply.py",
     "needleforce/recordings/bags/message_types.py",
+    "needleforce/recordings/bags/ros1_file.py",
     "needleforce/shadowed.py",
     "needleforce/recordings/bags/sqlite_file.py",
     "needleforce/recordings/columnar.py",

@@ -16,6 +16,7 @@ from needleforce.recordings import (
     RecordingError,
 )
 from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.channel_units import ChannelUnit
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log_stream import LogChunk
@@ -97,6 +98,7 @@ class LogSession:
         start_ns: Start of the log's clock, see `Table`; known with the first rows.
         tool_mass: What the log says hangs on the flange; likewise.
         bad_stamp_count: Rows that were left out so far for a bad time stamp.
+        units: In which unit each channel is read; known with the first rows.
 
     Raises:
         CommandError: The time of ``--idle`` is not positive.
@@ -121,6 +123,7 @@ class LogSession:
         self.start_ns = 0
         self.tool_mass: ToolMass | None = None
         self.bad_stamp_count = 0
+        self.units: tuple[ChannelUnit, ...] = ()
         self._source = source
         self._output = output
         self._request = request
@@ -157,6 +160,7 @@ class LogSession:
             for chunk in stream:
                 self.start_ns = stream.start_ns
                 self.tool_mass = stream.tool_mass
+                self.units = stream.units
                 self.warn(*stream.take_warnings())
                 yield chunk
         except RecordingError:

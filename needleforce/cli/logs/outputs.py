@@ -10,7 +10,13 @@ from typing import Any, NamedTuple, Protocol
 from needleforce import plots, recordings
 from needleforce.cli.logs.log_session import LogSession
 from needleforce.cli.shared_options import Output, Over
-from needleforce.cli.terminal import CommandError, say, stop_request, write_out
+from needleforce.cli.terminal import (
+    CommandError,
+    aligned,
+    say,
+    stop_request,
+    write_out,
+)
 from needleforce.recordings import output as output_files
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import readable_path
@@ -90,7 +96,7 @@ def run_log(
             chart = _cut_to_window(page.chart(output.over), output)
             plots.save_figure(chart, output.figure)
     finally:  # a figure that cannot be drawn costs no result
-        text = page.text()
+        text = page.text() + _channel_lines(log)
         if output.report is not None:
             text += f"\npage: {output.report / plots.PAGE}\n"
         write_out(text, to_stderr=output.output == STANDARD_STREAM)
@@ -107,9 +113,30 @@ def _write_report(page: LogPage, log: LogSession, folder: Path) -> None:
     document = plots.Page(
         title=f"{page.title} from {log.name}",
         lead=page.answer(),
-        sections=(replace(first, notices=notices), *others, *page.settings()),
+        sections=(
+            replace(first, notices=notices),
+            *others,
+            _channel_section(log),
+            *page.settings(),
+        ),
     )
     plots.write_page(folder / plots.PAGE, document)
+
+
+def _channel_lines(log: LogSession) -> str:
+    """Return the unit in which each channel was read as lines below a result."""
+    lines = [(unit.channel, str(unit)) for unit in log.units]
+    return f"\n{aligned([('channel', 'read as'), *lines])}" if lines else ""
+
+
+def _channel_section(log: LogSession) -> plots.Section:
+    """Return the unit in which each channel was read as a section of a page."""
+    table = plots.PageTable(
+        caption="In which unit each channel was read, and whence that is known",
+        head=("channel", "columns"),
+        rows=tuple((unit.channel, str(unit)) for unit in log.units),
+    )
+    return plots.Section(heading="Channels", anchor="channels", tables=(table,))
 
 
 class _Window(NamedTuple):

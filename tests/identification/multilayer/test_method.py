@@ -386,3 +386,17 @@ def test_noise_of_the_force_is_known_at_any_rate(rate_hz):
 def test_a_probability_of_an_alarm_must_be_one(probability):
     with pytest.raises(InvalidConfigError, match="alarm_probability"):
         MultilayerConfig(alarm_probability=probability)
+
+
+@pytest.mark.parametrize("stiffness_N_per_m", [150.0, 250.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_stiffness_of_a_membrane_met_in_air_is_reported(stiffness_N_per_m, seed):
+    depth_m = np.arange(0.0, 20e-3, 5e-5)
+    pushed_m = np.where(depth_m < 12e-3, np.maximum(depth_m - 5e-3, 0.0), 0.0)
+    noise_N = 0.01 * np.random.default_rng(seed).standard_normal(len(depth_m))
+    force_N = stiffness_N_per_m * pushed_m + noise_N
+    (layer,) = replay(0.01 * np.arange(len(depth_m)), depth_m, force_N).layers
+
+    error = layer.stiffness_N_per_m - stiffness_N_per_m
+    assert 0.0 < layer.stiffness_std_N_per_m < 0.1 * stiffness_N_per_m
+    assert abs(error) < 3.0 * layer.stiffness_std_N_per_m

@@ -44,9 +44,9 @@ def identify(needle, tmp_path, capsys):
         write_table(log, columns)
         assert main(["identify", str(log), "-o", str(out), *options]) == 0
         printed = capsys.readouterr()
-        names, *rows = (
-            re.split(r"  +", line.strip()) for line in printed.out.splitlines()
-        )
+        lines, _, channels = printed.out.partition("\n\n")
+        names, *rows = (re.split(r"  +", line.strip()) for line in lines.splitlines())
+        assert channels.startswith("channel")
         layers = [dict(zip(names, row, strict=True)) for row in rows]
         return np.genfromtxt(out, delimiter=",", names=True), layers, printed.err
 
@@ -98,12 +98,48 @@ def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
         assert f"Negate it, as in --{option}:-1" in said
         assert "fz" not in said
     in_mN = {"speed_m_s": (), "force_N": (), "force": 1e3 * force_N}
-    *_, said = identify(**in_mN)
-    rejected = int((np.abs(in_mN["force"]) > 200.0).sum())
-
-    assert f"rows that were rejected: {rejected} (force beyond any needle's" in said
-    assert "in SI; if the file is in mN, say unit = 'mN'" in said
     assert "rejected" not in identify("--force", "force:mN", **in_mN)[2]
+
+
+def test_forces_beyond_the_assumed_unit_are_refused(needle, tmp_path, capsys):
+    log = tmp_path / "log.csv"
+    columns = {name: needle[name] for name in ("t_s", "depth_m")}
+    write_table(log, {**columns, "force": 1e3 * needle["force_N"]})
+
+    assert main(["identify", str(log)]) == 2
+    assert "as in --force force:mN" in capsys.readouterr().err
+    assert main(["identify", str(log), "--force", "force:mN"]) == 0
+    assert "force    force in mN (mapping)" in capsys.readouterr().out
+
+
+def test_a_testing_machines_export_gives_its_units(needle, tmp_path, capsys):
+    log = tmp_path / "Specimen_RawData_1.csv"
+    rows = zip(
+        needle["t_s"], 1e3 * needle["depth_m"], 1e-3 * needle["force_N"], strict=True
+    )
+    text = "".join(f'"{t:.4f}","{z:.4f}","{f:.7f}"\n' for t, z, f in rows)
+    log.write_text(f"Results Table 1\n\nTime,Extension,Load\n(s),(mm),(kN)\n{text}")
+
+    assert main(["identify", str(log), "--report", str(tmp_path / "page")]) == 0
+
+    out = capsys.readouterr().out
+
+    assert out.splitlines()[-5:-2] == [
+        "time     Time in s (row of units, line 4)",
+        "depth    Extension in mm (row of units, line 4)",
+        "force    Load in kN (row of units, line 4)",
+    ]
+    assert out.splitlines()[1].split()[0] == "1"
+
+    page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
+
+    assert "Load in kN (row of units, line 4)" in page
+    assert main(["identify", str(log), "--depth", "Extension:m"]) == 2
+
+    error = capsys.readouterr().err
+
+    assert "the mapping says m for column 'Extension', and the row of units" in error
+    assert "as in --depth Extension:mm:1000" in error
 
 
 def test_clock_set_back_hides_no_layer(needle, identify):
@@ -216,10 +252,15 @@ def test_report_shows_forces_and_their_layers(insertion):
         "forces",
         "layers",
         "summary",
+        "channels",
         "sensor",
         "identification",
     ]
-    assert re.findall('<section id="([^"]+)"', alone) == ["layers", "identification"]
+    assert re.findall('<section id="([^"]+)"', alone) == [
+        "layers",
+        "channels",
+        "identification",
+    ]
 
     for label in ("robot", "samples", "rejected", "gaps", "tare", "lag"):
         assert f"<td>{label}</td>" in page

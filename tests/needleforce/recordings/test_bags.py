@@ -152,11 +152,11 @@ def test_gripper_messages_on_the_same_topic_are_ignored(tmp_path):
 
 
 def test_slower_topics_are_interpolated_to_the_fastest(tmp_path):
-    rows = [("/force", k, number(k)) for k in range(0, 1000, 10)]
-    rows += [("/depth", k, number(2.0 * k)) for k in range(0, 1000, 100)]
+    rows = [("/force_mN", k, number(k)) for k in range(0, 1000, 10)]
+    rows += [("/depth_mm", k, number(2.0 * k)) for k in range(0, 1000, 100)]
     log = read_log(write_bag(tmp_path / "bag", sorted(rows, key=lambda row: row[1])))
 
-    np.testing.assert_allclose(log["depth_m"][:91], 20.0 * np.arange(91))
+    np.testing.assert_allclose(log["depth_m"][:91], 0.02 * np.arange(91))
     assert np.isnan(log["depth_m"][91:]).all()
     assert "rows are the messages of /force" in log.warnings[0]
     assert "/depth" in log.warnings[0]

@@ -15,6 +15,7 @@ from needleforce.recordings import (
     LogError,
     MappingError,
     Table,
+    UnitError,
     read_log,
     read_table,
     write_log,
@@ -235,14 +236,7 @@ WRENCH = np.arange(18.0).reshape(3, 6)
     ("spec", "columns", "key", "expected"),
     [
         (None, {"depth_m": 5.0 * ONES}, "depth_m", 5.0 * ONES),
-        # A stated unit wins over the one in the name; each column has its own, and its
-        # own scale.
-        (
-            ColumnSpec(columns="depth_m", unit="mm"),
-            {"depth_m": ONES},
-            "depth_m",
-            ONES / 1000,
-        ),
+        # Each column has its own unit, and its own scale.
         (
             ColumnSpec(columns=("a_deg", "b_rad"), scale=(1.0, -2.0)),
             {"a_deg": 180.0 * ONES, "b_rad": ONES},
@@ -393,21 +387,28 @@ def test_no_time_and_no_rate_is_refused():
         log_of(f=ONES)
 
 
-def test_implausible_si_values_of_assumed_units_are_reported():
-    names = {
-        "t": np.arange(3.0),
-        "q": 90.0 * ONES,
-        "depth": 85.0 * ONES,
-        "v": 3.0 * ONES,
-    }
-    hints = log_of(**names).warnings
+@pytest.mark.parametrize(
+    ("columns", "message"),
+    [
+        ({"t": np.arange(3.0), "f": ONES}, "time: the median step of t, taken as in s"),
+        ({"q": 90.0 * ONES}, "q: the size of q, taken as in rad, is 90 rad"),
+        ({"dq": 90.0 * ONES}, "dq: the size of dq, taken as in rad/s, is 90 rad/s"),
+        ({"tau": 9000.0 * ONES}, "tau: the size of tau, taken as in Nm, is 9000 Nm"),
+        (
+            {"depth": [0.0, 40.0, 85.0]},
+            "depth: the size of depth, taken as in m, is 85 m, expected at most 1 .no "
+            "needle",
+        ),
+        ({"v": 3.0 * ONES}, "speed: the size of v, taken as in m/s"),
+        ({"f": 900.0 * ONES}, "force: the size of f, taken as in N, is 900 N"),
+    ],
+)
+def test_an_assumed_unit_that_the_values_contradict_is_refused(columns, message):
+    with pytest.raises(UnitError, match=message):
+        log_of(**{"t": T, **columns})
 
-    assert {hint.split(":")[0] for hint in hints} == {"time", "q", "depth", "speed"}
-    assert (
-        "depth: it reaches 85 in SI; if the file is in mm, say unit = 'mm', "
-        "or --depth COLUMN:mm" in hints
-    )
 
+def test_a_stated_unit_is_not_doubted():
     stated = {
         "t_s": np.arange(3.0),
         "q_rad": 90.0 * ONES,
@@ -417,6 +418,17 @@ def test_implausible_si_values_of_assumed_units_are_reported():
 
     assert log_of(**stated).warnings == ()
     assert log_of(t=T, q=3.0 * ONES, depth=0.1 * ONES, v=0.1 * ONES).warnings == ()
+
+
+def test_a_spike_beyond_what_is_plausible_is_reported_not_refused():
+    force_N = np.ones(100)
+    force_N[50] = 5000.0
+    log = log_of(t=np.arange(100) / 100, f=force_N)
+
+    assert log.warnings == (
+        "force: the size of f, taken as in N, is 5000 N, expected at most 200 (such a "
+        "force buckles any needle); rows beyond it: 1",
+    )
 
 
 def test_the_real_liver_log_lacks_time(recordings_dir):
