@@ -29,8 +29,8 @@ def joints_to_keep(
 ) -> tuple[str, ...]:
     """Return the joints that ``--lock-others`` leaves.
 
-    They are those that the log names. Of a log that names none they are those on the
-    way to the tool, if it has so many.
+    They are those that the log names. Of a log that names none they are as many as it
+    has on the way to the tool, the nearest to the tool: a torso or a rail comes first.
 
     Args:
         options: Options of the command, with ``--urdf``.
@@ -61,14 +61,16 @@ def joints_to_keep(
         for name in joints_towards(path, options.tool_frame, options.without)
         if name not in locked
     )
-    if joints.number not in (None, len(route)):
+    if joints.number is None:
+        return route
+    if joints.number > len(route):
         raise CommandError(
             f"--lock-others: the log has {joints.number} columns per joint signal and "
             f"names no joints, on the way to the tool move {len(route)}: "
             f"{', '.join(route)}",
             CommandCode.ROBOT,
         )
-    return route
+    return route[len(route) - joints.number :]
 
 
 def _named_alike(joints: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:

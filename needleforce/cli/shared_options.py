@@ -150,7 +150,7 @@ class RobotOptions:
         lock: With --urdf: joints that are not in the log, held at a position in rad or
             m (default: 0).
         lock_others: With --urdf: lock every joint that the log does not have; where it
-            names no joints, every joint that is not on the way to the tool.
+            names none, all but as many as it has, on the way to the tool.
         accept_inertia: With --urdf: go on although moving links have no inertia, or one
             that no rigid body has, with a warning in every result.
         gravity: Gravity in the axes of the robot's base [m/s^2] (default: 0 0 -9.80665,

@@ -130,17 +130,28 @@ def test_a_mapping_names_the_joints_of_a_log_without_names(arm, tmp_path, capsys
     assert "the log has the joints j1, j2, the robot shoulder, elbow" in line
 
 
-def test_columns_that_fit_no_joints_are_refused_with_the_joints(arm, tmp_path, capsys):
+def test_more_columns_than_joints_are_refused_with_the_joints(arm, tmp_path, capsys):
     columns = insertion(robot_of(arm))
     for name in ("q_rad", "dq_rad_s", "tau_Nm", "tau_ext_Nm"):
-        columns[name] = columns[name][:, :1]
+        columns[name] = columns[name][:, [0, 0, 1]]
     log = tmp_path / "log.npz"
     write_table(log, columns)
     argv = ["force", str(log), "--urdf", str(arm), "--lock-others", *ON_TIP]
     line = refusal(argv, capsys)
 
-    assert "has 1 columns" in line
+    assert "has 3 columns" in line
     assert "move 2: shoulder, elbow" in line
+
+
+def test_fewer_columns_are_the_joints_nearest_to_the_tool(arm, tmp_path, capsys):
+    log = write_insertion(tmp_path / "log.npz", robot_of(arm, keep_joints=["elbow"]))
+    argv = ["force", log, "--urdf", arm, "--lock-others", "--no-tare", *ON_TIP[:-4]]
+
+    assert main([str(word) for word in argv]) == 0
+
+    printed = capsys.readouterr()
+    assert "arm, 1 joints" in printed.out
+    assert "are locked at 0: shoulder; --lock JOINT=POSITION" in printed.err
 
 
 def test_a_report_takes_the_options_and_shows_what_is_odd(arm, tmp_path, capsys):
