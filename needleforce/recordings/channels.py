@@ -174,6 +174,7 @@ _ALL_CHANNELS = (
         "crosshead crosshead_displacement crosshead_position crosshead_travel "
         "crosshead_extension extension compressive_extension tensile_extension "
         "primary_extension stroke distance penetration penetration_depth indentation "
+        "needle_displacement needle_depth tip_depth insertion_distance "
         "grip_separation standard_travel standardweg traverse traversenweg verfahrweg "
         "weg hub eindringtiefe einstichtiefe déplacement course allongement corsa "
         "spostamento desplazamiento carrera uzama ストローク 変位 位移",
@@ -195,9 +196,10 @@ _ALL_CHANNELS = (
         f"force f fz f_z force_z axial {UNSMOOTHED} axial_force insertion_force",
         "axial force, positive when tissue pushes back",
         machine_words="load axial_load compressive_load compression_load tensile_load "
-        "load_cell loadcell needle_force standard_force test_force compressive_force "
-        "standardkraft kraft axialkraft prüfkraft pruefkraft druckkraft zugkraft last "
-        "effort_axial charge forza carico fuerza carga kuvvet yük 試験力 荷重 载荷",
+        "load_cell loadcell needle_force normal_force measured_force standard_force "
+        "test_force compressive_force standardkraft kraft axialkraft prüfkraft "
+        "pruefkraft druckkraft zugkraft last charge forza carico fuerza carga kuvvet "
+        "yük 試験力 荷重 载荷",
         words_with_unit="reading",
     ),
     _single_channel(

@@ -1,5 +1,7 @@
 """Files that are not read, and the command that makes a file of them that is."""
 
+from pathlib import Path
+
 HDF5 = (
     "python -c \"import h5py, numpy; f = h5py.File('{name}'); "
     "numpy.savez('{stem}.npz', "
@@ -13,6 +15,12 @@ MATLAB = (
     "name[0] != '_'}})\""
 )
 """Variables of a MATLAB file, up to version 7, become columns."""
+
+MATLAB_HDF5 = HDF5.replace("f[name][()]", "f[name][()].T.squeeze()")
+"""A MATLAB file of version 7.3 is HDF5, with rows and columns exchanged."""
+
+MATLAB_HDF5_HEAD = b"MATLAB 7.3"
+"""How such a file begins."""
 
 SPREADSHEET = "save the sheet as CSV (in Excel: CSV UTF-8)"
 """What a user of a spreadsheet does."""
@@ -28,12 +36,16 @@ CONVERSIONS = {
 """What to do with a file, by its suffix."""
 
 
-def conversion_of(name: str) -> str:
-    """Return what makes a readable file of one by its name; empty if nothing is known.
+def conversion_of(path: Path) -> str:
+    """Return what makes a readable file of another; empty if nothing is known.
 
     Args:
-        name: Of the file, without its folder.
+        path: Of the file, which is opened only if its suffix is that of MATLAB.
     """
-    stem, dot, suffix = name.rpartition(".")
-    line = CONVERSIONS.get(f"{dot}{suffix}".lower(), "")
-    return line.format(name=name, stem=stem)
+    line = CONVERSIONS.get(path.suffix.lower(), "")
+    if line == MATLAB and path.is_file():
+        with path.open("rb") as file:
+            if file.read(len(MATLAB_HDF5_HEAD)) == MATLAB_HDF5_HEAD:
+                line = MATLAB_HDF5
+
+    return line.format(name=path.name, stem=path.stem)

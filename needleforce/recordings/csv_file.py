@@ -231,6 +231,11 @@ class _CsvRows:
     def _read_fast(self, rows: list[NumberedRow]) -> np.ndarray | None:
         """Return the numbers in rows, shape (n, k), if all cells hold numbers."""
         lines = [row.text for row in rows]
+        comma_count = 0
+        if self._delimiter != "," and self._commas is Commas.DECIMAL:
+            comma_count = sum(line.count(",") for line in lines)
+            lines = [line.replace(",", ".") for line in lines]
+
         delimiter = None if self._delimiter == WHITE_SPACE else self._delimiter
         quote = '"' if lines and '"' in lines[0] else None
         try:
@@ -240,7 +245,14 @@ class _CsvRows:
         except ValueError:
             return None
 
-        return values if values.shape[1] == len(self.names) else None
+        if values.shape[1] != len(self.names):
+            return None
+
+        if comma_count:
+            first = next(row.line_number for row in rows if "," in row.text)
+            self.faults.note(self._commas.value, f"line {first}", comma_count)
+
+        return values
 
     def _read_by_cell(self, rows: list[NumberedRow]) -> np.ndarray:
         """Return the numbers in rows, shape (n, k), and note what is wrong."""

@@ -277,14 +277,24 @@ def _with_header(
     else:
         above = lines[:names_place]
         units = _labview_units(above, delimiter, names)
-        first_row = split_line(lines[candidate.first_row].text, delimiter)
-        if not first_row[0].strip():
+        first_cells = split_line(lines[candidate.first_row].text, delimiter)
+        if not first_cells[0].strip():
             warnings = (*warnings, *_labview_rate(above, delimiter))
 
+    # A damaged row is counted by the reader.
+    lowest = max(names_place, candidate.header)
+    first_row = next(
+        (
+            place
+            for place in range(lowest + 1, candidate.first_row)
+            if "\0" in lines[place].text
+        ),
+        candidate.first_row,
+    )
     return TableStart(
         delimiter=delimiter,
         names=names,
-        first_row=candidate.first_row,
+        first_row=first_row,
         row_count=candidate.row_count,
         header_line=header.line_number,
         units=units,
@@ -472,7 +482,16 @@ def _start_without_header(
 
     best = max(fraction for fraction, _ in usable)
     start = next(start for fraction, start in usable if fraction == best)
-    return replace(start, row_count=len(rows) - start.first_row)
+    damaged = [line for line in rows[: start.first_row] if "\0" in line.text]
+    notes = tuple(
+        f"line {line.line_number}, above the table, has NUL bytes and was left out"
+        for line in damaged[-1:]
+    )
+    return replace(
+        start,
+        row_count=len(rows) - start.first_row,
+        warnings=(*notes, *start.warnings),
+    )
 
 
 def _nameless_start(

@@ -430,7 +430,7 @@ def _no_header(
 
     return ColumnError(
         f"no column is known to be {', '.join(each.name for each in missing)}: the "
-        f"file has no header. Columns are: {table.describe()}",
+        f"file has no header. Columns are: {table.describe()}{table.left_out()}",
         RecordingCode.HEADERLESS,
         options=" ".join(options),
         **missing[0].places,

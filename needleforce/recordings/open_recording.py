@@ -204,7 +204,9 @@ def _binary_tables(
     elif name.endswith(".parquet"):
         yield read_parquet(path, max_bytes)
     else:
-        conversion = conversion_of(path.name)
+        with file_errors(path):
+            conversion = conversion_of(path)
+
         if conversion:
             raise FileAccessError(
                 f"{path} is not read as it is",

@@ -120,7 +120,7 @@ class Table:
 
     def left_out(self, limit: int = MAX_LISTED_NOTES) -> str:
         """Return in brackets which columns were left out or renamed, and why."""
-        odd = ("was left out", "twice", "_X ")
+        odd = ("was left out", "twice", "Delta_X")
         notes = [note for note in self.warnings if any(word in note for word in odd)]
         more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
         return f" ({'; '.join(notes[:limit])}{more})" if notes else ""

@@ -26,13 +26,26 @@ def write_hdf5(path):
         file.create_group("settings")
 
 
+def write_matlab_hdf5(path):
+    with h5py.File(path, "w", userblock_size=512) as file:
+        for name, values in COLUMNS.items():
+            file[name] = np.atleast_2d(values) if values.ndim == 1 else values.T
+
+    data = path.read_bytes()
+    path.write_bytes(b"MATLAB 7.3 MAT-file".ljust(512) + data[512:])
+
+
 def write_matlab(path):
     scipy.io.savemat(path, COLUMNS)
 
 
 @pytest.mark.parametrize(
     ("name", "write"),
-    [("log.h5", write_hdf5), ("log.hdf5", write_hdf5), ("my log.mat", write_matlab)],
+    [
+        ("log.h5", write_hdf5),
+        ("my log.mat", write_matlab),
+        ("log.mat", write_matlab_hdf5),
+    ],
 )
 def test_the_command_in_the_error_converts_the_file(tmp_path, name, write):
     write(tmp_path / name)

@@ -158,6 +158,21 @@ def test_a_nul_byte_costs_its_row_only(tmp_path):
     assert sum(len(table) for table in tables) == 498
 
 
+def test_a_nul_byte_in_the_first_row_or_the_header_is_named(tmp_path):
+    path = tmp_path / "log.csv"
+    rows = [f"{k / 100},{k}" for k in range(300)]
+    path.write_text("\n".join(["t_s,force_N", "0.0\0,0", *rows]) + "\n")
+
+    assert read_log(path).warnings == (
+        "rows with NUL bytes, left out: 1 (first: line 2)",
+    )
+
+    path.write_text("\n".join(["t_s,for\0ce_N", *rows]) + "\n")
+
+    with pytest.raises(ColumnError, match="line 1, above the table, has NUL bytes"):
+        read_log(path, required=("force",))
+
+
 def test_numbers_without_a_header_are_read_by_number(tmp_path):
     path = tmp_path / "log.txt"
     path.write_text(rows_of("\t"), encoding="utf-8")
