@@ -248,10 +248,46 @@ def _contradiction(
     factor = channel.units[asked] / channel.units[stated]
     return UnitError(
         f"{channel.name}: the mapping says {asked} for column {name!r}, and "
-        f"{statement.place} says {stated}; leave the unit out, or, if the file is "
-        "wrong, state its unit and a factor",
+        f"{statement.place} says {stated}; if the file is wrong, give its unit and the "
+        f"factor {factor:.6g}",
         RecordingCode.UNIT,
-        **advice_places(channel, columns, f"{stated}:{factor:.6g}"),
+        **advice_places(channel, columns, stated),
+    )
+
+
+def _disagreement(
+    channel: Channel,
+    columns: Sequence[str],
+    name: str,
+    statements: Sequence[_Statement],
+) -> UnitError:
+    """Return the error for a name and a row of units that say different units."""
+    said = " and ".join(
+        f"{statement.place} says {statement.text}" for statement in statements
+    )
+    return UnitError(
+        f"{channel.name}: of column {name!r} {said}; correct one of them in the file",
+        RecordingCode.UNIT,
+        **advice_places(channel, columns, "UNIT"),
+    )
+
+
+def _contradiction(
+    channel: Channel,
+    columns: Sequence[str],
+    name: str,
+    statement: _Statement,
+    asked: str,
+) -> UnitError:
+    """Return the error for a mapping that says another unit than the file."""
+    stated = statement.unit or channel.si_unit
+    factor = channel.units[asked] / channel.units[stated]
+    return UnitError(
+        f"{channel.name}: the mapping says {asked} for column {name!r}, and "
+        f"{statement.place} says {stated}; if the file is wrong, give its unit and the "
+        f"factor {factor:.6g}",
+        RecordingCode.UNIT,
+        **advice_places(channel, columns, stated),
     )
 
 

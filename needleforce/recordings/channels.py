@@ -178,7 +178,7 @@ _ALL_CHANNELS = (
         "grip_separation standard_travel standardweg traverse traversenweg verfahrweg "
         "weg hub eindringtiefe einstichtiefe déplacement course allongement corsa "
         "spostamento desplazamiento carrera uzama ストローク 変位 位移",
-        words_with_unit="position pos needle_position axial_position height",
+        words_with_unit="position pos needle_position axial_position height s x",
     ),
     _single_channel(
         "speed",

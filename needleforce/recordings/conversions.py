@@ -48,4 +48,6 @@ def conversion_of(path: Path) -> str:
             if file.read(len(MATLAB_HDF5_HEAD)) == MATLAB_HDF5_HEAD:
                 line = MATLAB_HDF5
 
-    return line.format(name=path.name, stem=path.stem)
+    command = line.format(name=path.name, stem=path.stem)
+    is_program = command.startswith("python ")
+    return f"run in its folder: {command}" if is_program else command

@@ -36,6 +36,7 @@ MAX_QUOTED_CHARACTERS = 60
 
 _DELIMITERS = (",", ";", "\t")
 _SEPARATOR_LINE = re.compile(r'^"?sep=(?P<delimiter>[,;\t|])"?\s*$', re.IGNORECASE)
+_SPACE_BEFORE_UNIT = re.compile(r"(?<=[^\s)\]])[ \t]+(?=[(\[][^\s()\[\]]+[)\]])")
 _EXPECTED = (
     "expected a line of names and below it rows of numbers with as many cells, "
     "separated by commas, semicolons, tabs or spaces"
@@ -169,7 +170,8 @@ def _rank(start: tuple[str, _Candidate]) -> tuple[float, int]:
 def split_line(line: str, delimiter: str) -> list[str]:
     """Split a line into cells; a quoted cell ends with its line at the latest."""
     if delimiter == WHITE_SPACE:
-        return line.split()
+        # In a header a unit belongs to the name before it.
+        return _SPACE_BEFORE_UNIT.sub("", line).split()
 
     if '"' in line:
         with suppress(csv.Error):
@@ -215,11 +217,14 @@ def _start_with_header(
             texts.append((place, cells))
             continue
 
-        if texts:
-            header = _header_of(texts, cells, min_width)
-            if header is not None:
-                current = _Candidate(place, *header, 0, 0.0)
+        header = _header_of(texts, cells, min_width)
+        if header is not None:
+            current = _Candidate(place, *header, 0, 0.0)
 
+        # A damaged row below a header does not part it from the others.
+        if header is not None or (
+            texts and place - texts[-1][0] > MAX_LINES_BELOW_HEADER
+        ):
             texts.clear()
 
         if current is not None and _fits(cells, current.width):
@@ -271,6 +276,16 @@ def _with_header(
         header, delimiter, width, lines[candidate.first_row :]
     )
     units: dict[str, StatedUnit] = {}
+    if units_place is None:
+        cells_of = {
+            place: split_line(lines[place].text, delimiter)
+            for place in texts
+            if place != names_place
+        }
+        units_place = next(
+            (place for place, cells in cells_of.items() if is_row_of_units(cells)), None
+        )
+
     if units_place is not None:
         line = lines[units_place]
         units = _stated_units(names, split_line(line.text, delimiter), line.line_number)
@@ -287,7 +302,7 @@ def _with_header(
         (
             place
             for place in range(lowest + 1, candidate.first_row)
-            if "\0" in lines[place].text
+            if _is_damaged_row(lines[place], delimiter)
         ),
         candidate.first_row,
     )
@@ -300,6 +315,11 @@ def _with_header(
         units=units,
         warnings=warnings,
     )
+
+
+def _is_damaged_row(line: NumberedRow, delimiter: str) -> bool:
+    """Return whether a line between header and rows is a row that cannot be read."""
+    return "\0" in line.text or any(map(is_number, split_line(line.text, delimiter)))
 
 
 def _labview_units(
@@ -358,7 +378,7 @@ def _known_names(line: NumberedRow, delimiter: str) -> int:
     """Return how many cells of a line name a channel."""
     return sum(
         parse_column_name(cell, channel.units).stem
-        in (*channel.spellings, *channel.machine_words, *channel.words_with_unit)
+        in (*channel.spellings, *channel.machine_words)
         for cell in split_line(line.text, delimiter)
         for channel in CHANNELS.values()
     )

@@ -31,7 +31,7 @@ class RecordingCode(ErrorCode):
     CONVERT = (
         "NF-RECORDING-CONVERT",
         "The format is not read, but can be converted to one that is.",
-        "Convert it, in the folder of the file: {command}",
+        "To convert it, {command}",
     )
     LIBRARY = (
         "NF-RECORDING-LIBRARY",

@@ -113,6 +113,11 @@ class Signal:
         """The unit in which the channel is read, for a summary."""
         return ChannelUnit(self.channel.name, self.columns, self.units, self.scale)
 
+    @property
+    def _is_unsure(self) -> bool:
+        """Whether values may be in another unit than that of a column."""
+        return self._has_origin(UnitOrigin.ASSUMED, UnitOrigin.FORMAT)
+
     def _has_origin(self, *origins: UnitOrigin) -> bool:
         """Return whether the unit of a column is known from one of these."""
         return any(unit.origin in origins for unit in self.units)
@@ -140,22 +145,20 @@ class Signal:
             )
 
         self.any_finite = self.any_finite or bool(is_finite.any())
-        if self._has_origin(UnitOrigin.ASSUMED, UnitOrigin.FORMAT):
+        if self._is_unsure and self.channel.key != "t_s":
             self._update_size(values, is_finite)
 
         self.row_count += len(values)
 
+    def watch_step(self, t_s: Array) -> None:
+        """Note the median step of the first time stamps, shape (n,), all finite."""
+        if t_s.size > 1 and self._is_unsure:
+            self.size = float(np.median(np.abs(np.diff(t_s))))
+            self.finite_count = 1
+            self.large_count = int(self.size > _PLAUSIBLE_SIZES["t_s"].limit)
+
     def _update_size(self, values: Array, is_finite: NDArray[np.bool_]) -> None:
         """Update the size by further values, and count the rows that are too large."""
-        if self.channel.key == "t_s":
-            stamps_s = values[is_finite]
-            if not self.row_count and stamps_s.size > 1:
-                self.size = float(np.median(np.abs(np.diff(stamps_s))))
-                self.finite_count = 1
-                self.large_count = int(self.size > _PLAUSIBLE_SIZES["t_s"].limit)
-
-            return
-
         limit = _PLAUSIBLE_SIZES.get(self.channel.key, _ANY_SIZE).limit
         sizes = np.where(is_finite, np.abs(values), 0.0).reshape(len(values), -1)
         largest = sizes.max(axis=1, initial=0.0)

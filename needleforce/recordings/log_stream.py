@@ -303,6 +303,9 @@ class LogStream:
 
         self._velocity_watch.update(values)
         if is_first:
+            if "t_s" in self._signals:
+                self._signals["t_s"].watch_step(values["t_s"])
+
             self._require_plausible()
 
         return values

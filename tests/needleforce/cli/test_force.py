@@ -251,7 +251,7 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
         "NF-SENSOR-VELOCITY",
     ):
         assert text in refused
-    _, printed = run(log, *TARE, "--dq", "dq_rad_s:deg/s")
+    _, printed = run(log, *TARE, "--dq", "dq_rad_s:rad/s:0.0174533")
 
     assert "velocity" not in printed.replace("velocity from the log", "")
 

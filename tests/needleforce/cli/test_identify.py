@@ -139,7 +139,7 @@ def test_a_testing_machines_export_gives_its_units(needle, tmp_path, capsys):
     error = capsys.readouterr().err
 
     assert "the mapping says m for column 'Extension', and the row of units" in error
-    assert "as in --depth Extension:mm:1000" in error
+    assert "as in --depth Extension:mm\n" in error
 
 
 def test_clock_set_back_hides_no_layer(needle, identify):

@@ -53,9 +53,10 @@ def test_the_command_in_the_error_converts_the_file(tmp_path, name, write):
     with pytest.raises(FileAccessError) as caught:
         read_table(tmp_path / name)
 
-    program, *arguments = shlex.split(caught.value.places["command"])
+    advice, _, command = caught.value.places["command"].partition(": ")
+    program, *arguments = shlex.split(command)
 
-    assert program == "python"
+    assert (advice, program) == ("run in its folder", "python")
 
     subprocess.run([sys.executable, *arguments], cwd=tmp_path, check=True)
     log = read_log((tmp_path / name).with_suffix(".npz"))

@@ -83,6 +83,11 @@ LAYOUTS = {
     "units in names": "Time/s,Stroke / mm,Force/kN\n" + rows_of(scale=1000.0),
     "units after spaces": "Time s;Travel mm;Load N\n" + rows_of(";"),
     "white space": "# made by numpy\n# t_s depth_mm force_N\n" + rows_of(" "),
+    "units above the names": "s,mm,N\nTime,Extension,Load\n" + rows_of(),
+    "two lines of names": "Timer,Crosshead,Cell\nTime,Displacement,Load\ns,mm,N\n"
+    + rows_of(),
+    "short names": "t [s];s [mm];F [N]\n" + rows_of(";", ","),
+    "white space and brackets": "Time (s)  Travel [mm] Load (N)\n" + rows_of(" "),
     "units in a comment": "# t,depth,force\n# s,mm,N\n" + rows_of(),
     "names and white space": "time_s   depth_mm force_N\n" + rows_of("   "),
     "pounds": "Reading [lbF],Travel [in],Time [s]\n"
@@ -156,6 +161,17 @@ def test_a_nul_byte_costs_its_row_only(tmp_path):
     tables = stream_tables(path, FollowOptions(follow=True, idle_s=0.1))
 
     assert sum(len(table) for table in tables) == 498
+
+
+def test_a_short_first_row_is_left_out_and_named(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text("t_s,force_N,depth_mm\n0.1,0.2\n" + rows_of())
+    log = read_log(path)
+
+    assert len(log) == ROWS
+    assert log.warnings == (
+        "rows without the header's 3 cells, left out: 1 (first: line 2 with 2)",
+    )
 
 
 def test_a_nul_byte_in_the_first_row_or_the_header_is_named(tmp_path):
