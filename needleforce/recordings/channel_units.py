@@ -178,7 +178,14 @@ def _require_agreement(
     statements: Sequence[_Statement],
     asked: str | None,
 ) -> None:
-    """Raise `UnitError` if the file contradicts itself or the mapping."""
+    """Raise `UnitError` if the file contradicts itself or the mapping.
+
+    The mapping decides between two units of the file.
+    """
+    units = {statement.unit for statement in statements}
+    if asked is not None and len(units) > 1 and asked in units:
+        return
+
     for statement in statements:
         if asked is not None and statement.unit != asked:
             raise _contradiction(channel, columns, name, statement, asked)
@@ -230,43 +237,8 @@ def _disagreement(
         f"{statement.place} says {statement.text}" for statement in statements
     )
     return UnitError(
-        f"{channel.name}: of column {name!r} {said}; correct one of them in the file",
-        RecordingCode.UNIT,
-        **advice_places(channel, columns, "UNIT"),
-    )
-
-
-def _contradiction(
-    channel: Channel,
-    columns: Sequence[str],
-    name: str,
-    statement: _Statement,
-    asked: str,
-) -> UnitError:
-    """Return the error for a mapping that says another unit than the file."""
-    stated = statement.unit or channel.si_unit
-    factor = channel.units[asked] / channel.units[stated]
-    return UnitError(
-        f"{channel.name}: the mapping says {asked} for column {name!r}, and "
-        f"{statement.place} says {stated}; if the file is wrong, give its unit and the "
-        f"factor {factor:.6g}",
-        RecordingCode.UNIT,
-        **advice_places(channel, columns, stated),
-    )
-
-
-def _disagreement(
-    channel: Channel,
-    columns: Sequence[str],
-    name: str,
-    statements: Sequence[_Statement],
-) -> UnitError:
-    """Return the error for a name and a row of units that say different units."""
-    said = " and ".join(
-        f"{statement.place} says {statement.text}" for statement in statements
-    )
-    return UnitError(
-        f"{channel.name}: of column {name!r} {said}; correct one of them in the file",
+        f"{channel.name}: of column {name!r} {said}; the mapping may "
+        "decide between them",
         RecordingCode.UNIT,
         **advice_places(channel, columns, "UNIT"),
     )

@@ -167,6 +167,13 @@ def test_the_advice_on_a_contradiction_gives_what_was_asked_for():
     assert log["depth_m"].tolist() == [1.0] * 3
 
 
+def test_the_mapping_decides_between_two_units_of_the_file():
+    spec = ColumnSpec(columns="Force (kN)", unit="N")
+    log = log_of({"force": spec}, units={"Force (kN)": "N"}, **{"Force (kN)": ONES})
+
+    assert log["force_N"].tolist() == [1.0] * 3
+
+
 def test_a_factor_may_stand_for_a_unit_that_is_not_known():
     spec = ColumnSpec(columns="Load (%)", scale=2.0)
 
