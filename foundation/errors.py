@@ -49,6 +49,18 @@ def fill_advice(advice: str, places: dict[str, str]) -> str:
     return advice.format_map(_Placeholders(places))
 
 
+class Alternative(NamedTuple):
+    """Another cause that would explain an error as well.
+
+    Attributes:
+        code: Kind of the cause, which brings the advice.
+        places: What the ``{place}`` in the advice stand for.
+    """
+
+    code: ErrorCode
+    places: dict[str, str]
+
+
 class CodedError(Exception):
     """Base of all errors that this project raises on purpose.
 
@@ -64,9 +76,11 @@ class CodedError(Exception):
         usual_code: Code of an error of this class that is raised without one.
         code: Kind of the error.
         places: As given.
+        alternatives: Causes that would explain it as well, each with an advice.
     """
 
     usual_code: ClassVar[ErrorCode]
+    alternatives: tuple[Alternative, ...] = ()
 
     def __init__(
         self, message: str = "", code: ErrorCode | None = None, **places: str
@@ -82,7 +96,9 @@ class CodedError(Exception):
     @property
     def advice(self) -> str:
         """What a caller of the library may do."""
-        return fill_advice(self.code.cure, self.places)
+        advices = [fill_advice(self.code.cure, self.places)]
+        advices += [fill_advice(one.code.cure, one.places) for one in self.alternatives]
+        return " Or: ".join(advices)
 
     def reworded(self, message: str) -> Self:
         """Return a copy of the error, of the same code, with another message."""

@@ -543,14 +543,15 @@ class InsertionSession:
         """
         # `axial_std` is the deviation of the smoothed force: error of the tare, drift,
         # uncertain torque of motion, what the lag hides, noise that smoothing leaves.
-        # The identifier wants just this slow error: it learns the sample noise itself.
+        # The identifier wants just this slow error: it learns the sample noise itself,
+        # and a wrong scale of the torques scales all that it finds alike.
         return self._identifier.update(
             self._travel.delayed_depth_m,
             self._travel.delayed_speed_m_s,
             wrench.axial_unsmoothed,
             elapsed_s,
             time_s=self._time_s,
-            force_std_N=wrench.axial_std,
+            force_std_N=self._sensor.std_of_bias_N(wrench),
         )
 
     def _accept(self, identification: Estimate) -> None:

@@ -1,9 +1,13 @@
 """Errors of the `residual` package: one base, each leaf also a standard exception."""
 
 from collections.abc import Iterable
+from typing import TYPE_CHECKING
 
-from foundation.errors import CodedError, ErrorCode, StateCode
+from foundation.errors import Alternative, CodedError, ErrorCode, StateCode
 from residual.estimate import SensorWarning
+
+if TYPE_CHECKING:
+    from residual.bias.torque_diagnosis import TorqueDiagnosis
 
 
 def named_joints(indices: Iterable[int]) -> str:
@@ -90,8 +94,20 @@ class SensorCode(ErrorCode):
     )
     TORQUE_SIGN = (
         "NF-SENSOR-TORQUE-SIGN",
-        "The torques seem to have the opposite sign.",
-        "Negate `tau`; `tare(ignore_contact=True)` tares as it is.",
+        "The torques seem to have the opposite sign, of all joints or of some.",
+        "Multiply `tau` by {factors}; `tare(ignore_contact=True)` tares as it is.",
+    )
+    TORQUE_SCALE = (
+        "NF-SENSOR-TORQUE-SCALE",
+        "The torques are a multiple of those that gravity asks for.",
+        "Multiply `tau` by {factors}, once you know why; `tare(ignore_contact=True)` "
+        "tares as it is.",
+    )
+    GRAVITY_DIRECTION = (
+        "NF-SENSOR-GRAVITY-DIRECTION",
+        "Gravity seems to point elsewhere than was given.",
+        "Load the robot with `gravity_m_s2` {gravity}; `tare(ignore_contact=True)` "
+        "tares as it is.",
     )
     TORQUE_KIND = (
         "NF-SENSOR-TORQUE-KIND",
@@ -106,7 +122,8 @@ class SensorCode(ErrorCode):
     JOINT_ORDER = (
         "NF-SENSOR-JOINT-ORDER",
         "The torques of some joints seem to be exchanged.",
-        "Give the torques in the order of `Robot.joint_names`.",
+        "Give the torques in the order of `Robot.joint_names`: {order} of what was "
+        "given.",
     )
     POSITIONS = (
         "NF-SENSOR-POSITIONS",
@@ -117,8 +134,8 @@ class SensorCode(ErrorCode):
     PAYLOAD = (
         "NF-SENSOR-PAYLOAD",
         "The robot's model has too much or too little mass at the flange.",
-        "Correct the hand, the tool and the `payload` of the robot; "
-        "`identify_payload_static` estimates it.",
+        "Correct the hand, the tool and the `payload` of the robot (on the flange: "
+        "{payload}); `identify_payload_static` estimates it.",
     )
     NO_FREE_MOTION = (
         "NF-SENSOR-NO-FREE-MOTION",
@@ -180,10 +197,31 @@ class SampleError(ResidualError, ValueError):
 class TareError(ResidualError, RuntimeError):
     """A tare that would be wrong.
 
-    There are no data, a contact is in sight, or velocities are not rates of positions.
+    There are no data, a contact is in sight, torques are of another kind, or velocities
+    are not rates of positions.
+
+    Args:
+        message: As of `CodedError`, like ``code`` and ``places``.
+        code: Kind of the error.
+        alternatives: Causes that would explain it as well.
+        diagnosis: What the motion shows of the torques, a `TorqueDiagnosis`; None where
+            they were not looked at.
     """
 
     usual_code = SensorCode.CONTACT
+
+    def __init__(
+        self,
+        message: str = "",
+        code: ErrorCode | None = None,
+        *,
+        alternatives: tuple[Alternative, ...] = (),
+        diagnosis: "TorqueDiagnosis | None" = None,
+        **places: str,
+    ) -> None:
+        self.alternatives = alternatives
+        self.diagnosis = diagnosis
+        super().__init__(message, code, **places)
 
 
 class VelocityError(TareError):

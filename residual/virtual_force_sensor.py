@@ -12,6 +12,7 @@ from foundation.errors import StateCode
 from foundation.jit import compile_waiting
 from residual.bias.estimator import BiasEstimator
 from residual.bias.model import Tare
+from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.checks.input import SampleClock, long_step_message
 from residual.checks.monitor import ConsistencyMonitor, MonitorState
 from residual.checks.velocity import is_velocity_missing
@@ -131,6 +132,24 @@ class VirtualForceSensor:
         """
         return np.sqrt(np.diag(self._wrench.torque_covariance))
 
+    @property
+    def diagnosis(self) -> TorqueDiagnosis | None:
+        """What the motion of the latest tare shows of the torques' scale and signs.
+
+        None before a tare, of external torques, after a tare that ignored contact, and
+        in a restored sensor.
+        """
+        return self._offset.diagnosis
+
+    def std_of_bias_N(self, estimate: WrenchEstimate) -> float:
+        """Return the standard deviation of an axial force without that of its scale.
+
+        An error of the scale changes all forces alike: it makes none of them less
+        certain relative to the others.
+        """
+        scale_error_N = self._offset.memory.tare.scale_std * estimate.axial
+        return math.sqrt(max(estimate.axial_std**2 - scale_error_N**2, 0.0))
+
     def recheck(self, estimate: WrenchEstimate) -> WrenchEstimate:
         """Return the last estimate with a warning if its torques fit no needle force.
 
@@ -198,6 +217,8 @@ class VirtualForceSensor:
         if self._monitor.velocity_fault and not ignore_contact:
             raise _velocity_error(self._monitor.velocity_fault)
         is_external = self._stream is not None and self._stream.is_external
+        if not ignore_contact and (saturated := self.explain_saturation()):
+            raise saturated
         try:
             tare = self._offset.tare(
                 self._contact, ignore_contact=ignore_contact, is_external=is_external
@@ -207,6 +228,13 @@ class VirtualForceSensor:
         self._renew_gain()
         self._is_smoothing = False
         return tare
+
+    def explain_saturation(self) -> TareError | None:
+        """Return why torques were beyond their range from the start, if that shows.
+
+        As of a tare that they would have been refused: they may be in another unit.
+        """
+        return self._offset.explain_saturation(self._contact)
 
     def _with_likely_causes(self, error: TareError) -> str:
         """Return the message of a refused tare with what may have caused it."""
@@ -232,6 +260,7 @@ class VirtualForceSensor:
     def _set_covariance(self, covariance_Nm2: Array) -> None:
         """Set the covariance of the residual's error [Nm^2], shape (n, n)."""
         tare = self._offset.memory.tare
+        self._wrench.scale_std = tare.scale_std
         # A mean over L removes all but 3 t / L of the variance of noise that lasts for
         # t; of that the smoothing with a lag T leaves t / (t + T).
         noise_ratio = SMOOTHED_NOISE_RATIO * self._smoothing_s / self._offset.block_s
@@ -381,6 +410,8 @@ class VirtualForceSensor:
             elapsed_s = 0.0 if is_first else self._clock.elapsed(dt_s)
             sample = stream.update(q, dq, torque, elapsed_s)
         except SampleError as error:
+            if error.warning & SensorWarning.SATURATED and not is_external:
+                self._offset.keep_saturated(np.array(q, float), np.array(torque, float))
             return self._reject(dt_s, error)
         if stream is not self._stream:
             self._stream = stream

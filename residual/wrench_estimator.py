@@ -472,6 +472,8 @@ class WrenchEstimator:
         observability: How well the joints see the contact there.
         torque_covariance: Last one of `set_torque_covariance`, else 1 [Nm^2], shape (n,
             n).
+        scale_std: Standard deviation of the torques' scale, relative to it: it adds to
+            the deviation of a force in proportion to the force.
 
     Raises:
         urdf.UrdfError: For an unknown frame.
@@ -498,6 +500,7 @@ class WrenchEstimator:
         if self._is_weighted and config.expected_force_N is not None:
             expected = [config.expected_force_N] * 3 + [EXPECTED_TORQUE_NM] * 3
             self._damping = np.array(expected[:unknowns]) ** -2.0
+        self.scale_std = 0.0
         self.torque_covariance = np.eye(robot.nv)
         self._inverse = self.torque_covariance
         self._noise = self.torque_covariance
@@ -652,6 +655,10 @@ class WrenchEstimator:
         wrench.setflags(write=False)
         covariance, conditioning, damping_fraction, _, _ = self.observability
         status, message, model_mismatch, warnings = assessment
+        if self.scale_std:
+            axial_std = math.hypot(axial_std, self.scale_std * axial)
+            lateral_std = math.hypot(lateral_std, self.scale_std * lateral)
+            covariance = self._with_scale_error(covariance, axial, wrench)
         has_torque = self.size > 3
         # All fields in order: by name it takes 0.5 us more in every tick.
         return WrenchEstimate(
@@ -671,6 +678,16 @@ class WrenchEstimator:
             model_mismatch,
             warnings,
         )
+
+    def _with_scale_error(
+        self, covariance: Array, axial: float, wrench: Array
+    ) -> Array:
+        """Return the covariance with that of an unknown scale, shape (k, k)."""
+        unknowns = wrench if len(self._directions) > 1 else np.array([axial])
+        scaled = self.scale_std * unknowns
+        widened = covariance + np.outer(scaled, scaled)
+        widened.setflags(write=False)
+        return widened
 
     @property
     def contact_jacobian(self) -> Array:

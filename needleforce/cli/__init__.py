@@ -6,9 +6,9 @@ that `--help` answers at once: `logs` has what works on recordings, `arms` what 
 an arm, `demos` the demonstrations, `checkup` what `doctor` finds.
 
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
-`force`, `identify`, `report`, `simulate`, `record`, `live`, `view`, `demo`, `doctor`
-(the commands), `robot` (the robot from options and TOML files), `logs`, `plan_file`,
-`auto_tare`, `arms`, `demos`, `checkup`.
+`force`, `check`, `identify`, `report`, `simulate`, `record`, `live`, `view`, `demo`,
+`doctor` (the commands), `robot` (the robot from options and TOML files), `logs`,
+`plan_file`, `auto_tare`, `arms`, `demos`, `checkup`.
 """
 
 import re
@@ -18,6 +18,7 @@ from collections.abc import Sequence
 from cyclopts import UnusedCliTokensError
 
 from needleforce.cli import (
+    check,
     demo,
     doctor,
     force,
@@ -33,6 +34,7 @@ from needleforce.cli.terminal import CommandCode, CommandError, run_command
 
 __all__ = [
     "app",
+    "check",
     "demo",
     "doctor",
     "force",

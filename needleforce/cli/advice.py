@@ -5,7 +5,9 @@ command says in its place. A code without an entry has advice that names nothing
 library, and serves both.
 """
 
-from foundation.errors import CodedError, Suspicion, fill_advice
+from collections.abc import Iterable
+
+from foundation.errors import Alternative, CodedError, Suspicion, fill_advice
 
 _KEEP_TARE = "--force-tare keeps this tare, --no-tare goes without"
 
@@ -19,18 +21,19 @@ COMMAND_ADVICE: dict[str, str] = {
     + _KEEP_TARE,
     "NF-SENSOR-GRAVITY-MISSING": f"Give --gravity-compensated; {_KEEP_TARE}",
     "NF-SENSOR-GRAVITY-TWICE": f"Leave --gravity-compensated out; {_KEEP_TARE}",
-    "NF-SENSOR-TORQUE-SIGN": "Negate the torques, as in --tau tau_*:Nm:-1; "
-    + _KEEP_TARE,
+    "NF-SENSOR-TORQUE-SIGN": "Give --tau {tau_option}; " + _KEEP_TARE,
+    "NF-SENSOR-TORQUE-SCALE": "Give --tau {tau_option}; " + _KEEP_TARE,
+    "NF-SENSOR-GRAVITY-DIRECTION": "Give --gravity {gravity}; " + _KEEP_TARE,
     "NF-SENSOR-TORQUE-KIND": "Leave --external-torque out and read the torques with "
     f"--tau; {_KEEP_TARE}",
     "NF-SENSOR-TORQUE-KIND-SIGN": "Leave --external-torque out and negate the torques, "
     f"as in --tau tau_*:Nm:-1; {_KEEP_TARE}",
-    "NF-SENSOR-JOINT-ORDER": "List the columns in the robot's order, as in --tau "
-    f"tau_2,tau_1; {_KEEP_TARE}",
+    "NF-SENSOR-JOINT-ORDER": "List the columns in the robot's order: --tau "
+    f"{{tau_option}}; {_KEEP_TARE}",
     "NF-SENSOR-POSITIONS": "Name the columns of all joints with --q; choose where the "
     f"needle is free with --tare START:END; {_KEEP_TARE}",
-    "NF-SENSOR-PAYLOAD": "Describe hand and tool with --payload FILE; choose where the "
-    f"needle is free with --tare START:END; {_KEEP_TARE}",
+    "NF-SENSOR-PAYLOAD": "Describe hand and tool with --payload FILE ({payload}); "
+    f"choose where the needle is free with --tare START:END; {_KEEP_TARE}",
     "NF-SENSOR-NO-FREE-MOTION": "Choose a longer window with --tare START:END, without "
     "gaps in time; --no-tare goes without",
     "NF-SENSOR-TARED-ALREADY": "Give one --tare",
@@ -98,8 +101,11 @@ WATCH_ADVICE: dict[str, str] = {
     "NF-SENSOR-GRAVITY-MISSING": "Record it, and use needleforce force "
     "--gravity-compensated",
     "NF-SENSOR-GRAVITY-TWICE": "Check which torques the robot sends",
-    "NF-SENSOR-TORQUE-SIGN": "Record it, and negate the torques with needleforce force "
-    "--tau tau_*:Nm:-1",
+    "NF-SENSOR-TORQUE-SIGN": "Record it, and use needleforce force --tau "
+    "COLUMNS:Nm:{factors}",
+    "NF-SENSOR-TORQUE-SCALE": "Check the unit that the robot sends; record it, and use "
+    "needleforce force --tau COLUMNS:Nm:{factors}",
+    "NF-SENSOR-GRAVITY-DIRECTION": "Give --gravity {gravity}",
     "NF-SENSOR-JOINT-ORDER": "Check the order in which the robot sends its joints",
     "NF-SENSOR-POSITIONS": "Check that positions of every joint are sent",
     "NF-SENSOR-PAYLOAD": "Describe hand and tool with --payload FILE",
@@ -120,9 +126,38 @@ def advise(error: CodedError, overrides: dict[str, str] | None = None) -> str:
         error: The error.
         overrides: Advice that a command has in place of `COMMAND_ADVICE`.
     """
-    label = error.code.label
-    advice = COMMAND_ADVICE | (overrides or {})
-    return fill_advice(advice.get(label, error.code.cure), error.places).rstrip(".")
+    causes = [Alternative(error.code, error.places), *error.alternatives]
+    return advise_causes(causes, overrides)
+
+
+def advise_causes(
+    causes: Iterable[Alternative],
+    overrides: dict[str, str] | None = None,
+    *,
+    keeps_tare: bool = False,
+) -> str:
+    """Return what a user may do about one cause or another.
+
+    Args:
+        causes: Any of them may be the one.
+        overrides: Advice that a command has in place of `COMMAND_ADVICE`.
+        keeps_tare: Whether the tare was taken, so that nothing is said of keeping it.
+    """
+    known = COMMAND_ADVICE | (overrides or {})
+    advices = [
+        fill_advice(known.get(code.label, code.cure), places).rstrip(".")
+        for code, places in causes
+    ]
+    # What keeps the tare is said once.
+    *others, last = dict.fromkeys(advices)
+    ending = f"; {_KEEP_TARE}"
+    if keeps_tare:
+        last = last.removesuffix(ending)
+    shortened = [one.removesuffix(ending) for one in others]
+    return "; or ".join(
+        one if k == 0 else one[0].lower() + one[1:]
+        for k, one in enumerate([*shortened, last])
+    )
 
 
 def describe_error(error: CodedError, overrides: dict[str, str] | None = None) -> str:

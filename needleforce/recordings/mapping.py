@@ -80,7 +80,8 @@ class ColumnSpec:
 def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`, as in `fz:N:-1`.
 
-    `NAMES` is a name, a pattern or a list separated by commas. What follows a colon
+    `NAMES` is a name, a pattern or a list separated by commas, `SCALE` a number or one
+    for each column, likewise separated. What follows a colon
     counts as scale or unit only if it is one, since column names may hold colons
     themselves.
 
@@ -89,11 +90,12 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     """
     names = text
     unit = None
-    scale = 1.0
+    scale: float | tuple[float, ...] = 1.0
     head, colon, tail = names.rpartition(":")
     if colon:
         with suppress(ValueError):
-            scale = float(tail)
+            scales = tuple(float(factor) for factor in tail.split(","))
+            scale = scales[0] if len(scales) == 1 else scales
             names = head
 
     head, colon, tail = names.rpartition(":")

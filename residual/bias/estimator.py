@@ -1,7 +1,7 @@
 """Estimates the bias tick by tick: records free motion, fits the tare, follows it."""
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
 import numpy as np
@@ -12,6 +12,7 @@ from residual.bias.fit import FreeMotionFit
 from residual.bias.joint_states import joint_states_step
 from residual.bias.model import BiasModel, Tare, TareBlocks
 from residual.bias.tare_check import check_free_of_contact
+from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.checks.input import ROUNDING_S
 from residual.config import SensorConfig
 from residual.errors import SensorCode, TareError
@@ -26,6 +27,9 @@ takes part of a second."""
 COVARIANCE_S = 0.25
 """Time after which the covariance is renewed: it changes with pose and age, both
 slowly."""
+
+MAX_SATURATED = 64
+"""Rejected samples of saturated torques that are kept, to say why they are so large."""
 
 MAX_GROWTH_RATIO = 0.1
 """Growth of a variance by motion, relative to itself, at which the covariance is
@@ -46,8 +50,10 @@ class TareRecorder:
 
     Attributes:
         sums: Per block: number of samples, and the sums of their times [s], positions,
-            residuals, squared residuals and states; shape (m, 5 + states, n).
-        open: The same of the block that is not complete yet, shape (5 + states, n).
+            residuals, squared residuals, torques and states; shape (m, 6 + states, n).
+        open: The same of the block that is not complete yet, shape (6 + states, n).
+        lagged_torque: Torque as it was measured, without gravity that was added, as
+            late as the residual [Nm], shape (n,).
         age_s: Length of that block so far.
     """
 
@@ -56,12 +62,30 @@ class TareRecorder:
 
     sums: Array
     open: Array
+    lagged_torque: Array
     age_s: float = 0.0
 
     @classmethod
     def of_size(cls, joints: int, states: int) -> Self:
         """Return a recorder that has recorded nothing yet."""
-        return cls(np.zeros((0, 5 + states, joints)), np.zeros((5 + states, joints)))
+        return cls(
+            np.zeros((0, 6 + states, joints)),
+            np.zeros((6 + states, joints)),
+            np.zeros(joints),
+        )
+
+    def follow_torque(self, torque: Array, fraction: Array) -> None:
+        """Bring the lagged torque to the end of a time step.
+
+        Args:
+            torque: Torque of the sample [Nm], shape (n,).
+            fraction: Fraction of the way that it goes in the time step, shape (n,).
+        """
+        if not (len(self.sums) or self.open[0].any()):
+            self.lagged_torque = torque.copy()
+        self.lagged_torque = self.lagged_torque + fraction * (
+            torque - self.lagged_torque
+        )
 
     def add(
         self, q: Array, states: Array, residual: Array, now_s: float, dt_s: float
@@ -77,7 +101,15 @@ class TareRecorder:
         """
         count = np.ones_like(q)
         self.open += np.vstack(
-            (count, now_s * count, q, residual, residual * residual, states)
+            (
+                count,
+                now_s * count,
+                q,
+                residual,
+                residual * residual,
+                self.lagged_torque,
+                states,
+            )
         )
         self.age_s += dt_s
 
@@ -106,8 +138,9 @@ class TareRecorder:
         scatter = np.maximum(means[:, 4] - means[:, 3] ** 2, 0.0)
         return TareBlocks(
             q_rad=means[:, 2],
-            states=means[:, 5:],
+            states=means[:, 6:],
             residual_Nm=means[:, 3],
+            torque_Nm=means[:, 5],
             age_s=age_s,
             # The median, so that a knock in one block does not pass for noise in all.
             scatter_Nm2=np.median(scatter, axis=0),
@@ -132,6 +165,7 @@ class BiasState:
         covariance_s: When the covariance was renewed last.
         q: Last position [rad], shape (n,).
         dq: Last velocity [rad/s], shape (n,).
+        tau: Last torque [Nm], shape (n,).
         smooth_dq: Lagged velocity, for the acceleration [rad/s], shape (n,).
         tare: The tare in force, the prior's before the first.
         started: Whether a sample has come.
@@ -157,6 +191,7 @@ class BiasState:
     covariance_s: float = -COVARIANCE_S
     q: Array
     dq: Array
+    tau: Array
     smooth_dq: Array
     tare: Tare
     started: bool = False
@@ -178,6 +213,8 @@ class BiasEstimator:
         block_s: Length of a recorded block.
         memory: Its state, to be read every tick, not to be written; one of the same
             robot and settings may replace it.
+        diagnosis: What the motion of the latest tare shows of the torques; None before
+            one, of external torques, and of a tare that ignored contact.
     """
 
     RENEW_S = 0.02
@@ -195,13 +232,16 @@ class BiasEstimator:
     independent."""
 
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
+        self._robot = robot
         self._config = config
+        self.diagnosis: TorqueDiagnosis | None = None
         self._basis = BiasModel(robot, config.tare, config.prior)
         self.block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
         self._weightless = pin.Model(robot.model)
         self._data = robot.create_data()
         self._weightless.gravity = pin.Motion.Zero()
         self._joints = robot.nv
+        self._gain_per_s = np.broadcast_to(config.gain_per_s, robot.nv).astype(float)
         loops_Nm = np.outer(config.prior.hysteresis_widths, self._basis.effort_Nm)
         elements_rad = np.outer(config.prior.presliding_rad, np.ones(robot.nv))
         self._half_widths = np.vstack((loops_Nm, elements_rad))
@@ -224,7 +264,7 @@ class BiasEstimator:
         """Follow the motion by one sample, and renew the bias when that is due.
 
         Args:
-            q: Position [rad], shape (n,); kept, not copied, like the velocity.
+            q: Position [rad], shape (n,); kept, not copied, like the others.
             dq: Velocity [rad/s], shape (n,).
             tau: Torque [Nm], shape (n,).
             dt_s: Time since the sample before.
@@ -243,6 +283,7 @@ class BiasEstimator:
                 memory.leapt_s += dt_s
             if not memory.tared:
                 memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
+        memory.tau = tau
         memory.torque_sum += tau
         memory.summed += 1
         if memory.now_s < memory.due_s - ROUNDING_S:
@@ -300,6 +341,10 @@ class BiasEstimator:
         if memory.tared:
             return
         recorder = memory.recorder
+        measured = memory.tau
+        if self._config.torque_is_gravity_compensated:
+            measured = measured - self._basis.gravity_Nm(memory.q)
+        recorder.follow_torque(measured, -np.expm1(-self._gain_per_s * dt_s))
         recorder.add(memory.q, memory.states, residual, memory.now_s, dt_s)
         if recorder.age_s >= self.block_s - ROUNDING_S:
             recorder.close_block()
@@ -362,26 +407,81 @@ class BiasEstimator:
                 SensorCode.NO_FREE_MOTION,
             )
         blocks = memory.recorder.blocks(memory.now_s, self._config.tare_window_s)
+        if not is_external:
+            blocks = replace(blocks, lag_s=1.0 / self._config.slowest_gain_per_s)
         fit = FreeMotionFit(self._basis, blocks)
+        self.diagnosis = None
         if not ignore_contact:
-            check_free_of_contact(
-                fit, wrench, self._config.contact_force_N, is_external=is_external
+            self.diagnosis = check_free_of_contact(
+                self._robot,
+                fit,
+                wrench,
+                self._config.contact_force_N,
+                is_external=is_external,
+                adds_gravity=self._config.torque_is_gravity_compensated,
             )
-        memory.tare = fit.tare
+        tare = fit.tare
+        if self.diagnosis is not None and tare.kind == "model":
+            tare = tare._replace(scale_std=self.diagnosis.scale_doubt)
+        memory.tare = tare
         memory.tared = True
         memory.tared_s = memory.now_s
         memory.leapt_s = 0.0
-        memory.bias = self._basis.bias_Nm(fit.tare, memory.q, memory.states, 0.0)
-        return fit.tare
+        memory.bias = self._basis.bias_Nm(tare, memory.q, memory.states, 0.0)
+        return tare
+
+    def keep_saturated(self, q: Array, tau: Array) -> None:
+        """Keep a rejected sample with a torque beyond its range, of so many."""
+        if not self.memory.tared and len(self._saturated) < MAX_SATURATED:
+            self._saturated.append((q, tau))
+
+    def explain_saturation(self, wrench: WrenchEstimator) -> TareError | None:
+        """Return why torques were beyond their range from the start, if that shows.
+
+        They may be in another unit. None where free motion was recorded, or too few
+        samples were rejected.
+        """
+        count = len(self._saturated)
+        if len(self.memory.recorder.sums) or count < MAX_SATURATED:
+            return None
+        q_rad = np.array([q for q, _ in self._saturated])
+        torque_Nm = np.array([tau for _, tau in self._saturated])
+        gravity_Nm = np.array([self._basis.gravity_Nm(q) for q in q_rad])
+        measured_Nm = torque_Nm
+        if self._config.torque_is_gravity_compensated:
+            measured_Nm = torque_Nm - gravity_Nm
+        blocks = TareBlocks(
+            q_rad=q_rad,
+            states=np.zeros((count, self._basis.states, self._joints)),
+            residual_Nm=gravity_Nm - torque_Nm,
+            torque_Nm=measured_Nm,
+            age_s=np.linspace(1.0 - count, 0.0, count) * self.block_s,
+            scatter_Nm2=torque_Nm.var(axis=0),
+        )
+        try:
+            check_free_of_contact(
+                self._robot,
+                FreeMotionFit(self._basis, blocks),
+                wrench,
+                self._config.contact_force_N,
+                is_external=False,
+                adds_gravity=self._config.torque_is_gravity_compensated,
+                is_whole=False,
+            )
+        except TareError as error:
+            return None if error.code is SensorCode.CONTACT else error
+        return None
 
     def start_tare_recording(self) -> None:
         """Record free motion anew; the tare in force stays until the next."""
         self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
         self.memory.tared = False
         self.memory.leapt_s = 0.0
+        self._saturated = []
 
     def reset(self) -> None:
         """Forget everything."""
+        self._saturated: list[tuple[Array, Array]] = []
         still = np.zeros(self._joints)
         states = self._basis.states
         self.memory = BiasState(
@@ -396,6 +496,7 @@ class BiasEstimator:
             max_motion_Nm2=still,
             q=still,
             dq=still,
+            tau=still,
             smooth_dq=still,
             tare=self._basis.prior_tare,
         )

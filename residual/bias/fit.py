@@ -114,7 +114,8 @@ class FreeMotionFit:
             walk_Nm2_per_s=basis.walk_Nm2_per_s() * self.sizes.get("walk", 1.0) ** 2,
         )
         for array in self.tare:
-            array.setflags(write=False)
+            if isinstance(array, np.ndarray):
+                array.setflags(write=False)
 
     def _fit(self, std: Array, groups: dict[str, slice]) -> Array:
         """Do both passes; return the variance of a residual about the fit, shape (n,).

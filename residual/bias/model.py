@@ -144,6 +144,8 @@ class Tare(NamedTuple):
             shape (n,).
         walk_Nm2_per_s: Variance that the sensors' random walk adds in a second, shape
             (n,).
+        scale_std: Standard deviation of the torques' scale, relative to it: what the
+            motion leaves unknown of it.
     """
 
     mean: Array
@@ -151,6 +153,7 @@ class Tare(NamedTuple):
     noise_Nm2: Array
     scatter_Nm2: Array
     walk_Nm2_per_s: Array
+    scale_std: float = 0.0
 
     @property
     def kind(self) -> TareKind:
@@ -268,7 +271,7 @@ class BiasModel:
         drift_per_s = prior.drift_fraction_per_min / SECONDS_PER_MINUTE
         std = {
             "offset": prior.offset_fraction * effort,
-            "links": self._link_std(),
+            "links": self.link_std,
             "hysteresis": np.tile(prior.hysteresis_fraction * effort, self.loops),
             "friction": np.concatenate((coulomb, viscous)),
             "drift": np.tile(drift_per_s * effort, 2),
@@ -278,8 +281,9 @@ class BiasModel:
             std["cosine"] = std["sine"]
         return std
 
-    def _link_std(self) -> Array:
-        """Return the prior deviations of mass and first moments, shape (4 links,)."""
+    @property
+    def link_std(self) -> Array:
+        """Prior deviations of mass and first moments, shape (4 links,)."""
         prior = self.prior
         stds: list[float] = []
         for inertia in list(self._model.inertias)[1:]:
@@ -296,8 +300,11 @@ class BiasModel:
 
     def regressor(self, q: Array) -> Array:
         """Return the static torque per mass and first moment, shape (n, 4 links)."""
-        still = self._still
-        full = pin.computeJointTorqueRegressor(self._model, self._data, q, still, still)
+        return self.moving_regressor(q, self._still, self._still)
+
+    def moving_regressor(self, q: Array, dq: Array, ddq: Array) -> Array:
+        """Return the same of a moving arm [rad, rad/s, rad/s^2]."""
+        full = pin.computeJointTorqueRegressor(self._model, self._data, q, dq, ddq)
         # For a single joint it comes as a vector.
         by_link = full.reshape(self.joints, -1, INERTIAL_PARAMETERS)
         return by_link[:, :, :LINK_PARAMETERS].reshape(self.joints, -1)
@@ -361,15 +368,25 @@ class TareBlocks:
         q_rad: Positions, shape (m, n).
         states: Of hysteresis and friction, shape (m, states, n).
         residual_Nm: Residuals before offset removal, shape (m, n).
+        torque_Nm: Torques as they were measured, without gravity that was added, as
+            late as the residuals, shape (m, n).
         age_s: Time relative to the end of the tare, <= 0, shape (m,).
         scatter_Nm2: Variance of single residuals about their block's mean, shape (n,).
+        lag_s: Lag of residuals and torques behind the positions.
     """
 
     q_rad: Array
     states: Array
     residual_Nm: Array
+    torque_Nm: Array
     age_s: Array
     scatter_Nm2: Array
+    lag_s: float = 0.0
+
+    @property
+    def lagged_q_rad(self) -> Array:
+        """Positions as late as the residuals, shape (m, n)."""
+        return self.q_rad - self.lag_s * self.states[:, -1]
 
     def select(self, is_selected: NDArray[np.bool_]) -> "TareBlocks":
         """Return some of the blocks; the selection has the shape (m,)."""
@@ -378,5 +395,6 @@ class TareBlocks:
             q_rad=self.q_rad[is_selected],
             states=self.states[is_selected],
             residual_Nm=self.residual_Nm[is_selected],
+            torque_Nm=self.torque_Nm[is_selected],
             age_s=self.age_s[is_selected],
         )

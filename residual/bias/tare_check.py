@@ -4,13 +4,18 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.optimize import linear_sum_assignment
 
 from foundation.arrays import Array
-from foundation.errors import Suspicion
+from foundation.errors import Alternative, Suspicion
 from residual.bias.fit import FreeMotionFit
-from residual.bias.model import LINK_PARAMETERS, BiasModel, TareBlocks
+from residual.bias.model import BiasModel, TareBlocks
+from residual.bias.torque_diagnosis import (
+    ContactReading,
+    TorqueDiagnosis,
+    diagnose_torques,
+)
 from residual.errors import SensorCode, TareError, named_joints
+from urdf import Robot
 
 if TYPE_CHECKING:
     from residual.wrench_estimator import WrenchEstimator
@@ -28,10 +33,6 @@ MAX_REMAINING_RATIO = 0.2
 """Fraction of the residual, rms, that an explanation may leave over; offsets are among
 it."""
 
-MAX_REMAINING_RATIO_OF_MASS = 0.6
-"""The same for a mass at the flange, which is tried last and only where the tare is
-refused anyhow."""
-
 MIN_OFFSETS = 3.0
 """Residual, in prior deviations of the offset, beyond which a cause is sought."""
 
@@ -44,26 +45,11 @@ STILL_RAD = 1e-9
 MOVED_RAD = 0.01
 """Travel of a joint that moves every encoder."""
 
-SWAP_COST_RATIO = 1e-3
-"""Cost of exchanging a joint, relative to that of no exchange: of equal orders the one
-that moves fewest joints is meant, since joints without gravity are alike."""
-
-OFFSET_BLOCKS = 10.0
-"""Weight of the prior of an offset, in blocks: beyond one unit it costs as much as so
-many blocks."""
-
-SHORT_MOTION_RATIO = 1e-3
-"""Singular values below this fraction of the largest are directions that a short motion
-does not show: they stay at zero."""
-
 EVIDENCE_RATIO = 1e-9
 """The same where the information of forces is inverted: only its rounding."""
 
 MIN_SPAN_S = 1e-9
 """Shortest time in which a force grows."""
-
-MAX_COM_M = 0.5
-"""No hand or tool has its centre of mass further from the last joint."""
 
 
 class AxialForce(NamedTuple):
@@ -96,12 +82,15 @@ class ContactInterval(NamedTuple):
 
 
 def check_free_of_contact(
+    robot: Robot,
     fit: FreeMotionFit,
     wrench: "WrenchEstimator",
     contact_force_N: float,
     *,
     is_external: bool,
-) -> None:
+    adds_gravity: bool = False,
+    is_whole: bool = True,
+) -> TorqueDiagnosis | None:
     """Refuse a tare whose motion was not free, or whose torques are of another kind.
 
     A contact that stands during all of the motion breaks the prior. One that begins or
@@ -110,40 +99,108 @@ def check_free_of_contact(
     coarse model explain is no contact.
 
     Args:
+        robot: The arm with its payload.
         fit: The tare.
         wrench: The caller's own estimator: its covariance and gain are overwritten.
         contact_force_N: Smallest axial force that is a contact.
         is_external: Whether the robot sends the external torque itself.
+        adds_gravity: Whether gravity is added to the measured torque.
+        is_whole: Whether the states of friction and hysteresis are known; without them
+            a passing contact cannot be told from friction.
+
+    Returns:
+        What the motion shows of the torques; None of external ones.
 
     Raises:
-        TareError: With the force seen, or the likely reason.
+        TareError: With the force seen, or the causes with which the tare passes once
+            they are corrected.
     """
     basis = fit.basis
     blocks = fit.blocks
-    forces = [find_standing_contact(basis, blocks, wrench)]
-    if forces[0] == NO_FORCE:
-        forces = find_passing_contacts(basis, blocks, wrench)
-    contacts = [
+    contacts = find_contacts(fit, wrench, contact_force_N, is_whole=is_whole)
+    if contacts and (missing := _missing_positions(blocks)):
+        raise TareError(f"{_describe_contact(contacts)}{missing.text}", missing.code)
+    if is_external:
+        cause = explain_external_residual(basis, blocks)
+        if contacts or cause:
+            cause = cause or _CONTACT
+            raise TareError(f"{_describe_contact(contacts)}{cause.text}", cause.code)
+        return None
+
+    def retare(corrected: TareBlocks) -> ContactReading:
+        trial = FreeMotionFit(basis, corrected)
+        found = find_contacts(trial, wrench, contact_force_N, is_whole=is_whole)
+        force = found[0] if found else largest_standing_force(basis, corrected, wrench)
+        is_usual = _offsets_of(basis, corrected) <= MIN_OFFSETS
+        return ContactReading(force.force_N, force.std_N, not found and is_usual)
+
+    diagnosis = diagnose_torques(
+        robot,
+        basis,
+        blocks,
+        adds_gravity=adds_gravity,
+        is_suspicious=bool(contacts),
+        axial_lever_m=largest_levers_m(blocks, wrench),
+        retare=retare,
+    )
+    if not contacts and not diagnosis.is_certain:
+        return diagnosis
+    causes = [one.cause for one in diagnosis.findings]
+    if not causes:
+        raise TareError(
+            f"{_describe_contact(contacts)}{_CONTACT.text}", diagnosis=diagnosis
+        )
+    first, *others = causes
+    texts = filter(None, (diagnosis.describe(), diagnosis.describe_unchecked()))
+    raise TareError(
+        f"{_describe_contact(contacts)}{'. '.join(texts)}",
+        first.code,
+        alternatives=tuple(Alternative(one.code, one.places) for one in others),
+        diagnosis=diagnosis,
+        **first.places,
+    )
+
+
+_CONTACT = Suspicion(
+    "the needle seems to be in contact, or the payload is wrong", SensorCode.CONTACT
+)
+"""What is said where nothing else explains a contact."""
+
+
+def _describe_contact(contacts: list[AxialForce]) -> str:
+    """Return what the sensor reads; empty where no contact is seen."""
+    if not contacts:
+        return ""
+    return (
+        f"the sensor reads {contacts[0].force_N:.2f} N along the needle where 0 +/- "
+        f"{contacts[0].std_N:.2f} N is expected in free motion: "
+    )
+
+
+def _offsets_of(basis: BiasModel, blocks: TareBlocks) -> float:
+    """Return the residual in prior deviations of the offset, rms over joints."""
+    return _rms(blocks.residual_Nm / (basis.prior.offset_fraction * basis.effort_Nm))
+
+
+def find_contacts(
+    fit: FreeMotionFit,
+    wrench: "WrenchEstimator",
+    contact_force_N: float,
+    *,
+    is_whole: bool,
+) -> list[AxialForce]:
+    """Return the forces in a motion that count as contacts, standing ones first.
+
+    Arguments are those of `check_free_of_contact`.
+    """
+    forces = [find_standing_contact(fit.basis, fit.blocks, wrench)]
+    if is_whole and forces[0] == NO_FORCE:
+        forces = find_passing_contacts(fit.basis, fit.blocks, wrench)
+    return [
         force
         for force in forces
         if abs(force.force_N) > max(contact_force_N, SIGMAS * force.std_N)
     ]
-    cause = explain_residual(
-        basis, blocks, is_external=is_external, is_refused=bool(contacts)
-    )
-    if not contacts and not cause:
-        return
-    reading = ""
-    if contacts:
-        reading = (
-            f"the sensor reads {contacts[0].force_N:.2f} N along the needle where 0 +/-"
-            f" {contacts[0].std_N:.2f} N is expected in free motion: "
-        )
-    cause = cause or Suspicion(
-        "the needle seems to be in contact, or the payload is wrong",
-        SensorCode.CONTACT,
-    )
-    raise TareError(f"{reading}{cause.text}", cause.code)
 
 
 def find_standing_contact(
@@ -153,9 +210,20 @@ def find_standing_contact(
 
     The gain of the wrench estimator is overwritten.
     """
+    force = largest_standing_force(basis, blocks, wrench)
+    return force if abs(force.force_N) > SIGMAS * force.std_N else NO_FORCE
+
+
+def largest_standing_force(
+    basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
+) -> AxialForce:
+    """Return the axial force that is largest relative to its deviation.
+
+    The gain of the wrench estimator is overwritten.
+    """
     prior = basis.prior_tare
     force = NO_FORCE
-    excess = SIGMAS
+    excess = 0.0
     for interval in split_into_intervals(len(blocks.age_s)):
         k = interval[len(interval) // 2]
         q = blocks.q_rad[k]
@@ -194,6 +262,12 @@ def find_passing_contacts(
         AxialForce(*constant.contact_N(resistance_axis)),
         AxialForce(*growing.contact_N(resistance_axis)),
     ]
+
+
+def largest_levers_m(blocks: TareBlocks, wrench: "WrenchEstimator") -> Array:
+    """Return each joint's largest torque per newton along the needle, shape (n,)."""
+    levers_m = tip_torques(blocks, wrench) @ wrench.kinematics.axis_in_tool
+    return np.abs(levers_m).max(axis=0)
 
 
 def tip_torques(blocks: TareBlocks, wrench: "WrenchEstimator") -> Array:
@@ -282,55 +356,36 @@ def _best_range(information: Array, evidence: Array) -> tuple[int, int]:
     return best_range
 
 
-def explain_residual(
-    basis: BiasModel, blocks: TareBlocks, *, is_external: bool, is_refused: bool
-) -> Suspicion | None:
-    """Return the likely cause of a residual that is not that of free motion, or None.
+def explain_external_residual(basis: BiasModel, blocks: TareBlocks) -> Suspicion | None:
+    """Return why external torques are none: they are a multiple of gravity's.
 
-    At rest the residual of measured torques is ``g(q) - tau``: g(q) itself if gravity
-    was taken out of tau before, 2 g(q) if tau has the other sign, minus g(q) if gravity
-    was added twice.
-
-    Args:
-        basis: Model of the residual of free motion.
-        blocks: The motion.
-        is_external: As of `check_free_of_contact`.
-        is_refused: Whether the tare is refused anyhow. Only then a mass at the flange
-            and missing positions (a simulated joint may stand still) are considered;
-            otherwise, the others only in a residual far beyond all offsets.
+    None where they may be external torques.
     """
     scale = basis.prior.offset_fraction * basis.effort_Nm
     size = _rms(blocks.residual_Nm / scale)
-    if size == 0.0 or not (is_refused or size > MIN_OFFSETS):
+    if size <= MIN_OFFSETS:
         return None
-    if is_refused and (missing := _missing_positions(blocks)):
-        return missing
-    gravity_Nm = np.array([basis.gravity_Nm(q) for q in blocks.q_rad])
-    treatment = _gravity_treatment(
-        blocks.residual_Nm / scale, gravity_Nm / scale, is_external=is_external
-    )
-    if treatment:
-        return treatment
-    if not is_external:
-        exchange = _exchanged_joints(gravity_Nm - blocks.residual_Nm, gravity_Nm)
-        if exchange:
-            return exchange
-    return _mass_at_flange(basis, blocks, scale) if is_refused else None
+    gravity = np.array([basis.gravity_Nm(q) for q in blocks.q_rad]) / scale
+    residual = blocks.residual_Nm / scale
+    if not gravity.any():
+        return None
+    factor = float(np.vdot(residual, gravity) / np.vdot(gravity, gravity))
+    if _rms(residual - factor * gravity) >= MAX_REMAINING_RATIO * size:
+        return None
+    for known_factor, reason in _GRAVITY_FACTORS.items():
+        if abs(factor / known_factor - 1.0) < FACTOR_TOLERANCE:
+            text = f"the residual is {factor:.2f} times gravity's torque g(q)"
+            return reason._replace(text=f"{text}: {reason.text}")
+    return None
 
 
 _GRAVITY_FACTORS = {
-    False: {
-        1.0: Suspicion("tau seems to leave gravity out", SensorCode.GRAVITY_MISSING),
-        2.0: Suspicion("tau seems to have the wrong sign", SensorCode.TORQUE_SIGN),
-        -1.0: Suspicion("gravity seems to be added twice", SensorCode.GRAVITY_TWICE),
-    },
-    True: {
-        1.0: Suspicion("it seems to be the measured torque", SensorCode.TORQUE_KIND),
-        -1.0: Suspicion(
-            "it seems to be the negated measured torque", SensorCode.TORQUE_KIND_SIGN
-        ),
-    },
+    1.0: Suspicion("it seems to be the measured torque", SensorCode.TORQUE_KIND),
+    -1.0: Suspicion(
+        "it seems to be the negated measured torque", SensorCode.TORQUE_KIND_SIGN
+    ),
 }
+"""What an external torque is that is such a multiple of gravity's."""
 
 
 def _rms(values: Array) -> float:
@@ -347,91 +402,4 @@ def _missing_positions(blocks: TareBlocks) -> Suspicion | None:
         f"q at {named_joints(still_joints)} never changed, others did: it seems to be "
         "missing, unless the needle is in contact",
         SensorCode.POSITIONS,
-    )
-
-
-def _gravity_treatment(
-    residual: Array, gravity: Array, *, is_external: bool
-) -> Suspicion | None:
-    """Return how gravity was treated if the residual is a multiple of it, else None.
-
-    Both have the shape (m, n), relative to what an offset may be.
-    """
-    if not gravity.any():
-        return None
-    factor = float(np.vdot(residual, gravity) / np.vdot(gravity, gravity))
-    if _rms(residual - factor * gravity) >= MAX_REMAINING_RATIO * _rms(residual):
-        return None
-    for known_factor, reason in _GRAVITY_FACTORS[is_external].items():
-        if abs(factor / known_factor - 1.0) < FACTOR_TOLERANCE:
-            size = f"the residual is {factor:.2f} times gravity's torque g(q)"
-            return reason._replace(text=f"{size}: {reason.text}")
-    return None
-
-
-def _exchanged_joints(torque: Array, gravity: Array) -> Suspicion | None:
-    """Return which joints seem to be exchanged; None if none."""
-    order = _order_of_joints(torque, gravity)
-    exchanges = [
-        f"tau of joint {joint + 1} reads as joint {other + 1}'s"
-        for joint, other in enumerate(order)
-        if joint != other
-    ]
-    if not exchanges:
-        return None
-    text = f"joints seem to be exchanged: {', '.join(exchanges)}"
-    return Suspicion(text, SensorCode.JOINT_ORDER)
-
-
-def _order_of_joints(torque: Array, gravity: Array) -> tuple[int, ...]:
-    """Return whose gravity each measured torque is, both of shape (m, n).
-
-    It is empty if each is its own joint's, or nobody's.
-    """
-    cost = np.square(torque[:, :, None] - gravity[:, None, :]).mean(axis=0)
-    own_cost = float(np.trace(cost))
-    swap_cost = SWAP_COST_RATIO * own_cost * (1.0 - np.eye(len(cost)))
-    joints, order = linear_sum_assignment(cost + swap_cost)
-    is_exchanged = (order != joints).any()
-    is_explained = cost[joints, order].sum() < MAX_REMAINING_RATIO**2 * own_cost
-    return tuple(order.tolist()) if is_exchanged and is_explained else ()
-
-
-def _mass_at_flange(
-    basis: BiasModel, blocks: TareBlocks, scale: Array
-) -> Suspicion | None:
-    """Return a mass behind the last joint that the model has too much of, or lacks.
-
-    None if there is none. Least squares of the residual over its mass and first
-    moments, and an offset per joint.
-    """
-    joints = len(scale)
-    mass_columns = np.concatenate(
-        [
-            basis.regressor(q)[:, -LINK_PARAMETERS:] / scale[:, None]
-            for q in blocks.q_rad
-        ]
-    )
-    offset_columns = np.tile(np.eye(joints), (len(blocks.q_rad), 1))
-    # An offset is expected within one unit.
-    prior_rows = np.hstack(
-        (np.zeros((joints, LINK_PARAMETERS)), np.sqrt(OFFSET_BLOCKS) * np.eye(joints))
-    )
-    residual = (blocks.residual_Nm / scale).ravel()
-    columns = np.vstack((np.hstack((mass_columns, offset_columns)), prior_rows))
-    parameters = np.linalg.lstsq(
-        columns, np.append(residual, np.zeros(joints)), rcond=SHORT_MOTION_RATIO
-    )[0]
-    mass_kg = float(parameters[0])
-    moment = np.linalg.norm(parameters[1:LINK_PARAMETERS])
-    remaining = residual - mass_columns @ parameters[:LINK_PARAMETERS]
-    is_body = moment < MAX_COM_M * abs(mass_kg)
-    is_explained = _rms(remaining) <= MAX_REMAINING_RATIO_OF_MASS * _rms(residual)
-    if not (is_body and is_explained):
-        return None
-    fault = "has about {:.2g} kg too much" if mass_kg > 0.0 else "lacks about {:.2g} kg"
-    return Suspicion(
-        f"the robot's model {fault.format(abs(mass_kg))} at the flange, unless the "
-        "needle is in contact",
-        SensorCode.PAYLOAD,
     )

@@ -61,8 +61,14 @@ def stroke(
     )
     residual = bias + noise * rng.normal(size=bias.shape)
     scatter = np.full(robot.nv, (2 * noise) ** 2)
+    gravity = np.array([basis.gravity_Nm(one) for one in q])
     return theta, TareBlocks(
-        q_rad=q, states=trend, residual_Nm=residual, age_s=age, scatter_Nm2=scatter
+        q_rad=q,
+        states=trend,
+        residual_Nm=residual,
+        torque_Nm=gravity - residual,
+        age_s=age,
+        scatter_Nm2=scatter,
     )
 
 
@@ -157,13 +163,20 @@ def test_contact_during_the_stroke_is_refused(lwr, basis, push):
     wrench = WrenchEstimator(lwr)
     stands = push[0] > 0.0
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)) if stands else None)
-    check_free_of_contact(FreeMotionFit(basis, blocks), wrench, 0.25, is_external=False)
+    check_free_of_contact(
+        lwr, FreeMotionFit(basis, blocks), wrench, 0.25, is_external=False
+    )
     lever_m = external_torque_of(lwr, MIDDLE, pose_of(lwr, MIDDLE).rotation[:, 2])
-    touched = replace(blocks, residual_Nm=blocks.residual_Nm - push[:, None] * lever_m)
+    pushed = push[:, None] * lever_m
+    touched = replace(
+        blocks,
+        residual_Nm=blocks.residual_Nm - pushed,
+        torque_Nm=blocks.torque_Nm + pushed,
+    )
 
     with pytest.raises(TareError, match="in contact"):
         check_free_of_contact(
-            FreeMotionFit(basis, touched), wrench, 0.25, is_external=False
+            lwr, FreeMotionFit(basis, touched), wrench, 0.25, is_external=False
         )
 
 

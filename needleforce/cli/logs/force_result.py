@@ -10,6 +10,7 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay, has_status
 from needleforce.cli.logs.tare_schedule import describe_rejections, velocity_advice
+from needleforce.cli.logs.torque_summary import describe_torques
 from residual import SensorConfig, SensorWarning, Status
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
@@ -157,6 +158,8 @@ class ForceResult:
         if replay.question:
             yield "signals", replay.question
         yield "tare", self._describe_tare()
+        diagnosis = replay.sensor.diagnosis
+        yield "torque", describe_torques(diagnosis, is_external=replay.is_external)
         yield "axial force", self._describe_axial_force()
         if replay.is_external:
             yield "lag", "that of the robot's own estimate"

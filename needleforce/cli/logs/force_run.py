@@ -2,6 +2,7 @@
 
 from dataclasses import replace
 from functools import partial
+from typing import NamedTuple
 
 from needleforce.cli.logs.force_page import ForcePage
 from needleforce.cli.logs.force_result import ForceResult, force_table
@@ -14,6 +15,8 @@ from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
 from needleforce.cli.logs.tare_schedule import parse_tare_window
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
+from needleforce.cli.logs.torque_columns import with_torque_option
+from needleforce.cli.logs.torque_summary import describe_doubt
 from needleforce.cli.robot import (
     payload_from_options,
     payload_lines,
@@ -33,7 +36,8 @@ from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import TableLabels
-from residual import SensorConfig, Status
+from residual import SensorConfig, Status, TareError
+from urdf import Robot
 
 
 def run(
@@ -60,30 +64,91 @@ def run(
     Raises:
         CommandError: Options contradict each other, or the log does not fit the robot.
     """
-    mapping = mapping_from_options(columns)
-    torque = "tau_ext" if sensor.external_torque else "tau"
-    find_joints = partial(find_log_joints, source, mapping, torque)
-    robot = robot_from_options(robot_options, columns.mapping, find_joints)
-    joints = robot.joint_names
     if columns.print_config:
-        payload = payload_lines(payload_from_options(robot_options, columns.mapping))
-        channels = ("q", torque, "dq")
-        text = suggest_mapping(
-            source, channels, mapping=mapping, joints=joints, payload=payload
-        )
-        write_out(text)
+        write_out(_suggested_mapping(source, robot_options, sensor, columns))
         return 0
+    work = prepare(source, robot_options, sensor, columns)
+
+    def estimate(log: LogSession) -> ForcePage:
+        return estimate_forces(log, work.replay, output, layers)
+
+    return run_log(source, output, work.request, estimate)
+
+
+def _suggested_mapping(
+    source: str,
+    robot_options: RobotOptions,
+    sensor: SensorOptions,
+    columns: JointColumns,
+) -> str:
+    """Return the mapping of a log that ``--print-config`` prints."""
+    robot = _robot_of_log(source, robot_options, sensor, columns)
+    payload = payload_lines(payload_from_options(robot_options, columns.mapping))
+    return suggest_mapping(
+        source,
+        ("q", _torque_channel(sensor), "dq"),
+        mapping=mapping_from_options(columns),
+        joints=robot.joint_names,
+        payload=payload,
+    )
+
+
+def _torque_channel(sensor: SensorOptions) -> str:
+    return "tau_ext" if sensor.external_torque else "tau"
+
+
+class PreparedReplay(NamedTuple):
+    """What is run over a log, and what is read of it.
+
+    Attributes:
+        replay: The sensor.
+        request: Which channels are read.
+    """
+
+    replay: SensorReplay
+    request: ChannelRequest
+
+
+def _robot_of_log(
+    source: str,
+    robot_options: RobotOptions,
+    sensor: SensorOptions,
+    columns: JointColumns,
+) -> Robot:
+    """Return the robot of the options; the log may say which joints it has."""
+    mapping = mapping_from_options(columns)
+    find_joints = partial(find_log_joints, source, mapping, _torque_channel(sensor))
+    return robot_from_options(robot_options, columns.mapping, find_joints)
+
+
+def prepare(
+    source: str,
+    robot_options: RobotOptions,
+    sensor: SensorOptions,
+    columns: JointColumns,
+) -> PreparedReplay:
+    """Return the sensor that the options describe, and which channels it needs.
+
+    Args:
+        source: The log as the command line names it.
+        robot_options: The robot.
+        sensor: How joint signals become a force.
+        columns: Which columns are which channels.
+
+    Raises:
+        CommandError: Options contradict each other, or the robot cannot be loaded.
+    """
+    robot = _robot_of_log(source, robot_options, sensor, columns)
     _check_tare_options(sensor)
     robot, friction = with_friction(robot, sensor.friction)
     config = sensor_config(sensor, friction)
     request = ChannelRequest(
-        mapping=mapping, required=("q", torque), optional=("dq",), joints=joints
+        mapping=mapping_from_options(columns),
+        required=("q", _torque_channel(sensor)),
+        optional=("dq",),
+        joints=robot.joint_names,
     )
-
-    def estimate(log: LogSession) -> ForcePage:
-        return estimate_forces(log, SensorReplay(robot, config, sensor), output, layers)
-
-    return run_log(source, output, request, estimate)
+    return PreparedReplay(SensorReplay(robot, config, sensor), request)
 
 
 def _check_tare_options(sensor: SensorOptions) -> None:
@@ -117,19 +182,24 @@ def estimate_forces(
     chunks: list[LogChunk] = []
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
-    with open_output(output, log, TableLabels(frame=frame)) as table:
-        for chunk in log:
-            if not result.counts:
-                log.warn(*tool_mass_warnings(log.tool_mass, replay.robot))
-            rows = replay.run(chunk)
-            result.add(rows)
-            overview.add(rows)
-            if table is not None:
-                table.append(force_table(rows, config))
-            if layers is not None:
-                chunks.append(_as_depth_log(chunk, rows))
-        result.count_bad_stamps(log.bad_stamp_count)
-        replay.finish(is_whole=not log.is_stopped())
+    try:
+        with open_output(output, log, TableLabels(frame=frame)) as table:
+            for chunk in log:
+                if not result.counts:
+                    log.warn(*tool_mass_warnings(log.tool_mass, replay.robot))
+                rows = replay.run(chunk)
+                result.add(rows)
+                overview.add(rows)
+                if table is not None:
+                    table.append(force_table(rows, config))
+                if layers is not None:
+                    chunks.append(_as_depth_log(chunk, rows))
+            result.count_bad_stamps(log.bad_stamp_count)
+            replay.finish(is_whole=not log.is_stopped())
+    except TareError as error:
+        raise with_torque_option(error, log) from error
+    if doubt := describe_doubt(replay.sensor.diagnosis, log):
+        log.warn(f"torque: {doubt}")
     result.rows = overview.columns()
     if layers is None or not result.counts[Status.OK]:
         return ForcePage(result)

@@ -3,6 +3,7 @@
 import math
 from collections import Counter
 from collections.abc import Sequence
+from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,7 +13,13 @@ from needleforce.cli.logs.tare_schedule import TareSchedule, TareWindow
 from needleforce.cli.shared_options import SensorOptions
 from needleforce.cli.terminal import CommandCode, CommandError
 from needleforce.recordings.log_stream import LogChunk
-from residual import SensorConfig, SensorWarning, Status, VirtualForceSensor
+from residual import (
+    SensorConfig,
+    SensorWarning,
+    Status,
+    TareError,
+    VirtualForceSensor,
+)
 from residual.checks.input import ROUNDING_S
 from residual.estimate import WrenchEstimate
 from residual.tool_kinematics import ToolKinematics
@@ -139,6 +146,9 @@ class SensorReplay:
         question: Latest message about signals that may be missing or in degrees.
         gaps: Gaps in time after which the filters restarted.
         longest_gap_s: The longest time between two valid samples [s].
+        survives_refusal: Whether a refused tare is kept in ``refusal``, and the log
+            read on; it is raised otherwise.
+        refusal: Why the tare was refused; None if it was not.
     """
 
     def __init__(
@@ -155,6 +165,8 @@ class SensorReplay:
         self.question = ""
         self.gaps = 0
         self.longest_gap_s = 0.0
+        self.survives_refusal = False
+        self.refusal: TareError | None = None
         self._options = options
         self._has_velocity = False
         self._travel = ToolTravel(
@@ -199,7 +211,7 @@ class SensorReplay:
             time_s = self._clock.update(stamp_s, dt_s)
             advances = dt_s > 0.0
             if advances:
-                self._schedule.before(time_s)
+                self._tare_if_due(time_s)
             velocity = None if dq_rad_s is None else dq_rad_s[row]
             estimate = self._update(q_rad[row], velocity, torque_Nm[row], dt_s)
             estimates.append(estimate)
@@ -220,6 +232,12 @@ class SensorReplay:
             "after_gap": after_gap,
         }
 
+    def _go_on_without_tare(self, refusal: TareError, first_s: float) -> None:
+        """Keep the reason of a refused tare, and plan no other."""
+        self.refusal = refusal
+        options = replace(self._options, no_tare=True, tare=None)
+        self._schedule = TareSchedule(self.sensor, self.rejected, options, first_s)
+
     def finish(self, *, is_whole: bool) -> None:
         """Take a tare whose window ends with the log.
 
@@ -230,8 +248,24 @@ class SensorReplay:
             CommandError: The tare fails, or a whole log has no room for its window.
         """
         if self._schedule is not None:
-            self._schedule.finish(self._clock.latest_s, is_whole=is_whole)
+            try:
+                self._schedule.finish(self._clock.latest_s, is_whole=is_whole)
+            except TareError as error:
+                if not self.survives_refusal:
+                    raise
+                self.refusal = error
             self.tare = self._schedule.done
+
+    def _tare_if_due(self, time_s: float) -> None:
+        """Start the recording or take the tare, before the sample of this time [s]."""
+        if self._schedule is None:
+            return
+        try:
+            self._schedule.before(time_s)
+        except TareError as error:
+            if not self.survives_refusal:
+                raise
+            self._go_on_without_tare(error, self._clock.first_s)
 
     def _start(self, q_rad: Array, first_s: float) -> TareSchedule:
         """Check the joints of the first rows, start the clock, and plan the tare."""

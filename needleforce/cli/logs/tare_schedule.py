@@ -170,6 +170,7 @@ class TareSchedule:
         elif is_whole:
             if self._options.tare is not None and window is not None:
                 self._require_inside(window, last_s)
+            self._refuse_saturated()
             raise CommandError(
                 f"the log ends before the filters have settled and {AUTOMATIC_S:g} s "
                 "of free motion were seen, so it cannot be tared"
@@ -205,10 +206,19 @@ class TareSchedule:
             CommandCode.TARE,
         )
 
+    def _refuse_saturated(self) -> None:
+        """Refuse torques that were beyond their range from the start, if that shows."""
+        error = self._sensor.explain_saturation()
+        if error is not None:
+            count = self._rejected.total()
+            text = f"no tare: {count} samples were rejected for torques beyond their"
+            raise error.reworded(f"{text} range: {error}")
+
     def _take_tare(self, window: TareWindow) -> None:
         """Tare the sensor on what was recorded in a window."""
         window = self._used_part(window)
         if not self._has_settled:
+            self._refuse_saturated()
             raise CommandError(
                 f"no tare from {window}{window.note}: the filters had not settled by "
                 f"then"

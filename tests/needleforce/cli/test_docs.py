@@ -78,6 +78,8 @@ def test_every_command_of_the_page_runs(command, capsys):
 
     # Of a report: forces from before the tare are not used for the layers.
     said = capsys.readouterr().err.splitlines()
+    if "--payload payload.toml" in command:  # of which the arm of the log has none
+        assert said.pop().startswith("warning: torque: ")
 
     assert [line for line in said if not command.startswith("report")] == []
     assert all("--ignore-status takes them" in line for line in said)

@@ -335,7 +335,7 @@ def test_option_cures_torque_without_gravity_or_negated(run, lwr, tmp_path, caps
             "Give --gravity-compensated",
             ["--gravity-compensated"],
         ),
-        (-columns["tau_Nm"], "--tau tau_*:Nm:-1", ["--tau", "tau_Nm:Nm:-1"]),
+        (-columns["tau_Nm"], "--tau tau_Nm:Nm:-1", ["--tau", "tau_Nm:Nm:-1"]),
     ):
         log = str(tmp_path / "wrong.npz")
         write_table(log, columns | {"tau_Nm": tau_Nm})
