@@ -94,7 +94,7 @@ def normalised_name(name: str) -> str:
     """Return a name in lower case without accents, with `_` for spaces and hyphens."""
     decomposed = unicodedata.normalize("NFKD", name)
     letters = "".join(c for c in decomposed if not unicodedata.combining(c))
-    return re.sub(r"[\s\-_]+", "_", letters.lower()).strip("_:.")
+    return re.sub(r"[\s\-_]+", "_", letters.lower()).strip("_:.%")
 
 
 def _words(text: str) -> tuple[str, ...]:

@@ -32,6 +32,11 @@ _BRACKETED_UNIT = re.compile(
 _NUMBERED_NAME = re.compile(
     r"^(?P<stem>.*?[^\d_.\[ ])(?P<mark>[_. ]?)\[?(?P<number>\d{1,9})\]?$"
 )
+_NUMBER_FIRST = re.compile(
+    r"^(?P<mark>(?:joint|axis|actuator|motor|ax|j|a)[_. ]?)(?P<number>\d{1,2})[_./ ]+"
+    r"(?P<stem>[^\d\W].*)$",
+    re.IGNORECASE,
+)
 _RANGE = re.compile(r"\{(?P<first>\d{1,9})\.\.(?P<last>\d{1,9})\}")
 _ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d{1,9})\]$")
 
@@ -68,8 +73,9 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
     """Split a column name into its parts.
 
     Only a unit of the quantity looked for is read as one. Understands `q1`, `q_1`,
-    `q[0]`, `q1_deg`, `q_deg_1`, `z [mm]`, `z (mm)`, `z/mm`, `z mm`, `z in mm`,
-    `speed_mm_s` and a leading path such as `/joint_states/`.
+    `q[0]`, `q1_deg`, `q_deg_1`, `joint 1 position`, `z [mm]`, `z (mm)`, `z/mm`, `z mm`,
+    `z in mm`, `speed_mm_s` and a leading path such as `/joint_states/`; before a number
+    also one with dots, as in `state.q[0]`.
     """
     stem, unit = split_unit(name.strip(), units)
     number = None
@@ -79,8 +85,13 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
         start, end = match.span("number")
         family = name.replace(stem, f"{stem[:start]}#{stem[end:]}", 1)
         stem = match["stem"]
+        stem = stem.rsplit(".", 1)[-1]
         if unit is None:
             stem, unit = split_unit(stem, units)
+    elif match := _NUMBER_FIRST.match(stem.rsplit("/", 1)[-1]):
+        number = int(match["number"])
+        family = name.replace(match["mark"] + match["number"], match["mark"] + "#", 1)
+        stem = match["stem"]
 
     return ColumnName(normalised_name(stem.rsplit("/", 1)[-1]), family, number, unit)
 

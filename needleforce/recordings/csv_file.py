@@ -23,6 +23,11 @@ from needleforce.recordings.errors import (
     FormatError,
     require_size,
 )
+from needleforce.recordings.exported_joints import (
+    JointGroup,
+    find_joint_groups,
+    group_columns,
+)
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.table import HEAD_ROWS, START_KEY, StatedUnit, Table
 from needleforce.recordings.text_lines import TextLines
@@ -79,6 +84,7 @@ class _CsvRows:
         waiting: Rows that wait to be read; before the table has been found all lines.
         omitted: Which columns are left out, by their place, and why.
         faults: What is wrong with rows and cells.
+        joint_groups: Columns that hold joints by name, once the first rows were read.
     """
 
     def __init__(self) -> None:
@@ -87,6 +93,7 @@ class _CsvRows:
         self.waiting: list[NumberedRow] = []
         self.omitted: dict[int, str] = {}
         self.faults = FaultCounts()
+        self.joint_groups: list[JointGroup] = []
         self._delimiter = ","
         self._commas = Commas.UNKNOWN
         self._comments: deque[NumberedRow] = deque(maxlen=NAMING_COMMENTS)
@@ -206,10 +213,18 @@ class _CsvRows:
             values = self._read_by_cell(rows)
             if not self._is_chosen:
                 self._choose_columns(len(values))
+        if not self._is_chosen:
+            self._group_joints(rows)
 
         warnings: tuple[str, ...] = ()
         if not self._is_chosen:
-            warnings = (*self._header_warnings, *self.omitted.values())
+            used = {name for group in self.joint_groups for name in group.sources}
+            left_out = (
+                reason
+                for i, reason in self.omitted.items()
+                if self.names[i] not in used
+            )
+            warnings = (*self._header_warnings, *left_out)
 
         self._is_chosen = True
 
@@ -221,7 +236,8 @@ class _CsvRows:
         self._restore_large_integers(columns, rows)
         self.waiting = self.waiting[len(rows) :]
         return Table(
-            columns=columns,
+            columns=group_columns(columns, self.joint_groups),
+            joint_names={group.column: group.joints for group in self.joint_groups},
             start_ns=self._start_ns,
             warnings=warnings,
             units=self.units,
@@ -321,6 +337,18 @@ class _CsvRows:
         """Return the kind of fault that a column has cells of text."""
         return f"column {self.names[column]!r}: cells that are not numbers, read as NaN"
 
+    def _group_joints(self, rows: list[NumberedRow]) -> None:
+        """Find the columns that hold joints by name, from the first rows."""
+        all_cells = [self._split_row(row.text) for row in rows[:1]]
+        texts = {
+            self.names[i]: cells[i].strip()
+            for cells in all_cells
+            for i in self.omitted
+            if i < len(cells)
+        }
+        kept = [name for i, name in enumerate(self.names) if i not in self.omitted]
+        self.joint_groups = find_joint_groups(kept, texts)
+
     def _choose_columns(self, row_count: int) -> None:
         """Decide from the first rows which columns are left out."""
         width = len(self.names)
@@ -393,5 +421,6 @@ def csv_tables(
         raise error.reworded(f"{name}: {error}{losses}") from error
 
     names = [name for i, name in enumerate(rows.names) if i not in rows.omitted]
+    no_rows = group_columns(dict.fromkeys(names, np.empty(0)), rows.joint_groups)
     warnings = (*lines.warnings, *rows.faults.lines())
-    yield Table(columns=dict.fromkeys(names, np.empty(0)), warnings=warnings)
+    yield Table(columns=no_rows, warnings=warnings)
