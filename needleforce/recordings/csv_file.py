@@ -423,4 +423,5 @@ def csv_tables(
     names = [name for i, name in enumerate(rows.names) if i not in rows.omitted]
     no_rows = group_columns(dict.fromkeys(names, np.empty(0)), rows.joint_groups)
     warnings = (*lines.warnings, *rows.faults.lines())
-    yield Table(columns=no_rows, warnings=warnings)
+    joint_names = {group.column: group.joints for group in rows.joint_groups}
+    yield Table(columns=no_rows, warnings=warnings, joint_names=joint_names)

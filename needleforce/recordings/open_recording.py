@@ -29,6 +29,7 @@ from needleforce.recordings.follow import (
     byte_blocks,
     head_of,
 )
+from needleforce.recordings.joint_order import put_joints_in_order
 from needleforce.recordings.log import Log
 from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.mapping import ColumnMapping
@@ -166,7 +167,8 @@ def stream_tables(
 
         return
 
-    yield from csv_tables(blocks, name, options, max_bytes)
+    tables = csv_tables(blocks, name, options, max_bytes)
+    yield from put_joints_in_order(tables, request)
 
 
 def _copy_blocks(

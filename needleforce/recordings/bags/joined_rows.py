@@ -1,15 +1,15 @@
 """Rows of a bag: the messages of one topic, with the others interpolated to them."""
 
 from collections.abc import Iterable, Iterator, Mapping
-from typing import NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Array
 from needleforce.recordings.bags.messages import NONE_YET, RawMessage
-from needleforce.recordings.bags.topics import Bag, Topic
+from needleforce.recordings.bags.topics import Bag
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import ColumnError
+from needleforce.recordings.joint_order import order_joints
 from needleforce.recordings.table import HEAD_ROWS, Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
@@ -38,18 +38,6 @@ UNIVERSAL_ROBOTS_JOINTS = (
 
 LATE_NS = NS_PER_S
 """A topic whose messages come so much later than those of others loses nothing."""
-
-
-class JointOrder(NamedTuple):
-    """The order of a topic's joints.
-
-    Attributes:
-        joints: Their names, in order.
-        notes: What was assumed, one sentence each.
-    """
-
-    joints: tuple[str, ...]
-    notes: tuple[str, ...] = ()
 
 
 class JoinedRows:
@@ -86,7 +74,7 @@ class JoinedRows:
         ]
         self._warnings = bag.warnings
         for name, topic in self.topics.items():
-            order = _order_joints(topic, request)
+            order = order_joints(name, tuple(topic.joint_names), request)
             self._warnings += order.notes
             topic.choose(columns.get(name, ()), order.joints)
 
@@ -287,32 +275,3 @@ def _choose_reference(
         )
 
     return chosen
-
-
-def _order_joints(topic: Topic, request: ChannelRequest) -> JointOrder:
-    """Return the order of a topic's joints: the mapping's, the robot's, or the bag's.
-
-    Raises:
-        ColumnError: The topic lacks a joint of the mapping.
-    """
-    bag_joints = tuple(topic.joint_names)
-    if not bag_joints:
-        return JointOrder(())
-
-    missing = [joint for joint in request.mapping.joints if joint not in bag_joints]
-    if missing:
-        raise ColumnError(
-            f"joints of the mapping that {topic.name} does not have: "
-            f"{', '.join(missing)}; it has: {', '.join(bag_joints)}"
-        )
-
-    order = request.mapping.joints or request.joints
-    if not order or set(order) <= set(bag_joints):
-        return JointOrder(order or bag_joints)
-
-    note = (
-        f"{topic.name} has the joints {', '.join(bag_joints)}, the robot "
-        f"{', '.join(order)}; the order of the bag was kept, name another one with "
-        "joints in the mapping"
-    )
-    return JointOrder(bag_joints, (note,))

@@ -8,7 +8,7 @@ from needleforce.recordings import read_log
 JOINTS = ("base", "elbow")
 """In the robot's order; ROS writes them in the order of the alphabet, or none."""
 
-ROWS = 20
+ROWS = 10
 
 
 def row_values(row):

@@ -1,0 +1,91 @@
+"""The order of joints in a recording that names them."""
+
+from collections.abc import Iterable, Iterator
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+
+from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.errors import ColumnError
+from needleforce.recordings.table import Table
+
+
+class JointOrder(NamedTuple):
+    """In which order the joints of a column, or of a topic, are read.
+
+    Attributes:
+        joints: Their names, in order.
+        notes: What was assumed, one sentence each.
+    """
+
+    joints: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def order_joints(
+    name: str, joints: tuple[str, ...], request: ChannelRequest
+) -> JointOrder:
+    """Return the order of joints: the mapping's, the robot's, or the recording's.
+
+    Args:
+        name: Of the topic or column, for messages.
+        joints: That the recording names, in its order; none if it names none.
+        request: In which order the robot has them.
+
+    Raises:
+        ColumnError: The recording lacks a joint of the mapping.
+    """
+    if not joints:
+        return JointOrder(())
+
+    missing = [joint for joint in request.mapping.joints if joint not in joints]
+    if missing:
+        raise ColumnError(
+            f"joints of the mapping that {name} does not have: "
+            f"{', '.join(missing)}; it has: {', '.join(joints)}"
+        )
+
+    order = request.mapping.joints or request.joints
+    if not order or set(order) <= set(joints):
+        return JointOrder(order or joints)
+
+    note = (
+        f"{name} has the joints {', '.join(joints)}, the robot {', '.join(order)}; "
+        "the order of the recording was kept, name another one with joints in the "
+        "mapping"
+    )
+    return JointOrder(joints, (note,))
+
+
+def put_joints_in_order(
+    tables: Iterable[Table], request: ChannelRequest | None
+) -> Iterator[Table]:
+    """Yield tables whose columns of joints are in the order that is asked for.
+
+    Raises:
+        ColumnError: The tables lack a joint of the mapping.
+    """
+    notes: dict[str, None] = {}
+    for table in tables:
+        if request is None or not table.joint_names:
+            yield table
+            continue
+
+        columns = dict(table.columns)
+        joint_names = dict(table.joint_names)
+        new_notes: list[str] = []
+        for name, joints in table.joint_names.items():
+            order = order_joints(name, joints, request)
+            places = [joints.index(joint) for joint in order.joints]
+            columns[name] = np.asarray(columns[name])[:, places]
+            joint_names[name] = order.joints
+            new_notes += [note for note in order.notes if note not in notes]
+
+        notes |= dict.fromkeys(new_notes)
+        yield replace(
+            table,
+            columns=columns,
+            joint_names=joint_names,
+            warnings=(*table.warnings, *new_notes),
+        )
