@@ -235,8 +235,11 @@ class _CsvRows:
         }
         self._restore_large_integers(columns, rows)
         self.waiting = self.waiting[len(rows) :]
+        if self.joint_groups:
+            columns = group_columns(columns, self.joint_groups)
+
         return Table(
-            columns=group_columns(columns, self.joint_groups),
+            columns=columns,
             joint_names={group.column: group.joints for group in self.joint_groups},
             start_ns=self._start_ns,
             warnings=warnings,

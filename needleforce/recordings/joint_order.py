@@ -1,14 +1,9 @@
 """The order of joints in a recording that names them."""
 
-from collections.abc import Iterable, Iterator
-from dataclasses import replace
 from typing import NamedTuple
-
-import numpy as np
 
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import ColumnError
-from needleforce.recordings.table import Table
 
 
 class JointOrder(NamedTuple):
@@ -56,36 +51,3 @@ def order_joints(
         "mapping"
     )
     return JointOrder(joints, (note,))
-
-
-def put_joints_in_order(
-    tables: Iterable[Table], request: ChannelRequest | None
-) -> Iterator[Table]:
-    """Yield tables whose columns of joints are in the order that is asked for.
-
-    Raises:
-        ColumnError: The tables lack a joint of the mapping.
-    """
-    notes: dict[str, None] = {}
-    for table in tables:
-        if request is None or not table.joint_names:
-            yield table
-            continue
-
-        columns = dict(table.columns)
-        joint_names = dict(table.joint_names)
-        new_notes: list[str] = []
-        for name, joints in table.joint_names.items():
-            order = order_joints(name, joints, request)
-            places = [joints.index(joint) for joint in order.joints]
-            columns[name] = np.asarray(columns[name])[:, places]
-            joint_names[name] = order.joints
-            new_notes += [note for note in order.notes if note not in notes]
-
-        notes |= dict.fromkeys(new_notes)
-        yield replace(
-            table,
-            columns=columns,
-            joint_names=joint_names,
-            warnings=(*table.warnings, *new_notes),
-        )

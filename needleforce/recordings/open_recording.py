@@ -29,7 +29,7 @@ from needleforce.recordings.follow import (
     byte_blocks,
     head_of,
 )
-from needleforce.recordings.joint_order import put_joints_in_order
+from needleforce.recordings.joint_order import order_joints
 from needleforce.recordings.log import Log
 from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.mapping import ColumnMapping
@@ -168,7 +168,40 @@ def stream_tables(
         return
 
     tables = csv_tables(blocks, name, options, max_bytes)
-    yield from put_joints_in_order(tables, request)
+    yield from _put_joints_in_order(tables, request)
+
+
+def _put_joints_in_order(
+    tables: Iterable[Table], request: ChannelRequest | None
+) -> Iterator[Table]:
+    """Yield tables whose columns of joints are in the order that is asked for.
+
+    Raises:
+        ColumnError: The tables lack a joint of the mapping.
+    """
+    notes: dict[str, None] = {}
+    for table in tables:
+        if request is None or not table.joint_names:
+            yield table
+            continue
+
+        columns = dict(table.columns)
+        joint_names = dict(table.joint_names)
+        new_notes: list[str] = []
+        for name, joints in table.joint_names.items():
+            order = order_joints(name, joints, request)
+            places = [joints.index(joint) for joint in order.joints]
+            columns[name] = columns[name][:, places]
+            joint_names[name] = order.joints
+            new_notes += [note for note in order.notes if note not in notes]
+
+        notes |= dict.fromkeys(new_notes)
+        yield replace(
+            table,
+            columns=columns,
+            joint_names=joint_names,
+            warnings=(*table.warnings, *new_notes),
+        )
 
 
 def _copy_blocks(

@@ -6,7 +6,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.recordings.bags.messages import NONE_YET, RawMessage
-from needleforce.recordings.bags.topics import Bag
+from needleforce.recordings.bags.topics import Bag, Topic
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import ColumnError
 from needleforce.recordings.joint_order import order_joints
