@@ -58,7 +58,8 @@ def test_every_format_passes_both_commands_without_options(quick, capsys, suffix
     assert main(["identify", f"forces{suffix}"]) == 0
 
     out, err = capsys.readouterr()
-    (layer,) = [line.split() for line in out.splitlines()[1:]]
+    layers, _, channels = out.partition("\n\n")
+    (layer,) = [line.split() for line in layers.splitlines()[1:]]
     true = run.truth.ruptures[0]
 
     assert float(layer[3]) == pytest.approx(true.onset_s, abs=0.1)
@@ -69,6 +70,7 @@ def test_every_format_passes_both_commands_without_options(quick, capsys, suffix
     assert std_N < 0.2 * friction_N
     assert "--ignore-status takes them" in err
     assert len(err.splitlines()) == 1
+    assert len(channels.splitlines()) == 7
 
 
 def test_recording_holds_the_robots_signals_alone(quick, run):
