@@ -54,6 +54,10 @@ class Outcome(StrEnum):
     READ = "read"
 
 
+ROBOT_OUTCOMES = {"robot": Outcome.READ, "model": Outcome.UNCHECKED}
+"""Outcomes of the lines on the robot, and on what is odd in its description."""
+
+
 class CheckLine(msgspec.Struct):
     """One line of the table.
 
@@ -98,7 +102,7 @@ class LogCheck(msgspec.Struct):
     Attributes:
         log: Name of the log.
         lines: What was checked.
-        warnings: What was wrong with the log.
+        warnings: What was wrong with the log, and with the robot's description.
         torque: Numbers of the tare; None where it was not taken.
     """
 
@@ -183,7 +187,7 @@ def check_log(log: LogSession, replay: SensorReplay) -> LogCheck:
     return LogCheck(
         log=log.name,
         lines=lines,
-        warnings=log.warnings,
+        warnings=[*log.warnings, *replay.robot.warnings],
         torque=None if diagnosis is None else _numbers_of(diagnosis),
     )
 
@@ -269,8 +273,8 @@ def _log_lines(
     for unit in log.units:
         yield CheckLine(f"channel {unit.channel}", Outcome.READ, str(unit))
     for label, text in result.summary():
-        if label == "robot":
-            yield CheckLine(label, Outcome.READ, text)
+        if label in ROBOT_OUTCOMES:
+            yield CheckLine(label, ROBOT_OUTCOMES[label], text)
         if label == "rejected":
             outcome = Outcome.DOUBTFUL if replay.rejected else Outcome.VERIFIED
             yield CheckLine(label, outcome, text)

@@ -1,5 +1,7 @@
 """Options of the robot: the joints that a log has, its inertia, its mounting."""
 
+import json
+
 import pytest
 
 from needleforce.cli import main
@@ -176,7 +178,7 @@ def test_a_report_takes_the_options_and_shows_what_is_odd(arm, tmp_path, capsys)
     assert "Warning: " in page
 
 
-def test_inertia_is_accepted_with_a_warning_in_the_result(arm, tmp_path, capsys):
+def test_inertia_is_accepted_with_a_warning_in_every_result(arm, tmp_path, capsys):
     robot = robot_of(arm)
     log = write_insertion(tmp_path / "log.npz", robot)
     text = arm.read_text()
@@ -192,8 +194,12 @@ def test_inertia_is_accepted_with_a_warning_in_the_result(arm, tmp_path, capsys)
     options = [*argv, "--accept-inertia", "--force-tare"]
     _, out, err = force_of(capsys, options, tmp_path)
 
-    for printed in (out, err):
+    main(["check", *options, *ON_TIP, "--json"])
+    found = capsys.readouterr().out
+
+    for printed in (out, err, found):
         assert "accepted without inertia: upper (joint shoulder)" in printed
+    assert "accepted without inertia" in json.loads(found)["warnings"][-1]
 
 
 @pytest.mark.parametrize(
