@@ -59,6 +59,9 @@ CURRENTS = frozenset({"scale", "joint scales"})
 TWO_FAULTS = frozenset({"scale and payload", "sign and scale", "payload and sign"})
 """Kinds that are two faults at once."""
 
+MOUNTING = frozenset({"sign", "direction"})
+"""Two more: an arm that hangs has the opposite torques at rest."""
+
 SAME_FACTOR_RATIO = 0.1
 """Factors of joints that differ by less are one factor."""
 
@@ -334,11 +337,14 @@ def _try(
     # Two faults at once are the last to be thought of.
     simple = [one for one in chosen if one.hypothesis.kind not in TWO_FAULTS]
     double = [one for one in chosen if one.hypothesis.kind in TWO_FAULTS]
-    for hypothesis, log_odds in (*simple, *double):
+    best: _Choice | None = None
+    for choice in (*simple, *double):
         if trials == MAX_TRIALS or len(findings) == MAX_FINDINGS:
             break
-        if not _is_worth_a_trial(hypothesis, log_odds, findings, tests):
+        if not _is_worth_a_trial(choice, best, findings, tests):
             continue
+        hypothesis, log_odds = choice
+        best = best or choice
         advised = round_factors(hypothesis)
         trials += 1
         reading = retare(tests.corrected_motion(advised.correction))
@@ -349,27 +355,35 @@ def _try(
 
 
 def _is_worth_a_trial(
-    hypothesis: Hypothesis,
-    log_odds: float,
+    choice: _Choice,
+    best: _Choice | None,
     findings: list[Finding],
     tests: HypothesisTests,
 ) -> bool:
-    """Return whether a cause adds something to those that were found."""
+    """Return whether a cause may be the one, beside those that were tried.
+
+    Args:
+        choice: The cause.
+        best: The most probable one that was tried, whether it passed or not: where it
+            did not, one that is far less probable is no better for passing.
+        findings: Causes that passed.
+        tests: Of the motion.
+    """
+    hypothesis, log_odds = choice
     kind = hypothesis.kind
-    kinds = {one.hypothesis.kind for one in findings}
-    if kind == "scale" and not _deviates(hypothesis):
+    if kind in ("scale", "scale and payload") and not _deviates(hypothesis):
         return False
     if kind == "joint scales" and _has_one_factor(hypothesis, tests):
         return False
-    if not findings:
-        return True
+    kinds = {one.hypothesis.kind for one in findings}
     if kinds & {kind, *_SIMPLER.get(kind, ())}:
         return False
-    best = max(one.log_odds for one in findings)
+    if best is None:
+        return True
     if kind in TWO_FAULTS:
-        return log_odds > best + LIKELY_PAIR
-    is_alike = {kind, *kinds} in (PAIR, CURRENTS)
-    return log_odds > best - (LIKELY_PAIR if is_alike else LIKELY)
+        return log_odds > best.log_odds + (LIKELY_PAIR if findings else -LIKELY)
+    is_alike = {kind, best.hypothesis.kind} in (PAIR, CURRENTS, MOUNTING)
+    return log_odds > best.log_odds - (LIKELY_PAIR if is_alike else LIKELY)
 
 
 def _has_one_factor(hypothesis: Hypothesis, tests: HypothesisTests) -> bool:
