@@ -16,8 +16,8 @@ from needleforce.recordings.csv_file import CSV_SUFFIXES
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import HEAD_ROWS, TableLabels
 
-DOCS = Path(__file__).parents[3] / "docs" / "how-to"
-PAGES = [DOCS / "recordings.md", DOCS / "bags.md"]
+DOCS = Path(__file__).parents[3] / "docs"
+PAGES = [DOCS / "reference" / "recordings.md", DOCS / "how-to" / "bags.md"]
 TEXT = PAGES[0].read_text(encoding="utf-8")
 BAGS = PAGES[1].read_text(encoding="utf-8")
 FILES = dict(
