@@ -80,6 +80,7 @@ COMMAND_ADVICE: dict[str, str] = {
     "NF-RECORDING-MAPPING": "Correct the options, or the file of --mapping, where a "
     "channel has columns, unit and scale",
     "NF-RECORDING-JOINTS": "Name the columns of all joints, as in --q q_* --tau tau_*",
+    "NF-RECORDING-ARMS": "Choose one with --joints, as in --joints '{pattern}'",
     "NF-RECORDING-WRITE": "Give another place and form with -o FILE",
     "NF-CONTROL-LIMITS": "Correct the joint limits in the robot's description",
     "NF-CONTROL-FRAME": "Name a frame whose z axis is the needle with --tool-frame",

@@ -53,12 +53,15 @@ class JointColumns(Columns):
     """Channels of `force`.
 
     Attributes:
+        joints: Names of the robot's joints in the log, in its order, separated by
+            commas; or, of two arms, a pattern that those of one fit, such as 'left_*'.
         q: Joint position (rad, deg).
         dq: Joint velocity (rad/s, deg/s, rpm); none to estimate it from the positions.
         tau: Measured joint torque (Nm, mNm, Nmm, Ncm, kNm, in-lbf, ft-lbf).
         tau_ext: External joint torque as the robot estimates it (units as of tau).
     """
 
+    joints: Annotated[str | None, Parameter(metavar="NAMES")] = None
     q: Annotated[str | None, _COLUMN] = None
     dq: Annotated[str | None, _COLUMN] = None
     tau: Annotated[str | None, _COLUMN] = None

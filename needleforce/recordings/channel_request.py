@@ -1,5 +1,6 @@
 """Which channels are read of a recording, and which of its columns they are."""
 
+from contextlib import suppress
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -9,8 +10,10 @@ from needleforce.recordings.column_names import (
     NamedValues,
     detect_columns,
     find_columns,
+    split_unit,
 )
 from needleforce.recordings.errors import ColumnError, MappingError, RecordingCode
+from needleforce.recordings.joint_names import match_columns, match_joints
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
 from needleforce.recordings.table import Table
 
@@ -72,7 +75,7 @@ class ChannelRequest:
         for name in dict.fromkeys((*names, *requested)):
             spec = self.mapping.channels.get(name)
             if spec is not None:
-                columns = channel_columns(table, CHANNELS[name], spec)
+                columns = self.find_columns(table, CHANNELS[name])
             else:
                 columns = self._detect(table, name, needed)
 
@@ -83,6 +86,44 @@ class ChannelRequest:
 
         return frozenset(needed)
 
+    def find_columns(self, table: Table, channel: Channel) -> list[NamedValues]:
+        """Return a channel's columns: mapped ones, usual names, or those of the joints.
+
+        Raises:
+            ColumnError: They are not there, or ambiguous.
+        """
+        names = self.joint_columns(table, channel)
+        if names:
+            return [NamedValues(name, table.columns[name]) for name in names]
+
+        return channel_columns(table, channel, self.mapping.channels.get(channel.name))
+
+    def joint_columns(self, table: Table, channel: Channel) -> tuple[str, ...]:
+        """Return columns that are named after the robot's joints and a channel.
+
+        Returns:
+            Their names, in the robot's order; none if there are no such columns, or
+            the channel is mapped or has a usual name.
+
+        Raises:
+            ColumnError: Columns of several arms would fit.
+        """
+        joints = self.mapping.joint_order or self.joints
+        is_mapped = channel.name in self.mapping.channels
+        if is_mapped or not (channel.per_joint and joints):
+            return ()
+        with suppress(ColumnError):  # several would fit, one for each joint perhaps
+            if channel_columns(table, channel, None):
+                return ()
+
+        by_stem = {
+            split_unit(name.strip(), channel.units)[0]: name
+            for name, values in table.columns.items()
+            if values.ndim == 1
+        }
+        stems = match_columns(by_stem, channel, joints, self.mapping.joint_pattern)
+        return tuple(by_stem[stem] for stem in stems)
+
     def _detect(self, table: Table, name: str, chosen: set[str]) -> list[NamedValues]:
         """Find a channel by its usual names.
 
@@ -90,7 +131,7 @@ class ChannelRequest:
         the one whose elements are the robot's joints.
         """
         try:
-            return channel_columns(table, CHANNELS[name], None)
+            return self.find_columns(table, CHANNELS[name])
         except ColumnError:
             nearby = self._columns_nearby(table, chosen)
             if nearby:
@@ -108,14 +149,14 @@ class ChannelRequest:
             for name, values in table.columns.items()
             if name.rpartition("/")[0] in topics
         }
-        joints = {*(self.mapping.joints or self.joints)}
+        joints = self.mapping.joint_order or self.joints
         if beside or not joints:
             return beside
 
         return {
             name: table.columns[name]
             for name, joint_names in table.joint_names.items()
-            if joints <= set(joint_names)
+            if match_joints(joint_names, joints)
         }
 
 

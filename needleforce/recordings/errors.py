@@ -133,6 +133,11 @@ class RecordingCode(ErrorCode):
         "The channels differ in the number of joints.",
         "Name the columns of all joints under each channel of the `mapping`.",
     )
+    ARMS = (
+        "NF-RECORDING-ARMS",
+        "Joints of more than one arm would fit the robot's.",
+        "Choose one with `joints` in the `mapping`, such as `('{pattern}',)`.",
+    )
     WRITE = (
         "NF-RECORDING-WRITE",
         "A table cannot be written in this form.",

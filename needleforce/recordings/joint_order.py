@@ -4,6 +4,7 @@ from typing import NamedTuple
 
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import ColumnError
+from needleforce.recordings.joint_names import choose_match, match_joints
 
 
 class JointOrder(NamedTuple):
@@ -29,21 +30,33 @@ def order_joints(
         request: In which order the robot has them.
 
     Raises:
-        ColumnError: The recording lacks a joint of the mapping.
+        ColumnError: The recording lacks a joint of the mapping, or has joints of
+            several arms that would fit.
     """
     if not joints:
         return JointOrder(())
 
-    missing = [joint for joint in request.mapping.joints if joint not in joints]
+    mapping = request.mapping
+    missing = [joint for joint in mapping.joint_order if joint not in joints]
     if missing:
         raise ColumnError(
             f"joints of the mapping that {name} does not have: "
             f"{', '.join(missing)}; it has: {', '.join(joints)}"
         )
 
-    order = request.mapping.joints or request.joints
-    if not order or set(order) <= set(joints):
-        return JointOrder(order or joints)
+    order = mapping.joint_order or request.joints
+    if not order:
+        return JointOrder(joints)
+
+    matches = match_joints(joints, order)
+    chosen = choose_match(matches, mapping.joint_pattern, name)
+    if chosen is not None:
+        note = (
+            f"{name}: the joints {chosen.names[0]}, ... ({chosen.pattern}) were taken "
+            f"for the robot's {order[0]}, ..."
+        )
+        is_equal = chosen.names == tuple(order)
+        return JointOrder(chosen.names, () if is_equal else (note,))
 
     note = (
         f"{name} has the joints {', '.join(joints)}, the robot {', '.join(order)}; "

@@ -30,6 +30,7 @@ from needleforce.recordings.log_signal import (
     find_signal,
     require_equal_sizes,
 )
+from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.stamp_order import SORTED_WITHIN_S, Rows, StampOrder
 from needleforce.recordings.table import HEAD_ROWS, Table, ToolMass, tool_mass_in
 from needleforce.recordings.time_stamps import (
@@ -215,10 +216,12 @@ class LogStream:
     def _find_channels(self, table: Table) -> None:
         """Decide from the first table which columns are read."""
         missing: list[Channel] = []
+        by_joint: list[str] = []
         for name in self._requested_names():
             channel = CHANNELS[name]
-            spec = self._request.mapping.channels.get(name)
-            signal = find_signal(table, channel, spec)
+            signal = find_signal(
+                table, channel, self._spec_of(table, channel, by_joint)
+            )
             is_required = name in self._request.required
             if signal is None:
                 if is_required:
@@ -226,7 +229,7 @@ class LogStream:
 
                 continue
 
-            is_named = is_required or spec is not None
+            is_named = is_required or name in self._request.mapping.channels
             head = signal.read(table)[:HEAD_ROWS]
             if not is_required:
                 _require_all_joints(channel, head)
@@ -240,6 +243,8 @@ class LogStream:
                     )
                 )
 
+        notes = f"columns found by the names of the joints: {'; '.join(by_joint)}"
+        self._report((notes,) * bool(by_joint))
         if missing:
             raise _not_found(missing, table, self._request)
 
@@ -247,6 +252,23 @@ class LogStream:
             raise ColumnError(
                 f"no channel was recognised. Columns are: {table.describe()}"
             )
+
+    def _spec_of(
+        self, table: Table, channel: Channel, by_joint: list[str]
+    ) -> ColumnSpec | None:
+        """Return which columns a channel is: as mapped, or named after the joints.
+
+        Args:
+            table: The first table.
+            channel: The channel.
+            by_joint: Gets a note if columns are named after the robot's joints.
+        """
+        names = self._request.joint_columns(table, channel)
+        if not names:
+            return self._request.mapping.channels.get(channel.name)
+
+        by_joint.append(f"{channel.name}: {names[0]}, ...")
+        return ColumnSpec(columns=names)
 
     def _requested_names(self) -> tuple[str, ...]:
         """Return the channels that are looked for, apart from time.

@@ -115,8 +115,8 @@ class ColumnMapping:
     Attributes:
         channels: Columns by keys of `CHANNELS`.
         rate_hz: Samples/s of a file without time stamps; it replaces a time column.
-        joints: The robot's joints, in its order, into which the joint signals of a bag
-            are put by name.
+        joints: Names of the robot's joints in the recording, in its order, by which
+            signals are found and put in order; or one pattern that they fit, `left_*`.
         reference_topic: Topic of a bag whose messages are the rows of the log.
         sort_within_s: Rows are sorted that come no later than this after newer ones;
             None for the usual time.
@@ -125,10 +125,20 @@ class ColumnMapping:
 
     channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
     rate_hz: float | None = None
-    joints: tuple[str, ...] = ()
+    joints: str | tuple[str, ...] = ()
     reference_topic: str | None = None
     sort_within_s: float | None = None
     payload: Any = None
+
+    @property
+    def joint_pattern(self) -> str:
+        """The pattern that the joints' names fit; empty without one."""
+        return self.joints[0] if len(self.joints) == 1 and "*" in self.joints[0] else ""
+
+    @property
+    def joint_order(self) -> tuple[str, ...]:
+        """The joints, each by name; none where a pattern stands for them."""
+        return () if self.joint_pattern else tuple(self.joints)
 
     @property
     def left_out(self) -> frozenset[str]:
@@ -149,6 +159,10 @@ class ColumnMapping:
                 f"sort_within_s = {sort_within_s!r:.60} must be a time in s from 0 to "
                 f"{MAX_SORT_WITHIN_S:g}"
             )
+
+        if isinstance(self.joints, str):
+            names = tuple(name.strip() for name in self.joints.split(","))
+            object.__setattr__(self, "joints", names)
 
         channels = {
             name: _with_known_unit(name, spec) for name, spec in self.channels.items()

@@ -119,7 +119,7 @@ def _joint_lines(
         return []
 
     has_all = bool(joints) and set(joints) <= set(bag_joints)
-    order = list(known.joints or (joints if has_all else bag_joints))
+    order = list(known.joint_order or (joints if has_all else bag_joints))
     lines = ["# Joints in the order of the robot; they are found by these names."]
     if joints and order != list(joints):
         lines.append(comment_line(f"The robot calls them: {', '.join(joints)}"))

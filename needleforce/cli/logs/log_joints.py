@@ -20,8 +20,8 @@ def find_log_joints(source: str, mapping: ColumnMapping, torque: str) -> LogJoin
         mapping: Which columns are which channels.
         torque: Channel of the torques.
     """
-    if mapping.joints:
-        return LogJoints(mapping.joints, len(mapping.joints))
+    if mapping.joint_order:
+        return LogJoints(mapping.joint_order, len(mapping.joint_order))
     if source == STANDARD_STREAM or readable_path(source).is_fifo():
         return LogJoints()
     table = next(recordings.stream_tables(source, FollowOptions()))

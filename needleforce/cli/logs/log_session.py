@@ -45,8 +45,13 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
     sort_within_s = columns.sort_within
     if sort_within_s is None:
         sort_within_s = base.sort_within_s
+    joints = getattr(columns, "joints", None) or base.joints
     return replace(
-        base, channels=channels, rate_hz=rate_hz, sort_within_s=sort_within_s
+        base,
+        joints=joints,
+        channels=channels,
+        rate_hz=rate_hz,
+        sort_within_s=sort_within_s,
     )
 
 
