@@ -91,8 +91,12 @@ _USUAL_UNITS = {"depth": "mm", "speed": "mm/s"}
 
 
 def normalised_name(name: str) -> str:
-    """Return a name in lower case without accents, with `_` for spaces and hyphens."""
-    decomposed = unicodedata.normalize("NFKD", name)
+    """Return a name in lower case without accents, with `_` between its words.
+
+    Words end at spaces, hyphens and capitals: `Axial-Force` and `axialForce` are alike.
+    """
+    words = re.sub(r"(?<=[a-z])(?=[A-Z])", "_", name)
+    decomposed = unicodedata.normalize("NFKD", words)
     letters = "".join(c for c in decomposed if not unicodedata.combining(c))
     return re.sub(r"[\s\-_]+", "_", letters.lower()).strip("_:.%")
 
@@ -136,7 +140,8 @@ _ALL_CHANNELS = (
         "q position pos joint_position joint_positions actual_q",
         "joint positions",
         machine_words="joint_angle joint_angles actual_joint_position "
-        "actual_joint_positions",
+        "actual_joint_positions measured_joint_position measured_joint_positions "
+        "joint_pos",
     ),
     _joint_channel(
         "dq",
@@ -145,7 +150,8 @@ _ALL_CHANNELS = (
         "dq qd qdot q_dot velocity vel joint_velocity joint_velocities actual_qd",
         "joint velocities",
         machine_words="joint_speed joint_speeds actual_joint_velocity "
-        "actual_joint_velocities",
+        "actual_joint_velocities measured_joint_velocity measured_joint_velocities "
+        "joint_vel",
     ),
     _joint_channel(
         "tau",
@@ -154,7 +160,8 @@ _ALL_CHANNELS = (
         "tau tau_j effort torque joint_torque joint_torques",
         "measured joint torques",
         machine_words="joint_effort joint_efforts actual_joint_torque "
-        "actual_joint_torques measured_torque measured_torques",
+        "actual_joint_torques measured_torque measured_torques measured_joint_torque "
+        "measured_joint_torques",
     ),
     _joint_channel(
         "tau_ext",

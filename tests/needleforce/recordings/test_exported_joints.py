@@ -111,6 +111,7 @@ def test_list_of_names_that_fits_no_family_is_not_used(tmp_path):
         ("joint_{}_position", "joint_{}_torque", True),
         ("A{} pos [rad]", "A{} torque [Nm]", True),
         ("state.q[{}]", "state.tau_J[{}]", True),
+        ("MeasuredJointPosition{}", "MeasuredTorque{}", True),
     ],
 )
 def test_number_of_a_joint_stands_in_front_or_behind_a_path_with_dots(
