@@ -399,8 +399,12 @@ def damping_at(friction: Friction, speed: float) -> Damping:
 
 @compiled
 def is_identified(value: float, std: float) -> bool:
-    """Return whether the data determine a value."""
-    return std <= IDENTIFIED_FRACTION * abs(value)
+    """Return whether the data determine a value.
+
+    A standard deviation of zero is that of a value which no data gave, as the friction
+    of a membrane.
+    """
+    return 0.0 < std <= IDENTIFIED_FRACTION * abs(value)
 
 
 @compiled
