@@ -210,7 +210,7 @@ def _std(variance: float) -> float:
 
 
 def _is_identified(value: float, std: float) -> bool:
-    return std <= IDENTIFIED_FRACTION * value
+    return 0.0 < std <= IDENTIFIED_FRACTION * value
 
 
 def with_friction(layer: LayerEstimate, friction: LayerFriction) -> LayerEstimate:
