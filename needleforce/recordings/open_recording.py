@@ -176,10 +176,12 @@ def _put_joints_in_order(
 ) -> Iterator[Table]:
     """Yield tables whose columns of joints are in the order that is asked for.
 
+    What is said of a group of joints is said once, of its first column.
+
     Raises:
         ColumnError: The tables lack a joint of the mapping.
     """
-    notes: dict[str, None] = {}
+    known: set[tuple[str, ...]] = set()
     for table in tables:
         if request is None or not table.joint_names:
             yield table
@@ -187,20 +189,21 @@ def _put_joints_in_order(
 
         columns = dict(table.columns)
         joint_names = dict(table.joint_names)
-        new_notes: list[str] = []
+        notes: list[str] = []
         for name, joints in table.joint_names.items():
             order = order_joints(name, joints, request)
             places = [joints.index(joint) for joint in order.joints]
             columns[name] = columns[name][:, places]
             joint_names[name] = order.joints
-            new_notes += [note for note in order.notes if note not in notes]
+            if joints not in known:
+                notes += order.notes
+                known.add(joints)
 
-        notes |= dict.fromkeys(new_notes)
         yield replace(
             table,
             columns=columns,
             joint_names=joint_names,
-            warnings=(*table.warnings, *new_notes),
+            warnings=(*table.warnings, *notes),
         )
 
 
