@@ -1,13 +1,10 @@
 """Errors of the `residual` package: one base, each leaf also a standard exception."""
 
 from collections.abc import Iterable
-from typing import TYPE_CHECKING
+from typing import Any
 
 from foundation.errors import Alternative, CodedError, ErrorCode, StateCode
 from residual.estimate import SensorWarning
-
-if TYPE_CHECKING:
-    from residual.bias.torque_diagnosis import TorqueDiagnosis
 
 
 def named_joints(indices: Iterable[int]) -> str:
@@ -216,7 +213,7 @@ class TareError(ResidualError, RuntimeError):
         code: ErrorCode | None = None,
         *,
         alternatives: tuple[Alternative, ...] = (),
-        diagnosis: "TorqueDiagnosis | None" = None,
+        diagnosis: Any = None,
         **places: str,
     ) -> None:
         self.alternatives = alternatives

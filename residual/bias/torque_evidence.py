@@ -8,7 +8,7 @@ with the sizes of the priors that make it largest.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import ClassVar, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -114,6 +114,9 @@ class TorqueEvidence:
         regressor_of_blocks: Torque per mass and first moment of every link, shape (m,
             n, 4 n).
     """
+
+    START_OCTAVES: ClassVar[tuple[float, ...]] = START_OCTAVES
+    """Exponents of the sizes where none are searched."""
 
     def __init__(self, basis: BiasModel, blocks: TareBlocks) -> None:
         self.basis = basis

@@ -11,7 +11,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
 from itertools import combinations
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -19,9 +19,11 @@ from scipy.optimize import linear_sum_assignment
 
 from foundation.arrays import Array
 from residual.bias.model import LINK_PARAMETERS, TareBlocks
-from residual.bias.torque_evidence import START_OCTAVES, Evidence, TorqueEvidence
 from urdf import Robot
 from urdf.payload_rating import rated_payload_kg
+
+if TYPE_CHECKING:
+    from residual.bias.torque_evidence import Evidence, TorqueEvidence
 
 SCALE_STD = 1.0
 """Prior deviation of a factor about the one it is linearised at, relative to it."""
@@ -167,7 +169,7 @@ class HypothesisTests:
     """
 
     def __init__(
-        self, robot: Robot, evidence: TorqueEvidence, *, adds_gravity: bool
+        self, robot: Robot, evidence: "TorqueEvidence", *, adds_gravity: bool
     ) -> None:
         self.robot = robot
         self._evidence = evidence
@@ -383,7 +385,7 @@ class HypothesisTests:
             np.ones(self._joints),
             self._payload_columns,
             stds,
-            sizes=START_OCTAVES,
+            sizes=self._evidence.START_OCTAVES,
         )
         return MissingMass(-float(found.extra[0]), float(found.extra_std[0]))
 
@@ -430,7 +432,7 @@ class HypothesisTests:
         extra = np.concatenate((model_Nm[:, :, None], self._payload_columns), axis=2)
         stds = np.array([SCALE_STD, PAYLOAD_STD_KG, *[MOMENT_STD_KGM] * 3])
 
-        def fit(scale: float) -> Evidence:
+        def fit(scale: float) -> "Evidence":
             start = replace(self.untouched, factors=self.untouched.factors / scale)
             difference_Nm = self.difference_Nm(start)
             return self._evidence.evaluate(difference_Nm, start.factors, extra, stds)

@@ -2,13 +2,15 @@
 
 from collections.abc import Set as AbstractSet
 from dataclasses import replace
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Array
-from residual.bias.torque_hypotheses import Hypothesis, HypothesisTests
 from residual.errors import SensorCode, named_joints
+
+if TYPE_CHECKING:
+    from residual.bias.torque_hypotheses import Hypothesis, HypothesisTests
 
 ROUND_RATIO = 0.5
 """A factor is rounded by at most so many of its deviations."""
@@ -55,7 +57,7 @@ class Cause(NamedTuple):
     places: dict[str, str]
 
 
-def round_factors(hypothesis: Hypothesis) -> Hypothesis:
+def round_factors(hypothesis: "Hypothesis") -> "Hypothesis":
     """Return a hypothesis with factors of as few digits as their deviations allow."""
     factors = hypothesis.correction.factors
     if hypothesis.kind == "joint scales":
@@ -76,7 +78,7 @@ def round_factors(hypothesis: Hypothesis) -> Hypothesis:
     )
 
 
-def describe_hypothesis(hypothesis: Hypothesis, tests: HypothesisTests) -> Cause:
+def describe_hypothesis(hypothesis: "Hypothesis", tests: "HypothesisTests") -> Cause:
     """Return a hypothesis in words."""
     cause = _DESCRIPTIONS[hypothesis.kind](hypothesis, tests)
     is_doubled = tests.adds_gravity and not hypothesis.correction.adds_gravity
@@ -115,11 +117,11 @@ def _factor_text(factors: Array) -> str:
     return ",".join(f"{one:.{MAX_DIGITS}g}" for one in factors)
 
 
-def _places_of(hypothesis: Hypothesis) -> dict[str, str]:
+def _places_of(hypothesis: "Hypothesis") -> dict[str, str]:
     return {"factors": _factor_text(hypothesis.correction.factors)}
 
 
-def _describe_scale(hypothesis: Hypothesis, _: HypothesisTests) -> Cause:
+def _describe_scale(hypothesis: "Hypothesis", _: "HypothesisTests") -> Cause:
     scale = hypothesis.scale
     std = hypothesis.scale_std
     sign = -1.0 if hypothesis.correction.factors[0] < 0.0 else 1.0
@@ -142,7 +144,7 @@ def _describe_scale(hypothesis: Hypothesis, _: HypothesisTests) -> Cause:
     return Cause(text, SensorCode.TORQUE_SCALE, _places_of(hypothesis))
 
 
-def _describe_sign(hypothesis: Hypothesis, _: HypothesisTests) -> Cause:
+def _describe_sign(hypothesis: "Hypothesis", _: "HypothesisTests") -> Cause:
     factors = hypothesis.correction.factors
     turned = np.flatnonzero(factors < 0.0)
     joints = "" if len(turned) == len(factors) else f" at {named_joints(turned)}"
@@ -150,7 +152,7 @@ def _describe_sign(hypothesis: Hypothesis, _: HypothesisTests) -> Cause:
     return Cause(text, SensorCode.TORQUE_SIGN, _places_of(hypothesis))
 
 
-def _describe_joint_scales(hypothesis: Hypothesis, tests: HypothesisTests) -> Cause:
+def _describe_joint_scales(hypothesis: "Hypothesis", tests: "HypothesisTests") -> Cause:
     factors = hypothesis.correction.factors
     visible = np.flatnonzero(tests.visible)
     seen = ", ".join(f"{factors[joint]:.3g} at joint {joint + 1}" for joint in visible)
@@ -164,20 +166,20 @@ def _describe_joint_scales(hypothesis: Hypothesis, tests: HypothesisTests) -> Ca
     return Cause(text, SensorCode.TORQUE_SCALE, _places_of(hypothesis))
 
 
-def _describe_rated(hypothesis: Hypothesis, tests: HypothesisTests) -> Cause:
+def _describe_rated(hypothesis: "Hypothesis", tests: "HypothesisTests") -> Cause:
     parts = tests.effort_Nm / hypothesis.correction.factors
     word = RATED_PARTS[float(f"{np.median(parts):.3g}")]
     text = f"tau seems to be {word} of each joint's effort limit"
     return Cause(text, SensorCode.TORQUE_SCALE, _places_of(hypothesis))
 
 
-def _describe_gravity(hypothesis: Hypothesis, _: HypothesisTests) -> Cause:
+def _describe_gravity(hypothesis: "Hypothesis", _: "HypothesisTests") -> Cause:
     if hypothesis.correction.adds_gravity:
         return Cause("tau seems to leave gravity out", SensorCode.GRAVITY_MISSING, {})
     return Cause("gravity seems to be added twice", SensorCode.GRAVITY_TWICE, {})
 
 
-def _describe_direction(hypothesis: Hypothesis, tests: HypothesisTests) -> Cause:
+def _describe_direction(hypothesis: "Hypothesis", tests: "HypothesisTests") -> Cause:
     gravity = hypothesis.correction.gravity_m_s2
     given = np.array(tests.robot.gravity_m_s2)
     if gravity is None:
@@ -192,7 +194,7 @@ def _describe_direction(hypothesis: Hypothesis, tests: HypothesisTests) -> Cause
     return Cause(text, SensorCode.GRAVITY_DIRECTION, places)
 
 
-def _describe_order(hypothesis: Hypothesis, _: HypothesisTests) -> Cause:
+def _describe_order(hypothesis: "Hypothesis", _: "HypothesisTests") -> Cause:
     order = hypothesis.correction.order
     # A measured torque j stands where the corrected joint k says order[k] = j.
     exchanges = ", ".join(
@@ -208,7 +210,7 @@ def _describe_order(hypothesis: Hypothesis, _: HypothesisTests) -> Cause:
     return Cause(text, SensorCode.JOINT_ORDER, places)
 
 
-def _describe_payload(hypothesis: Hypothesis, tests: HypothesisTests) -> Cause:
+def _describe_payload(hypothesis: "Hypothesis", tests: "HypothesisTests") -> Cause:
     mass_kg = float(hypothesis.correction.payload[0])
     fault = "lacks about {:.2g} kg" if mass_kg > 0.0 else "has about {:.2g} kg too much"
     text = (
@@ -219,7 +221,7 @@ def _describe_payload(hypothesis: Hypothesis, tests: HypothesisTests) -> Cause:
     return Cause(text, SensorCode.PAYLOAD, places)
 
 
-def _describe_both(hypothesis: Hypothesis, tests: HypothesisTests) -> Cause:
+def _describe_both(hypothesis: "Hypothesis", tests: "HypothesisTests") -> Cause:
     """Return a factor or a sign, and a payload."""
     is_sign = hypothesis.kind == "payload and sign"
     first = _describe_sign if is_sign else _describe_scale

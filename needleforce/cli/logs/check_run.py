@@ -10,8 +10,8 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.cli.advice import advise
 from needleforce.cli.logs.force_result import ForceResult
-from needleforce.cli.logs.force_run import prepare
 from needleforce.cli.logs.log_session import LogSession
+from needleforce.cli.logs.replay_setup import prepare
 from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_columns import with_torque_option

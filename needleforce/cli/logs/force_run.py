@@ -1,28 +1,26 @@
 """`needleforce force`: from options and a log to forces, and layers if asked for."""
 
 from dataclasses import replace
-from functools import partial
-from typing import NamedTuple
 
 from needleforce.cli.logs.force_page import ForcePage
 from needleforce.cli.logs.force_result import ForceResult, force_table
 from needleforce.cli.logs.layer_page import LayerPage
 from needleforce.cli.logs.layer_result import identify_layers
-from needleforce.cli.logs.log_joints import find_log_joints
 from needleforce.cli.logs.log_session import LogSession, mapping_from_options
 from needleforce.cli.logs.outputs import open_output, run_log
+from needleforce.cli.logs.replay_setup import (
+    prepare,
+    robot_of_log,
+    torque_channel,
+)
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
-from needleforce.cli.logs.tare_schedule import parse_tare_window
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_columns import with_torque_option
 from needleforce.cli.logs.torque_summary import describe_doubt
 from needleforce.cli.robot import (
     payload_from_options,
     payload_lines,
-    robot_from_options,
-    sensor_config,
-    with_friction,
 )
 from needleforce.cli.shared_options import (
     IdentificationOptions,
@@ -31,13 +29,11 @@ from needleforce.cli.shared_options import (
     RobotOptions,
     SensorOptions,
 )
-from needleforce.cli.terminal import CommandError, write_out
-from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.cli.terminal import write_out
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import TableLabels
 from residual import SensorConfig, Status, TareError
-from urdf import Robot
 
 
 def run(
@@ -82,84 +78,15 @@ def _suggested_mapping(
     columns: JointColumns,
 ) -> str:
     """Return the mapping of a log that ``--print-config`` prints."""
-    robot = _robot_of_log(source, robot_options, sensor, columns)
+    robot = robot_of_log(source, robot_options, sensor, columns)
     payload = payload_lines(payload_from_options(robot_options, columns.mapping))
     return suggest_mapping(
         source,
-        ("q", _torque_channel(sensor), "dq"),
+        ("q", torque_channel(sensor), "dq"),
         mapping=mapping_from_options(columns),
         joints=robot.joint_names,
         payload=payload,
     )
-
-
-def _torque_channel(sensor: SensorOptions) -> str:
-    return "tau_ext" if sensor.external_torque else "tau"
-
-
-class PreparedReplay(NamedTuple):
-    """What is run over a log, and what is read of it.
-
-    Attributes:
-        replay: The sensor.
-        request: Which channels are read.
-    """
-
-    replay: SensorReplay
-    request: ChannelRequest
-
-
-def _robot_of_log(
-    source: str,
-    robot_options: RobotOptions,
-    sensor: SensorOptions,
-    columns: JointColumns,
-) -> Robot:
-    """Return the robot of the options; the log may say which joints it has."""
-    mapping = mapping_from_options(columns)
-    find_joints = partial(find_log_joints, source, mapping, _torque_channel(sensor))
-    return robot_from_options(robot_options, columns.mapping, find_joints)
-
-
-def prepare(
-    source: str,
-    robot_options: RobotOptions,
-    sensor: SensorOptions,
-    columns: JointColumns,
-) -> PreparedReplay:
-    """Return the sensor that the options describe, and which channels it needs.
-
-    Args:
-        source: The log as the command line names it.
-        robot_options: The robot.
-        sensor: How joint signals become a force.
-        columns: Which columns are which channels.
-
-    Raises:
-        CommandError: Options contradict each other, or the robot cannot be loaded.
-    """
-    robot = _robot_of_log(source, robot_options, sensor, columns)
-    _check_tare_options(sensor)
-    robot, friction = with_friction(robot, sensor.friction)
-    config = sensor_config(sensor, friction)
-    request = ChannelRequest(
-        mapping=mapping_from_options(columns),
-        required=("q", _torque_channel(sensor)),
-        optional=("dq",),
-        joints=robot.joint_names,
-    )
-    return PreparedReplay(SensorReplay(robot, config, sensor), request)
-
-
-def _check_tare_options(sensor: SensorOptions) -> None:
-    """Refuse options on the tare that are wrong, before a log is waited for."""
-    if sensor.no_tare and (sensor.force_tare or sensor.tare is not None):
-        option = "--tare" if sensor.tare is not None else "--force-tare"
-        raise CommandError(
-            f"{option} and --no-tare contradict each other, expected one of them"
-        )
-    if sensor.tare is not None:
-        parse_tare_window(sensor.tare, 0.0)
 
 
 def estimate_forces(

@@ -68,7 +68,7 @@ LOGS = {
     "no_torque.csv": "no column found for tau .*Columns are: t_s, q_rad_1",
     "early.npz": "no tare from .*needle.*--tare START:END.*--force-tare.*--no-tare",
     "milli.npz": (
-        "2 s of free motion .* samples were rejected, .* x tau .* seems to be in mNm"
+        r"samples were rejected .* mNm read as Nm.*Give --tau tau_Nm:Nm:0\.001"
     ),
     "transposed.npz": "q_rad has 7 rows of 4000: is it transposed?",
     "six.csv": (
