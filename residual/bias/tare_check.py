@@ -162,7 +162,9 @@ def check_free_of_contact(
 
 
 _CONTACT = Suspicion(
-    "the needle seems to be in contact, or the payload is wrong", SensorCode.CONTACT
+    "the needle seems to be in contact, or the payload is wrong, or friction is larger "
+    "than expected, or the torques have several faults at once",
+    SensorCode.CONTACT,
 )
 """What is said where nothing else explains a contact."""
 

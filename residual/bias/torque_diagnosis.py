@@ -42,6 +42,10 @@ LIKELY = 5.0
 """Logarithm of the odds from which a cause is named; two causes nearer to each other
 than this cannot be told apart."""
 
+LEFT_SIGMAS = 1.0
+"""A cause that is not certain may leave a force of so many deviations over: one that
+explains the motion hardly better than none, and leaves more, hides another."""
+
 UNLIKELY = 10.0
 """Logarithm of the odds against a cause up to which it is tried where a tare is refused
 anyhow."""
@@ -348,10 +352,14 @@ def _try(
         advised = round_factors(hypothesis)
         trials += 1
         reading = retare(tests.corrected_motion(advised.correction))
-        if reading.passes:
+        leaves_little = abs(reading.force_N) <= LEFT_SIGMAS * reading.std_N
+        if reading.passes and (leaves_little or log_odds >= CERTAIN):
             cause = describe_hypothesis(advised, tests)
             findings.append(Finding(advised, cause, reading, log_odds))
-    return tuple(findings)
+    ranked = sorted(findings, key=lambda one: -one.log_odds)
+    return tuple(
+        one for one in ranked if one.log_odds > ranked[0].log_odds - LIKELY_PAIR
+    )
 
 
 def _is_worth_a_trial(
@@ -381,7 +389,7 @@ def _is_worth_a_trial(
     if best is None:
         return True
     if kind in TWO_FAULTS:
-        return log_odds > best.log_odds + (LIKELY_PAIR if findings else -LIKELY)
+        return log_odds > best.log_odds + (LIKELY if findings else -LIKELY)
     is_alike = {kind, best.hypothesis.kind} in (PAIR, CURRENTS, MOUNTING)
     return log_odds > best.log_odds - (LIKELY_PAIR if is_alike else LIKELY)
 

@@ -591,7 +591,7 @@ class HypothesisTests:
             self.untouched, gravity_m_s2=-np.array(self.robot.gravity_m_s2)
         )
         found.append(self.evaluate("direction", hanging))
-        found.append(self.joint_signs(as_given))
+        found.append(self.joint_signs(self.evaluate("none", self.untouched)))
         found += self._best_orders()
         known = [
             one

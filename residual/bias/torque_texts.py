@@ -228,7 +228,10 @@ def _describe_both(hypothesis: "Hypothesis", tests: "HypothesisTests") -> Cause:
     cause = first(hypothesis, tests)
     payload = _describe_payload(hypothesis, tests)
     return cause._replace(
-        text=f"{cause.text}; and {payload.text}",
+        text=(
+            f"{cause.text}; and {payload.text}, where the payload is "
+            f"{payload.places['payload']}"
+        ),
         places=cause.places | payload.places,
     )
 

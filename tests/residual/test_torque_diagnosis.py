@@ -177,3 +177,33 @@ def test_an_arm_on_the_ceiling_is_named(lwr):
 
     assert codes == {"TORQUE_SIGN", "GRAVITY_DIRECTION"}
     assert "How the arm is mounted tells them apart" in str(caught.value)
+
+
+def test_gravity_twice_in_the_torque_is_not_named_a_factor_that_hides_forces(lwr):
+    sensor = sensor_after(lwr, lambda tau, gravity: tau + gravity)
+    with pytest.raises(TareError) as caught:
+        sensor.tare()
+    assert not caught.value.diagnosis.findings
+
+
+def test_a_scale_and_a_payload_at_once_are_named_together(lwr):
+    hand = Payload(
+        mass_kg=1.0, com_m=np.array([0.0, 0.0, 0.05]), inertia_kg_m2=np.zeros((3, 3))
+    )
+    q, dq, tau = motion(lwr.with_payload(lwr.payload + hand))
+    sensor = VirtualForceSensor(lwr)
+    feed(sensor, q, dq, 0.5 * tau)
+    with pytest.raises(TareError) as caught:
+        sensor.tare()
+    first = caught.value.diagnosis.findings[0]
+    assert first.hypothesis.kind == "scale and payload"
+    assert first.hypothesis.scale == pytest.approx(0.5, abs=0.05)
+
+
+def test_a_sign_that_does_not_show_is_not_named_beside_gravity_that_is_added_twice(lwr):
+    config = SensorConfig(torque_is_gravity_compensated=True)
+    sensor = sensor_after(lwr, lambda tau, _: tau, config)
+    with pytest.raises(TareError) as caught:
+        sensor.tare()
+    kinds = [one.hypothesis.kind for one in caught.value.diagnosis.findings]
+    assert kinds == ["gravity"]
