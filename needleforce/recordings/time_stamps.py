@@ -166,6 +166,9 @@ class RowClock:
                 rows = np.arange(
                     self._row_count + 1.0, self._row_count + 1.0 + t_s.size
                 )
+            if not dt_s.any():
+                self._note_repeated(rows)
+                return dt_s
 
             numbered = zip(t_s.tolist(), rows.tolist(), strict=True)
             return np.array(
@@ -179,6 +182,14 @@ class RowClock:
             self._advance_count += t_s.size
 
         return dt_s
+
+    def _note_repeated(self, rows: Array) -> None:
+        """Count rows that all have the latest stamp."""
+        self._row_count += rows.size
+        stamp = f"{self._latest_s:.9g} s"
+        self._faults.note(
+            _REPEATED, f"row {rows[0]:.0f}, {stamp} after {stamp}", rows.size
+        )
 
     def _update_one(self, stamp_s: float, row: float) -> float:
         """Return the time since the latest row that advanced, for the next row.
