@@ -37,6 +37,9 @@ WORTHLESS = {
 UNSMOOTHED = "axial_unsmoothed"
 """The column of the force that `needleforce force` has not smoothed or delayed."""
 
+UNSMOOTHED_STD = "axial_unsmoothed_std"
+"""The column of its standard deviation, without the error of the torques' scale."""
+
 
 @dataclass(frozen=True, slots=True)
 class Channel:
@@ -213,7 +216,7 @@ _ALL_CHANNELS = (
         "force_std",
         "force_std_N",
         FORCE,
-        "force_std axial_std",
+        f"force_std axial_std {UNSMOOTHED_STD}",
         "standard deviation of the force",
     ),
     _single_channel(

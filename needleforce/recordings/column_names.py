@@ -12,7 +12,12 @@ from typing import NamedTuple
 
 import numpy as np
 
-from needleforce.recordings.channels import UNSMOOTHED, Channel, normalised_name
+from needleforce.recordings.channels import (
+    UNSMOOTHED,
+    UNSMOOTHED_STD,
+    Channel,
+    normalised_name,
+)
 from needleforce.recordings.errors import ColumnError, RecordingCode
 from needleforce.recordings.table import Table
 from needleforce.recordings.units import Units, find_unit
@@ -376,7 +381,9 @@ def _single_candidates(
     fitting = plain or fitting
     # `needleforce force` writes a smoothed force, too; whoever filters further wants
     # the one that is not late.
-    unsmoothed = [name for name in fitting if parsed[name].stem == UNSMOOTHED]
+    unsmoothed = [
+        name for name in fitting if parsed[name].stem in (UNSMOOTHED, UNSMOOTHED_STD)
+    ]
     return {
         name: [NamedValues(name, table.columns[name])] for name in unsmoothed or fitting
     }

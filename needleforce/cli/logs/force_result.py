@@ -54,6 +54,7 @@ def force_table(rows: ForceRows, config: SensorConfig) -> ForceRows:
             table[f"{vector.name}_std_{axis}_{ending}"] = std
     for name in (
         "axial_unsmoothed_N",
+        "axial_unsmoothed_std_N",
         "model_mismatch",
         "force_warnings",
         "force_status",

@@ -146,7 +146,7 @@ def _tracked_columns(config: SensorConfig) -> list[str]:
 _COLUMN_OF_CHANNEL = {
     "depth_m": "travel_m",
     "force_N": "axial_unsmoothed_N",
-    "force_std_N": "axial_std_N",
+    "force_std_N": "axial_unsmoothed_std_N",
     "force_status": "force_status",
     "force_warnings": "force_warnings",
 }

@@ -37,6 +37,8 @@ ForceRows = dict[str, NDArray]
 - `t_s`: time stamp as in the log [s], shape (n,).
 - `travel_m`: travel of the tool along the needle [m], shape (n,).
 - `axial_N`, `axial_std_N`, `axial_unsmoothed_N`: force along the needle [N], (n,).
+- `axial_unsmoothed_std_N`: `axial_std_N` without the error of the torques' scale, for
+  the identification [N], (n,).
 - `force_N`, `torque_Nm`: force and torque on the tool [N, Nm], shape (n, 3).
 - `std`: standard deviations of the components that the mode estimates [N, Nm], shape
   (n, 1), (n, 3) or (n, 6).
@@ -206,6 +208,7 @@ class SensorReplay:
             self._schedule = self._start(q_rad, float(chunk.t_s[0]))
         estimates: list[WrenchEstimate] = []
         elapsed_s: list[float] = []
+        std_of_bias_N: list[float] = []
         steps = zip(chunk.t_s.tolist(), chunk.dt_s.tolist(), strict=True)
         for row, (stamp_s, dt_s) in enumerate(steps):
             time_s = self._clock.update(stamp_s, dt_s)
@@ -215,6 +218,7 @@ class SensorReplay:
             velocity = None if dq_rad_s is None else dq_rad_s[row]
             estimate = self._update(q_rad[row], velocity, torque_Nm[row], dt_s)
             estimates.append(estimate)
+            std_of_bias_N.append(self.sensor.std_of_bias_N(estimate))
             if estimate.status is Status.REJECTED:
                 elapsed_s.append(0.0)
                 self._count_rejection(estimate, advances=advances)
@@ -228,7 +232,7 @@ class SensorReplay:
         return {
             "t_s": chunk.t_s,
             "travel_m": self._travel.of_rows(q_rad),
-            **_columns(estimates),
+            **_columns(estimates, std_of_bias_N),
             "after_gap": after_gap,
         }
 
@@ -312,13 +316,21 @@ _FIELD_OF_COLUMN = {
 """Fields of `residual.WrenchEstimate` that are columns as they are."""
 
 
-def _columns(estimates: Sequence[WrenchEstimate]) -> ForceRows:
-    """Return estimates as columns, NaN where a sample was rejected."""
+def _columns(
+    estimates: Sequence[WrenchEstimate], std_of_bias_N: Sequence[float]
+) -> ForceRows:
+    """Return estimates as columns, NaN where a sample was rejected.
+
+    Args:
+        estimates: Of each row.
+        std_of_bias_N: Standard deviation for the identification, of each row.
+    """
     columns = {
         name: np.array([getattr(estimate, field) for estimate in estimates])
         for name, field in _FIELD_OF_COLUMN.items()
     }
     covariances = np.array([estimate.covariance for estimate in estimates])
+    columns["axial_unsmoothed_std_N"] = np.array(std_of_bias_N)
     columns["std"] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
     status = np.array([STATUS_CODES[estimate.status] for estimate in estimates])
     for values in columns.values():
