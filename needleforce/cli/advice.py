@@ -23,7 +23,8 @@ COMMAND_ADVICE: dict[str, str] = {
     "NF-SENSOR-GRAVITY-TWICE": f"Leave --gravity-compensated out; {_KEEP_TARE}",
     "NF-SENSOR-TORQUE-SIGN": "Give --tau {tau_option}; " + _KEEP_TARE,
     "NF-SENSOR-TORQUE-SCALE": "Give --tau {tau_option}; " + _KEEP_TARE,
-    "NF-SENSOR-GRAVITY-DIRECTION": "Give --gravity {gravity}; " + _KEEP_TARE,
+    "NF-SENSOR-GRAVITY-DIRECTION": "Give --gravity {gravity} alone, without --mount; "
+    + _KEEP_TARE,
     "NF-SENSOR-TORQUE-KIND": "Leave --external-torque out and read the torques with "
     f"--tau; {_KEEP_TARE}",
     "NF-SENSOR-TORQUE-KIND-SIGN": "Leave --external-torque out and negate the torques, "

@@ -39,6 +39,9 @@ RATED_PARTS = {1.0: "a fraction", 100.0: "per cent", 1000.0: "per mille"}
 """Words for parts of an effort limit."""
 
 
+UPRIGHT_COSINE = 0.9998
+"""Cosine of the tilt, about 1 degree, up to which a base stands upright."""
+
 CONTAINS_GRAVITY = "contains_gravity"
 """Place of an advice that is there where gravity must no longer be added."""
 
@@ -186,9 +189,13 @@ def _describe_direction(hypothesis: "Hypothesis", tests: "HypothesisTests") -> C
         gravity = given
     cosine = float(gravity @ given) / float(np.linalg.norm(gravity) ** 2)
     degrees = float(np.degrees(np.arccos(np.clip(cosine, -1.0, 1.0))))
+    is_upright = -gravity[2] > UPRIGHT_COSINE * float(np.linalg.norm(gravity))
+    mounting = "the arm hangs, or stands on a wall or a slope"
+    if is_upright:
+        mounting = "the arm's base stands upright"
     text = (
         f"gravity seems to be turned by {degrees:.0f} degrees from the one that was "
-        "given: the arm hangs, or stands on a wall or a slope"
+        f"given: {mounting}"
     )
     places = {"gravity": " ".join(f"{one + 0.0:.3g}" for one in gravity)}
     return Cause(text, SensorCode.GRAVITY_DIRECTION, places)

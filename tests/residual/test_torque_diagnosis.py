@@ -10,7 +10,7 @@ from tests.residual.residual_signals import (
     gravity_of,
     swing,
 )
-from urdf import Payload
+from urdf import Payload, load_example
 from urdf.payload_rating import rated_payload_kg
 
 RATE_HZ = 250.0
@@ -207,3 +207,12 @@ def test_a_sign_that_does_not_show_is_not_named_beside_gravity_that_is_added_twi
         sensor.tare()
     kinds = [one.hypothesis.kind for one in caught.value.diagnosis.findings]
     assert kinds == ["gravity"]
+
+
+def test_an_upright_arm_is_not_said_to_hang_where_a_wall_was_told(lwr):
+    q, dq, tau = motion(lwr)
+    on_wall = load_example("lwr4plus", payload=lwr.payload, gravity_m_s2=(9.81, 0, 0))
+    sensor = VirtualForceSensor(on_wall)
+    feed(sensor, q, dq, tau)
+    with pytest.raises(TareError, match="stands upright"):
+        sensor.tare()
