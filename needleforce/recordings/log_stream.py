@@ -243,6 +243,9 @@ class LogStream:
                     )
                 )
 
+        if not by_joint and not table.joint_names:
+            _require_no_pattern(self._request.mapping.joint_pattern)
+
         notes = f"columns found by the names of the joints: {'; '.join(by_joint)}"
         self._report((notes,) * bool(by_joint))
         if missing:
@@ -385,6 +388,15 @@ class LogStream:
             return to_seconds(stamps, self._clock_start_ns)
 
         return column_s - self._clock_start_ns / NS_PER_S
+
+
+def _require_no_pattern(pattern: str) -> None:
+    """Raise `ColumnError` if a pattern chooses joints in a log that names none."""
+    if pattern:
+        raise ColumnError(
+            f"joints = {pattern!r} chooses joints by name, and neither columns nor "
+            "messages of the recording have names of joints; leave it out"
+        )
 
 
 def _require_all_joints(channel: Channel, head: Array) -> None:

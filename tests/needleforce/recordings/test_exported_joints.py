@@ -3,7 +3,7 @@
 import numpy as np
 import pytest
 
-from needleforce.recordings import read_log
+from needleforce.recordings import ColumnError, ColumnMapping, read_log
 
 JOINTS = ("base", "elbow")
 """In the robot's order; ROS writes them in the order of the alphabet, or none."""
@@ -129,3 +129,10 @@ def test_number_of_a_joint_stands_in_front_or_behind_a_path_with_dots(
     expected = factor * np.array([0.001, 0.002])
     np.testing.assert_allclose(log["q_rad"][1], expected)
     assert log["tau_Nm"][0].tolist() == [3.0, 4.0]
+
+
+def test_pattern_of_joints_is_refused_where_none_has_a_name(tmp_path):
+    path = write(tmp_path / "log.csv", "t,q1,q2", lambda row: f"{0.01 * row},0,0")
+    mapping = ColumnMapping(joints=("left_*",))
+    with pytest.raises(ColumnError, match=r"'left_\*' chooses joints by name"):
+        read_log(path, mapping, required=["q"], joints=JOINTS)
