@@ -1,7 +1,7 @@
 """From tables to a log: channels in SI units, whole or row by row as they come."""
 
 import shlex
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from itertools import chain
 
@@ -243,9 +243,7 @@ class LogStream:
                     )
                 )
 
-        if not by_joint and not table.joint_names:
-            _require_no_pattern(self._request.mapping.joint_pattern)
-
+        _require_names(self._request.mapping.joint_pattern, table, by_joint)
         notes = f"columns found by the names of the joints: {'; '.join(by_joint)}"
         self._report((notes,) * bool(by_joint))
         if missing:
@@ -390,9 +388,18 @@ class LogStream:
         return column_s - self._clock_start_ns / NS_PER_S
 
 
-def _require_no_pattern(pattern: str) -> None:
-    """Raise `ColumnError` if a pattern chooses joints in a log that names none."""
-    if pattern:
+def _require_names(pattern: str, table: Table, by_joint: Sequence[str]) -> None:
+    """Refuse a pattern that chooses joints in a log that names none.
+
+    Args:
+        pattern: Empty where none was given.
+        table: Of the log.
+        by_joint: Columns that were found by the names of joints.
+
+    Raises:
+        ColumnError: Neither columns nor messages have names of joints.
+    """
+    if pattern and not by_joint and not table.joint_names:
         raise ColumnError(
             f"joints = {pattern!r} chooses joints by name, and neither columns nor "
             "messages of the recording have names of joints; leave it out"
