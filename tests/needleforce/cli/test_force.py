@@ -93,7 +93,7 @@ def test_published_method_and_missing_velocity_find_the_force(log, run, lwr):
 def test_columns_name_units_and_travel_is_true(log, run, lwr, mode, components):
     columns, _ = run(log, *TARE, "--mode", mode)
 
-    assert len(columns) == 8 + components
+    assert len(columns) == 9 + components
 
     plain = ("model_mismatch", "force_warnings", "force_status")
     for name in columns:
