@@ -27,6 +27,11 @@ class AnatomyCode(ErrorCode):
         "The file ends early or is damaged.",
         "Copy or export it again.",
     )
+    SIZE = (
+        "NF-ANATOMY-SIZE",
+        "The volume takes more memory than it may.",
+        "Crop or resample it, or store it in a smaller type.",
+    )
     LABELS = (
         "NF-ANATOMY-LABELS",
         "The segmentation has no structures, or its labels or names contradict each "

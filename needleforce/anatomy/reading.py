@@ -6,6 +6,7 @@ or doubt is refused, see `file_checks` and `dicom_series`.
 
 import json
 import locale
+import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
@@ -28,6 +29,12 @@ MIN_DIAGONAL_m = 0.005
 
 MAX_DIAGONAL_m = 5.0
 """Of a volume; above it its unit is not the millimetre."""
+
+MAX_VOLUME_BYTES = 2 << 30
+"""Memory that the voxels of a file may take by default: four times a CT of 512 x 512 x
+1000; a small damaged file can ask for any."""
+
+GB_PER_BYTE = 1e-9
 
 M_PER_MM = 1e-3
 
@@ -68,22 +75,30 @@ class _Segment(NamedTuple):
     colour: tuple[float, ...]
 
 
-def read_volume(path: Path | str) -> Volume:
+def read_volume(path: Path | str, *, max_bytes: int = MAX_VOLUME_BYTES) -> Volume:
     """Read a scan: a folder with one DICOM series, a NIfTI file or an NRRD file.
 
+    Args:
+        path: The file or folder.
+        max_bytes: The most memory that the voxels of a file may take.
+
     Raises:
-        VolumeError: Not readable, damaged, not three-dimensional, not in millimetres,
-            or without a word on how it lies; of DICOM: no series or several, slices
-            that are missing, doubled, of different sizes or sheared.
+        VolumeError: Not readable, too large, damaged, not three-dimensional, not in
+            millimetres, or without a word on how it lies; of DICOM: no series or
+            several, slices that are missing, doubled, of different sizes or sheared.
     """
-    image = _read_image(Path(path))
+    image = _read_image(Path(path), max_bytes)
     if len(image.arrays) != 1:
         raise VolumeError(f"{path} has several numbers per voxel: expected a scan")
     return Volume(image.arrays[0], image.grid)
 
 
 def read_labels(
-    path: Path | str, names: Names = None, scan: Volume | None = None
+    path: Path | str,
+    names: Names = None,
+    scan: Volume | None = None,
+    *,
+    max_bytes: int = MAX_VOLUME_BYTES,
 ) -> Labels:
     """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD.
 
@@ -95,12 +110,13 @@ def read_labels(
             default ``labels.json`` beside the file; labels without a name are called
             ``label_5``. Segments of a ``.seg.nrrd`` bring names and colours.
         scan: The CT to which the labels belong: places must agree.
+        max_bytes: The most memory that the voxels of a file may take.
 
     Raises:
         VolumeError: As `read_volume`; values that are no labels, no voxel labelled, or
             labels that lie elsewhere than the scan.
     """
-    image = _read_image(Path(path))
+    image = _read_image(Path(path), max_bytes)
     names_file = Path(path).with_name("labels.json")
     if names is None and names_file.exists():
         names = names_file
@@ -233,9 +249,9 @@ def _read_colour(text: str) -> tuple[float, ...]:
     return colour
 
 
-def _read_image(path: Path) -> _Image:
+def _read_image(path: Path, max_bytes: int) -> _Image:
     """Read a file or a folder; refuse what is damaged or does not say how it lies."""
-    image = _open_image(path)
+    image = _open_image(path, max_bytes)
     if image.GetDimension() != 3 or min(image.GetSize()) < 2:
         raise VolumeError(
             f"{path} has {image.GetSize()} voxels: expected three dimensions"
@@ -263,7 +279,7 @@ def _read_image(path: Path) -> _Image:
     return _Image(_components(image), grid, header)
 
 
-def _open_image(path: Path) -> Any:
+def _open_image(path: Path, max_bytes: int) -> Any:
     """Return the image of SimpleITK in a file or folder."""
     import SimpleITK
 
@@ -271,7 +287,13 @@ def _open_image(path: Path) -> Any:
     SimpleITK.ProcessObject.GlobalWarningDisplayOff()
     language = locale.setlocale(locale.LC_CTYPE)
     try:
-        return read_series(path) if path.is_dir() else SimpleITK.ReadImage(str(path))
+        if path.is_dir():
+            return read_series(path)
+        reader = SimpleITK.ImageFileReader()
+        reader.SetFileName(str(path))
+        reader.ReadImageInformation()
+        _require_size(path, reader, max_bytes)
+        return reader.Execute()
     except RuntimeError as error:
         reason = "no such file"
         if path.exists():
@@ -282,6 +304,27 @@ def _open_image(path: Path) -> Any:
         ) from error
     finally:  # the DICOM library sets C, and Python's text files would be ASCII
         locale.setlocale(locale.LC_CTYPE, language)
+
+
+def _require_size(path: Path, reader: Any, max_bytes: int) -> None:
+    """Refuse a file whose voxels take more memory than they may.
+
+    Args:
+        path: Of the file.
+        reader: Of SimpleITK, which has read the header, and no voxel.
+        max_bytes: The most that they may take.
+    """
+    import SimpleITK
+
+    one_voxel = SimpleITK.Image([1] * len(reader.GetSize()), reader.GetPixelID())
+    voxel_bytes = reader.GetNumberOfComponents() * one_voxel.GetSizeOfPixelComponent()
+    size_bytes = math.prod(reader.GetSize()) * voxel_bytes
+    if size_bytes > max_bytes:
+        raise VolumeError(
+            f"{path} has {reader.GetSize()} voxels, {GB_PER_BYTE * size_bytes:.3g} GB: "
+            f"more than the limit of {GB_PER_BYTE * max_bytes:.3g} GB",
+            AnatomyCode.SIZE,
+        )
 
 
 def _components(image: Any) -> list[NDArray[Any]]:

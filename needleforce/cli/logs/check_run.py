@@ -30,7 +30,7 @@ from needleforce.cli.terminal import stop_request, write_out
 from needleforce.recordings.log_stream import LogChunk
 from residual import TareError
 from residual.bias.torque_diagnosis import TorqueDiagnosis
-from residual.errors import named_joints
+from residual.errors import SensorCode, named_joints
 
 DOUBTFUL = 1
 """Exit code where something in the log is doubtful."""
@@ -340,7 +340,7 @@ def _torque_lines(
         f"{doubt_percent:.2g} % of the force for it"
     )
     yield CheckLine("scale", outcome, text)
-    yield _payload_line(diagnosis)
+    yield _payload_line(diagnosis, refusal)
 
 
 def _sign_line(diagnosis: TorqueDiagnosis) -> CheckLine:
@@ -351,15 +351,29 @@ def _sign_line(diagnosis: TorqueDiagnosis) -> CheckLine:
     checked = [joint for joint in range(joints) if joint not in unchecked]
     if not checked:
         return CheckLine(topic, Outcome.UNCHECKED, diagnosis.describe_unchecked())
-    text = f"{named_joints(checked)}: torque follows gravity"
+    opposed = [joint for joint in checked if diagnosis.joint_scale[joint] < 0.0]
+    following = [joint for joint in checked if joint not in opposed]
+    texts: list[str] = []
+    if opposed:
+        texts.append(f"{named_joints(opposed)}: torque opposes gravity")
+    if following:
+        texts.append(f"{named_joints(following)}: torque follows gravity")
     if unchecked:
-        text += f"; {diagnosis.describe_unchecked()}"
-    is_doubtful = any(diagnosis.joint_scale[joint] < 0.0 for joint in checked)
-    return CheckLine(topic, Outcome.DOUBTFUL if is_doubtful else Outcome.VERIFIED, text)
+        texts.append(diagnosis.describe_unchecked())
+    outcome = Outcome.DOUBTFUL if opposed else Outcome.VERIFIED
+    return CheckLine(topic, outcome, "; ".join(texts))
 
 
-def _payload_line(diagnosis: TorqueDiagnosis) -> CheckLine:
-    """Return the line on the payload."""
+def _payload_line(diagnosis: TorqueDiagnosis, refusal: TareError | None) -> CheckLine:
+    """Return the line on the payload.
+
+    Where a tare was refused for another cause, the mass that would explain the torques
+    is none that is missing.
+    """
+    codes = [one.cause.code for one in diagnosis.findings]
+    if refusal is not None and SensorCode.PAYLOAD not in codes:
+        reason = "the tare was refused; what it names must be right first"
+        return CheckLine("payload", Outcome.UNCHECKED, reason)
     text = describe_missing_mass(diagnosis)
     if not text:
         reason = "the motion does not show the mass at the flange"

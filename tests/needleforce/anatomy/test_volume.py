@@ -336,6 +336,22 @@ def test_files_that_hold_no_labels_are_refused(tmp_path, values, spacing, why):
         read_labels(tmp_path / "labels.nrrd")
 
 
+def test_a_volume_beyond_the_limit_is_refused_before_it_is_unpacked(tmp_path):
+    path = tmp_path / "labels.nii.gz"
+    values = np.random.default_rng(0).integers(0, 1000, (20, 20, 20), np.uint16)
+    sitk.WriteImage(sitk.GetImageFromArray(values), str(path))
+
+    assert read_volume(path, max_bytes=2 * values.size).values.shape == values.shape
+
+    content = path.read_bytes()
+    path.write_bytes(content[: len(content) // 2])  # its voxels cannot be read
+    for read in (read_volume, read_labels):
+        with pytest.raises(VolumeError, match="more than the limit") as refused:
+            read(path, max_bytes=2 * values.size - 1)
+
+        assert refused.value.code.label == "NF-ANATOMY-SIZE"
+
+
 def test_missing_files_and_other_files_are_refused(tmp_path):
     """Missing files and files that are no images are refused."""
     (tmp_path / "a.nrrd").write_text("no volume")

@@ -49,9 +49,21 @@ def test_a_doubt_is_named_with_the_option_that_cures_it(tmp_path, capsys, column
     assert "NF-SENSOR-TORQUE-SCALE" in lines["tare"]["text"]
     assert "--tau tau_Nm:Nm:3.3" in lines["tare"]["text"]
     assert found["torque"]["codes"] == ["NF-SENSOR-TORQUE-SCALE"]
+    # The mass that would explain these torques is none that is missing.
+    assert lines["payload"]["outcome"] == "not verified"
+    assert "kg" not in lines["payload"]["text"]
     # The rows after the refused tare were read, too.
     assert lines["rejected"]["outcome"] == "verified"
     assert lines["rate"]["text"].startswith("4000 rows")
+
+
+def test_a_joint_of_the_other_sign_opposes_gravity(tmp_path, capsys, columns):
+    bent = columns | {"tau_Nm": columns["tau_Nm"] * [1, -1, 1, 1, 1, 1, 1]}
+    code, lines, _ = check(tmp_path, capsys, bent)
+
+    assert code == 1
+    assert lines["order and signs"]["outcome"] == "doubtful"
+    assert "joint 2: torque opposes gravity" in lines["order and signs"]["text"]
 
 
 def test_exchanged_joints_are_listed_by_column_in_the_robots_order(
