@@ -8,12 +8,12 @@ chunks. The index at the end of the file is not needed.
 import io
 import struct
 from collections.abc import Iterator
-from contextlib import suppress
 from enum import IntEnum
 from pathlib import Path
 from typing import Any, NamedTuple
 from zlib import crc32
 
+from needleforce.recordings.bags.chunks import unpack_chunk
 from needleforce.recordings.bags.messages import (
     NONE_YET,
     BagTopic,
@@ -21,8 +21,6 @@ from needleforce.recordings.bags.messages import (
     require_magic,
 )
 from needleforce.recordings.errors import (
-    FormatError,
-    RecordingCode,
     optional_library,
     require_size,
 )
@@ -34,8 +32,8 @@ MAGIC = b"\x89MCAP0\r\n"
 MAX_STAMP_NS = (1 << 63) - 1
 """Later stamps do not fit int64; damaged messages may have them."""
 
-UNPACKED_BLOCK_BYTES = 1 << 16
-"""A chunk is unpacked in blocks of this size."""
+COMPRESSIONS = ("zstd", "lz4")
+"""Of chunks, besides none."""
 
 _RECORD_HEAD = struct.Struct("<BQ")
 """Number and size, with which a record begins."""
@@ -256,7 +254,7 @@ class McapReader:
         size = chunk.uncompressed_size
         require_size(size, self._limit, "holds a chunk that")
         if chunk.compression:
-            data = _unpack(data, chunk.compression, size)[:size]
+            data = unpack_chunk(data, chunk.compression, size, COMPRESSIONS)
 
         checksum = chunk.uncompressed_crc
         if is_whole and checksum and crc32(data) != checksum:
@@ -278,34 +276,3 @@ class McapReader:
             self._faults.append(
                 f"has a damaged chunk, of which {read_end} of {size} bytes are right"
             )
-
-
-def _unpack(packed: bytes, compression: str, size: int) -> bytes:
-    """Return what compressed bytes hold, as far as it can be had.
-
-    It is unpacked in blocks: what precedes a damaged place is kept, and a bomb is left
-    before it grows.
-
-    Args:
-        packed: The bytes.
-        compression: `zstd` or `lz4`.
-        size: Little more than so many bytes are returned.
-    """
-    zstd = optional_library("zstandard", "bags compressed with zstd")
-    if compression == "zstd":
-        stream = zstd.ZstdDecompressor().stream_reader(packed)
-    elif compression == "lz4":
-        lz4 = optional_library("lz4.frame", "MCAP files with lz4 chunks")
-        stream = lz4.open(io.BytesIO(packed))
-    else:
-        raise FormatError(
-            f"has chunks compressed with {compression!r}; zstd and lz4 can be read",
-            RecordingCode.BAG,
-        )
-
-    unpacked = bytearray()
-    with suppress(zstd.ZstdError, RuntimeError, EOFError):
-        while len(unpacked) <= size and (block := stream.read(UNPACKED_BLOCK_BYTES)):
-            unpacked += block
-
-    return bytes(unpacked)

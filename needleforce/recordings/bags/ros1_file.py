@@ -5,15 +5,14 @@ each with its size. Chunks are records that hold records, compressed or not. The
 at the end is not needed, so a recorder that was killed costs only its last chunk.
 """
 
-import bz2
 import io
 import struct
 from collections.abc import Iterator, Mapping
-from contextlib import suppress
 from enum import IntEnum
 from pathlib import Path
 from typing import IO, NamedTuple
 
+from needleforce.recordings.bags.chunks import unpack_chunk
 from needleforce.recordings.bags.messages import (
     ROS1,
     BagTopic,
@@ -22,7 +21,6 @@ from needleforce.recordings.bags.messages import (
 )
 from needleforce.recordings.errors import (
     FormatError,
-    RecordingCode,
     optional_library,
     require_size,
 )
@@ -31,8 +29,8 @@ from needleforce.recordings.time_stamps import NS_PER_S
 MAGIC = b"#ROSBAG V2.0\n"
 """How the file begins."""
 
-UNPACKED_BLOCK_BYTES = 1 << 16
-"""A chunk is unpacked in blocks of this size."""
+COMPRESSIONS = ("bz2", "lz4")
+"""Of chunks, besides none."""
 
 _SIZE = struct.Struct("<I")
 _TIME = struct.Struct("<II")
@@ -193,35 +191,8 @@ class Ros1Reader:
         if compression != "none":
             (size,) = _SIZE.unpack(record.fields["size"])
             require_size(size, self._limit, "holds a chunk that")
-            data = _unpack(data, compression, size)
+            data = unpack_chunk(data, compression, size, COMPRESSIONS)
             if record.is_whole and len(data) < size:
                 self._note("has a damaged chunk")
 
         yield from self._read(io.BytesIO(data))
-
-
-def _unpack(packed: bytes, compression: str, size: int) -> bytes:
-    """Return what compressed bytes hold, as far as it can be had.
-
-    Args:
-        packed: The bytes.
-        compression: `bz2` or `lz4`.
-        size: No more bytes are returned.
-    """
-    if compression == "bz2":
-        stream: IO[bytes] = bz2.BZ2File(io.BytesIO(packed))
-    elif compression == "lz4":
-        lz4 = optional_library("lz4.frame", "ROS 1 bags with lz4 chunks")
-        stream = lz4.open(io.BytesIO(packed))
-    else:
-        raise FormatError(
-            f"has chunks compressed with {compression!r}; bz2 and lz4 can be read",
-            RecordingCode.BAG,
-        )
-
-    unpacked = bytearray()
-    with suppress(OSError, RuntimeError, EOFError):
-        while len(unpacked) < size and (block := stream.read(UNPACKED_BLOCK_BYTES)):
-            unpacked += block
-
-    return bytes(unpacked[:size])

@@ -11,13 +11,12 @@ JOINTS = ("base", "elbow")
 ROWS = 10
 
 
+FIELDS = ("position", "velocity", "effort")
+
+
 def row_values(row):
-    """Return position, velocity and effort of elbow and base."""
-    return {
-        "position": (0.1 + row, 0.2 + row),
-        "velocity": (1.1 + row, 1.2 + row),
-        "effort": (2.1 + row, 2.2 + row),
-    }
+    """Position of elbow and base, then their velocity, then their effort."""
+    return [number + row for number in (0.1, 0.2, 1.1, 1.2, 2.1, 2.2)]
 
 
 def write(path, header, row_of):
@@ -27,55 +26,33 @@ def write(path, header, row_of):
     return path
 
 
+def write_export(path, names, *texts):
+    """Write a row for each number: its time, texts of the joints, all values."""
+    return write(
+        path,
+        ",".join(names),
+        lambda row: ",".join(map(str, [0.01 * row, *texts, *row_values(row)])),
+    )
+
+
 def by_path(path):
     names = [
         f"/joint_states/{joint}/{field}"
-        for field in ("position", "velocity", "effort")
+        for field in FIELDS
         for joint in ("elbow", "base")
     ]
-    return write(
-        path,
-        ",".join(["__time", *names]),
-        lambda row: ",".join(
-            map(str, [0.01 * row, *sum(row_values(row).values(), start=())])
-        ),
-    )
+    return write_export(path, ["__time", *names])
 
 
 def by_numbered_names(path):
-    fields = ("position", "velocity", "effort")
-    names = [f"field.{field}{i}" for field in fields for i in (0, 1)]
-    header = ",".join(["t", "field.name0", "field.name1", *names])
-    return write(
-        path,
-        header,
-        lambda row: ",".join(
-            map(
-                str,
-                [0.01 * row, "elbow", "base", *sum(row_values(row).values(), start=())],
-            )
-        ),
-    )
+    names = [f"field.{field}{i}" for field in FIELDS for i in (0, 1)]
+    names = ["t", "field.name0", "field.name1", *names]
+    return write_export(path, names, "elbow", "base")
 
 
 def by_list_of_names(path):
-    fields = ("position", "velocity", "effort")
-    names = [f"{field}_{i}" for field in fields for i in (0, 1)]
-    header = ",".join(["Time", "name", *names])
-    return write(
-        path,
-        header,
-        lambda row: ",".join(
-            map(
-                str,
-                [
-                    0.01 * row,
-                    "\"['elbow', 'base']\"",
-                    *sum(row_values(row).values(), start=()),
-                ],
-            )
-        ),
-    )
+    names = [f"{field}_{i}" for field in FIELDS for i in (0, 1)]
+    return write_export(path, ["Time", "name", *names], "\"['elbow', 'base']\"")
 
 
 @pytest.mark.parametrize("export", [by_path, by_numbered_names, by_list_of_names])
