@@ -134,15 +134,14 @@ def _route_to(joints: Iterable[Element], link: str) -> tuple[str, ...]:
 
 
 def _single_end(joints: Sequence[Element], links: Sequence[str], source: str) -> str:
-    """Return the only link that carries no other.
+    """Return the only link that joints move and that carries no other.
 
     Of several, the message lists those that about as many joints move as any: not the
     sensors of a base.
     """
     parents = {link_of(joint, "parent") for joint in joints}
-    moved_by = {
-        link: len(_route_to(joints, link)) for link in links if link not in parents
-    }
+    ends = {link: len(_route_to(joints, link)) for link in links if link not in parents}
+    moved_by = {link: count for link, count in ends.items() if count}
     if len(moved_by) == 1:
         return next(iter(moved_by))
     limit = max(moved_by.values(), default=0) / 2.0

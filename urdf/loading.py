@@ -81,7 +81,7 @@ def load_urdf(  # noqa: PLR0913 - options of one file, each by name and with a d
         UrdfFileError: Missing, unreadable, malformed or too large a file.
         UnknownNameError: No such tool frame, link or joint, or no single last link.
         UnsupportedJointError: Joints of several numbers or mimics, not locked; none
-            that moves, or more than 100.
+            that moves, or more than `joint_choice.MAX_MOVING_JOINTS`.
         InertiaError: Links that move without inertia, or with one that no rigid body
             can have; with the checks off only if none has any.
         InputError: Gravity, payload, placement or locked positions of the wrong kind.

@@ -4,6 +4,8 @@ Ratings are those of the makers' public data sheets; an arm that is not listed i
 by the effort limits of its description.
 """
 
+import re
+
 import numpy as np
 import pinocchio as pin
 
@@ -37,6 +39,9 @@ RATED_PAYLOADS_KG: dict[str, float] = {
 }
 """Rated payload by a part of the arm's name, the longest that fits [kg]."""
 
+STANDARD_GRAVITY_M_S2 = 9.80665
+"""Takes the place of a gravity of zero."""
+
 EFFORT_FRACTION = 0.3
 """Fraction of the shoulder's torque that the rated payload takes with the arm
 outstretched; the arm itself takes most of the rest."""
@@ -59,8 +64,12 @@ def rated_payload_kg(robot: Robot) -> float:
     estimated from the effort limits: what takes `EFFORT_FRACTION` of the strongest
     joint's torque at the reach of the arm.
     """
-    name = robot.model.name.lower()
-    known = [part for part in RATED_PAYLOADS_KG if part in name.replace("-", "_")]
+    name = robot.model.name.lower().replace("-", "_")
+    known = [
+        part
+        for part in RATED_PAYLOADS_KG
+        if re.search(rf"(?<![a-z0-9]){part}", name)  # not within a word
+    ]
     if known:
         return RATED_PAYLOADS_KG[max(known, key=len)]
     efforts = robot.effort_limit_Nm
@@ -68,7 +77,7 @@ def rated_payload_kg(robot: Robot) -> float:
     reach_m = sum(_joint_distances_m(robot.bare_model))
     if not is_known.any() or reach_m == 0.0:
         return UNKNOWN_RATING_KG
-    gravity = float(np.linalg.norm(robot.gravity_m_s2)) or 9.81
+    gravity = float(np.linalg.norm(robot.gravity_m_s2)) or STANDARD_GRAVITY_M_S2
     rating_kg = EFFORT_FRACTION * float(efforts[is_known].max()) / (gravity * reach_m)
     return max(rating_kg, MIN_RATING_KG)
 

@@ -33,7 +33,7 @@ COMMAND_ADVICE: dict[str, str] = {
     f"{{tau_option}}; {_KEEP_TARE}",
     "NF-SENSOR-POSITIONS": "Name the columns of all joints with --q; choose where the "
     f"needle is free with --tare START:END; {_KEEP_TARE}",
-    "NF-SENSOR-PAYLOAD": "Describe hand and tool with --payload FILE ({payload}); "
+    "NF-SENSOR-PAYLOAD": "Describe hand and tool with --payload FILE: {payload}; "
     f"choose where the needle is free with --tare START:END; {_KEEP_TARE}",
     "NF-SENSOR-NO-FREE-MOTION": "Choose a longer window with --tare START:END, without "
     "gaps in time; --no-tare goes without",

@@ -76,7 +76,7 @@ def joints_to_keep(
 def _named_alike(joints: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
     """Return the joints of the robot that a log names, up to a common prefix or suffix.
 
-    None if no name is the same and no prefix or suffix fits more joints than others do.
+    Empty if no name is the same and no prefix or suffix fits more joints than others.
     """
     same = tuple(joint for joint in joints if joint in names)
     if same:
@@ -107,7 +107,7 @@ def assumed_positions(
     """
     path = Path(str(options.urdf))
     route: tuple[str, ...] = ()
-    with suppress(UnknownNameError):  # no single last link: the tool was named later
+    with suppress(UnknownNameError):  # several last links: none is surely the tool's
         route = joints_towards(path, options.tool_frame, options.without)
     assumed = [name for name in route if name not in chosen]
     if not assumed:

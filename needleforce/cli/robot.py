@@ -74,7 +74,7 @@ def robot_from_options(
     _check_robot_options(options)
     gravity_m_s2 = gravity_from_options(options)
     if _is_lwr(options):
-        return urdf.load_lwr(payload=payload, gravity_m_s2=gravity_m_s2)
+        return urdf.load_lwr(payload=payload, gravity_m_s2=gravity_m_s2)  # none is odd
     tool: dict[str, Any] = {
         "tool_frame": options.tool_frame,
         "tool_placement": options.tip_offset,
@@ -83,7 +83,9 @@ def robot_from_options(
         "payload": payload,
     }
     if options.urdf is None:
-        return urdf.load_example(str(options.robot), **tool)
+        robot = urdf.load_example(str(options.robot), **tool)
+        _say_warnings(robot)
+        return robot
     locked_joints = dict(map(parse_lock, options.lock))
     kept_joints = None
     if options.lock_others:
@@ -100,9 +102,14 @@ def robot_from_options(
         robot = replace(
             robot, warnings=robot.warnings + assumed_positions(options, chosen)
         )
+    _say_warnings(robot)
+    return robot
+
+
+def _say_warnings(robot: Robot) -> None:
+    """Write what is odd in a robot's description to stderr."""
     for warning in robot.warnings:
         say(f"warning: {warning}")
-    return robot
 
 
 def _check_robot_options(options: RobotOptions) -> None:

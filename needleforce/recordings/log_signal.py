@@ -132,15 +132,20 @@ class Signal:
         values = np.column_stack(columns) * self.factors
         return values if self.channel.per_joint else values[:, 0]
 
-    def watch(self, values: Array) -> None:
-        """Note what is odd in further rows; the step of time is that of the first."""
+    def watch(self, values: Array, rows: Array) -> None:
+        """Note what is odd in further rows; the step of time is that of the first.
+
+        Args:
+            values: Of the rows, shape (n,) or (n, k).
+            rows: Their numbers in the file, shape (n,).
+        """
         is_finite = np.isfinite(values)
         if not is_finite.all():
             axes = tuple(range(1, values.ndim))
             invalid_rows = np.flatnonzero(~is_finite.all(axis=axes))
             self.faults.note(
                 f"{self.channel.key}: rows with NaN or infinity",
-                f"row {self.row_count + int(invalid_rows[0]) + 1}",
+                f"row {rows[invalid_rows[0]]:.0f}",
                 invalid_rows.size,
             )
 

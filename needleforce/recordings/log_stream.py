@@ -244,8 +244,7 @@ class LogStream:
                 )
 
         _require_names(self._request.mapping.joint_pattern, table, by_joint)
-        notes = f"columns found by the names of the joints: {'; '.join(by_joint)}"
-        self._report((notes,) * bool(by_joint))
+        self._report(_describe_joint_columns(by_joint))
         if missing:
             raise _not_found(missing, table, self._request)
 
@@ -322,7 +321,7 @@ class LogStream:
         self._kept_count += len(values["t_s"])
         for key, signal in self._signals.items():
             if key != "t_s":
-                signal.watch(values[key])
+                signal.watch(values[key], values[ROW])
 
         self._velocity_watch.update(values)
         if is_first:
@@ -351,7 +350,7 @@ class LogStream:
             t_s = part.pop("t_s")
             time = self._signals.get("t_s")
             if time is not None:
-                time.watch(t_s)
+                time.watch(t_s, rows)
                 self._report(time.report_implausible())
 
             yield LogChunk(
@@ -386,6 +385,14 @@ class LogStream:
             return to_seconds(stamps, self._clock_start_ns)
 
         return column_s - self._clock_start_ns / NS_PER_S
+
+
+def _describe_joint_columns(by_joint: Sequence[str]) -> list[str]:
+    """Return a note on the columns that joints' names found; none without any."""
+    if not by_joint:
+        return []
+
+    return [f"columns found by the names of the joints: {'; '.join(by_joint)}"]
 
 
 def _require_names(pattern: str, table: Table, by_joint: Sequence[str]) -> None:

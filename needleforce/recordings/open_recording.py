@@ -43,8 +43,8 @@ def read_table(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Table:
     """Read a file's columns as they stand, in its units, without saying what they mean.
 
     Args:
-        path: a file ending in `.csv`, `.tsv` or `.txt` (the first two also with `.gz`),
-            `.npz` or `.parquet`; or a ROS bag: a file ending in `.mcap`, `.db3` or
+        path: a file ending in `.csv`, `.tsv` or `.txt` (also with `.gz`), `.dat`,
+            `.asc` or `.lvm`; in `.npz` or `.parquet`; or a ROS bag: a file ending in `.mcap`, `.db3` or
             `.bag`, or a folder of them.
         max_bytes: the most memory that the content of the file may take.
 

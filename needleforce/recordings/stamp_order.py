@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from foundation.arrays import Array
 from needleforce.recordings.errors import FaultCounts
+from needleforce.recordings.time_stamps import MIN_ROWS_SET_BACK, MIN_RUN_SET_BACK_S
 
 SORTED_WITHIN_S = 1.0
 """Rows of a file are sorted if they come no later than this after newer ones: so long a
@@ -47,12 +48,6 @@ MAX_HELD_ROWS = 1 << 18
 
 STEP_ROWS = 200
 """The usual time step is that of so many first rows."""
-
-MIN_SET_BACK_S = 0.1
-"""As of `needleforce.recordings.time_stamps.RowClock`."""
-
-MIN_SET_BACK_ROWS = 3
-"""As of `needleforce.recordings.time_stamps.RowClock`."""
 
 MIN_OCCUPANCY = 0.4
 """Two runs of rows that each take such a fraction of the places in a span of time were
@@ -541,7 +536,7 @@ def _displaced(t_s: Array, step_s: float) -> NDArray[np.bool_]:
 
 
 def _find_set_back(t_s: Array, step_s: float) -> int | None:
-    """Return the first row after which a clock that was set back counts anew.
+    """Return the first row that a clock counts after it was set back.
 
     That is where rows that follow each other take places that others have taken.
 
@@ -560,7 +555,7 @@ def _find_set_back(t_s: Array, step_s: float) -> int | None:
     lengths = np.bincount(runs, minlength=len(starts))
     ends = starts + lengths - 1
     spans_s = t_s[ends] - t_s[starts]
-    is_run = (lengths >= MIN_SET_BACK_ROWS) & (spans_s >= MIN_SET_BACK_S)
+    is_run = (lengths >= MIN_ROWS_SET_BACK) & (spans_s >= MIN_RUN_SET_BACK_S)
     ordered_s = np.sort(t_s)
     taken = np.searchsorted(ordered_s, t_s[ends], "right") - np.searchsorted(
         ordered_s, t_s[starts], "left"

@@ -1,6 +1,6 @@
 """Named columns of numbers before anyone has said what they mean."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
 from types import MappingProxyType
 from typing import NamedTuple
@@ -126,23 +126,40 @@ class Table:
         return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
 
 
+def choose_tool_mass(
+    total: ToolMass | None, parts: Sequence[ToolMass]
+) -> ToolMass | None:
+    """Return the whole mass on the flange; where it is absent or zero, its parts' sum.
+
+    Args:
+        total: The whole mass, if the recording states it.
+        parts: Those of hand, tool and load that it states.
+    """
+    if total is not None and (total.mass_kg or not parts):
+        return total
+    if not parts:
+        return None
+    mass_kg = sum(part.mass_kg for part in parts)
+    return ToolMass(mass_kg, " and ".join(part.source for part in parts))
+
+
 def tool_mass_in(table: Table) -> ToolMass | None:
     """Return the mass on the flange that columns state, as Franka calls them.
 
     They are `m_total`, or `m_ee` and `m_load`, perhaps after the path of a topic.
     """
-    masses: dict[str, float] = {}
+    masses: dict[str, ToolMass] = {}
     for name, values in table.columns.items():
         stem = name.replace(".", "/").rpartition("/")[2]
-        finite = values[np.isfinite(values)] if values.ndim == 1 else values[:0, 0]
-        if stem in ("m_total", "m_ee", "m_load") and finite.size:
-            masses[stem] = float(finite[0])
+        if stem not in ("m_total", "m_ee", "m_load") or values.ndim != 1:
+            continue
 
-    if "m_total" in masses:
-        return ToolMass(masses["m_total"], "m_total")
-    if "m_ee" in masses:
-        return ToolMass(masses["m_ee"] + masses.get("m_load", 0.0), "m_ee and m_load")
-    return None
+        finite = values[np.isfinite(values)]
+        if finite.size:
+            masses[stem] = ToolMass(float(finite[0]), stem)
+
+    parts = [masses[name] for name in ("m_ee", "m_load") if name in masses]
+    return choose_tool_mass(masses.get("m_total"), parts)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

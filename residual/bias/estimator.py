@@ -234,7 +234,6 @@ class BiasEstimator:
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
         self._robot = robot
         self._config = config
-        self.diagnosis: TorqueDiagnosis | None = None
         self._basis = BiasModel(robot, config.tare, config.prior)
         self.block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
         self._weightless = pin.Model(robot.model)
@@ -410,9 +409,9 @@ class BiasEstimator:
         if not is_external:
             blocks = replace(blocks, lag_s=1.0 / self._config.slowest_gain_per_s)
         fit = FreeMotionFit(self._basis, blocks)
-        self.diagnosis = None
+        diagnosis = None
         if not ignore_contact:
-            self.diagnosis = check_free_of_contact(
+            diagnosis = check_free_of_contact(
                 self._robot,
                 fit,
                 wrench,
@@ -421,9 +420,10 @@ class BiasEstimator:
                 adds_gravity=self._config.torque_is_gravity_compensated,
             )
         tare = fit.tare
-        if self.diagnosis is not None and tare.kind == "model":
-            tare = tare._replace(scale_std=self.diagnosis.scale_doubt)
+        if diagnosis is not None and tare.kind == "model":
+            tare = tare._replace(scale_std=diagnosis.scale_doubt)
         memory.tare = tare
+        self.diagnosis = diagnosis
         memory.tared = True
         memory.tared_s = memory.now_s
         memory.leapt_s = 0.0
@@ -481,6 +481,7 @@ class BiasEstimator:
 
     def reset(self) -> None:
         """Forget everything."""
+        self.diagnosis: TorqueDiagnosis | None = None
         self._saturated: list[tuple[Array, Array]] = []
         still = np.zeros(self._joints)
         states = self._basis.states

@@ -46,7 +46,8 @@ MOVED_RAD = 0.01
 """Travel of a joint that moves every encoder."""
 
 EVIDENCE_RATIO = 1e-9
-"""The same where the information of forces is inverted: only its rounding."""
+"""Singular values of the information of forces below this fraction of the largest are
+rounding: they stay at zero."""
 
 MIN_SPAN_S = 1e-9
 """Shortest time in which a force grows."""

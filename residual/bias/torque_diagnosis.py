@@ -55,7 +55,7 @@ LIKELY_PAIR = 15.0
 gravity, so that small errors of friction and inertia decide between them."""
 
 PAIR = frozenset({"scale", "payload"})
-"""The two."""
+"""Two kinds that are alike: both act along gravity."""
 
 CURRENTS = frozenset({"scale", "joint scales"})
 """Two that are alike, too: one factor for all joints, and one for each."""
@@ -64,7 +64,7 @@ TWO_FAULTS = frozenset({"scale and payload", "sign and scale", "payload and sign
 """Kinds that are two faults at once."""
 
 MOUNTING = frozenset({"sign", "direction"})
-"""Two more: an arm that hangs has the opposite torques at rest."""
+"""Two kinds that are alike: an arm that hangs has the opposite torques at rest."""
 
 SAME_FACTOR_RATIO = 0.1
 """Factors of joints that differ by less are one factor."""

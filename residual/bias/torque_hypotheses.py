@@ -88,8 +88,6 @@ LOG_PRIORS: dict[str, float] = {
     "joint scales": -6.0,
     "scale and payload": -5.0,
     "sign and scale": -6.0,
-    "order and scale": -8.0,
-    "joint signs and scale": -8.0,
     "payload and sign": -6.0,
 }
 """Logarithms of how probable each kind is before data, but for a constant. Forgotten
@@ -126,7 +124,6 @@ class Hypothesis:
         log_evidence: Logarithm of its probability, but for a constant.
         scale: Torque as it was measured over the true one, for all joints.
         scale_std: Standard deviation of it; 0 where it was not fitted.
-        payload_std: Standard deviations of the payload's four numbers, shape (4,).
         is_toggled: Whether it treats gravity otherwise than is done at present.
     """
 
@@ -135,7 +132,6 @@ class Hypothesis:
     log_evidence: float
     scale: float = 1.0
     scale_std: float = 0.0
-    payload_std: Array | None = None
     is_toggled: bool = False
 
 
@@ -203,7 +199,7 @@ class HypothesisTests:
         return self._evidence.basis.effort_Nm
 
     def describe_payload(self, missing: Array) -> str:
-        """Return the payload that is on the flange, as in a file for ``--payload``.
+        """Return the payload on the flange, as the lines of a file for ``--payload``.
 
         Args:
             missing: Mass and first moments that the model lacks, about the last joint,
@@ -214,14 +210,14 @@ class HypothesisTests:
         placement = flange.placement
         mass_kg = float(missing[0]) + self._given_kg
         if mass_kg <= 0.0:
-            return "none"
+            return "none at all; --without LINK leaves a hand out"
         moment = placement.rotation.T @ (
             missing[1:] - missing[0] * placement.translation
         )
         if robot.payload is not None:
             moment = moment + robot.payload.mass_kg * np.array(robot.payload.com_m)
         com = ", ".join(f"{round(one, 3) + 0.0:.3f}" for one in moment / mass_kg)
-        return f"mass_kg = {mass_kg:.2f}, com_m = [{com}]"
+        return f"mass_kg = {mass_kg:.2f} and com_m = [{com}], a line each"
 
     @property
     def as_given(self) -> Correction:
@@ -374,7 +370,6 @@ class HypothesisTests:
             kind=kind,
             correction=replace(start, payload=missing),
             log_evidence=log,
-            payload_std=found.extra_std,
         )
 
     def missing_payload(self) -> MissingMass:
@@ -454,7 +449,6 @@ class HypothesisTests:
             log_evidence=log - math.log(LOG_SCALE_WIDTH),
             scale=scale,
             scale_std=scale * float(found.extra_std[0]),
-            payload_std=found.extra_std[1:],
         )
 
     def direction(self) -> Hypothesis | None:

@@ -1,8 +1,8 @@
 """`needleforce check`: what a log and its tare verify, line by line."""
 
 from collections.abc import Iterator
-from dataclasses import dataclass
 from enum import StrEnum
+from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -36,7 +36,7 @@ DOUBTFUL = 1
 """Exit code where something in the log is doubtful."""
 
 MAX_RATE_ROWS = 20_000
-"""Rows from which rate and travel are taken."""
+"""Rows from which the rate is taken."""
 
 MIN_NOISE_ROWS = 100
 """Fewest rows from which noise is estimated."""
@@ -56,6 +56,22 @@ class Outcome(StrEnum):
 
 ROBOT_OUTCOMES = {"robot": Outcome.READ, "model": Outcome.UNCHECKED}
 """Outcomes of the lines on the robot, and on what is odd in its description."""
+
+
+class NoisySignal(NamedTuple):
+    """How the noise of a signal is written: its name, and its unit."""
+
+    name: str
+    unit: str
+
+
+NOISY_SIGNALS = {
+    "q_rad": NoisySignal("q", "rad"),
+    "dq_rad_s": NoisySignal("dq", "rad/s"),
+    "tau_Nm": NoisySignal("tau", "Nm"),
+    "tau_ext_Nm": NoisySignal("tau_ext", "Nm"),
+}
+"""Signals whose noise is stated, by their keys in a log."""
 
 
 class CheckLine(msgspec.Struct):
@@ -192,7 +208,6 @@ def check_log(log: LogSession, replay: SensorReplay) -> LogCheck:
     )
 
 
-@dataclass
 class SignalRecord:
     """Noise and travel of the signals of the first rows.
 
@@ -203,9 +218,8 @@ class SignalRecord:
         travel_rad: Travel of each joint, shape (n,).
     """
 
-    rows: int = 0
-
-    def __post_init__(self) -> None:
+    def __init__(self) -> None:
+        self.rows = 0
         self.noise: dict[str, Array] = {}
         self._steps_s: list[Array] = []
         self._lowest: Array | None = None
@@ -220,10 +234,9 @@ class SignalRecord:
 
     def add(self, chunk: LogChunk) -> None:
         """Take further rows."""
+        if self.rows < MAX_RATE_ROWS:
+            self._steps_s.append(chunk.dt_s)
         self.rows += len(chunk.t_s)
-        if self.rows - len(chunk.t_s) >= MAX_RATE_ROWS:
-            return
-        self._steps_s.append(chunk.dt_s)
         q_rad = chunk.channels["q_rad"]
         q_rad = q_rad[np.isfinite(q_rad).all(axis=1)]
         if len(q_rad):
@@ -253,12 +266,10 @@ class SignalRecord:
                 f"{1e3 * usual_s:.4g} ms, in 1 of 100 longer than {1e3 * late_s:.4g} ms"
             )
             yield CheckLine("rate", Outcome.READ, text)
-        units = {"q_rad": "rad", "dq_rad_s": "rad/s"}
-        units |= {"tau_Nm": "Nm", "tau_ext_Nm": "Nm"}
         texts = [
-            f"{key.partition('_')[0]} {np.min(self.noise[key]):.2g} to "
-            f"{np.max(self.noise[key]):.2g} {unit}"
-            for key, unit in units.items()
+            f"{signal.name} {np.min(self.noise[key]):.2g} to "
+            f"{np.max(self.noise[key]):.2g} {signal.unit}"
+            for key, signal in NOISY_SIGNALS.items()
             if key in self.noise
         ]
         if texts:
@@ -346,6 +357,13 @@ def _torque_lines(
 def _sign_line(diagnosis: TorqueDiagnosis) -> CheckLine:
     """Return the line on order and signs of the joints."""
     topic = "order and signs"
+    faults = [
+        one.cause.text
+        for one in diagnosis.findings
+        if one.cause.code in (SensorCode.JOINT_ORDER, SensorCode.TORQUE_SIGN)
+    ]
+    if faults:
+        return CheckLine(topic, Outcome.DOUBTFUL, "; or ".join(faults))
     joints = len(diagnosis.joint_scale)
     unchecked = diagnosis.unchecked_joints
     checked = [joint for joint in range(joints) if joint not in unchecked]
@@ -380,7 +398,7 @@ def _payload_line(diagnosis: TorqueDiagnosis, refusal: TareError | None) -> Chec
         return CheckLine("payload", Outcome.UNCHECKED, reason)
     is_missing = abs(diagnosis.payload_kg) > 3.0 * diagnosis.payload_std_kg
     outcome = Outcome.DOUBTFUL if is_missing else Outcome.VERIFIED
-    rating = f"the arm is rated for {diagnosis.rating_kg:.3g} kg"
+    rating = f"the arm is taken to carry at most {diagnosis.rating_kg:.3g} kg"
     return CheckLine("payload", outcome, f"{text}; {rating}")
 
 

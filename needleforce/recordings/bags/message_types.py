@@ -54,15 +54,39 @@ _KNOWN_CHANNELS: dict[str, dict[str, tuple[str, ...]]] = {
 }
 """Fields that are channels, by the type of their messages, as Franka publishes them."""
 
-_TOOL_MASSES: dict[str, tuple[tuple[str, ...], ...]] = {
-    "franka_msgs/msg/FrankaState": (("m_total",), ("m_ee",), ("m_load",)),
-    "franka_msgs/msg/FrankaRobotState": (
+
+class _MassFields(NamedTuple):
+    """Where a message states the mass on the flange.
+
+    Attributes:
+        total: Path of the field of the whole.
+        parts: Of those of its parts.
+    """
+
+    total: tuple[str, ...]
+    parts: tuple[tuple[str, ...], ...]
+
+
+class MassColumns(NamedTuple):
+    """The columns of a topic that state the mass on the flange.
+
+    Attributes:
+        total: Of the whole.
+        parts: Of its parts.
+    """
+
+    total: str
+    parts: tuple[str, ...]
+
+
+_TOOL_MASSES = {
+    "franka_msgs/msg/FrankaState": _MassFields(("m_total",), (("m_ee",), ("m_load",))),
+    "franka_msgs/msg/FrankaRobotState": _MassFields(
         ("inertia_total", "inertia", "m"),
-        ("inertia_ee", "inertia", "m"),
-        ("inertia_load", "inertia", "m"),
+        (("inertia_ee", "inertia", "m"), ("inertia_load", "inertia", "m")),
     ),
 }
-"""Fields of the mass on the flange: the whole, or else its parts."""
+"""Fields of the mass on the flange, by the type of their messages."""
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
@@ -209,7 +233,7 @@ class TopicDecoder:
 
     Attributes:
         known: Columns that are channels by the type of the messages, by channel.
-        tool_masses: Columns of the mass on the flange: the whole, then its parts.
+        tool_mass: Columns of the mass on the flange; None where it has none.
 
     A column is called by its topic and the fields that lead to it:
     `/joint_states/position`. Vectors are one column of several numbers:
@@ -248,9 +272,12 @@ class TopicDecoder:
             channel: _column_name(topic, path)
             for channel, path in _KNOWN_CHANNELS.get(topic.kind, {}).items()
         }
-        self.tool_masses = tuple(
-            _column_name(topic, path) for path in _TOOL_MASSES.get(topic.kind, ())
-        )
+        self.tool_mass: MassColumns | None = None
+        if masses := _TOOL_MASSES.get(topic.kind):
+            self.tool_mass = MassColumns(
+                total=_column_name(topic, masses.total),
+                parts=tuple(_column_name(topic, path) for path in masses.parts),
+            )
         self._columns = [
             _NamedColumn(
                 name=_column_name(topic, column.path),

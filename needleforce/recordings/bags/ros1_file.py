@@ -60,7 +60,7 @@ class _Record(NamedTuple):
     @property
     def opcode(self) -> int:
         """Its number; of damaged bytes any."""
-        return self.fields.get("op", b"\x00")[0]
+        return int.from_bytes(self.fields.get("op", b""), "little")
 
     @property
     def connection(self) -> int:
@@ -140,25 +140,41 @@ class Ros1Reader:
         """Yield the messages in the order of the file."""
         with self._path.open("rb") as stream:
             require_magic(stream.read(len(MAGIC)), MAGIC, "ROS 1 bag (version 2.0)")
-            yield from self._read(stream)
+            yield from self._read(stream, in_chunk=False)
 
-    def _read(self, stream: IO[bytes]) -> Iterator[RawMessage]:
-        """Yield the messages in the records of a stream, as far as they are right."""
+    def _read(self, stream: IO[bytes], *, in_chunk: bool) -> Iterator[RawMessage]:
+        """Yield the messages in the records of a stream, as far as they are right.
+
+        Args:
+            stream: Of the file, or of an unpacked chunk.
+            in_chunk: Whether it is a chunk, which holds no other.
+        """
         try:
             for record in _records(stream, self._limit):
                 if not record.is_whole:
-                    self._note("is cut short")
+                    self._note("has a damaged chunk" if in_chunk else "is cut short")
 
-                if record.opcode == _Opcode.CHUNK:
-                    yield from self._read_chunk(record)
-                elif record.opcode == _Opcode.CONNECTION and record.is_whole:
-                    self._add_topic(record)
-                elif record.opcode == _Opcode.MESSAGE and record.is_whole:
-                    yield self._message(record)
+                yield from self._read_record(record, in_chunk=in_chunk)
         except (ValueError, KeyError, struct.error) as error:
             if isinstance(error, FormatError):
                 raise
             self._note("is damaged; what follows the damage in its part is lost")
+
+    def _read_record(self, record: _Record, *, in_chunk: bool) -> Iterator[RawMessage]:
+        """Yield the messages in a record; remember topics.
+
+        Raises:
+            ValueError: It is damaged, as a chunk within a chunk is.
+        """
+        if record.opcode == _Opcode.CHUNK:
+            if in_chunk:
+                raise ValueError("a chunk within a chunk")
+
+            yield from self._read_chunk(record)
+        elif record.opcode == _Opcode.CONNECTION and record.is_whole:
+            self._add_topic(record)
+        elif record.opcode == _Opcode.MESSAGE and record.is_whole:
+            yield self._message(record)
 
     def _note(self, fault: str) -> None:
         """Report a fault once."""
@@ -195,4 +211,4 @@ class Ros1Reader:
             if record.is_whole and len(data) < size:
                 self._note("has a damaged chunk")
 
-        yield from self._read(io.BytesIO(data))
+        yield from self._read(io.BytesIO(data), in_chunk=True)

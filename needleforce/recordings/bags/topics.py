@@ -17,7 +17,7 @@ from needleforce.recordings.bags.message_types import (
 )
 from needleforce.recordings.bags.messages import BagTopic, RawMessage
 from needleforce.recordings.errors import FormatError, RecordingCode
-from needleforce.recordings.table import Table, ToolMass
+from needleforce.recordings.table import Table, ToolMass, choose_tool_mass
 from needleforce.recordings.time_stamps import NS_PER_S
 
 LEARNED_MESSAGES = 20
@@ -185,16 +185,17 @@ class Topic:
 
     def _tool_mass_in(self, content: MessageContent) -> ToolMass | None:
         """Return the mass on the flange that a message states; None if it does not."""
-        masses = [
-            float(content.values[name])
-            for name in self._decoder.tool_masses
-            if name in content.values
-        ]
-        if not masses:
+        columns = self._decoder.tool_mass
+        if columns is None:
             return None
 
-        total_kg, *parts_kg = masses
-        return ToolMass(total_kg or sum(parts_kg), self._decoder.tool_masses[0])
+        masses = {
+            name: ToolMass(float(content.values[name]), name)
+            for name in (columns.total, *columns.parts)
+            if name in content.values
+        }
+        parts = [masses[name] for name in columns.parts if name in masses]
+        return choose_tool_mass(masses.get(columns.total), parts)
 
     def describe(self) -> str:
         """Return the topic in one line."""

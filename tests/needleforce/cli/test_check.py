@@ -57,13 +57,14 @@ def test_a_doubt_is_named_with_the_option_that_cures_it(tmp_path, capsys, column
     assert lines["rate"]["text"].startswith("4000 rows")
 
 
-def test_a_joint_of_the_other_sign_opposes_gravity(tmp_path, capsys, columns):
+def test_a_joint_of_the_other_sign_is_doubtful(tmp_path, capsys, columns):
     bent = columns | {"tau_Nm": columns["tau_Nm"] * [1, -1, 1, 1, 1, 1, 1]}
     code, lines, _ = check(tmp_path, capsys, bent)
 
     assert code == 1
     assert lines["order and signs"]["outcome"] == "doubtful"
-    assert "joint 2: torque opposes gravity" in lines["order and signs"]["text"]
+    assert "joint 2" in lines["order and signs"]["text"]
+    assert "follows gravity" not in lines["order and signs"]["text"]
 
 
 def test_exchanged_joints_are_listed_by_column_in_the_robots_order(
@@ -77,6 +78,7 @@ def test_exchanged_joints_are_listed_by_column_in_the_robots_order(
     expected = "torque1,torque4,torque3,torque2,torque5,torque6,torque7"
 
     assert f"--tau {expected};" in lines["tare"]["text"]
+    assert lines["order and signs"]["outcome"] == "doubtful"
 
 
 def test_without_a_tare_what_is_unverified_is_said(tmp_path, capsys, columns):

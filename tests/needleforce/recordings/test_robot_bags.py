@@ -13,7 +13,8 @@ from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.open_recording import stream_tables
-from needleforce.recordings.table import ToolMass
+from needleforce.recordings.table import ToolMass, choose_tool_mass
+from needleforce.recordings.bags.ros1_file import MAGIC
 from tests.needleforce.recordings.bag_samples import (
     START_NS,
     STEP_NS,
@@ -255,3 +256,41 @@ def test_a_bad_stamp_in_a_bag_costs_its_message(tmp_path):
 
     np.testing.assert_allclose(log["q_rad"], np.delete(Q_RAD, 30, axis=0))
     assert "messages with a bad time stamp, left out: 1 (first: " in log.warnings[0]
+
+
+def test_chunks_within_chunks_are_damage_that_is_read_around(tmp_path, ros1):
+    path = write_ros1(tmp_path / "arm.bag", ros1, franka_rows(ros1))
+    content = path.read_bytes()
+
+    def record(fields, data):
+        header = b"".join(
+            (len(name) + 1 + len(value)).to_bytes(4, "little") + name + b"=" + value
+            for name, value in fields.items()
+        )
+        sizes = [len(part).to_bytes(4, "little") for part in (header, data)]
+        return sizes[0] + header + sizes[1] + data
+
+    nested = b""
+    for _ in range(2000):
+        size = len(nested).to_bytes(4, "little")
+        nested = record({b"op": b"\x05", b"compression": b"none", b"size": size}, nested)
+    empty = record({b"op": b""}, b"")
+    path.write_bytes(content[: len(MAGIC)] + empty + nested + content[len(MAGIC) :])
+    log = read_log(path, required=["q", "tau"], optional=["dq"], joints=JOINTS)
+
+    assert_franka(log)
+    assert len(log.warnings) == 1
+    assert "is damaged" in log.warnings[0]
+
+
+@pytest.mark.parametrize(
+    ("total_kg", "parts_kg", "expected_kg"),
+    [(0.8, (0.7, 0.2), 0.8), (0.0, (0.7, 0.2), 0.9), (None, (0.7, 0.2), 0.9)],
+)
+def test_the_whole_tool_mass_counts_or_else_that_of_its_parts(
+    total_kg, parts_kg, expected_kg
+):
+    total = None if total_kg is None else ToolMass(total_kg, "m_total")
+    chosen = choose_tool_mass(total, [ToolMass(kg, "part") for kg in parts_kg])
+
+    assert chosen.mass_kg == pytest.approx(expected_kg)
