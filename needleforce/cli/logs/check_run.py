@@ -59,7 +59,12 @@ ROBOT_OUTCOMES = {"robot": Outcome.READ, "model": Outcome.UNCHECKED}
 
 
 class NoisySignal(NamedTuple):
-    """How the noise of a signal is written: its name, and its unit."""
+    """How the noise of a signal is written.
+
+    Attributes:
+        name: Of the signal.
+        unit: Of its noise.
+    """
 
     name: str
     unit: str

@@ -9,12 +9,12 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from needleforce.cli.logs.tool_mass import model_tool_mass_kg, tool_mass_warnings
 from needleforce.recordings import ColumnError, FormatError, read_log
+from needleforce.recordings.bags.ros1_file import MAGIC
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.open_recording import stream_tables
 from needleforce.recordings.table import ToolMass, choose_tool_mass
-from needleforce.recordings.bags.ros1_file import MAGIC
 from tests.needleforce.recordings.bag_samples import (
     START_NS,
     STEP_NS,
@@ -272,8 +272,9 @@ def test_chunks_within_chunks_are_damage_that_is_read_around(tmp_path, ros1):
 
     nested = b""
     for _ in range(2000):
-        size = len(nested).to_bytes(4, "little")
-        nested = record({b"op": b"\x05", b"compression": b"none", b"size": size}, nested)
+        fields = {b"op": b"\x05", b"compression": b"none"}
+        fields |= {b"size": len(nested).to_bytes(4, "little")}
+        nested = record(fields, nested)
     empty = record({b"op": b""}, b"")
     path.write_bytes(content[: len(MAGIC)] + empty + nested + content[len(MAGIC) :])
     log = read_log(path, required=["q", "tau"], optional=["dq"], joints=JOINTS)
