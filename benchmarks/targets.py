@@ -131,6 +131,8 @@ ESTIMATED_VELOCITY_COST_RATIO = 5.0
 MEAN_TICK_RATIO = 1.25
 """Most that the mean update may cost, relative to the median: work is spread over
 updates."""
+MAX_TARE_TICK_MS = 0.5
+"""Most by which the longest update may be longer while a tare is fitted beside it."""
 SOAK_COST_RATIO = 1.1
 """Most an update may cost after a million, relative to one at the start."""
 SOAK_GROWTH_KB = 100.0

@@ -23,9 +23,9 @@ for t_s, q, dq, tau in zip(
     estimate = session.update(q, dq, tau, t_s - previous_s)
     previous_s = t_s
 
-    # Tare once, while the needle is still in free air.
-    if not session.tared and t_s > arm.tare_end_s:
-        session.tare()
+    # Tare once, in free air: it is fitted beside the next 1000 ticks or so.
+    if not session.tared and t_s > arm.tare_end_s - 1.0:
+        session.start_tare()
 
     # Without a force of this tick, or with a doubtful one, hold the last command.
     if estimate.status is not Status.OK or estimate.warnings:

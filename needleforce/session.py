@@ -26,6 +26,7 @@ from residual import (
     SensorConfig,
     SensorWarning,
     Status,
+    TareError,
     VirtualForceSensor,
     WrenchEstimate,
 )
@@ -250,6 +251,16 @@ class InsertionSession:
         return self._sensor.tared
 
     @property
+    def taring(self) -> bool:
+        """Whether a tare is being fitted beside the updates, see `start_tare`."""
+        return self._sensor.taring
+
+    @property
+    def tare_refusal(self) -> TareError | None:
+        """Why the latest `start_tare` was refused; None if it was not."""
+        return self._sensor.tare_refusal
+
+    @property
     def lag_s(self) -> float:
         """Time by which the estimate follows the force [s]; 0 before any sample."""
         return self._sensor.lag_s
@@ -280,7 +291,11 @@ class InsertionSession:
             The estimate after this sample. A bad sample does not raise: the status
             reports it.
         """
-        return self._process(self._sensor.update(q, dq, tau, dt_s))
+        was_taring = self.taring
+        estimate = self._process(self._sensor.update(q, dq, tau, dt_s))
+        if was_taring and self.tared:
+            self.begin_insertion()
+        return estimate
 
     def update_external_torque(
         self,
@@ -294,9 +309,13 @@ class InsertionSession:
         As `update`, with the torque of the environment on the joints [Nm], shape (n,),
         in place of the measured one.
         """
-        return self._process(
+        was_taring = self.taring
+        estimate = self._process(
             self._sensor.update_external_torque(q, dq, external_torque, dt_s)
         )
+        if was_taring and self.tared:
+            self.begin_insertion()
+        return estimate
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Remove the bias and begin an insertion here; see `VirtualForceSensor.tare`.
@@ -313,6 +332,30 @@ class InsertionSession:
         tare = self._sensor.tare(ignore_contact=ignore_contact)
         self.begin_insertion()
         return tare
+
+    def start_tare(
+        self, *, ignore_contact: bool = False, steps_per_tick: int = 1
+    ) -> None:
+        """Begin a tare that is fitted beside the updates that follow.
+
+        While `taring`, estimates are `NOT_TARED` and say so, and nothing is used for
+        identification. The update that completes the tare begins an insertion where the
+        tip then is; the next one is tared. Keep the needle in free air until then. If
+        the tare is refused, `taring` ends without `tared`, and `tare_refusal` says why.
+        See `VirtualForceSensor.start_tare`.
+
+        Args:
+            ignore_contact: See `tare`.
+            steps_per_tick: Steps of the fit in every update.
+
+        Raises:
+            TareError: Without data, a second time without `start_tare_recording`, or
+                with velocities that do not fit positions.
+            residual.ConfigurationError: If the number of steps cannot be.
+        """
+        self._sensor.start_tare(
+            ignore_contact=ignore_contact, steps_per_tick=steps_per_tick
+        )
 
     def start_tare_recording(self) -> None:
         """Record free motion anew for the next `tare`.
@@ -356,11 +399,11 @@ class InsertionSession:
         self._zero_depth()
         self._travel = TipTravel()
         self._identifier.reset()
-        self._identification = self._identifier.snapshot().last
         self._unused_s = 0.0
         self._is_checkpoint_due = True
         self._had_events = True  # so that no checkpoint of an earlier insertion stays
         self._save_checkpoint_if_due()
+        self._identification = self._checkpoints.newer.identifier.last
         self._plan.begin(*self.zero)
 
     def reset(self) -> None:

@@ -165,6 +165,9 @@ INITIALIZING = "the filters have just started"
 NOT_TARED = "tare() has not been called"
 """Message of the status of that name."""
 
+TARING = "a tare is being fitted; until it is, the numbers carry the model's errors"
+"""Message of the status `NOT_TARED` after `start_tare`."""
+
 TARE_EXPIRED = (
     "since the tare a time step of minutes has come, a pause or a clock that was set; "
     "axial_std holds for a pause: withdraw and tare again"

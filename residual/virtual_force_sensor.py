@@ -3,6 +3,7 @@
 import math
 from copy import deepcopy
 from dataclasses import replace
+from numbers import Integral
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -18,6 +19,7 @@ from residual.checks.monitor import ConsistencyMonitor, MonitorState
 from residual.checks.velocity import is_velocity_missing
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import (
+    ConfigurationError,
     SampleError,
     SensorCode,
     SnapshotError,
@@ -27,6 +29,7 @@ from residual.errors import (
 from residual.estimate import (
     INITIALIZING,
     NOT_TARED,
+    TARING,
     Assessment,
     SensorWarning,
     Status,
@@ -78,6 +81,8 @@ class VirtualForceSensor:
             and for external torques of the robot itself: their lag is not known here.
         elapsed_s: Time between the last two samples that were used; 0 for the first.
         rejected: Bad samples since the last `reset`.
+        tare_refusal: Why the latest `start_tare` did not end in a tare; None if it did,
+            or has not ended yet.
     """
 
     # A shallow copy would share what every sample changes.
@@ -108,6 +113,11 @@ class VirtualForceSensor:
     def tared(self) -> bool:
         """Whether the offset has been removed."""
         return self._offset.memory.tared
+
+    @property
+    def taring(self) -> bool:
+        """Whether a tare is being fitted, see `start_tare`."""
+        return self._offset.memory.request is not None
 
     @property
     def velocity_rad_s(self) -> Array:
@@ -199,10 +209,10 @@ class VirtualForceSensor:
 
         That is the motion since the start, or since `start_tare_recording`.
 
-        Call it while the arm rests or from outside the control loop: it takes a few
-        tenths of a second. A contact that stands during all of the motion is noticed
-        only if it is larger than what the prior lets the model be wrong by (tens of
-        newtons on an LWR).
+        It returns when the tare is fitted, after a few tenths of a second; a control
+        loop calls `start_tare`. A contact that stands during all of the motion is
+        noticed only if it is larger than what the prior lets the model be wrong by
+        (tens of newtons on an LWR).
 
         Args:
             ignore_contact: Take it even where contact is seen, or torques or velocities
@@ -214,11 +224,7 @@ class VirtualForceSensor:
                 or treatment of gravity, or velocities that do not fit positions;
                 nothing has then changed.
         """
-        if self._monitor.velocity_fault and not ignore_contact:
-            raise _velocity_error(self._monitor.velocity_fault)
-        is_external = self._stream is not None and self._stream.is_external
-        if not ignore_contact and (saturated := self.explain_saturation()):
-            raise saturated
+        is_external = self._check_tare(ignore_contact=ignore_contact)
         try:
             tare = self._offset.tare(
                 self._contact, ignore_contact=ignore_contact, is_external=is_external
@@ -228,6 +234,70 @@ class VirtualForceSensor:
         self._renew_gain()
         self._is_smoothing = False
         return tare
+
+    def start_tare(
+        self, *, ignore_contact: bool = False, steps_per_tick: int = 1
+    ) -> None:
+        """Begin the tare that `tare` takes, and fit it beside the updates that follow.
+
+        Each valid sample does a few short steps of it, each of some tenths of a
+        millisecond; about two thousand steps make a tare, more if it is refused. The
+        fit is to the motion recorded until now, and equal bit for bit to that of `tare`
+        here. `taring` is true meanwhile, and estimates stay as they were before:
+        `NOT_TARED`, with the offset in them; their message says that a tare is being
+        fitted. If it is refused, `tare_refusal` and the message say why, recording goes
+        on, and nothing else has changed. While taring a second call does nothing;
+        `tare`, `start_tare_recording` and `reset` end what the first one began.
+
+        Args:
+            ignore_contact: See `tare`.
+            steps_per_tick: Steps in an update; in a slow loop there is time for more.
+
+        Raises:
+            TareError: What is known at once: without data, a second time without
+                `start_tare_recording`, or with velocities that do not fit positions.
+            ConfigurationError: If the number of steps is not a whole number > 0.
+        """
+        if not isinstance(steps_per_tick, Integral) or steps_per_tick < 1:
+            raise ConfigurationError(
+                f"steps_per_tick is {steps_per_tick!r}, expected a whole number > 0"
+            )
+        if self.taring:
+            return
+        self.tare_refusal = None
+        is_external = self._check_tare(ignore_contact=ignore_contact)
+        try:
+            self._offset.start_tare(
+                ignore_contact=ignore_contact,
+                is_external=is_external,
+                steps_per_tick=int(steps_per_tick),
+            )
+        except TareError as error:
+            raise error.reworded(self._with_likely_causes(error)) from None
+
+    def _check_tare(self, *, ignore_contact: bool) -> bool:
+        """Refuse a tare of signals that are known to be wrong.
+
+        Returns:
+            Whether torques are the robot's own external ones.
+        """
+        if self._monitor.velocity_fault and not ignore_contact:
+            raise _velocity_error(self._monitor.velocity_fault)
+        if not ignore_contact and (saturated := self.explain_saturation()):
+            raise saturated
+        return self._stream is not None and self._stream.is_external
+
+    def _continue_tare(self) -> None:
+        """Do the steps of this tick; use the tare, or keep why it is refused."""
+        try:
+            tare = self._offset.continue_tare(self._contact)
+        except TareError as error:
+            self.tare_refusal = error.reworded(self._with_likely_causes(error))
+            return
+        if tare is not None:
+            # The next sample computes the gain before it is used.
+            self._due = DueWork.GAIN
+            self._is_smoothing = False
 
     def explain_saturation(self) -> TareError | None:
         """Return why torques were beyond their range from the start, if that shows.
@@ -278,6 +348,7 @@ class VirtualForceSensor:
         of torque: everything then starts anew.
         """
         self._offset.start_tare_recording()
+        self.tare_refusal = None
         self._monitor.forget_velocity()
 
     def reset(self) -> None:
@@ -294,6 +365,7 @@ class VirtualForceSensor:
 
     def _restart(self) -> None:
         """Forget the samples of a stream, before another begins."""
+        self.tare_refusal: TareError | None = None
         self._offset.reset()
         self._monitor.restore(MonitorState())
         self._wrench_filter = WrenchFilterState.at_zero(self._wrench.size)
@@ -375,6 +447,7 @@ class VirtualForceSensor:
             )
             self._stream.restore(state.stream)
         self._offset.memory = state.offset
+        self._offset.resume_tare(self._contact)
         self._set_covariance(state.torque_covariance)
         self._wrench.compute_gain(state.gain_configuration)
         self._monitor.restore(state.monitor)
@@ -471,6 +544,8 @@ class VirtualForceSensor:
         )
         self._estimate_before = self._last_estimate
         self._last_estimate = estimate
+        if bias.request is not None:
+            self._continue_tare()
         return estimate
 
     def _do_gain_if_due(self, *, is_renewed: bool) -> None:
@@ -513,7 +588,7 @@ class VirtualForceSensor:
             texts = (gap or INITIALIZING,)
         elif not offset.memory.tared:
             status = Status.NOT_TARED
-            reason = monitor.velocity_fault or offset.warning or NOT_TARED
+            reason = monitor.velocity_fault or offset.warning or self._tare_state
             texts = (reason, stream.warning, self.question or monitor.limit)
         else:
             status = Status.OK
@@ -521,6 +596,15 @@ class VirtualForceSensor:
             texts = (stale, offset.warning, monitor.message)
         message = "; ".join(filter(None, texts))
         return Assessment(status, message, monitor.mismatch, warnings)
+
+    @property
+    def _tare_state(self) -> str:
+        """Why there is no tare yet."""
+        if self.taring:
+            return TARING
+        if self.tare_refusal is not None:
+            return f"the tare was refused: {self.tare_refusal}"
+        return NOT_TARED
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """Return the last valid estimate again; the time of a bad sample passes."""

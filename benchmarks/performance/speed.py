@@ -10,6 +10,7 @@ import pinocchio as pin
 
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.insertion.signals import JointSignals
+from benchmarks.performance.tare_ticks import TareTicks, tare_table, time_tare
 from benchmarks.report.tables import ResultTable, met_mark
 from benchmarks.targets import (
     CHAIN_COST_RATIOS,
@@ -146,11 +147,13 @@ class SpeedReport:
         times: By subject, as of `time_side_by_side`.
         alarms: Updates that raised a rupture, by chain.
         layers: Updates that worked on identifying a layer, by chain.
+        tare: Updates beside a tare; None where none was timed.
     """
 
     times: dict[str, Array]
     alarms: dict[str, list[int]]
     layers: dict[str, list[int]]
+    tare: TareTicks | None = None
 
 
 def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
@@ -184,6 +187,7 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
         layers={
             name: [k - first for k in chain.layers] for name, chain in chains.items()
         },
+        tare=time_tare(run),
     )
 
 
@@ -246,6 +250,8 @@ def fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
 def speed_report(report: SpeedReport) -> tuple[list[ResultTable], bool]:
     """Return the tables, and whether all targets are met."""
     tables = [speed_table(report), event_table(report)]
+    if report.tare is not None:
+        tables.append(tare_table(report.tare))
     return tables, not any("missed" in line for table in tables for line in table.lines)
 
 

@@ -7,6 +7,10 @@ from needleforce.cli.terminal import CommandError, say
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import Status, TareError
 
+STEPS_PER_S = 1000.0
+"""Steps of a tare in a second: a quarter of a slow loop's time, and it takes about a
+second whatever its rate."""
+
 
 class SessionTare:
     """Tares a session after some motion without contact, and again where refused.
@@ -23,9 +27,11 @@ class SessionTare:
             raise CommandError(f"--tare {every_s:g}: expected seconds of free motion")
         self._every_s = every_s
         self._next_s = every_s
+        self._is_taring = False
+        self._update_s = 0.0  # time of the latest update, on the session's clock
 
     def after(self, session: InsertionSession, estimate: SessionEstimate) -> bool:
-        """Tare if it is time.
+        """Start a tare if it is time; it is fitted beside the updates that follow.
 
         Args:
             session: The session.
@@ -34,13 +40,32 @@ class SessionTare:
         Returns:
             Whether it was tared now; why it was not is said on stderr.
         """
-        is_waiting = estimate.time_s <= self._next_s
+        time_s = estimate.time_s
+        step_s = time_s - self._update_s
+        self._update_s = time_s
+        if self._is_taring:
+            return self._end(session, time_s)
+        is_waiting = time_s <= self._next_s
         if session.tared or estimate.status is not Status.NOT_TARED or is_waiting:
             return False
-        self._next_s = estimate.time_s + self._every_s
         try:
-            session.tare()
+            session.start_tare(steps_per_tick=max(1, round(STEPS_PER_S * step_s)))
         except TareError as error:
-            reason = describe_error(error, WATCH_ADVICE)
-            say(f"no tare at {estimate.time_s:.1f} s, {reason}")
+            self._refuse(error, time_s)
+        self._is_taring = session.taring
+        return False
+
+    def _end(self, session: InsertionSession, time_s: float) -> bool:
+        """Note how a tare has ended, if it has; return whether the session is tared."""
+        if session.taring:
+            return False
+        self._is_taring = False
+        if session.tare_refusal is not None:
+            self._refuse(session.tare_refusal, time_s)
         return session.tared
+
+    def _refuse(self, error: TareError, time_s: float) -> None:
+        """Say why there is no tare, and wait for the next attempt."""
+        self._next_s = time_s + self._every_s
+        reason = describe_error(error, WATCH_ADVICE)
+        say(f"no tare at {time_s:.1f} s, {reason}")

@@ -6,7 +6,6 @@ It reads the arm's samples, runs the session and the monitors, applies the rules
 
 import math
 from pathlib import Path
-from time import monotonic
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 from needleforce.control.errors import ControlCode, SettingError
@@ -112,9 +111,9 @@ class Manager:
     """Schedules the modes of the arm, watches them, and logs why.
 
     Call `heartbeat` and `update` in every cycle. A motion without a heartbeat for 0.1 s
-    is stopped. At the end of the state ``tare``, with the arm at rest, `request` takes
-    a few tenths of a second; what an arm that does not wait has sent meanwhile may be
-    lost.
+    is stopped. Requested at the end of the state ``tare``, with the arm at rest,
+    ``arrived`` starts the tare, which is fitted beside the updates that follow; the
+    state ends with it, after about a second at 1 kHz.
 
     Args:
         session: Force sensor and identification, for the manager alone to update.
@@ -153,6 +152,7 @@ class Manager:
         self._step_s = FIRST_STEP_s
         self._heartbeat_s = -MAX_HEARTBEAT_GAP_s
         self._state_start_s = 0.0
+        self._arrival: dict[str, Any] | None = None  # data of a request, while taring
         self._state_zero = session.zero  # of depth, at which the motion began
 
     def heartbeat(self) -> None:
@@ -175,6 +175,7 @@ class Manager:
             dt_s,
         )
         self._entry.update(estimate, self.session.zero)
+        self._end_tare()
         event, reason = self._monitors.update(estimate, sample, beside, self._step_s)
         is_zero_moved = self.session.zero is not self._state_zero
         if not event and is_zero_moved and self._state in _WITH_DEPTH:
@@ -205,18 +206,37 @@ class Manager:
             SettingError: The event is unknown, or the data cannot be written as JSON.
         """
         if event == "arrived" and self._state is State.TARE:
-            start_s = monotonic()
-            try:
-                self.session.tare()
-            except TareError as error:
-                return self._apply("limit", {"reason": f"the tare is refused: {error}"})
-            finally:
-                self._monitors.missed_s = monotonic() - start_s
-            self._entry.forget()
+            return self._start_tare(data)
         refused = self._apply(event, data)
         if event == "tare" and not refused:
             self.session.start_tare_recording()
         return refused
+
+    def _start_tare(self, data: dict[str, Any]) -> str:
+        """Start a tare, unless one is being fitted; return why it is refused."""
+        if self._arrival is not None:
+            return ""
+        try:
+            self.session.start_tare()
+        except TareError as error:
+            return self._apply("limit", {"reason": f"the tare is refused: {error}"})
+        self._arrival = data
+        return ""
+
+    def _end_tare(self) -> None:
+        """End the state ``tare`` once its tare is fitted, or refused."""
+        if self._arrival is None or self.session.taring:
+            return
+        data = self._arrival
+        self._arrival = None
+        if self._state is not State.TARE:
+            return
+        if self.session.tared:
+            self._entry.forget()
+            self._apply("arrived", data)
+            return
+        reason = f"the tare is refused: {self.session.tare_refusal}"
+        self._apply("limit", {"reason": reason})
 
     def _apply(self, event: str, data: dict[str, Any]) -> str:
         """Apply the rules to an event and log it; return why it is refused."""

@@ -244,7 +244,6 @@ class Monitors:
     Attributes:
         has_device: Whether the haptic device has sent something of late.
         is_healthy: Whether no fault has been seen of late.
-        missed_s: Time for which the program, not the arm, was away.
     """
 
     def __init__(self, session: "InsertionSession", limits: SafetyLimits) -> None:
@@ -257,7 +256,6 @@ class Monitors:
         self._clear_s = math.inf
         self.has_device = False
         self.is_healthy = True
-        self.missed_s = 0.0
         self.enter(State.IDLE)
 
     def enter(self, state: State) -> None:
@@ -321,8 +319,7 @@ class Monitors:
 
     def _check_lateness(self, dt_s: float, step_s: float) -> str:
         """Return what is wrong with the time since the last sample."""
-        is_late = dt_s > self._limits.late_s + self.missed_s
-        self.missed_s = max(self.missed_s - max(dt_s, step_s), 0.0)
+        is_late = dt_s > self._limits.late_s
         return f"no sample for {1e3 * dt_s:.0f} ms" if is_late else ""
 
     def _check_signals(

@@ -1,6 +1,7 @@
 """Estimates the bias tick by tick: records free motion, fits the tare, follows it."""
 
 import math
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from typing import ClassVar, Self
 
@@ -8,10 +9,12 @@ import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
+from foundation.steps import Steps, finish
 from residual.bias.fit import FreeMotionFit
 from residual.bias.joint_states import joint_states_step
 from residual.bias.model import BiasModel, Tare, TareBlocks
 from residual.bias.tare_check import check_free_of_contact
+from residual.bias.tare_request import FittedTare, TareRequest
 from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.checks.input import ROUNDING_S
 from residual.config import SensorConfig
@@ -177,6 +180,7 @@ class BiasState:
         summed: Number of torques in the sum.
         leapt_s: Time in steps longer than `BiasEstimator.LEAP_S` since the tare, or
             since free motion is recorded.
+        request: The tare that is being fitted; None for none.
     """
 
     recorder: TareRecorder
@@ -202,6 +206,7 @@ class BiasState:
     due_s: float = 0.0
     summed: int = 0
     leapt_s: float = 0.0
+    request: TareRequest | None = None
 
 
 class BiasEstimator:
@@ -372,23 +377,22 @@ class BiasEstimator:
     def _age_s(self) -> float:
         return self.memory.now_s - self.memory.tared_s
 
-    def tare(
+    def start_tare(
         self,
-        wrench: WrenchEstimator,
         *,
         ignore_contact: bool,
         is_external: bool = False,
-    ) -> Tare:
-        """Fit the offset to the recorded free motion.
+        steps_per_tick: int = 1,
+    ) -> TareRequest:
+        """Prepare to fit the offset to the motion recorded so far.
 
         Args:
-            wrench: See `check_free_of_contact`, as ``is_external``.
             ignore_contact: Do not check for a contact.
             is_external: Whether torques are the robot's own external ones.
+            steps_per_tick: Steps of the fit that `continue_tare` does.
 
         Raises:
-            TareError: Without new data, or with contact in sight; the tare in force
-                then stays.
+            TareError: Without new data; the tare in force then stays.
         """
         memory = self.memory
         if memory.tared:
@@ -408,26 +412,124 @@ class BiasEstimator:
         blocks = memory.recorder.blocks(memory.now_s, self._config.tare_window_s)
         if not is_external:
             blocks = replace(blocks, lag_s=1.0 / self._config.slowest_gain_per_s)
-        fit = FreeMotionFit(self._basis, blocks)
-        diagnosis = None
-        if not ignore_contact:
-            diagnosis = check_free_of_contact(
-                self._robot,
-                fit,
-                wrench,
-                self._config.contact_force_N,
-                is_external=is_external,
-                adds_gravity=self._config.torque_is_gravity_compensated,
-            )
+        self._work = None
+        memory.request = TareRequest(
+            blocks=blocks,
+            ignore_contact=ignore_contact,
+            is_external=is_external,
+            started_s=memory.now_s,
+            leapt_s=memory.leapt_s,
+            steps_per_tick=steps_per_tick,
+        )
+        return memory.request
+
+    def continue_tare(self, wrench: WrenchEstimator) -> Tare | None:
+        """Do the steps of a tick; return the tare once it is fitted, and take it.
+
+        Args:
+            wrench: See `check_free_of_contact`.
+
+        Raises:
+            TareError: With contact in sight; the tare in force then stays.
+        """
+        request = self.memory.request
+        if request is None:
+            return None
+        work = self._work or self._resume_work(request, wrench)
+        self._work = work
+        try:
+            for _ in range(request.steps_per_tick):
+                next(work)
+                request.done += 1
+        except StopIteration as end:
+            return self._take(request, end.value)
+        except TareError:
+            self.cancel_tare()
+            raise
+        return None
+
+    def tare(
+        self,
+        wrench: WrenchEstimator,
+        *,
+        ignore_contact: bool,
+        is_external: bool = False,
+    ) -> Tare:
+        """Fit the offset to the recorded free motion, from begin to end.
+
+        Args:
+            wrench: See `check_free_of_contact`.
+            ignore_contact: Do not check for a contact.
+            is_external: Whether torques are the robot's own external ones.
+
+        Raises:
+            TareError: Without new data, or with contact in sight; the tare in force
+                then stays.
+        """
+        request = self.start_tare(
+            ignore_contact=ignore_contact, is_external=is_external
+        )
+        try:
+            return self._take(request, finish(self._fit_in_steps(request, wrench)))
+        finally:
+            self.cancel_tare()
+
+    def cancel_tare(self) -> None:
+        """Give up the tare that is being fitted; what was recorded stays."""
+        self.memory.request = None
+        self._work = None
+
+    def __getstate__(self) -> Mapping[str, object]:
+        """Return what a copy needs; it does the steps of a running fit again."""
+        return self.__dict__ | {"_work": None}
+
+    def resume_tare(self, wrench: WrenchEstimator) -> None:
+        """Do again the steps of a fit that was under way where a state was taken."""
+        request = self.memory.request
+        self._work = None if request is None else self._resume_work(request, wrench)
+
+    def _resume_work(
+        self, request: TareRequest, wrench: WrenchEstimator
+    ) -> Steps[FittedTare]:
+        """Return a fit of which the steps that are done have been done."""
+        work = self._fit_in_steps(request, wrench)
+        for _ in range(request.done):
+            next(work)
+        return work
+
+    def _fit_in_steps(
+        self, request: TareRequest, wrench: WrenchEstimator
+    ) -> Steps[FittedTare]:
+        """Fit a tare and look for contacts; see `continue_tare`."""
+        fit = yield from FreeMotionFit.in_steps(self._basis, request.blocks)
+        if request.ignore_contact:
+            return FittedTare(fit.tare, None)
+        diagnosis = yield from check_free_of_contact(
+            self._robot,
+            fit,
+            wrench,
+            self._config.contact_force_N,
+            is_external=request.is_external,
+            adds_gravity=self._config.torque_is_gravity_compensated,
+        )
         tare = fit.tare
         if diagnosis is not None and tare.kind == "model":
             tare = tare._replace(scale_std=diagnosis.scale_doubt)
+        yield  # who takes the tare has work of its own in that tick
+        return FittedTare(tare, diagnosis)
+
+    def _take(self, request: TareRequest, fitted: FittedTare) -> Tare:
+        """Subtract a fitted tare from now on, as old as its request; return it."""
+        memory = self.memory
+        tare = fitted.tare
         memory.tare = tare
-        self.diagnosis = diagnosis
+        self.diagnosis = fitted.diagnosis
         memory.tared = True
-        memory.tared_s = memory.now_s
-        memory.leapt_s = 0.0
-        memory.bias = self._basis.bias_Nm(tare, memory.q, memory.states, 0.0)
+        memory.tared_s = request.started_s
+        memory.leapt_s -= request.leapt_s
+        memory.covariance_s = memory.now_s - COVARIANCE_S
+        memory.bias = self._basis.bias_Nm(tare, memory.q, memory.states, self._age_s)
+        self.cancel_tare()
         return tare
 
     def keep_saturated(self, q: Array, tau: Array) -> None:
@@ -459,15 +561,17 @@ class BiasEstimator:
             scatter_Nm2=torque_Nm.var(axis=0),
         )
         try:
-            check_free_of_contact(
+            fit = finish(FreeMotionFit.in_steps(self._basis, blocks))
+            check = check_free_of_contact(
                 self._robot,
-                FreeMotionFit(self._basis, blocks),
+                fit,
                 wrench,
                 self._config.contact_force_N,
                 is_external=False,
                 adds_gravity=self._config.torque_is_gravity_compensated,
                 is_whole=False,
             )
+            finish(check)
         except TareError as error:
             return None if error.code is SensorCode.CONTACT else error
         return None
@@ -478,9 +582,11 @@ class BiasEstimator:
         self.memory.tared = False
         self.memory.leapt_s = 0.0
         self._saturated = []
+        self.cancel_tare()
 
     def reset(self) -> None:
         """Forget everything."""
+        self._work: Steps[FittedTare] | None = None
         self.diagnosis: TorqueDiagnosis | None = None
         self._saturated: list[tuple[Array, Array]] = []
         still = np.zeros(self._joints)

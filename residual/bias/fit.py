@@ -7,13 +7,20 @@ The size of hysteresis is not learnt: in air it is so similar to friction that e
 would take half of the other.
 """
 
-from collections.abc import Iterator
+from typing import NamedTuple, Self
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 from scipy.optimize import nnls
 
 from foundation.arrays import Array
+from foundation.steps import Steps
+from residual.bias.coloured_noise import NoiseRoot, invert_covariance
 from residual.bias.model import BiasModel, Tare, TareBlocks
+
+BLOCKS_PER_STEP = 8
+"""Blocks whose columns are computed in one step."""
 
 LEARNT = ("links", "friction", "drift")
 """Groups of columns whose size is learnt, as is the random walk's; offset and ripple
@@ -51,6 +58,18 @@ MIN_WAVELENGTHS = 4.0
 take a wave for a slope."""
 
 
+class JointRows(NamedTuple):
+    """What parameters do to one joint's residual over all blocks.
+
+    Attributes:
+        own: Numbers of the parameters that do anything, shape (k,).
+        rows: Residual per unit of each, shape (blocks, k).
+    """
+
+    own: NDArray[np.intp]
+    rows: Array
+
+
 class FreeMotionFit:
     """The likeliest causes of the residuals of a free motion.
 
@@ -58,66 +77,97 @@ class FreeMotionFit:
     blocks; what it leaves beyond that is the sensors' waviness, a wave along each
     joint's position that repeats when the joint returns. The second pass includes the
     waves in the noise, so that they do not count as many independent samples of a
-    slope.
-
-    Args:
-        basis: Model of the causes.
-        blocks: The motion.
-        contact: Torque per newton of a force that is fitted beside them [Nm/N], shape
-            (blocks, n, 3); None if there is none.
-        learn: Whether the sizes are learnt; the prior's otherwise.
+    slope. `in_steps` makes a fit.
 
     Attributes:
-        basis: As given.
-        blocks: As given.
+        basis: Model of the causes.
+        blocks: The motion.
+        joint_rows: What the causes do to every joint.
         tare: The fitted offset.
         sizes: Of the groups in `LEARNT` and of the random walk, relative to the
             prior's.
     """
 
-    def __init__(
-        self,
+    joint_rows: list[JointRows]
+    tare: Tare
+    sizes: dict[str, float]
+
+    def __init__(self, basis: BiasModel, blocks: TareBlocks) -> None:
+        self.basis = basis
+        self.blocks = blocks
+        self._has_few_blocks = len(blocks.residual_Nm) < MIN_BLOCKS
+        self._rows: list[JointRows] = []
+        self._whitened: list[Array] = []
+
+    @classmethod
+    def in_steps(
+        cls,
         basis: BiasModel,
         blocks: TareBlocks,
         contact: Array | None = None,
         *,
         learn: bool = True,
-    ) -> None:
-        self.basis = basis
-        self.blocks = blocks
-        columns = np.stack(
-            list(map(basis.columns, blocks.q_rad, blocks.states, blocks.age_s))
-        )
-        contact_columns = columns[:, :, :0] if contact is None else contact
-        self._columns = np.concatenate((columns, contact_columns), axis=2)
-        self._has_few_blocks = len(blocks.residual_Nm) < MIN_BLOCKS
-        has_walk = basis.kind == "model" and not self._has_few_blocks
+        joint_rows: list[JointRows] | None = None,
+    ) -> Steps[Self]:
+        """Fit the causes of a motion.
+
+        Args:
+            basis: Model of the causes.
+            blocks: The motion.
+            contact: Torque per newton of a force that is fitted beside them [Nm/N],
+                shape (blocks, n, 3); None if there is none.
+            learn: Whether the sizes are learnt; the prior's otherwise.
+            joint_rows: Those of the blocks where another fit has them already.
+        """
+        yield
+        fit = cls(basis, blocks)
+        if joint_rows is None:
+            joint_rows = yield from _joint_rows_of(basis, blocks)
+        fit.joint_rows = joint_rows
+        if contact is None:
+            contact = np.zeros((*blocks.q_rad.shape, 0))
+        has_walk = basis.kind == "model" and not fit._has_few_blocks
         terms = WALK_TERMS if has_walk else 0
-        self._walk = _walk_columns(blocks.age_s, terms)
+        walk = _walk_columns(blocks.age_s, terms)
         walk_std = np.repeat(np.sqrt(basis.walk_Nm2_per_s()), terms)
-        contact_std = np.full(contact_columns.shape[2], CONTACT_STD_N)
+        contact_std = np.full(contact.shape[2], CONTACT_STD_N)
         std = np.concatenate((basis.std, contact_std, walk_std))
         groups: dict[str, slice] = {}
-        if learn and not self._has_few_blocks:
+        if learn and not fit._has_few_blocks:
             groups = {
                 name: basis.groups[name] for name in LEARNT if name in basis.groups
             }
             if has_walk:
                 groups["walk"] = slice(len(std) - len(walk_std), len(std))
-        noise_Nm2 = self._fit(std, groups)
+        fit._rows = [
+            _with_contact_and_walk(joint, rows, contact, walk, len(basis.std))
+            for joint, rows in enumerate(joint_rows)
+        ]
+        yield
+        noise_Nm2 = yield from fit._fit(std, groups)
+        fit._keep_tare(noise_Nm2)
+        return fit
+
+    def _keep_tare(self, noise_Nm2: Array) -> None:
+        """Keep the fitted parameters as a tare.
+
+        Args:
+            noise_Nm2: Variance of a single residual about the fit, shape (n,).
+        """
+        basis = self.basis
         own = slice(0, len(basis.std))
         self.tare = Tare(
             mean=self._mean[own].copy(),
             covariance=self._covariance[own, own].copy(),
             noise_Nm2=np.diag(noise_Nm2),
-            scatter_Nm2=blocks.scatter_Nm2.copy(),
+            scatter_Nm2=self.blocks.scatter_Nm2.copy(),
             walk_Nm2_per_s=basis.walk_Nm2_per_s() * self.sizes.get("walk", 1.0) ** 2,
         )
         for array in self.tare:
             if isinstance(array, np.ndarray):
                 array.setflags(write=False)
 
-    def _fit(self, std: Array, groups: dict[str, slice]) -> Array:
+    def _fit(self, std: Array, groups: dict[str, slice]) -> Steps[Array]:
         """Do both passes; return the variance of a residual about the fit, shape (n,).
 
         Args:
@@ -126,7 +176,6 @@ class FreeMotionFit:
         """
         basis = self.basis
         blocks = self.blocks
-        count = len(blocks.residual_Nm)
         is_few = self._has_few_blocks
         # With few blocks their differences mean nothing: a block then counts as noisy
         # as a sample.
@@ -134,23 +183,28 @@ class FreeMotionFit:
         white = resolution + (
             blocks.scatter_Nm2 if is_few else _noise_density(blocks.residual_Nm, (1,))
         )
-        self._whiteners = [np.eye(count) / variance for variance in white]
-        remaining = self._solve(std, groups)
+        yield from self._set_noise(white, np.zeros_like(white))
+        remaining = yield from self._solve(std, groups)
+        yield
         density = white if is_few else resolution + _noise_density(remaining, BATCHES)
         wave = _wave_variance(remaining, density, np.ptp(blocks.q_rad, axis=0), basis)
-        self._whiteners = [
-            np.linalg.inv(
-                white_variance * np.eye(count)
-                + wave_variance * _wave_correlation(q, basis.prior.wave_rad)
-            )
-            for white_variance, wave_variance, q in zip(
-                density, wave, blocks.q_rad.T, strict=True
-            )
-        ]
-        self._remaining = self._solve(std, groups)
+        yield from self._set_noise(density, wave)
+        self._remaining = yield from self._solve(std, groups)
+        yield
         return blocks.scatter_Nm2 + np.maximum(
             white + wave, np.square(self._remaining).mean(axis=0)
         )
+
+    def _set_noise(self, white_Nm2: Array, wave_Nm2: Array) -> Steps[None]:
+        """Set the variances of white noise and waviness per joint, shape (n,)."""
+        yield
+        wave_rad = self.basis.prior.wave_rad
+        sizes = zip(
+            white_Nm2.tolist(), wave_Nm2.tolist(), self.blocks.q_rad.T, strict=True
+        )
+        self._roots = [NoiseRoot(white, wave, q, wave_rad) for white, wave, q in sizes]
+        for root in self._roots:
+            yield from root.compute()
 
     def contact_N(self, axis: Array) -> tuple[float, float]:
         """Return the fitted force along an axis, shape (3,), and its deviation [N]."""
@@ -158,19 +212,7 @@ class FreeMotionFit:
         variance = float(axis @ self._covariance[own, own] @ axis)
         return float(axis @ self._mean[own]), float(np.sqrt(variance))
 
-    def _rows(self) -> Iterator[tuple[int, Array]]:
-        """Yield every joint with its columns over all blocks, shape (blocks, m).
-
-        The walk's columns come last.
-        """
-        joints = self._columns.shape[1]
-        terms = self._walk.shape[1]
-        for joint in range(joints):
-            walk = np.zeros((len(self._walk), joints * terms))
-            walk[:, joint * terms : (joint + 1) * terms] = self._walk
-            yield joint, np.hstack((self._columns[:, joint], walk))
-
-    def _solve(self, std: Array, groups: dict[str, slice]) -> Array:
+    def _solve(self, std: Array, groups: dict[str, slice]) -> Steps[Array]:
         """Learn sizes, mean and covariance; return the remaining residual.
 
         It has the shape (blocks, n); arguments are those of `_fit`.
@@ -178,20 +220,32 @@ class FreeMotionFit:
         residual = self.blocks.residual_Nm
         information = np.zeros((len(std), len(std)))
         evidence = np.zeros(len(std))
-        for joint, rows in self._rows():
-            weighted = self._whiteners[joint] @ rows
-            information += rows.T @ weighted
-            evidence += weighted.T @ residual[:, joint]
-        self.sizes = _likeliest_sizes(information, evidence, std, groups)
+        self._whitened = []
+        for joint, (own, rows) in enumerate(self._rows):
+            values = np.column_stack((rows, residual[:, joint]))
+            white = yield from self._roots[joint].whiten(values)
+            products = white[:, :-1].T @ white
+            information[np.ix_(own, own)] += products[:, :-1]
+            evidence[own] += products[:, -1]
+            self._whitened.append(white[:, :-1])
+            yield
+        self.sizes = yield from _likeliest_sizes(information, evidence, std, groups)
         std = _scale_groups(std, groups, self.sizes)
         # In units of the prior: well conditioned.
         units = np.outer(std, std)
-        covariance = np.linalg.inv(np.eye(len(std)) + information * units).astype(float)
+        covariance = yield from invert_covariance(
+            np.eye(len(std)) + information * units
+        )
         mean = covariance @ (std * evidence)
         self._mean = std * self._constrain_hysteresis(mean, covariance)
         self._covariance = covariance * units
+        yield
         return np.stack(
-            [residual[:, k] - rows @ self._mean for k, rows in self._rows()], axis=1
+            [
+                residual[:, joint] - rows @ self._mean[own]
+                for joint, (own, rows) in enumerate(self._rows)
+            ],
+            axis=1,
         )
 
     def _constrain_hysteresis(self, mean: Array, covariance: Array) -> Array:
@@ -212,7 +266,7 @@ class FreeMotionFit:
         change = nnls(root, root @ mean[wide])[0] - mean[wide]
         return mean + covariance[:, wide] @ (shared @ change)
 
-    def information_on(self, torque: Array) -> tuple[Array, Array]:
+    def information_on(self, torque: Array) -> Steps[tuple[Array, Array]]:
         """Return information and evidence about causes that were not fitted.
 
         All fitted parameters are left free. The estimate of a sum of causes is the sum
@@ -229,12 +283,43 @@ class FreeMotionFit:
         information = np.zeros((count, count))
         evidence = np.zeros(count)
         shared = np.zeros((len(self._mean), count))
-        for joint, rows in self._rows():
-            weighted = self._whiteners[joint] @ torque[:, joint]
-            information += torque[:, joint].T @ weighted
-            shared += rows.T @ weighted
-            evidence += weighted.T @ self._remaining[:, joint]
+        for joint, (own, _) in enumerate(self._rows):
+            values = np.column_stack((torque[:, joint], self._remaining[:, joint]))
+            yield
+            white = yield from self._roots[joint].whiten(values)
+            products = white[:, :-1].T @ white
+            information += products[:, :-1]
+            evidence += products[:, -1]
+            shared[own] += self._whitened[joint].T @ white[:, :-1]
+            yield
         return information - shared.T @ self._covariance @ shared, evidence
+
+
+def _joint_rows_of(basis: BiasModel, blocks: TareBlocks) -> Steps[list[JointRows]]:
+    """Return what the causes do to every joint."""
+    columns: list[Array] = []
+    for k, q in enumerate(blocks.q_rad):
+        columns.append(basis.columns(q, blocks.states[k], float(blocks.age_s[k])))
+        if k % BLOCKS_PER_STEP == 0:
+            yield
+    joint_rows: list[JointRows] = []
+    for joint in range(basis.joints):
+        rows = np.array([one[joint] for one in columns])
+        causes = np.flatnonzero(rows.any(axis=0))
+        joint_rows.append(JointRows(causes, rows[:, causes]))
+        yield
+    return joint_rows
+
+
+def _with_contact_and_walk(
+    joint: int, causes: JointRows, contact: Array, walk: Array, count: int
+) -> JointRows:
+    """Return the rows of a joint with those of parameters behind so many causes."""
+    forces = contact.shape[2]
+    terms = walk.shape[1]
+    walks = count + forces + joint * terms + np.arange(terms)
+    own = np.concatenate((causes.own, count + np.arange(forces), walks))
+    return JointRows(own, np.hstack((causes.rows, contact[:, joint], walk)))
 
 
 def _walk_columns(age_s: Array, terms: int) -> Array:
@@ -259,32 +344,38 @@ def _scale_groups(
 
 def _likeliest_sizes(
     information: Array, evidence: Array, std: Array, groups: dict[str, slice]
-) -> dict[str, float]:
+) -> Steps[dict[str, float]]:
     """Return the sizes of the groups that make the data likeliest.
 
     They are relative to the prior's, by name.
     """
-
-    def log_likelihood(octaves: dict[str, float]) -> float:
-        scaled = _scale_groups(std, groups, _sizes_of(octaves))
-        root = np.linalg.cholesky(
-            np.eye(len(std)) + information * np.outer(scaled, scaled)
-        )
-        whitened = np.linalg.solve(root, scaled * evidence)
-        deviations = np.array(list(octaves.values())) / OCTAVES_STD
-        log_determinant = float(np.log(root.diagonal()).sum())
-        squares = whitened @ whitened - np.square(deviations).sum()
-        return 0.5 * squares - log_determinant
-
+    known: dict[tuple[float, ...], float] = {}
     octaves = dict.fromkeys(groups, 0.0)
     for _ in range(MAX_SWEEPS):
         octaves_before = dict(octaves)
         for name in groups:
             candidates = [octaves | {name: float(octave)} for octave in OCTAVES]
-            octaves = max(candidates, key=log_likelihood)
+            for candidate in candidates:
+                key = tuple(candidate.values())
+                if key not in known:
+                    scaled = _scale_groups(std, groups, _sizes_of(candidate))
+                    log = _log_likelihood(information, evidence, scaled)
+                    known[key] = log - 0.5 * np.square(key).sum() / OCTAVES_STD**2
+                    yield
+            octaves = max(candidates, key=lambda one: known[tuple(one.values())])
         if octaves == octaves_before:
             break
     return _sizes_of(octaves)
+
+
+def _log_likelihood(information: Array, evidence: Array, std: Array) -> float:
+    """Return the log likelihood of data at prior deviations, but for a constant."""
+    normal = information * std
+    normal *= std[:, None]
+    normal.flat[:: len(std) + 1] += 1.0
+    root = np.linalg.cholesky(normal)
+    whitened = solve_triangular(root, std * evidence, lower=True, check_finite=False)
+    return float(0.5 * whitened @ whitened - np.log(root.diagonal()).sum())
 
 
 def _sizes_of(octaves: dict[str, float]) -> dict[str, float]:
@@ -305,15 +396,6 @@ def _noise_density(residual: Array, batches: tuple[int, ...]) -> Array:
         means = residual[: count * size].reshape(count, size, -1).mean(axis=1)
         variances.append(size * np.square(np.diff(means, axis=0)).mean(axis=0) / 2.0)
     return np.max(variances, axis=0)
-
-
-def _wave_correlation(q: Array, wave_rad: float) -> Array:
-    """Return the correlation of a joint's waviness, shape (blocks, blocks).
-
-    It falls with the distance of the joint's positions [rad], shape (blocks,).
-    """
-    distance = (q[:, None] - q) / wave_rad
-    return np.exp(-0.5 * distance**2)
 
 
 def _wave_variance(

@@ -7,7 +7,8 @@ from numpy.typing import NDArray
 
 from foundation.arrays import Array
 from foundation.errors import Alternative, Suspicion
-from residual.bias.fit import FreeMotionFit
+from foundation.steps import Steps
+from residual.bias.fit import FreeMotionFit, JointRows
 from residual.bias.model import BiasModel, TareBlocks
 from residual.bias.torque_diagnosis import (
     ContactReading,
@@ -53,6 +54,16 @@ MIN_SPAN_S = 1e-9
 """Shortest time in which a force grows."""
 
 
+POSTURES_PER_STEP = 16
+"""Postures of which a Jacobian is computed in one step."""
+
+INTERVALS_PER_STEP = 2
+"""Intervals whose force is estimated in one step."""
+
+RANGES_PER_STEP = 5
+"""Ranges of intervals whose force is fitted in one step."""
+
+
 class AxialForce(NamedTuple):
     """A force along the needle, as a contact in a tare would make it.
 
@@ -91,7 +102,7 @@ def check_free_of_contact(
     is_external: bool,
     adds_gravity: bool = False,
     is_whole: bool = True,
-) -> TorqueDiagnosis | None:
+) -> Steps[TorqueDiagnosis | None]:
     """Refuse a tare whose motion was not free, or whose torques are of another kind.
 
     A contact that stands during all of the motion breaks the prior. One that begins or
@@ -118,7 +129,10 @@ def check_free_of_contact(
     """
     basis = fit.basis
     blocks = fit.blocks
-    contacts = find_contacts(fit, wrench, contact_force_N, is_whole=is_whole)
+    torque = yield from tip_torques(blocks, wrench)
+    contacts = yield from find_contacts(
+        fit, torque, wrench, contact_force_N, is_whole=is_whole
+    )
     if contacts and (missing := _missing_positions(blocks)):
         raise TareError(f"{_describe_contact(contacts)}{missing.text}", missing.code)
     if is_external:
@@ -128,20 +142,26 @@ def check_free_of_contact(
             raise TareError(f"{_describe_contact(contacts)}{cause.text}", cause.code)
         return None
 
-    def retare(corrected: TareBlocks) -> ContactReading:
-        trial = FreeMotionFit(basis, corrected)
-        found = find_contacts(trial, wrench, contact_force_N, is_whole=is_whole)
-        force = found[0] if found else largest_standing_force(basis, corrected, wrench)
+    def retare(corrected: TareBlocks) -> Steps[ContactReading]:
+        trial = yield from FreeMotionFit.in_steps(basis, corrected)
+        found = yield from find_contacts(
+            trial, torque, wrench, contact_force_N, is_whole=is_whole
+        )
+        if found:
+            force = found[0]
+        else:
+            force = yield from largest_standing_force(basis, corrected, wrench)
         is_usual = _offsets_of(basis, corrected) <= MIN_OFFSETS
         return ContactReading(force.force_N, force.std_N, not found and is_usual)
 
-    diagnosis = diagnose_torques(
+    levers_m = torque @ wrench.kinematics.axis_in_tool
+    diagnosis = yield from diagnose_torques(
         robot,
         basis,
         blocks,
         adds_gravity=adds_gravity,
         is_suspicious=bool(contacts),
-        axial_lever_m=largest_levers_m(blocks, wrench),
+        axial_lever_m=np.abs(levers_m).max(axis=0),
         retare=retare,
     )
     if not contacts and not diagnosis.is_certain:
@@ -187,18 +207,20 @@ def _offsets_of(basis: BiasModel, blocks: TareBlocks) -> float:
 
 def find_contacts(
     fit: FreeMotionFit,
+    torque: Array,
     wrench: "WrenchEstimator",
     contact_force_N: float,
     *,
     is_whole: bool,
-) -> list[AxialForce]:
+) -> Steps[list[AxialForce]]:
     """Return the forces in a motion that count as contacts, standing ones first.
 
-    Arguments are those of `check_free_of_contact`.
+    Arguments are those of `check_free_of_contact`; the torque is of `tip_torques`.
     """
-    forces = [find_standing_contact(fit.basis, fit.blocks, wrench)]
-    if is_whole and forces[0] == NO_FORCE:
-        forces = find_passing_contacts(fit.basis, fit.blocks, wrench)
+    standing = yield from find_standing_contact(fit.basis, fit.blocks, wrench)
+    forces = [standing]
+    if is_whole and standing == NO_FORCE:
+        forces = yield from find_passing_contacts(fit, torque, wrench)
     return [
         force
         for force in forces
@@ -208,18 +230,18 @@ def find_contacts(
 
 def find_standing_contact(
     basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
-) -> AxialForce:
+) -> Steps[AxialForce]:
     """Return the axial force that no error of the prior's size makes, if there is one.
 
     The gain of the wrench estimator is overwritten.
     """
-    force = largest_standing_force(basis, blocks, wrench)
+    force = yield from largest_standing_force(basis, blocks, wrench)
     return force if abs(force.force_N) > SIGMAS * force.std_N else NO_FORCE
 
 
 def largest_standing_force(
     basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
-) -> AxialForce:
+) -> Steps[AxialForce]:
     """Return the axial force that is largest relative to its deviation.
 
     The gain of the wrench estimator is overwritten.
@@ -227,7 +249,9 @@ def largest_standing_force(
     prior = basis.prior_tare
     force = NO_FORCE
     excess = 0.0
-    for interval in split_into_intervals(len(blocks.age_s)):
+    for number, interval in enumerate(split_into_intervals(len(blocks.age_s))):
+        if number % INTERVALS_PER_STEP == 0:
+            yield
         k = interval[len(interval) // 2]
         q = blocks.q_rad[k]
         age_s = abs(float(blocks.age_s[k]))
@@ -242,43 +266,63 @@ def largest_standing_force(
 
 
 def find_passing_contacts(
-    basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
-) -> list[AxialForce]:
+    fit: FreeMotionFit, torque: Array, wrench: "WrenchEstimator"
+) -> Steps[list[AxialForce]]:
     """Return axial forces of the likeliest contacts that begin or end in the motion.
 
     The first is constant in its interval, the second grows until the end. Fitted beside
     the causes of a tare, a contact does not pass for a sensor that drifts or a rough
     bearing.
     """
-    at_prior = FreeMotionFit(basis, blocks, learn=False)
+    basis = fit.basis
+    blocks = fit.blocks
+    joint_rows = fit.joint_rows
+    at_prior = yield from FreeMotionFit.in_steps(
+        basis, blocks, learn=False, joint_rows=joint_rows
+    )
+    yield
     resistance_axis = -wrench.kinematics.axis_in_tool
-    torque = tip_torques(blocks, wrench)
-    interval = likeliest_interval(at_prior, torque)
-    clear_blocks = blocks.select(interval.is_clear)
-    clear_torque = interval.torque[interval.is_clear]
-    constant = FreeMotionFit(basis, clear_blocks, clear_torque)
+    interval = yield from likeliest_interval(at_prior, torque)
+    constant = yield from _fit_contact(fit, interval, learn=True)
     sizes = [constant.sizes.get(name, 0.0) for name in ("drift", "walk")]
     if max(sizes) >= IMPLAUSIBLE_SIZE:
-        constant = FreeMotionFit(basis, clear_blocks, clear_torque, learn=False)
-    growing = FreeMotionFit(basis, blocks, likeliest_growing_contact(at_prior, torque))
+        constant = yield from _fit_contact(fit, interval, learn=False)
+    growing_torque = yield from likeliest_growing_contact(at_prior, torque)
+    growing = yield from FreeMotionFit.in_steps(
+        basis, blocks, growing_torque, joint_rows=joint_rows
+    )
     return [
         AxialForce(*constant.contact_N(resistance_axis)),
         AxialForce(*growing.contact_N(resistance_axis)),
     ]
 
 
-def largest_levers_m(blocks: TareBlocks, wrench: "WrenchEstimator") -> Array:
-    """Return each joint's largest torque per newton along the needle, shape (n,)."""
-    levers_m = tip_torques(blocks, wrench) @ wrench.kinematics.axis_in_tool
-    return np.abs(levers_m).max(axis=0)
+def _fit_contact(
+    fit: FreeMotionFit, interval: ContactInterval, *, learn: bool
+) -> Steps[FreeMotionFit]:
+    """Return a fit with a contact of constant force in an interval."""
+    is_clear = interval.is_clear
+    joint_rows = [JointRows(own, rows[is_clear]) for own, rows in fit.joint_rows]
+    yield
+    return (
+        yield from FreeMotionFit.in_steps(
+            fit.basis,
+            fit.blocks.select(is_clear),
+            interval.torque[is_clear],
+            learn=learn,
+            joint_rows=joint_rows,
+        )
+    )
 
 
-def tip_torques(blocks: TareBlocks, wrench: "WrenchEstimator") -> Array:
+def tip_torques(blocks: TareBlocks, wrench: "WrenchEstimator") -> Steps[Array]:
     """Return the torque per newton on the tip by the tool's axes, shape (m, n, 3)."""
     torque = np.empty((*blocks.q_rad.shape, 3))
     for k, q in enumerate(blocks.q_rad):
         wrench.kinematics.update(q)
         torque[k] = wrench.kinematics.jacobian[:3].T
+        if k % POSTURES_PER_STEP == 0:
+            yield
     return torque
 
 
@@ -287,7 +331,7 @@ def split_into_intervals(blocks: int) -> list[NDArray[np.intp]]:
     return np.array_split(np.arange(blocks), min(INTERVALS, blocks))
 
 
-def likeliest_interval(fit: FreeMotionFit, torque: Array) -> ContactInterval:
+def likeliest_interval(fit: FreeMotionFit, torque: Array) -> Steps[ContactInterval]:
     """Return the interval in which a constant contact is likeliest.
 
     The torque per newton on the tip, along three axes, has the shape (m, n, 3).
@@ -297,8 +341,9 @@ def likeliest_interval(fit: FreeMotionFit, torque: Array) -> ContactInterval:
     causes = np.zeros((*torque.shape[:2], len(intervals), 3))
     for k, interval in enumerate(intervals):
         causes[interval, :, k] = torque[interval]
-    information, evidence = fit.information_on(causes.reshape(*q.shape, -1))
-    first, end = _best_range(information, evidence)
+    yield
+    information, evidence = yield from fit.information_on(causes.reshape(*q.shape, -1))
+    first, end = yield from _best_range(information, evidence)
     touched_blocks = np.concatenate(intervals[first:end])
     is_touched = np.isin(np.arange(len(q)), touched_blocks)
     is_clear = np.ones(len(q), dtype=bool)
@@ -307,10 +352,11 @@ def likeliest_interval(fit: FreeMotionFit, torque: Array) -> ContactInterval:
         is_clear[intervals[edge]] = False
     if not (is_clear & is_touched).any():  # as short as its edges
         is_clear[is_touched] = True
+    yield
     return ContactInterval(is_clear, is_touched[:, None, None] * torque)
 
 
-def likeliest_growing_contact(fit: FreeMotionFit, torque: Array) -> Array:
+def likeliest_growing_contact(fit: FreeMotionFit, torque: Array) -> Steps[Array]:
     """Return the torque of a force that grows evenly to a newton at the end.
 
     It grows from its likeliest start. Torques have the shape (m, n, 3), as of
@@ -321,13 +367,18 @@ def likeliest_growing_contact(fit: FreeMotionFit, torque: Array) -> Array:
     starts_s = age_s[starts, 0]
     span_s = np.maximum(age_s[-1] - starts_s, MIN_SPAN_S)
     growth = np.maximum(age_s - starts_s, 0.0) / span_s
-    torques = growth[:, None, :, None] * torque[:, :, None]
+    torques = np.empty((*torque.shape[:2], len(starts), 3))
+    for joint in range(torque.shape[1]):
+        torques[:, joint] = growth[:, :, None] * torque[:, joint, None]
+        yield
     causes = torques.reshape(*torques.shape[:2], -1)
-    information, evidence = fit.information_on(causes)
-    gains = []
-    for k in range(0, len(evidence), 3):
-        own = slice(k, k + 3)
+    information, evidence = yield from fit.information_on(causes)
+    gains: list[float] = []
+    for number in range(len(starts)):
+        own = slice(3 * number, 3 * number + 3)
         gains.append(_evidence_gain(information[own, own], evidence[own]))
+        if number % RANGES_PER_STEP == 0:
+            yield
     return torques[:, :, int(np.argmax(gains))]
 
 
@@ -337,7 +388,7 @@ def _evidence_gain(information: Array, evidence: Array) -> float:
     return float(evidence @ force)
 
 
-def _best_range(information: Array, evidence: Array) -> tuple[int, int]:
+def _best_range(information: Array, evidence: Array) -> Steps[tuple[int, int]]:
     """Return the first of the likeliest intervals, and the one after the last of them.
 
     Information and evidence are of three force components in every interval.
@@ -356,6 +407,8 @@ def _best_range(information: Array, evidence: Array) -> tuple[int, int]:
             if gain > best_gain:
                 best_range = (first, end)
                 best_gain = gain
+            if end % RANGES_PER_STEP == 0:
+                yield
     return best_range
 
 

@@ -15,6 +15,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.steps import Steps
 from residual.bias.model import BiasModel, TareBlocks
 from residual.bias.torque_evidence import TorqueEvidence
 from residual.bias.torque_hypotheses import (
@@ -22,6 +23,7 @@ from residual.bias.torque_hypotheses import (
     SCALE_STD,
     Hypothesis,
     HypothesisTests,
+    gravity_columns_of,
 )
 from residual.bias.torque_texts import (
     Cause,
@@ -214,8 +216,8 @@ def diagnose_torques(
     adds_gravity: bool,
     is_suspicious: bool,
     axial_lever_m: Array,
-    retare: Callable[[TareBlocks], ContactReading],
-) -> TorqueDiagnosis:
+    retare: Callable[[TareBlocks], Steps[ContactReading]],
+) -> Steps[TorqueDiagnosis]:
     """Return what a free motion shows of the torques.
 
     Args:
@@ -227,29 +229,36 @@ def diagnose_torques(
         axial_lever_m: See `TorqueDiagnosis`.
         retare: Takes the tare of a corrected motion.
     """
-    evidence = TorqueEvidence(basis, blocks)
-    tests = HypothesisTests(robot, evidence, adds_gravity=adds_gravity)
-    as_given = tests.evaluate("none", tests.as_given)
+    evidence = yield from TorqueEvidence.in_steps(basis, blocks)
+    yield
+    columns = yield from gravity_columns_of(robot, blocks.lagged_q_rad)
+    tests = HypothesisTests(robot, evidence, columns, adds_gravity=adds_gravity)
+    yield
+    as_given = yield from tests.evaluate("none", tests.as_given)
     sizes = evidence.sizes
     joints = robot.nv
     model_Nm = tests.model_Nm
     difference_Nm = tests.difference_Nm(tests.as_given)
     ones = np.ones(joints)
-    common = evidence.evaluate(
+    common = yield from evidence.evaluate(
         difference_Nm, ones, model_Nm[:, :, None], np.array([SCALE_STD])
     )
-    load = tests.missing_payload()
+    load = yield from tests.missing_payload()
     findings: tuple[Finding, ...] = ()
     is_certain = False
     scale = 1.0 - float(common.extra[0])
     scale_std = float(common.extra_std[0])
     deviates = abs(scale - 1.0) > SIGMAS * scale_std
-    if is_suspicious or deviates or tests.has_better(as_given, sizes):
-        chosen = _choose(tests.all(), is_suspicious=is_suspicious)
-        findings = _try(chosen, tests, retare)
+    has_cause = is_suspicious or deviates
+    if not has_cause:
+        has_cause = yield from tests.has_better(as_given, sizes)
+    if has_cause:
+        hypotheses = yield from tests.all()
+        chosen = _choose(hypotheses, is_suspicious=is_suspicious)
+        findings = yield from _try(chosen, tests, retare)
         is_certain = _is_certain(findings)
     correction = findings[0].hypothesis.correction if findings else tests.as_given
-    each = evidence.evaluate(
+    each = yield from evidence.evaluate(
         tests.difference_Nm(correction),
         correction.factors,
         model_Nm[:, :, None] * np.eye(joints),
@@ -333,8 +342,8 @@ def _deviates(hypothesis: Hypothesis) -> bool:
 def _try(
     chosen: list[_Choice],
     tests: HypothesisTests,
-    retare: Callable[[TareBlocks], ContactReading],
-) -> tuple[Finding, ...]:
+    retare: Callable[[TareBlocks], Steps[ContactReading]],
+) -> Steps[tuple[Finding, ...]]:
     """Return the causes with which the tare passes once they are corrected."""
     findings: list[Finding] = []
     trials = 0
@@ -351,7 +360,7 @@ def _try(
         best = best or choice
         advised = round_factors(hypothesis)
         trials += 1
-        reading = retare(tests.corrected_motion(advised.correction))
+        reading = yield from retare(tests.corrected_motion(advised.correction))
         leaves_little = abs(reading.force_N) <= LEFT_SIGMAS * reading.std_N
         if reading.passes and (leaves_little or log_odds >= CERTAIN):
             cause = describe_hypothesis(advised, tests)

@@ -8,12 +8,14 @@ with the sizes of the priors that make it largest.
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import ClassVar, NamedTuple
+from typing import ClassVar, NamedTuple, Self
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.linalg import solve_triangular
 
 from foundation.arrays import Array
+from foundation.steps import Steps
 from residual.bias.model import LINK_PARAMETERS, BiasModel, TareBlocks
 
 MAX_SEGMENTS = 24
@@ -52,6 +54,12 @@ EXTRA = 3
 
 SWEEPS = 2
 """Passes over the sizes, one at a time."""
+
+BLOCKS_PER_STEP = 16
+"""Blocks whose torque is computed in one step."""
+
+SIZES_PER_STEP = 2
+"""Sizes whose evidence is computed in one step."""
 
 COLOURED_NOISE_RATIO = 4.0
 """Variance of a mean relative to that of white noise: filters outlast a block."""
@@ -106,43 +114,35 @@ class TorqueEvidence:
     Args:
         basis: Model of the causes.
         blocks: The motion.
+        regressor: Torque per mass and first moment of every link, shape (m, n, 4 n);
+            `in_steps` computes it.
 
     Attributes:
         basis: As given.
         segments: Its parts.
         sizes: Exponents of the sizes of the latest evaluation.
-        regressor_of_blocks: Torque per mass and first moment of every link, shape (m,
-            n, 4 n).
+        regressor_of_blocks: As given.
     """
 
     START_OCTAVES: ClassVar[tuple[float, ...]] = START_OCTAVES
     """Exponents of the sizes where none are searched."""
 
-    def __init__(self, basis: BiasModel, blocks: TareBlocks) -> None:
+    def __init__(self, basis: BiasModel, blocks: TareBlocks, regressor: Array) -> None:
         self.basis = basis
         joints = basis.joints
         parts = np.array_split(
             np.arange(len(blocks.age_s)), min(MAX_SEGMENTS, len(blocks.age_s))
         )
         measured = blocks.torque_Nm
-        speed_rad_s = blocks.states[:, -1]
-        motion = zip(
-            blocks.lagged_q_rad,
-            speed_rad_s,
-            _rate_of(speed_rad_s, blocks.age_s),
-            strict=True,
-        )
-        regressor = np.array([basis.moving_regressor(*one) for one in motion])
         self.regressor_of_blocks = regressor
         friction_states = basis.states - basis.loops
         columns = np.zeros((len(parts), joints, joints * (5 + friction_states)))
-        for k, part in enumerate(parts):
-            columns[k, :, :joints] = np.eye(joints)
-            columns[k, :, joints : 5 * joints] = regressor[part].mean(axis=0)
-            friction = blocks.states[part, basis.loops :].mean(axis=0)
-            for state in range(friction_states):
-                own = slice((5 + state) * joints, (6 + state) * joints)
-                columns[k, :, own] = np.diag(friction[state])
+        columns[:, :, :joints] = np.eye(joints)
+        columns[:, :, joints : 5 * joints] = _mean_of(regressor, parts)
+        friction = _mean_of(blocks.states[:, basis.loops :], parts)
+        each = np.arange(joints)
+        for state in range(friction_states):
+            columns[:, each, (5 + state) * joints + each] = friction[:, state]
         noise = _noise_of_blocks(measured, blocks.scatter_Nm2)
         per_part = len(measured) / len(parts)
         resolution = MIN_NOISE_RATIO * np.abs(measured).max(axis=0) + MIN_NOISE
@@ -172,6 +172,25 @@ class TorqueEvidence:
             [0, 1, 2], [joints, LINK_PARAMETERS * joints, joints * friction_states]
         )
 
+    @classmethod
+    def in_steps(cls, basis: BiasModel, blocks: TareBlocks) -> Steps[Self]:
+        """Return the evidence of a motion."""
+        speed_rad_s = blocks.states[:, -1]
+        motion = zip(
+            blocks.lagged_q_rad,
+            speed_rad_s,
+            _rate_of(speed_rad_s, blocks.age_s),
+            strict=True,
+        )
+        links = LINK_PARAMETERS * basis.joints
+        regressor = np.empty((*blocks.q_rad.shape, links))
+        for number, one in enumerate(motion):
+            regressor[number] = basis.moving_regressor(*one)
+            if number % BLOCKS_PER_STEP == 0:
+                yield
+        yield
+        return cls(basis, blocks, regressor)
+
     def evaluate(
         self,
         difference_Nm: Array,
@@ -181,7 +200,7 @@ class TorqueEvidence:
         *,
         order: tuple[int, ...] | None = None,
         sizes: tuple[float, ...] | None = None,
-    ) -> Evidence:
+    ) -> Steps[Evidence]:
         """Return the evidence of an assumption.
 
         Args:
@@ -205,7 +224,7 @@ class TorqueEvidence:
             groups = np.concatenate((groups, np.full(count, EXTRA)))
         noise = self.segments.noise if order is None else self.segments.noise[[*order]]
         equations = _Equations(
-            squares=np.einsum("kjp,kjq->jpq", columns, columns),
+            squares=columns.transpose(1, 2, 0) @ columns.transpose(1, 0, 2),
             products=np.einsum("kjp,kj->jp", columns, difference_Nm),
             sum_of_squares=np.square(difference_Nm).sum(axis=0),
             parts=len(difference_Nm),
@@ -215,15 +234,21 @@ class TorqueEvidence:
             groups=groups,
             remaining_Nm=self._remaining * np.abs(factor),
         )
-        self.sizes = _likeliest_sizes(equations) if sizes is None else sizes
-        solution = equations.solve(self.sizes)
-        scaled = solution.scaled_std
-        inverse_root = np.linalg.inv(solution.root)
-        covariance = inverse_root.T @ inverse_root
-        mean = scaled * (covariance @ (scaled * solution.evidence))
-        own = slice(len(std) - count, len(std))
-        extra_covariance = (covariance * np.outer(scaled, scaled))[own, own]
-        return Evidence(solution.log, mean[own], np.sqrt(extra_covariance.diagonal()))
+        yield
+        if sizes is None:
+            sizes = yield from _likeliest_sizes(equations)
+        self.sizes = sizes
+        solution = equations.solve(sizes)
+        yield
+        scaled = solution.scaled_std[len(std) - count :]
+        # The last columns of the inverse root: the extra unknowns come last.
+        units = np.eye(len(std))[:, len(std) - count :]
+        inverse_root = solve_triangular(
+            solution.root, units, lower=True, check_finite=False
+        )
+        mean = scaled * (inverse_root.T @ solution.whitened)
+        posterior_std = scaled * np.sqrt(np.square(inverse_root).sum(axis=0))
+        return Evidence(solution.log, mean, np.asarray(posterior_std, float))
 
 
 class _Solution(NamedTuple):
@@ -233,13 +258,14 @@ class _Solution(NamedTuple):
         log: Logarithm of the evidence.
         root: Cholesky root of the normal matrix in units of the prior, shape (p, p).
         scaled_std: Prior deviations with their sizes, shape (p,).
-        evidence: Columns times weighted difference, shape (p,).
+        whitened: Columns times weighted difference, in units of the prior and behind
+            the root, shape (p,).
     """
 
     log: float
     root: Array
     scaled_std: Array
-    evidence: Array
+    whitened: Array
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -279,30 +305,41 @@ class _Equations:
         root = np.linalg.cholesky(
             np.eye(len(scaled)) + information * np.outer(scaled, scaled)
         )
-        whitened = np.linalg.solve(root, scaled * evidence)
+        whitened = solve_triangular(
+            root, scaled * evidence, lower=True, check_finite=False
+        )
         log = 0.5 * whitened @ whitened - np.log(root.diagonal()).sum()
         log -= 0.5 * (self.sum_of_squares / variance).sum()
         # In the unit of the measurement, so that assumptions can be compared.
         log -= 0.5 * self.parts * np.log(variance / np.square(self.factor)).sum()
         log -= 0.5 * np.square(np.array(octaves) / OCTAVES_STD).sum()
-        return _Solution(float(log), np.asarray(root, float), scaled, evidence)
+        return _Solution(float(log), np.asarray(root, float), scaled, whitened)
 
 
-def _likeliest_sizes(equations: _Equations) -> tuple[float, ...]:
+def _likeliest_sizes(equations: _Equations) -> Steps[tuple[float, ...]]:
     """Return the exponents of the sizes that make the motion most probable."""
+    known: dict[tuple[float, ...], float] = {}
     best = START_OCTAVES
     for _ in range(SWEEPS):
         for place, grid in enumerate(OCTAVES):
             tried = [
                 (*best[:place], float(octave), *best[place + 1 :]) for octave in grid
             ]
-            best = max(tried, key=lambda octaves: equations.solve(octaves).log)
+            for octaves in tried:
+                if octaves not in known:
+                    known[octaves] = equations.solve(octaves).log
+                    if len(known) % SIZES_PER_STEP == 0:
+                        yield
+            best = max(tried, key=lambda octaves: known[octaves])
     return best
 
 
 def _mean_of(values: Array, parts: Sequence[NDArray[np.intp]]) -> Array:
     """Return the means over parts of blocks, shape (parts, ...)."""
-    return np.array([values[part].mean(axis=0) for part in parts])
+    starts = [int(part[0]) for part in parts]
+    lengths = np.array([len(part) for part in parts], dtype=float)
+    sums = np.add.reduceat(values, starts, axis=0)
+    return sums / lengths.reshape(-1, *[1] * (values.ndim - 1))
 
 
 def _noise_of_blocks(values: Array, scatter: Array) -> Array:

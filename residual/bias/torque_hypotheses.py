@@ -18,6 +18,7 @@ import pinocchio as pin
 from scipy.optimize import linear_sum_assignment
 
 from foundation.arrays import Array
+from foundation.steps import Steps
 from residual.bias.model import LINK_PARAMETERS, TareBlocks
 from urdf import Robot
 from urdf.payload_rating import rated_payload_kg
@@ -74,6 +75,9 @@ MAX_SCALE_STD = 0.25
 VISIBLE_SIGMAS = 3.0
 """A joint whose gravity torque stays below so many deviations of its offset shows
 neither sign nor scale."""
+
+POSTURES_PER_STEP = 40
+"""Postures whose gravity torque is computed in one step."""
 
 LOG_PRIORS: dict[str, float] = {
     "none": 0.0,
@@ -153,6 +157,8 @@ class HypothesisTests:
     Args:
         robot: The arm with its payload.
         evidence: Of the motion; its measured torque is as the log has it.
+        gravity_columns: Torque per unit of gravity along x, y and z at every block,
+            shape (m, n, 3), of `gravity_columns_of`.
         adds_gravity: Whether gravity is added to the measured torque at present.
 
     Attributes:
@@ -165,7 +171,12 @@ class HypothesisTests:
     """
 
     def __init__(
-        self, robot: Robot, evidence: "TorqueEvidence", *, adds_gravity: bool
+        self,
+        robot: Robot,
+        evidence: "TorqueEvidence",
+        gravity_columns: Array,
+        *,
+        adds_gravity: bool,
     ) -> None:
         self.robot = robot
         self._evidence = evidence
@@ -174,9 +185,8 @@ class HypothesisTests:
         segments = evidence.segments
         basis = evidence.basis
         blocks = segments.blocks
-        self.gravity_of_blocks = np.array(
-            [basis.gravity_Nm(q) for q in blocks.lagged_q_rad]
-        )
+        self._gravity_columns_of_blocks = gravity_columns
+        self.gravity_of_blocks = gravity_columns @ np.array(robot.gravity_m_s2)
         self.model_of_blocks = blocks.residual_Nm + blocks.torque_Nm
         if adds_gravity:
             self.model_of_blocks = self.model_of_blocks + self.gravity_of_blocks
@@ -278,9 +288,9 @@ class HypothesisTests:
         *,
         penalty: float = 0.0,
         sizes: tuple[float, ...] | None = None,
-    ) -> Hypothesis:
+    ) -> Steps[Hypothesis]:
         """Return a hypothesis of which nothing is left to be fitted."""
-        found = self._evidence.evaluate(
+        found = yield from self._evidence.evaluate(
             self.difference_Nm(correction),
             correction.factors,
             order=correction.order,
@@ -291,7 +301,7 @@ class HypothesisTests:
 
     def with_scale(
         self, kind: str, start: Correction, *, penalty: float = 0.0
-    ) -> Hypothesis:
+    ) -> Steps[Hypothesis]:
         """Return a hypothesis with one factor for all joints fitted in addition."""
         corrected = self._measured[:, start.order] * start.factors
         model_Nm = self.model_Nm
@@ -304,7 +314,7 @@ class HypothesisTests:
         std = scale
         for _ in range(SCALE_STEPS):
             correction = replace(start, factors=start.factors / scale)
-            found = self._evidence.evaluate(
+            found = yield from self._evidence.evaluate(
                 self.difference_Nm(correction),
                 correction.factors,
                 model_Nm[:, :, None],
@@ -317,10 +327,10 @@ class HypothesisTests:
             scale = min(max(scale, MIN_SCALE), MAX_SCALE)
         correction = replace(start, factors=start.factors / scale)
         penalty += _width_penalty(std / scale)
-        found = self.evaluate(kind, correction, penalty=penalty)
+        found = yield from self.evaluate(kind, correction, penalty=penalty)
         return replace(found, scale=scale, scale_std=std)
 
-    def joint_scales(self) -> Hypothesis | None:
+    def joint_scales(self) -> Steps[Hypothesis | None]:
         """Return the hypothesis of one factor per joint: motor currents, as a rule.
 
         None if the motion does not show them.
@@ -336,7 +346,7 @@ class HypothesisTests:
         for _ in range(SCALE_STEPS):
             factors = 1.0 / scales
             correction = replace(self.untouched, factors=factors)
-            found = self._evidence.evaluate(
+            found = yield from self._evidence.evaluate(
                 self.difference_Nm(correction),
                 factors,
                 extra,
@@ -350,12 +360,12 @@ class HypothesisTests:
         correction = replace(self.untouched, factors=1.0 / scales)
         penalty = sum(_width_penalty(float(one)) for one in std[visible])
         penalty += math.log(2.0) * np.count_nonzero(visible)
-        return self.evaluate("joint scales", correction, penalty=penalty)
+        return (yield from self.evaluate("joint scales", correction, penalty=penalty))
 
-    def payload(self, kind: str, start: Correction) -> Hypothesis | None:
+    def payload(self, kind: str, start: Correction) -> Steps[Hypothesis | None]:
         """Return the hypothesis of a mass behind the last joint; None if absurd."""
         stds = np.array([PAYLOAD_STD_KG, *[MOMENT_STD_KGM] * 3])
-        found = self._evidence.evaluate(
+        found = yield from self._evidence.evaluate(
             self.difference_Nm(start),
             start.factors,
             self._payload_columns,
@@ -372,10 +382,10 @@ class HypothesisTests:
             log_evidence=log,
         )
 
-    def missing_payload(self) -> MissingMass:
+    def missing_payload(self) -> Steps[MissingMass]:
         """Return the mass that the model lacks, if nothing else is wrong."""
         stds = np.array([PAYLOAD_STD_KG, *[MOMENT_STD_KGM] * 3])
-        found = self._evidence.evaluate(
+        found = yield from self._evidence.evaluate(
             self.difference_Nm(self.as_given),
             np.ones(self._joints),
             self._payload_columns,
@@ -384,7 +394,7 @@ class HypothesisTests:
         )
         return MissingMass(-float(found.extra[0]), float(found.extra_std[0]))
 
-    def has_better(self, nothing: Hypothesis, sizes: tuple[float, ...]) -> bool:
+    def has_better(self, nothing: Hypothesis, sizes: tuple[float, ...]) -> Steps[bool]:
         """Return whether some cause is more probable than none, with sizes as given."""
         toggled = replace(self.as_given, adds_gravity=not self.adds_gravity)
         hanging = replace(
@@ -401,12 +411,12 @@ class HypothesisTests:
             for order, _ in self.orders()
         ]
         limit = nothing.log_evidence
-        if any(
-            self.evaluate(kind, correction, sizes=sizes).log_evidence > limit
-            for kind, correction in tried
-        ):
-            return True
-        payload = self.payload("payload", self.as_given)
+        yield
+        for kind, correction in tried:
+            found = yield from self.evaluate(kind, correction, sizes=sizes)
+            if found.log_evidence > limit:
+                return True
+        payload = yield from self.payload("payload", self.as_given)
         return payload is not None and payload.log_evidence > limit
 
     def _can_be_payload(self, missing: Array, std: Array) -> bool:
@@ -420,22 +430,28 @@ class HypothesisTests:
         moment_std = float(np.linalg.norm(std[1:]))
         return moment - moment_std < MAX_COM_M * (abs(mass_kg) + float(std[0]))
 
-    def payload_with_scale(self) -> Hypothesis | None:
+    def payload_with_scale(self) -> Steps[Hypothesis | None]:
         """Return the hypothesis of a mass and a factor for all joints."""
-        scale = self.with_scale("scale", self.untouched).scale
+        scaled = yield from self.with_scale("scale", self.untouched)
+        scale = scaled.scale
         model_Nm = self.model_Nm
         extra = np.concatenate((model_Nm[:, :, None], self._payload_columns), axis=2)
         stds = np.array([SCALE_STD, PAYLOAD_STD_KG, *[MOMENT_STD_KGM] * 3])
 
-        def fit(scale: float) -> "Evidence":
+        def fit(scale: float) -> Steps["Evidence"]:
             start = replace(self.untouched, factors=self.untouched.factors / scale)
             difference_Nm = self.difference_Nm(start)
-            return self._evidence.evaluate(difference_Nm, start.factors, extra, stds)
+            return (
+                yield from self._evidence.evaluate(
+                    difference_Nm, start.factors, extra, stds
+                )
+            )
 
         for _ in range(SCALE_STEPS):
-            scale *= 1.0 - float(fit(scale).extra[0])
+            found = yield from fit(scale)
+            scale *= 1.0 - float(found.extra[0])
             scale = min(max(scale, MIN_SCALE), MAX_SCALE)
-        found = fit(scale)
+        found = yield from fit(scale)
         missing = -found.extra[1:]
         if not self._can_be_payload(missing, found.extra_std[1:]):
             return None
@@ -451,14 +467,14 @@ class HypothesisTests:
             scale_std=scale * float(found.extra_std[0]),
         )
 
-    def direction(self) -> Hypothesis | None:
+    def direction(self) -> Steps[Hypothesis | None]:
         """Return the hypothesis that gravity points elsewhere; None if it does not."""
         columns = self.gravity_columns
         given = np.array(self.robot.gravity_m_s2)
         size = float(np.linalg.norm(given))
         if size == 0.0:
             return None
-        found = self._evidence.evaluate(
+        found = yield from self._evidence.evaluate(
             self.difference_Nm(self.untouched),
             np.ones(self._joints),
             columns,
@@ -477,19 +493,21 @@ class HypothesisTests:
         # Directions are as probable all round the sphere; the fit says how widely.
         spread = float(np.median(found.extra_std)) / size
         penalty = 2.0 * math.log(2.0 / max(min(spread, 1.0), 1e-3))
-        return self.evaluate("direction", correction, penalty=penalty)
+        return (yield from self.evaluate("direction", correction, penalty=penalty))
 
-    def rated(self) -> Iterator[Hypothesis]:
-        """Yield hypotheses of torque as a fraction, or in per cent, of the limits."""
+    def rated(self) -> Steps[list[Hypothesis]]:
+        """Return hypotheses of torque as a fraction, or in per cent, of the limits."""
         effort_Nm = self._evidence.basis.effort_Nm
+        found: list[Hypothesis] = []
         if np.ptp(effort_Nm) == 0.0:
-            return
+            return found
         for parts in (1.0, 100.0, 1000.0):
             correction = replace(self.untouched, factors=effort_Nm / parts)
-            scaled = self.with_scale("rated", correction)
+            scaled = yield from self.with_scale("rated", correction)
             is_whole = abs(scaled.scale - 1.0) < VISIBLE_SIGMAS * scaled.scale_std
             if is_whole and scaled.scale_std < MAX_SCALE_STD:
-                yield self.evaluate("rated", correction)
+                found.append((yield from self.evaluate("rated", correction)))
+        return found
 
     def orders(self) -> Iterator[tuple[tuple[int, ...], float]]:
         """Yield other orders of the joints, with what makes each less probable."""
@@ -523,24 +541,11 @@ class HypothesisTests:
         return tuple(int(one) for one in linear_sum_assignment(cost)[1])
 
     @cached_property
-    def _gravity_columns_of_blocks(self) -> Array:
-        """Torque per unit of gravity along x, y and z, shape (m, n, 3)."""
-        model = pin.Model(self.robot.model)
-        data = model.createData()
-        q_rad = self._evidence.segments.blocks.lagged_q_rad
-        columns = np.empty((*q_rad.shape, 3))
-        for axis in range(3):
-            model.gravity = pin.Motion(np.eye(3)[axis].copy(), np.zeros(3))
-            for k, q in enumerate(q_rad):
-                columns[k, :, axis] = pin.computeGeneralizedGravity(model, data, q)
-        return columns
-
-    @cached_property
     def gravity_columns(self) -> Array:
-        """The same of the parts of the motion, shape (k, n, 3)."""
+        """Torque per unit of gravity over the parts of the motion, shape (k, n, 3)."""
         return self._evidence.segments.mean_of(self._gravity_columns_of_blocks)
 
-    def joint_signs(self, start: Hypothesis) -> Hypothesis | None:
+    def joint_signs(self, start: Hypothesis) -> Steps[Hypothesis | None]:
         """Return the hypothesis of some joints' signs; None if none is turned.
 
         Signs are turned one at a time, as long as that makes the motion more probable.
@@ -557,7 +562,10 @@ class HypothesisTests:
                 own[joint] = -1.0
                 correction = replace(self.untouched, factors=own)
                 penalty = turned * math.log(self._joints)
-                tried.append(self.evaluate("joint signs", correction, penalty=penalty))
+                hypothesis = yield from self.evaluate(
+                    "joint signs", correction, penalty=penalty
+                )
+                tried.append(hypothesis)
             candidate = max(tried, key=lambda one: one.log_evidence)
             if candidate.log_evidence <= log + 1.0:
                 break
@@ -566,27 +574,32 @@ class HypothesisTests:
             factors = candidate.correction.factors
         return best
 
-    def all(self) -> list[Hypothesis]:
+    def all(self) -> Steps[list[Hypothesis]]:
         """Return all hypotheses, the most probable first."""
-        as_given = self.evaluate("none", self.as_given)
         toggled = replace(self.as_given, adds_gravity=not self.adds_gravity)
-        found: list[Hypothesis | None] = [as_given, self.evaluate("gravity", toggled)]
         negated = replace(self.untouched, factors=-np.ones(self._joints))
-        found.append(self.evaluate("sign", negated))
-        found.append(self.with_scale("scale", self.untouched))
-        found.append(self.with_scale("sign and scale", negated))
-        found.append(self.payload("payload", self.as_given))
-        found.append(self.payload("payload and sign", negated))
-        found.append(self.payload_with_scale())
-        found.append(self.joint_scales())
-        found += self.rated()
-        found.append(self.direction())
         hanging = replace(
             self.untouched, gravity_m_s2=-np.array(self.robot.gravity_m_s2)
         )
-        found.append(self.evaluate("direction", hanging))
-        found.append(self.joint_signs(self.evaluate("none", self.untouched)))
-        found += self._best_orders()
+        found: list[Hypothesis | None] = []
+        for kind, correction in (
+            ("none", self.as_given),
+            ("gravity", toggled),
+            ("sign", negated),
+        ):
+            found.append((yield from self.evaluate(kind, correction)))
+        found.append((yield from self.with_scale("scale", self.untouched)))
+        found.append((yield from self.with_scale("sign and scale", negated)))
+        found.append((yield from self.payload("payload", self.as_given)))
+        found.append((yield from self.payload("payload and sign", negated)))
+        found.append((yield from self.payload_with_scale()))
+        found.append((yield from self.joint_scales()))
+        found += yield from self.rated()
+        found.append((yield from self.direction()))
+        found.append((yield from self.evaluate("direction", hanging)))
+        untouched = yield from self.evaluate("none", self.untouched)
+        found.append((yield from self.joint_signs(untouched)))
+        found += yield from self._best_orders()
         known = [
             one
             for one in found
@@ -600,19 +613,41 @@ class HypothesisTests:
         ]
         return sorted(ranked, key=lambda one: -one.log_evidence)
 
-    def _best_orders(self) -> list[Hypothesis]:
+    def _best_orders(self) -> Steps[list[Hypothesis]]:
         """Return the three most probable orders."""
         sizes = (1.0, 0.0, 2.0, 2.0)
         tried = []
         for order, penalty in self.orders():
             correction = replace(self.untouched, order=order)
-            found = self.evaluate("order", correction, penalty=penalty, sizes=sizes)
+            found = yield from self.evaluate(
+                "order", correction, penalty=penalty, sizes=sizes
+            )
             tried.append((found.log_evidence, correction, penalty))
         tried.sort(key=lambda one: -one[0])
-        return [
-            self.evaluate("order", correction, penalty=penalty)
-            for _, correction, penalty in tried[:3]
-        ]
+        best: list[Hypothesis] = []
+        for _, correction, penalty in tried[:3]:
+            found = yield from self.evaluate("order", correction, penalty=penalty)
+            best.append(found)
+        return best
+
+
+def gravity_columns_of(robot: Robot, q_rad: Array) -> Steps[Array]:
+    """Return the torque per unit of gravity along x, y and z, shape (m, n, 3).
+
+    Args:
+        robot: The arm with its payload.
+        q_rad: Postures, shape (m, n).
+    """
+    model = pin.Model(robot.model)
+    data = model.createData()
+    columns = np.empty((*q_rad.shape, 3))
+    for axis in range(3):
+        model.gravity = pin.Motion(np.eye(3)[axis].copy(), np.zeros(3))
+        for k, q in enumerate(q_rad):
+            columns[k, :, axis] = pin.computeGeneralizedGravity(model, data, q)
+            if k % POSTURES_PER_STEP == 0:
+                yield
+    return columns
 
 
 def _width_penalty(relative_std: float) -> float:

@@ -6,6 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from foundation.steps import finish
 from groundtruth.arm_plant import BearingFriction
 from groundtruth.plant_model import CLEAN
 from residual import DEFAULT, BiasPrior, ConfigurationError, TareError, WrenchEstimator
@@ -72,6 +73,15 @@ def stroke(
     )
 
 
+def fitted_to(basis, blocks):
+    return finish(FreeMotionFit.in_steps(basis, blocks))
+
+
+def check(robot, basis, blocks, wrench):
+    fit = fitted_to(basis, blocks)
+    finish(check_free_of_contact(robot, fit, wrench, 0.25, is_external=False))
+
+
 @pytest.fixture
 def basis(lwr):
     return BiasModel(lwr, "model", BiasPrior())
@@ -95,8 +105,8 @@ def test_bias_is_linear_in_its_physical_causes(lwr, basis):
 def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     theta, blocks = stroke(lwr, basis, seed=seed)
     truth = basis.columns(*AHEAD) @ theta
-    fitted = FreeMotionFit(basis, blocks).tare
-    fit = FreeMotionFit(BiasModel(lwr, "constant", BiasPrior()), blocks)
+    fitted = fitted_to(basis, blocks).tare
+    fit = fitted_to(BiasModel(lwr, "constant", BiasPrior()), blocks)
     loops = basis.groups["hysteresis"]  # the narrowest first
 
     assert fitted.mean[loops][7:].min() > -1e-9 > theta[loops][7:].min()
@@ -111,7 +121,7 @@ def test_stated_covariance_is_believable(lwr, basis):
     scores = []
     for seed in range(20):
         theta, blocks = stroke(lwr, basis, seed=seed)
-        fitted = FreeMotionFit(basis, blocks).tare
+        fitted = fitted_to(basis, blocks).tare
         error = basis.bias_Nm(fitted, *AHEAD) - basis.columns(*AHEAD) @ theta
         covariance = basis.covariance_Nm2(fitted, *AHEAD) - fitted.noise_Nm2
         scores.append((error**2 / covariance.diagonal())[1:4])
@@ -124,7 +134,7 @@ def test_waviness_does_not_pass_for_a_slope(lwr, basis):
     ripple = 0.02 * np.sin(320.0 * blocks.q_rad + 1.0)
     wavy = replace(blocks, residual_Nm=blocks.residual_Nm + ripple)
     at_once = (*AHEAD[:2], 0.0)
-    tares = [FreeMotionFit(basis, each).tare for each in (blocks, wavy)]
+    tares = [fitted_to(basis, each).tare for each in (blocks, wavy)]
     covariances = [
         basis.covariance_Nm2(tare, *at_once) - tare.noise_Nm2 for tare in tares
     ]
@@ -135,7 +145,7 @@ def test_waviness_does_not_pass_for_a_slope(lwr, basis):
 
 
 def test_uncertainty_grows_with_distance_and_time(lwr, basis):
-    fitted = FreeMotionFit(basis, stroke(lwr, basis)[1]).tare
+    fitted = fitted_to(basis, stroke(lwr, basis)[1]).tare
 
     def uncertainty(distance, age):
         covariance = basis.covariance_Nm2(
@@ -150,7 +160,7 @@ def test_uncertainty_grows_with_distance_and_time(lwr, basis):
 def test_constant_kind_is_the_mean_residual(lwr):
     basis = BiasModel(lwr, "constant", BiasPrior())
     _, blocks = stroke(lwr, basis, truth=BIAS)
-    tare = FreeMotionFit(basis, blocks).tare
+    tare = fitted_to(basis, blocks).tare
     mean = blocks.residual_Nm.mean(axis=0)
 
     np.testing.assert_allclose(basis.bias_Nm(tare, MIDDLE, STILL, 5.0), mean, atol=2e-4)
@@ -163,9 +173,7 @@ def test_contact_during_the_stroke_is_refused(lwr, basis, push):
     wrench = WrenchEstimator(lwr)
     stands = push[0] > 0.0
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)) if stands else None)
-    check_free_of_contact(
-        lwr, FreeMotionFit(basis, blocks), wrench, 0.25, is_external=False
-    )
+    check(lwr, basis, blocks, wrench)
     lever_m = external_torque_of(lwr, MIDDLE, pose_of(lwr, MIDDLE).rotation[:, 2])
     pushed = push[:, None] * lever_m
     touched = replace(
@@ -175,9 +183,7 @@ def test_contact_during_the_stroke_is_refused(lwr, basis, push):
     )
 
     with pytest.raises(TareError, match="in contact"):
-        check_free_of_contact(
-            lwr, FreeMotionFit(basis, touched), wrench, 0.25, is_external=False
-        )
+        check(lwr, basis, touched, wrench)
 
 
 def recorded(values, block):
@@ -220,7 +226,7 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
     ahead = MIDDLE + 0.5 * TOWARDS
     angle = 2 * np.array(ratio) * ahead
     expected = 0.02 * np.sin(angle) - 0.01 * np.cos(angle)
-    got = basis.bias_Nm(FreeMotionFit(basis, blocks).tare, ahead, FORWARD, 0.0)
+    got = basis.bias_Nm(fitted_to(basis, blocks).tare, ahead, FORWARD, 0.0)
 
     np.testing.assert_allclose(got[[1, 3]], expected[[1, 3]], atol=0.01)
     with pytest.raises(ConfigurationError, match="expected 7"):

@@ -25,15 +25,20 @@ class Sensor:
         self.tared = False
         self.estimate = FIRST
         self.refuses = False
+        self.is_slow = False
+        self.taring = False
+        self.tare_refusal = None
         self.zero = 0
 
     def update(self, q, dq, tau, dt_s):
+        if self.taring and not self.is_slow:
+            self.taring = False
+            self.tared = not self.refuses
+            self.tare_refusal = TareError("contact") if self.refuses else None
         return self.estimate
 
-    def tare(self):
-        if self.refuses:
-            raise TareError("contact")
-        self.tared = True
+    def start_tare(self):
+        self.taring = True
 
     def start_tare_recording(self):
         self.tared = False
@@ -71,5 +76,7 @@ def inserting(**kwargs):
     run(manager, 0.2)
     for event in ("tare", "arrived", "insert"):
         assert manager.request(event) == ""
+
+        run(manager)
 
     return manager, sensor

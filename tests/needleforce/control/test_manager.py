@@ -258,7 +258,9 @@ def test_teleoperation_needs_its_device_and_stops_without():
 
 def test_a_stand_in_has_what_a_session_has():
     names = [
-        name for name in (*vars(Sensor), "tared") if name[0] != "_" and name != "reads"
+        name
+        for name in (*vars(Sensor), "tared", "taring", "tare_refusal")
+        if name[0] != "_" and name != "reads"
     ]
     assert [name for name in names if not hasattr(InsertionSession(ROBOT), name)] == []
 
