@@ -294,7 +294,7 @@ class InsertionSession:
         was_taring = self.taring
         estimate = self._process(self._sensor.update(q, dq, tau, dt_s))
         if was_taring and self.tared:
-            self.begin_insertion()
+            self._begin_where_tared()
         return estimate
 
     def update_external_torque(
@@ -314,7 +314,7 @@ class InsertionSession:
             self._sensor.update_external_torque(q, dq, external_torque, dt_s)
         )
         if was_taring and self.tared:
-            self.begin_insertion()
+            self._begin_where_tared()
         return estimate
 
     def tare(self, *, ignore_contact: bool = False) -> Tare:
@@ -339,10 +339,10 @@ class InsertionSession:
         """Begin a tare that is fitted beside the updates that follow.
 
         While `taring`, estimates are `NOT_TARED` and say so, and nothing is used for
-        identification. The update that completes the tare begins an insertion where the
-        tip then is; the next one is tared. Keep the needle in free air until then. If
-        the tare is refused, `taring` ends without `tared`, and `tare_refusal` says why.
-        See `VirtualForceSensor.start_tare`.
+        identification; the layers are forgotten at once. Depth counts from where the
+        tip is in the update that completes the tare; the next one is tared. Keep the
+        needle in free air until then. If the tare is refused, `taring` ends without
+        `tared`, and `tare_refusal` says why. See `VirtualForceSensor.start_tare`.
 
         Args:
             ignore_contact: See `tare`.
@@ -353,9 +353,13 @@ class InsertionSession:
                 with velocities that do not fit positions.
             residual.ConfigurationError: If the number of steps cannot be.
         """
+        if self.taring:
+            return
         self._sensor.start_tare(
             ignore_contact=ignore_contact, steps_per_tick=steps_per_tick
         )
+        # Now, not in the tick that ends the tare: that would be a long one.
+        self.begin_insertion()
 
     def start_tare_recording(self) -> None:
         """Record free motion anew for the next `tare`.
@@ -404,6 +408,15 @@ class InsertionSession:
         self._had_events = True  # so that no checkpoint of an earlier insertion stays
         self._save_checkpoint_if_due()
         self._identification = self._checkpoints.newer.identifier.last
+        self._plan.begin(*self.zero)
+
+    def _begin_where_tared(self) -> None:
+        """Count depth from here at the end of a tare; no sample was used since."""
+        self._zero_depth()
+        self._travel = TipTravel()
+        self._unused_s = 0.0
+        begin = Checkpoint(self._time_s, self._checkpoints.newer.identifier)
+        self._checkpoints = Checkpoints(begin, begin)
         self._plan.begin(*self.zero)
 
     def reset(self) -> None:
