@@ -1,7 +1,6 @@
 """What stops a motion: forces, bad and late samples, silence, commands that are not
 followed."""
 
-
 import numpy as np
 import pytest
 
