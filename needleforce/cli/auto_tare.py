@@ -11,22 +11,28 @@ STEPS_PER_S = 1000.0
 """Steps of a tare in a second: a quarter of a slow loop's time, and it takes about a
 second whatever its rate."""
 
+ALL_STEPS_PER_S = 1e12
+"""So many that one update does all of a tare."""
+
 
 class SessionTare:
     """Tares a session after some motion without contact, and again where refused.
 
     Args:
         every_s: Motion before the first tare, and between two attempts [s].
+        at_once: Whether nothing waits for the updates, as in a recording: the next one
+            then does all of a tare.
 
     Raises:
         CommandError: The time is not positive, or infinite.
     """
 
-    def __init__(self, every_s: float) -> None:
+    def __init__(self, every_s: float, *, at_once: bool = False) -> None:
         if not 0.0 < every_s < math.inf:
             raise CommandError(f"--tare {every_s:g}: expected seconds of free motion")
         self._every_s = every_s
         self._next_s = every_s
+        self._steps_per_s = ALL_STEPS_PER_S if at_once else STEPS_PER_S
         self._is_taring = False
         self._update_s = 0.0  # time of the latest update, on the session's clock
 
@@ -49,7 +55,8 @@ class SessionTare:
         if session.tared or estimate.status is not Status.NOT_TARED or is_waiting:
             return False
         try:
-            session.start_tare(steps_per_tick=max(1, round(STEPS_PER_S * step_s)))
+            steps = max(1, round(self._steps_per_s * step_s))
+            session.start_tare(steps_per_tick=steps)
         except TareError as error:
             self._refuse(error, time_s)
         self._is_taring = session.taring

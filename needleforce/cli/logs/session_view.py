@@ -163,7 +163,7 @@ def replay_session(
     Returns:
         Rows of the scene, see `needleforce.scene.view_row`.
     """
-    tare = SessionTare(tare_s)
+    tare = SessionTare(tare_s, at_once=True)
     session = InsertionSession(model)
     columns = load_mapping(mapping) if mapping else None
     log = read_log(

@@ -272,7 +272,8 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
     )
 
     assert 0.005 < float(summary["rms_N"]) < 0.05
-    assert 14_000 < int(summary["ticks"]) < 15_000
+    # All until the sensor ends, less one in a hundred and a second of taring.
+    assert 13_500 < int(summary["ticks"]) < 14_500
 
 
 @pytest.mark.parametrize(
