@@ -57,6 +57,7 @@ def measure_identification(
     it is stated once, on the F/T reading.
     """
     values = event_metrics(item, truth) | enhanced_metrics(item, truth)
+    values |= coverage_metrics(item, truth)
     # Table I: one layer that ruptures, and no membrane.
     if [rupture.layer for rupture in truth.ruptures] == [1]:
         values |= table_one(item, truth)
@@ -167,6 +168,33 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
         values["remaining_force_pct"] = (
             100.0 * float(np.mean(np.abs(enhanced[beyond]))) / plateau
         )
+    return values
+
+
+def coverage_metrics(identified: Identified, truth: InsertionTruth) -> dict[str, float]:
+    """Return how often tip force and shaft friction lie within two deviations.
+
+    From first contact to the deepest point, moving and at rest apart; there is no entry
+    where the needle never rests, or where the method states no deviation.
+    """
+    inside = truth.is_insertion[identified.start :]
+    is_advancing = truth.speed_m_s[identified.start :] > ADVANCING_m_s
+    parts = {"moving": inside & is_advancing, "at_rest": inside & ~is_advancing}
+    quantities = {
+        "tip": ("tip_force", truth.tip_N),
+        "shaft": ("shaft_friction", truth.axial_N - truth.tip_N),
+    }
+    values: dict[str, float] = {}
+    for quantity, (name, true_N) in quantities.items():
+        std_N = identified.series(f"{name}_std_N")
+        error_N = identified.series(f"{name}_N") - true_N[identified.start :]
+        is_stated = np.isfinite(std_N)
+        for part, samples in parts.items():
+            judged = samples & is_stated
+            if judged.any():
+                is_covered = np.abs(error_N) <= 2.0 * std_N
+                covered = float(np.mean(is_covered[judged]))
+                values[f"{quantity}_coverage_{part}_2sigma"] = covered
     return values
 
 

@@ -31,6 +31,8 @@ from foundation.jit import compiled_inside
 from foundation.linear_algebra import dot, multiply_vector
 from identification.multilayer.block import Block
 from identification.multilayer.force_model import (
+    CUTTING_ON_SHAFT,
+    CUTTING_ON_SHAFT_STD,
     FADING,
     FRICTION_BEFORE,
     FRICTION_LAST,
@@ -57,6 +59,7 @@ from identification.multilayer.force_model import (
     UNKNOWNS,
     Assumptions,
     regressor,
+    undecided_cutting,
 )
 from identification.multilayer.kalman import map_rows
 from identification.multilayer.priors import (
@@ -174,10 +177,14 @@ class LinearMap(NamedTuple):
     Attributes:
         transition: Shape (20, 20).
         variance: Of the noise, shape (20,).
+        transfer_std: Standard deviation of the force that passes from the tip to the
+            shaft: positive for the unknowns that gain it, negative for those that
+            lose it, shape (20,). It is one error, so the unknowns are correlated.
     """
 
     transition: WrittenMatrix
     variance: WrittenVector
+    transfer_std: WrittenVector
 
 
 class Gaussian(NamedTuple):
@@ -207,6 +214,29 @@ def take_tip_force(
     """Let an unknown take a fraction of the tip force at the event."""
     for j in range(UNKNOWNS):
         step.transition[unknown, j] = fraction * tip_row[j]
+    step.transfer_std[unknown] -= fraction * step.transfer_std[TRAVERSED_COULOMB]
+
+
+@compiled_inside
+def leave_undecided_cutting_on_shaft(
+    step: LinearMap,
+    mean: Vector,
+    tip_row: WrittenVector,
+    assumption: Assumptions,
+    block: Block,
+) -> None:
+    """Leave the friction in the undecided cutting force on the shaft.
+
+    What the release then takes shows how large it was: the error of what stays on the
+    shaft is opposite to that of the tip force. Like `release_model_error`, this call
+    writes `tip_row` and comes before all that uses it.
+    """
+    undecided = undecided_cutting(assumption, block.depth_mm).fraction
+    on_shaft = CUTTING_ON_SHAFT * undecided
+    tip_row[HELD] -= on_shaft
+    step.transition[TRAVERSED_COULOMB, HELD] = on_shaft
+    transfer_std = CUTTING_ON_SHAFT_STD * undecided * abs(mean[HELD])
+    step.transfer_std[TRAVERSED_COULOMB] = transfer_std
 
 
 @compiled_inside
@@ -292,7 +322,12 @@ def start_friction_record(step: LinearMap) -> None:
 def add_to_friction_record(
     step: LinearMap, mean: Vector, block: Block, length: float, tissue_speed_std: float
 ) -> None:
-    """Add the friction of a length of shaft in the layer to the last section's."""
+    """Add the friction of a length of shaft in the layer to the last section's.
+
+    With it goes what `leave_undecided_cutting_on_shaft` left on the shaft.
+    """
+    step.transition[FRICTION_LAST, HELD] = step.transition[TRAVERSED_COULOMB, HELD]
+    step.transfer_std[FRICTION_LAST] = step.transfer_std[TRAVERSED_COULOMB]
     step.transition[FRICTION_LAST, LAYER_COULOMB] = length * block.deflection
     step.transition[FRICTION_LAST, LAYER_VISCOUS] = length * block.speed_mm_s
     unseen_friction = length * mean[LAYER_VISCOUS] * tissue_speed_std
@@ -307,7 +342,9 @@ def map_event(
 
     The mean force that they predict at the event stays the same.
     """
-    step = LinearMap(np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS))
+    step = LinearMap(
+        np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
+    )
     for i in range(UNKNOWNS):
         step.transition[i, i] = 1.0
     row = regressor(assumption, block)
@@ -318,14 +355,17 @@ def map_event(
     if event.kind == CONTACT:
         begin_contact(step, block)
     elif event.kind == LAYER_END:
-        # Changes tip_row, so it comes before all that use it; below likewise.
+        # These change tip_row, so they come before all that use it; below likewise.
+        leave_undecided_cutting_on_shaft(step, mean, tip_row, assumption, block)
         release_model_error(step, mean, tip_row, block)
         leave_friction_on_shaft(step, assumption, block)
         take_tip_force(step, RELEASED, tip_row, 1.0)
     elif event.kind == PARTIAL_RUPTURE:
+        leave_undecided_cutting_on_shaft(step, mean, tip_row, assumption, block)
         release_model_error(step, mean, tip_row, block)
         hold_part_of_tip_force(step, mean, tip_row)
     elif event.kind == MEMBRANE_MET:
+        leave_undecided_cutting_on_shaft(step, mean, tip_row, assumption, block)
         leave_friction_on_shaft(step, assumption, block)
         take_tip_force(step, HELD, tip_row, 1.0)
     if event.keeps_force:
@@ -377,6 +417,8 @@ def apply_event(
     covariance = map_rows(step.transition, covariance)
     for i in range(UNKNOWNS):
         covariance[i, i] += step.variance[i]
+        for j in range(UNKNOWNS):
+            covariance[i, j] += step.transfer_std[i] * step.transfer_std[j]
     after = Gaussian(mean_after, covariance)
     add_prior(after, event, block.speed_mm_s)
     return after

@@ -42,12 +42,14 @@ layer report, because force measured later still corrects them. See
 `events.begins_friction_record` for where a section begins.
 """
 
+import math
 from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Vector
-from foundation.jit import compiled
+from foundation.jit import compiled, compiled_inside
 from identification.multilayer.block import Block
 
 OFFSET = 0
@@ -156,6 +158,16 @@ TRAVERSED_ERROR_FRACTION = 0.1
 """Weight of shaft friction beside the tip force, where the model's error is computed:
 friction that stays on the shaft depends on the motion alone, so the model errs less."""
 
+CUTTING_ON_SHAFT = 0.4
+"""Mean fraction of the undecided force that is friction of the shaft: see
+`undecided_cutting`."""
+
+CUTTING_ON_SHAFT_STD = 0.35
+"""Standard deviation of that fraction."""
+
+UNDECIDED_CUTTING_MM = 10.0
+"""Travel over which what began as cutting force becomes undecided."""
+
 
 @dataclass(slots=True)
 class Assumptions:
@@ -233,3 +245,32 @@ def regressor(assumption: Assumptions, block: Block) -> Vector:
     row[BREATHING] = 1.0
     row[MODEL_ERROR] = 1.0
     return row
+
+
+class Undecided(NamedTuple):
+    """Part of what began as cutting force that may be friction by now.
+
+    Attributes:
+        fraction: Of the cutting force, 0 to 1.
+        growth: Its growth with travel [1/mm].
+    """
+
+    fraction: float
+    growth: float
+
+
+@compiled_inside
+def undecided_cutting(assumption: Assumptions, depth_mm: float) -> Undecided:
+    """Return how much of what began as cutting force may be friction by now.
+
+    At constant speed a force that was there from the layer's beginning looks the same
+    whether it stays at the tip, as a cutting force does, or has become friction of a
+    shaft that tissue grips. Nothing decides between the two before the next rupture.
+    The fraction of it that is friction grows with travel x as
+    ``CUTTING_ON_SHAFT * (1 - exp(-x / UNDECIDED_CUTTING_MM))``.
+    """
+    if assumption.medium != LAYER or assumption.holds_force > 0.0:
+        return Undecided(0.0, 0.0)
+    travel = max(depth_mm - assumption.tip_start_mm, 0.0)
+    remaining = math.exp(-travel / UNDECIDED_CUTTING_MM)
+    return Undecided(1.0 - remaining, remaining / UNDECIDED_CUTTING_MM)

@@ -17,6 +17,9 @@ from identification.multilayer.events import Gaussian
 from identification.multilayer.evidence import MM_PER_M, Evidence
 from identification.multilayer.force_model import (
     AIR,
+    CUTTING_ON_SHAFT,
+    CUTTING_ON_SHAFT_STD,
+    HELD,
     LAYER_COULOMB,
     LAYER_VISCOUS,
     OFFSET,
@@ -29,6 +32,7 @@ from identification.multilayer.force_model import (
     UNKNOWNS,
     Assumptions,
     regressor,
+    undecided_cutting,
 )
 from identification.multilayer.mixture import Mixture
 
@@ -154,20 +158,36 @@ def shaft_rows(assumption: Assumptions, depth_mm: float, met: float) -> WrittenM
     rows[AT_SHAFT_VISCOUS, LAYER_VISCOUS] = met * length
     rows[AT_LAYER_COULOMB, LAYER_COULOMB] = met
     rows[AT_LAYER_VISCOUS, LAYER_VISCOUS] = met
+    undecided = undecided_cutting(assumption, depth_mm)
+    growth = met * CUTTING_ON_SHAFT * undecided.growth
+    rows[AT_SHAFT_COULOMB, HELD] = met * CUTTING_ON_SHAFT * undecided.fraction
+    rows[AT_LAYER_COULOMB, HELD] = growth
     if assumption.medium != AIR:
         rows[AT_STIFFNESS, STIFFNESS] = 1.0
         travel = max(depth_mm - assumption.tip_start_mm, 0.0)
         rows[AT_STIFFNESS, STIFFENING] = 2.0 * travel
+        rows[AT_STIFFNESS, HELD] = -growth
     return rows
+
+
+@compiled_inside
+def undecided_variance(mean: Vector, assumption: Assumptions, depth_mm: float) -> float:
+    """Return the variance of the friction in the undecided cutting force [N²]."""
+    undecided = undecided_cutting(assumption, depth_mm).fraction
+    return (CUTTING_ON_SHAFT_STD * undecided * mean[HELD]) ** 2
 
 
 @compiled_inside
 def predict_tip_force(mixture: Mixture, component: int, block: Block) -> float:
     """Return the tip force of a component [N]."""
-    row = regressor(mixture.assumptions[component], block)
+    assumption = mixture.assumptions[component]
+    mean = mixture.means[component]
+    row = regressor(assumption, block)
+    undecided = undecided_cutting(assumption, block.depth_mm)
+    row[HELD] -= CUTTING_ON_SHAFT * undecided.fraction
     tip_force = 0.0
     for i in range(TIP_BEGIN, TIP_END):
-        tip_force += row[i] * mixture.means[component, i]
+        tip_force += row[i] * mean[i]
     return tip_force
 
 
@@ -286,6 +306,8 @@ def mix_components(
             values[k, a] = dot(rows[a], mixture.means[k])
             mean[a] += used.means[k] * values[k, a]
         add_covariance(covariance, used.spreads[k], rows, mixture.covariances[k])
+        variance = undecided_variance(mixture.means[k], assumption, block.depth_mm)
+        covariance[AT_SHAFT_COULOMB, AT_SHAFT_COULOMB] += used.spreads[k] * variance
     add_spread(covariance, used.spreads, values, mean)
     tip_force = predict_tip_force(mixture, index_of_largest(used.means), block)
     return ShaftMixture(mean, covariance, met_probability, contact_mm, tip_force)
