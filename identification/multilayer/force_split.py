@@ -20,6 +20,7 @@ from identification.multilayer.needle_contact import (
     NeedleContact,
     update_contact,
 )
+from identification.multilayer.needle_stop import lost_speed, meet_stop, retain
 from identification.multilayer.shaft_posterior import (
     Friction,
     ShaftPosterior,
@@ -74,6 +75,18 @@ class Forces(NamedTuple):
     shaft: float
     shaft_std: float
     predicted: float
+
+
+class ShaftForce(NamedTuple):
+    """Friction of the shaft.
+
+    Attributes:
+        mean: Its mean [N].
+        variance: Its variance [N²].
+    """
+
+    mean: float
+    variance: float
 
 
 class SlidingShaft(NamedTuple):
@@ -291,6 +304,59 @@ def split_in_channel(
 
 
 @compiled_inside
+def sliding_friction(
+    posterior: ShaftPosterior, sliding: SlidingShaft, travel: float
+) -> ShaftForce:
+    """Return the friction of the shaft by the force law, at its speed.
+
+    Args:
+        posterior: What the mixture knows.
+        sliding: How the shaft slides.
+        travel: Since the depth of the posterior [mm].
+    """
+    shaft = posterior.shaft
+    layer = posterior.layer_friction
+    friction = sliding.deflection * (shaft.coulomb + layer.coulomb * travel)
+    friction += sliding.speed * (shaft.viscous + layer.viscous * travel)
+    variance = friction_variance(shaft, sliding.deflection, sliding.speed)
+    variance += (sliding.uncertainty * shaft.coulomb) ** 2
+    return ShaftForce(friction, variance)
+
+
+@compiled_inside
+def stopped_friction(
+    posterior: ShaftPosterior,
+    contact: NeedleContact,
+    sliding: SlidingShaft,
+    net: float,
+    travel: float,
+) -> ShaftForce:
+    """Return the friction of a shaft that comes to a stop or rests.
+
+    Args:
+        posterior: What the mixture knows, with the motion before the stop.
+        contact: Of needle and tissue.
+        sliding: How the shaft slides.
+        net: Axial force less the offset [N].
+        travel: Since the depth of the posterior [mm].
+    """
+    stop = posterior.stop
+    before = retain(stop, lost_speed(stop, sliding.speed), contact.relaxation)
+    turned = 1.0 - abs(contact.deflection)
+    travelled = posterior.depth_mm + travel - stop.depth_mm
+    unexplained = turned * stop.force
+    cut = posterior.stiffness * travelled
+    force_variance = 2.0 * posterior.noise_variance + contact.motion_variance_N2
+    force_variance += unexplained**2 + cut**2
+    met = meet_stop(stop, before, net, force_variance)
+    friction = contact.deflection * met.friction
+    variance = (contact.deflection**2) * met.variance
+    variance += (UNSETTLED_FRACTION * turned * stop.friction) ** 2
+    backwards = min(sliding.speed, 0.0) * posterior.shaft.viscous
+    return ShaftForce(friction + backwards, variance)
+
+
+@compiled_inside
 def split_at_front(
     posterior: ShaftPosterior,
     contact: NeedleContact,
@@ -309,14 +375,14 @@ def split_at_front(
     """
     net = force - posterior.offset
     shaft = posterior.shaft
-    layer = posterior.layer_friction
     motion_variance = contact.motion_variance_N2
     tip_prediction = posterior.tip_force + posterior.stiffness * travel
 
-    friction = sliding.deflection * (shaft.coulomb + layer.coulomb * travel)
-    friction += sliding.speed * (shaft.viscous + layer.viscous * travel)
-    variance = friction_variance(shaft, sliding.deflection, sliding.speed)
-    variance += (sliding.uncertainty * shaft.coulomb) ** 2
+    on_shaft = sliding_friction(posterior, sliding, travel)
+    if lost_speed(posterior.stop, sliding.speed) > 0.0:
+        on_shaft = stopped_friction(posterior, contact, sliding, net, travel)
+    friction = on_shaft.mean
+    variance = on_shaft.variance
 
     # A force counts less, the more uncertain motion makes it, beside what is not known
     # of friction.

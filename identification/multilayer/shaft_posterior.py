@@ -35,6 +35,14 @@ from identification.multilayer.force_model import (
     undecided_cutting,
 )
 from identification.multilayer.mixture import Mixture
+from identification.multilayer.needle_stop import (
+    REST_MM_S,
+    SLIDING_DEFLECTION,
+    NeedleStop,
+    SteadyForce,
+    learn_from_rest,
+    remember_motion,
+)
 
 MIN_WEIGHT = 1e-3
 """Components that are less likely than this are left out."""
@@ -48,6 +56,9 @@ speed may look like a fall of the force."""
 
 MET_PROBABILITY = 0.5
 """Probability of a contact from which on the needle counts as in contact."""
+
+TINY_N2 = 1e-12
+"""Variance of a friction, at least, where it divides."""
 
 # The quantities that are summarised, in this order.
 AT_OFFSET = 0
@@ -104,6 +115,7 @@ class ShaftPosterior:
         traversed: Friction of the layers traversed.
         shaft: Friction of the whole shaft.
         layer_friction: Friction per length of shaft in the layer [1/mm].
+        stop: The motion before a stop, and what stops have shown.
     """
 
     in_contact: bool = False
@@ -121,6 +133,7 @@ class ShaftPosterior:
     traversed: Friction = field(default_factory=Friction)
     shaft: Friction = field(default_factory=Friction)
     layer_friction: Friction = field(default_factory=Friction)
+    stop: NeedleStop = field(default_factory=NeedleStop)
 
 
 class ShaftMixture(NamedTuple):
@@ -343,6 +356,41 @@ def set_friction(friction: Friction, shaft: Gaussian, first: int) -> None:
     friction.offset_viscous = shaft.covariance[AT_OFFSET, second]
 
 
+@compiled_inside
+def steady_force(posterior: ShaftPosterior, block: Block) -> SteadyForce:
+    """Return force and friction of a needle that advances as in a block."""
+    shaft = posterior.shaft
+    speed = block.speed_mm_s
+    cross_covariance = shaft.coulomb_variance + speed * shaft.covariance
+    variance = (
+        cross_covariance + speed * shaft.covariance + speed**2 * shaft.viscous_variance
+    )
+    shared = cross_covariance**2 / max(variance, TINY_N2)
+    return SteadyForce(
+        speed,
+        block.depth_mm,
+        block.force_N - posterior.offset,
+        shaft.coulomb + speed * shaft.viscous,
+        max(variance, 0.0),
+        shaft.coulomb,
+        max(shaft.coulomb_variance - shared, 0.0),
+    )
+
+
+@compiled_inside
+def update_stop(posterior: ShaftPosterior, block: Block) -> None:
+    """Remember a needle that advances, and learn from one that rests."""
+    stop = posterior.stop
+    if not posterior.in_contact or block.deflection < SLIDING_DEFLECTION:
+        return
+    if block.speed_mm_s > REST_MM_S:
+        remember_motion(stop, steady_force(posterior, block))
+        return
+    net_force = block.force_N - posterior.offset
+    variance = 2.0 * posterior.noise_variance + block.motion_variance_N2
+    learn_from_rest(stop, block.duration_s, net_force, variance)
+
+
 @compiled
 def update_posterior(
     posteriors: list[ShaftPosterior],
@@ -389,3 +437,4 @@ def update_posterior(
     posterior.model_error_variance = model_error_variance
     posterior.traversed.coulomb_variance += model_error_variance
     posterior.shaft.coulomb_variance += model_error_variance
+    update_stop(posterior, block)
