@@ -8,10 +8,12 @@ from identification.multilayer.evidence import weigh_evidence
 from identification.multilayer.force_model import (
     FRICTION_BEFORE,
     FRICTION_LAST,
+    HELD,
     LAYER,
     LAYER_COULOMB,
     LAYER_VISCOUS,
     MEMBRANE,
+    TRAVERSED_COULOMB,
 )
 from identification.multilayer.layer_report import friction_of_last_layer
 from identification.multilayer.mixture import CAPACITY
@@ -45,6 +47,7 @@ def test_the_force_goes_on_across_an_event(seed, medium, holds_force):
 
 def test_friction_of_a_layer_traversed_stays_on_the_shaft():
     parent = component(5, LAYER)
+    parent.means[0, HELD] = 0.0  # no cutting force, part of which may be friction
     mixture = branch(parent, 0.3, 1)
     ruptures = read_column(mixture.assumptions, "ruptures")
     is_end = (ruptures == 2.0) & (
@@ -76,6 +79,7 @@ def test_friction_of_an_unreported_rupture_counts_with_the_next(reported, last, 
     parent = component(5, LAYER)
     frictions = [LAYER_COULOMB, LAYER_VISCOUS, FRICTION_LAST, FRICTION_BEFORE]
     parent.means[0, frictions] = 0.02, 0.0, 0.3, 0.5
+    parent.means[0, HELD] = 0.0
     mixture = branch(parent, 0.1, reported)
     release_start = read_column(mixture.assumptions, "release_start_mm")
     is_end = release_start == BLOCK.depth_mm
@@ -87,3 +91,30 @@ def test_friction_of_an_unreported_rupture_counts_with_the_next(reported, last, 
     assert (ruptures == reported + 1.0).all()
     assert np.allclose(mixture.means[is_end, FRICTION_LAST], last)
     assert np.allclose(mixture.means[is_end, FRICTION_BEFORE], before)
+
+
+def test_a_part_of_the_cutting_force_stays_on_the_shaft_as_friction():
+    parent = component(5, LAYER)
+    parent.means[0, HELD] = 0.0
+    without = branch(parent, 0.3, 1)
+    parent.means[0, HELD] = 0.1
+    mixture = branch(parent, 0.3, 1)
+    ruptures = read_column(mixture.assumptions, "ruptures")
+    held = read_column(mixture.assumptions, "holds_force")
+    is_end = (ruptures == 2.0) & (held == 0.0)
+    travel_mm = BLOCK.depth_mm - parent.assumptions[0]["tip_start_mm"]
+    on_shaft_N = 0.04 * (1.0 - np.exp(-travel_mm / 10.0))
+
+    assert is_end.any()
+
+    gained_N = mixture.means[is_end] - without.means[is_end]
+
+    assert gained_N[:, TRAVERSED_COULOMB] == pytest.approx(on_shaft_N, rel=1e-6)
+    assert gained_N[:, FRICTION_LAST] == pytest.approx(on_shaft_N, rel=1e-6)
+
+    doubt_N2 = (
+        mixture.covariances[is_end, TRAVERSED_COULOMB, TRAVERSED_COULOMB]
+        - without.covariances[is_end, TRAVERSED_COULOMB, TRAVERSED_COULOMB]
+    )
+
+    assert (doubt_N2 > (0.8 * on_shaft_N) ** 2).all()

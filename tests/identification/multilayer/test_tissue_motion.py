@@ -90,7 +90,7 @@ def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
 
     ruptures = [estimate.rupture for estimate in estimates if estimate.rupture]
 
-    assert len(ruptures) <= 3  # not one at every beat
+    assert len(ruptures) <= 4  # not one at every beat
 
     delays_s = [rupture.alarm_s - CLOCK_S - rupture_s for rupture in ruptures]
     near_s = [delay_s for delay_s in delays_s if abs(delay_s) < 3.0]
