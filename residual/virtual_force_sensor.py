@@ -241,7 +241,7 @@ class VirtualForceSensor:
         """Begin the tare that `tare` takes, and fit it beside the updates that follow.
 
         Each valid sample does a few short steps of it, each of some tenths of a
-        millisecond; about two thousand steps make a tare, more if it is refused. The
+        millisecond; a tare takes about a thousand samples, more if it is refused. The
         fit is to the motion recorded until now, and equal bit for bit to that of `tare`
         here. `taring` is true meanwhile, and estimates stay as they were before:
         `NOT_TARED`, with the offset in them; their message says that a tare is being
