@@ -14,6 +14,7 @@ from benchmarks.insertion.perturbations import MIXED, PERTURBATIONS, PERTURBED
 from benchmarks.insertion.recorded import bovine, liver, panda, ur10e
 from benchmarks.insertion.recorded.bovine import run_bovine_real
 from benchmarks.insertion.recorded.liver import run_liver_real
+from benchmarks.insertion.recorded.on_arm import run_bovine_on_arm, run_liver_on_arm
 from benchmarks.insertion.recorded.panda import run_panda_liver, run_panda_real
 from benchmarks.insertion.recorded.ur10e import run_ur10e_payload
 from benchmarks.insertion.robustness import SCENARIOS as ROBUST
@@ -106,9 +107,38 @@ _RECORDED = tuple(
         ("bovine-real", run_bovine_real, (bovine.FOLDER,), 1),
     )
 )
+_ON_ARM = (
+    Benchmark(
+        id="liver-on-arm",
+        title="recorded liver forces at the tip of the simulated arm; one a seed",
+        run=run_liver_on_arm,
+        needs=(liver.FOLDER,),
+        is_on_arm=True,
+        recordings=len(liver.NUMBERS),
+        is_default=False,
+        plants=("clean", "fri"),
+    ),
+    Benchmark(
+        id="bovine-on-arm",
+        title="the recorded bovine liver force at the tip of the simulated arm",
+        run=run_bovine_on_arm,
+        needs=(bovine.FOLDER,),
+        is_on_arm=True,
+        is_default=False,
+        plants=("clean", "fri"),
+    ),
+)
 BENCHMARKS: Mapping[str, Benchmark] = {
     item.id: item
-    for item in (*_SIMULATED, *_ROBUSTNESS, *_RECORDED, *CONTROL, *ANATOMY, *FAULTS)
+    for item in (
+        *_SIMULATED,
+        *_ROBUSTNESS,
+        *_RECORDED,
+        *_ON_ARM,
+        *CONTROL,
+        *ANATOMY,
+        *FAULTS,
+    )
 }
 """By name."""
 
@@ -230,12 +260,10 @@ def chosen_benchmarks(request: Request) -> list[Benchmark]:
 
 def describe_missing(benchmark: Benchmark, request: Request) -> str:
     """Return what a benchmark lacks, nothing for one that can run."""
+    if not chosen_plants(benchmark, request):
+        return f"a plant, one of {', '.join(benchmark.possible)}"
     if not benchmark.is_recorded:
-        return (
-            ""
-            if chosen_plants(benchmark, request)
-            else f"a plant, one of {', '.join(benchmark.possible)}"
-        )
+        return ""
     if request.data is None:
         return "recordings"
     absent = [name for name in benchmark.needs if not (request.data / name).is_dir()]
@@ -247,7 +275,7 @@ def chosen_plants(benchmark: Benchmark, request: Request) -> tuple[str, ...]:
 
     There are none when it needs an arm and none was named.
     """
-    if benchmark.is_recorded:
+    if benchmark.is_recorded and not benchmark.is_on_arm:
         return (RECORDING,)
     if not benchmark.has_plants:
         return benchmark.plants

@@ -146,6 +146,7 @@ class Benchmark:
             they need.
         needs: Folders of recordings it reads; none for a simulation.
         uses_data: Whether it measures more where there is a folder of recordings.
+        is_on_arm: Whether its recordings act on a simulated arm, one of its plants.
         recordings: How many recordings it has, one a seed; a simulation takes any
             seed.
         first_seed: The first seed where none is named.
@@ -161,6 +162,7 @@ class Benchmark:
     find_cases: Callable[[], Sequence[str]] = one_case
     needs: tuple[str, ...] = ()
     uses_data: bool = False
+    is_on_arm: bool = False
     recordings: int = 1
     first_seed: int = 0
     group: str = ""
@@ -170,13 +172,14 @@ class Benchmark:
 
     @property
     def is_recorded(self) -> bool:
-        """Whether it reads real data; it has no plant models then."""
+        """Whether it reads real data; it has plant models only where `is_on_arm`."""
         return bool(self.needs)
 
     @property
     def has_plants(self) -> bool:
         """Whether an arm, or the needle without one, plays a part."""
-        return not self.is_recorded and self.possible != (NO_PLANT,)
+        is_simulated = self.is_on_arm or not self.is_recorded
+        return is_simulated and self.possible != (NO_PLANT,)
 
 
 def progress_part(progress: Progress, start: float, end: float) -> Progress:

@@ -531,6 +531,6 @@ class ArmPlant:
                 float, self._contact.motion.at(self._time_s)
             )
             depth -= moved_m
-        self.depth_m = depth if self._contact.law.layers else 0.0
+        self.depth_m = 0.0 if self._contact.law.is_air else depth
         for point in self._touched:
             point.locate()

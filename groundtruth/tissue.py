@@ -125,6 +125,11 @@ class Tissue:
         # Presliding deflection of each layer, -1 to 1.
         self._bristles = [0.0] * len(self.layers)
 
+    @property
+    def is_air(self) -> bool:
+        """Whether there is nothing to meet."""
+        return not self.layers
+
     def step(self, depth_m: float, speed_m_s: float, dt_s: float) -> TissueForce:
         """Advance by one step and return the force at its end.
 
@@ -319,7 +324,7 @@ def collect_truth(
     """
     columns = np.array([force[:3] for force in forces], dtype=np.float64)
     per_layer = np.array([force.layer_friction_N for force in forces], dtype=np.float64)
-    contact_s = _first_crossing_s(t_s, depth_m, 0.0) if law.layers else np.nan
+    contact_s = np.nan if law.is_air else _first_crossing_s(t_s, depth_m, 0.0)
     deepest = int(np.argmax(depth_m))
     withdrawn_s = _first_crossing_s(t_s[deepest:], -depth_m[deepest:], 0.0)
     return TissueTruth(

@@ -18,7 +18,7 @@ from benchmarks.insertion.methods import IDENTIFIERS
 from benchmarks.jobs import Job, JobResult, Progress
 from benchmarks.results import Measurement, Method
 from foundation.arrays import Array
-from identification import replay
+from identification import Estimate, replay
 
 WINDOW_m = 0.5e-3
 """The force at a depth is the mean over so much travel to either side."""
@@ -276,8 +276,25 @@ def liver_estimates(
     method: Method,
     reference: LiverReference,
 ) -> LiverEstimates:
-    """Return friction at each depth when the needle was there, ruptures, and rest."""
+    """Replay a recording; return what the method made of it."""
     estimates = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method]).estimates
+    return summarise_estimates(depth_m, force_N, estimates, reference)
+
+
+def summarise_estimates(
+    depth_m: Array,
+    force_N: Array,
+    estimates: Sequence[Estimate],
+    reference: LiverReference,
+) -> LiverEstimates:
+    """Return friction at each depth when the needle was there, ruptures, and rest.
+
+    Args:
+        depth_m: Depth of the tip, shape (n,).
+        force_N: Axial force, shape (n,).
+        estimates: One for each sample.
+        reference: What they are compared with.
+    """
     names = (
         "shaft_friction_N",
         "shaft_friction_std_N",
@@ -291,10 +308,16 @@ def liver_estimates(
     rests = depth_m >= depth_m.max() - HAIR_m
     rests[: int(np.argmax(rests)) + 1] = False
     in_contact = np.array([estimate.in_contact for estimate in estimates])
+    # A session counts depth from the tare: where an alarm came, the recording knows.
+    alarms_m = [
+        float(at)
+        for row, at in zip(estimates, depth_m, strict=True)
+        if row.rupture is not None
+    ]
     return LiverEstimates(
         reference,
         tuple(mean_at_depth(depth_m, friction, 1e-3 * mm) for mm in DEPTHS_mm),
-        [row.rupture.alarm_depth_m for row in estimates if row.rupture is not None],
+        alarms_m,
         np.array([estimate.enhanced_force_N for estimate in estimates]),
         tuple(mean_at_depth(depth_m, friction_std, 1e-3 * mm) for mm in DEPTHS_mm),
         float(np.mean((friction - 2.0 * friction_std > force_N)[rests]))

@@ -16,6 +16,7 @@ from benchmarks.insertion.recorded.liver import (
     read_arrays,
     run_liver_real,
 )
+from benchmarks.insertion.recorded.on_arm import run_liver_on_arm
 from benchmarks.insertion.recorded.panda import FOLDER as PANDA
 from benchmarks.insertion.recorded.panda import (
     read_panda,
@@ -69,6 +70,19 @@ def test_the_chain_runs_on_real_torques_and_tissue(recordings_dir, tmp_path):
     off = "enhanced_against_ft_rmse_N"
 
     assert numbers["virtual", "ours", off] < 0.3 * numbers["virtual", "published", off]
+    assert np.isfinite(list(numbers.values())).all()
+
+
+def test_the_simulated_arm_feels_a_recorded_liver(recordings_dir):
+    job = Job(benchmark="liver-on-arm", plant="clean", seed=1, data=recordings_dir)
+    measured = run_liver_on_arm(job, silent).measurements
+    numbers = {(item.source, item.metric): item.value for item in measured}
+
+    assert numbers["virtual", "wrench_rmse_N"] < 0.06
+    assert numbers["virtual", "wrench_coverage_2sigma"] > 0.9
+    assert numbers["ft", "drop_recall"] == 1.0
+    assert numbers["ft", "ruptures_at_drops"] > 0.8
+    assert abs(numbers["ft", "pullout_error_mean_N"]) < 0.5
     assert np.isfinite(list(numbers.values())).all()
 
 
