@@ -221,6 +221,8 @@ class Manager:
         except TareError as error:
             return self._apply("limit", {"reason": f"the tare is refused: {error}"})
         self._arrival = data
+        # The tare itself has moved the zero of depth, no one else.
+        self._state_zero = self.session.zero
         return ""
 
     def _end_tare(self) -> None:
