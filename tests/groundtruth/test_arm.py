@@ -175,6 +175,7 @@ class Push:
     """Tissue that pushes back with a constant force, whatever the needle does."""
 
     layers = (object(),)
+    is_air = False
     interfaces = ()
 
     def __init__(self, force_N):
