@@ -60,13 +60,13 @@ class RecordedTissue(Tissue):
         self._standing_s += dt_s if is_at_end else 0.0
         force_N = 0.0
         if is_at_end:
-            force_N = _read(self._held_s, self._held_N, self._standing_s)
+            force_N = _interpolate(self._held_s, self._held_N, self._standing_s)
         elif depth_m > 0.0 and depth_m >= self._reached_m - STANDING_M:
-            force_N = _read(self._depths_m, self._forces_N, depth_m)
+            force_N = _interpolate(self._depths_m, self._forces_N, depth_m)
         return TissueForce(force_N, force_N, 0.0, 0, ())
 
 
-def _read(places: list[float], values: list[float], at: float) -> float:
+def _interpolate(places: list[float], values: list[float], at: float) -> float:
     """Return the value at a place, interpolated; beyond the ends that of the end."""
     after = bisect_left(places, at)
     if after == 0:

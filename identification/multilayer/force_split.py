@@ -20,18 +20,20 @@ from identification.multilayer.needle_contact import (
     NeedleContact,
     update_contact,
 )
-from identification.multilayer.needle_stop import lost_speed, meet_stop, retain
+from identification.multilayer.needle_stop import (
+    RELAXED_FRICTION,
+    lost_speed,
+    meet_stop,
+    retain,
+)
 from identification.multilayer.shaft_posterior import (
     Friction,
     ShaftPosterior,
 )
 
-RELAXED_FRACTION = 0.6
-"""Part of the friction lost in a long rest, as of the whole force in real liver (19
-holds of 60 s)."""
-
 UNSETTLED_FRACTION = 0.3
-"""Standard deviation of that part, and of friction while presliding turns."""
+"""Standard deviation of the part of friction that a rest takes, and of friction while
+presliding turns."""
 
 UNLOADED_M = 1e-3
 """A tip drawn back by a needle diameter touches nothing."""
@@ -187,7 +189,7 @@ def relax(contact: NeedleContact, speed: float) -> SlidingShaft:
     it.
     """
     unsettled = max(1.0 - abs(contact.deflection), contact.relaxation)
-    relaxed = 1.0 - RELAXED_FRACTION * contact.relaxation
+    relaxed = 1.0 - RELAXED_FRICTION * contact.relaxation
     return SlidingShaft(
         contact.deflection * relaxed, UNSETTLED_FRACTION * unsettled, speed
     )

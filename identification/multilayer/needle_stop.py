@@ -20,8 +20,9 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from foundation.jit import compiled_inside
+from identification.multilayer.needle_contact import REST_SPEED_MM_S
 
-STEADY_FRACTION = 0.9
+BRAKING_FRACTION = 0.9
 """Slower than this part of the remembered speed the needle is coming to a stop."""
 
 BRAKING_MM = 0.5
@@ -33,9 +34,6 @@ SLIDING_DEFLECTION = 0.9
 
 LEARNING_S = 0.3
 """Rest after which the force has shown what a stop takes from it."""
-
-REST_MM_S = 0.1
-"""Slower than this the needle rests."""
 
 KEPT_TIP = 0.95
 """Prior mean of q. No measurement is known that tells it from p."""
@@ -225,34 +223,35 @@ def meet_stop(
         max(before.tip_variance - cross_q * cross_q / variance, 0.0),
         before.covariance - cross_p * cross_q / variance,
     )
-    moving = friction + cross_friction / variance * innovation
-    moving_variance = stop.friction_variance - cross_friction**2 / variance
-    joint = -cross_friction * cross_p / variance
-    kept = min(max(after.friction, 0.0), 1.0)
-    kept_variance = (
-        kept * kept * moving_variance
-        + moving * moving * after.friction_variance
-        + 2.0 * kept * moving * joint
+    friction_before = friction + cross_friction / variance * innovation
+    variance_before = stop.friction_variance - cross_friction**2 / variance
+    covariance_with_p = -cross_friction * cross_p / variance
+    kept_fraction = min(max(after.friction, 0.0), 1.0)
+    variance_at_rest = (
+        kept_fraction**2 * variance_before
+        + friction_before**2 * after.friction_variance
+        + 2.0 * kept_fraction * friction_before * covariance_with_p
     )
-    return StoppedForce(kept * moving, max(kept_variance, 0.0), after)
+    friction_at_rest = kept_fraction * friction_before
+    return StoppedForce(friction_at_rest, max(variance_at_rest, 0.0), after)
 
 
 @compiled_inside
 def expect_stop(stop: NeedleStop, steady: SteadyForce) -> None:
     """Set p and q to what the force law and earlier stops let expect."""
     friction = max(steady.friction, MIN_FRICTION_N)
-    law_p = min(max(steady.coulomb / friction, 0.0), 1.0)
-    law_variance = steady.coulomb_variance / friction**2 + SPLIT_STD**2
+    expected_p = min(max(steady.coulomb / friction, 0.0), 1.0)
+    expected_variance = steady.coulomb_variance / friction**2 + SPLIT_STD**2
     if stop.shown_friction_variance == 0.0:
-        stop.kept_friction = law_p
-        stop.kept_friction_variance = law_variance
+        stop.kept_friction = expected_p
+        stop.kept_friction_variance = expected_variance
         stop.kept_tip = KEPT_TIP
         stop.kept_tip_variance = KEPT_TIP_STD**2
         stop.covariance = 0.0
         return
     shown_variance = stop.shown_friction_variance + CHANGE_STD**2
-    weight = law_variance / (law_variance + shown_variance)
-    stop.kept_friction = weight * stop.shown_friction + (1.0 - weight) * law_p
+    weight = expected_variance / (expected_variance + shown_variance)
+    stop.kept_friction = weight * stop.shown_friction + (1.0 - weight) * expected_p
     stop.kept_friction_variance = weight * shown_variance
     stop.kept_tip = stop.shown_tip
     stop.kept_tip_variance = stop.shown_tip_variance + CHANGE_STD**2
@@ -262,9 +261,9 @@ def expect_stop(stop: NeedleStop, steady: SteadyForce) -> None:
 @compiled_inside
 def remember_motion(stop: NeedleStop, steady: SteadyForce) -> None:
     """Remember a needle that advances, unless it is coming to a stop."""
-    is_steady = steady.speed_mm_s >= STEADY_FRACTION * stop.speed_mm_s
+    is_steady = steady.speed_mm_s >= BRAKING_FRACTION * stop.speed_mm_s
     is_far = steady.depth_mm > stop.depth_mm + BRAKING_MM
-    if steady.speed_mm_s <= REST_MM_S or not (is_steady or is_far):
+    if steady.speed_mm_s <= REST_SPEED_MM_S or not (is_steady or is_far):
         return
     stop.speed_mm_s = steady.speed_mm_s
     stop.depth_mm = steady.depth_mm

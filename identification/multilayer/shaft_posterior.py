@@ -35,8 +35,8 @@ from identification.multilayer.force_model import (
     undecided_cutting,
 )
 from identification.multilayer.mixture import Mixture
+from identification.multilayer.needle_contact import REST_SPEED_MM_S
 from identification.multilayer.needle_stop import (
-    REST_MM_S,
     SLIDING_DEFLECTION,
     NeedleStop,
     SteadyForce,
@@ -383,7 +383,7 @@ def update_stop(posterior: ShaftPosterior, block: Block) -> None:
     stop = posterior.stop
     if not posterior.in_contact or block.deflection < SLIDING_DEFLECTION:
         return
-    if block.speed_mm_s > REST_MM_S:
+    if block.speed_mm_s > REST_SPEED_MM_S:
         remember_motion(stop, steady_force(posterior, block))
         return
     net_force = block.force_N - posterior.offset
