@@ -262,8 +262,9 @@ ArmName = Annotated[
     Parameter(
         name="ARM",
         group=LOG,
-        help="fri or fri:PORT (KUKA LWR 4+ that sends to this machine), "
-        "franka:ADDRESS, ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. A franka "
+        help="fri[:LOCAL_ADDRESS][:PORT][@CONTROLLER] (KUKA LWR 4+ that sends to this "
+        "machine; without an address from this machine only), franka:ADDRESS, "
+        "ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. A franka "
         "is taken for a panda and a ur for a ur10e unless --robot or --urdf names "
         "another.",
     ),

@@ -6,11 +6,15 @@ to loopback unless an address is named. What is malformed, old or foreign is cou
 a `LinkReport`, never handed on.
 
 Reading order: `link` (what a device offers, readings, reports), `errors`,
-`datagram_link` (UDP), `fri` (KUKA LWR 4+), `rdt` (ATI Net F/T), `research_arms`
-(Franka, UR), `haply`. Emulators: `emulators`, `fri_emulator`, `rdt_emulator`,
-`haply_emulator`.
+`datagram_link` (UDP), `fri` (KUKA LWR 4+), `rdt` and `rdt_status` (ATI Net F/T),
+`research_arms` (Franka, UR), `haply`, `arm_names` (any arm by a name of one line).
+Emulators: `emulators`, `fri_emulator`, `rdt_emulator`, `haply_emulator`.
 """
 
+from needleforce.devices.arm_names import (
+    connect_arm as connect_arm,
+    parse_arm_name as parse_arm_name,
+)
 from needleforce.devices.errors import (
     DeviceError as DeviceError,
     DeviceSettingError as DeviceSettingError,

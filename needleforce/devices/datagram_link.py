@@ -19,6 +19,10 @@ MAX_DATAGRAM_BYTES = 65536
 RECEIVE_BUFFER_BYTES = 1 << 17
 """Room for datagrams that wait to be read: no more than usual, old ones are stale."""
 
+MAX_FOREIGN_S = 2e-3
+"""So long beyond its deadline a link looks for a datagram of its peer among foreign
+ones."""
+
 
 class Endpoint(NamedTuple):
     """An address of UDP.
@@ -72,6 +76,8 @@ class DatagramLink(Link):
         address: Where it listens.
         sender: From where the latest datagram came.
         peer: Where it sends to, and the only one it listens to; None: not known yet.
+        is_peer_named: Whether the peer's host was given; else it is the first that
+            sent something valid.
 
     Raises:
         LinkError: The address cannot be bound, or the peer's name is unknown.
@@ -92,6 +98,7 @@ class DatagramLink(Link):
             )
 
         super().__init__()
+        self.is_peer_named = peer is not None
         self._peer_host = peer and resolve_host(peer)
         self.sender: Endpoint | None = None
         self.peer: Endpoint | None = None
@@ -114,7 +121,8 @@ class DatagramLink(Link):
         """Return the next datagram that may be the peer's.
 
         Args:
-            timeout_s: How long it is waited for; 0: only what waits already.
+            timeout_s: How long it is waited for; 0: only what waits already. Foreign
+                datagrams delay the return by `MAX_FOREIGN_S` at most.
 
         Returns:
             Its bytes; None when none came in time.
@@ -142,6 +150,14 @@ class DatagramLink(Link):
                 return data
 
             self.report.foreign += 1
+            if monotonic() >= deadline_s + MAX_FOREIGN_S:
+                return None
+
+    def _keep_sender(self) -> None:
+        """Listen only to the sender of the latest datagram from now on."""
+        if self.sender is not None:
+            self.peer = self.sender
+            self._peer_host = self.sender.host
 
     def _is_peer(self, sender: Endpoint) -> bool:
         """Return whether a datagram from there may be the peer's."""

@@ -172,10 +172,11 @@ class FriArm(DatagramLink):
     After `close` the controller goes to monitor mode.
 
     Args:
-        host: Address of this machine on which the controller sends.
+        host: Address of this machine to which the controller sends.
         port: The port set in its configuration; 0 for any free one, see `address`.
-        peer: Address or name of the controller; others are dropped. None: who is valid
-            first.
+        peer: Address or name of the controller; others are dropped. None: the first
+            that sends a valid measurement is kept, see `DatagramLink.peer`; after an
+            outage only its port may have changed.
         wait_s: A silence longer than this counts as an outage.
         give_up_s: After so long without a valid measurement the readings end.
         robot: The model of the arm, kept for those who need both.
@@ -290,7 +291,7 @@ class FriArm(DatagramLink):
             self.report.stale += 1
             return None
 
-        self.peer = self.sender
+        self._keep_sender()
         self._read_s = now_s
         self._sent_after_s = self._empty_s
         self._answer_measurement(measurement)

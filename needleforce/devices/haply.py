@@ -27,11 +27,24 @@ GRIPS = ("wireless_verse_grip", "verse_grip")
 MAX_SILENCE_S = 0.1
 """After so long a silence the force is sent again, for which a state comes back."""
 
+MAX_READ_S = 2e-3
+"""So long a reading takes what waits at most, whatever the service sends."""
+
 CONNECT_WAIT_S = 5.0
 """So long the service may take to answer."""
 
 MAX_MESSAGE_BYTES = 1 << 20
 """A longer message is none of the service."""
+
+MALFORMED = (
+    ValueError,
+    TypeError,
+    LookupError,
+    AttributeError,
+    OverflowError,  # an integer of hundreds of digits
+    RecursionError,  # brackets nested by the thousand
+)
+"""What reading a message raises that is none of the service."""
 
 
 class HaplyMaster(Link):
@@ -121,8 +134,9 @@ class HaplyMaster(Link):
     def _receive_newest(self, t_s: float) -> MasterReading | None:
         """Return the newest valid state of all that wait; None if there is none."""
         newest = None
+        end_s = time.monotonic() + MAX_READ_S
         with suppress(TimeoutError, self._socket_error):
-            while True:
+            while time.monotonic() < end_s:
                 text = self._socket.recv(timeout=0)
                 newest = self._decode(text, t_s) or newest
 
@@ -148,7 +162,7 @@ class HaplyMaster(Link):
 
             self._device_id = str(device["device_id"])
             return MasterReading(t_s, position_m, velocity_m_s, _is_clutched(state))
-        except (ValueError, TypeError, LookupError, AttributeError):
+        except MALFORMED:
             self.report.malformed += 1
             return None
 

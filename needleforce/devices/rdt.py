@@ -25,6 +25,7 @@ from needleforce.devices.datagram_link import (
     resolve_host,
 )
 from needleforce.devices.errors import DeviceCode, DeviceSettingError, LinkError
+from needleforce.devices.rdt_status import is_faulty
 
 PORT = 49152
 """Of the sensor, unless it is configured otherwise."""
@@ -68,8 +69,9 @@ MAX_REPLY_BYTES = 1 << 20
 RECEIVE_BUFFER_BYTES = 1 << 22
 """Room for the records of half a second, if net.core.rmem_max allows as much."""
 
-FAULT_BITS = 0xFFFF0000
-"""Of the status word: error of the sensor, saturated gauge, lost supply."""
+MAX_READ_S = 2e-3
+"""So long `NetFT.read` takes what waits at most: a loop of 1 kHz misses a cycle or
+two, whatever the network sends."""
 
 
 class Scale(NamedTuple):
@@ -148,7 +150,9 @@ class NetFT(DatagramLink):
 
     Attributes:
         scale: Counts per newton and per newton metre.
-        status: Word of the latest record; 0 when all is well.
+        status: Word of the latest record; 0 when all is well, see
+            `needleforce.devices.rdt_status.describe_status`.
+        faults: All bits of the status words of records that were not used.
 
     Raises:
         LinkError: The sensor's name is unknown, its page cannot be read, or no port is
@@ -184,6 +188,7 @@ class NetFT(DatagramLink):
         local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
         super().__init__(local, 0, peer=host, buffer_bytes=RECEIVE_BUFFER_BYTES)
         self.status = 0
+        self.faults = 0
         self._sensor = Endpoint(host, port)
         self._mode = RdtCommand.BUFFERED if buffered else RdtCommand.STREAM
         self._counts_per_unit = np.repeat(self.scale, 3)
@@ -198,16 +203,20 @@ class NetFT(DatagramLink):
     def read(self) -> Array | None:
         """Return the newest wrench of all that have come.
 
-        Malformed and old records are counted in the report. After 1 s of silence the
-        sensor is asked anew.
+        It returns after `MAX_READ_S`, also when more waits to be read. Malformed and
+        old records are counted in the report. After 1 s of silence the sensor is asked
+        anew.
 
         Returns:
             Force [N] and torque [Nm], shape (6,); None if nothing has come.
         """
         newest = None
+        end_s = monotonic() + MAX_READ_S
         while self._is_open and (data := self._receive(0.0)) is not None:
             for wrench in self._wrenches(data):
                 newest = wrench
+            if monotonic() >= end_s:
+                break
 
         if monotonic() - self._read_s > MAX_COUNTED_GAP_S:
             self._ask_again()
@@ -294,15 +303,16 @@ class NetFT(DatagramLink):
             self._count_stray(count)
             return None
 
-        is_faulty = bool(status & FAULT_BITS)
-        report.malformed += is_faulty
+        has_fault = is_faulty(status)
+        report.malformed += has_fault
         self.status = status
-        if not (is_first and is_faulty):  # a faulty first one may be garbage
+        if not (is_first and has_fault):  # a faulty first one may be garbage
             self._latest_count = count
             self._stray_in_row = 0
             report.missed += ahead - 1
 
-        if is_faulty:
+        if has_fault:
+            self.faults |= status
             return None
 
         report.used += 1

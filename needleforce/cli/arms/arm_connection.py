@@ -2,7 +2,7 @@
 
 import signal
 from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager
+from contextlib import contextmanager
 from dataclasses import replace
 from typing import Any, NamedTuple
 
@@ -18,7 +18,15 @@ from needleforce.cli.terminal import (
     say,
     stop_request,
 )
-from needleforce.devices import ArmReading, FrankaArm, FriArm, ReplayArm, UrArm, pace
+from needleforce.devices import (
+    ArmReading,
+    DeviceSettingError,
+    ReplayArm,
+    connect_arm,
+    pace,
+    parse_arm_name,
+)
+from needleforce.devices.datagram_link import LOOPBACK, DatagramLink
 from urdf import Robot
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
@@ -59,13 +67,13 @@ def open_arm(
     Raises:
         CommandError: There is no such arm, or the model does not fit it.
     """
-    kind, _, address = name.partition(":")
+    kind, _, scenario = name.partition(":")
     if constants_Nm_A is not None and kind != "ur":
         raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {name}")
     if kind == "sim":
-        yield _simulate_arm(name, address or SIMULATED_SCENARIO, options)
+        yield _simulate_arm(name, scenario or SIMULATED_SCENARIO, options)
         return
-    _require_known_arm(name)
+    kind = _kind_of(name)
     if options.robot is None and options.urdf is None:
         options = replace(options, robot=ROBOTS[kind])
         say(
@@ -73,7 +81,7 @@ def open_arm(
             "another"
         )
     robot = robot_from_options(options, None)
-    with _connect(kind, address, constants_Nm_A) as arm:
+    with connect_arm(name, torque_constant_Nm_A=constants_Nm_A) as arm:
         if arm.joints != robot.nv:
             raise CommandError(
                 f"{name} has {arm.joints} joints, the robot that describes it "
@@ -98,28 +106,12 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
     return ConnectedArm(arm, run.robot)
 
 
-def _require_known_arm(name: str) -> None:
-    """Refuse a name of no known kind, or without the address that its kind needs."""
-    kind, _, address = name.partition(":")
-    has_address = bool(address)
-    if kind == "fri":
-        has_address = address.isdecimal() or not address
-    if kind not in ROBOTS or not has_address:
-        raise CommandError(
-            f"{name}: expected an arm as fri, fri:PORT, franka:ADDRESS, ur:ADDRESS or "
-            "sim:SCENARIO"
-        )
-
-
-def _connect(
-    kind: str, address: str, constants_Nm_A: MotorConstants | None
-) -> AbstractContextManager[Any]:
-    """Return the connection to an arm of a kind."""
-    if kind == "fri":
-        return FriArm(port=int(address)) if address else FriArm()
-    if kind == "ur":
-        return UrArm(address, torque_constant_Nm_A=constants_Nm_A)
-    return FrankaArm(address)
+def _kind_of(name: str) -> str:
+    """Return the kind of an arm; refuse a name of none."""
+    try:
+        return parse_arm_name(name).kind
+    except DeviceSettingError as error:
+        raise CommandError(f"{error}, or sim:SCENARIO") from error
 
 
 def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmReading]:
@@ -146,6 +138,8 @@ def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmReading]
     passed_s = 0.0
     with stop_request(*signals, then=arm.end) as is_asked:
         for sample in pace(arm) if isinstance(arm, ReplayArm) else arm:
+            if not passed_s:
+                _say_sender(arm)
             passed_s += sample.dt_s
             yield sample
             if passed_s >= options.seconds or is_asked():
@@ -154,8 +148,26 @@ def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmReading]
 
 def require_samples(arm_name: str, arm: Any) -> None:
     """Raise `CommandError` if nothing came from an arm."""
-    if not arm.report.used:
-        raise CommandError(
-            f"no sample came from {arm_name} ({arm.report}), expected one per cycle",
-            CommandCode.ARM,
+    if arm.report.used:
+        return
+    message = f"no sample came from {arm_name} ({arm.report}), expected one per cycle"
+    if isinstance(arm, DatagramLink):
+        host, port = arm.address
+        message += f"; it listened on {host}, port {port}"
+        if host == LOOPBACK:
+            kind = parse_arm_name(arm_name).kind
+            message += (
+                ", which only programs of this machine reach: name the address that "
+                f"the controller sends to, as {kind}:LOCAL_ADDRESS:{port}"
+            )
+    raise CommandError(message, CommandCode.ARM)
+
+
+def _say_sender(arm: Any) -> None:
+    """Say which controller is listened to, where none was named."""
+    if isinstance(arm, DatagramLink) and not arm.is_peer_named and arm.peer:
+        host, port = arm.peer
+        say(
+            f"{host}, port {port}, was the first to send; only {host} is listened to "
+            f"(@{host} after the arm's name makes sure)"
         )

@@ -22,6 +22,7 @@ from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
 from needleforce.devices import NetFT
+from needleforce.devices.rdt_status import describe_status
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
@@ -158,7 +159,8 @@ class ReferenceSensor(NamedTuple):
         """Open the connection; its report is printed when it is closed."""
         with NetFT(self.address) as sensor:
             yield ReferenceForce(sensor, self.axis)
-            say(f"reference: {sensor.report}")
+            faults = f"; {describe_status(sensor.faults)}" if sensor.faults else ""
+            say(f"reference: {sensor.report}{faults}")
 
     def zero(self, reference: ReferenceForce) -> None:
         """Zero the sensor with the tare, or say that it has sent nothing."""

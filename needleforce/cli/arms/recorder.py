@@ -7,10 +7,12 @@ an arm needs its answer.
 import multiprocessing
 import os
 import signal
+import threading
+from collections.abc import Iterator
 from contextlib import suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
-from queue import Empty
+from queue import SimpleQueue
 from typing import Any, Self
 
 import numpy as np
@@ -23,9 +25,6 @@ from needleforce.recordings.table import TableLabels
 CHUNK = 50
 """Samples written at a time."""
 
-POLL_S = 1.0
-"""Time after which the process looks whether its parent still runs [s]."""
-
 COLUMNS = {
     "q_rad": "q_rad",
     "dq_rad_s": "dq_rad_s",
@@ -35,6 +34,9 @@ COLUMNS = {
 }
 """Columns of a recording, by the fields of `ArmReading`; those that are None have no
 column."""
+
+Chunks = SimpleQueue[dict[str, Any] | None]
+"""Columns that wait to be sent; None after the last."""
 
 
 class Recorder:
@@ -61,10 +63,14 @@ class Recorder:
         self._chunk: list[tuple[float, ArmReading]] = []
         self._fields: list[str] = []
         context = multiprocessing.get_context("spawn")
-        self._queue = context.Queue()
-        self._pipe, self._writers_pipe = context.Pipe(duplex=False)
-        arguments = (self._queue, self._writers_pipe, path, joint_names)
+        self._writers_rows, self._rows_pipe = context.Pipe(duplex=False)
+        self._answers, self._writers_answers = context.Pipe(duplex=False)
+        arguments = (self._writers_rows, self._writers_answers, path, joint_names)
         self._process = context.Process(target=_write, args=arguments)
+        self._waiting: Chunks = SimpleQueue()
+        self._sender = threading.Thread(
+            target=_send_waiting, args=(self._waiting, self._rows_pipe), daemon=True
+        )
 
     def put(self, sample: ArmReading) -> None:
         """Take a sample, in microseconds."""
@@ -80,13 +86,13 @@ class Recorder:
         self._chunk.append((self.time_s, sample))
         if len(self._chunk) == CHUNK:
             self._hand_over()
-            if self._pipe.poll():
-                self._raise_writers_error()
+            if self._answers.poll():
+                self._take_answer()
 
-    def _raise_writers_error(self) -> None:
-        """Raise the error of the writing process, if it had one."""
+    def _take_answer(self) -> None:
+        """Wait for the writing process; raise its error, if it had one."""
         try:
-            error = self._pipe.recv()
+            error = self._answers.recv()
         except EOFError:
             error = CommandError(
                 "the process that writes the recording has ended", CommandCode.OUTPUT
@@ -105,32 +111,52 @@ class Recorder:
             columns[COLUMNS[field]] = np.array(
                 [getattr(sample, field) for sample in samples]
             )
-        self._queue.put(columns)
+        self._waiting.put(columns)
 
     def __enter__(self) -> Self:
+        # A row that the arm has been answered for before the writing process runs
+        # would be lost if this process were killed.
         # Signals are for the loop, which then ends the process: it inherits that they
         # are blocked.
         signals = (signal.SIGINT, signal.SIGTERM, signal.SIGHUP)
         mask = signal.pthread_sigmask(signal.SIG_BLOCK, signals)
         try:
             self._process.start()
+            self._sender.start()
         finally:
             signal.pthread_sigmask(signal.SIG_SETMASK, mask)
-        self._writers_pipe.close()
+        # The writing process alone holds these ends: it meets the end of the other when
+        # this process is gone, and this process when that one is.
+        self._writers_rows.close()
+        self._writers_answers.close()
+        try:
+            self._take_answer()
+        except BaseException:
+            self._end_process()
+            raise
         return self
 
     def __exit__(self, kind: type[BaseException] | None, *_: object) -> None:
-        # Else a writer that died would hold this process.
-        self._queue.cancel_join_thread()
         try:
             self._hand_over()
-            self._queue.put(None)
+            self._waiting.put(None)
             self._process.join()
         finally:
-            self._process.kill()
-            self._process.join()
+            self._end_process()
         if kind is None:
-            self._raise_writers_error()
+            self._take_answer()
+
+    def _end_process(self) -> None:
+        """End the writing process, unless it has ended."""
+        self._process.kill()
+        self._process.join()
+
+
+def _send_waiting(waiting: Chunks, pipe: Connection) -> None:
+    """Send what waits to the writing process until None comes, or that process ends."""
+    with pipe, suppress(OSError):
+        while (columns := waiting.get()) is not None:
+            pipe.send(columns)
 
 
 def leave_real_time() -> None:
@@ -142,29 +168,34 @@ def leave_real_time() -> None:
         os.sched_setscheduler(0, os.SCHED_OTHER, os.sched_param(0))
 
 
-def _write(
-    queue: Any, pipe: Connection, path: Path, joint_names: tuple[str, ...]
-) -> None:
-    """Write what comes through the queue until None comes; runs in its own process.
+def _received(rows: Connection) -> Iterator[dict[str, Any]]:
+    """Yield what comes through a pipe until its other end is closed.
 
-    Into the pipe goes None when all is written, or the error.
+    Where the loop was killed that may be within a chunk, which is left out.
+    """
+    with suppress(EOFError, OSError):
+        while True:
+            yield rows.recv()
+
+
+def _write(
+    rows: Connection, answers: Connection, path: Path, joint_names: tuple[str, ...]
+) -> None:
+    """Write rows until the other end of their pipe is closed; runs in its own process.
+
+    Into the other pipe go None when it is ready, then None when all is written or the
+    error.
     """
     leave_real_time()
-    parent = multiprocessing.parent_process()
     failure: Exception | None = None
     try:
         with open_table(
             path, is_live=True, labels=lambda: TableLabels(joint_names=joint_names)
         ) as table:
-            while parent is not None and parent.is_alive():
-                try:
-                    columns = queue.get(timeout=POLL_S)
-                except Empty:
-                    continue
-                if columns is None:
-                    break
+            answers.send(None)
+            for columns in _received(rows):
                 table.append(columns)
     except Exception as error:
         failure = error
     with suppress(OSError):  # Where the loop was killed nobody listens.
-        pipe.send(failure)
+        answers.send(failure)

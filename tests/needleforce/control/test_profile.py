@@ -68,6 +68,21 @@ def test_unexplained_falls_of_force_are_ruptures(before_N, fall_N, how, count):
     assert counted(before_N, fall_N, **how) == count
 
 
+@pytest.mark.parametrize(("times", "count"), [(1.7, 0), (2.3, 1)])
+def test_a_rupture_falls_twice_as_far_as_ordinary(times, count):
+    """Falls of 0.1 N four times a second are ordinary; the last is larger."""
+    ruptures = RuptureCounter()
+    state = RuptureState.EXPECTED
+    for k in range(3100):
+        fall_N = 0.1 * (times if k >= 3000 else 1.0)
+        phase = k % 250
+        fallen = phase / 20.0 if phase < 20 else (250 - phase) / 230.0
+        force_N = 2.0 - fall_N * fallen
+        ruptures.update(identified(state=state), force_N, 5e-6 * k, DT, is_steady=True)
+
+    assert ruptures.count == count
+
+
 def test_a_late_alarm_is_no_second_rupture():
     """A late alarm of a rupture that was counted does not count again."""
     ruptures = RuptureCounter()

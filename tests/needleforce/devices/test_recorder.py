@@ -2,11 +2,16 @@
 it."""
 
 import collections
+import itertools
 import multiprocessing
 import signal
 import socket
+import subprocess
+import sys
 import threading
 import time
+from contextlib import suppress
+from pathlib import Path
 
 import pytest
 
@@ -24,7 +29,15 @@ def test_a_signal_ends_recording_also_in_silence(
     number, sends, tmp_path, monkeypatch, capsys
 ):
     path = tmp_path / "x.mcap"
-    arm = FriArm(port=0, give_up_s=PATIENCE_S)
+
+    class AskedArm(FriArm):
+        """An arm that another thread has an end put to once it is listened to."""
+
+        def __iter__(self):
+            asking.start()
+            yield from super().__iter__()
+
+    arm = AskedArm(port=0, give_up_s=PATIENCE_S)
     old_handler = signal.signal(signal.SIGINT, signal.default_int_handler)
 
     def ask():
@@ -37,9 +50,7 @@ def test_a_signal_ends_recording_also_in_silence(
         signal.pthread_kill(threading.main_thread().ident, number)
 
     asking = threading.Thread(target=ask)
-    monkeypatch.setattr(
-        "needleforce.cli.arms.arm_connection.FriArm", lambda **_: asking.start() or arm
-    )
+    monkeypatch.setattr("needleforce.devices.arm_names.FriArm", lambda **_: arm)
     code = main(["record", "fri:0", "-o", str(path)])
     asking.join()
     signal.signal(signal.SIGINT, old_handler)
@@ -95,3 +106,47 @@ def test_a_recorder_that_cannot_write_says_why(tmp_path):
 
     with pytest.raises(FileAccessError, match=r"cannot write .*x\.csv"), recorder:
         recorder.put(SAMPLE)
+
+
+def processes_of(group):
+    """Processes of a group that have not ended; zombies have."""
+    running = []
+    for stat in Path("/proc").glob("[0-9]*/stat"):
+        with suppress(OSError):
+            state, _, its_group = stat.read_text().rpartition(") ")[2].split()[:3]
+            if int(its_group) == group and state != "Z":
+                running.append(stat.parent.name)
+
+    return running
+
+
+def test_a_killed_recording_leaves_rows_but_no_process(tmp_path):
+    path = tmp_path / "x.csv"
+    with FriArm(port=0) as arm:
+        address = arm.address  # a free port
+
+    command = [sys.executable, "-m", "needleforce", "record", f"fri:{address.port}"]
+    process = subprocess.Popen([*command, "-o", str(path)], start_new_session=True)
+    answered = 0
+    with socket.socket(type=socket.SOCK_DGRAM) as box:
+        box.settimeout(1e-3)
+        end_s = time.monotonic() + 3.0 * PATIENCE_S
+        for count in itertools.count():
+            box.sendto(measurement(count=count % 65536), address)
+            with suppress(OSError):  # nobody listens yet
+                box.recv(2048)
+                answered += 1
+
+            if answered >= 200 or time.monotonic() > end_s:
+                break
+
+    time.sleep(0.2)  # what was sent through the pipe is being written
+    process.kill()
+    process.wait()
+    end_s = time.monotonic() + PATIENCE_S
+    while processes_of(process.pid) and time.monotonic() < end_s:
+        time.sleep(0.05)
+
+    assert answered == 200
+    assert processes_of(process.pid) == []
+    assert len(read_log(path)) >= 150  # less than a chunk is lost

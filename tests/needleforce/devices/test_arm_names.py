@@ -1,0 +1,136 @@
+"""Arms by a name of one line, and who is listened to."""
+
+import socket
+import threading
+import time
+
+import pytest
+
+from needleforce.cli import main
+from needleforce.devices import DeviceSettingError, FriArm, connect_arm, parse_arm_name
+from needleforce.devices.arm_names import parse_listening_address
+from tests.needleforce.devices.test_links import measurement
+
+TWO_HOSTS = ("127.0.0.2", "127.0.0.3")
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("", ("127.0.0.1", None, None)),
+        ("30200", ("127.0.0.1", 30200, None)),
+        ("192.0.2.1", ("192.0.2.1", None, None)),
+        ("192.0.2.1:30200", ("192.0.2.1", 30200, None)),
+        ("192.0.2.1:30200@192.0.2.2", ("192.0.2.1", 30200, "192.0.2.2")),
+        ("192.0.2.1@192.0.2.2", ("192.0.2.1", None, "192.0.2.2")),
+        ("@127.0.0.2", ("127.0.0.1", None, "127.0.0.2")),
+        ("0@localhost", ("127.0.0.1", 0, "localhost")),
+    ],
+)
+def test_a_listening_address_has_host_port_and_controller(text, expected):
+    assert parse_listening_address(text) == expected
+
+
+@pytest.mark.parametrize(
+    ("name", "why"),
+    [
+        ("fri:192.0.2.1:", "expected a port from 0 to 65535"),
+        ("fri:192.0.2.1:70000", "expected a port from 0 to 65535"),
+        ("fri:192.0.2.1:port", "got 'port'"),
+        ("fri:192.0.2.1@", "expected the controller's address after @"),
+        ("fri@192.0.2.2", "cannot send to 127.0.0.1; name the address of this machine"),
+        ("fri:30200@192.0.2.2", r"LOCAL_ADDRESS@192\.0\.2\.2"),
+        ("ur", "expected an arm as fri"),
+        ("franka:", "expected an arm as fri"),
+        ("nao:192.0.2.1", "expected an arm as fri"),
+    ],
+)
+def test_a_name_that_cannot_be_is_refused(name, why):
+    with pytest.raises(DeviceSettingError, match=why):
+        connect_arm(name)
+
+
+def test_a_name_is_kind_and_address():
+    assert parse_arm_name("fri@127.0.0.2") == ("fri", "@127.0.0.2")
+    assert parse_arm_name("ur:192.0.2.10") == ("ur", "192.0.2.10")
+
+
+def send_from(host, counts, arm):
+    with socket.socket(type=socket.SOCK_DGRAM) as box:
+        box.bind((host, 0))
+        for count in counts:
+            box.sendto(measurement(count=count), arm.address)
+
+
+def test_the_first_controller_is_kept_after_an_outage():
+    first, second = TWO_HOSTS
+    arm = FriArm("0.0.0.0", 0, wait_s=0.05, give_up_s=0.5)
+    address = ("127.0.0.1", arm.address[1])
+    arm.address = address
+    with arm:
+        send_from(first, [1, 2], arm)
+        readings = iter(arm)
+        next(readings)
+        next(readings)
+
+        assert arm.peer[0] == first
+        assert not arm.is_peer_named
+
+        send_from(second, [3], arm)
+        assert next(readings, None) is None  # another host counts as silence
+        assert arm.report.outages == 1
+        assert arm.report.foreign == 1
+
+        send_from(first, [4], arm)  # the same host, on another port
+
+        assert next(iter(arm)).missed > 0
+
+
+def test_an_address_of_this_machine_is_listened_on(capsys, tmp_path):
+    path = tmp_path / "x.csv"
+    host, peer = TWO_HOSTS
+    with FriArm(host, 0) as arm:
+        port = arm.address[1]
+
+    with socket.socket(type=socket.SOCK_DGRAM) as box:
+        box.bind((peer, 0))
+        is_over = threading.Event()
+
+        def talk():
+            count = 0
+            while not is_over.is_set():
+                count += 1
+                box.sendto(measurement(count=count % 65536), (host, port))
+                time.sleep(1e-3)
+
+        talking = threading.Thread(target=talk)
+        talking.start()
+        try:
+            code = main(
+                ["record", f"fri:{host}:{port}", "-o", str(path), "--seconds", "0.2"]
+            )
+        finally:
+            is_over.set()
+            talking.join()
+
+    said = capsys.readouterr().err
+
+    assert code == 0
+    assert f"{peer}, port " in said
+    assert f"was the first to send; only {peer} is listened to" in said
+    assert path.exists()
+
+
+def test_silence_on_loopback_says_who_can_reach_it(monkeypatch, capsys, tmp_path):
+    def impatient(**settings):
+        return FriArm(**settings, give_up_s=0.2)
+
+    monkeypatch.setattr("needleforce.devices.arm_names.FriArm", impatient)
+
+    assert main(["record", "fri:0", "-o", str(tmp_path / "x.csv")]) == 2
+
+    said = capsys.readouterr().err
+
+    assert "it listened on 127.0.0.1, port " in said
+    assert "which only programs of this machine reach" in said
+    assert "fri:LOCAL_ADDRESS:" in said
