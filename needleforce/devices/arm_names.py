@@ -1,4 +1,4 @@
-"""An arm by a name of one line, such as ``ur:192.0.2.10``, and its connection.
+"""An arm by a name of one line, such as ``ur:arm.example``, and its connection.
 
 A program that runs on one arm runs on another by changing this line.
 """
@@ -23,12 +23,12 @@ EXPECTED_NAMES = "fri[:LOCAL_ADDRESS][:PORT][@CONTROLLER], franka:ADDRESS or ur:
 """How arms are named, for messages."""
 
 
-class ArmName(NamedTuple):
-    """What a user calls an arm.
+class ArmAddress(NamedTuple):
+    """An arm that a user has named.
 
     Attributes:
         kind: Its interface, such as ``fri``.
-        address: What follows the kind, such as ``192.0.2.10``; empty for none.
+        address: What follows the kind, such as ``arm.example``; empty for none.
     """
 
     kind: str
@@ -49,11 +49,11 @@ class ListeningAddress(NamedTuple):
     peer: str | None
 
 
-def parse_arm_name(name: str) -> ArmName:
+def parse_arm_name(name: str) -> ArmAddress:
     """Split the name of an arm into its kind and its address.
 
     Args:
-        name: Such as ``fri``, ``fri:192.0.2.1:30200@192.0.2.2`` or ``ur:192.0.2.10``.
+        name: Such as ``fri``, ``fri:pc.example:30200@kuka.example`` or ``ur:arm.example``.
 
     Raises:
         DeviceSettingError: No such kind of arm, or no address where one is needed.
@@ -65,7 +65,7 @@ def parse_arm_name(name: str) -> ArmName:
     if not is_complete:
         raise DeviceSettingError(f"{name}: expected an arm as {EXPECTED_NAMES}")
 
-    return ArmName(kind, address)
+    return ArmAddress(kind, address)
 
 
 def parse_listening_address(text: str) -> ListeningAddress:
@@ -80,9 +80,8 @@ def parse_listening_address(text: str) -> ListeningAddress:
             reach loopback.
     """
     local, at_sign, peer = text.partition("@")
-    host, colon, port_text = local.partition(":")
-    if local.isdecimal():
-        host, colon, port_text = "", ":", local
+    host_and_port = f":{local}" if local.isdecimal() else local
+    host, colon, port_text = host_and_port.partition(":")
     if at_sign and not peer:
         raise DeviceSettingError(f"{text!r}: expected the controller's address after @")
 
@@ -92,7 +91,7 @@ def parse_listening_address(text: str) -> ListeningAddress:
             f"{port_text!r}"
         )
 
-    if not host and peer and not peer.startswith(("127.", "localhost")):
+    if not host and peer and not peer.startswith("127."):
         raise DeviceSettingError(
             f"{text!r}: {peer} cannot send to {LOOPBACK}; name the address of this "
             f"machine that it sends to, as LOCAL_ADDRESS@{peer}"

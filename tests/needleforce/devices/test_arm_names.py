@@ -19,12 +19,12 @@ TWO_HOSTS = ("127.0.0.2", "127.0.0.3")
     [
         ("", ("127.0.0.1", None, None)),
         ("30200", ("127.0.0.1", 30200, None)),
-        ("192.0.2.1", ("192.0.2.1", None, None)),
-        ("192.0.2.1:30200", ("192.0.2.1", 30200, None)),
-        ("192.0.2.1:30200@192.0.2.2", ("192.0.2.1", 30200, "192.0.2.2")),
-        ("192.0.2.1@192.0.2.2", ("192.0.2.1", None, "192.0.2.2")),
+        ("pc.example", ("pc.example", None, None)),
+        ("pc.example:30200", ("pc.example", 30200, None)),
+        ("pc.example:30200@kuka.example", ("pc.example", 30200, "kuka.example")),
+        ("pc.example@kuka.example", ("pc.example", None, "kuka.example")),
         ("@127.0.0.2", ("127.0.0.1", None, "127.0.0.2")),
-        ("0@localhost", ("127.0.0.1", 0, "localhost")),
+        ("0@127.0.0.3", ("127.0.0.1", 0, "127.0.0.3")),
     ],
 )
 def test_a_listening_address_has_host_port_and_controller(text, expected):
@@ -34,15 +34,18 @@ def test_a_listening_address_has_host_port_and_controller(text, expected):
 @pytest.mark.parametrize(
     ("name", "why"),
     [
-        ("fri:192.0.2.1:", "expected a port from 0 to 65535"),
-        ("fri:192.0.2.1:70000", "expected a port from 0 to 65535"),
-        ("fri:192.0.2.1:port", "got 'port'"),
-        ("fri:192.0.2.1@", "expected the controller's address after @"),
-        ("fri@192.0.2.2", "cannot send to 127.0.0.1; name the address of this machine"),
-        ("fri:30200@192.0.2.2", r"LOCAL_ADDRESS@192\.0\.2\.2"),
+        ("fri:pc.example:", "expected a port from 0 to 65535"),
+        ("fri:pc.example:70000", "expected a port from 0 to 65535"),
+        ("fri:pc.example:port", "got 'port'"),
+        ("fri:pc.example@", "expected the controller's address after @"),
+        (
+            "fri@kuka.example",
+            "cannot send to 127.0.0.1; name the address of this machine",
+        ),
+        ("fri:30200@kuka.example", r"LOCAL_ADDRESS@kuka.example"),
         ("ur", "expected an arm as fri"),
         ("franka:", "expected an arm as fri"),
-        ("nao:192.0.2.1", "expected an arm as fri"),
+        ("nao:pc.example", "expected an arm as fri"),
     ],
 )
 def test_a_name_that_cannot_be_is_refused(name, why):
@@ -52,7 +55,7 @@ def test_a_name_that_cannot_be_is_refused(name, why):
 
 def test_a_name_is_kind_and_address():
     assert parse_arm_name("fri@127.0.0.2") == ("fri", "@127.0.0.2")
-    assert parse_arm_name("ur:192.0.2.10") == ("ur", "192.0.2.10")
+    assert parse_arm_name("ur:arm.example") == ("ur", "arm.example")
 
 
 def send_from(host, counts, arm):
