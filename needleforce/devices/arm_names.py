@@ -53,7 +53,8 @@ def parse_arm_name(name: str) -> ArmAddress:
     """Split the name of an arm into its kind and its address.
 
     Args:
-        name: Such as ``fri``, ``fri:pc.example:30200@kuka.example`` or ``ur:arm.example``.
+        name: Such as ``fri``, ``fri:pc.example:30200@kuka.example`` or
+            ``ur:arm.example``.
 
     Raises:
         DeviceSettingError: No such kind of arm, or no address where one is needed.
