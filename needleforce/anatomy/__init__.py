@@ -8,11 +8,17 @@
 Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in
 metres. Stands alone: no robots, no forces. Not a medical device.
 
-Reading order: `volume`, `structures`, `labels`, `path_layers`, `surface`, `reading`,
-`file_checks`, `dicom_series`, `registration`, `landmarks`, `surface_fit`, `plan_match`,
-`rupture_model`.
+Reading order: `volume`, `structures`, `labels`, `path_layers`, `obstacle_crossings`,
+`clearance`, `surface`, `reading`, `file_checks`, `dicom_series`, `registration`,
+`landmarks`, `surface_fit`, `plan_match`, `rupture_model`.
 """
 
+from needleforce.anatomy.clearance import (
+    Clearance,
+    FreeSpace,
+    VoxelBoxes,
+    require_clear_path,
+)
 from needleforce.anatomy.errors import (
     AnatomyError,
     PlanError,
@@ -32,6 +38,8 @@ from needleforce.anatomy.volume import Grid, Volume
 
 __all__ = [
     "AnatomyError",
+    "Clearance",
+    "FreeSpace",
     "Grid",
     "Labels",
     "Layer",
@@ -44,8 +52,10 @@ __all__ = [
     "Surface",
     "Volume",
     "VolumeError",
+    "VoxelBoxes",
     "fit_landmarks",
     "fit_surface",
     "read_labels",
     "read_volume",
+    "require_clear_path",
 ]

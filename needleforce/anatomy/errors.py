@@ -58,6 +58,12 @@ class AnatomyCode(ErrorCode):
         "Entry and target make no path through the volume.",
         "Give two different points inside the volume, in metres.",
     )
+    OBSTACLE = (
+        "NF-ANATOMY-OBSTACLE",
+        "The path comes too near to bone or cartilage.",
+        "Plan another path; name an obstacle that the needle is meant to touch in "
+        "`accepted_obstacles`.",
+    )
     DEVIATION = (
         "NF-ANATOMY-DEVIATION",
         "A standard deviation is not positive, or is in millimetres.",

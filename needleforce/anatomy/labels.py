@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
+from needleforce.anatomy.clearance import Clearance, find_clearances
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.path_layers import Layer, find_layers
 from needleforce.anatomy.structures import Structure
@@ -183,6 +184,31 @@ class Labels:
                 in millimetres.
         """
         return find_layers(self, entry_m, target_m, boundary_std_m)
+
+    def clearances(
+        self,
+        entry_m: ArrayLike,
+        target_m: ArrayLike,
+        names: Iterable[str] | None = None,
+    ) -> list[Clearance]:
+        """Return how near a straight path comes to structures, the nearest first.
+
+        Every voxel counts as the box that it fills. `VoxelBoxes` judges many paths
+        faster; `require_clear_path` refuses one that comes too near to an obstacle.
+
+        Args:
+            entry_m: First point, (3,) in LPS.
+            target_m: Last point.
+            names: Of the structures; None for obstacles and structures at risk.
+
+        Raises:
+            VolumeError: No structure with voxels has one of the names.
+        """
+        if names is None:
+            chosen = [one for one in self.structures if one.is_obstacle or one.is_risk]
+        else:
+            chosen = [self[name] for name in names]
+        return find_clearances(self, chosen, entry_m, target_m)
 
 
 def _find_body(scan: Volume) -> NDArray[np.bool_]:

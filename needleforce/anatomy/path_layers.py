@@ -4,11 +4,12 @@ Around each point of the path every voxel votes for its label, weighted by a smo
 kernel; the label with most votes holds the point. Where the winner changes is a
 boundary, refined between two points. The layers therefore follow each other without
 gaps or overlaps, which rays through the surfaces of neighbouring structures do not
-grant.
+grant. The votes smooth thin structures away; an obstacle is a layer wherever the path
+runs through one of its voxels.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from typing import Any, NamedTuple, Protocol
 
@@ -17,6 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, VolumeError, require_deviation
+from needleforce.anatomy.obstacle_crossings import Crossing, find_crossings
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.volume import Grid
 
@@ -153,11 +155,52 @@ def find_layers(
     boundaries = _find_boundaries(path, fractions, votes, winners)
     std_m = _boundary_std_m(labels, path, boundaries, boundary_std_m)
     holders = [candidates[rank] for rank in (winners[0], *boundaries.rank_behind)]
-    return _stack_layers(
+    layers = _stack_layers(
         holders,
         depths_m=[0.0, *boundaries.depth_m.tolist(), path.length_m],
         stds_m=[0.0, *np.minimum(std_m, path.length_m).tolist(), 0.0],
     )
+    obstacles = [item for item in labels.structures if item.is_obstacle]
+    for crossing in find_crossings(labels.volumes, obstacles, path.start, path.way):
+        layers = _with_obstacle(layers, crossing, path)
+    return layers
+
+
+def _with_obstacle(
+    layers: Sequence[Layer], crossing: Crossing, path: _Path
+) -> list[Layer]:
+    """Return layers with a stretch through voxels of an obstacle among them.
+
+    Where the votes have an obstacle there, too, the layers stay as they are.
+    """
+    begin_m = crossing.begin * path.length_m
+    end_m = crossing.end * path.length_m
+    has_obstacle = any(
+        layer.is_obstacle and layer.entry_m <= end_m and layer.exit_m >= begin_m
+        for layer in layers
+    )
+    if has_obstacle:
+        return list(layers)
+    # Its ends are faces of voxels: they say where it begins to within a voxel.
+    std_m = path.length_m / float(np.linalg.norm(path.way)) / np.sqrt(12.0)
+    begin_std_m = std_m if begin_m > 0.0 else 0.0
+    end_std_m = std_m if end_m < path.length_m else 0.0
+    before = [
+        layer
+        if layer.exit_m <= begin_m
+        else replace(layer, exit_m=begin_m, exit_std_m=begin_std_m)
+        for layer in layers
+        if layer.entry_m < begin_m
+    ]
+    behind = [
+        layer
+        if layer.entry_m >= end_m
+        else replace(layer, entry_m=end_m, entry_std_m=end_std_m)
+        for layer in layers
+        if layer.exit_m > end_m
+    ]
+    obstacle = Layer(crossing.name, begin_m, end_m, begin_std_m, end_std_m, True)
+    return [*before, obstacle, *behind]
 
 
 def _stack_layers(

@@ -7,14 +7,14 @@ noticed, some alarms are false, and a membrane ruptures only after it was pushed
 `rupture_model` for the probabilities.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from hashlib import sha256
 from typing import NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import PlanError, require_deviation
+from needleforce.anatomy.errors import AnatomyCode, PlanError, require_deviation
 from needleforce.anatomy.path_layers import UNLABELLED, Layer
 from needleforce.anatomy.rupture_model import (
     Match,
@@ -101,20 +101,31 @@ class PlanMatch:
             where that begins.
         offset_std_m: Standard deviation of the plan's error along the needle, as
             `Registration.std_along_m` gives it.
+        accepted_obstacles: Names of bones and cartilages that the needle is meant to
+            go through.
 
     Attributes:
         layers: The same.
+        offset_std_m: The same.
         fingerprint: Identifies the plan: equal for equal plans.
 
     Raises:
         PlanError: No boundary in the plan, depths or deviations that cannot be, or not
-            in metres.
+            in metres; an obstacle that is not accepted.
     """
 
-    def __init__(self, layers: Sequence[Layer], offset_std_m: float) -> None:
+    def __init__(
+        self,
+        layers: Sequence[Layer],
+        offset_std_m: float,
+        *,
+        accepted_obstacles: Iterable[str] = (),
+    ) -> None:
         if len(layers) < 2:
             raise PlanError(f"the plan has {len(layers)} layers: expected two or more")
         require_deviation("offset_std_m", offset_std_m, PlanError)
+        _require_passable(layers, frozenset(accepted_obstacles))
+        self.offset_std_m = float(offset_std_m)
         self.layers = tuple(layers)
         self.fingerprint = _fingerprint(layers, float(offset_std_m))
         bound_m = np.array([float(layer.entry_m) for layer in layers])
@@ -243,6 +254,19 @@ def _fingerprint(layers: Sequence[Layer], offset_std_m: float) -> str:
     bounds = [(float(layer.entry_m), float(layer.entry_std_m)) for layer in layers]
     plan = repr((names, bounds, offset_std_m))
     return sha256(plan.encode()).hexdigest()[:16]
+
+
+def _require_passable(layers: Sequence[Layer], accepted: frozenset[str]) -> None:
+    """Refuse layers of bone or cartilage, but for accepted ones."""
+    obstacles = [
+        f"{layer.name} from {1e3 * layer.entry_m:.1f} to {1e3 * layer.exit_m:.1f} mm"
+        for layer in layers
+        if layer.is_obstacle and layer.name not in accepted
+    ]
+    if obstacles:
+        raise PlanError(
+            f"the path runs through {', '.join(obstacles)}", AnatomyCode.OBSTACLE
+        )
 
 
 def _require_boundaries(depths_m: Array, stds_m: Array) -> None:

@@ -84,6 +84,20 @@ class Registration:
         unit = np.asarray(axis, dtype=float) / np.linalg.norm(axis)
         return float(np.sqrt(unit @ self.covariance_at(point_m) @ unit))
 
+    def largest_std_m(self, points_m: ArrayLike) -> float:
+        """Return the largest standard deviation in any direction at points.
+
+        Between two points on a straight path it is no larger than at both.
+
+        Args:
+            points_m: Of the model, shape (n, 3).
+        """
+        variances_m2 = [
+            np.linalg.eigvalsh(self.covariance_at(point_m))[-1]
+            for point_m in np.atleast_2d(np.asarray(points_m, dtype=float))
+        ]
+        return float(np.sqrt(max(variances_m2)))
+
     def region_contains(
         self, point_m: ArrayLike, truth_m: ArrayLike, level: float = 0.95
     ) -> bool:

@@ -39,6 +39,39 @@ OBSTACLES = frozenset(
 )
 """Words in the names of structures that stop a needle."""
 
+RISKS = frozenset(
+    [
+        "lung",
+        "pleura",
+        "trachea",
+        "heart",
+        "atrial",
+        "aorta",
+        "artery",
+        "arteries",
+        "vein",
+        "veins",
+        "vena",
+        "cava",
+        "vessel",
+        "vessels",
+        "brachiocephalic",
+        "bowel",
+        "duodenum",
+        "colon",
+        "stomach",
+        "esophagus",
+        "oesophagus",
+        "gallbladder",
+        "bladder",
+        "ureter",
+        "cord",
+        "nerve",
+        "brain",
+    ]
+)
+"""Words in the names of structures that a needle should keep away from."""
+
 SOFT = frozenset(("renal", "kidney", "artery", "vein", "muscle", "nerve"))
 """Words beside which the words of obstacles do not count: a renal pelvis is no bone."""
 
@@ -77,6 +110,7 @@ class Structure:
         value: Of its voxels.
         colour: Red, green, blue from 0 to 1.
         is_obstacle: Bone or cartilage.
+        is_risk: Lung, vessel, bowel and others that a needle should keep away from.
         volume: In which label volume it lies: segments that overlap need several.
         voxels: How many it has.
         box: Around its voxels, one slice per axis.
@@ -86,6 +120,7 @@ class Structure:
     value: int
     colour: tuple[float, ...]
     is_obstacle: bool = False
+    is_risk: bool = False
     volume: int = 0
     voxels: int = 0
     box: tuple[slice, ...] = ()
@@ -105,6 +140,7 @@ class Structure:
             value=value,
             colour=tuple(number / MAX_COLOUR for number in colour),
             is_obstacle=bool(words & OBSTACLES),
+            is_risk=bool(words & RISKS),
             volume=volume,
         )
 

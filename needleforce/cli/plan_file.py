@@ -11,8 +11,22 @@ import msgspec
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy import AnatomyError, Labels, Layer, PlanMatch, read_labels
-from needleforce.cli.terminal import CommandCode, CommandError, progress_bar
+from needleforce.anatomy import (
+    AnatomyError,
+    FreeSpace,
+    Labels,
+    Layer,
+    PlanMatch,
+    read_labels,
+    require_clear_path,
+)
+from needleforce.anatomy.clearance import (
+    MARGIN_m,
+    NEEDLE_RADIUS_m,
+    describe_clearance,
+    too_near,
+)
+from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, say
 from needleforce.scene import PlanScene
 
 PLAN = "plan.json"
@@ -69,11 +83,13 @@ class LoadedPlan(NamedTuple):
         match: The layers with which ruptures are matched.
         entry_in_base_m: The entry point in the robot's base, shape (3,) [m]; None where
             depths count as the session's.
+        warnings: What is wrong with the plan, or could not be checked.
     """
 
     scene: PlanScene
     match: PlanMatch
     entry_in_base_m: Array | None
+    warnings: tuple[str, ...] = ()
 
 
 class _PlannedLayer(msgspec.Struct, forbid_unknown_fields=True):
@@ -103,6 +119,9 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
         offset_std_m: Standard deviation of a shift of all layers [m].
         start_m: Depth at which the first layer begins [m].
         layers: Layers along the needle.
+        needle_radius_m: Radius of the needle [m].
+        margin_m: Distance that stays free around it [m].
+        accepted_obstacles: Names of obstacles that the needle may touch.
     """
 
     rotation: Rotation = NO_ROTATION
@@ -112,10 +131,37 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
     offset_std_m: float = 3e-3
     start_m: float = 0.0
     layers: tuple[_PlannedLayer, ...] = ()
+    needle_radius_m: float = NEEDLE_RADIUS_m
+    margin_m: float = MARGIN_m
+    accepted_obstacles: tuple[str, ...] = ()
 
 
-def read_plan(place: Path) -> LoadedPlan:
+class _Anatomy(NamedTuple):
+    """What lies beside a plan.
+
+    Attributes:
+        scene: Anatomy and plan for the viewer.
+        labels: The segmentation, if there is one.
+    """
+
+    scene: PlanScene
+    labels: Labels | None = None
+
+
+def load_plan(place: Path, *, is_past: bool = False) -> LoadedPlan:
+    """Return a plan from its file, and say its warnings on stderr; see `read_plan`."""
+    plan = read_plan(place, is_past=is_past)
+    for warning in plan.warnings:
+        say(f"warning: {warning}")
+    return plan
+
+
+def read_plan(place: Path, *, is_past: bool = False) -> LoadedPlan:
     """Return a plan from its file, or from a folder with `plan.json`.
+
+    Args:
+        place: The file or folder.
+        is_past: The insertion is over: obstacles on its path are a warning.
 
     Raises:
         CommandError: The file cannot be read, or holds no plan that can be followed.
@@ -124,13 +170,54 @@ def read_plan(place: Path) -> LoadedPlan:
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
         _require_metres(plan)
-        scene = _scene_of(plan, path.parent)
+        scene, labels = _anatomy_of(plan, path.parent)
         layers = _planned_layers(plan) or list(scene.layers)
-        match = PlanMatch(layers, plan.offset_std_m)
+        warnings = _check_obstacles(plan, labels, layers, is_past=is_past)
+        match = PlanMatch(
+            layers,
+            plan.offset_std_m,
+            accepted_obstacles=[layer.name for layer in layers]
+            if is_past
+            else plan.accepted_obstacles,
+        )
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
         raise CommandError(f"{path}: {error}", CommandCode.PLAN) from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
-    return LoadedPlan(scene._replace(layers=match.layers), match, entry_m)
+    return LoadedPlan(
+        scene._replace(layers=match.layers), match, entry_m, tuple(warnings)
+    )
+
+
+def _check_obstacles(
+    plan: _PlanFile, labels: Labels | None, layers: Sequence[Layer], *, is_past: bool
+) -> list[str]:
+    """Return warnings of what the path comes near to; refuse obstacles.
+
+    Args:
+        plan: The plan.
+        labels: The segmentation, if there is one.
+        layers: Layers along the path.
+        is_past: The insertion is over: obstacles are a warning, too.
+
+    Raises:
+        PlanError: The path comes too near to an obstacle.
+    """
+    if labels is None or plan.entry_m is None or plan.target_m is None:
+        warnings = ["no labels beside the plan: clearance of obstacles not checked"]
+        warnings += [
+            f"the path runs through {layer.name}"
+            for layer in layers
+            if layer.is_obstacle
+        ]
+        return warnings
+    space = FreeSpace(plan.needle_radius_m, plan.margin_m, plan.offset_std_m)
+    clearances = labels.clearances(plan.entry_m, plan.target_m)
+    if not is_past:
+        require_clear_path(clearances, space, plan.accepted_obstacles)
+    return [
+        f"the path {describe_clearance(one)}: less than {space}"
+        for one in too_near(clearances, space)
+    ]
 
 
 def _require_metres(plan: _PlanFile) -> None:
@@ -146,8 +233,8 @@ def _require_metres(plan: _PlanFile) -> None:
         )
 
 
-def _scene_of(plan: _PlanFile, folder: Path) -> PlanScene:
-    """Return the scene of a plan.
+def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
+    """Return the scene of a plan, and the labels beside it.
 
     Surfaces are those of the labels in a folder, and so are the layers between entry
     and target where the plan has none.
@@ -157,7 +244,7 @@ def _scene_of(plan: _PlanFile, folder: Path) -> PlanScene:
     if plan.entry_m is None or plan.target_m is None:
         if not plan.layers:
             raise ValueError(MISSING_PATH)
-        return PlanScene(rotation=rotation, translation_m=translation_m)
+        return _Anatomy(PlanScene(rotation=rotation, translation_m=translation_m))
     entry_m = np.array(plan.entry_m)
     target_m = np.array(plan.target_m)
     if np.array_equal(entry_m, target_m):
@@ -169,11 +256,11 @@ def _scene_of(plan: _PlanFile, folder: Path) -> PlanScene:
     if not files:
         if not plan.layers:
             raise ValueError(MISSING_LAYERS)
-        return scene
+        return _Anatomy(scene)
     labels = read_labels(files[0])
     surfaces = _large_surfaces(labels)
     layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
-    return scene._replace(surfaces=surfaces, layers=layers)
+    return _Anatomy(scene._replace(surfaces=surfaces, layers=layers), labels)
 
 
 def _checked_rotation(plan: _PlanFile) -> Array:

@@ -17,7 +17,7 @@ from needleforce.cli.arms.arm_connection import (
     samples_until_stopped,
 )
 from needleforce.cli.auto_tare import SessionTare
-from needleforce.cli.plan_file import LoadedPlan, read_plan
+from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
@@ -224,7 +224,7 @@ def watch_arm(
         CommandError: The arm sends nothing, or no torques.
     """
     tare = SessionTare(tare_s)
-    plan = None if plan_path is None else read_plan(plan_path)
+    plan = None if plan_path is None else load_plan(plan_path)
     with (
         open_arm(arm_name, robot, options.motor_constants) as (arm, model),
         _reference_beside(reference_sensor) as reference,

@@ -16,7 +16,7 @@ from needleforce.cli.auto_tare import SessionTare
 from needleforce.cli.logs.log_joints import find_log_joints
 from needleforce.cli.logs.sensor_replay import require_joints
 from needleforce.cli.logs.tare_schedule import describe_rejections
-from needleforce.cli.plan_file import LoadedPlan, read_plan
+from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import robot_from_options, urdf_with_shapes
 from needleforce.cli.shared_options import TARE_S, RobotOptions
 from needleforce.cli.terminal import (
@@ -110,7 +110,7 @@ def view_recording(
     columns = load_mapping(mapping) if mapping else ColumnMapping()
     find_joints = partial(find_log_joints, str(recording), columns, "tau")
     model = robot_from_options(robot, mapping, find_joints)
-    plan = None if anatomy is None else read_plan(anatomy)
+    plan = None if anatomy is None else load_plan(anatomy, is_past=True)
     rows = replay_session(recording, model, tare_s=tare_s, mapping=mapping, plan=plan)
     scene = EMPTY if plan is None else plan.scene
     shapes = urdf_with_shapes(robot)

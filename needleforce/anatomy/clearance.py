@@ -1,0 +1,404 @@
+"""How near a straight path comes to structures, judged on their voxels.
+
+Every voxel counts as the box that it fills: no smoothing, so a rib of one voxel is as
+hard as a thick one. Distances are those of the straight line from entry to target to
+the nearest box of a structure, exact for boxes of any edges. A search tree of the
+voxels' centres rules out what is far: the centre of a box lies no further from the
+nearest of its points than half the box's diagonal.
+"""
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+from scipy import ndimage
+from scipy.spatial import KDTree
+
+from foundation.arrays import Array
+from needleforce.anatomy.errors import AnatomyCode, PlanError, VolumeError
+from needleforce.anatomy.structures import Structure
+from needleforce.anatomy.volume import Grid
+
+NEEDLE_RADIUS_m = 0.8e-3
+"""Of an 18 G needle (1.27 mm) with its sheath; what is not said otherwise."""
+
+MARGIN_m = 2e-3
+"""Distance that stays free around the needle: a segmentation errs by some 1 mm, a
+needle bends by as much."""
+
+STDS = 2.0
+"""So many standard deviations of the registration are kept free, too."""
+
+ORTHOGONAL = 1e-6
+"""Cosine up to which axes of a grid count as orthogonal."""
+
+MAX_CLEARANCE_m = 0.1
+"""Structures further away than this are not listed."""
+
+MM_PER_M = 1e3
+
+
+@dataclass(frozen=True)
+class Clearance:
+    """How near a path comes to a structure.
+
+    Attributes:
+        name: Of the structure.
+        distance_m: From the needle's centre line to the nearest of its voxels; 0 where
+            the line crosses one.
+        depth_m: Where on the path that is, from the entry.
+        is_obstacle: Bone or cartilage.
+    """
+
+    name: str
+    distance_m: float
+    depth_m: float
+    is_obstacle: bool
+
+
+class Approach(NamedTuple):
+    """Where paths come nearest to voxels.
+
+    Attributes:
+        distance_m: From the path, 0 inside a voxel.
+        depth_m: From the path's first point.
+        owner: Index of the structure whose voxel it is.
+    """
+
+    distance_m: float
+    depth_m: float
+    owner: int
+
+
+class FreeSpace(NamedTuple):
+    """What a path needs around its centre line.
+
+    Attributes:
+        needle_radius_m: Of the needle.
+        margin_m: Kept free around it.
+        std_m: Standard deviation of the registration, the largest of any direction
+            along the path.
+    """
+
+    needle_radius_m: float = NEEDLE_RADIUS_m
+    margin_m: float = MARGIN_m
+    std_m: float = 0.0
+
+    @property
+    def needed_m(self) -> float:
+        """Distance that every obstacle must keep: radius, margin and two std."""
+        return self.needle_radius_m + self.margin_m + STDS * self.std_m
+
+    def __str__(self) -> str:
+        return (
+            f"{MM_PER_M * self.needed_m:.1f} mm: needle radius "
+            f"{MM_PER_M * self.needle_radius_m:.1f}, margin "
+            f"{MM_PER_M * self.margin_m:.1f}, 2 std of the registration "
+            f"{MM_PER_M * STDS * self.std_m:.1f}"
+        )
+
+
+class _Segmentation(Protocol):
+    """What has voxels: see `Labels`."""
+
+    @property
+    def volumes(self) -> Sequence[NDArray[np.integer]]:
+        """Label volumes, each (i, j, k)."""
+        ...
+
+    @property
+    def grid(self) -> Grid:
+        """Where the voxels lie."""
+        ...
+
+
+class VoxelBoxes:
+    """The voxels of structures as boxes, and how near straight paths come to them.
+
+    Building it takes a while, a path some tenths of a millisecond to some
+    milliseconds: keep one for many paths.
+
+    Args:
+        labels: The segmentation.
+        structures: Those whose voxels count.
+
+    Attributes:
+        structures: The same.
+
+    Raises:
+        VolumeError: The axes of the grid are not orthogonal.
+    """
+
+    def __init__(self, labels: _Segmentation, structures: Iterable[Structure]) -> None:
+        self.structures = tuple(structures)
+        grid = labels.grid
+        spacing_m = grid.spacing_m
+        directions = grid.axes_m / spacing_m
+        if np.abs(directions.T @ directions - np.eye(3)).max() > ORTHOGONAL:
+            raise VolumeError(
+                "the axes of the labels' grid are not orthogonal: resample them",
+                AnatomyCode.GEOMETRY,
+            )
+        self._labels = labels
+        self._origin_m = grid.origin_m
+        self._directions = directions
+        self._half_m = 0.5 * spacing_m
+        self._half_diagonal_m = float(np.linalg.norm(self._half_m))
+        indices, self._owners = _surface_voxels(labels, self.structures)
+        self._centres_m = indices * spacing_m
+
+    @cached_property
+    def _tree(self) -> KDTree:
+        return KDTree(self._centres_m, balanced_tree=False)
+
+    def nearest(self, entry_m: ArrayLike, target_m: ArrayLike) -> Approach | None:
+        """Return where a path comes nearest to a voxel; None if there is no voxel.
+
+        Args:
+            entry_m: First point of the path, (3,) in LPS.
+            target_m: Last point, (3,).
+        """
+        entry, target = self._along_grid([entry_m, target_m])
+        owner = self._structure_at(entry_m)
+        if owner is not None:
+            return Approach(0.0, 0.0, owner)
+        if not len(self._centres_m):
+            return None
+        points, step_m = self._sample(entry, target)
+        bound_m = float(self._tree.query(points)[0].min())
+        return self._exact(entry, target, points, bound_m + step_m)
+
+    def nearer_than(
+        self, entries_m: ArrayLike, targets_m: ArrayLike, distance_m: float
+    ) -> NDArray[np.bool_]:
+        """Return which of many paths come nearer to a voxel than a distance.
+
+        Args:
+            entries_m: First points, (n, 3) in LPS.
+            targets_m: Last points, (n, 3), or (3,) for one that all share.
+            distance_m: The distance.
+        """
+        entries = np.atleast_2d(np.asarray(entries_m, float))
+        targets = np.broadcast_to(np.asarray(targets_m, float), entries.shape)
+        return np.array(
+            [
+                self._is_nearer(entry_m, target_m, distance_m)
+                for entry_m, target_m in zip(entries, targets, strict=True)
+            ],
+            bool,
+        )
+
+    def _is_nearer(self, entry_m: Array, target_m: Array, distance_m: float) -> bool:
+        """Return whether a path comes nearer to a voxel than a distance."""
+        if self._structure_at(entry_m) is not None:
+            return True
+        if not len(self._centres_m):
+            return False
+        entry, target = self._along_grid([entry_m, target_m])
+        points, step_m = self._sample(entry, target)
+        reach_m = distance_m + self._half_diagonal_m + step_m
+        near_m, _ = self._tree.query(points, distance_upper_bound=reach_m)
+        nearest_m = float(near_m.min())
+        if nearest_m >= reach_m:
+            return False
+        if nearest_m < distance_m:
+            return True
+        return self._exact(entry, target, points, distance_m).distance_m < distance_m
+
+    def _along_grid(self, points_m: ArrayLike) -> Array:
+        """Return points (n, 3) in axes along those of the grid [m]."""
+        return (np.asarray(points_m, float) - self._origin_m) @ self._directions
+
+    def _structure_at(self, point_m: ArrayLike) -> int | None:
+        """Return the index of a structure that holds a point; None for none."""
+        index = np.rint(self._labels.grid.indices(point_m)).astype(int)
+        if np.any(index < 0) or np.any(index >= self._labels.grid.shape):
+            return None
+        voxel = tuple(index.tolist())
+        for number, item in enumerate(self.structures):
+            if self._labels.volumes[item.volume][voxel] == item.value:
+                return number
+        return None
+
+    def _sample(self, entry: Array, target: Array) -> tuple[Array, float]:
+        """Return points of a path, and how far it strays from the nearest of them."""
+        length_m = float(np.linalg.norm(target - entry))
+        intervals = max(int(np.ceil(length_m / (2.0 * self._half_diagonal_m))), 1)
+        fractions = np.linspace(0.0, 1.0, intervals + 1)[:, None]
+        return entry + fractions * (target - entry), 0.5 * length_m / intervals
+
+    def _exact(
+        self, entry: Array, target: Array, points: Array, reach_m: float
+    ) -> Approach:
+        """Return the nearest approach to the boxes that come within a distance.
+
+        Args:
+            entry: First point of the path, in axes of the grid.
+            target: Last point.
+            points: Points between them, see `_sample`.
+            reach_m: The distance.
+        """
+        _, step_m = self._sample(entry, target)
+        near = self._tree.query_ball_point(
+            points, reach_m + self._half_diagonal_m + step_m
+        )
+        candidates = np.unique(np.concatenate(near).astype(int))
+        if not len(candidates):
+            return Approach(np.inf, np.nan, -1)
+        distances_m, fractions = _distances_to_boxes(
+            entry, target, self._centres_m[candidates], self._half_m
+        )
+        best = int(np.argmin(distances_m))
+        depth_m = float(fractions[best] * np.linalg.norm(target - entry))
+        owner = int(self._owners[candidates[best]])
+        return Approach(float(distances_m[best]), depth_m, owner)
+
+
+def find_clearances(
+    labels: _Segmentation,
+    structures: Iterable[Structure],
+    entry_m: ArrayLike,
+    target_m: ArrayLike,
+) -> list[Clearance]:
+    """Return how near a path comes to structures, the nearest first."""
+    clearances: list[Clearance] = []
+    for item in structures:
+        nearest = VoxelBoxes(labels, [item]).nearest(entry_m, target_m)
+        if nearest is not None and nearest.distance_m <= MAX_CLEARANCE_m:
+            clearances.append(
+                Clearance(
+                    item.name, nearest.distance_m, nearest.depth_m, item.is_obstacle
+                )
+            )
+    return sorted(clearances, key=lambda one: (one.distance_m, one.depth_m))
+
+
+def describe_clearance(clearance: Clearance) -> str:
+    """Return a clearance in words."""
+    if clearance.distance_m == 0.0:
+        return (
+            f"crosses {clearance.name} at {MM_PER_M * clearance.depth_m:.1f} mm below "
+            "the entry"
+        )
+    return (
+        f"passes {clearance.name} at {MM_PER_M * clearance.distance_m:.1f} mm, "
+        f"{MM_PER_M * clearance.depth_m:.1f} mm below the entry"
+    )
+
+
+def too_near(clearances: Iterable[Clearance], space: FreeSpace) -> list[Clearance]:
+    """Return the clearances that leave less than the space that a path needs."""
+    return [one for one in clearances if one.distance_m <= space.needed_m]
+
+
+def require_clear_path(
+    clearances: Iterable[Clearance],
+    space: FreeSpace,
+    accepted_obstacles: Iterable[str] = (),
+) -> None:
+    """Refuse a path that comes too near to an obstacle.
+
+    Args:
+        clearances: Of the path.
+        space: What it needs.
+        accepted_obstacles: Names of obstacles that it may touch.
+
+    Raises:
+        PlanError: The path crosses an obstacle, or leaves it too little space.
+    """
+    accepted = frozenset(accepted_obstacles)
+    obstacles = [
+        one
+        for one in too_near(clearances, space)
+        if one.is_obstacle and one.name not in accepted
+    ]
+    if obstacles:
+        raise PlanError(
+            f"the path {'; '.join(map(describe_clearance, obstacles))}: obstacles must "
+            f"stay {space} away",
+            AnatomyCode.OBSTACLE,
+        )
+
+
+def _surface_voxels(
+    labels: _Segmentation, structures: Sequence[Structure]
+) -> tuple[NDArray[np.integer], NDArray[np.intp]]:
+    """Return the outer voxels of structures, and of which structure each one is.
+
+    A path from outside meets an outer voxel, one with a face to something else, before
+    any inner one.
+
+    Returns:
+        Indices (n, 3) of the voxels, and indices (n,) of the structures.
+    """
+    indices = [np.zeros((0, 3), int)]
+    counts = []
+    for item in structures:
+        mask = labels.volumes[item.volume][item.box] == item.value
+        outer = np.argwhere(mask & ~ndimage.binary_erosion(mask))
+        indices.append(outer + [side.start for side in item.box])
+        counts.append(len(outer))
+    return np.concatenate(indices), np.repeat(np.arange(len(counts)), counts)
+
+
+def _distances_to_boxes(
+    entry: Array, target: Array, centres: Array, half: Array
+) -> tuple[Array, Array]:
+    """Return the distances of a line segment from boxes, and where it is nearest.
+
+    The square of the distance, along the segment, is convex and of degree two between
+    the places where the segment passes the planes of the box's faces: its slope is
+    linear there, and where it changes sign lies the minimum.
+
+    Args:
+        entry: Start of the segment, (3,).
+        target: Its end, (3,).
+        centres: Of the boxes, (n, 3); their edges lie along the axes.
+        half: Half their edges, (3,).
+
+    Returns:
+        Distances (n,), and fractions (n,) of the segment.
+    """
+    way = target - entry
+    start = entry - centres
+    is_moving = way != 0.0
+    speed = np.where(is_moving, way, 1.0)
+    cuts = np.stack([(half - start) / speed, (-half - start) / speed], axis=-1)
+    cuts[:, ~is_moving] = 0.0
+    cuts = np.clip(cuts.reshape(len(centres), 6), 0.0, 1.0)
+    ends = np.broadcast_to([0.0, 1.0], (len(centres), 2))
+    fractions = np.sort(np.concatenate([cuts, ends], axis=1), axis=1)
+    slope = _excess(start, way, half, fractions) @ way  # (n, 8), grows along a row
+    last = fractions.shape[1] - 1
+    after = np.clip((slope < 0.0).sum(axis=1), 0, last)
+    before = np.maximum(after - 1, 0)
+    rows = np.arange(len(centres))
+    rise = slope[rows, after] - slope[rows, before]
+    part = np.where(
+        rise > 0.0, -slope[rows, before] / np.where(rise > 0.0, rise, 1.0), 1.0
+    )
+    part = np.clip(part, 0.0, 1.0)
+    nearest = fractions[rows, before] + part * (
+        fractions[rows, after] - fractions[rows, before]
+    )
+    gaps = _excess(start, way, half, nearest[:, None])[:, 0]
+    return np.linalg.norm(gaps, axis=1), nearest
+
+
+def _excess(start: Array, way: Array, half: Array, fractions: Array) -> Array:
+    """Return by how much points of segments lie outside boxes along each axis.
+
+    Args:
+        start: Of each segment, from the box's centre, (n, 3).
+        way: To its end, (3,).
+        half: Half the edges of the boxes, (3,).
+        fractions: Of the points on the segments, (n, m).
+
+    Returns:
+        Signed distances along the axes, 0 inside, (n, m, 3).
+    """
+    points = start[:, None] + fractions[..., None] * way
+    return points - np.clip(points, -half, half)
