@@ -38,6 +38,12 @@ ORTHOGONAL = 1e-6
 MAX_CLEARANCE_m = 0.1
 """Structures further away than this are not listed."""
 
+ROUNDING = 1e-12
+"""A slope this much smaller than the steepest is none."""
+
+MIN_DISTANCE_m = 1e-9
+"""Less is none: a path to a face of a box ends in it."""
+
 MM_PER_M = 1e3
 
 
@@ -251,7 +257,7 @@ class VoxelBoxes:
         distances_m, fractions = _distances_to_boxes(
             entry, target, self._centres_m[candidates], self._half_m
         )
-        best = int(np.argmin(distances_m))
+        best = int(np.lexsort((fractions, distances_m))[0])
         depth_m = float(fractions[best] * np.linalg.norm(target - entry))
         owner = int(self._owners[candidates[best]])
         return Approach(float(distances_m[best]), depth_m, owner)
@@ -373,7 +379,8 @@ def _distances_to_boxes(
     fractions = np.sort(np.concatenate([cuts, ends], axis=1), axis=1)
     slope = _excess(start, way, half, fractions) @ way  # (n, 8), grows along a row
     last = fractions.shape[1] - 1
-    after = np.clip((slope < 0.0).sum(axis=1), 0, last)
+    is_falling = slope < -ROUNDING * (way @ way)
+    after = np.clip(is_falling.sum(axis=1), 0, last)
     before = np.maximum(after - 1, 0)
     rows = np.arange(len(centres))
     rise = slope[rows, after] - slope[rows, before]
@@ -385,7 +392,8 @@ def _distances_to_boxes(
         fractions[rows, after] - fractions[rows, before]
     )
     gaps = _excess(start, way, half, nearest[:, None])[:, 0]
-    return np.linalg.norm(gaps, axis=1), nearest
+    distances = np.linalg.norm(gaps, axis=1)
+    return np.where(distances < MIN_DISTANCE_m, 0.0, distances), nearest
 
 
 def _excess(start: Array, way: Array, half: Array, fractions: Array) -> Array:

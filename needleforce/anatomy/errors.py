@@ -61,8 +61,8 @@ class AnatomyCode(ErrorCode):
     OBSTACLE = (
         "NF-ANATOMY-OBSTACLE",
         "The path comes too near to bone or cartilage.",
-        "Plan another path; name an obstacle that the needle is meant to touch in "
-        "`accepted_obstacles`.",
+        "Plan another path; name an obstacle that the needle is meant to touch among "
+        "the plan's accepted obstacles.",
     )
     DEVIATION = (
         "NF-ANATOMY-DEVIATION",

@@ -78,7 +78,7 @@ def test_no_path_through_a_voxel_of_a_thin_rib_is_reported_clear(slices_m):
         )
         crossed += has_bone
 
-    assert 2 < crossed < 20
+    assert 1 < crossed < 20
 
 
 def test_a_path_that_grazes_the_face_of_a_bone_voxel_has_bone():
