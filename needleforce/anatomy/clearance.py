@@ -167,7 +167,7 @@ class VoxelBoxes:
             entry_m: First point of the path, (3,) in LPS.
             target_m: Last point, (3,).
         """
-        entry, target = self._along_grid([entry_m, target_m])
+        entry, target = self._along_grid(np.array([entry_m, target_m], float))
         owner = self._structure_at(entry_m)
         if owner is not None:
             return Approach(0.0, 0.0, owner)
@@ -203,7 +203,7 @@ class VoxelBoxes:
             return True
         if not len(self._centres_m):
             return False
-        entry, target = self._along_grid([entry_m, target_m])
+        entry, target = self._along_grid(np.array([entry_m, target_m], float))
         points, step_m = self._sample(entry, target)
         reach_m = distance_m + self._half_diagonal_m + step_m
         near_m, _ = self._tree.query(points, distance_upper_bound=reach_m)
@@ -344,7 +344,9 @@ def _surface_voxels(
     counts = []
     for item in structures:
         mask = labels.volumes[item.volume][item.box] == item.value
-        outer = np.argwhere(mask & ~ndimage.binary_erosion(mask))
+        core: NDArray[np.bool_] = np.zeros_like(mask)
+        ndimage.binary_erosion(mask, output=core)
+        outer = np.argwhere(mask & np.logical_not(core))
         indices.append(outer + [side.start for side in item.box])
         counts.append(len(outer))
     return np.concatenate(indices), np.repeat(np.arange(len(counts)), counts)
