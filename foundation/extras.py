@@ -36,6 +36,7 @@ EXTRA_OF_MODULE = {
     "pyigtl": "slicer",
     "websockets": "devices",
     "panda_py": "devices",
+    "pylibfranka": "devices",
     "rtde_receive": "devices",
     "rtde_control": "devices",
     "distributed": "cluster",

@@ -263,8 +263,8 @@ ArmName = Annotated[
         name="ARM",
         group=LOG,
         help="fri[:LOCAL_ADDRESS][:PORT][@CONTROLLER] (KUKA LWR 4+ that sends to this "
-        "machine; without an address from this machine only), franka:ADDRESS, "
-        "ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. A franka "
+        "machine; without an address from this machine only), fr3:ADDRESS, "
+        "franka:ADDRESS (FER), ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. A franka "
         "is taken for a panda and a ur for a ur10e unless --robot or --urdf names "
         "another.",
     ),

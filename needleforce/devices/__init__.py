@@ -7,8 +7,10 @@ a `LinkReport`, never handed on.
 
 Reading order: `link` (what a device offers, readings, reports), `errors`,
 `datagram_link` (UDP), `fri` (KUKA LWR 4+), `rdt` and `rdt_status` (ATI Net F/T),
-`research_arms` (Franka, UR), `haply`, `arm_names` (any arm by a name of one line).
-Emulators: `emulators`, `fri_emulator`, `rdt_emulator`, `haply_emulator`.
+`checked_arm` and `velocity_hold` (common to arms with a client library), `franka`,
+`franka_versions` and `franka_wire` (FER, FR3), `ur` (UR e-Series), `haply`, `arm_names`
+(any arm by a name of one line). Emulators: `emulators`, `fri_emulator`, `rdt_emulator`,
+`haply_emulator`.
 """
 
 from needleforce.devices.arm_names import (
@@ -21,6 +23,7 @@ from needleforce.devices.errors import (
     LinkError as LinkError,
     MissingClientError as MissingClientError,
 )
+from needleforce.devices.franka import Fr3Arm as Fr3Arm, FrankaArm as FrankaArm
 from needleforce.devices.fri import FriArm as FriArm
 from needleforce.devices.haply import HaplyMaster as HaplyMaster
 from needleforce.devices.link import (
@@ -31,4 +34,4 @@ from needleforce.devices.link import (
     pace as pace,
 )
 from needleforce.devices.rdt import NetFT as NetFT, Scale as Scale
-from needleforce.devices.research_arms import FrankaArm as FrankaArm, UrArm as UrArm
+from needleforce.devices.ur import UrArm as UrArm

@@ -10,13 +10,14 @@ from numpy.typing import ArrayLike
 from needleforce.devices import fri
 from needleforce.devices.datagram_link import LOOPBACK, MAX_PORT
 from needleforce.devices.errors import DeviceSettingError
+from needleforce.devices.franka import Fr3Arm, FrankaArm
 from needleforce.devices.fri import FriArm
-from needleforce.devices.research_arms import FrankaArm, UrArm
+from needleforce.devices.ur import UrArm
 
 LISTENING_KINDS = ("fri",)
 """Arms whose controller sends to this machine."""
 
-CALLED_KINDS = ("franka", "ur")
+CALLED_KINDS = ("fr3", "franka", "ur")
 """Arms that are connected to at their own address."""
 
 EXPECTED_NAMES = "fri[:LOCAL_ADDRESS][:PORT][@CONTROLLER], franka:ADDRESS or ur:ADDRESS"
@@ -105,6 +106,7 @@ def parse_listening_address(text: str) -> ListeningAddress:
 def connect_arm(
     name: str,
     *,
+    takes_commands: bool = False,
     robot: Any = None,
     torque_constant_Nm_A: ArrayLike | None = None,
 ) -> Any:
@@ -112,6 +114,8 @@ def connect_arm(
 
     Args:
         name: As `parse_arm_name` takes it.
+        takes_commands: Whether the arm shall move. A controller that sends to this
+            machine decides itself, and is always ready.
         robot: The model of the arm, kept for those who need both.
         torque_constant_Nm_A: Joint torque per motor current of a UR, shape (6,).
 
@@ -130,4 +134,5 @@ def connect_arm(
     if kind == "ur":
         return UrArm(address, torque_constant_Nm_A=torque_constant_Nm_A, robot=robot)
 
-    return FrankaArm(address, robot=robot)
+    arm_type = Fr3Arm if kind == "fr3" else FrankaArm
+    return arm_type(address, takes_commands=takes_commands, robot=robot)

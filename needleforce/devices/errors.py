@@ -31,6 +31,17 @@ class DeviceCode(ErrorCode):
         "The force sensor counts in other units than newtons and newton metres.",
         "Set the sensor to N and Nm, or give its `scale`: `Scale(per_N, per_Nm)`.",
     )
+    VERSION = (
+        "NF-DEVICE-VERSION",
+        "The arm and the client library speak different versions of their interface.",
+        "Use the library or the system that the message names.",
+    )
+    STOPPED = (
+        "NF-DEVICE-STOPPED",
+        "The arm has stopped by itself while it was commanded, as with a reflex.",
+        "Release it at its own panel, see to the cause that the message names, and "
+        "open the connection again.",
+    )
     CLIENT = (
         "NF-DEVICE-CLIENT",
         "The vendor's client library is not installed.",

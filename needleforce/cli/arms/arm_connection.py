@@ -4,6 +4,8 @@ import signal
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -21,6 +23,7 @@ from needleforce.cli.terminal import (
 from needleforce.devices import (
     ArmReading,
     DeviceSettingError,
+    Fr3Arm,
     ReplayArm,
     connect_arm,
     pace,
@@ -31,6 +34,9 @@ from urdf import Robot
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
 """The robot of a kind of arm, unless options describe another."""
+
+FR3_FLANGES = ("fr3_link8", "link8")
+"""Names of an FR3's flange in its own description."""
 
 SIMULATED_SCENARIO = "stack-glove-constant"
 """What ``sim`` simulates without a scenario."""
@@ -73,14 +79,7 @@ def open_arm(
     if kind == "sim":
         yield _simulate_arm(name, scenario or SIMULATED_SCENARIO, options)
         return
-    kind = _kind_of(name)
-    if options.robot is None and options.urdf is None:
-        options = replace(options, robot=ROBOTS[kind])
-        say(
-            f"{name} is taken for the arm {options.robot!r}; --robot or --urdf names "
-            "another"
-        )
-    robot = robot_from_options(options, None)
+    robot = _robot_of(name, _kind_of(name), options)
     with connect_arm(name, torque_constant_Nm_A=constants_Nm_A) as arm:
         if arm.joints != robot.nv:
             raise CommandError(
@@ -104,6 +103,39 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
     dt_s = np.diff(signals.t_s, prepend=2.0 * signals.t_s[0] - signals.t_s[1])
     arm = ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm)
     return ConnectedArm(arm, run.robot)
+
+
+def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
+    """Return the robot that options describe, else the one that an arm is taken for."""
+    if options.robot is not None or options.urdf is not None:
+        return robot_from_options(options, None)
+    if kind == "fr3":
+        return _robot_of_fr3(parse_arm_name(name).address, options)
+    if kind not in ROBOTS:
+        raise CommandError(
+            f"{name} does not say what arm it is, expected --urdf FILE",
+            CommandCode.ROBOT,
+        )
+    say(
+        f"{name} is taken for the arm {ROBOTS[kind]!r}; --robot or --urdf names another"
+    )
+    return robot_from_options(replace(options, robot=ROBOTS[kind]), None)
+
+
+def _robot_of_fr3(host: str, options: RobotOptions) -> Robot:
+    """Return the robot that an FR3 describes itself as."""
+    text = Fr3Arm.read_urdf(host)
+    known = (name for name in FR3_FLANGES if f'name="{name}"' in text)
+    flange = options.tool_frame or next(known, None)
+    say(
+        f"the model is the arm's own, its flange {flange}; --urdf and --tool-frame "
+        "name others"
+    )
+    with TemporaryDirectory() as folder:
+        path = Path(folder, "fr3.urdf")
+        path.write_text(text)
+        described = replace(options, urdf=path, tool_frame=flange)
+        return robot_from_options(described, None)
 
 
 def _kind_of(name: str) -> str:

@@ -3,6 +3,7 @@ processes."""
 
 import fcntl
 import sys
+import time
 from types import SimpleNamespace
 
 import numpy as np
@@ -15,7 +16,8 @@ from needleforce.devices import (
     LinkError,
     MissingClientError,
     UrArm,
-    research_arms,
+    connect_arm,
+    ur,
 )
 from needleforce.devices.emulators import Emulator
 from tests.needleforce.devices.vendor_emulators import (
@@ -78,6 +80,30 @@ def test_a_franka_arm_is_read_bit_for_bit():
         )
 
     assert not arm.send(np.zeros(7))
+
+
+def test_a_franka_arm_is_driven_also_while_its_program_is_busy():
+    pytest.importorskip("panda_py")
+    still = np.zeros((1, 7))
+    settings = ArmSettings(q_rad=still, dq_rad_s=still, effort=still, rate_hz=1000.0)
+    wish_rad_s = np.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.0, 0.3])
+    with Emulator(emulate_franka, settings) as emulator:
+        with connect_arm("franka:127.0.0.1", takes_commands=True) as arm:
+            for number, reading in enumerate(arm):
+                assert reading.accepts_commands
+                assert arm.send(min(number / 200.0, 1.0) * wish_rad_s)
+                if number == 500:
+                    break
+
+            time.sleep(0.5)  # the arm is braked meanwhile, not lost
+            take_readings(arm, 20)
+
+        counts = emulator.stop()
+
+    driven_rad = 0.4 * wish_rad_s  # 0.2 s of start, 0.3 s on
+    assert counts["moved_rad"] == pytest.approx(driven_rad, abs=0.05)
+    assert counts["speed_rad_s"] < 1e-6  # the client filters what it is given
+    assert not arm.send(wish_rad_s)
 
 
 def test_currents_of_a_ur_arm_become_torques():
@@ -164,7 +190,7 @@ class DoubtfulUr:
 
 def test_nan_currents_are_counted_and_dropped(monkeypatch):
     library = SimpleNamespace(RTDEReceiveInterface=DoubtfulUr)
-    monkeypatch.setattr(research_arms, "import_client", lambda *_: library)
+    monkeypatch.setattr(ur, "import_client", lambda *_: library)
     with UrArm() as arm:
         readings = list(arm)
         assert (len(readings), arm.report.malformed, readings[1].missed) == (2, 1, 1)

@@ -1,0 +1,116 @@
+"""UR e-Series through RTDE, with the client library ur_rtde.
+
+The client is imported when an arm is opened.
+"""
+
+from collections.abc import Iterator
+from time import sleep
+from typing import Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from foundation.arrays import Array
+from needleforce.devices.checked_arm import ArmSignals, CheckedArm
+from needleforce.devices.datagram_link import LOOPBACK
+from needleforce.devices.errors import DeviceSettingError, LinkError, import_client
+from needleforce.devices.link import ArmReading
+
+POLL_RATIO = 0.2
+"""Fraction of a period between two looks for a newer reading."""
+
+UR_JOINTS = 6
+UR_RATE_HZ = 500.0
+UR_SIGNALS = ("timestamp", "actual_q", "actual_qd", "actual_current")
+"""What is asked for through RTDE."""
+
+
+class UrArm(CheckedArm):
+    """A UR e-Series arm through RTDE; torques are motor currents times a constant.
+
+    Without the constants there are currents only: see docs/how-to/your-robot.md for
+    what a UR can give.
+
+    Args:
+        host: Address of the arm.
+        torque_constant_Nm_A: Joint torque per motor current, shape (6,); None if it is
+            not known.
+        rate_hz: How often the arm sends.
+        robot: The model of the arm, kept for those who need both.
+
+    Raises:
+        MissingClientError: ur_rtde is not installed.
+        LinkError: The arm does not answer.
+        DeviceSettingError: Constants that are not six positive numbers, or no positive
+            rate.
+    """
+
+    def __init__(
+        self,
+        host: str = LOOPBACK,
+        *,
+        torque_constant_Nm_A: ArrayLike | None = None,
+        rate_hz: float = UR_RATE_HZ,
+        robot: Any = None,
+    ) -> None:
+        if not 0.0 < rate_hz < np.inf:
+            raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
+
+        super().__init__(UR_JOINTS, 1.0 / rate_hz, robot)
+        self._constant_Nm_A: Array | None = None
+        if torque_constant_Nm_A is not None:
+            constant_Nm_A = np.array(torque_constant_Nm_A, dtype=float)
+            is_shaped = constant_Nm_A.shape == (UR_JOINTS,)
+            if not (is_shaped and (constant_Nm_A > 0.0).all()):
+                raise DeviceSettingError(
+                    f"{torque_constant_Nm_A=}: expected six positive numbers"
+                )
+
+            self._constant_Nm_A = constant_Nm_A
+
+        library = import_client("rtde_receive", "ur_rtde")
+        try:
+            self._arm = library.RTDEReceiveInterface(host, rate_hz, list(UR_SIGNALS))
+        except RuntimeError as error:
+            raise LinkError(f"no UR arm at {host}: {error}") from error
+
+    def __iter__(self) -> Iterator[ArmReading]:
+        """Yield readings as they come.
+
+        The client keeps only the newest, so some are missed.
+        """
+        while self._is_open and self._arm.isConnected():
+            time_s = self._arm.getTimestamp()
+            if time_s > self._latest_s:
+                signals = self._read_signals(time_s)
+                if signals is not None:
+                    yield from self._readings(signals)
+            else:  # the client holds the newest only: look oftener than it comes
+                sleep(POLL_RATIO * self._period_s)
+
+        if self._is_open:
+            self.report.outages += 1
+
+    def _read_signals(self, time_s: float) -> ArmSignals | None:
+        """Return the signals of a time; None if a newer package came meanwhile."""
+        # The currents are checked in place of torques, which may not be known.
+        signals = ArmSignals(
+            time_s=time_s,
+            q_rad=np.array(self._arm.getActualQ()),
+            dq_rad_s=np.array(self._arm.getActualQd()),
+            effort=np.array(self._arm.getActualCurrent()),
+        )
+        return signals if self._arm.getTimestamp() == time_s else None
+
+    def _readings(self, signals: ArmSignals) -> Iterator[ArmReading]:
+        """Yield signals as a reading, if they are valid and new."""
+        current_A = signals.effort
+        constant_Nm_A = self._constant_Nm_A
+        tau_Nm = None if constant_Nm_A is None else constant_Nm_A * current_A
+        for reading in self._checked(signals, accepts_commands=False):
+            yield reading._replace(tau_Nm=tau_Nm, current_A=current_A)
+
+    def close(self) -> None:
+        """End the readings and the connection."""
+        super().close()
+        self._arm.disconnect()
