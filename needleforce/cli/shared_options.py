@@ -264,9 +264,9 @@ ArmName = Annotated[
         group=LOG,
         help="fri[:LOCAL_ADDRESS][:PORT][@CONTROLLER] (KUKA LWR 4+ that sends to this "
         "machine; without an address from this machine only), fr3:ADDRESS, "
-        "franka:ADDRESS (FER), ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. A franka "
-        "is taken for a panda and a ur for a ur10e unless --robot or --urdf names "
-        "another.",
+        "franka:ADDRESS (FER), ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. An "
+        "fr3 describes itself, a franka is taken for a panda and a ur for a ur10e "
+        "unless --robot or --urdf names another.",
     ),
 ]
 

@@ -64,12 +64,12 @@ def _ask(link: socket.socket, command: int, payload: bytes = b"") -> bytes:
 
 
 def _read(link: socket.socket, size: int) -> bytes:
-    """Return so many bytes; raise ConnectionError if the arm ends the connection."""
+    """Return so many bytes; `LinkError` if the arm ends the connection."""
     data = bytearray()
     while len(data) < size:
         piece = link.recv(size - len(data))
         if not piece:
-            raise ConnectionError
+            raise LinkError("the arm has ended the connection")
 
         data += piece
 

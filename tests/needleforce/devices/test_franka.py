@@ -1,6 +1,7 @@
 """An FR3 of franky-sim, which others wrote, and how a Franka is braked."""
 
 import time
+from itertools import islice
 
 import numpy as np
 import pytest
@@ -25,16 +26,16 @@ def fr3():
 
 def test_an_fr3_is_read_without_being_commanded(fr3):
     with connect_arm(f"fr3:{fr3}") as arm:
-        readings = [reading for reading, _ in zip(arm, range(200), strict=False)]
+        readings = list(islice(arm, 200))
 
         assert not arm.send(np.zeros(7))
 
-    first, last = readings[0], readings[-1]
+    last = readings[-1]
 
     assert last.q_rad == pytest.approx([0, 0, 0, -1.57, 0, 1.57, 0.785], abs=0.01)
     assert last.tau_Nm.shape == last.external_Nm.shape == (7,)
     assert not last.accepts_commands
-    assert np.abs(last.q_rad - first.q_rad).max() < 1e-3
+    assert np.abs(last.q_rad - readings[0].q_rad).max() < 1e-3
 
 
 def test_an_fr3_is_driven_and_rests_when_its_program_ends(fr3):
@@ -53,9 +54,7 @@ def test_an_fr3_is_driven_and_rests_when_its_program_ends(fr3):
     moved_rad = reading.q_rad - begin_rad
     time.sleep(0.2)
     with Fr3Arm(fr3) as arm:
-        places_rad = [
-            reading.q_rad[6] for reading, _ in zip(arm, range(100), strict=False)
-        ]
+        places_rad = [reading.q_rad[6] for reading in islice(arm, 100)]
 
     assert moved_rad[6] == pytest.approx(0.15, abs=0.03)  # 0.5 s at 0.3 rad/s
     assert np.abs(moved_rad[:6]).max() < 0.01
