@@ -70,7 +70,7 @@ class _FrankaArm(CheckedArm):
         self._library = client_module
         self.takes_commands = takes_commands
         self._hold = VelocityHold(JOINTS, PERIOD_S)
-        self.client = self._connect(host, library)
+        self.client: Any = self._connect(host, library)
 
     def _connect(self, host: str, library: Library) -> Any:
         """Return the client's robot.
