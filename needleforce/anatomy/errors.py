@@ -48,6 +48,12 @@ class AnatomyCode(ErrorCode):
         "The labels do not lie where the scan lies.",
         "Give the labels of this scan, with their origin, spacing and directions.",
     )
+    ORDER = (
+        "NF-ANATOMY-ORDER",
+        "Structures lie the wrong way round in the body.",
+        "Export labels and scan again with their directions; where the patient's "
+        "organs are exchanged, state the situs inversus.",
+    )
     SCAN = (
         "NF-ANATOMY-SCAN",
         "The scan shows no body in air.",

@@ -8,20 +8,28 @@ import gzip
 import os
 import re
 import zlib
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
+from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
+from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 
-START_BYTES = 128
+START_BYTES = 136
 """Of a NIfTI file; its spacing lies within."""
 
 SPACING_TOLERANCE = 0.01
 """Relative difference of two spacings that mean the same."""
+
+MAX_DISAGREEMENT_VOXELS = 0.5
+"""By so much of the smallest spacing two statements of the place may differ."""
+
+MAX_SHEAR = 0.01
+"""Cosine of two axes up to which they count as orthogonal."""
 
 MAX_NRRD_HEADER_BYTES = 1 << 22
 """The header of an NRRD file is shorter."""
@@ -44,7 +52,7 @@ MILLIMETRES = frozenset(("mm", "millimeter", "millimetre"))
 
 
 class _SpacingField(NamedTuple):
-    """Where a NIfTI header holds the spacing.
+    """Where a NIfTI header holds ``pixdim``: handedness, then the spacing.
 
     Attributes:
         kind: Type of its numbers, without byte order.
@@ -55,18 +63,24 @@ class _SpacingField(NamedTuple):
     offset: int
 
 
-SPACING_FIELDS = {348: _SpacingField("f4", 80), 540: _SpacingField("f8", 104)}
+SPACING_FIELDS = {348: _SpacingField("f4", 76), 540: _SpacingField("f8", 104)}
 """By the first number in a NIfTI file, the size of its header: versions 1 and 2."""
 
 
 def require_whole_nifti(
-    path: Path, header: Mapping[str, str], spacing_mm: Array
+    path: Path, header: Mapping[str, str], spacing_mm: Array, shape: Sequence[int]
 ) -> None:
     """Refuse a NIfTI file that is cut short, or contradicts itself.
 
+    Args:
+        path: The file.
+        header: Its fields.
+        spacing_mm: Distance of voxels along each axis, as it was read, (3,).
+        shape: Voxels along each axis.
+
     Raises:
         VolumeError: The file ends early, is damaged, does not say how it lies, or
-            states two spacings.
+            states two spacings or places.
     """
     start = _read_start(path, header)
     has_matrix = header["sform_code"] != "0"
@@ -76,7 +90,8 @@ def require_whole_nifti(
             "right are unknown",
             AnatomyCode.GEOMETRY,
         )
-    stated_mm = _stated_spacing_mm(start)
+    pixdim = _read_pixdim(start)
+    stated_mm = pixdim[1:]
     matrix_mm = _matrix_spacing_mm(header) if has_matrix else spacing_mm
     if not np.allclose(
         [stated_mm, matrix_mm], spacing_mm, rtol=SPACING_TOLERANCE, atol=0.0
@@ -87,6 +102,74 @@ def require_whole_nifti(
             "expected the same",
             AnatomyCode.GEOMETRY,
         )
+    if has_matrix:
+        handedness = -1.0 if pixdim[0] < 0.0 else 1.0
+        qform_axes_mm = spacing_mm * np.array([1.0, 1.0, handedness])
+        _require_one_place(path, header, qform_axes_mm, shape)
+
+
+def _require_one_place(
+    path: Path, header: Mapping[str, str], qform_axes_mm: Array, shape: Sequence[int]
+) -> None:
+    """Refuse a matrix (sform) that is sheared, or lies elsewhere than the qform.
+
+    Programs take one or the other.
+
+    Args:
+        path: The file.
+        header: Its fields.
+        qform_axes_mm: Spacing, negative where the qform turns an axis round, (3,).
+        shape: Voxels along each axis.
+    """
+    sform_mm = _sform_mm(header)
+    if header["qform_code"] != "0":
+        qform_mm = _qform_mm(header, qform_axes_mm)
+        last = np.array(shape) - 1.0
+        corners = np.array(
+            [(*corner, 1.0) for corner in product(*zip(0.0 * last, last, strict=True))]
+        )
+        corner_distances_mm = np.linalg.norm(corners @ (sform_mm - qform_mm).T, axis=1)
+        worst = corners[corner_distances_mm.argmax()]
+        distance_mm = float(corner_distances_mm.max())
+        if distance_mm <= MAX_DISAGREEMENT_VOXELS * np.abs(qform_axes_mm).min():
+            return
+        reason = (
+            f"its qform and sform disagree by {distance_mm:.3g} mm: voxel "
+            f"{worst[:3].astype(int).tolist()} lies at "
+            f"{np.round(qform_mm @ worst, 1).tolist()} mm (RAS) by the qform, at "
+            f"{np.round(sform_mm @ worst, 1).tolist()} by the sform"
+        )
+    else:
+        axes = sform_mm[:, :3] / np.linalg.norm(sform_mm[:, :3], axis=0)
+        largest_cosine = float(np.abs(axes.T @ axes - np.eye(3)).max())
+        if largest_cosine <= MAX_SHEAR:
+            return
+        reason = (
+            "its sform is sheared: the cosine of two of its axes is "
+            f"{largest_cosine:.3f}"
+        )
+    raise VolumeError(f"{path}: {reason}", AnatomyCode.GEOMETRY)
+
+
+def _sform_mm(header: Mapping[str, str]) -> Array:
+    """Return the matrix of a NIfTI header (sform), in RAS, shape (3, 4)."""
+    return np.array(
+        [[float(number) for number in header[f"srow_{axis}"].split()] for axis in "xyz"]
+    )
+
+
+def _qform_mm(header: Mapping[str, str], qform_axes_mm: Array) -> Array:
+    """Return the matrix that a NIfTI header's quaternion means, in RAS, shape (3, 4).
+
+    Args:
+        header: Fields of the file.
+        qform_axes_mm: See `_require_one_place`.
+    """
+    vector = np.array([float(header[f"quatern_{part}"]) for part in "bcd"])
+    scalar = np.sqrt(max(1.0 - vector @ vector, 0.0))
+    rotation = Rotation.from_quat([*vector, scalar]).as_matrix()
+    origin_mm = [float(header[f"qoffset_{axis}"]) for axis in "xyz"]
+    return np.column_stack([rotation * qform_axes_mm, origin_mm])
 
 
 def _read_start(path: Path, header: Mapping[str, str]) -> bytes:
@@ -110,21 +193,17 @@ def _read_start(path: Path, header: Mapping[str, str]) -> bytes:
     return start
 
 
-def _stated_spacing_mm(start: bytes) -> Array:
-    """Return the spacing that the first bytes of a NIfTI file state (pixdim)."""
+def _read_pixdim(start: bytes) -> Array:
+    """Return ``pixdim`` from the first bytes of a NIfTI file: handedness, spacing."""
     order = "<" if start[0] else ">"
     header_bytes = int(np.frombuffer(start, f"{order}i4", 1)[0])
     field = SPACING_FIELDS[header_bytes]
-    return np.frombuffer(start, order + field.kind, 3, field.offset)
+    return np.frombuffer(start, order + field.kind, 4, field.offset)
 
 
 def _matrix_spacing_mm(header: Mapping[str, str]) -> Array:
     """Return the spacing that the matrix of a NIfTI header states (sform)."""
-    rows = [
-        [float(number) for number in header[f"srow_{axis}"].split()[:3]]
-        for axis in "xyz"
-    ]
-    return np.linalg.norm(rows, axis=0)
+    return np.linalg.norm(_sform_mm(header)[:, :3], axis=0)
 
 
 def require_placed_nrrd(path: Path) -> None:

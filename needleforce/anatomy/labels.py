@@ -12,6 +12,7 @@ from foundation.arrays import Array
 from needleforce.anatomy.clearance import Clearance, find_clearances
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.path_layers import Layer, find_layers
+from needleforce.anatomy.scan_agreement import NO_SCAN, check_against_scan
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.surface import Surface, closed_surface
 from needleforce.anatomy.volume import Grid, Volume
@@ -25,12 +26,6 @@ FAT_HU = -30.0
 FAT_NEIGHBOURS = 3
 """Voxels along each axis whose median decides between fat and lean: scans are noisy."""
 
-MAX_SHIFT_VOXELS = 0.1
-"""Grids of one size that differ by more lie beside each other."""
-
-MAX_OUTSIDE_VOXELS = 1.0
-"""By so much labels may lie outside their scan: a resampled edge."""
-
 
 @dataclass(frozen=True, eq=False)
 class Labels:
@@ -40,11 +35,14 @@ class Labels:
         volumes: Each (i, j, k); 0 is no structure.
         grid: Where the voxels lie.
         structures: Those with voxels.
+        unchecked: Why the labels were not checked against their scan; empty if they
+            were.
     """
 
     volumes: Sequence[NDArray[np.integer]]
     grid: Grid
     structures: tuple[Structure, ...]
+    unchecked: str = NO_SCAN
 
     @classmethod
     def of(
@@ -105,10 +103,10 @@ class Labels:
             fat: Add two structures in place of it, ``lean`` and ``fat``.
 
         Raises:
-            VolumeError: Labels that lie elsewhere than the scan, only air, or no air
-                around.
+            VolumeError: Labels that lie elsewhere than the scan shows what they name,
+                only air, or no air around.
         """
-        require_agreement(self, scan)
+        unchecked = check_against_scan(self, scan)
         body = _find_body(scan)
         kinds = body.astype(np.uint8)
         if fat:
@@ -129,9 +127,18 @@ class Labels:
             Structure.named(name, value, len(self.volumes))
             for value, name in enumerate(names, 1)
         ]
-        return Labels.of(
+        labels = Labels.of(
             [*self.volumes, resampled], self.grid, (*self.structures, *added)
         )
+        return replace(labels, unchecked=unchecked)
+
+    def checked_against(self, scan: Volume) -> "Labels":
+        """Return the same labels, checked against their scan.
+
+        Raises:
+            VolumeError: The labels do not lie where the scan shows what they name.
+        """
+        return replace(self, unchecked=check_against_scan(self, scan))
 
     def surfaces(
         self,
@@ -235,36 +242,3 @@ def _find_body(scan: Volume) -> NDArray[np.bool_]:
     for section in np.moveaxis(body, head_axis, 0):
         section[:] = ndimage.binary_fill_holes(section)
     return body
-
-
-def require_agreement(labels: Labels, scan: Volume) -> None:
-    """Refuse labels that do not lie where their scan does.
-
-    Raises:
-        VolumeError: Their grid is as large as the scan's and lies elsewhere, or a
-            structure lies outside the scan.
-    """
-    last_index = np.array(scan.grid.shape) - 1.0
-    corners = scan.grid.indices(labels.grid.corners_m())
-    shift = float(np.minimum(np.abs(corners), np.abs(corners - last_index)).max())
-    labels_extent_m, scan_extent_m = (
-        np.sort(np.ptp(grid.corners_m(), axis=0)) for grid in (labels.grid, scan.grid)
-    )
-    tolerance_m = MAX_SHIFT_VOXELS * scan.grid.spacing_m.min()
-    is_as_large = np.allclose(labels_extent_m, scan_extent_m, atol=tolerance_m)
-    has_as_many = sorted(labels.grid.shape) == sorted(scan.grid.shape)
-    if (is_as_large or has_as_many) and shift > MAX_SHIFT_VOXELS:
-        raise VolumeError(
-            f"the labels' grid is as large as the scan's and lies {shift:.1f} voxels "
-            "beside it: origin, spacing or directions of one of the files are wrong",
-            AnatomyCode.OTHER_SCAN,
-        )
-    for item in labels.structures:
-        indices = scan.grid.indices(labels.grid.corners_m(item.box))
-        outside = float(np.maximum(-indices, indices - last_index).max())
-        if outside > MAX_OUTSIDE_VOXELS:
-            raise VolumeError(
-                f"{item.name} lies {outside:.0f} voxels outside the scan: the labels "
-                "belong to another scan, or lost their origin when they were cropped",
-                AnatomyCode.OTHER_SCAN,
-            )

@@ -17,10 +17,11 @@ import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
+from needleforce.anatomy.body_order import require_body_order
 from needleforce.anatomy.dicom_series import read_series
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.file_checks import require_placed_nrrd, require_whole_nifti
-from needleforce.anatomy.labels import Labels, require_agreement
+from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.volume import Grid, Volume
 
@@ -98,6 +99,7 @@ def read_labels(
     names: Names = None,
     scan: Volume | None = None,
     *,
+    situs_inversus: bool = False,
     max_bytes: int = MAX_VOLUME_BYTES,
 ) -> Labels:
     """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD.
@@ -109,12 +111,15 @@ def read_labels(
         names: Of label values, or a JSON file with them (``{"5": "liver"}``), by
             default ``labels.json`` beside the file; labels without a name are called
             ``label_5``. Segments of a ``.seg.nrrd`` bring names and colours.
-        scan: The CT to which the labels belong: places must agree.
+        scan: The CT to which the labels belong: places and Hounsfield units must
+            agree.
+        situs_inversus: Liver and spleen of this patient are exchanged.
         max_bytes: The most memory that the voxels of a file may take.
 
     Raises:
-        VolumeError: As `read_volume`; values that are no labels, no voxel labelled, or
-            labels that lie elsewhere than the scan.
+        VolumeError: As `read_volume`; values that are no labels, no voxel labelled,
+            structures that lie the wrong way round, or elsewhere than the scan shows
+            them.
     """
     image = _read_image(Path(path), max_bytes)
     names_file = Path(path).with_name("labels.json")
@@ -127,11 +132,10 @@ def read_labels(
             structures = _name_labels(volumes, names)
         labels = Labels.of(volumes, image.grid, structures)
         _require_all_named(labels)
+        require_body_order(labels, situs_inversus=situs_inversus)
+        return labels if scan is None else labels.checked_against(scan)
     except VolumeError as error:
         raise error.reworded(f"{path}: {error}") from None
-    if scan is not None:
-        require_agreement(labels, scan)
-    return labels
 
 
 def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
@@ -268,7 +272,7 @@ def _read_image(path: Path, max_bytes: int) -> _Image:
         )
     header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
     if header.get("nifti_type") == "1":
-        require_whole_nifti(path, header, spacing_mm)
+        require_whole_nifti(path, header, spacing_mm, grid.shape)
     elif path.suffix in (".nrrd", ".nhdr"):
         require_placed_nrrd(path)
     elif not path.is_dir():

@@ -453,7 +453,7 @@ def test_the_body_is_found_in_flipped_scans():
     origin = np.array([-0.165, -0.117, -0.153])
     values = torso.voxels(shape, origin, axes)
     grid = Grid(shape, origin, axes)
-    names = [Structure.named(body.name, n) for n, body in enumerate(torso.shapes, 1)]
+    names = [Structure.named(f"part_{n}", n) for n in range(1, len(torso.shapes) + 1)]
     labels = Labels.of([values], grid, names)
     flipped = Grid(shape, grid.points_m([55, 39, 0]), axes * [-1.0, -1.0, 1.0])
     scan = Volume(np.where(values > 0, 40.0, -1000.0)[::-1, ::-1, :], flipped)
