@@ -12,7 +12,13 @@ MIN_STEP_mm = 1e-3
 """Slices that are nearer to each other lie at the same place."""
 
 STEP_TOLERANCE = 0.01
-"""Fraction of the usual step by which steps may differ, along and across the slices."""
+"""Fraction of the usual step by which a slice may miss its place in an even stack."""
+
+ROUNDING_mm = 0.06
+"""By so much scanners round positions of slices: to a tenth of a millimetre."""
+
+MAX_STEP_TOLERANCE = 0.15
+"""Of the usual step: a missing slice shifts the ends of a stack by more."""
 
 MAX_SHEAR_PIXELS = 0.5
 """Over the whole stack, slices may be shifted by so much."""
@@ -85,31 +91,56 @@ def _require_one_scan(folder: Path, files: Any) -> None:
         )
     axes = slices[0].axes
     to_slice_axes = np.vstack((axes, np.cross(axes[0], axes[1]))).T
-    positions_mm = np.array([item.position_mm for item in slices])
-    steps_mm = np.diff(positions_mm, axis=0) @ to_slice_axes
-    distances_mm = np.abs(steps_mm[:, 2])
-    usual_mm = float(np.median(distances_mm)) if len(distances_mm) else 0.0
+    positions_mm = np.array([item.position_mm for item in slices]) @ to_slice_axes
+    stack = _fit_stack(positions_mm)
+    usual_mm = abs(float(stack.step_mm[2]))
     if usual_mm < MIN_STEP_mm:
         raise VolumeError(
             f"{folder}: one slice, or all at the same place: expected one scan",
             AnatomyCode.SERIES,
         )
-    worst = int(np.abs(distances_mm - usual_mm).argmax())
-    if abs(distances_mm[worst] - usual_mm) > STEP_TOLERANCE * usual_mm:
+    tolerance_mm = min(
+        max(STEP_TOLERANCE * usual_mm, ROUNDING_mm), MAX_STEP_TOLERANCE * usual_mm
+    )
+    if np.abs(stack.residuals_mm[:, 2]).max() > tolerance_mm:
+        distances_mm = np.abs(np.diff(positions_mm[:, 2]))
+        middle_mm = float(np.median(distances_mm))
+        worst = int(np.abs(distances_mm - middle_mm).argmax())
         raise VolumeError(
-            f"{folder}: slices are {usual_mm:.3f} mm apart, but "
+            f"{folder}: slices are {middle_mm:.3f} mm apart, but "
             f"{distances_mm[worst]:.3f} mm after {Path(files[worst]).name}: a slice is "
             "missing or doubled",
             AnatomyCode.SERIES,
         )
-    largest_mm = np.abs(steps_mm[:, :2]).max()
-    total_mm = np.abs(np.cumsum(steps_mm[:, :2], axis=0)).max()
+    total_mm = np.abs(stack.step_mm[:2]).max() * (len(slices) - 1)
+    is_straight = np.abs(stack.residuals_mm[:, :2]).max() <= tolerance_mm
     max_total_mm = MAX_SHEAR_PIXELS * slices[0].spacing_mm.min()
-    if largest_mm > STEP_TOLERANCE * usual_mm or total_mm > max_total_mm:
+    if not is_straight or total_mm > max_total_mm:
         raise VolumeError(
             f"{folder}: slices are sheared (gantry tilt): resample the scan",
             AnatomyCode.GEOMETRY,
         )
+
+
+class _Stack(NamedTuple):
+    """A line through the positions of slices.
+
+    Attributes:
+        step_mm: From a slice to the next, in axes of the slices, (3,).
+        residuals_mm: Of the positions from the line, (n, 3).
+    """
+
+    step_mm: Array
+    residuals_mm: Array
+
+
+def _fit_stack(positions_mm: Array) -> _Stack:
+    """Fit evenly spaced slices to positions (n, 3), which scanners round."""
+    numbers = np.arange(len(positions_mm)) - 0.5 * (len(positions_mm) - 1)
+    scale = max(float(numbers @ numbers), 1.0)
+    offsets_mm = positions_mm - positions_mm.mean(axis=0)
+    step_mm = numbers @ offsets_mm / scale
+    return _Stack(step_mm, offsets_mm - np.outer(numbers, step_mm))
 
 
 def _read_slice(name: str) -> _Slice:

@@ -18,6 +18,7 @@ from needleforce.anatomy import (
     Layer,
     PlanMatch,
     read_labels,
+    read_volume,
     require_clear_path,
 )
 from needleforce.anatomy.clearance import (
@@ -122,6 +123,7 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
         needle_radius_m: Radius of the needle [m].
         margin_m: Distance that stays free around it [m].
         accepted_obstacles: Names of obstacles that the needle may touch.
+        situs_inversus: Liver and spleen of the patient are exchanged.
     """
 
     rotation: Rotation = NO_ROTATION
@@ -134,6 +136,7 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
     needle_radius_m: float = NEEDLE_RADIUS_m
     margin_m: float = MARGIN_m
     accepted_obstacles: tuple[str, ...] = ()
+    situs_inversus: bool = False
 
 
 class _Anatomy(NamedTuple):
@@ -214,10 +217,11 @@ def _check_obstacles(
     clearances = labels.clearances(plan.entry_m, plan.target_m)
     if not is_past:
         require_clear_path(clearances, space, plan.accepted_obstacles)
-    return [
+    warnings = [
         f"the path {describe_clearance(one)}: less than {space}"
         for one in too_near(clearances, space)
     ]
+    return [*warnings, labels.unchecked] if labels.unchecked else warnings
 
 
 def _require_metres(plan: _PlanFile) -> None:
@@ -257,7 +261,9 @@ def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
         if not plan.layers:
             raise ValueError(MISSING_LAYERS)
         return _Anatomy(scene)
-    labels = read_labels(files[0])
+    labels = read_labels(files[0], situs_inversus=plan.situs_inversus)
+    if scans := sorted(folder.glob("ct.n*")):
+        labels = labels.checked_against(read_volume(scans[0]))
     surfaces = _large_surfaces(labels)
     layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
     return _Anatomy(scene._replace(surfaces=surfaces, layers=layers), labels)

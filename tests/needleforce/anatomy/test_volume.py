@@ -298,6 +298,32 @@ def test_shear_counts_over_the_whole_stack(tmp_path, step_mm, why):
             read_volume(tmp_path)
 
 
+class Rounded(Slanted):
+    """Slices whose stated positions are rounded, as scanners write them."""
+
+    def __init__(self, step_mm, decimals):
+        super().__init__((0.0, 0.0, step_mm - 2.5))
+        self.decimals = decimals
+
+    def TransformIndexToPhysicalPoint(self, index):
+        place = super().TransformIndexToPhysicalPoint(index)
+        return [round(coordinate_mm, self.decimals) for coordinate_mm in place]
+
+
+@pytest.mark.parametrize(("step_mm", "decimals"), [(0.625, 2), (1.25, 1), (2.517, 1)])
+def test_rounded_positions_of_slices_are_read_and_a_gap_is_found(
+    tmp_path, step_mm, decimals
+):
+    write_series(Rounded(step_mm, decimals), tmp_path)
+    volume = read_volume(tmp_path)
+
+    assert volume.grid.spacing_m[2] == pytest.approx(1e-3 * step_mm, rel=0.01)
+
+    (tmp_path / "001.dcm").unlink()
+    with pytest.raises(VolumeError, match="missing or doubled"):
+        read_volume(tmp_path)
+
+
 @pytest.mark.parametrize(
     ("edit", "why"),
     [
