@@ -8,9 +8,9 @@ a `LinkReport`, never handed on.
 Reading order: `link` (what a device offers, readings, reports), `errors`,
 `datagram_link` (UDP), `fri` (KUKA LWR 4+), `rdt` and `rdt_status` (ATI Net F/T),
 `checked_arm` and `velocity_hold` (common to arms with a client library), `franka`,
-`franka_versions` and `franka_wire` (FER, FR3), `ur` (UR e-Series), `haply`, `arm_names`
-(any arm by a name of one line). Emulators: `emulators`, `fri_emulator`, `rdt_emulator`,
-`haply_emulator`.
+`franka_versions` and `franka_wire` (FER, FR3), `ur` and `ur_control` (UR e-Series),
+`haply`, `arm_names` (any arm by a name of one line). Emulators: `emulators`,
+`fri_emulator`, `rdt_emulator`, `haply_emulator`.
 """
 
 from needleforce.devices.arm_names import (

@@ -132,7 +132,12 @@ def connect_arm(
         port = fri.PORT if local.port is None else local.port
         return FriArm(host=local.host, port=port, peer=local.peer, robot=robot)
     if kind == "ur":
-        return UrArm(address, torque_constant_Nm_A=torque_constant_Nm_A, robot=robot)
+        return UrArm(
+            address,
+            takes_commands=takes_commands,
+            torque_constant_Nm_A=torque_constant_Nm_A,
+            robot=robot,
+        )
 
     arm_type = Fr3Arm if kind == "fr3" else FrankaArm
     return arm_type(address, takes_commands=takes_commands, robot=robot)

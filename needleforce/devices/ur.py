@@ -15,11 +15,12 @@ from needleforce.devices.checked_arm import ArmSignals, CheckedArm
 from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.errors import DeviceSettingError, LinkError, import_client
 from needleforce.devices.link import ArmReading
+from needleforce.devices.ur_control import JOINTS, UrControl, describe_controller
+from needleforce.devices.velocity_hold import usable_velocity
 
 POLL_RATIO = 0.2
 """Fraction of a period between two looks for a newer reading."""
 
-UR_JOINTS = 6
 UR_RATE_HZ = 500.0
 UR_SIGNALS = ("timestamp", "actual_q", "actual_qd", "actual_current")
 """What is asked for through RTDE."""
@@ -29,10 +30,13 @@ class UrArm(CheckedArm):
     """A UR e-Series arm through RTDE; torques are motor currents times a constant.
 
     Without the constants there are currents only: see docs/how-to/your-robot.md for
-    what a UR can give.
+    what a UR can give. With ``takes_commands`` the client library runs a program on the
+    controller, which has to be in remote control. A program that is not heard for 100
+    ms ends, and the arm stands; `close` and the end of the process brake it.
 
     Args:
         host: Address of the arm.
+        takes_commands: Whether it shall move; otherwise it is only listened to.
         torque_constant_Nm_A: Joint torque per motor current, shape (6,); None if it is
             not known.
         rate_hz: How often the arm sends.
@@ -40,7 +44,7 @@ class UrArm(CheckedArm):
 
     Raises:
         MissingClientError: ur_rtde is not installed.
-        LinkError: The arm does not answer.
+        LinkError: The arm does not answer, or takes no commands.
         DeviceSettingError: Constants that are not six positive numbers, or no positive
             rate.
     """
@@ -49,6 +53,7 @@ class UrArm(CheckedArm):
         self,
         host: str = LOOPBACK,
         *,
+        takes_commands: bool = False,
         torque_constant_Nm_A: ArrayLike | None = None,
         rate_hz: float = UR_RATE_HZ,
         robot: Any = None,
@@ -56,11 +61,11 @@ class UrArm(CheckedArm):
         if not 0.0 < rate_hz < np.inf:
             raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
 
-        super().__init__(UR_JOINTS, 1.0 / rate_hz, robot)
+        super().__init__(JOINTS, 1.0 / rate_hz, robot)
         self._constant_Nm_A: Array | None = None
         if torque_constant_Nm_A is not None:
             constant_Nm_A = np.array(torque_constant_Nm_A, dtype=float)
-            is_shaped = constant_Nm_A.shape == (UR_JOINTS,)
+            is_shaped = constant_Nm_A.shape == (JOINTS,)
             if not (is_shaped and (constant_Nm_A > 0.0).all()):
                 raise DeviceSettingError(
                     f"{torque_constant_Nm_A=}: expected six positive numbers"
@@ -70,14 +75,28 @@ class UrArm(CheckedArm):
 
         library = import_client("rtde_receive", "ur_rtde")
         try:
-            self._arm = library.RTDEReceiveInterface(host, rate_hz, list(UR_SIGNALS))
+            self._arm: Any = library.RTDEReceiveInterface(
+                host, rate_hz, list(UR_SIGNALS)
+            )
         except RuntimeError as error:
-            raise LinkError(f"no UR arm at {host}: {error}") from error
+            software = describe_controller(host)
+            raise LinkError(f"no UR arm at {host}{software}: {error}") from error
+
+        self._control: UrControl | None = None
+        if takes_commands:
+            try:
+                self._control = UrControl(host, rate_hz)
+            except Exception:
+                self._arm.disconnect()
+                raise
 
     def __iter__(self) -> Iterator[ArmReading]:
         """Yield readings as they come.
 
         The client keeps only the newest, so some are missed.
+
+        Raises:
+            LinkError: An arm that is commanded has stopped.
         """
         while self._is_open and self._arm.isConnected():
             time_s = self._arm.getTimestamp()
@@ -107,10 +126,35 @@ class UrArm(CheckedArm):
         current_A = signals.effort
         constant_Nm_A = self._constant_Nm_A
         tau_Nm = None if constant_Nm_A is None else constant_Nm_A * current_A
-        for reading in self._checked(signals, accepts_commands=False):
+        control = self._control
+        if control is not None and self._is_open:
+            control.pass_cycle()
+
+        accepts_commands = control is not None and self._is_open
+        for reading in self._checked(signals, accepts_commands=accepts_commands):
             yield reading._replace(tau_Nm=tau_Nm, current_A=current_A)
 
+    def send(self, dq_rad_s: ArrayLike) -> bool:
+        """Command a joint velocity for the coming cycles.
+
+        It holds for five cycles; then the arm brakes to rest.
+
+        Args:
+            dq_rad_s: Velocity, shape (6,).
+
+        Returns:
+            False where the arm takes no commands, and for numbers that are not finite.
+        """
+        velocity_rad_s = usable_velocity(dq_rad_s, self.joints)
+        if velocity_rad_s is None or self._control is None or not self._is_open:
+            return False
+
+        return self._control.command(velocity_rad_s)
+
     def close(self) -> None:
-        """End the readings and the connection."""
+        """Brake the arm to rest if it was commanded, end readings and connection."""
         super().close()
+        if self._control is not None:
+            self._control.stop()
+
         self._arm.disconnect()

@@ -4,6 +4,7 @@ processes."""
 import fcntl
 import sys
 import time
+from contextlib import suppress
 from types import SimpleNamespace
 
 import numpy as np
@@ -20,11 +21,8 @@ from needleforce.devices import (
     ur,
 )
 from needleforce.devices.emulators import Emulator
-from tests.needleforce.devices.vendor_emulators import (
-    ArmSettings,
-    emulate_franka,
-    emulate_ur,
-)
+from tests.needleforce.devices.ur_emulator import emulate_ur
+from tests.needleforce.devices.vendor_emulators import ArmSettings, emulate_franka
 
 
 def rows(joints, rate_hz, **settings):
@@ -124,6 +122,86 @@ def test_currents_of_a_ur_arm_become_torques():
         assert np.array_equal(reading.tau_Nm, constants * settings.effort[row[0]])
 
     assert sum(reading.missed for reading in readings) == arm.report.missed
+
+
+STILL = np.zeros((1, 6))
+UR_WISH_rad_s = np.array([0.1, 0.0, -0.2, 0.0, 0.0, 0.3])
+
+
+def still_ur():
+    return ArmSettings(q_rad=STILL, dq_rad_s=STILL, effort=STILL, rate_hz=500.0)
+
+
+@pytest.mark.parametrize("ends", ["error", "silence"])
+def test_a_ur_arm_is_driven_and_stopped_on_every_way_out(ends):
+    pytest.importorskip("rtde_control")
+    with Emulator(emulate_ur, still_ur()) as emulator:
+        with (
+            suppress(ZeroDivisionError),
+            connect_arm("ur:127.0.0.1", takes_commands=True) as arm,
+        ):
+            for number, reading in enumerate(arm):
+                assert reading.accepts_commands
+                if number < 200 or ends != "silence":
+                    assert arm.send(UR_WISH_rad_s)
+                    assert not arm.send([np.nan] * 6)
+                if number == 200 and ends == "error":
+                    raise ZeroDivisionError
+                if number == 300:
+                    rest_rad_s = reading.dq_rad_s
+                    break
+
+        assert not arm.send(UR_WISH_rad_s)
+        counts = emulator.stop()
+
+    moved = counts["moved_rad"]
+
+    assert moved[5] > 0.03
+    assert moved == pytest.approx(UR_WISH_rad_s / 0.3 * moved[5], abs=1e-2)
+    assert counts["stops"] == 1
+    assert not counts["is_running"]
+    assert not counts["watchdog_ended"]
+
+    if ends == "silence":
+        assert np.abs(rest_rad_s).max() == 0.0
+
+
+def test_a_ur_arm_stops_by_itself_when_its_program_hangs():
+    pytest.importorskip("rtde_control")
+    with (
+        Emulator(emulate_ur, still_ur()) as emulator,
+        connect_arm("ur:127.0.0.1", takes_commands=True) as arm,
+    ):
+        readings = iter(arm)
+        for _ in range(100):
+            next(readings)
+            arm.send(UR_WISH_rad_s)
+
+        time.sleep(0.5)  # five times what the watchdog bears
+        with pytest.raises(LinkError, match="its program has ended") as caught:
+            list(readings)
+
+        assert not arm.send(UR_WISH_rad_s)
+        assert emulator.stop()["watchdog_ended"]
+
+    assert caught.value.code.label == "NF-DEVICE-STOPPED"
+
+
+def test_a_ur_controller_that_does_not_fit_names_its_software(monkeypatch):
+    pytest.importorskip("rtde_receive")
+
+    def refuse(*_):
+        raise RuntimeError("no such output")
+
+    library = SimpleNamespace(RTDEReceiveInterface=refuse)
+    monkeypatch.setattr(ur, "import_client", lambda *_: library)
+    with (
+        Emulator(emulate_ur, still_ur()),
+        pytest.raises(LinkError, match="it runs URSoftware 5") as caught,
+    ):
+        UrArm()
+
+    assert "ur_rtde 1.6" in str(caught.value)
 
 
 @pytest.mark.parametrize("has_constants", [True, False])

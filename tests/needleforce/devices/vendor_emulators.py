@@ -1,9 +1,7 @@
-"""Emulators of arms that vendors' own clients accept: Franka FER (libfranka 0.9), UR
-e-Series.
+"""An emulator of a Franka FER that its own client, libfranka 0.9, accepts.
 
-Each is a function for `emulators.Emulator`. They serve one client after the other on
-loopback, on the fixed ports of the vendors. Layouts are those of
-the public protocols: research interface version 5; RTDE version 2.
+A function for `emulators.Emulator`. It serves one client after the other on loopback,
+on the fixed port of the arm. The layout is that of the public protocol, version 5.
 """
 
 import socket
@@ -39,18 +37,6 @@ FRANKA_STARTED = 1
 FRANKA_COMMAND = struct.Struct("<Q 7d 7d 16d 6d 2d ? ? 7d")
 """Number of the state; positions, velocities, pose, twist, elbow of a motion, whether
 the elbow counts and the motion is finished; torques."""
-RTDE_PORT = 30004
-RTDE_HEADER = struct.Struct(">HB")
-RTDE_TYPES = {
-    "timestamp": "DOUBLE",
-    **dict.fromkeys(("actual_q", "actual_qd", "actual_current"), "VECTOR6D"),
-}
-VERSION = b"V"[0]
-CONTROLLER = b"v"[0]
-OUTPUTS = b"O"[0]
-START = b"S"[0]
-PAUSE = b"P"[0]
-DATA = b"U"[0]
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -64,7 +50,7 @@ class ArmSettings:
     silent: tuple[Window, ...] = ()  # nothing is sent meanwhile
 
 
-def _listen(port: int) -> socket.socket:
+def listen(port: int) -> socket.socket:
     listener = socket.socket()
     listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
     listener.bind((LOOPBACK, port))
@@ -97,7 +83,7 @@ def _stream(
     return sent
 
 
-def _read(link: socket.socket, size: int) -> bytes:
+def read_exactly(link: socket.socket, size: int) -> bytes:
     """So many bytes; `ConnectionError` if the other has gone."""
     data = b""
     while len(data) < size:
@@ -164,7 +150,7 @@ class _Fer:
 
         command, number, size = FRANKA_HEADER.unpack(head)
         self._link.setblocking(True)
-        _read(self._link, size - FRANKA_HEADER.size)
+        read_exactly(self._link, size - FRANKA_HEADER.size)
         self._link.setblocking(False)
         if command == FRANKA_MOVE:
             self._motion = number
@@ -195,7 +181,7 @@ class _Fer:
 def emulate_franka(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
     """An arm that answers the connection, sends its state at 1 kHz, and moves."""
     with (
-        _listen(FRANKA_PORT) as listener,
+        listen(FRANKA_PORT) as listener,
         socket.socket(type=socket.SOCK_DGRAM) as states,
     ):
         pipe.send({"port": FRANKA_PORT})
@@ -208,9 +194,11 @@ def emulate_franka(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
                 continue
 
             with link:
-                _, number, size = FRANKA_HEADER.unpack(_read(link, FRANKA_HEADER.size))
+                _, number, size = FRANKA_HEADER.unpack(
+                    read_exactly(link, FRANKA_HEADER.size)
+                )
                 version, port = struct.unpack_from(
-                    "<2H", _read(link, size - FRANKA_HEADER.size)
+                    "<2H", read_exactly(link, size - FRANKA_HEADER.size)
                 )
                 # Status 1: another version of the interface.
                 reply = struct.pack("<BH", version != FRANKA_VERSION, FRANKA_VERSION)
@@ -228,15 +216,6 @@ def emulate_franka(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
                 counts["speed_rad_s"] = float(np.abs(speeds["dq_rad_s"]).max())
 
     return counts
-
-
-def _is_gone(link: socket.socket) -> bool:
-    try:
-        return link.recv(1) == b""
-    except BlockingIOError:
-        return False
-    except ConnectionError:
-        return True
 
 
 def franka_state(number: int, settings: ArmSettings, arm: _Fer) -> bytes:
@@ -264,68 +243,3 @@ def franka_state(number: int, settings: ArmSettings, arm: _Fer) -> bytes:
         + flags
         + struct.pack("<d", 1.0)
     )
-
-
-def emulate_ur(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
-    """A controller that answers the setup of outputs and sends them."""
-    sent = 0
-    with _listen(RTDE_PORT) as listener:
-        pipe.send({"port": RTDE_PORT})
-        while not pipe.poll():
-            try:
-                link, _ = listener.accept()
-            except TimeoutError:
-                continue
-
-            with link:
-                try:
-                    names = _rtde_setup(link)
-                    link.setblocking(False)
-                    sent += _stream(
-                        settings,
-                        lambda k, link=link, names=names: link.sendall(
-                            _rtde(DATA, rtde_data(names, k, settings))
-                        ),
-                        lambda link=link: pipe.poll() or _is_gone(link),
-                    )
-                except ConnectionError:
-                    continue
-
-    return {"sent": sent}
-
-
-def _rtde(kind: int, payload: bytes) -> bytes:
-    return RTDE_HEADER.pack(RTDE_HEADER.size + len(payload), kind) + payload
-
-
-def _rtde_setup(link: socket.socket) -> list[str]:
-    """Answer until the client starts the data; the names it wants."""
-    names: list[str] = []
-    while True:
-        size, kind = RTDE_HEADER.unpack(_read(link, RTDE_HEADER.size))
-        payload = _read(link, size - RTDE_HEADER.size)
-        if kind == VERSION:
-            link.sendall(_rtde(kind, bytes([payload == b"\x00\x02"])))
-        elif kind == CONTROLLER:
-            link.sendall(_rtde(kind, struct.pack(">4I", 5, 12, 0, 0)))
-        elif kind == OUTPUTS:
-            names = payload[8:].decode().rstrip(",").split(",")
-            types = ",".join(RTDE_TYPES.get(name, "NOT_FOUND") for name in names)
-            link.sendall(_rtde(kind, bytes([1]) + types.encode()))
-        else:
-            link.sendall(_rtde(kind, bytes([1])))
-            if kind == START:
-                return names
-
-
-def rtde_data(names: list[str], number: int, settings: ArmSettings) -> bytes:
-    """One package of outputs of recipe 1."""
-    row = number % len(settings.q_rad)
-    rows = {
-        "timestamp": [number / settings.rate_hz],
-        "actual_q": settings.q_rad[row],
-        "actual_qd": settings.dq_rad_s[row],
-        "actual_current": settings.effort[row],
-    }
-    values = [value for name in names for value in rows[name]]
-    return bytes([1]) + struct.pack(f">{len(values)}d", *values)
