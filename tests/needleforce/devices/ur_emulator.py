@@ -26,7 +26,12 @@ SCRIPT_PORT = 30003
 RTDE_PORT = 30004
 
 RTDE_HEADER = struct.Struct(">HB")
-VERSION, CONTROLLER, OUTPUTS, INPUTS, START, PAUSE, DATA = b"VvOISPU"
+VERSION = b"V"[0]
+CONTROLLER = b"v"[0]
+OUTPUTS = b"O"[0]
+INPUTS = b"I"[0]
+START = b"S"[0]
+DATA = b"U"[0]
 
 KINDS = {
     "DOUBLE": "d",
@@ -43,10 +48,19 @@ SCALARS = {
     "safety_status_bits": "UINT32",
 }
 
-STOPPED, PLAYING = 1, 2  # runtime states
-READY, DONE = 1, 2  # states of the client's program
+STOPPED = 1
+PLAYING = 2
+"""States of the controller's runtime."""
 
-NO_COMMAND, SPEED_J, SPEED_STOP, WATCHDOG, STOP_SCRIPT = 0, 9, 15, 35, 255
+READY = 1
+DONE = 2
+"""States of the client's program."""
+
+NO_COMMAND = 0
+SPEED_J = 9
+SPEED_STOP = 15
+WATCHDOG = 35
+STOP_SCRIPT = 255
 """Commands that the client writes into the first integer register."""
 
 PROGRAM_END = b"NODE_CONTROL_LOOP_ENDS"
