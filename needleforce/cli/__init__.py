@@ -6,7 +6,7 @@ that `--help` answers at once: `logs` has what works on recordings, `arms` what 
 an arm, `demos` the demonstrations, `checkup` what `doctor` finds.
 
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
-`force`, `check`, `identify`, `report`, `simulate`, `record`, `live`, `view`, `demo`,
+`force`, `check`, `identify`, `report`, `ros2`, `simulate`, `record`, `live`, `view`, `demo`,
 `doctor` (the commands), `robot` (the robot from options and TOML files), `logs`,
 `plan_file`, `auto_tare`, `arms`, `demos`, `checkup`.
 """
@@ -26,6 +26,7 @@ from needleforce.cli import (
     live,
     record,
     report,
+    ros2,
     simulate,
     view,
 )
@@ -43,6 +44,7 @@ __all__ = [
     "main",
     "record",
     "report",
+    "ros2",
     "simulate",
     "view",
 ]

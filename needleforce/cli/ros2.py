@@ -1,0 +1,36 @@
+"""The command `needleforce ros2`."""
+
+from typing import Annotated
+
+from cyclopts import Parameter
+
+from needleforce.cli.application import LOG, app
+from needleforce.cli.shared_options import RobotOptions
+
+
+@app.command(name="ros2")
+def ros2_command(
+    *ros_arguments: Annotated[
+        str,
+        Parameter(
+            name="ROS",
+            group=LOG,
+            allow_leading_hyphen=True,
+            help="Arguments of ROS, after --ros-args: parameters (-p NAME:=VALUE, "
+            "--params-file FILE), other names of topics (-r OLD:=NEW).",
+        ),
+    ],
+    robot: RobotOptions = RobotOptions(),
+) -> int:
+    """Run a ROS 2 node: joint_states in; wrench, tip force, layers, events out.
+
+    It needs your own ROS 2, sourced: see docs/how-to/ros2.md.
+
+    needleforce ros2 --urdf arm.urdf --ros-args -r joint_states:=/arm/joint_states
+    """
+    from needleforce.cli.robot import robot_from_options
+    from needleforce.cli.terminal import say
+    from needleforce.ros2 import run_node
+
+    run_node(ros_arguments, lambda: robot_from_options(robot, None), say)
+    return 0

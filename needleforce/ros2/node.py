@@ -1,0 +1,433 @@
+"""The node: joint states in; wrench, tip force, layers, events and diagnostics out."""
+
+import time
+from collections.abc import Callable, Sequence
+from typing import Any
+
+import numpy as np
+
+from needleforce.ros2.joint_samples import (
+    JointReader,
+    JointSample,
+    TorquePairing,
+)
+from needleforce.ros2.message_loss import DelayMeter, LossCounter
+from needleforce.ros2.messages import (
+    fill_stamp,
+    fill_vector,
+    read_joint_state,
+    report_array,
+)
+from needleforce.ros2.parameters import (
+    PARAMETERS,
+    NodeParameter,
+    NodeSettings,
+    settings_from_values,
+)
+from needleforce.ros2.reports import (
+    OK,
+    WARNING,
+    NamedReport,
+    NodeHealth,
+    format_value,
+    layer_reports,
+)
+from needleforce.ros2.ros_modules import RosModules, import_ros
+from needleforce.ros2.tare_run import ServiceAnswer, TareRun
+from needleforce.ros2.warm_up import warm_up
+from needleforce.session import InsertionSession, SessionEstimate
+from needleforce.session_events import session_events
+from residual import SensorConfig, Status
+from urdf import Robot
+
+NODE_NAME = "needleforce"
+
+OUTPUT_DEPTH = 1000
+"""Messages of an output that wait for a slow subscriber: a second at 1 kHz."""
+
+EVENT_DEPTH = 100
+"""Events that a subscriber gets who comes later."""
+
+REPORT_PERIOD_S = 1.0
+"""Time between two messages of diagnostics and layers [s]."""
+
+ROS_OWN_PREFIXES = ("qos_overrides.",)
+ROS_OWN_PARAMETERS = ("use_sim_time", "start_type_description_service")
+"""Parameters that every node has."""
+
+
+class NeedleNode:
+    """A session fed by joint states.
+
+    Every valid sample is answered by a wrench with its stamp, in the tool frame, at the
+    needle's tip; while it is tared and usable, also by the force at the tip.
+
+    Args:
+        ros: The modules of ROS 2.
+        node: The node that has the topics, services and timer.
+        robot: The arm.
+        settings: Values of the node's parameters.
+
+    Attributes:
+        is_stopped: Whether the service `~/stop` was called.
+        loss: Counts of messages on their way.
+    """
+
+    def __init__(
+        self, ros: RosModules, node: Any, robot: Robot, settings: NodeSettings
+    ) -> None:
+        config = SensorConfig(
+            gain_per_s=settings.gain_per_s,
+            axes="tool",
+            torque_is_gravity_compensated=settings.gravity_compensated,
+        )
+        warm_up(robot, config)
+        self.is_stopped = False
+        self.loss = LossCounter()
+        self._ros = ros
+        self._node = node
+        self._logger = node.get_logger()
+        self._settings = settings
+        self._hardware = robot.model.name
+        self._session = InsertionSession(robot, config)
+        self._axis = np.array(config.insertion_axis)
+        self._needs_pairing = bool(settings.external_torque_topic)
+        self._reader = JointReader(
+            robot.joint_names,
+            settings.joint_pattern,
+            needs_effort=not self._needs_pairing,
+        )
+        self._pairing = TorquePairing(robot.joint_names, self._reader.counts)
+        self._tare = TareRun(settings.tare_recording_s)
+        self._tare_end: Any = None
+        self._delay = DelayMeter()
+        self._estimate: SessionEstimate | None = None
+        self._stamp_ns = 0
+        self._heard_s = time.monotonic()
+        self._lost_before = 0
+        self._frame = settings.frame_id or robot.tool_frame
+        self._advertise()
+        self._subscribe()
+
+    def _advertise(self) -> None:
+        """Make the outputs and the services."""
+        ros = self._ros
+        node = self._node
+        reliable = ros.qos.QoSProfile(depth=OUTPUT_DEPTH)
+        kept = ros.qos.QoSProfile(
+            depth=EVENT_DEPTH, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
+        )
+        latest = ros.qos.QoSProfile(
+            depth=1, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
+        )
+        wrench_type = ros.geometry.WrenchStamped
+        array_type = ros.diagnostic.DiagnosticArray
+        self._wrench = node.create_publisher(wrench_type, "~/wrench", reliable)
+        self._tip = node.create_publisher(wrench_type, "~/tip_force", reliable)
+        self._events = node.create_publisher(array_type, "~/events", kept)
+        self._layers = node.create_publisher(array_type, "~/layers", latest)
+        self._diagnostics = node.create_publisher(array_type, "/diagnostics", 10)
+        self._wrench_message = wrench_type()
+        self._wrench_message.header.frame_id = self._frame
+        self._tip_message = wrench_type()
+        self._tip_message.header.frame_id = self._frame
+        trigger = ros.services.Trigger
+        node.create_service(trigger, "~/tare", self._serve_tare)
+        node.create_service(trigger, "~/begin_insertion", self._serve_begin)
+        node.create_service(trigger, "~/stop", self._serve_stop)
+        node.create_timer(REPORT_PERIOD_S, self._publish_reports)
+        node.add_on_set_parameters_callback(self._check_changes)
+
+    def _subscribe(self) -> None:
+        """Subscribe to joint states, and to external torques if they are used."""
+        ros = self._ros
+        policy = ros.qos.ReliabilityPolicy
+        quality = ros.qos.QoSProfile(
+            depth=self._settings.queue_depth,
+            reliability=policy.BEST_EFFORT
+            if self._settings.reliability == "best_effort"
+            else policy.RELIABLE,
+        )
+        state_type = ros.sensor.JointState
+        self._node.create_subscription(
+            state_type, "joint_states", self._take_joint_state, quality
+        )
+        if self._needs_pairing:
+            self._node.create_subscription(
+                state_type,
+                self._settings.external_torque_topic,
+                self._take_torque,
+                quality,
+            )
+
+    def _take_joint_state(self, message: Any, info: Any) -> None:
+        """Process a joint state, and publish what it gives."""
+        self._heard_s = time.monotonic()
+        self.loss.count(*_sender(info))
+        sample = self._reader.read(read_joint_state(message))
+        if sample is not None and self._needs_pairing:
+            sample = self._pairing.add_sample(sample)
+        if sample is not None:
+            self._process(sample)
+
+    def _take_torque(self, message: Any) -> None:
+        """Process an external torque, with the sample of its stamp."""
+        sample = self._pairing.add_torque(read_joint_state(message))
+        if sample is not None:
+            self._process(sample)
+
+    def _process(self, sample: JointSample) -> None:
+        """Update the session with a sample, and publish its estimate."""
+        torque_Nm = sample.effort_Nm
+        if torque_Nm is None:
+            return
+        update = self._session.update
+        if self._needs_pairing:
+            update = self._session.update_external_torque
+        estimate = update(sample.q_rad, sample.dq_rad_s, torque_Nm, sample.dt_s)
+        self._estimate = estimate
+        self._stamp_ns = sample.stamp_ns
+        self._publish_forces(estimate)
+        self._delay.add(self._now_ns() - sample.stamp_ns)
+        self._publish_events(estimate)
+        answer = self._tare.after(self._session, estimate)
+        if answer is not None:
+            self._end_tare(answer)
+
+    def _publish_forces(self, estimate: SessionEstimate) -> None:
+        """Publish the wrench of a valid sample, and the tip force of a usable one."""
+        if estimate.status is Status.REJECTED:
+            return
+        message = self._wrench_message
+        fill_stamp(message, self._stamp_ns)
+        fill_vector(message.wrench.force, estimate.wrench.force)
+        fill_vector(message.wrench.torque, estimate.wrench.torque)
+        self._wrench.publish(message)
+        if not estimate.used_for_identification:
+            return
+        message = self._tip_message
+        fill_stamp(message, self._stamp_ns)
+        force_N = -estimate.identification.tip_force_N * self._axis
+        fill_vector(message.wrench.force, force_N)
+        self._tip.publish(message)
+
+    def _publish_events(self, estimate: SessionEstimate) -> None:
+        """Publish what happened with this sample, and the layers with it."""
+        if not estimate.identification.has_events:
+            return
+        for event in session_events(estimate):
+            values = {name: format_value(v) for name, v in event.values.items()}
+            self._publish_event(NamedReport(event.kind, OK, event.text, values))
+        self._publish_layers()
+
+    def _publish_event(self, report: NamedReport) -> None:
+        """Publish an event, and its sentence as a log message."""
+        self._events.publish(
+            report_array(self._ros, [report], self._stamp_ns, self._hardware)
+        )
+        if report.level == OK:
+            self._logger.info(report.message)
+        else:
+            self._logger.warning(report.message)
+
+    def _publish_layers(self) -> None:
+        """Publish the layers traversed so far."""
+        reports = layer_reports(self._session.layers)
+        self._layers.publish(
+            report_array(self._ros, reports, self._stamp_ns, self._hardware)
+        )
+
+    def _publish_reports(self) -> None:
+        """Publish diagnostics and layers; the timer calls it."""
+        health = NodeHealth(
+            session=self._session,
+            reader=self._reader,
+            loss=self.loss,
+            estimate=self._estimate,
+            silent_s=time.monotonic() - self._heard_s,
+            silence_limit_s=self._settings.silence_s,
+            delay_max_s=self._delay.take_max_s(),
+            lost_before=self._lost_before,
+            is_taring=self._tare.is_running,
+        )
+        self._lost_before = self.loss.lost
+        report = health.report(self._node.get_fully_qualified_name().lstrip("/"))
+        self._diagnostics.publish(
+            report_array(self._ros, [report], self._now_ns(), self._hardware)
+        )
+        self._publish_layers()
+
+    def _now_ns(self) -> int:
+        """Return the time on the node's clock, simulated where it is [ns]."""
+        return self._node.get_clock().now().nanoseconds
+
+    async def _serve_tare(self, _request: Any, response: Any) -> Any:
+        """Tare beside the samples that follow; answer when it has ended."""
+        answer = self._tare.start(self._session)
+        if answer is None:
+            self._tare_end = self._ros.task.Future()
+            answer = await self._tare_end
+        return _fill_answer(response, answer)
+
+    def _end_tare(self, answer: ServiceAnswer) -> None:
+        """Answer the service that waits, and publish how the tare has ended."""
+        kind = "tared" if answer.success else "tare_refused"
+        level = OK if answer.success else WARNING
+        self._publish_event(NamedReport(kind, level, answer.message, {}))
+        self._tare_end.set_result(answer)
+
+    def _serve_begin(self, _request: Any, response: Any) -> Any:
+        """Count depth from here and forget the layers."""
+        if self._tare.is_running:
+            answer = ServiceAnswer(False, "a tare is under way: wait for its answer")
+        elif not self._session.tared:
+            answer = ServiceAnswer(
+                False, "not tared: move in free air, then call ~/tare"
+            )
+        else:
+            self._session.begin_insertion()
+            answer = ServiceAnswer(True, "depth counts from here")
+            self._publish_event(
+                NamedReport("insertion_begun", OK, "an insertion begins here", {})
+            )
+        return _fill_answer(response, answer)
+
+    def _serve_stop(self, _request: Any, response: Any) -> Any:
+        """End the node; the arm is not commanded."""
+        self._publish_reports()
+        self.is_stopped = True
+        return _fill_answer(response, ServiceAnswer(True, self.describe()))
+
+    def _check_changes(self, changes: Sequence[Any]) -> Any:
+        """Take changed parameters, or refuse all of them with a sentence."""
+        result = self._ros.interfaces.SetParametersResult
+        known = {parameter.name: parameter for parameter in PARAMETERS}
+        for change in changes:
+            if change.name not in known:
+                continue
+            problem = known[change.name].check(change.value)
+            if problem:
+                return result(successful=False, reason=problem)
+        names = [parameter.name for parameter in PARAMETERS]
+        values = {name: getattr(self._settings, name) for name in names}
+        values |= {change.name: change.value for change in changes if change.name in values}
+        self._settings = settings_from_values(values)
+        return result(successful=True)
+
+    def describe(self) -> str:
+        """Return what has come, in one line."""
+        return (
+            f"{self.loss}; {self._reader.counts}; {self._session.rejected} rejected by "
+            f"the session; layers traversed: {len(self._session.layers)}"
+        )
+
+
+def _fill_answer(response: Any, answer: ServiceAnswer) -> Any:
+    """Write an answer into the response of a service."""
+    response.success = answer.success
+    response.message = answer.message
+    return response
+
+
+def _sender(info: Any) -> tuple[Any, int | None]:
+    """Return who sent a message and its number, None where the middleware has none."""
+    publisher = info.get("publisher_gid") or {}
+    return publisher.get("data"), info.get("publication_sequence_number")
+
+
+def run_node(
+    arguments: Sequence[str],
+    make_robot: Callable[[], Robot],
+    say: Callable[[str], None],
+) -> None:
+    """Run the node until Ctrl-C, SIGTERM or its service `~/stop`.
+
+    Args:
+        arguments: Of ROS 2, such as ``--ros-args -p queue_depth:=100``.
+        make_robot: Makes the arm.
+        say: Takes one line of text.
+
+    Raises:
+        MissingRosError: This Python cannot import ROS 2.
+        Ros2ParameterError: A parameter is unknown or cannot be.
+    """
+    ros = import_ros()
+    robot = make_robot()
+    ros.rclpy.init(args=list(arguments))
+    try:
+        node = ros.rclpy.create_node(
+            NODE_NAME, automatically_declare_parameters_from_overrides=True
+        )
+        needle_node = NeedleNode(ros, node, robot, declare_parameters(ros, node))
+        _spin(ros, node, needle_node)
+        say(needle_node.describe())
+    finally:
+        ros.rclpy.try_shutdown()
+
+
+def _spin(ros: RosModules, node: Any, needle_node: NeedleNode) -> None:
+    """Serve the node until it is stopped."""
+    executor = ros.executors.SingleThreadedExecutor()
+    executor.add_node(node)
+    node.get_logger().info("ready")
+    try:
+        while not needle_node.is_stopped:
+            executor.spin_once()
+    except (KeyboardInterrupt, ros.executors.ExternalShutdownException):
+        return
+    # The answer of the service is on its way.
+    executor.spin_once(timeout_sec=REPORT_PERIOD_S)
+
+
+def declare_parameters(ros: RosModules, node: Any) -> NodeSettings:
+    """Declare the node's parameters; return their values.
+
+    Args:
+        ros: The modules of ROS 2.
+        node: Whose parameters that were given are declared already, whatever they are.
+
+    Raises:
+        Ros2ParameterError: One is unknown or cannot be.
+    """
+    given = {
+        name: parameter.value
+        for name, parameter in node.get_parameters_by_prefix("").items()
+        if name not in ROS_OWN_PARAMETERS and not name.startswith(ROS_OWN_PREFIXES)
+    }
+    settings = settings_from_values(given)
+    for parameter in PARAMETERS:
+        if parameter.name in given:
+            node.undeclare_parameter(parameter.name)
+        node.declare_parameter(
+            parameter.name,
+            getattr(settings, parameter.name),
+            _descriptor(ros, parameter),
+            ignore_override=True,
+        )
+    return settings
+
+
+def _descriptor(ros: RosModules, parameter: NodeParameter) -> Any:
+    """Return description and range of a parameter as tools show them."""
+    interfaces = ros.interfaces
+    descriptor = interfaces.ParameterDescriptor(
+        description=parameter.description,
+        read_only=parameter.is_read_only,
+        additional_constraints=" or ".join(parameter.choices),
+    )
+    limits = parameter.range
+    if limits is None:
+        return descriptor
+    if isinstance(parameter.default, int):
+        descriptor.integer_range = [
+            interfaces.IntegerRange(
+                from_value=int(limits.minimum), to_value=int(limits.maximum), step=1
+            )
+        ]
+    else:
+        descriptor.floating_point_range = [
+            interfaces.FloatingPointRange(
+                from_value=limits.minimum, to_value=limits.maximum
+            )
+        ]
+    return descriptor

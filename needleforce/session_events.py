@@ -1,0 +1,68 @@
+"""What happens in an insertion, as events with a sentence and named values."""
+
+from collections.abc import Iterator
+from typing import NamedTuple
+
+from needleforce.session import SessionEstimate
+
+M_TO_MM = 1e3
+
+
+class SessionEvent(NamedTuple):
+    """An event of an insertion.
+
+    Attributes:
+        kind: ``rupture``, ``rupture_retracted`` or ``layer``.
+        text: One sentence for people.
+        values: What is known of it, by name with unit.
+    """
+
+    kind: str
+    text: str
+    values: dict[str, float]
+
+
+def session_events(estimate: SessionEstimate) -> Iterator[SessionEvent]:
+    """Yield the events of one update."""
+    identification = estimate.identification
+    rupture = identification.rupture
+    if rupture is not None:
+        yield SessionEvent(
+            kind="rupture",
+            text=f"rupture of layer {rupture.layer} at "
+            f"{M_TO_MM * rupture.depth_m:.1f} mm "
+            f"({100.0 * rupture.probability:.0f} %)",
+            values={
+                "layer": rupture.layer,
+                "depth_m": rupture.depth_m,
+                "force_N": rupture.force_N,
+                "speed_m_s": rupture.speed_m_s,
+                "probability": rupture.probability,
+                "alarm_delay_s": rupture.alarm_s - rupture.time_s,
+            },
+        )
+    retracted = identification.retracted
+    if retracted is not None:
+        yield SessionEvent(
+            kind="rupture_retracted",
+            text=f"no rupture of layer {retracted.layer} after all: the force came "
+            "back",
+            values={"layer": retracted.layer, "depth_m": retracted.depth_m},
+        )
+    layer = identification.identified_layer
+    if layer is not None:
+        kind = "final" if layer.is_final else "provisional"
+        yield SessionEvent(
+            kind="layer",
+            text=f"layer {layer.layer}: {M_TO_MM * layer.thickness_m:.1f} mm thick "
+            f"({kind})",
+            values={
+                "layer": layer.layer,
+                "is_final": float(layer.is_final),
+                "start_depth_m": layer.start_depth_m,
+                "thickness_m": layer.thickness_m,
+                "force_drop_N": layer.force_drop_N,
+                "stiffness_N_per_m": layer.stiffness_N_per_m,
+                "friction_N": layer.friction_N,
+            },
+        )

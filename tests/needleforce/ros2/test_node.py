@@ -1,0 +1,173 @@
+"""The node with the user's ROS 2 and an arm in another process.
+
+Skipped, saying so, where this Python cannot import rclpy; `.ci/run` has an environment
+with it.
+"""
+
+import json
+import os
+import subprocess
+import sys
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from tests.insertion_run import short_run, tare_index
+
+pytestmark = pytest.mark.skipif(
+    find_spec("rclpy") is None, reason="no rclpy: source a ROS 2 to test the node"
+)
+ROOT = Path(__file__).resolve().parents[3]
+ARM = Path(__file__).with_name("arm_process.py")
+FRAME = "needle_tip"
+DOMAIN = str(50 + os.getpid() % 150)
+"""Beside the domain that a user's own nodes are in."""
+
+
+def ros_environment():
+    """Of processes that hear each other only."""
+    return {
+        **os.environ,
+        "ROS_DOMAIN_ID": DOMAIN,
+        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
+        "ROS_LOCALHOST_ONLY": "1",
+        "PYTHONPATH": str(ROOT),
+    }
+
+
+def node_command(*arguments):
+    return [sys.executable, "-m", "needleforce", "ros2", *arguments]
+
+
+@pytest.fixture(scope="module")
+def answers(tmp_path_factory):
+    """What an arm that replays an insertion gets back, and how the node ended."""
+    folder = tmp_path_factory.mktemp("ros2")
+    run = short_run()
+    np.savez(
+        folder / "signals.npz",
+        t_s=run.signals.t_s,
+        q_rad=run.signals.q_rad,
+        dq_rad_s=run.signals.dq_rad_s,
+        tau_Nm=run.signals.tau_Nm,
+        names=np.array(run.robot.joint_names),
+        tare=tare_index(run),
+    )
+    output = folder / "answers.json"
+    with subprocess.Popen(
+        node_command(), env=ros_environment(), stderr=subprocess.PIPE, text=True
+    ) as node:
+        try:
+            subprocess.run(
+                [sys.executable, str(ARM), str(folder / "signals.npz"), str(output)],
+                env=ros_environment(),
+                timeout=600,
+                check=True,
+            )
+            _, said = node.communicate(timeout=30)
+        finally:
+            node.kill()
+    return {**json.loads(output.read_text()), "code": node.returncode, "said": said}
+
+
+def last_diagnostics(answers):
+    return answers["diagnostics"][-1]
+
+
+def test_every_sample_that_arrived_is_answered_by_a_wrench_with_its_stamp(answers):
+    stamps_ns = np.round(1e9 * (1.0 + short_run().signals.t_s)).astype(int)
+    answered_ns = np.array([row[0] for row in answers["wrench"]])
+    values = last_diagnostics(answers)["values"]
+
+    assert set(answered_ns) <= set(stamps_ns)
+    assert np.unique(answered_ns).size == answered_ns.size
+    assert answered_ns.size == int(values["used"]) - int(values["rejected"])
+    assert answered_ns.size == stamps_ns.size
+    assert int(values["lost"]) == 0
+
+
+def test_the_wrench_is_at_the_tip_in_the_tool_frame(answers):
+    run = short_run()
+    force_N = np.array([row[1:] for row in answers["wrench"]])
+    in_tissue = slice(int(np.searchsorted(run.signals.t_s, run.truth.contact_s)), None)
+    # Tissue pushes against the z axis of the needle.
+    deepest_N = -force_N[in_tissue, 2].min()
+    peak_N = max(rupture.force_N for rupture in run.truth.ruptures)
+
+    assert answers["frame"] == FRAME
+    assert deepest_N == pytest.approx(peak_N, rel=0.3)
+
+
+def test_a_gripper_on_the_topic_is_passed_by(answers):
+    assert int(last_diagnostics(answers)["values"]["other_joints"]) > 100
+
+
+def test_a_service_tares_beside_the_samples_and_answers_at_the_end(answers):
+    [[is_begun, reason]] = answers["begin_insertion"]
+    kinds = [event["name"] for event in answers["events"]]
+
+    assert answers["tare"] == [[True, "tared"]]
+    assert kinds[0] == "tared"
+    assert not is_begun
+    assert "~/tare" in reason
+
+
+def test_the_rupture_is_an_event_with_its_depth(answers):
+    run = short_run()
+    ruptures = [event for event in answers["events"] if event["name"] == "rupture"]
+    depth_mm = [1e3 * float(event["values"]["depth_m"]) for event in ruptures]
+
+    assert len(ruptures) == len(run.truth.ruptures)
+    assert "rupture of layer 1" in ruptures[0]["message"]
+    assert all(0.0 < depth < 100.0 for depth in depth_mm)
+
+
+def test_layers_and_tip_force_are_published(answers):
+    [layer] = answers["layers"]
+
+    assert layer["name"] == "layer 1"
+    assert float(layer["values"]["thickness_m"]) > 0.0
+    assert 0 < len(answers["tip_force"]) < len(answers["wrench"])
+
+
+def test_parameters_are_described_and_refused_with_a_sentence(answers):
+    too_long, fixed, taken = answers["set"]
+
+    assert answers["descriptions"][0].startswith("Joint states that wait")
+    assert too_long[1] is False
+    assert "silence_s" in too_long[2]
+    assert fixed[1] is False
+    assert "queue_depth" in fixed[2]
+    assert taken[1] is True
+
+
+def test_the_service_stop_ends_the_node_with_its_counts(answers):
+    [[is_stopped, text]] = answers["stop"]
+
+    assert is_stopped
+    assert "0 lost" in text
+    assert answers["code"] == 0
+    assert "0 lost" in answers["said"]
+
+
+@pytest.mark.parametrize(
+    ("setting", "message"),
+    [
+        ("queue_deph:=4", "there is no parameter queue_deph; did you mean queue_depth"),
+        ("queue_depth:=0", "queue_depth is 0; expected a whole number from 1"),
+        ("reliability:=maybe", "expected best_effort or reliable"),
+    ],
+)
+def test_a_node_with_a_wrong_parameter_does_not_start(setting, message):
+    done = subprocess.run(
+        node_command("--ros-args", "-p", setting),
+        env=ros_environment(),
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+
+    assert done.returncode == 2
+    assert message in done.stderr
