@@ -24,6 +24,7 @@ from needleforce.control.errors import ControlCode
 from needleforce.devices.errors import DeviceCode
 from needleforce.plots.errors import FigureCode
 from needleforce.recordings.errors import RecordingCode
+from needleforce.ros2.errors import Ros2Code
 from needleforce.scene.state_ring import SceneCode
 from needleforce.session import SessionCode
 from residual.errors import SensorCode
@@ -41,6 +42,7 @@ ERROR_CODES: tuple[type[ErrorCode], ...] = (
     ControlCode,
     AnatomyCode,
     DeviceCode,
+    Ros2Code,
     SceneCode,
     FigureCode,
     SimulationCode,

@@ -5,7 +5,7 @@ made. All that needs no ROS stands in files of its own and is tested without.
 
 Reading order: `errors`, `parameters` (what a user sets), `joint_samples` (messages to
 samples), `message_loss`, `tare_run` (the service's tare), `reports` (estimates to named
-values), `ros_modules` (the only import of ROS), `messages`, `warm_up`, `node`.
+values), `ros_modules` (the only import of ROS), `messages`, `warming`, `node`.
 """
 
 from needleforce.ros2.errors import (

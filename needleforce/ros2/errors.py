@@ -7,16 +7,15 @@ class Ros2Code(ErrorCode):
     """Kinds of errors of the ROS 2 node."""
 
     MISSING = (
-        "NF-ROS2-MISSING",
+        "NF-ROS-MISSING",
         "This Python cannot import rclpy or a message of ROS 2.",
-        "Source your ROS (`source /opt/ros/DISTRO/setup.bash`) and use its Python: "
-        "`python3 -m venv --system-site-packages`; docs/how-to/ros2.md.",
+        "Source the setup file of your ROS 2, and use the Python that it was built for; "
+        "docs/how-to/ros2.md says how.",
     )
     PARAMETER = (
-        "NF-ROS2-PARAMETER",
+        "NF-ROS-PARAMETER",
         "A parameter of the node is unknown, or has a value that cannot be.",
-        "Give what the message expects: `-p NAME:=VALUE` after `--ros-args`, or a "
-        "parameter file.",
+        "Give what the message expects.",
     )
 
 

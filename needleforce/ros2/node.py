@@ -34,7 +34,7 @@ from needleforce.ros2.reports import (
 )
 from needleforce.ros2.ros_modules import RosModules, import_ros
 from needleforce.ros2.tare_run import ServiceAnswer, TareRun
-from needleforce.ros2.warm_up import warm_up
+from needleforce.ros2.warming import warm_up
 from needleforce.session import InsertionSession, SessionEstimate
 from needleforce.session_events import session_events
 from residual import SensorConfig, Status
@@ -132,7 +132,11 @@ class NeedleNode:
         self._tip_message = wrench_type()
         self._tip_message.header.frame_id = self._frame
         trigger = ros.services.Trigger
-        node.create_service(trigger, "~/tare", self._serve_tare)
+        # In a group of its own: samples must be processed while it waits for its end.
+        own_group = ros.callback_groups.ReentrantCallbackGroup()
+        node.create_service(
+            trigger, "~/tare", self._serve_tare, callback_group=own_group
+        )
         node.create_service(trigger, "~/begin_insertion", self._serve_begin)
         node.create_service(trigger, "~/stop", self._serve_stop)
         node.create_timer(REPORT_PERIOD_S, self._publish_reports)
@@ -310,7 +314,9 @@ class NeedleNode:
                 return result(successful=False, reason=problem)
         names = [parameter.name for parameter in PARAMETERS]
         values = {name: getattr(self._settings, name) for name in names}
-        values |= {change.name: change.value for change in changes if change.name in values}
+        values |= {
+            change.name: change.value for change in changes if change.name in values
+        }
         self._settings = settings_from_values(values)
         return result(successful=True)
 

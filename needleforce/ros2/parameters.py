@@ -202,5 +202,3 @@ def _describe_unknown(name: str, known: tuple[str, ...]) -> str:
     similar = get_close_matches(name, known, n=1)
     expected = f"did you mean {similar[0]}" if similar else f"known: {', '.join(known)}"
     return f"there is no parameter {name}; {expected}"
-
-

@@ -154,5 +154,5 @@ class NodeHealth:
             texts["lost"] = "unknown: the middleware numbers no messages"
         if self.estimate is not None:
             texts["status"] = str(self.estimate.status)
-            texts["warnings"] = str(self.estimate.warnings)
+            texts["warnings"] = str(self.estimate.warnings or "none")
         return texts

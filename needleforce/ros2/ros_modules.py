@@ -12,6 +12,7 @@ class RosModules(NamedTuple):
 
     Attributes:
         rclpy: The client library.
+        callback_groups: What may run while a callback waits.
         executors: Its executors.
         parameter: Its parameters.
         qos: Its qualities of service.
@@ -24,6 +25,7 @@ class RosModules(NamedTuple):
     """
 
     rclpy: Any
+    callback_groups: Any
     executors: Any
     parameter: Any
     qos: Any
@@ -37,6 +39,7 @@ class RosModules(NamedTuple):
 
 _NAMES = RosModules(
     rclpy="rclpy",
+    callback_groups="rclpy.callback_groups",
     executors="rclpy.executors",
     parameter="rclpy.parameter",
     qos="rclpy.qos",

@@ -1,4 +1,4 @@
-"""An arm of another process: replays joint signals through ROS 2, and keeps the answers.
+"""An arm of another process: replays joint signals through ROS 2, keeps the answers.
 
 Needs rclpy and numpy alone. Usage: arm_process.py SIGNALS.npz ANSWERS.json
 """
@@ -24,6 +24,7 @@ NS_PER_S = 10**9
 MAX_AHEAD = 300
 """Samples that wait in the node; its queue holds more, so that none is lost."""
 
+SENT_AT_ONCE = 5
 MAX_SILENCE_S = 30.0
 MAX_START_S = 240.0
 """Of a node that compiles first."""
@@ -79,6 +80,7 @@ class ArmProcess:
 
     def wait_until(self, is_reached, max_s=MAX_SILENCE_S):
         end_s = time.monotonic() + max_s
+        rclpy.spin_once(self.node, timeout_sec=0.0)
         while not is_reached():
             rclpy.spin_once(self.node, timeout_sec=0.01)
             assert time.monotonic() < end_s, "the node stays away"
@@ -136,9 +138,8 @@ class ArmProcess:
             if k % 100 == 0:
                 self.send_gripper()
             self.send(k)
-            rclpy.spin_once(self.node, timeout_sec=0.0)
-            sent = k + 1
-            self.wait_until(lambda: sent - len(self.answers["wrench"]) <= MAX_AHEAD)
+            if k % SENT_AT_ONCE == 0:
+                self.wait_until(lambda k=k: k - len(self.answers["wrench"]) < MAX_AHEAD)
         total = len(self.signals["t_s"])
         end_s = time.monotonic() + OUTLASTING_S
         self.wait_until(
