@@ -6,9 +6,9 @@ that `--help` answers at once: `logs` has what works on recordings, `arms` what 
 an arm, `demos` the demonstrations, `checkup` what `doctor` finds.
 
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
-`force`, `check`, `identify`, `report`, `ros2`, `simulate`, `record`, `live`, `view`,
-`demo`, `doctor` (the commands), `robot` (the robot from options and TOML files), `logs`,
-`plan_file`, `auto_tare`, `arms`, `demos`, `checkup`.
+`force`, `check`, `identify`, `report`, `simulate`, `record`, `live`, `ros2`, `view`,
+`demo`, `doctor` (the commands), `robot` (the robot from options and TOML files),
+`logs`, `plan_file`, `auto_tare`, `arms`, `demos`, `checkup`.
 """
 
 import re

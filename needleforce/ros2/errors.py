@@ -9,8 +9,8 @@ class Ros2Code(ErrorCode):
     MISSING = (
         "NF-ROS-MISSING",
         "This Python cannot import rclpy or a message of ROS 2.",
-        "Source the setup file of your ROS 2, and use the Python that it was built for; "
-        "docs/how-to/ros2.md says how.",
+        "Source the setup file of your ROS 2, and use the Python that it was built "
+        "for; docs/how-to/ros2.md says how.",
     )
     PARAMETER = (
         "NF-ROS-PARAMETER",

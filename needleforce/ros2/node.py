@@ -6,6 +6,7 @@ from typing import Any
 
 import numpy as np
 
+from needleforce.insertion_events import session_events
 from needleforce.ros2.joint_samples import (
     JointReader,
     JointSample,
@@ -36,7 +37,6 @@ from needleforce.ros2.ros_modules import RosModules, import_ros
 from needleforce.ros2.tare_run import ServiceAnswer, TareRun
 from needleforce.ros2.warming import warm_up
 from needleforce.session import InsertionSession, SessionEstimate
-from needleforce.session_events import session_events
 from residual import SensorConfig, Status
 from urdf import Robot
 

@@ -7,6 +7,7 @@ import numpy as np
 import pytest
 
 from needleforce import InsertionSession
+from needleforce.insertion_events import session_events
 from needleforce.ros2 import MissingRosError, Ros2ParameterError
 from needleforce.ros2.joint_samples import JointMessage, JointReader, TorquePairing
 from needleforce.ros2.message_loss import DelayMeter, LossCounter
@@ -15,7 +16,6 @@ from needleforce.ros2.parameters import PARAMETERS, settings_from_values
 from needleforce.ros2.reports import NodeHealth, layer_reports
 from needleforce.ros2.ros_modules import import_ros
 from needleforce.ros2.tare_run import TareRun
-from needleforce.session_events import session_events
 from tests.insertion_run import insert, samples, short_run, tare_index
 
 JOINTS = ("arm_joint_1", "arm_joint_2", "arm_joint_3")
