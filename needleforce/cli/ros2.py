@@ -30,7 +30,7 @@ def ros2_command(
     """
     from needleforce.cli.robot import robot_from_options
     from needleforce.cli.terminal import say
-    from needleforce.ros2 import run_node
+    from needleforce.ros2.node import run_node
 
     run_node(ros_arguments, lambda: robot_from_options(robot, None), say)
     return 0

@@ -5,7 +5,7 @@ from typing import Any
 
 from foundation.arrays import Array
 from needleforce.ros2.joint_samples import NS_PER_S, JointMessage
-from needleforce.ros2.reports import NamedReport
+from needleforce.ros2.named_report import NamedReport
 from needleforce.ros2.ros_modules import RosModules
 
 

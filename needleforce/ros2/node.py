@@ -19,20 +19,14 @@ from needleforce.ros2.messages import (
     read_joint_state,
     report_array,
 )
+from needleforce.ros2.named_report import OK, WARNING, NamedReport, format_value
 from needleforce.ros2.parameters import (
     PARAMETERS,
     NodeParameter,
     NodeSettings,
     settings_from_values,
 )
-from needleforce.ros2.reports import (
-    OK,
-    WARNING,
-    NamedReport,
-    NodeHealth,
-    format_value,
-    layer_reports,
-)
+from needleforce.ros2.reports import NodeHealth, layer_reports
 from needleforce.ros2.ros_modules import RosModules, import_ros
 from needleforce.ros2.tare_run import ServiceAnswer, TareRun
 from needleforce.ros2.warming import warm_up

@@ -2,17 +2,19 @@
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
 
 from identification import LayerEstimate
 from needleforce.ros2.joint_samples import JointReader
 from needleforce.ros2.message_loss import LossCounter
+from needleforce.ros2.named_report import (
+    ERROR,
+    OK,
+    WARNING,
+    NamedReport,
+    format_value,
+)
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import SensorWarning, Status
-
-OK = 0
-WARNING = 1
-ERROR = 2
 
 LAYER_VALUES = (
     "start_depth_m",
@@ -28,22 +30,6 @@ LAYER_VALUES = (
 """Fields of `LayerEstimate` that are published."""
 
 
-class NamedReport(NamedTuple):
-    """A name with a level, a sentence and values: a `diagnostic_msgs/DiagnosticStatus`.
-
-    Attributes:
-        name: What it is about.
-        level: `OK`, `WARNING` or `ERROR`.
-        message: One sentence.
-        values: Text by name.
-    """
-
-    name: str
-    level: int
-    message: str
-    values: dict[str, str]
-
-
 def layer_reports(layers: Iterable[LayerEstimate]) -> list[NamedReport]:
     """Return a report of each layer traversed; values without an estimate are left out.
 
@@ -57,13 +43,6 @@ def layer_reports(layers: Iterable[LayerEstimate]) -> list[NamedReport]:
         text = f"{1e3 * layer.thickness_m:.1f} mm thick"
         reports.append(NamedReport(f"layer {layer.layer}", OK, text, known))
     return reports
-
-
-def format_value(value: float) -> str:
-    """Return a number as text that reads back; true and false for a switch."""
-    if isinstance(value, bool):
-        return str(value).lower()
-    return repr(value) if isinstance(value, int) else f"{value:.9g}"
 
 
 @dataclass(slots=True, kw_only=True)
