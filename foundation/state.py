@@ -36,7 +36,7 @@ from foundation.errors import CodedError, StateCode
 STATE_FORMAT = "needleforce-state"
 """Name of the file format."""
 
-STATE_VERSION = 2
+STATE_VERSION = 3
 """Grows whenever a file of the version before cannot be read, or is misread."""
 
 MAX_NUMBER = 1e30

@@ -78,6 +78,19 @@ COARSE_LAG = 4
 ROUNDING = 1e-6
 """Relative error that sums of time steps may have."""
 
+MIN_HIDING_DIFFERENCES = 2.0
+"""Coarse differences before it is known how much texture the noise can hide."""
+
+TEXTURE_PERIOD_MM = 2.0 * TEXTURE_MM * 2**COARSE_LAG
+"""Travel of a coarse difference: those further apart are independent."""
+
+UNKNOWN_HIDDEN_N2 = 1e6
+"""Variance that noise can hide before it is known: so large that the fraction of the
+force decides."""
+
+MAX_HIDDEN_FRACTION = 0.2
+"""Part of the force that texture hidden by noise is at most."""
+
 MAX_CARRIED_FRACTION = 0.9
 """Part of a step of texture that is carried over to the next one, at most."""
 
@@ -303,10 +316,12 @@ class Texture(NamedTuple):
     Attributes:
         differences: Of the force over travel.
         variance_N2: Coarse less fine differences.
+        hidden_N2: Variance of the force model's error that noise can hide.
     """
 
     differences: SecondDifferences = no_differences(MAX_TEXTURE_DIFFERENCES, STEP_S)
     variance_N2: float = 0.0
+    hidden_N2: float = UNKNOWN_HIDDEN_N2
 
     def restarted(self) -> "Texture":
         """Return the same after a gap or a rest."""
@@ -321,24 +336,59 @@ class Texture(NamedTuple):
             differences.filled - TEXTURE_MM, MAX_CARRIED_FRACTION * TEXTURE_MM
         )
         differences = differences.with_step(carried_mm * force_N, carried_mm)
-        variance_N2 = self.variance_N2
+        return self._replace(differences=differences)._with_levels()
+
+    def _with_levels(self) -> "Texture":
+        """Return the same with what the differences show, where that is due."""
+        differences = self.differences
+        squares_N2 = differences.squares_N2
+        counts = differences.counts
         is_due = differences.steps % STEPS_BETWEEN_TEXTURES == 0.0
-        if is_due and differences.counts[COARSE_LAG] >= MIN_DIFFERENCES:
-            squares_N2 = differences.squares_N2
-            counts = differences.counts
-            coarse = difference_variance(squares_N2, counts, COARSE_LAG)
-            fine = difference_variance(squares_N2, counts, FINE_LAG)
-            variance_N2 = float(coarse - fine)
-        return Texture(differences, variance_N2)
+        if not is_due or counts[COARSE_LAG] < MIN_HIDING_DIFFERENCES:
+            return self
+        fine = difference_variance(squares_N2, counts, FINE_LAG)
+        hidden_N2 = _hidden_texture(float(fine), float(counts[COARSE_LAG]))
+        if counts[COARSE_LAG] < MIN_DIFFERENCES:
+            return self._replace(hidden_N2=hidden_N2)
+        coarse = difference_variance(squares_N2, counts, COARSE_LAG)
+        return self._replace(variance_N2=float(coarse - fine), hidden_N2=hidden_N2)
 
     def model_error(self, force_N: float, noise_N: float) -> float:
-        """Return the deviation [N] of the model's error beyond its own and noise."""
+        """Return the deviation [N] of the model's error beyond its own.
+
+        It is what texture shows beyond the noise, and no less than what texture could
+        be without showing: noise hides falls of the force that would tell friction
+        from tip force, and must not make the estimate look more certain.
+
+        Args:
+            force_N: Axial force, less its offset.
+            noise_N: Standard deviation of the force's slow error.
+        """
         variance = self.variance_N2 / (COARSE_TEXTURE - FINE_TEXTURE)
         variance = variance - 6.0 * noise_N**2 / COARSE_TEXTURE
         expected = (MODEL_ERROR_FRACTION * force_N) ** 2
         # Friction lies between none and all of the force, so no deviation exceeds half
         # of that.
-        return min(math.sqrt(max(variance - expected, 0.0)), 0.5 * abs(force_N))
+        shown_N = min(math.sqrt(max(variance - expected, 0.0)), 0.5 * abs(force_N))
+        hidden_N = min(math.sqrt(self.hidden_N2), MAX_HIDDEN_FRACTION * abs(force_N))
+        return max(shown_N, hidden_N)
+
+
+def _hidden_texture(fine_N2: float, coarse_differences: float) -> float:
+    """Return the variance of texture that noise can hide [N²].
+
+    One standard error of the variance of the coarse differences, were they all noise.
+    Of n independent squares of normal values the mean has the relative standard error
+    √(2/n).
+
+    Args:
+        fine_N2: Variance of the fine differences, nearly all of it noise.
+        coarse_differences: Their number; they overlap.
+    """
+    kept = min(coarse_differences, float(MAX_TEXTURE_DIFFERENCES))
+    independent = max(kept * TEXTURE_MM / TEXTURE_PERIOD_MM, 1.0)
+    standard_error_N2 = fine_N2 * math.sqrt(2.0 / independent)
+    return standard_error_N2 / (COARSE_TEXTURE - FINE_TEXTURE)
 
 
 @compiled

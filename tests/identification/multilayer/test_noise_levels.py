@@ -63,6 +63,31 @@ def test_texture_shows_an_error_but_no_noise_and_no_bend():
         smooth_errors_N.append(smooth.model_error(1.0, 0.0))
         rough_errors_N.append(rough.model_error(1.0, 0.0))
 
-    assert max(smooth_errors_N) < 0.03
+    settled = smooth_errors_N[1000:]  # the first 50 mm show how little noise can hide
+    assert max(settled) < 0.04
     assert np.mean(rough_errors_N) == pytest.approx(0.2, rel=0.25)
-    assert rough.model_error(1.0, 0.3) == 0.0
+    # A slow error of the sensor may be all that texture shows, and hides as much.
+    assert rough.model_error(1.0, 0.3) < 0.1
+
+
+def texture_behind_noise(noise_N: float) -> Texture:
+    texture = Texture()
+    rng = np.random.default_rng(3)
+    for white_N in (noise_N * rng.standard_normal(1000)).tolist():
+        texture = texture.with_force(white_N, 0.05)
+    return texture
+
+
+def test_texture_that_noise_can_hide_counts():
+    quiet = texture_behind_noise(0.002).model_error(1.0, 0.0)
+    noisy = texture_behind_noise(0.05).model_error(1.0, 0.05)
+
+    assert quiet < 0.02
+    assert noisy > 5.0 * quiet
+
+
+def test_texture_before_it_is_known_is_a_part_of_the_force():
+    texture = Texture()
+
+    assert texture.model_error(0.5, 0.0) == pytest.approx(0.1)
+    assert texture.model_error(2.0, 0.05) == pytest.approx(0.4)
