@@ -262,11 +262,12 @@ ArmName = Annotated[
     Parameter(
         name="ARM",
         group=LOG,
-        help="fri[:LOCAL_ADDRESS][:PORT][@CONTROLLER] (KUKA LWR 4+ that sends to this "
-        "machine; without an address from this machine only), fr3:ADDRESS, "
-        "franka:ADDRESS (FER), ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. An "
-        "fr3 describes itself, a franka is taken for a panda and a ur for a ur10e "
-        "unless --robot or --urdf names another.",
+        help="fri or iiwa, with [:LOCAL_ADDRESS][:PORT][@CONTROLLER] (KUKA LWR 4+, LBR "
+        "iiwa: the controller sends to this address of this machine; by default only "
+        "programs of this machine are heard), fr3:ADDRESS, franka:ADDRESS (FER), "
+        "ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. An fr3 describes itself, "
+        "a franka is taken for a panda and a ur for a ur10e unless --robot or --urdf "
+        "names another; an iiwa needs --urdf.",
     ),
 ]
 

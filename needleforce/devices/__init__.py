@@ -6,11 +6,13 @@ to loopback unless an address is named. What is malformed, old or foreign is cou
 a `LinkReport`, never handed on.
 
 Reading order: `link` (what a device offers, readings, reports), `errors`,
-`datagram_link` (UDP), `fri` (KUKA LWR 4+), `rdt` and `rdt_status` (ATI Net F/T),
-`checked_arm` and `velocity_hold` (common to arms with a client library), `franka`,
-`franka_versions` and `franka_wire` (FER, FR3), `ur` and `ur_control` (UR e-Series),
-`haply`, `arm_names` (any arm by a name of one line). Emulators: `emulators`,
-`fri_emulator`, `rdt_emulator`, `haply_emulator`.
+`datagram_link` (UDP), `cycle_counter` and `controller_link` (controllers that send a
+packet a cycle), `fri` (KUKA LWR 4+), `protobuf_wire`, `sunrise_messages` and `sunrise`
+(KUKA LBR iiwa), `rdt` and `rdt_status` (ATI Net F/T), `checked_arm` and `velocity_hold`
+(common to arms with a client library), `franka`, `franka_versions` and `franka_wire`
+(FER, FR3), `ur` and `ur_control` (UR e-Series), `haply`, `arm_names` (any arm by a name
+of one line). Emulators: `emulators`, `fri_emulator`, `sunrise_emulator`,
+`rdt_emulator`, `haply_emulator`.
 """
 
 from needleforce.devices.arm_names import (
@@ -34,4 +36,5 @@ from needleforce.devices.link import (
     pace as pace,
 )
 from needleforce.devices.rdt import NetFT as NetFT, Scale as Scale
+from needleforce.devices.sunrise import IiwaArm as IiwaArm
 from needleforce.devices.ur import UrArm as UrArm

@@ -7,14 +7,15 @@ from typing import Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
-from needleforce.devices import fri
+from needleforce.devices import fri, sunrise
 from needleforce.devices.datagram_link import LOOPBACK, MAX_PORT
 from needleforce.devices.errors import DeviceSettingError
 from needleforce.devices.franka import Fr3Arm, FrankaArm
 from needleforce.devices.fri import FriArm
+from needleforce.devices.sunrise import IiwaArm
 from needleforce.devices.ur import UrArm
 
-LISTENING_KINDS = ("fri",)
+LISTENING_KINDS = ("fri", "iiwa")
 """Arms whose controller sends to this machine."""
 
 CALLED_KINDS = ("fr3", "franka", "ur")
@@ -127,10 +128,12 @@ def connect_arm(
         DeviceError: No such arm, no client library, or no answer.
     """
     kind, address = parse_arm_name(name)
-    if kind == "fri":
+    if kind in LISTENING_KINDS:
         local = parse_listening_address(address)
-        port = fri.PORT if local.port is None else local.port
-        return FriArm(host=local.host, port=port, peer=local.peer, robot=robot)
+        usual_port = fri.PORT if kind == "fri" else sunrise.PORT
+        port = usual_port if local.port is None else local.port
+        arm_type = FriArm if kind == "fri" else IiwaArm
+        return arm_type(host=local.host, port=port, peer=local.peer, robot=robot)
     if kind == "ur":
         return UrArm(
             address,

@@ -5,18 +5,19 @@ bytes back within it. A cycle is answered before its reading is handed on, with 
 motion asked for before.
 """
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Mapping
 from enum import IntEnum
-from time import monotonic
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.devices.datagram_link import LOOPBACK, DatagramLink
-from needleforce.devices.errors import DeviceSettingError
+from needleforce.devices.controller_link import ControllerLink
+from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.link import ArmReading
+from needleforce.devices.sunrise_messages import MONITORING_KIND, read_kind
+from needleforce.devices.velocity_hold import usable_velocity
 
 PORT = 49938
 """Of this machine, unless the controller is configured otherwise."""
@@ -97,16 +98,6 @@ POSITION_FLAG = 0x1
 MAX_SILENT_CYCLES = 5
 """After so many cycles without `send` the arm is held."""
 
-MAX_COUNTED_GAP_S = 1.0
-"""After a longer gap the counter may have gone round or begun anew: our own clock says
-how long the gap was."""
-
-MAX_WAIT_S = 3600.0
-"""A socket waits for no infinite time."""
-
-MAX_DELAY_S = 0.1
-"""One datagram may come so much later than others."""
-
 MIN_PERIOD_S = 0.5e-3
 """A measurement with a shorter period is invalid."""
 
@@ -162,7 +153,21 @@ def read_measurement(data: bytes) -> np.void | None:
     return measurement if is_finite else None
 
 
-class FriArm(DatagramLink):
+def describe_stranger(data: bytes) -> str:
+    """Return what a datagram seems to be that is no measurement; empty for nothing."""
+    if read_kind(data) == MONITORING_KIND:
+        return "the sender speaks FRI for Sunrise, of an LBR iiwa: name it iiwa"
+    if len(data) == MEASUREMENT.itemsize:
+        kind = int(np.frombuffer(data, MEASUREMENT)[0]["kind"])
+        return (
+            f"the sender speaks version 0x{kind:04x} of FRI, expected "
+            f"0x{MEASUREMENT_KIND:04x}, FRI 1.0 of an LWR 4+"
+        )
+
+    return ""
+
+
+class FriArm(ControllerLink):
     """The arm at the end of the interface.
 
     In monitor mode every answer mirrors the position that the controller commands, as
@@ -202,24 +207,19 @@ class FriArm(DatagramLink):
         give_up_s: float = 10.0,
         robot: Any = None,
     ) -> None:
-        if not 0.0 < wait_s <= min(give_up_s, MAX_WAIT_S):
-            raise DeviceSettingError(
-                f"{wait_s=}, {give_up_s=}: expected 0 < wait_s <= give_up_s, and "
-                f"wait_s of at most {MAX_WAIT_S:g} s"
-            )
-
-        super().__init__(host, port, peer=peer)
-        self.robot = robot
-        self.joints = JOINTS
+        super().__init__(
+            host,
+            port,
+            COUNTS,
+            JOINTS,
+            peer=peer,
+            wait_s=wait_s,
+            give_up_s=give_up_s,
+            robot=robot,
+        )
         self.state = FriState.OFF
         self.quality = FriQuality.UNACCEPTABLE
-        self._wait_s = wait_s
-        self._give_up_s = give_up_s
-
         self._measurement: np.void | None = None  # the latest
-        now_s = monotonic()
-        self._read_s = now_s  # when the latest was read
-        self._sent_after_s = now_s  # the latest was sent later than this
 
         self._answer = np.zeros((), COMMAND)
         self._answer["size"] = COMMAND.itemsize
@@ -228,25 +228,6 @@ class FriArm(DatagramLink):
         self._target_rad = np.zeros(JOINTS)
         self._velocity_rad_s = np.zeros(JOINTS)
         self._silent_cycles = MAX_SILENT_CYCLES
-
-    def __iter__(self) -> Iterator[ArmReading]:
-        """Yield readings as they come, each answered already."""
-        heard_s = monotonic()
-        is_silent = False
-        while self._is_open and monotonic() - heard_s < self._give_up_s:
-            data = self._receive(self._wait_s)
-            if data is None:
-                self.report.outages += not is_silent
-                is_silent = True
-                self.state = FriState.OFF
-                self.peer = None  # after an outage it may come back on another port
-                continue
-
-            reading = self._process(data)
-            if reading is not None:
-                yield reading
-                heard_s = monotonic()
-                is_silent = False
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
         """Command a joint velocity for the coming cycles.
@@ -259,10 +240,8 @@ class FriArm(DatagramLink):
         Returns:
             False where the arm takes no commands, and for numbers that are not finite.
         """
-        velocity_rad_s = np.array(dq_rad_s, dtype=float)
-        is_shaped = velocity_rad_s.shape == (JOINTS,)
-        is_usable = is_shaped and bool(np.isfinite(velocity_rad_s).all())
-        if not (is_usable and self._takes_commands()):
+        velocity_rad_s = usable_velocity(dq_rad_s, JOINTS)
+        if velocity_rad_s is None or not self._takes_commands():
             return False
 
         self._velocity_rad_s = velocity_rad_s
@@ -276,29 +255,27 @@ class FriArm(DatagramLink):
         is_commanded = self.state is FriState.COMMAND
         return is_commanded and self.quality >= FriQuality.GOOD and is_well
 
+    def _lose_controller(self) -> None:
+        """Note that the controller is silent."""
+        self.state = FriState.OFF
+
     def _process(self, data: bytes) -> ArmReading | None:
         """Answer a measurement newer than the latest, and return its reading."""
         measurement = read_measurement(data)
-        now_s = monotonic()
         if measurement is None:
             self.report.malformed += 1
+            self.hint = self.hint or describe_stranger(data)
             return None
 
         # The period as it was meant: 1 ms is not a number of 32 bits.
         period_s = round(float(measurement["period_s"]), 6)
-        cycles = self._count_cycles(int(measurement["count"]), period_s, now_s)
+        cycles = self._count_cycles(int(measurement["count"]), period_s)
         if cycles is None:
-            self.report.stale += 1
             return None
 
-        self._keep_sender()
-        self._read_s = now_s
-        self._sent_after_s = self._empty_s
         self._answer_measurement(measurement)
-        dt_s = cycles * period_s
-        self.report.count_used(cycles, dt_s)
         return ArmReading(
-            dt_s=dt_s,
+            dt_s=cycles * period_s,
             q_rad=measurement["position_rad"].astype(float),
             dq_rad_s=None,
             tau_Nm=measurement["torque_Nm"].astype(float),
@@ -306,35 +283,6 @@ class FriArm(DatagramLink):
             missed=cycles - 1,
             accepts_commands=self._takes_commands(),
         )
-
-    def _count_cycles(self, count: int, period_s: float, now_s: float) -> int | None:
-        """Return how many cycles a measurement is later than the latest.
-
-        The counter says so; after a long gap our own clock does. Both this measurement
-        and the latest may have waited to be read: no more time is between them than
-        since the latest can have been sent.
-
-        Args:
-            count: Its number, modulo `COUNTS`.
-            period_s: Time of a cycle.
-            now_s: When it was read.
-
-        Returns:
-            The cycles; 1 for the first measurement, None for one that is not newer.
-        """
-        if self._measurement is None:
-            return 1
-
-        cycles = (count - int(self._measurement["count"])) % COUNTS
-        max_gap_s = now_s - self._sent_after_s + MAX_DELAY_S
-        is_short = self._empty_s - self._read_s < MAX_COUNTED_GAP_S
-        is_counted = is_short and max_gap_s < COUNTS // 2 * period_s
-        if is_counted and not 0 < cycles < COUNTS // 2:
-            return None
-        if not is_counted or cycles * period_s > max_gap_s:
-            return max(round((now_s - self._read_s) / period_s), 1)
-
-        return cycles
 
     def _answer_measurement(self, measurement: np.void) -> None:
         """Send the command of this cycle: the position of the controller, or ours."""

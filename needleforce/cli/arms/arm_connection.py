@@ -192,6 +192,9 @@ def require_samples(arm_name: str, arm: Any) -> None:
                 ", which only programs of this machine reach: name the address that "
                 f"the controller sends to, as {kind}:LOCAL_ADDRESS:{port}"
             )
+    hint = getattr(arm, "hint", "")
+    if hint:
+        message += f"; {hint}"
     raise CommandError(message, CommandCode.ARM)
 
 

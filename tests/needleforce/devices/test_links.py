@@ -23,6 +23,7 @@ from needleforce.devices import (
     NetFT,
     ReplayArm,
     Scale,
+    controller_link,
     datagram_link,
     fri,
     pace,
@@ -215,7 +216,7 @@ def test_no_more_time_is_reported_than_passed(
     real = time.monotonic
     ahead_s = 0.0
     # A slow clock, which advances where the test says so.
-    for module in (fri, datagram_link):
+    for module in (controller_link, datagram_link):
         monkeypatch.setattr(module, "monotonic", lambda: 1e-3 * real() + ahead_s)
 
     arm = FriArm(port=0, wait_s=1e-3, give_up_s=1e-3 * PATIENCE_S)

@@ -1,0 +1,237 @@
+"""An iiwa through FRI for Sunrise: golden messages, and an emulated controller."""
+
+import socket
+from itertools import islice
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import urdf
+from needleforce.cli import main
+from needleforce.devices import FriArm, IiwaArm
+from needleforce.devices.emulators import Emulator, WireFaults
+from needleforce.devices.protobuf_wire import read_doubles, read_fields, write_message
+from needleforce.devices.sunrise_emulator import SunriseSettings, emulate_sunrise
+from needleforce.devices.sunrise_messages import read_command, read_monitoring
+from tests.needleforce.devices.test_links import PATIENCE_S, measurement
+
+GOLDEN_1 = bytes.fromhex(
+    "0a0b08c2a2910110ac0218ab021216080710002802280228022802280228022802300238"
+    "001ad2020a3f09000000000000e03f09000000000000e43f09000000000000e83f090000"
+    "00000000ec3f09000000000000f03f09000000000000f23f09000000000000f43f123f09"
+    "0000000000002440090000000000002640090000000000002840090000000000002a4009"
+    "0000000000002c40090000000000002e400900000000000030401a3f09000000000000f0"
+    "bf09000000000000e8bf09000000000000e0bf09000000000000d0bf0900000000000000"
+    "0009000000000000d03f09000000000000e03f223f090000000000003440090000000000"
+    "003540090000000000003640090000000000003740090000000000003840090000000000"
+    "003940090000000000003a402a3f0900000000000008c00900000000000004c009000000"
+    "00000000c009000000000000f8bf09000000000000f0bf09000000000000e0bf09000000"
+    "00000000007a0b0880e2cfaa061080e59a77220808041003180220012a4e0a3f09000000"
+    "000000f83f09000000000000f43f09000000000000f03f09000000000000e83f09000000"
+    "000000e03f09000000000000d03f0900000000000000005001580161000000000000e83f"
+)
+"""A message of version 1, with fields that are not used, as an encoder of others gives
+it: position 0.5, 0.625, ...; torque 10, 11, ...; commanded -1, -0.75, ...; commanded
+torque 20, 21, ...; external torque -3, -2.5, ...; commanding, excellent, every 2 ms;
+the program's position 1.5, 1.25, ..."""
+
+GOLDEN_2 = bytes.fromhex(
+    "0a0b08c2a2910110ac0218ab021216080710002802280228022802280228022802300238"
+    "001ad3020a3f09000000000000e03f09000000000000e43f09000000000000e83f090000"
+    "00000000ec3f09000000000000f03f09000000000000f23f09000000000000f43f123f09"
+    "0000000000002440090000000000002640090000000000002840090000000000002a4009"
+    "0000000000002c40090000000000002e40090000000000003040223f0900000000000034"
+    "400900000000000035400900000000000036400900000000000037400900000000000038"
+    "40090000000000003940090000000000003a402a3f0900000000000008c0090000000000"
+    "0004c00900000000000000c009000000000000f8bf09000000000000f0bf090000000000"
+    "00e0bf0900000000000000004a400a04706f736512380000000000005940000000000040"
+    "594000000000008059400000000000c059400000000000005a400000000000405a400000"
+    "000000805a407a0b0880e2cfaa061080e59a77220808041003180220012a4e0a3f090000"
+    "00000000f83f09000000000000f43f09000000000000f03f09000000000000e83f090000"
+    "00000000e03f09000000000000d03f0900000000000000005001580161000000000000e8"
+    "3f"
+)
+"""The same of version 2: a Cartesian pose, no commanded position."""
+
+GOLDEN_ANSWER = bytes.fromhex(
+    "0a090881800d100018ac0212410a3f09000000000000f83f09000000000000f43f090000"
+    "00000000f03f09000000000000e83f09000000000000e03f09000000000000d03f090000"
+    "000000000000"
+)
+"""The first answer to either: reflects 300, commands 1.5, 1.25, ..."""
+
+ROWS = np.linspace(0.0, 0.7, 70).reshape(10, 7)
+
+
+@pytest.mark.parametrize(
+    ("data", "commanded_rad"),
+    [(GOLDEN_1, [-1.0, -0.75, -0.5, -0.25, 0.0, 0.25, 0.5]), (GOLDEN_2, None)],
+)
+def test_a_golden_message_is_read_and_answered(data, commanded_rad):
+    message = read_monitoring(data)
+
+    assert message.header == (0x245142, 300, 299)
+    assert message.stamp_s == 1_700_000_000.25
+    if commanded_rad is not None:
+        assert message.commanded_rad.tolist() == commanded_rad
+
+    arm = IiwaArm(port=0, wait_s=0.05, give_up_s=1.0)
+    with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
+        box.settimeout(10.0)
+        box.sendto(data, arm.address)
+        reading = next(iter(arm))
+
+        assert box.recv(2048) == GOLDEN_ANSWER
+
+    assert reading.q_rad.tolist() == [0.5, 0.625, 0.75, 0.875, 1.0, 1.125, 1.25]
+    assert reading.tau_Nm.tolist() == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
+    assert reading.external_Nm.tolist() == [-3.0, -2.5, -2.0, -1.5, -1.0, -0.5, 0.0]
+    assert reading.dq_rad_s is None
+    assert reading.dt_s == 0.002
+    assert reading.accepts_commands
+    assert arm.version == (2 if commanded_rad is None else 1)
+    assert arm.stamp_s == 1_700_000_000.25
+
+
+def test_doubles_may_be_packed():
+    packed = np.arange(7.0).astype("<f8").tobytes()
+
+    assert read_doubles(write_message(1, packed)).tolist() == list(range(7))
+
+
+def test_what_is_no_message_is_refused():
+    rng = np.random.default_rng(0)
+    for size in range(len(GOLDEN_1)):
+        message = read_monitoring(GOLDEN_1[:size])
+
+        assert message is None or message.position_rad.shape == (7,)
+
+    for _ in range(3000):
+        data = bytearray(GOLDEN_1)
+        for place in rng.integers(0, len(data), 3):
+            data[place] = rng.integers(256)
+
+        message = read_monitoring(bytes(data))
+
+        assert message is None or np.isfinite(message.position_rad).all()
+        assert read_command(rng.bytes(int(rng.integers(100)))) is None
+
+    assert read_monitoring(GOLDEN_ANSWER) is None
+    assert read_command(GOLDEN_1) is None
+    assert read_fields(b"\xff" * 20) is None
+
+
+def iiwa_run(version, *, drive, faults=None, cycles=500):
+    """Readings, arm and counts of an emulated, patient controller."""
+    arm = IiwaArm(port=0, wait_s=0.1, give_up_s=1.0)
+    settings = SunriseSettings(
+        port=arm.address.port,
+        q_rad=ROWS,
+        tau_Nm=2.0 * ROWS,
+        version=version,
+        period_s=2e-3,
+        cycles=cycles,
+        extra_wait_s=PATIENCE_S,
+        command_from_s=0.1,
+        faults=faults or WireFaults(),
+    )
+    readings = []
+    with arm, Emulator(emulate_sunrise, settings) as emulator:
+        for reading in arm:
+            readings.append(reading)
+            drive(arm, len(readings))
+
+        return readings, arm, emulator.counts()
+
+
+@pytest.mark.parametrize("version", [1, 2])
+def test_an_iiwa_is_read_and_driven(version):
+    wish_rad_s = np.array([0.2, 0.0, -0.1, 0.0, 0.0, 0.0, 0.3])
+
+    def drive(arm, count):
+        assert arm.send(wish_rad_s) == (count > 70)  # 50 cycles monitored, 20 waited
+        assert not arm.send([np.inf] * 7)
+
+    readings, arm, counts = iiwa_run(version, drive=drive)
+
+    assert len(readings) == counts["same_cycle"] == 500
+    assert arm.version == version
+    assert counts["refused"] == 0
+    assert np.array_equal(readings[43].tau_Nm, 2.0 * ROWS[3])
+    assert np.array_equal(readings[43].external_Nm, 0.2 * ROWS[3])
+    assert [reading.accepts_commands for reading in readings] == [
+        count > 70 for count in range(1, 501)
+    ]
+    # 0.2 rad/s for all cycles of 2 ms but the first one that takes commands.
+    assert counts["moved_rad"] == pytest.approx(wish_rad_s * 429 * 2e-3, abs=1e-9)
+
+
+def test_an_iiwa_without_commands_brakes_to_rest():
+    places = []
+
+    def drive(arm, count):
+        if count < 200:
+            arm.send(np.full(7, min(max(count - 70, 0) / 50.0, 1.0) * 0.2))
+        places.append(count)
+
+    readings, _, counts = iiwa_run(2, drive=drive, cycles=400)
+    moved_rad = [
+        reading.q_rad[0] - ROWS[number % 10, 0]
+        for number, reading in enumerate(readings)
+    ]
+
+    assert np.ptp(moved_rad[-50:]) < 1e-12
+    assert moved_rad[-1] > 0.03
+    assert counts["refused"] == 0
+
+
+def test_lost_and_garbled_messages_are_counted():
+    faults = WireFaults(lost=0.02, truncated=0.02, repeated=0.05, garbage=0.05)
+    readings, arm, _ = iiwa_run(1, drive=lambda *_: None, faults=faults, cycles=600)
+    report = arm.report
+
+    assert report.used == len(readings)
+    assert sum(reading.missed for reading in readings) == report.missed > 5
+    assert report.malformed > 10
+    assert report.stale > 5
+
+
+@pytest.mark.parametrize(
+    ("kind", "stranger", "words"),
+    [
+        ("iiwa", measurement(), "speaks FRI 1.0, of an LWR 4+: name it fri"),
+        ("fri", GOLDEN_2, "speaks FRI for Sunrise, of an LBR iiwa: name it iiwa"),
+        ("fri", measurement(kind=0x3007), "speaks version 0x3007 of FRI, expected 0x2"),
+        (
+            "iiwa",
+            GOLDEN_2.replace(b"\xc2\xa2\x91\x01", b"\xc3\xa2\x91\x01"),
+            "speaks kind 0x245143 of FRI for Sunrise, expected 0x245142",
+        ),
+    ],
+)
+def test_a_controller_of_another_kind_is_named(kind, stranger, words):
+    arm_type = {"iiwa": IiwaArm, "fri": FriArm}[kind]
+    arm = arm_type(port=0, wait_s=0.05, give_up_s=0.2)
+    with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
+        box.sendto(stranger, arm.address)
+
+        assert list(islice(arm, 1)) == []
+
+    assert words in arm.hint
+
+
+def test_the_command_line_records_an_iiwa(tmp_path, capsys):
+    path = tmp_path / "iiwa.csv"
+    with IiwaArm(port=0) as arm:
+        port = arm.address.port
+
+    model = Path(urdf.__file__).parent / "data" / "lwr4plus.urdf"  # seven joints
+    settings = SunriseSettings(port=port, q_rad=ROWS, tau_Nm=ROWS)
+    options = [f"iiwa:{port}", "-o", str(path), "--seconds", "0.2"]
+    with Emulator(emulate_sunrise, settings):
+        assert main(["record", *options, "--urdf", str(model)]) == 0
+
+    assert path.exists()
+    assert main(["record", *options]) == 2
+    assert "does not say what arm it is, expected --urdf" in capsys.readouterr().err
