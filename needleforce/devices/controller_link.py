@@ -1,5 +1,6 @@
 """A link to a controller that sends a packet every cycle, and wants an answer to it."""
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterator
 from time import monotonic
 from typing import Any
@@ -13,7 +14,7 @@ MAX_WAIT_S = 3600.0
 """A socket waits for no infinite time."""
 
 
-class ControllerLink(DatagramLink):
+class ControllerLink(DatagramLink, ABC):
     """An arm whose controller sends to this machine; one reading per valid packet.
 
     Args:
@@ -83,13 +84,13 @@ class ControllerLink(DatagramLink):
                 heard_s = monotonic()
                 is_silent = False
 
+    @abstractmethod
     def _lose_controller(self) -> None:
         """Note that the controller is silent."""
-        raise NotImplementedError
 
+    @abstractmethod
     def _process(self, data: bytes) -> ArmReading | None:
         """Answer a packet newer than the latest, and return its reading."""
-        raise NotImplementedError
 
     def _count_cycles(self, count: int, period_s: float) -> int | None:
         """Return how many cycles a valid packet is later; count it, keep its sender.

@@ -19,10 +19,10 @@ from needleforce.devices.sunrise_messages import (
     COMMAND_KIND,
     JOINTS,
     MONITORING_KIND,
-    Command,
     CommandMode,
     Header,
     Monitoring,
+    PositionCommand,
     Quality,
     Session,
     read_kind,
@@ -98,7 +98,7 @@ class IiwaArm(ControllerLink):
         self._unanswered = 0  # messages since the latest answer
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity for the coming cycles.
+        """PositionCommand a joint velocity for the coming cycles.
 
         It holds for five cycles; then the arm brakes to rest.
 
@@ -128,7 +128,7 @@ class IiwaArm(ControllerLink):
             self.hint = self.hint or describe_stranger(data)
             return None
 
-        cycles = self._count_cycles(message.header.count, message.period_s)
+        cycles = self._count_cycles(message.header.number, message.period_s)
         if cycles is None:
             return None
 
@@ -166,9 +166,9 @@ class IiwaArm(ControllerLink):
             return
 
         self._unanswered = 0
-        header = Header(COMMAND_KIND, self._answer_count, message.header.count)
+        header = Header(COMMAND_KIND, self._answer_count, message.header.number)
         self._answer_count = (self._answer_count + 1) % COUNTS
-        self._send(write_command(Command(header, position_rad)))
+        self._send(write_command(PositionCommand(header, position_rad)))
 
     def _next_position_rad(self, message: Monitoring) -> Array | None:
         """Return the position to be commanded, shape (7,); None while nothing is.

@@ -16,10 +16,10 @@ from needleforce.devices.emulators import FaultyWire, WireFaults
 from needleforce.devices.sunrise_messages import (
     JOINTS,
     MONITORING_KIND,
-    Command,
     CommandMode,
     Header,
     Monitoring,
+    PositionCommand,
     Quality,
     Session,
     read_command,
@@ -160,7 +160,7 @@ class _Controller:
             interpolated_rad=start_rad if is_commanding else None,
         )
 
-    def _await_answer(self, end_s: float) -> Command | None:
+    def _await_answer(self, end_s: float) -> PositionCommand | None:
         """Return the answer to this cycle's message; None if none came in time."""
         for datagram in self.wire.received(end_s):
             command = read_command(datagram.data)
@@ -169,9 +169,9 @@ class _Controller:
 
         return None
 
-    def _take_answer(self, message: Monitoring, answer: Command) -> None:
+    def _take_answer(self, message: Monitoring, answer: PositionCommand) -> None:
         """Move the arm to a commanded position, or begin to take commands."""
-        self._reflected = answer.header.count
+        self._reflected = answer.header.number
         if message.interpolated_rad is None:
             return
         if answer.position_rad is None:

@@ -66,12 +66,12 @@ class Header(NamedTuple):
 
     Attributes:
         kind: Of the message.
-        count: Its number, modulo 2^32.
+        number: Its own, modulo 2^32.
         reflected: Number of the latest message from the other side.
     """
 
     kind: int
-    count: int
+    number: int
     reflected: int
 
 
@@ -110,7 +110,7 @@ class Monitoring(NamedTuple):
     interpolated_rad: Array | None
 
 
-class Command(NamedTuple):
+class PositionCommand(NamedTuple):
     """What the controller wants back.
 
     Attributes:
@@ -162,11 +162,11 @@ def _read_header(fields: Fields) -> Header | None:
         return None
 
     numbers = [_number(header, field) for field in (1, 2, 3)]
-    kind, count, reflected = numbers
-    if kind is None or count is None or reflected is None:
+    kind, number, reflected = numbers
+    if kind is None or number is None or reflected is None:
         return None
 
-    return Header(kind, count, reflected)
+    return Header(kind, number, reflected)
 
 
 def read_kind(data: bytes) -> int | None:
@@ -202,7 +202,7 @@ def read_monitoring(data: bytes) -> Monitoring | None:
     if position_rad is None or torque_Nm is None or external_Nm is None:
         return None
 
-    numbers = (
+    found = (
         _number(connection, 1),
         _number(connection, 2),
         _number(connection, 3),
@@ -210,10 +210,11 @@ def read_monitoring(data: bytes) -> Monitoring | None:
         _number(robot, 2),
         _number(program, 10),
     )
-    if not _are_possible(numbers):
+    numbers = [number for number in found if number is not None]
+    if len(numbers) < len(found) or not _are_possible(numbers):
         return None
 
-    session, quality, period_ms, answer_cycles, safety_stop, mode = map(int, numbers)
+    session, quality, period_ms, answer_cycles, safety_stop, mode = numbers
     return Monitoring(
         header=header,
         session=Session(session),
@@ -235,16 +236,13 @@ MAX_PERIOD_MS = 100
 """The interface sends no less often."""
 
 
-def _are_possible(numbers: tuple[int | None, ...]) -> bool:
+def _are_possible(numbers: list[int]) -> bool:
     """Return whether states, period and modes are ones that exist."""
-    session, quality, period_ms, answer_cycles, safety_stop, mode = numbers
+    session, quality, period_ms, _, _, mode = numbers
     return (
         session in Session.__members__.values()
         and quality in Quality.__members__.values()
-        and period_ms is not None
         and 0 < period_ms <= MAX_PERIOD_MS
-        and answer_cycles is not None
-        and safety_stop is not None
         and mode in CommandMode.__members__.values()
     )
 
@@ -265,7 +263,7 @@ def _write_header(header: Header) -> bytes:
     return write_message(1, numbers)
 
 
-def write_command(command: Command) -> bytes:
+def write_command(command: PositionCommand) -> bytes:
     """Return an answer as a datagram."""
     data = _write_header(command.header)
     if command.position_rad is not None:
@@ -274,7 +272,7 @@ def write_command(command: Command) -> bytes:
     return data
 
 
-def read_command(data: bytes) -> Command | None:
+def read_command(data: bytes) -> PositionCommand | None:
     """Decode an answer; None if it is none."""
     fields = read_fields(data)
     header = None if fields is None else _read_header(fields)
@@ -282,7 +280,7 @@ def read_command(data: bytes) -> Command | None:
         return None
 
     values = _inner(fields, 2)
-    return Command(header, None if values is None else _joints(values, 1))
+    return PositionCommand(header, None if values is None else _joints(values, 1))
 
 
 def write_monitoring(message: Monitoring) -> bytes:
