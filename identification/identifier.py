@@ -157,6 +157,7 @@ class Identifier:
         """Forget everything: a new insertion begins, its clock at 0."""
         self._method = make_method(self._config)
         self._check = as_record(CheckState())
+        self._read_removed()
         self._travel = as_record(TravelState())
         self._last = make_estimate(
             0.0,
@@ -284,13 +285,13 @@ class Identifier:
         """Resume a snapshot taken by this identifier itself; it is not checked."""
         self._method.restore(snapshot.state)
         self._check = as_record(snapshot.check)
+        self._read_removed()
         self._travel = as_record(snapshot.travel)
         self._last = snapshot.last
 
-    @property
-    def _removed_m(self) -> float:
-        """Sum of the jumps that were removed from the depth."""
-        return float(read_field(self._check, "removed_m"))
+    def _read_removed(self) -> None:
+        """Keep the sum of the jumps that were removed from the depth."""
+        self._removed_m = float(read_field(self._check, "removed_m"))
 
     def _process(self, sample: Sample, status: SampleStatus) -> Estimate:
         """Let the method use a sample, and report in the depth of the caller."""
@@ -353,6 +354,7 @@ class Identifier:
 
     def _reject(self, status: SampleStatus, time_s: float) -> Estimate:
         """Repeat the last estimate, its events over, for a sample that is not used."""
+        self._read_removed()  # a jump of the depth is such a sample
         self._last = self._last.without_events()._replace(time_s=time_s, status=status)
         return self._last
 

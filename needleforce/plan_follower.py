@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from foundation.arrays import Array
-from identification import Estimate, Identifier
+from identification import Estimate, Identifier, Rupture
 
 if TYPE_CHECKING:
     from needleforce.anatomy import PlanState
@@ -100,17 +100,52 @@ class PlanFollower:
         self.memory = PlanMemory("" if plan is None else plan.fingerprint + entry)
         self.state: PlanState | None = None
 
-    def begin(self, start_in_base_m: Array, axis: Array) -> None:
-        """Begin an insertion: count depth from a point along an axis, without ruptures.
+    @property
+    def entry_depth_m(self) -> float | None:
+        """Depth of the plan's entry; None without one."""
+        return None if self._entry_m is None else self.memory.entry_depth_m
+
+    def begin(
+        self,
+        start_in_base_m: Array,
+        axis: Array,
+        ruptures: tuple[Rupture, ...] = (),
+    ) -> None:
+        """Begin an insertion: count depth from a point along an axis.
 
         Args:
             start_in_base_m: Position of the tip at depth zero, shape (3,).
             axis: Direction of the needle in base axes, shape (3,).
+            ruptures: Those of the channel in which the needle goes on.
         """
+        known = tuple(MatchedRupture(each.alarm_s, each.depth_m) for each in ruptures)
+        self._begin_with(start_in_base_m, axis, known)
+
+    def move_zero(self, start_in_base_m: Array, axis: Array, moved_m: float) -> None:
+        """Count depth from another point in the same insertion.
+
+        Args:
+            start_in_base_m: Position of the tip at depth zero, shape (3,).
+            axis: Direction of the needle in base axes, shape (3,).
+            moved_m: Depth of a place from there less its depth before.
+        """
+        ruptures = tuple(
+            rupture._replace(depth_m=rupture.depth_m + moved_m)
+            for rupture in self.memory.ruptures
+        )
+        self._begin_with(start_in_base_m, axis, ruptures)
+
+    def _begin_with(
+        self,
+        start_in_base_m: Array,
+        axis: Array,
+        ruptures: tuple[MatchedRupture, ...],
+    ) -> None:
+        """Count depth from a point along an axis, and match these ruptures."""
         entry_depth_m = 0.0
         if self._entry_m is not None:
             entry_depth_m = float(axis.dot(self._entry_m - start_in_base_m))
-        self.resume(PlanMemory(self.memory.fingerprint, entry_depth_m), None)
+        self.resume(PlanMemory(self.memory.fingerprint, entry_depth_m, ruptures), None)
 
     def update(
         self, identification: Estimate, depth_m: float, identifier: Identifier

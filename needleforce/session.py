@@ -19,8 +19,30 @@ from identification import (
     PublishedConfig,
 )
 from identification import Snapshot as IdentifierSnapshot
+from identification.channel import (
+    continue_channel,
+    count_depth_from,
+    has_cut,
+    read_friction,
+)
+from needleforce.insertion_course import (
+    LEFT_M,
+    MAX_TURN_COSINE,
+    InsertionCourse,
+    InsertionProgress,
+    has_moved_aside,
+)
+from needleforce.needle_channels import (
+    MIN_LENGTH_M,
+    ChannelState,
+    NeedleChannel,
+    OldChannel,
+    add_channel,
+    find_channel,
+    remove_channel,
+)
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
-from needleforce.tip_travel import TipTravel, TravelZero, tip_motion
+from needleforce.tip_travel import TipTravel, TravelZero, motion_beside_line
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import (
     SensorConfig,
@@ -104,7 +126,8 @@ class SessionEstimate(NamedTuple):
 
     Attributes:
         wrench: Force on the needle, see `WrenchEstimate`.
-        depth_m: Travel of the tip along the needle since the tare or `begin_insertion`.
+        depth_m: Travel of the tip along the needle since the tare, `begin_insertion` or
+            a turn of the needle in free air.
         speed_m_s: Speed of the tip along the needle.
         identification: Layers, friction, tip force: those of the last tick used for
             identification. Its events (``rupture``, ``identified_layer``,
@@ -116,6 +139,9 @@ class SessionEstimate(NamedTuple):
             the clock of all events. The time step of a rejected sample is added with
             the next valid one. A clock that is set back, or forward by more than a day,
             adds nothing.
+        depth_in_tissue_m: Depth below the first contact, or below the entry of the plan
+            that is followed; None before the contact, without an entry.
+        channel: Whether this insertion goes on in an earlier one's channel.
         plan: State of plan and ruptures together: the layer, the next boundary, the
             offset; None before the tare, and without `InsertionSession.follow`.
     """
@@ -127,6 +153,8 @@ class SessionEstimate(NamedTuple):
     status: Status
     used_for_identification: bool
     time_s: float
+    depth_in_tissue_m: float | None = None
+    channel: ChannelState = ChannelState.FRESH
     plan: "PlanState | None" = None
 
     @property
@@ -175,6 +203,8 @@ class SessionSnapshot(NamedTuple):
         unused_s: Time of valid samples that were not used for identification.
         time_s: See `SessionEstimate`.
         checkpoints: States of the identification to rewind to.
+        insertion: Course of this insertion.
+        channels: Those that earlier insertions have cut.
         plan: State of the plan's follower.
     """
 
@@ -186,19 +216,25 @@ class SessionSnapshot(NamedTuple):
     unused_s: float
     time_s: float
     checkpoints: Checkpoints
+    insertion: InsertionProgress
+    channels: tuple[NeedleChannel, ...]
     plan: PlanMemory
 
 
 _TRIAL_UPDATES = 3  # Updates that a restored identifier must survive
 _TRIAL_STEP_S = 1e-3  # Time step of these updates
+_TISSUE_SIGMAS = 3.0  # Deviations of a force that shows that the tip is in tissue
 
 
 class InsertionSession:
     """Virtual sensor, tip travel and identifier in one.
 
     Call `update` every tick from the start of the robot; move in free air, call `tare`,
-    insert. For another insertion with the same tare call `begin_insertion` above the
-    tissue.
+    insert. Another insertion with the same tare needs no call: in free air a turn of 3
+    degrees, an advance after a retreat of 3 mm, or a move aside from the place of the
+    last insertion begins it. Channels are remembered: in an old one the tip has no
+    force until the end, unless the force contradicts that (`SessionEstimate.channel`).
+    The published method gets none of this: call `begin_insertion`.
 
     Only forces of this tick (`Status.OK`) without a warning that makes them worthless
     (joint limit, singular pose, frozen signal, model mismatch, expired tare, wrong
@@ -206,9 +242,9 @@ class InsertionSession:
     time passes: after a longer gap it reports ``TIME_GAP`` and starts its local
     predictions again.
 
-    Depth counts from `zero`: where the tip was at the tare or the last
-    `begin_insertion`, whichever came later. Until then it counts from the first valid
-    sample.
+    Depth counts from `zero`: where the tip was at the tare, the last `begin_insertion`
+    or the last turn in free air, whichever came latest. Until then it counts from the
+    first valid sample.
 
     Args:
         robot: The arm with its payload; the z axis of its tool frame is the needle,
@@ -240,6 +276,7 @@ class InsertionSession:
         self.sensor_config = sensor_config
         self._identifier = Identifier(identifier_config)
         self._identifier_config = identifier_config
+        self._is_watched = isinstance(identifier_config, MultilayerConfig)
         self._tool = self._sensor.kinematics
         self._speed_lag_s = float(speed_lag_s)
         self._plan = PlanFollower(None, None)
@@ -272,8 +309,12 @@ class InsertionSession:
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
-        """Layers traversed so far, in order, as estimated now."""
-        return self._identifier.layers
+        """Layers traversed so far, in order, as estimated now.
+
+        Before the needle meets tissue they are those of the insertion before, unless
+        `begin_insertion` or `tare` was called.
+        """
+        return self._identifier.layers or self._course.layers_before
 
     def update(
         self, q: ArrayLike, dq: ArrayLike | None, tau: ArrayLike, dt_s: float
@@ -330,7 +371,7 @@ class InsertionSession:
                 then changed.
         """
         tare = self._sensor.tare(ignore_contact=ignore_contact)
-        self.begin_insertion()
+        self._begin_tare()
         return tare
 
     def start_tare(
@@ -359,7 +400,7 @@ class InsertionSession:
             ignore_contact=ignore_contact, steps_per_tick=steps_per_tick
         )
         # Now, not in the tick that ends the tare: that would be a long one.
-        self.begin_insertion()
+        self._begin_tare()
 
     def start_tare_recording(self) -> None:
         """Record free motion anew for the next `tare`.
@@ -399,32 +440,90 @@ class InsertionSession:
         self._plan.begin(*self.zero)
 
     def begin_insertion(self) -> None:
-        """Count depth from here and forget the layers; the tare stays."""
+        """Count depth from here and, in free air, forget the layers.
+
+        Tare and channels stay. In tissue, in a channel that the needle has cut, or in
+        front of it, layers and friction stay as well.
+        """
+        if self._is_in_tissue:
+            self._move_zero_here()
+        else:
+            self._remember_channel()
+            self._begin_here()
+            self._continue_channel()
+
+    def forget_channels(self) -> None:
+        """Forget the channels of earlier insertions: the tissue has moved.
+
+        A needle in tissue keeps what it knows of its own channel.
+        """
+        self._channels = ()
+        if not self._is_in_tissue:
+            self._begin_anew()
+
+    @property
+    def _is_in_air(self) -> bool:
+        """Whether the tip is in front of the tissue, or none has been met."""
+        contact_m = self._contact_m
+        return contact_m is None or self._travel.depth_m < contact_m
+
+    @property
+    def _is_in_tissue(self) -> bool:
+        """Whether tip and force are where tissue has been met.
+
+        A contact that the force does not show may be none.
+        """
+        if self._is_in_air:
+            return False
+        identification = self._identification
+        net_N = identification.tip_force_N + identification.shaft_friction_N
+        std_N = identification.tip_force_std_N or 0.0
+        return abs(net_N) > _TISSUE_SIGMAS * std_N or self._length_to_remember_m > 0.0
+
+    def _move_zero_here(self) -> None:
+        """Count depth from here; what is known of the tissue stays."""
+        travel = self._travel
+        moved_m = -travel.depth_m
+        self._zero_depth()
+        self._travel = travel._replace(
+            depth_m=0.0, delayed_depth_m=travel.delayed_depth_m + moved_m
+        )
+        self._course.begin(self._course.insertion.with_depths_moved(moved_m))
+        unused_s = self._unused_s
+        self._resume(count_depth_from(self._identifier.snapshot(), moved_m))
+        self._unused_s = unused_s
+        self._plan.move_zero(*self.zero, moved_m)
+
+    def _begin_here(self) -> None:
+        """Begin an insertion with depth zero here."""
         self._zero_depth()
         self._travel = TipTravel()
-        self._identifier.reset()
-        self._unused_s = 0.0
-        self._is_checkpoint_due = True
-        self._had_events = True  # so that no checkpoint of an earlier insertion stays
-        self._save_checkpoint_if_due()
-        self._identification = self._checkpoints.newer.identifier.last
-        self._plan.begin(*self.zero)
+        self._begin(InsertionProgress(self.zero))
+
+    def _begin_tare(self) -> None:
+        """Begin an insertion where a tare says that there is free air."""
+        if self._is_in_air:
+            self._remember_channel()
+        self._begin_here()
 
     def _begin_where_tared(self) -> None:
         """Count depth from here at the end of a tare; no sample was used since."""
         self._zero_depth()
         self._travel = TipTravel()
+        self._course.begin(InsertionProgress(self.zero))
         self._unused_s = 0.0
         begin = Checkpoint(self._time_s, self._checkpoints.newer.identifier)
         self._checkpoints = Checkpoints(begin, begin)
         self._plan.begin(*self.zero)
 
     def reset(self) -> None:
-        """Forget everything, the tare included."""
+        """Forget everything, the tare and the channels included."""
         self._sensor.reset()
         self._is_started = False
         self._time_s = 0.0
-        self.begin_insertion()
+        self._channels: tuple[NeedleChannel, ...] = ()
+        self._course = InsertionCourse(InsertionProgress(self._line))
+        self._begin_here()
 
     def snapshot(self) -> SessionSnapshot:
         """Return the complete state of the session; `write_snapshot` stores it."""
@@ -438,6 +537,8 @@ class InsertionSession:
             unused_s=self._unused_s,
             time_s=self._time_s,
             checkpoints=self._checkpoints,
+            insertion=self._course.insertion,
+            channels=self._channels,
             plan=self._plan.memory,
         )
 
@@ -464,6 +565,9 @@ class InsertionSession:
         self._unused_s = snapshot.unused_s
         self._time_s = snapshot.time_s
         self._checkpoints = snapshot.checkpoints
+        self._course.begin(snapshot.insertion)
+        self._channels = snapshot.channels
+        self._contact_m = self._identifier.contact_depth_m
         self._is_checkpoint_due = False
         self._identification = snapshot.identifier.last.without_events()
         self._plan.resume(snapshot.plan, plan_state)
@@ -518,6 +622,10 @@ class InsertionSession:
         trial = Identifier(self._identifier_config)
         trial.restore(snapshot.checkpoints.older.identifier)
         trial.restore(snapshot.checkpoints.newer.identifier)
+        for channel in snapshot.channels:
+            trial.restore(channel.identifier)
+        if snapshot.insertion.channel is not None:
+            trial.restore(snapshot.insertion.channel.in_air)
         trial.restore(snapshot.identifier)
         travel = snapshot.travel
         for _ in range(_TRIAL_UPDATES):
@@ -525,13 +633,7 @@ class InsertionSession:
 
     def _zero_depth(self) -> None:
         """Count depth from where the tip is, along the needle's present direction."""
-        tool = self._tool
-        self._count_depth_from(
-            TravelZero(
-                start_in_base_m=tool.pose[:3, 3].copy(),
-                axis_in_base=tool.axis_in_base.copy(),
-            )
-        )
+        self._count_depth_from(self._line)
 
     def _count_depth_from(self, zero: TravelZero) -> None:
         self._start_m = float(zero.axis_in_base.dot(zero.start_in_base_m))
@@ -547,9 +649,11 @@ class InsertionSession:
         elapsed_s = self._sensor.elapsed_s
         if wrench.status is not Status.OK or wrench.warnings & UNUSABLE:
             return self._skip_sample(wrench, elapsed_s)
+        is_resuming = self._unused_s > 0.0
+        if self._is_watched:
+            self._watch_needle(is_resuming=is_resuming)
         # The warnings of a push come from periodic checks, which may miss one that is
         # still there: a gap ends only once a check of this very sample shows none.
-        is_resuming = self._unused_s > 0.0
         if is_resuming and self._sensor.recheck(wrench).warnings & PUSHED:
             return self._skip_sample(wrench, elapsed_s)
         identification = self._identify(wrench, elapsed_s + self._unused_s)
@@ -563,6 +667,9 @@ class InsertionSession:
                 # The rewind that follows undoes that and counts it as unused.
                 return self._skip_sample(wrench, elapsed_s=0.0)
         self._accept(identification)
+        channel = self._course.channel
+        if channel is not None:
+            self._check_channel(channel, wrench)
         return self._estimate(wrench, is_used=identification.status.is_used)
 
     def _advance_clock(self) -> None:
@@ -575,14 +682,25 @@ class InsertionSession:
             self._time_s += self._sensor.elapsed_s
         else:
             self._zero_depth()
+            self._course.begin(InsertionProgress(self.zero))
             self._is_started = True
 
     def _update_travel(self) -> None:
         """Update depth and speed of the tip from the sample's joint signals."""
         sensor = self._sensor
-        position_m, speed_m_s = tip_motion(
-            self.zero.axis_in_base, self._tool.needle, sensor.velocity_rad_s
+        line = self._course.line
+        position_m, speed_m_s, turn_cosine, height_m, aside_m, cosine = (
+            motion_beside_line(
+                self.zero.axis_in_base,
+                line.start_in_base_m,
+                line.axis_in_base,
+                self._tool.needle,
+                sensor.velocity_rad_s,
+            )
         )
+        self._is_turned = turn_cosine < MAX_TURN_COSINE
+        self._is_aside = has_moved_aside(height_m, aside_m, cosine)
+        self._is_off_line = aside_m > LEFT_M
         self._travel = self._travel.advanced(
             position_m - self._start_m,
             speed_m_s,
@@ -590,6 +708,201 @@ class InsertionSession:
             speed_lag_s=self._speed_lag_s,
             force_lag_s=sensor.filter_lag_s,
         )
+
+    def _watch_needle(self, *, is_resuming: bool) -> None:
+        """Follow the needle, and begin another insertion where it has left the last.
+
+        Args:
+            is_resuming: Whether samples before this one were not used, in which the
+                needle may have gone anywhere.
+        """
+        course = self._course
+        depth_m = self._travel.depth_m
+        contact_m = self._contact_m
+        course.move_to(depth_m)
+        is_met = contact_m is not None
+        if course.is_met != is_met:
+            course.meet(self._line, depth_m, is_met=is_met)
+            self._is_aside = False
+            self._is_off_line = False
+        if contact_m is not None and depth_m >= contact_m:
+            if not self._is_aside:
+                return
+            if not is_resuming:
+                course.is_met = False  # No tissue lets a needle move so.
+            self._leave_insertion()
+        elif (
+            self._is_aside
+            or course.has_retreated(depth_m, contact_m)
+            or (is_met and self._is_off_line)
+            or self._is_turned
+        ):
+            self._leave_insertion()
+        if self._channels and not course.is_met:
+            self._continue_channel()
+
+    @property
+    def _line(self) -> TravelZero:
+        """Where the tip is now, and the needle's direction."""
+        tool = self._tool
+        return TravelZero(
+            start_in_base_m=tool.pose[:3, 3].copy(),
+            axis_in_base=tool.axis_in_base.copy(),
+        )
+
+    def _leave_insertion(self) -> None:
+        """Remember the channel and begin anew, along the needle's axis if it turned."""
+        self._remember_channel()
+        if self._is_turned:
+            self._zero_depth()
+            self._travel = TipTravel()
+        self._begin_anew()
+
+    def _begin_anew(self) -> None:
+        """Begin an insertion here; layers stay until tissue is met."""
+        layers = self.layers
+        depth_m = self._travel.depth_m
+        self._begin(
+            InsertionProgress(
+                line=self._line,
+                line_depth_m=depth_m,
+                deepest_m=depth_m,
+                highest_m=depth_m,
+                layers_before=layers,
+            )
+        )
+
+    def _begin(self, insertion: InsertionProgress) -> None:
+        """Begin an insertion: forget what was identified."""
+        self._course.begin(insertion)
+        self._identifier.reset()
+        self._forget_checkpoints()
+        self._plan.begin(*self.zero)
+
+    def _resume(self, identifier: IdentifierSnapshot) -> None:
+        """Go on from a state of the identifier, without a way back."""
+        self._identifier.resume(identifier)
+        self._forget_checkpoints()
+
+    def _forget_checkpoints(self) -> None:
+        """Keep no state of an earlier insertion to rewind to."""
+        self._unused_s = 0.0
+        self._is_checkpoint_due = True
+        self._had_events = True
+        self._save_checkpoint_if_due()
+        self._identification = self._checkpoints.newer.identifier.last
+        self._contact_m = self._identifier.contact_depth_m
+
+    @property
+    def _length_to_remember_m(self) -> float:
+        """Length of the channel that this insertion has cut; 0 if it has cut none."""
+        contact_m = self._contact_m
+        if contact_m is None or not self._course.is_met:
+            return 0.0
+        length_m = self._course.insertion.deepest_m - contact_m
+        is_long = length_m >= MIN_LENGTH_M
+        return length_m if is_long and has_cut(self._identifier.snapshot()) else 0.0
+
+    def _remember_channel(self) -> None:
+        """Remember the channel that this insertion has cut, if it has cut one."""
+        contact_m = self._contact_m
+        length_m = self._length_to_remember_m
+        if contact_m is None or length_m == 0.0:
+            return
+        insertion = self._course.insertion
+        start_m, axis = insertion.line
+        entry_m = start_m + (contact_m - insertion.line_depth_m) * axis
+        channel = NeedleChannel(
+            entry=TravelZero(entry_m, axis),
+            length_m=length_m,
+            entry_depth_m=contact_m,
+            left_s=self._time_s,
+            identifier=self._identifier.snapshot(),
+        )
+        self._channels = add_channel(self._channels, channel)
+
+    def _continue_channel(self) -> None:
+        """Go on in a channel that the needle comes to, or is in."""
+        channel = find_channel(self._channels, self._tool.needle)
+        if channel is None:
+            return
+        friction = read_friction(channel.identifier)
+        if friction is None:
+            return
+        start_m, zero_axis = self.zero
+        entry_depth_m = float(zero_axis.dot(channel.entry.start_in_base_m - start_m))
+        end_m = entry_depth_m + channel.length_m
+        depth_m = self._travel.depth_m
+        in_air = self._identifier.snapshot()
+        self._resume(
+            continue_channel(
+                channel.identifier,
+                in_air,
+                moved_m=entry_depth_m - channel.entry_depth_m,
+                passed_s=self._time_s - channel.left_s,
+            )
+        )
+        old = OldChannel(
+            begin_m=entry_depth_m,
+            end_m=end_m,
+            friction=friction,
+            in_air_s=self._time_s,
+            in_air=in_air,
+            checked_m=depth_m,
+        )
+        self._course.begin(
+            InsertionProgress(
+                line=channel.entry,
+                line_depth_m=entry_depth_m,
+                is_met=True,
+                deepest_m=end_m,
+                highest_m=depth_m,
+                channel_state=ChannelState.REMEMBERED,
+                channel=old,
+            )
+        )
+        layers = self._identifier.layers
+        self._plan.begin(*self.zero, tuple(layer.rupture for layer in layers))
+
+    def _check_channel(self, old: OldChannel, wrench: WrenchEstimate) -> None:
+        """Compare the force with the friction of the channel; drop it if they differ.
+
+        Args:
+            old: The channel in which the needle goes on.
+            wrench: Force of a sample that was used.
+        """
+        friction_N = self._identification.predicted_force_N
+        old = old.compared(self._travel, wrench.axial_unsmoothed - friction_N)
+        self._course.channel = old
+        speed_m_s = self._travel.delayed_speed_m_s
+        if old.is_contradicted(speed_m_s, friction_N, wrench.axial_std):
+            self._drop_channel(old)
+
+    def _drop_channel(self, old: OldChannel) -> None:
+        """Forget a channel, and what was identified since the needle came to it.
+
+        The identification goes on where the needle was still in free air; the time
+        since then is a gap.
+        """
+        line = self._course.line
+        self._channels = remove_channel(
+            self._channels, line, length_m=old.end_m - old.begin_m
+        )
+        self._resume(old.in_air)
+        checkpoint = Checkpoint(old.in_air_s, old.in_air)
+        self._checkpoints = Checkpoints(checkpoint, checkpoint)
+        self._unused_s = self._time_s - old.in_air_s
+        depth_m = self._travel.depth_m
+        self._course.begin(
+            InsertionProgress(
+                line=line,
+                line_depth_m=old.begin_m,
+                deepest_m=depth_m,
+                highest_m=depth_m,
+                channel_state=ChannelState.CONTRADICTED,
+            )
+        )
+        self._plan.begin(*self.zero)
 
     def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
         """Return the identifier's estimate after this sample.
@@ -665,14 +978,23 @@ class InsertionSession:
         return self._estimate(wrench, is_used=False)
 
     def _estimate(self, wrench: WrenchEstimate, *, is_used: bool) -> SessionEstimate:
+        """Put the estimate together, with the contact as known after this sample."""
+        contact_m = self._identifier.contact_depth_m
+        self._contact_m = contact_m
+        entry_m = self._plan.entry_depth_m
+        if entry_m is None:
+            entry_m = contact_m
+        depth_m = self._travel.depth_m
         return SessionEstimate(
             wrench=wrench,
-            depth_m=self._travel.depth_m,
+            depth_m=depth_m,
             speed_m_s=self._travel.speed_m_s,
             identification=self._identification,
             status=wrench.status,
             used_for_identification=is_used,
             time_s=self._time_s,
+            depth_in_tissue_m=None if entry_m is None else depth_m - entry_m,
+            channel=self._course.channel_state,
             plan=self._plan.state,
         )
 
@@ -697,16 +1019,32 @@ def _check_settings(robot: object, sensor_config: object, speed_lag_s: object) -
 
 def _check_numbers(snapshot: SessionSnapshot) -> None:
     """Raise `SnapshotMismatchError` for a zero, a travel or a time that cannot be."""
+    insertion = snapshot.insertion
+    lines = [insertion.line, *(channel.entry for channel in snapshot.channels)]
     quantities = (
         *snapshot.travel,
         snapshot.unused_s,
         snapshot.time_s,
-        *np.ravel(snapshot.zero),
+        insertion.deepest_m,
+        insertion.highest_m,
+        insertion.line_depth_m,
+        *_numbers_of(insertion.channel),
+        *np.ravel([snapshot.zero, *lines]),
+        *np.ravel([channel[1:4] for channel in snapshot.channels]),
     )
     if (
         np.shape(snapshot.zero) != (2, 3)
         or not isinstance(snapshot.travel, TipTravel)
+        or not isinstance(insertion, InsertionProgress)
         or not np.isfinite(quantities).all()
         or snapshot.time_s < 0.0
     ):
         raise SnapshotMismatchError("the snapshot is damaged: zero, travel or time")
+
+
+def _numbers_of(old: OldChannel | None) -> tuple[float, ...]:
+    """Return the numbers of the channel that an insertion goes on in."""
+    if old is None:
+        return ()
+    lengths_m = (old.begin_m, old.end_m, old.checked_m)
+    return (*lengths_m, *old.friction, old.in_air_s, old.excess_N)

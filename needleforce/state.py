@@ -15,6 +15,8 @@ from identification import Snapshot as IdentifierSnapshot
 from identification.multilayer.method import MultilayerState
 from identification.published.state import PublishedState
 from needleforce.files import whole_file
+from needleforce.insertion_course import InsertionProgress
+from needleforce.needle_channels import NeedleChannel, OldChannel
 from needleforce.session import (
     Checkpoint,
     Checkpoints,
@@ -113,7 +115,22 @@ def _widened(state: Any) -> AnySnapshot:
     return SessionSnapshot(*state)._replace(
         identifier=IdentifierSnapshot(*state.identifier),
         checkpoints=Checkpoints(older, newer),
+        insertion=_widened_insertion(state.insertion),
+        channels=tuple(
+            NeedleChannel(*channel)._replace(
+                identifier=IdentifierSnapshot(*channel.identifier)
+            )
+            for channel in state.channels
+        ),
     )
+
+
+def _widened_insertion(insertion: Any) -> InsertionProgress:
+    """Return an insertion that was read in its own types."""
+    old = insertion.channel
+    if old is not None:
+        old = OldChannel(*old)._replace(in_air=IdentifierSnapshot(*old.in_air))
+    return InsertionProgress(*insertion)._replace(channel=old)
 
 
 class _MethodTypes(NamedTuple):
@@ -142,11 +159,15 @@ def _types() -> dict[str, Any]:
             IdentifierSnapshot, config=types.config, state=types.state
         )
         checkpoint = _narrowed(Checkpoint, identifier=identifier)
+        channel = _narrowed(NeedleChannel, identifier=identifier)
+        old_channel = _narrowed(OldChannel, in_air=identifier)
         kinds[f"identifier, {method}"] = identifier
         kinds[f"session, {method}"] = _narrowed(
             SessionSnapshot,
             identifier=identifier,
             checkpoints=_narrowed(Checkpoints, older=checkpoint, newer=checkpoint),
+            insertion=_narrowed(InsertionProgress, channel=old_channel | None),
+            channels=tuple[channel, ...],
         )
     return kinds
 

@@ -5,13 +5,16 @@ from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Array, Matrix, Vector
-from foundation.jit import compiled
+from foundation.arrays import Array, Matrix, Vector, WrittenVector
+from foundation.jit import compiled, compiled_inside
 from foundation.linear_algebra import dot
 
 Needle = tuple[Vector, Matrix, Matrix, Vector, Vector]
 """Type of `residual.ToolKinematics.needle`: a plain tuple, for Python passes one to
 compiled code ten times as fast as a named tuple."""
+
+MIN_COSINE = 1e-3
+"""Cosine of an angle that counts as a right one: the lines then miss each other."""
 
 
 class TravelZero(NamedTuple):
@@ -77,6 +80,31 @@ class TipTravel(NamedTuple):
         return TipTravel(depth_m, speed_m_s, late_depth_m, late_speed_m_s)
 
 
+class TipPlace(NamedTuple):
+    """Position of the tip and direction of the needle, in base axes.
+
+    Attributes:
+        position_m: Position of the tip, shape (3,).
+        direction: Direction of the needle, shape (3,).
+    """
+
+    position_m: WrittenVector
+    direction: WrittenVector
+
+
+@compiled_inside
+def place_tip(needle: Needle) -> TipPlace:
+    """Return where the tip is and where the needle points to."""
+    place, axes, _, tip, direction = needle
+    position = place.copy()
+    along = np.zeros(3)
+    for i in range(3):
+        for k in range(3):
+            position[i] += tip[k] * axes[k, i]
+            along[i] += direction[k] * axes[k, i]
+    return TipPlace(position, along)
+
+
 @compiled
 def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
     """Return the tip's position along an axis [m] and its speed along the needle [m/s].
@@ -90,23 +118,112 @@ def tip_motion(axis: Vector, needle: Needle, dq: Vector) -> tuple[float, float]:
         needle: `residual.ToolKinematics.needle`.
         dq: Joint velocities [rad/s], shape (n,).
     """
-    place, axes, jacobian, tip, direction = needle
-    position = place.copy()
-    along = np.zeros(3)
-    for i in range(3):
-        for k in range(3):
-            position[i] += tip[k] * axes[k, i]
-            along[i] += direction[k] * axes[k, i]
+    tip = place_tip(needle)
+    return dot(axis, tip.position_m), tip_speed(tip, needle, dq)
+
+
+@compiled_inside
+def tip_speed(tip: TipPlace, needle: Needle, dq: Vector) -> float:
+    """Return the speed of the tip along the needle, see `tip_motion`."""
+    jacobian = needle[2]
     twist = np.zeros(6)
     for j in range(len(dq)):
         for k in range(6):
             twist[k] += dq[j] * jacobian[j, k]
-    x, y, z = position
-    a, b, c = along
+    x, y, z = tip.position_m
+    a, b, c = tip.direction
     speed = a * twist[0] + b * twist[1] + c * twist[2]
     speed += (
         (y * c - z * b) * twist[3]
         + (z * a - x * c) * twist[4]
         + (x * b - y * a) * twist[5]
     )
-    return dot(axis, position), speed
+    return speed
+
+
+MotionBesideLine = tuple[float, float, float, float, float, float]
+"""Of the tip: what `tip_motion` returns; cosine between the axis of depth and the
+needle; `height_m`, `aside_m` and `cosine` of a `LineOffset`. A plain tuple, which the
+one caller unpacks at once: a named one would cost it a microsecond."""
+
+
+@compiled
+def motion_beside_line(
+    axis: Vector, line_start: Vector, line_axis: Vector, needle: Needle, dq: Vector
+) -> MotionBesideLine:
+    """Return position and speed of the tip, and where the needle is beside a line.
+
+    Args:
+        axis: Direction of depth in base axes, length one, shape (3,).
+        line_start: Beginning of the line in the base [m], shape (3,).
+        line_axis: Direction of the line in base axes, length one, shape (3,).
+        needle: `residual.ToolKinematics.needle`.
+        dq: Joint velocities [rad/s], shape (n,).
+    """
+    tip = place_tip(needle)
+    position = tip.position_m
+    height = 0.0
+    for i in range(3):
+        height += line_axis[i] * (position[i] - line_start[i])
+    aside = 0.0
+    for i in range(3):
+        aside += (position[i] - line_start[i] - height * line_axis[i]) ** 2
+    return (
+        dot(axis, position),
+        tip_speed(tip, needle, dq),
+        dot(axis, tip.direction),
+        height,
+        math.sqrt(aside),
+        dot(line_axis, tip.direction),
+    )
+
+
+class LineOffset(NamedTuple):
+    """Where a needle is beside a line with a beginning and a length.
+
+    Attributes:
+        height_m: From the beginning to the tip, along the line.
+        aside_m: Distance of the tip from the line.
+        cosine: Of the angle between the two lines.
+        entry_miss_m: Distance from the beginning to the needle's own line, at right
+            angles to the given one.
+        end_miss_m: The same at the end of the length.
+    """
+
+    height_m: float
+    aside_m: float
+    cosine: float
+    entry_miss_m: float
+    end_miss_m: float
+
+
+@compiled
+def measure_line_offset(
+    start: Vector, axis: Vector, length: float, needle: Needle
+) -> LineOffset:
+    """Return where the needle is beside a line.
+
+    Args:
+        start: Beginning of the line in the base [m], shape (3,).
+        axis: Direction of the line in base axes, length one, shape (3,).
+        length: Length of the line [m].
+        needle: `residual.ToolKinematics.needle`.
+    """
+    position, along = place_tip(needle)
+    height = 0.0
+    for i in range(3):
+        height += axis[i] * (position[i] - start[i])
+    cosine = dot(axis, along)
+    per_height = 1.0 / max(cosine, MIN_COSINE)
+    aside = 0.0
+    at_entry = 0.0
+    at_end = 0.0
+    for i in range(3):
+        lateral = position[i] - start[i] - height * axis[i]
+        slope = per_height * along[i] - axis[i]
+        aside += lateral**2
+        at_entry += (lateral - height * slope) ** 2
+        at_end += (lateral + (length - height) * slope) ** 2
+    return LineOffset(
+        height, math.sqrt(aside), cosine, math.sqrt(at_entry), math.sqrt(at_end)
+    )

@@ -147,12 +147,13 @@ class Cycle:
     ) -> Iterator[TickTime]:
         """Update a session, and yield what each update took.
 
-        Each cycle is a new insertion.
+        Each cycle is a new insertion, into fresh tissue.
         """
         for k in range(ticks):
             at = k % self.length
             if at == 0:
                 session.begin_insertion()
+                session.forget_channels()
             if k % WINDOW == 0:
                 progress(k / ticks)
             row = self._rows[self.order[at]]

@@ -325,9 +325,7 @@ class MultilayerMethod:
     @property
     def contact_depth_m(self) -> float | None:
         """Depth at which tissue was met first, as known now; None before."""
-        if not read_field(self._posterior, "in_contact"):
-            return None
-        return float(read_field(self._posterior, "contact_depth_m"))
+        return self._contact_depth_m
 
     @property
     def rupture_state(self) -> RuptureState:
@@ -346,6 +344,7 @@ class MultilayerMethod:
         self._contact = record_array(NeedleContact, 1)
         cast(Any, self._contact)[0] = astuple(state.contact)
         self._posterior = as_record(state.posterior)
+        self._read_contact()
         self._events = NO_EVENTS
         self._levels = state.levels
         self._tissue = state.tissue
@@ -365,6 +364,12 @@ class MultilayerMethod:
         self._ruptures = state.ruptures
         self._alarm = state.alarm
         self._keep_layers(state.layers)
+
+    def _read_contact(self) -> None:
+        """Keep the depth of first contact, which callers want at every sample."""
+        is_met = read_field(self._posterior, "in_contact")
+        depth_m = float(read_field(self._posterior, "contact_depth_m"))
+        self._contact_depth_m = depth_m if is_met else None
 
     def _keep_layers(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those traversed, with what every sample needs."""
@@ -824,6 +829,7 @@ class MultilayerMethod:
             layers_traversed(self.layers) + self._is_layer_open,
             0.0 if rupture is None else MM_PER_M * rupture.speed_m_s,
         )
+        self._read_contact()
 
     def _is_rupture(
         self, evidence: Evidence, count: RuptureCount, since_reset_s: float

@@ -180,7 +180,10 @@ class Manager:
         is_zero_moved = self.session.zero is not self._state_zero
         if not event and is_zero_moved and self._state in _WITH_DEPTH:
             event = "limit"
-            reason = "depth counts from elsewhere: begin_insertion() only at idle"
+            reason = (
+                "depth counts from elsewhere: the needle turned in free air, or "
+                "begin_insertion() was called; do either at idle or under guidance"
+            )
         if event and self._state is not State.FAULTED:
             self._apply(event, {"reason": reason})
         elif self._state in MOVING and not self._has_heartbeat:

@@ -126,7 +126,11 @@ def test_refused_tares_and_new_insertions_keep_the_tare():
     again = session.update(*second)
 
     assert again.depth_m == pytest.approx(0.0, abs=1e-4)
-    assert again.identification.layer == 0
+    assert again.identification.layer == 1  # the tip is in its own channel
+
+    tip_N = again.identification.tip_force_N
+
+    assert tip_N == pytest.approx(deep.identification.tip_force_N, abs=0.05)
 
     session.start_tare_recording()
 

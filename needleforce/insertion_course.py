@@ -1,0 +1,162 @@
+"""Where an insertion begins and ends, from the needle's place alone.
+
+In free air a turn, a retreat followed by an advance, or a move aside ends an insertion;
+a move aside that no tissue allows ends it anywhere.
+"""
+
+import math
+from typing import NamedTuple
+
+from identification.channel import count_depth_from
+from identification.estimate import LayerEstimate
+from needleforce.needle_channels import NEEDLE_DIAMETER_M, ChannelState, OldChannel
+from needleforce.tip_travel import TravelZero
+
+MAX_TURN_COSINE = math.cos(math.radians(3.0))
+"""Cosine of the turn in free air from which on depth counts along the new axis: its
+projection on the old one is off by a part in a thousand there."""
+
+RETREAT_M = 3e-3
+"""Retreat in free air that ends an insertion or an approach: more than tissue rises
+with the needle that leaves it."""
+
+ADVANCE_M = 0.5e-3
+"""Advance after a retreat with which the next approach begins."""
+
+LEFT_M = 1.5 * NEEDLE_DIAMETER_M
+"""Distance from its channel from which on the needle in free air has left it: more than
+that within which it meets one, lest it alternates."""
+
+FAR_TURN_RAD = math.radians(20.0)
+"""Turn that no needle does in tissue."""
+
+FAR_TURN_COSINE = math.cos(FAR_TURN_RAD)
+"""Cosine of that turn."""
+
+ASIDE_M = 3e-3
+"""Move aside that begins another approach, and that no needle does in tissue, ..."""
+
+ASIDE_PER_TRAVEL = math.tan(FAR_TURN_RAD)
+"""... unless it is no more than such a turn about the entry makes of the travel."""
+
+
+class InsertionProgress(NamedTuple):
+    """Course of an insertion, from the approach on.
+
+    Attributes:
+        line: Place of the tip and direction of the needle when tissue was met; before,
+            where the approach began.
+        line_depth_m: Depth of that place.
+        is_met: Whether tissue has been met.
+        deepest_m: Largest depth so far.
+        highest_m: Smallest depth since the deepest point.
+        layers_before: Layers of the insertion before, which are reported until tissue
+            is met.
+        channel_state: Whether it goes on in an earlier channel.
+        channel: That channel; None where there is none.
+    """
+
+    line: TravelZero
+    line_depth_m: float = 0.0
+    is_met: bool = False
+    deepest_m: float = 0.0
+    highest_m: float = 0.0
+    layers_before: tuple[LayerEstimate, ...] = ()
+    channel_state: ChannelState = ChannelState.FRESH
+    channel: OldChannel | None = None
+
+    def with_depths_moved(self, by_m: float) -> "InsertionProgress":
+        """Return the same course with depths that count from another zero."""
+        channel = self.channel
+        if channel is not None:
+            channel = channel._replace(
+                begin_m=channel.begin_m + by_m,
+                end_m=channel.end_m + by_m,
+                checked_m=channel.checked_m + by_m,
+                in_air=count_depth_from(channel.in_air, by_m),
+            )
+        return self._replace(
+            line_depth_m=self.line_depth_m + by_m,
+            deepest_m=self.deepest_m + by_m,
+            highest_m=self.highest_m + by_m,
+            channel=channel,
+        )
+
+
+def has_moved_aside(height_m: float, aside_m: float, cosine: float) -> bool:
+    """Return whether the needle has moved as none does in tissue.
+
+    Args:
+        height_m: From the beginning of its line to the tip, along the line.
+        aside_m: Distance of the tip from the line.
+        cosine: Of the angle between the line and the needle.
+    """
+    largest_m = max(ASIDE_M, ASIDE_PER_TRAVEL * abs(height_m))
+    return aside_m > largest_m or cosine < FAR_TURN_COSINE
+
+
+class InsertionCourse:
+    """Follows the needle through an insertion.
+
+    Attributes:
+        line: See `InsertionProgress`.
+        is_met: See `InsertionProgress`.
+        channel: See `InsertionProgress`.
+    """
+
+    def __init__(self, insertion: InsertionProgress) -> None:
+        self.begin(insertion)
+
+    def begin(self, insertion: InsertionProgress) -> None:
+        """Follow this insertion from now on."""
+        self._begin = insertion
+        self.line = insertion.line
+        self.is_met = insertion.is_met
+        self.channel = insertion.channel
+        self._deepest_m = insertion.deepest_m
+        self._highest_m = insertion.highest_m
+
+    @property
+    def insertion(self) -> InsertionProgress:
+        """The course so far; immutable."""
+        return self._begin._replace(
+            is_met=self.is_met,
+            channel=self.channel,
+            deepest_m=self._deepest_m,
+            highest_m=self._highest_m,
+        )
+
+    @property
+    def channel_state(self) -> ChannelState:
+        """Whether it goes on in an earlier channel."""
+        return self._begin.channel_state
+
+    @property
+    def layers_before(self) -> tuple[LayerEstimate, ...]:
+        """Layers of the insertion before, until tissue is met."""
+        return () if self.is_met else self._begin.layers_before
+
+    def meet(self, line: TravelZero, depth_m: float, *, is_met: bool) -> None:
+        """Follow a needle that meets tissue here, or that is found to have met none."""
+        self.begin(
+            self.insertion._replace(line=line, line_depth_m=depth_m, is_met=is_met)
+        )
+
+    def move_to(self, depth_m: float) -> None:
+        """Follow the tip to a depth."""
+        if depth_m > self._deepest_m:
+            self._deepest_m = depth_m
+            self._highest_m = depth_m
+        elif depth_m < self._highest_m:
+            self._highest_m = depth_m
+
+    def has_retreated(self, depth_m: float, contact_m: float | None) -> bool:
+        """Return whether the needle has gone back in free air and advances again.
+
+        Args:
+            depth_m: Depth of the tip.
+            contact_m: Depth of first contact; None where tissue has not been met.
+        """
+        last_m = self._deepest_m if contact_m is None else contact_m
+        is_back = self._highest_m < last_m - RETREAT_M
+        return is_back and depth_m > self._highest_m + ADVANCE_M

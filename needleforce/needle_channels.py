@@ -1,0 +1,181 @@
+"""Channels that insertions have cut, and how a needle finds and contradicts them."""
+
+import math
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+
+from foundation.arrays import Vector
+from identification.channel import ChannelFriction
+from identification.identifier import Snapshot as IdentifierSnapshot
+from needleforce.tip_travel import Needle, TipTravel, TravelZero, measure_line_offset
+
+NEEDLE_DIAMETER_M = 1.27e-3
+"""Outer diameter of a needle of 18 gauge: as far aside its channel is met."""
+
+AHEAD_M = 2e-3
+"""Distance from the tip to a channel's entry at which it is recognised: less than the
+retreat that ends an insertion, so that the force in free air is measured before."""
+
+MIN_LENGTH_M = 3e-3
+"""Length of a channel, at least; a touch leaves none."""
+
+MAX_CHANNELS = 8
+"""Channels that are remembered; each is half a megabyte of a snapshot."""
+
+EXCESS_TRAVEL_M = 1e-3
+"""Travel over which the force in a channel is averaged, against noise and texture."""
+
+EXCESS_SIGMAS = 3.0
+"""Deviations above the channel's friction at which the force contradicts it."""
+
+FRICTION_CHANGE_FRACTION = 0.1
+"""What rubs again rubs otherwise by so much of it, one standard deviation."""
+
+END_M = 2e-3
+"""Length at a channel's end in which the tip may meet tissue already: the depth of the
+end is as uncertain, and the last millimetre counts as cut anew."""
+
+
+class ChannelState(Enum):
+    """Whether an insertion goes on in a channel that an earlier one has cut."""
+
+    FRESH = "no earlier channel here"
+    REMEMBERED = "in an earlier channel: no tip force in front of its end"
+    CONTRADICTED = (
+        "more force than the friction of the earlier channel, which is forgotten: the "
+        "tissue has moved, or is another"
+    )
+
+
+class NeedleChannel(NamedTuple):
+    """A channel that the needle has cut.
+
+    Attributes:
+        entry: Place of first contact and direction of the needle there, base axes.
+        length_m: From the entry to the deepest point.
+        entry_depth_m: Depth of the entry, as depth counted when it was cut.
+        left_s: Time when it was left, see `SessionEstimate.time_s`.
+        identifier: What was known then: friction, layers, depth.
+    """
+
+    entry: TravelZero
+    length_m: float
+    entry_depth_m: float
+    left_s: float
+    identifier: IdentifierSnapshot
+
+
+class OldChannel(NamedTuple):
+    """The channel that an insertion goes on in, as its force confirms it.
+
+    Attributes:
+        begin_m: Depth of its entry.
+        end_m: Depth of its end.
+        friction: How well its friction is known.
+        in_air_s: Time at which the needle came to it.
+        in_air: What was known then, without the channel.
+        checked_m: Depth up to which the force has been compared with the friction.
+        excess_N: Mean force beyond the friction, over the last `EXCESS_TRAVEL_M`.
+    """
+
+    begin_m: float
+    end_m: float
+    friction: ChannelFriction
+    in_air_s: float
+    in_air: IdentifierSnapshot
+    checked_m: float
+    excess_N: float = 0.0
+
+    def compared(self, travel: TipTravel, excess_N: float) -> "OldChannel":
+        """Return the channel with one force more that was compared.
+
+        Only an advance within it counts: then friction has one direction, and the tip
+        touches nothing.
+
+        Args:
+            travel: Of the tip, delayed as the force is.
+            excess_N: Axial force less the friction of the channel.
+        """
+        depth_m = travel.delayed_depth_m
+        advance_m = depth_m - self.checked_m
+        if advance_m <= 0.0 or not self.begin_m < depth_m < self.end_m - END_M:
+            return self
+        weight = -math.expm1(-advance_m / EXCESS_TRAVEL_M)
+        mean_N = self.excess_N + weight * (excess_N - self.excess_N)
+        return self._replace(checked_m=depth_m, excess_N=mean_N)
+
+    def is_contradicted(
+        self, speed_m_s: float, friction_N: float, force_std_N: float
+    ) -> bool:
+        """Return whether the force is larger than the friction of the channel allows.
+
+        Args:
+            speed_m_s: Speed of the tip.
+            friction_N: Friction that the channel predicts.
+            force_std_N: Standard deviation of the force.
+        """
+        variance_N2 = (
+            force_std_N**2
+            + self.friction.variance_at(speed_m_s)
+            + (FRICTION_CHANGE_FRACTION * friction_N) ** 2
+        )
+        return self.excess_N > EXCESS_SIGMAS * math.sqrt(variance_N2)
+
+
+def find_channel(
+    channels: tuple[NeedleChannel, ...], needle: Needle
+) -> NeedleChannel | None:
+    """Return the channel that the needle is in, or comes to; the newest, None if none.
+
+    Its line has to meet that of the channel, within a diameter at entry and end.
+    """
+    for channel in reversed(channels):
+        offset = measure_line_offset(*channel.entry, channel.length_m, needle)
+        if (
+            max(offset.entry_miss_m, offset.end_miss_m) <= NEEDLE_DIAMETER_M
+            and -AHEAD_M <= offset.height_m <= channel.length_m
+        ):
+            return channel
+    return None
+
+
+def add_channel(
+    channels: tuple[NeedleChannel, ...], new: NeedleChannel
+) -> tuple[NeedleChannel, ...]:
+    """Return the channels with a new one, which replaces the one it went on in."""
+    kept = remove_channel(channels, new.entry, new.length_m)
+    return (*kept, new)[-MAX_CHANNELS:]
+
+
+def remove_channel(
+    channels: tuple[NeedleChannel, ...], entry: TravelZero, length_m: float
+) -> tuple[NeedleChannel, ...]:
+    """Return the channels without those of one entry and direction.
+
+    Args:
+        channels: Those remembered.
+        entry: Place and direction of the ones to remove.
+        length_m: Length over which they have to agree, at most.
+    """
+    return tuple(
+        channel
+        for channel in channels
+        if not _is_same(channel.entry, entry, min(channel.length_m, length_m))
+    )
+
+
+def _is_same(one: TravelZero, other: TravelZero, length_m: float) -> bool:
+    """Return whether two lines agree within a diameter, at the beginning and end."""
+    entry_m, axis = one
+    other_entry_m, other_axis = other
+    entry_miss_m = _distance(entry_m, other_entry_m)
+    end_miss_m = _distance(
+        entry_m + length_m * axis, other_entry_m + length_m * other_axis
+    )
+    return max(entry_miss_m, end_miss_m) <= NEEDLE_DIAMETER_M
+
+
+def _distance(one: Vector, other: Vector) -> float:
+    return float(np.linalg.norm(one - other))
