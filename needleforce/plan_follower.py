@@ -6,6 +6,8 @@ import numpy as np
 
 from foundation.arrays import Array
 from identification import Estimate, Identifier, Rupture
+from needleforce.needle_on_plan import PlanDeviation, PlannedEntry, PlannedPath
+from residual.tool_kinematics import ToolKinematics
 
 if TYPE_CHECKING:
     from needleforce.anatomy import PlanState
@@ -21,9 +23,15 @@ class Plan(Protocol):
 
     Attributes:
         fingerprint: Text that is equal for equal plans.
+        offset_std_m: Standard deviation of the plan's error along the needle.
     """
 
     fingerprint: str
+    offset_std_m: float
+
+    def off_plan_state(self) -> "PlanState":
+        """Return the state while the needle is off the plan: it names no layer."""
+        ...
 
     def state(
         self,
@@ -85,20 +93,41 @@ class PlanFollower:
 
     Args:
         plan: The plan; None for none.
-        entry_in_base_m: The plan's entry point in the robot's base, shape (3,); None
-            where the plan's depths count from where the session's do.
+        path: The planned path in the robot's base, or its entry alone; None where the
+            plan's depths count from where the session's do.
 
     Attributes:
         memory: Immutable.
         state: Result of the last evaluation; None without a plan, or before the first.
+        deviation: The needle against the planned path; None without a path.
     """
 
-    def __init__(self, plan: Plan | None, entry_in_base_m: Array | None) -> None:
+    def __init__(
+        self, plan: Plan | None, path: PlannedPath | PlannedEntry | None
+    ) -> None:
         self._plan = plan
-        self._entry_m = entry_in_base_m
-        entry = "" if entry_in_base_m is None else f" from {entry_in_base_m.tolist()}"
+        self._path = path
+        self._entry_m = None if path is None else path.entry_m
+        entry = "" if path is None else f" along {path.fingerprint}"
         self.memory = PlanMemory("" if plan is None else plan.fingerprint + entry)
         self.state: PlanState | None = None
+        self.deviation: PlanDeviation | None = None
+
+    @property
+    def reported_state(self) -> "PlanState | None":
+        """The state; while the needle is off the plan one that names no layer."""
+        deviation = self.deviation
+        is_off_plan = deviation is not None and deviation.is_off_plan
+        if self._plan is None or self.state is None or not is_off_plan:
+            return self.state
+        return self._plan.off_plan_state()
+
+    def compare_with(self, tool: ToolKinematics) -> None:
+        """Compare the needle, where the tool has it now, with the planned path."""
+        if self._path is not None:
+            pose = tool.pose
+            axis = pose[:3, :3].dot(tool.axis_in_tool)
+            self.deviation = self._path.deviation(pose[:3, 3], axis)
 
     @property
     def entry_depth_m(self) -> float | None:

@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
+from foundation.arrays import Array
 from foundation.errors import CodedError, ErrorCode, StateCode
 from identification import MULTILAYER as DEFAULT_IDENTIFIER
 from identification import (
@@ -41,6 +42,7 @@ from needleforce.needle_channels import (
     find_channel,
     remove_channel,
 )
+from needleforce.needle_on_plan import PlanDeviation, PlannedEntry, PlannedPath
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
 from needleforce.tip_travel import TipTravel, TravelZero, motion_beside_line
 from residual import DEFAULT as DEFAULT_SENSOR
@@ -143,7 +145,9 @@ class SessionEstimate(NamedTuple):
             that is followed; None before the contact, without an entry.
         channel: Whether this insertion goes on in an earlier one's channel.
         plan: State of plan and ruptures together: the layer, the next boundary, the
-            offset; None before the tare, and without `InsertionSession.follow`.
+            offset; None before the tare, and without `InsertionSession.follow`. Where
+            the needle is off the plan it names no layer.
+        deviation: The needle against the planned path, at every tick; None without one.
     """
 
     wrench: WrenchEstimate
@@ -156,6 +160,7 @@ class SessionEstimate(NamedTuple):
     depth_in_tissue_m: float | None = None
     channel: ChannelState = ChannelState.FRESH
     plan: "PlanState | None" = None
+    deviation: PlanDeviation | None = None
 
     @property
     def warnings(self) -> SensorWarning:
@@ -410,15 +415,23 @@ class InsertionSession:
         self._sensor.start_tare_recording()
 
     def follow(
-        self, plan: Plan | None, entry_in_base_m: ArrayLike | None = None
+        self,
+        plan: Plan | None,
+        entry_in_base_m: ArrayLike | None = None,
+        *,
+        path: PlannedPath | None = None,
     ) -> None:
         """Match the ruptures from now on with a plan: see `SessionEstimate.plan`.
+
+        With a path every estimate states how far the needle is off it, and an entry
+        alone how far the needle's line passes from it; see `SessionEstimate.deviation`.
 
         Args:
             plan: A `needleforce.anatomy.PlanMatch`; None to follow none.
             entry_in_base_m: The plan's entry point in the robot's base, shape (3,), as
                 `Registration.to_robot` gives it; None where the plan's depths count
-                from where the session's do.
+                from where the session's do, or with a path.
+            path: The planned path in the robot's base.
 
         Raises:
             SessionSettingError: For anything but a plan, or an entry that is no point.
@@ -427,16 +440,11 @@ class InsertionSession:
             raise SessionSettingError(
                 f"plan is a {type(plan).__name__}, expected a PlanMatch of anatomy"
             )
-        entry_m = (
-            None if entry_in_base_m is None else np.array(entry_in_base_m, dtype=float)
-        )
-        if entry_m is not None and not (
-            entry_m.shape == (3,) and np.isfinite(entry_m).all()
-        ):
-            raise SessionSettingError(
-                f"entry_in_base_m is {entry_in_base_m!r}, expected 3 finite numbers"
-            )
-        self._plan = PlanFollower(plan, entry_m)
+        checked_path: PlannedPath | PlannedEntry | None = path
+        if plan is not None and path is None and entry_in_base_m is not None:
+            entry_m = _checked_entry(entry_in_base_m)
+            checked_path = PlannedEntry(entry_m, plan.offset_std_m)
+        self._plan = PlanFollower(plan, checked_path)
         self._plan.begin(*self.zero)
 
     def begin_insertion(self) -> None:
@@ -571,6 +579,7 @@ class InsertionSession:
         self._is_checkpoint_due = False
         self._identification = snapshot.identifier.last.without_events()
         self._plan.resume(snapshot.plan, plan_state)
+        self._plan.compare_with(self._tool)
 
     def _check_kind_and_settings(self, snapshot: SessionSnapshot) -> None:
         """Refuse what is no snapshot of a session with these settings and this plan."""
@@ -708,6 +717,7 @@ class InsertionSession:
             speed_lag_s=self._speed_lag_s,
             force_lag_s=sensor.filter_lag_s,
         )
+        self._plan.compare_with(self._tool)
 
     def _watch_needle(self, *, is_resuming: bool) -> None:
         """Follow the needle, and begin another insertion where it has left the last.
@@ -996,7 +1006,19 @@ class InsertionSession:
             depth_in_tissue_m=None if entry_m is None else depth_m - entry_m,
             channel=self._course.channel_state,
             plan=self._plan.state,
+            plan=self._plan.reported_state,
+            deviation=self._plan.deviation,
         )
+
+
+def _checked_entry(entry_in_base_m: ArrayLike) -> Array:
+    """Return an entry point as three numbers."""
+    entry_m = np.array(entry_in_base_m, dtype=float)
+    if entry_m.shape != (3,) or not np.isfinite(entry_m).all():
+        raise SessionSettingError(
+            f"entry_in_base_m is {entry_in_base_m!r}, expected 3 finite numbers"
+        )
+    return entry_m
 
 
 def _check_settings(robot: object, sensor_config: object, speed_lag_s: object) -> None:

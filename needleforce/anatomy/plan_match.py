@@ -40,6 +40,12 @@ OUTSIDE = "outside"
 FALSE_ALARM = "a false alarm"
 """What a rupture is that belongs to no boundary."""
 
+OFF_PLAN = "off plan"
+"""Name while the needle is beside the planned path."""
+
+OFF_PLAN_LAYER = -2
+"""Index of the layer while the needle is beside the planned path."""
+
 BEHIND_ALL = Layer("", *[np.nan] * 4, is_obstacle=False)
 """What lies behind the last boundary."""
 
@@ -48,8 +54,9 @@ class PlanState(NamedTuple):
     """What plan and ruptures say together; depths are those of the ruptures.
 
     Attributes:
-        layer: Index of the layer that the tip is in most likely; -1 before the first.
-        name: Of that layer, or `OUTSIDE` before the first tissue.
+        layer: Index of the layer that the tip is in most likely; -1 before the first,
+            -2 where the needle is off the plan, and nothing else counts.
+        name: Of that layer, `OUTSIDE` before the first tissue, or `OFF_PLAN`.
         probability: That the tip is in it.
         offset_m: How much deeper everything lies than planned: the posterior's median.
         offset_std_m: Its standard deviation.
@@ -201,6 +208,23 @@ class PlanMatch:
             matched_name=self._name(matched, FALSE_ALARM) if ruptures else "",
             matched_probability=match.probability,
             is_obstacle_next=next_layer.is_obstacle,
+        )
+
+    def off_plan_state(self) -> PlanState:
+        """Return the state while the needle is off the plan: it names no layer."""
+        return PlanState(
+            layer=OFF_PLAN_LAYER,
+            name=OFF_PLAN,
+            probability=0.0,
+            offset_m=0.0,
+            offset_std_m=self.offset_std_m,
+            next_name="",
+            next_m=float("nan"),
+            next_std_m=self.offset_std_m,
+            matched=-1,
+            matched_name="",
+            matched_probability=0.0,
+            is_obstacle_next=False,
         )
 
     def _infer(

@@ -17,6 +17,7 @@ from needleforce.anatomy import (
     Labels,
     Layer,
     PlanMatch,
+    Registration,
     read_labels,
     read_volume,
     require_clear_path,
@@ -28,6 +29,7 @@ from needleforce.anatomy.clearance import (
     too_near,
 )
 from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, say
+from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene
 
 PLAN = "plan.json"
@@ -40,6 +42,9 @@ MAX_COORDINATE_M = 10.0
 
 ROTATION_TOLERANCE = 1e-3
 """By so much the rows of a rotation may miss being orthonormal."""
+
+MAX_ROUNDING = 1e-12
+"""By so much a variance may be negative: it is written in decimals."""
 
 MISSING_PATH = "neither layers nor entry_m and target_m in it"
 MISSING_LAYERS = "no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it"
@@ -85,12 +90,14 @@ class LoadedPlan(NamedTuple):
         entry_in_base_m: The entry point in the robot's base, shape (3,) [m]; None where
             depths count as the session's.
         warnings: What is wrong with the plan, or could not be checked.
+        path: The planned path in the robot's base; None without entry and target.
     """
 
     scene: PlanScene
     match: PlanMatch
     entry_in_base_m: Array | None
     warnings: tuple[str, ...] = ()
+    path: PlannedPath | None = None
 
 
 class _PlannedLayer(msgspec.Struct, forbid_unknown_fields=True):
@@ -118,6 +125,10 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
         entry_m: Entry point in the model [m].
         target_m: Target in the model [m].
         offset_std_m: Standard deviation of a shift of all layers [m].
+        covariance: Of the registration: a small rotation [rad] about the pivot and a
+            shift [m] in the robot's base, (6, 6); without it `offset_std_m` counts for
+            all directions.
+        pivot_m: In the robot's base [m].
         start_m: Depth at which the first layer begins [m].
         layers: Layers along the needle.
         needle_radius_m: Radius of the needle [m].
@@ -131,6 +142,8 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
     entry_m: Point | None = None
     target_m: Point | None = None
     offset_std_m: float = 3e-3
+    covariance: tuple[tuple[float, ...], ...] = ()
+    pivot_m: Point = Point(0.0, 0.0, 0.0)
     start_m: float = 0.0
     layers: tuple[_PlannedLayer, ...] = ()
     needle_radius_m: float = NEEDLE_RADIUS_m
@@ -175,7 +188,13 @@ def read_plan(place: Path, *, is_past: bool = False) -> LoadedPlan:
         _require_metres(plan)
         scene, labels = _anatomy_of(plan, path.parent)
         layers = _planned_layers(plan) or list(scene.layers)
+        path = _path_of(plan, scene)
         warnings = _check_obstacles(plan, labels, layers, is_past=is_past)
+        if path is None:
+            warnings.append(
+                "no entry and target in the plan: not checked whether the "
+                "needle is on it"
+            )
         match = PlanMatch(
             layers,
             plan.offset_std_m,
@@ -187,8 +206,44 @@ def read_plan(place: Path, *, is_past: bool = False) -> LoadedPlan:
         raise CommandError(f"{path}: {error}", CommandCode.PLAN) from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
     return LoadedPlan(
-        scene._replace(layers=match.layers), match, entry_m, tuple(warnings)
+        scene._replace(layers=match.layers, warnings=tuple(warnings)),
+        match,
+        entry_m,
+        tuple(warnings),
+        path,
     )
+
+
+def _largest_std_m(plan: _PlanFile) -> float:
+    """Return the largest deviation of the registration at entry and target."""
+    if not plan.covariance or plan.entry_m is None or plan.target_m is None:
+        return plan.offset_std_m
+    registration = Registration(
+        _checked_rotation(plan),
+        np.array(plan.translation_m),
+        np.array(plan.covariance),
+        np.array(plan.pivot_m),
+        np.inf,
+        np.nan,
+    )
+    return registration.largest_std_m([plan.entry_m, plan.target_m])
+
+
+def _path_of(plan: _PlanFile, scene: PlanScene) -> PlannedPath | None:
+    """Return the planned path in the robot's base; None without entry and target."""
+    if scene.entry_m is None or scene.target_m is None:
+        return None
+    entry_m = scene.to_robot(scene.entry_m)
+    target_m = scene.to_robot(scene.target_m)
+    if not plan.covariance:
+        return PlannedPath.of_std(entry_m, target_m, plan.offset_std_m)
+    if {len(plan.covariance), *map(len, plan.covariance)} != {6}:
+        raise ValueError("covariance in it is not 6 x 6")
+    covariance = np.array(plan.covariance)
+    least = np.linalg.eigvalsh(covariance)[0]
+    if not np.allclose(covariance, covariance.T) or least < -MAX_ROUNDING:
+        raise ValueError("covariance in it is not symmetric and positive")
+    return PlannedPath(entry_m, target_m, covariance, np.array(plan.pivot_m))
 
 
 def _check_obstacles(
@@ -213,7 +268,7 @@ def _check_obstacles(
             if layer.is_obstacle
         ]
         return warnings
-    space = FreeSpace(plan.needle_radius_m, plan.margin_m, plan.offset_std_m)
+    space = FreeSpace(plan.needle_radius_m, plan.margin_m, _largest_std_m(plan))
     clearances = labels.clearances(plan.entry_m, plan.target_m)
     if not is_past:
         require_clear_path(clearances, space, plan.accepted_obstacles)

@@ -16,6 +16,7 @@ from needleforce.control.errors import SettingError
 from needleforce.control.ports import ArmSample
 from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.state_machine import State
+from needleforce.needle_on_plan import describe_deviation
 from residual.checks.input import as_float
 from residual.estimate import SensorWarning, Status
 
@@ -40,6 +41,8 @@ class SafetyLimits:
         tracking_rad: Motion of a joint within a second that was not commanded.
         reaction_s: Time from a decision to the arm at rest, over which forces are
             predicted.
+        stop_off_plan: Stop an advance while the needle is off the plan that the session
+            follows.
 
     Raises:
         SettingError: A limit is no positive number.
@@ -55,9 +58,12 @@ class SafetyLimits:
     device_s: float = 0.05
     tracking_rad: float = 0.05
     reaction_s: float = 0.015
+    stop_off_plan: bool = False
 
     def __post_init__(self) -> None:
-        require_positive(asdict(self))
+        limits = asdict(self)
+        limits.pop("stop_off_plan")
+        require_positive(limits)
 
 
 class Beside(NamedTuple):
@@ -311,11 +317,23 @@ class Monitors:
             axial_N = self._axial_N or 0.0
         ahead_N = self._predict_axial_N(axial_N, ahead_s, step_s)
         side_force = self._side_force.check(step_s, lag_s)
-        stop = self._check_axial(estimate, axial_N, ahead_N) or side_force
+        stop = (
+            self._check_axial(estimate, axial_N, ahead_N)
+            or side_force
+            or self._check_plan(estimate)
+        )
         if self._state == State.TELEOP and not self.has_device:
             silent_ms = 1e3 * self._device_silent_s
             stop = f"the haptic device has been silent for {silent_ms:.0f} ms"
         return ("limit", stop) if stop else ("", "")
+
+    def _check_plan(self, estimate: "SessionEstimate") -> str:
+        """Return where the needle is off the plan in an advance; empty if it is not."""
+        deviation = estimate.deviation
+        is_watched = self._limits.stop_off_plan and self._state in _ADVANCING
+        if not is_watched or deviation is None or not deviation.is_off_plan:
+            return ""
+        return describe_deviation(deviation)
 
     def _check_lateness(self, dt_s: float, step_s: float) -> str:
         """Return what is wrong with the time since the last sample."""

@@ -96,6 +96,9 @@ EXPECTED = RingStyle(Color(90, 200, 250), _FOUND_LABEL_M)
 """Of the next boundary, moved by what the ruptures have shown."""
 
 NEEDLE_COLOR = Color(200, 200, 210)
+OFF_PLAN_COLOR = Color(230, 30, 30)
+"""Of the needle while it is off the plan."""
+
 BONE_COLOR = Color(90, 100, 120)
 TARGET_COLOR = Color(80, 220, 120)
 
@@ -131,6 +134,7 @@ class PlanScene(NamedTuple):
         target_m: In the model, shape (3,); None without a plan.
         rotation: From the model to the robot's base, shape (3, 3).
         translation_m: Of the model's origin in the robot's base, shape (3,).
+        warnings: What is wrong with the plan, or could not be checked.
     """
 
     surfaces: Sequence[Any] = ()
@@ -139,6 +143,7 @@ class PlanScene(NamedTuple):
     target_m: Array | None = None
     rotation: Array = np.eye(3)
     translation_m: Array = np.zeros(3)
+    warnings: tuple[str, ...] = ()
 
     def to_robot(self, points_m: ArrayLike) -> Array:
         """Return points of the model in the robot's base, shape (3,) or (n, 3)."""
@@ -181,6 +186,10 @@ class ArmNodes:
             height=NEEDLE_LENGTH_M,
             color=NEEDLE_COLOR,
         )
+
+    def show_off_plan(self, is_off_plan: bool) -> None:
+        """Show the needle in the colour of a needle on the plan, or off it."""
+        self._needle.color = OFF_PLAN_COLOR if is_off_plan else NEEDLE_COLOR
 
     def update(self, q_rad: ArrayLike) -> NeedlePose:
         """Move the arm to joint positions, shape (n,); return where the needle is."""

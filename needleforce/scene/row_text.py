@@ -10,6 +10,12 @@ M_TO_MM = 1e3
 OUTSIDE = -1
 """Number of the place before the first planned layer."""
 
+OFF_PLAN = -2
+"""Number of the layer of a needle that is off the plan."""
+
+BANNER = "OFF PLAN"
+"""What the page shows while the needle is off the plan."""
+
 
 def layer_names(plan: PlanScene) -> dict[float, str]:
     """Return the names of planned layers by their numbers."""
@@ -20,6 +26,8 @@ def layer_names(plan: PlanScene) -> dict[float, str]:
 
 def next_layer_name(row: ViewRow, names: Mapping[float, str]) -> str:
     """Return the name of the planned layer behind the present one; empty for none."""
+    if row.is_off_plan:
+        return ""
     return names.get(row.plan_layer + 1.0, "")
 
 
@@ -29,6 +37,8 @@ def rupture_text(row: ViewRow, names: Mapping[float, str]) -> str:
     text = f"rupture {row.rupture:.0f} at {depth_mm:.1f} mm"
     if math.isnan(row.plan_matched):
         return text
+    if row.is_off_plan:
+        return f"{text}: off plan"
 
     is_boundary = row.plan_matched >= 0.0
     next_name = names.get(row.plan_matched, "")
@@ -56,8 +66,26 @@ def state_lines(
         f"**tip force {row.tip_N:.2f} ± {2.0 * row.tip_std_N:.2f} N**, "
         f"shaft friction {row.friction_N:.2f} N; the bar is full at {full_bar_N:g} N"
     )
-    if not math.isnan(row.plan_layer):
+    if not math.isnan(row.aside_entry_m):
+        yield aside_text(row)
+    if not math.isnan(row.plan_layer) and not row.is_off_plan:
         yield from _plan_lines(row, names)
+
+
+def aside_text(row: ViewRow) -> str:
+    """Return how far the needle is beside the planned path, and turned."""
+    text = (
+        f"needle {M_TO_MM * row.aside_entry_m:.1f} ± "
+        f"{2.0 * M_TO_MM * row.aside_entry_std_m:.1f} mm beside the planned entry, tip "
+        f"{M_TO_MM * row.aside_tip_m:.1f} ± {2.0 * M_TO_MM * row.aside_tip_std_m:.1f} "
+        "mm beside the planned path"
+    )
+    if row.aside_angle_std_rad < math.pi:
+        text += (
+            f", turned by {math.degrees(row.aside_angle_rad):.1f} ± "
+            f"{math.degrees(2.0 * row.aside_angle_std_rad):.1f}°"
+        )
+    return text
 
 
 def _plan_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:

@@ -4,6 +4,7 @@ Slicer's OpenIGTLinkIF module connects as a client. Poses are in the model's
 coordinates, turned from LPS metres to Slicer's RAS millimetres.
 """
 
+import math
 from functools import partial
 from typing import Any
 
@@ -87,6 +88,8 @@ class SlicerOutput(Closing):
         self._next_s = estimate.time_s + 1.0 / MAX_RATE_HZ
         self._send_pose(pose_m)
         self._send_forces(estimate)
+        if getattr(estimate, "deviation", None) is not None:
+            self._send_deviation(estimate.deviation)
         return True
 
     def _send_rupture(self, rupture: Any) -> None:
@@ -114,6 +117,20 @@ class SlicerOutput(Closing):
             "depth_mm": M_TO_MM * estimate.depth_m,
         }
         self._send(self._igtl.StringMessage(_to_json(values), device_name="Force"))
+
+    def _send_deviation(self, deviation: Any) -> None:
+        """Send the needle against the plan."""
+        values = {
+            "is_off_plan": deviation.is_off_plan,
+            "entry_mm": M_TO_MM * deviation.entry_m,
+            "entry_std_mm": M_TO_MM * deviation.entry_std_m,
+            "tip_mm": M_TO_MM * deviation.tip_m,
+            "tip_std_mm": M_TO_MM * deviation.tip_std_m,
+            "angle_deg": math.degrees(deviation.angle_rad),
+            "angle_std_deg": math.degrees(deviation.angle_std_rad),
+            "depth_below_entry_mm": M_TO_MM * deviation.depth_m,
+        }
+        self._send(self._igtl.StringMessage(_to_json(values), device_name="Plan"))
 
     def close(self) -> None:
         """End the connection."""

@@ -31,7 +31,8 @@ _COUNT = struct.Struct("<Q")
 class ViewRow(NamedTuple):
     """A tick of a session as it is shown, before the joint positions.
 
-    The fields of the plan are those of a `PlanState`, NaN without a plan.
+    The fields of the plan are those of a `PlanState`, NaN without a plan; the fields
+    aside are those of a `PlanDeviation`, NaN without a planned path.
 
     Attributes:
         time_s: Of the session.
@@ -55,6 +56,13 @@ class ViewRow(NamedTuple):
         plan_next_std_m: Standard deviation of that depth.
         plan_matched: Number of the planned layer that the latest rupture led into.
         plan_matched_probability: Of that match.
+        aside_entry_m: Distance of the needle's line from the planned entry.
+        aside_entry_std_m: Standard deviation of that distance.
+        aside_tip_m: Distance of the tip from the planned line.
+        aside_tip_std_m: Standard deviation of that distance.
+        aside_angle_rad: Between the planned and the needle's direction.
+        aside_angle_std_rad: Standard deviation of that angle.
+        aside_is_off_plan: 1 if the needle is off the plan, else 0.
     """
 
     time_s: float
@@ -78,6 +86,18 @@ class ViewRow(NamedTuple):
     plan_next_std_m: float = math.nan
     plan_matched: float = math.nan
     plan_matched_probability: float = math.nan
+    aside_entry_m: float = math.nan
+    aside_entry_std_m: float = math.nan
+    aside_tip_m: float = math.nan
+    aside_tip_std_m: float = math.nan
+    aside_angle_rad: float = math.nan
+    aside_angle_std_rad: float = math.nan
+    aside_is_off_plan: float = math.nan
+
+    @property
+    def is_off_plan(self) -> bool:
+        """Whether the needle is off the plan."""
+        return self.aside_is_off_plan == 1.0
 
 
 FIELDS = ViewRow._fields
@@ -89,6 +109,15 @@ PLAN_FIELDS = tuple(
     name.removeprefix(_PLAN_PREFIX) for name in FIELDS if name.startswith(_PLAN_PREFIX)
 )
 """Names of the fields of a `PlanState` that a row has."""
+
+_ASIDE_PREFIX = "aside_"
+
+ASIDE_FIELDS = tuple(
+    name.removeprefix(_ASIDE_PREFIX)
+    for name in FIELDS
+    if name.startswith(_ASIDE_PREFIX)
+)
+"""Names of the fields of a `PlanDeviation` that a row has."""
 
 
 def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
@@ -106,6 +135,12 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
     plan_values: dict[str, float] = {}
     if plan is not None:
         plan_values = {_PLAN_PREFIX + name: getattr(plan, name) for name in PLAN_FIELDS}
+    deviation = getattr(estimate, "deviation", None)
+    if deviation is not None:
+        plan_values |= {
+            _ASIDE_PREFIX + name: float(getattr(deviation, name))
+            for name in ASIDE_FIELDS
+        }
 
     row = ViewRow(
         time_s=estimate.time_s,

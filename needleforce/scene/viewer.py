@@ -18,6 +18,7 @@ from foundation.arrays import Array
 from needleforce.files import whole_file
 from needleforce.scene import nodes
 from needleforce.scene.row_text import (
+    BANNER,
     layer_names,
     next_layer_name,
     rupture_text,
@@ -168,7 +169,7 @@ class Viewer:
         self._lock = threading.Lock()
         self._shown_s: float | None = None  # time of the row that is shown
         self._add_scene(robot, plan, urdf_path)
-        self._add_panel()
+        self._add_panel(plan.warnings)
 
     def _add_scene(
         self, robot: Robot, plan: nodes.PlanScene, urdf_path: Path | None
@@ -182,12 +183,17 @@ class Viewer:
         self._ahead = nodes.add_ring(
             self._server, "/ahead", upright, nodes.EXPECTED, ""
         )
+        self._off_plan = scene.add_label("/off_plan", BANNER)
+        self._off_plan.visible = False
         scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
 
-    def _add_panel(self) -> None:
+    def _add_panel(self, plan_warnings: tuple[str, ...]) -> None:
         """Add the state in words, the time line and the plots beside the scene."""
         gui = self._server.gui
         gui.add_markdown(f"**needleforce** – {NOTE}")
+        self._banner = gui.add_markdown("")
+        for warning in plan_warnings:
+            gui.add_markdown(f"Warning: {warning}")
         self._text = gui.add_markdown("waiting for the first sample")
         self._bar = gui.add_progress_bar(0.0, color="violet")
         self._events = gui.add_markdown("")
@@ -312,6 +318,7 @@ class Viewer:
             needle = self._arm.update(_joints_of(row_values))
             self._draw_marks(row)
             self._draw_expected(row, needle)
+            self._draw_banner(row, needle)
             latest_s = float(self._rows[-1, COLUMN["time_s"]])
             self._slider.max = max(latest_s, MIN_SPAN_S)
             if self._live.value:
@@ -341,13 +348,22 @@ class Viewer:
 
     def _draw_expected(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
         """Show where the next boundary is expected, if one is."""
-        is_expected = bool(np.isfinite(row.plan_next_m))
+        is_expected = bool(np.isfinite(row.plan_next_m)) and not row.is_off_plan
         self._ahead.set_visible(is_expected)
         if is_expected:
             distance_m = row.plan_next_m - row.depth_m
             self._ahead.move(needle.tip_m + distance_m * needle.axis, needle.axis)
             next_name = next_layer_name(row, self._names)
             self._ahead.label.text = f"{next_name}, expected"
+
+    def _draw_banner(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
+        """Turn the needle red and say so while it is off the plan."""
+        self._arm.show_off_plan(row.is_off_plan)
+        self._off_plan.visible = row.is_off_plan
+        self._off_plan.position = tuple(needle.tip_m)
+        self._banner.content = ""
+        if row.is_off_plan:
+            self._banner.content = f"# ⚠ {BANNER}\n\nNo layer is named from it."
 
     def _draw_curves(self, index: int) -> None:
         """Draw the forces until a row, where they were good."""

@@ -9,6 +9,7 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from needleforce.anatomy import PlanState
+from needleforce.anatomy.plan_match import OFF_PLAN_LAYER
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ROBOTS,
@@ -23,6 +24,7 @@ from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
 from needleforce.devices import NetFT
 from needleforce.devices.rdt_status import describe_status
+from needleforce.needle_on_plan import describe_deviation
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
@@ -96,6 +98,8 @@ class Display:
         ]
         if estimate.plan is not None:
             values.append(describe_plan(estimate.plan))
+        if estimate.deviation is not None:
+            values.append(describe_deviation(estimate.deviation))
         return values
 
 
@@ -109,7 +113,9 @@ def describe_events(estimate: SessionEstimate) -> Iterator[str]:
             f"({_percent(rupture.probability)})"
         )
         plan = estimate.plan
-        if plan is not None:
+        if plan is not None and plan.layer == OFF_PLAN_LAYER:
+            text += ", off plan"
+        elif plan is not None:
             match = plan.matched_name
             if plan.matched >= 0:
                 match = f"into {match}"
@@ -129,6 +135,8 @@ def describe_reference(reference: ReferenceForce) -> str:
 
 def describe_plan(plan: PlanState) -> str:
     """Return where the tip is by the plan, what comes next, and the plan's offset."""
+    if plan.layer == OFF_PLAN_LAYER:
+        return "no layer is named off the plan"
     text = f"in {plan.name} ({_percent(plan.probability)})"
     if plan.next_name:
         next_mm = M_TO_MM * plan.next_m
@@ -233,7 +241,7 @@ def watch_arm(
     ):
         session = InsertionSession(model)
         if plan is not None:
-            session.follow(plan.match, plan.entry_in_base_m)
+            session.follow(plan.match, plan.entry_in_base_m, path=plan.path)
         display = Display(arm, reference, panel)
         for sample in samples_until_stopped(arm, options):
             if sample.tau_Nm is None:

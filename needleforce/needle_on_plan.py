@@ -1,0 +1,307 @@
+"""The needle against the planned path: how far beside it, how far turned, how sure.
+
+The planned path is a line in the robot's base, known as well as the registration. The
+needle is a line, too: its tip and its direction as the robot states them. Where both
+lines should be one, the distances between them are errors of the registration; beyond
+what chance makes of these, the needle is off the plan, and nothing may be named by it.
+"""
+
+import math
+from dataclasses import dataclass
+from functools import cached_property
+from typing import NamedTuple, Protocol
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from foundation.arrays import Array
+
+MARGIN_m = 1e-3
+"""Distance beside the path that is never off the plan."""
+
+MARGIN_rad = math.radians(1.0)
+"""Angle that is never off the plan."""
+
+STDS = 3.7
+"""Beyond so many standard deviations the needle is off the plan. A distance in a plane
+exceeds them by chance once in a thousand insertions."""
+
+TIP_STD_m = 0.1e-3
+"""Standard deviation of the needle's tip in the robot's base: repeatability of arms."""
+
+AXIS_STD_rad = 1e-3
+"""Standard deviation of the needle's direction in the robot's base."""
+
+REGISTERED_RADIUS_m = 0.1
+"""Landmarks and touches lie some 100 mm around a path: where a registration states one
+standard deviation for all directions, its rotation has that over this distance."""
+
+
+class _Registration(Protocol):
+    """What `needleforce.anatomy.Registration` says of a place."""
+
+    covariance: Array
+    pivot_m: Array
+
+    def to_robot(self, points_m: ArrayLike) -> Array:
+        """Carry points of the model into the robot's base."""
+        ...
+
+
+class PlanDeviation(NamedTuple):
+    """The needle against the planned path; standard deviations include registration.
+
+    Attributes:
+        entry_m: Distance of the needle's line from the planned entry.
+        entry_std_m: Its standard deviation, the larger one of two directions.
+        tip_m: Distance of the tip from the planned line.
+        tip_std_m: Its standard deviation.
+        angle_rad: Between the planned and the needle's direction.
+        angle_std_rad: Its standard deviation.
+        depth_m: Of the tip below the planned entry, along the planned line.
+        is_off_plan: Whether one of the three exceeds its margin and 3.7 standard
+            deviations.
+    """
+
+    entry_m: float
+    entry_std_m: float
+    tip_m: float
+    tip_std_m: float
+    angle_rad: float
+    angle_std_rad: float
+    depth_m: float
+    is_off_plan: bool
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedPath:
+    """A planned straight path in the robot's base, with its uncertainty.
+
+    Attributes:
+        entry_m: Where it enters the patient, (3,).
+        target_m: Where it ends, (3,).
+        covariance: Of a small rotation [rad] about the pivot and a shift [m], (6, 6).
+        pivot_m: In the robot's base, (3,).
+        margin_m: Distance that is never off the plan.
+        margin_rad: Angle that is never off the plan.
+    """
+
+    entry_m: Array
+    target_m: Array
+    covariance: Array
+    pivot_m: Array
+    margin_m: float = MARGIN_m
+    margin_rad: float = MARGIN_rad
+
+    @cached_property
+    def _lateral(self) -> "_LateralCovariance":
+        return _LateralCovariance(self)
+
+    @classmethod
+    def of_registration(
+        cls, registration: _Registration, entry_m: ArrayLike, target_m: ArrayLike
+    ) -> "PlannedPath":
+        """Return the path between two points of the model, registered to the robot."""
+        return cls(
+            registration.to_robot(entry_m),
+            registration.to_robot(target_m),
+            np.array(registration.covariance, dtype=float),
+            np.array(registration.pivot_m, dtype=float),
+        )
+
+    @classmethod
+    def of_std(
+        cls, entry_m: ArrayLike, target_m: ArrayLike, std_m: float
+    ) -> "PlannedPath":
+        """Return a path in the robot's base with one deviation for all directions.
+
+        Args:
+            entry_m: Entry in the robot's base, (3,).
+            target_m: Target in the robot's base, (3,).
+            std_m: Standard deviation of the registration along each axis.
+        """
+        rotation_rad = std_m / REGISTERED_RADIUS_m
+        variances = [rotation_rad**2] * 3 + [std_m**2] * 3
+        entry = np.array(entry_m, dtype=float)
+        return cls(entry, np.array(target_m, dtype=float), np.diag(variances), entry)
+
+    @property
+    def axis(self) -> Array:
+        """Planned direction, of length one, (3,)."""
+        way_m = self.target_m - self.entry_m
+        return way_m / np.linalg.norm(way_m)
+
+    @property
+    def fingerprint(self) -> str:
+        """Text that is equal for equal paths."""
+        numbers = [
+            self.entry_m.tolist(),
+            self.target_m.tolist(),
+            self.covariance.tolist(),
+            self.pivot_m.tolist(),
+            self.margin_m,
+            self.margin_rad,
+        ]
+        return repr(numbers)
+
+    def deviation(self, tip_m: Array, axis: Array) -> PlanDeviation:
+        """Return where a needle is against the path.
+
+        Args:
+            tip_m: Tip of the needle in the robot's base, (3,).
+            axis: Its direction, of length one, (3,).
+        """
+        lateral = self._lateral
+        planned = lateral.axis
+        from_entry = (tip_m - self.entry_m).tolist()
+        needle = axis.tolist()
+        depth_m = _dot(from_entry, planned)
+        entry_m = math.hypot(*_cross(from_entry, needle))
+        tip_distance_m = math.hypot(*_cross(from_entry, planned))
+        angle_rad = math.atan2(
+            math.hypot(*_cross(planned, needle)), _dot(planned, needle)
+        )
+        entry_std_m = lateral.std_m(0.0)
+        tip_std_m = lateral.std_m(depth_m)
+        angle_std_rad = lateral.angle_std_rad
+        is_off_plan = (
+            entry_m > max(self.margin_m, STDS * entry_std_m)
+            or tip_distance_m > max(self.margin_m, STDS * tip_std_m)
+            or angle_rad > max(self.margin_rad, STDS * angle_std_rad)
+        )
+        return PlanDeviation(
+            entry_m,
+            entry_std_m,
+            tip_distance_m,
+            tip_std_m,
+            angle_rad,
+            angle_std_rad,
+            depth_m,
+            is_off_plan,
+        )
+
+
+@dataclass(frozen=True, eq=False)
+class PlannedEntry:
+    """A planned entry whose direction is not known: only the entry can be checked.
+
+    Attributes:
+        entry_m: In the robot's base, (3,).
+        std_m: Standard deviation of the registration along each axis.
+        margin_m: Distance that is never off the plan.
+    """
+
+    entry_m: Array
+    std_m: float
+    margin_m: float = MARGIN_m
+
+    @property
+    def fingerprint(self) -> str:
+        """Text that is equal for equal entries."""
+        return repr([self.entry_m.tolist(), self.std_m, self.margin_m])
+
+    def deviation(self, tip_m: Array, axis: Array) -> PlanDeviation:
+        """Return how far a needle's line passes from the entry; its angle is 0.
+
+        Args:
+            tip_m: Tip of the needle in the robot's base, (3,).
+            axis: Its direction, of length one, (3,).
+        """
+        from_entry = (tip_m - self.entry_m).tolist()
+        needle = axis.tolist()
+        entry_m = math.hypot(*_cross(from_entry, needle))
+        std_m = math.hypot(self.std_m, TIP_STD_m)
+        return PlanDeviation(
+            entry_m=entry_m,
+            entry_std_m=std_m,
+            tip_m=entry_m,
+            tip_std_m=std_m,
+            angle_rad=0.0,
+            angle_std_rad=math.pi,
+            depth_m=_dot(from_entry, needle),
+            is_off_plan=entry_m > max(self.margin_m, STDS * std_m),
+        )
+
+
+def describe_deviation(deviation: PlanDeviation) -> str:
+    """Return the needle against the plan in words; behind ± is a standard deviation."""
+    text = (
+        f"{1e3 * deviation.entry_m:.1f} ± {1e3 * deviation.entry_std_m:.1f} mm beside "
+        f"the planned entry, tip {1e3 * deviation.tip_m:.1f} ± "
+        f"{1e3 * deviation.tip_std_m:.1f} mm beside the planned path"
+    )
+    if deviation.angle_std_rad < math.pi:
+        text += (
+            f", turned by {math.degrees(deviation.angle_rad):.1f} ± "
+            f"{math.degrees(deviation.angle_std_rad):.1f}°"
+        )
+    return f"OFF PLAN: {text}" if deviation.is_off_plan else f"on plan: {text}"
+
+
+class _LateralCovariance:
+    """Covariance of a path across its direction, as a function of depth.
+
+    A registration that errs by a rotation w about a pivot p and a shift t moves a point
+    x by w x (x - p) + t. Across the path, along u and v, that is linear in the depth of
+    x, so its variances are polynomials of degree two.
+
+    Args:
+        path: The path.
+
+    Attributes:
+        axis: Direction of the path, three numbers.
+        angle_std_rad: Standard deviation of its direction, the larger one.
+    """
+
+    def __init__(self, path: PlannedPath) -> None:
+        axis = path.axis
+        least = np.eye(3)[int(np.abs(axis).argmin())]
+        across = np.cross(axis, least)
+        across /= np.linalg.norm(across)
+        sides = (across, np.cross(axis, across))
+        arm_m = path.entry_m - path.pivot_m
+        at_entry = np.array([[*np.cross(arm_m, side), *side] for side in sides])
+        per_m = np.array([[*np.cross(axis, side), 0.0, 0.0, 0.0] for side in sides])
+        constant = at_entry @ path.covariance @ at_entry.T
+        mixed = at_entry @ path.covariance @ per_m.T
+        square = per_m @ path.covariance @ per_m.T
+        self.axis: list[float] = axis.tolist()
+        self.angle_std_rad = math.hypot(_largest_std(square), AXIS_STD_rad)
+        self._constant: list[list[float]] = constant.tolist()
+        self._linear: list[list[float]] = (mixed + mixed.T).tolist()
+        self._square: list[list[float]] = square.tolist()
+
+    def std_m(self, depth_m: float) -> float:
+        """Return the larger standard deviation across the path at a depth."""
+        terms = zip(
+            *map(_flatten, (self._constant, self._linear, self._square)), strict=True
+        )
+        a, b, _, c = (
+            zero + depth_m * (one + depth_m * two) for zero, one, two in terms
+        )
+        half = 0.5 * math.hypot(a - c, 2.0 * b)
+        return math.sqrt(max(0.5 * (a + c) + half, 0.0) + TIP_STD_m**2)
+
+
+def _largest_std(covariance: Array) -> float:
+    """Return the larger standard deviation of two quantities."""
+    return float(np.sqrt(max(np.linalg.eigvalsh(covariance)[-1], 0.0)))
+
+
+def _flatten(rows: list[list[float]]) -> list[float]:
+    """Return the numbers of rows behind each other."""
+    return [number for row in rows for number in row]
+
+
+def _dot(a: list[float], b: list[float]) -> float:
+    """Return the scalar product of two vectors; three numbers are faster as such."""
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+def _cross(a: list[float], b: list[float]) -> tuple[float, float, float]:
+    """Return the vector product of two vectors."""
+    return (
+        a[1] * b[2] - a[2] * b[1],
+        a[2] * b[0] - a[0] * b[2],
+        a[0] * b[1] - a[1] * b[0],
+    )

@@ -1,0 +1,202 @@
+"""The needle against the plan: needles aside are found, none on the plan is accused."""
+
+import math
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from needleforce import InsertionSession
+from needleforce.anatomy import Layer, PlanMatch, Registration
+from needleforce.control.monitors import NOTHING, Monitors, SafetyLimits
+from needleforce.control.state_machine import State
+from needleforce.needle_on_plan import PlannedPath, describe_deviation
+from needleforce.scene.row_text import layer_names, rupture_text, state_lines
+from needleforce.scene.state_ring import FIELDS, ViewRow, view_row
+from tests.insertion_run import following, samples, short_run, stopped_after, tare_index
+
+ENTRY_m = np.array([0.6, 0.1, 0.2])
+AXIS = np.array([0.0, 0.6, -0.8])
+TARGET_m = ENTRY_m + 0.08 * AXIS
+SIDE = np.array([1.0, 0.0, 0.0])
+
+
+def exact(std_m=0.0):
+    return PlannedPath.of_std(ENTRY_m, TARGET_m, std_m)
+
+
+def test_distances_and_the_angle_are_those_of_the_two_lines():
+    turned = Rotation.from_rotvec(math.radians(5.0) * SIDE).apply(AXIS)
+    tip_m = ENTRY_m + 0.003 * SIDE + 0.05 * turned
+    found = exact(0.2e-3).deviation(tip_m, turned)
+
+    assert found.entry_m == pytest.approx(3e-3)
+    assert found.tip_m == pytest.approx(math.hypot(3e-3, 0.05 * math.sin(0.0872665)))
+    assert found.angle_rad == pytest.approx(math.radians(5.0))
+    assert found.depth_m == pytest.approx(0.05 * math.cos(math.radians(5.0)))
+    assert found.is_off_plan
+    assert describe_deviation(found).startswith(
+        "OFF PLAN: 3.0 ± 0.2 mm beside the planned entry, tip 5.3 ± 0.2 mm beside"
+    )
+
+
+def test_deviations_are_those_of_the_registration_across_the_path():
+    covariance = np.diag([4e-6, 0.0, 0.0, 1e-6, 0.0, 9e-6])
+    registration = Registration(
+        np.eye(3), np.zeros(3), covariance, ENTRY_m, np.inf, 0.0
+    )
+    path = PlannedPath.of_registration(registration, ENTRY_m, TARGET_m)
+    at_entry = path.deviation(ENTRY_m, AXIS)
+    at_target = path.deviation(TARGET_m, AXIS)
+
+    # Across the path: 1 mm along x, and 0.6 of the 3 mm along z.
+    assert at_entry.tip_std_m == pytest.approx(1.8e-3, rel=0.01)
+    # 2 mrad about x, at 80 mm.
+    assert at_target.tip_std_m == pytest.approx(math.hypot(1.8e-3, 0.16e-3), rel=0.01)
+    assert at_target.entry_std_m == at_entry.tip_std_m
+    assert at_target.angle_std_rad == pytest.approx(math.hypot(2e-3, 1e-3), rel=0.01)
+
+
+def draws(count, std_m, aside_m=0.0, turn_rad=0.0, seed=1000):
+    """How many of so many insertions are off a plan that is registered with errors."""
+    rng = np.random.default_rng(seed)
+    found = 0
+    for _ in range(count):
+        pivot_m = ENTRY_m + 0.05 * rng.normal(size=3)
+        turn = std_m / 0.1 * rng.normal(size=3)
+        shift_m = std_m * rng.normal(size=3)
+        entry_m, target_m = (
+            point_m + np.cross(turn, point_m - pivot_m) + shift_m
+            for point_m in (ENTRY_m, TARGET_m)
+        )
+        variances = [(std_m / 0.1) ** 2] * 3 + [std_m**2] * 3
+        path = PlannedPath(entry_m, target_m, np.diag(variances), pivot_m)
+        angle = rng.uniform(0.0, 2.0 * np.pi)
+        across = np.cos(angle) * SIDE + np.sin(angle) * np.cross(AXIS, SIDE)
+        axis = Rotation.from_rotvec(turn_rad * across).apply(AXIS)
+        tips_m = [ENTRY_m + aside_m * across + d * axis for d in (-0.01, 0.03, 0.08)]
+        found += any(path.deviation(tip_m, axis).is_off_plan for tip_m in tips_m)
+    return found
+
+
+STD_m = 0.3e-3 / math.sqrt(3.0)
+"""Along each axis, of a registration that is known to 0.3 mm."""
+
+
+def test_needles_aside_or_turned_are_found_and_none_on_the_plan_is_accused():
+    assert draws(1000, STD_m) <= 1
+    assert [draws(100, STD_m, aside_m=aside) for aside in (2e-3, 5e-3, 50e-3)] == [
+        100,
+        100,
+        100,
+    ]
+    assert [draws(100, STD_m, turn_rad=math.radians(turn)) for turn in (2, 10)] == [
+        100,
+        100,
+    ]
+
+
+def test_a_registration_known_less_well_accuses_less():
+    assert exact(1e-3).deviation(ENTRY_m + 0.002 * SIDE, AXIS).is_off_plan is False
+    assert exact(0.1e-3).deviation(ENTRY_m + 0.002 * SIDE, AXIS).is_off_plan is True
+
+
+RUN = short_run()
+TARE = tare_index(RUN)
+SURFACE_m = float(-RUN.truth.depth_m[TARE])
+MATCH = PlanMatch(
+    [
+        Layer("gel", 0.0, 0.026, 0.5e-3, 0.5e-3, False),
+        Layer("behind", 0.026, 0.08, 0.5e-3, 0.5e-3, False),
+    ],
+    3e-3,
+)
+
+
+def estimates_along(path, count=400, **places):
+    session = InsertionSession(RUN.robot)
+    session.follow(MATCH, path=path, **places)
+    estimates = []
+    for k, row in samples(RUN):
+        if k == TARE:
+            session.tare()
+        estimates.append(session.update(*row))
+        if k == TARE + count:
+            return session, estimates
+
+
+@pytest.fixture(scope="module")
+def zero():
+    return stopped_after(TARE).zero
+
+
+def test_off_the_plan_no_layer_is_named(zero):
+    start_m, axis = zero
+    side = np.cross(axis, [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    entry_m = start_m + SURFACE_m * axis
+    right = PlannedPath.of_std(entry_m, entry_m + 0.05 * axis, 0.2e-3)
+    wrong = PlannedPath.of_std(
+        entry_m + 0.05 * side, entry_m + 0.05 * (axis + side), 0.2e-3
+    )
+    _, on_plan = estimates_along(right)
+    session, off_plan = estimates_along(wrong)
+
+    assert on_plan[-1].plan.name in ("outside", "gel")
+    assert not on_plan[-1].deviation.is_off_plan
+    assert on_plan[-1].deviation.tip_m < 0.2e-3
+    assert (off_plan[-1].plan.name, off_plan[-1].plan.layer) == ("off plan", -2)
+    assert off_plan[-1].plan.next_name == off_plan[-1].plan.matched_name == ""
+    assert off_plan[-1].deviation.entry_m == pytest.approx(0.05, abs=1e-3)
+
+    snapshot = session.snapshot()
+    again = InsertionSession(RUN.robot)
+    again.follow(MATCH, path=wrong)
+    again.restore(snapshot)
+    row = next(iter(following(TARE + 400, 1)))
+
+    assert again.update(*row).deviation == session.update(*row).deviation
+
+    row = ViewRow(*view_row(off_plan[-1], row[0])[: len(FIELDS)])
+    lines = "\n".join(state_lines(row, layer_names(SimpleNamespace(layers=[])), 4.0))
+
+    assert row.is_off_plan
+    assert "50.0 ± 0.4 mm beside the planned entry" in lines
+    assert "in **" not in lines
+    assert rupture_text(row._replace(plan_matched=0.0), {}).endswith(": off plan")
+
+
+def test_an_entry_without_a_direction_is_checked_too(zero):
+    start_m, axis = zero
+    side = np.cross(axis, [0.0, 1.0, 0.0])
+    side /= np.linalg.norm(side)
+    entry_m = start_m + SURFACE_m * axis
+    _, near = estimates_along(None, 100, entry_in_base_m=entry_m)
+    _, far = estimates_along(None, 100, entry_in_base_m=entry_m + 0.05 * side)
+
+    assert near[-1].plan.name != "off plan"
+    assert far[-1].plan.name == "off plan"
+
+
+@pytest.mark.parametrize(
+    ("state", "is_told", "is_stopped"),
+    [
+        (State.INSERTION, True, True),
+        (State.TELEOP, True, True),
+        (State.WITHDRAW, True, False),
+        (State.INSERTION, False, False),
+    ],
+)
+def test_an_advance_off_the_plan_is_stopped_if_told_to(state, is_told, is_stopped):
+    session, estimates = estimates_along(
+        PlannedPath.of_std(ENTRY_m, TARGET_m, 0.2e-3), 50
+    )
+    limits = SafetyLimits(axial_N=100.0, lateral_N=100.0, stop_off_plan=is_told)
+    monitors = Monitors(session, limits)
+    monitors.enter(state)
+    sample = SimpleNamespace(dt_s=1e-3, q_rad=RUN.signals.q_rad[TARE])
+    beside = NOTHING._replace(has_device=True)
+    event, reason = monitors.update(estimates[-1], sample, beside, 1e-3)
+
+    assert (event == "limit" and "OFF PLAN" in reason) is is_stopped
