@@ -251,6 +251,7 @@ def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
             super().__init__()
             self.weight = np.array([0.0, 0.0, 3.0, 0.0, 0.0, 0.0])
             self.k = -1
+            self.faults = 0
 
         def read(self):
             self.k += 1
