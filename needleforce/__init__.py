@@ -9,8 +9,9 @@ package; each is imported when it is first used, so that ``import needleforce`` 
 next to nothing.
 
 Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
-it), `needle_on_plan` (whether the needle is on it), `state` (stop and resume); then the packages `recordings`, `plots`, `cli`,
-`control` (what moves the needle), `anatomy` (what it enters).
+it), `needle_on_plan` (whether the needle is on it), `state` (stop and resume); then the
+packages `recordings`, `plots`, `cli`, `control` (what moves the needle), `anatomy`
+(what it enters).
 """
 
 from importlib import import_module

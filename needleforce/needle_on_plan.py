@@ -156,11 +156,9 @@ class PlannedPath:
         from_entry = (tip_m - self.entry_m).tolist()
         needle = axis.tolist()
         depth_m = _dot(from_entry, planned)
-        entry_m = math.hypot(*_cross(from_entry, needle))
-        tip_distance_m = math.hypot(*_cross(from_entry, planned))
-        angle_rad = math.atan2(
-            math.hypot(*_cross(planned, needle)), _dot(planned, needle)
-        )
+        entry_m = _distance(from_entry, needle)
+        tip_distance_m = _distance(from_entry, planned)
+        angle_rad = math.atan2(_distance(planned, needle), _dot(planned, needle))
         entry_std_m = lateral.std_m(0.0)
         tip_std_m = lateral.std_m(depth_m)
         angle_std_rad = lateral.angle_std_rad
@@ -209,7 +207,7 @@ class PlannedEntry:
         """
         from_entry = (tip_m - self.entry_m).tolist()
         needle = axis.tolist()
-        entry_m = math.hypot(*_cross(from_entry, needle))
+        entry_m = _distance(from_entry, needle)
         std_m = math.hypot(self.std_m, TIP_STD_m)
         return PlanDeviation(
             entry_m=entry_m,
@@ -298,9 +296,12 @@ def _dot(a: list[float], b: list[float]) -> float:
     return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
 
 
-def _cross(a: list[float], b: list[float]) -> tuple[float, float, float]:
-    """Return the vector product of two vectors."""
-    return (
+def _distance(a: list[float], b: list[float]) -> float:
+    """Return the length of the vector product of two vectors.
+
+    Of a unit vector and a point it is the distance of the point from the line along it.
+    """
+    return math.hypot(
         a[1] * b[2] - a[2] * b[1],
         a[2] * b[0] - a[0] * b[2],
         a[0] * b[1] - a[1] * b[0],
