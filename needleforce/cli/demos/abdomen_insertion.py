@@ -31,7 +31,7 @@ from needleforce.anatomy import (
 )
 from needleforce.cli.demos.abdomen_plan import (
     FRONT,
-    PlannedPath,
+    StraightPath,
     inside_body,
     plan_path,
     read_torso,
@@ -187,7 +187,7 @@ class Insertion(NamedTuple):
     """
 
     labels: Labels
-    path: PlannedPath
+    path: StraightPath
     layers: list[Layer]
     registrations: Registrations
     placement: Placement

@@ -50,7 +50,7 @@ MAX_DISTANCE_m = 0.3
 """How far from a target the skin is sought [m]."""
 
 
-class PlannedPath(NamedTuple):
+class StraightPath(NamedTuple):
     """A straight path of the needle, in the model.
 
     Attributes:
@@ -116,7 +116,7 @@ def inside_body(labels: Labels) -> NDArray[np.bool_]:
     return np.any([volume != 0 for volume in labels.volumes], axis=0)
 
 
-def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> PlannedPath:
+def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> StraightPath:
     """Return the path into an organ that crosses the most tissues.
 
     It is the best of straight paths of `LENGTHS_m` through what is `CROSSABLE`, also
@@ -132,7 +132,7 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> PlannedPa
     """
     targets_m = _points_inside(labels, organ)
     body = inside_body(labels)
-    best_path: PlannedPath | None = None
+    best_path: StraightPath | None = None
     best_rank = (0, np.inf)
     for _ in range(DRAWS):
         target_m = targets_m[rng.integers(len(targets_m))]
@@ -141,7 +141,7 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> PlannedPa
         length_m = _distance_to_skin(labels.grid, body, target_m, axis)
         if length_m is None or not LENGTHS_m[0] < length_m < LENGTHS_m[1]:
             continue
-        path = PlannedPath(target_m + length_m * axis, target_m)
+        path = StraightPath(target_m + length_m * axis, target_m)
         layers = thick_layers(labels.layers_along(path.entry_m, path.target_m))
         rank = (-len(layers), length_m)
         ends_inside = len(layers) > 1 and layers[-1].name == organ
@@ -165,7 +165,7 @@ def _points_inside(labels: Labels, organ: str) -> Array:
     return labels.grid.points_m(indices)
 
 
-def _is_clear(labels: Labels, path: PlannedPath, organ: str) -> bool:
+def _is_clear(labels: Labels, path: StraightPath, organ: str) -> bool:
     """Return whether a path, and those beside it, cross only what a needle may."""
     axis = path.axis
     side = np.cross(axis, [0.0, 0.0, 1.0])
