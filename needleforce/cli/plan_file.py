@@ -226,7 +226,7 @@ def _largest_std_m(plan: _PlanFile) -> float:
         np.inf,
         np.nan,
     )
-    return registration.largest_std_m([plan.entry_m, plan.target_m])
+    return registration.largest_std_m(np.array([plan.entry_m, plan.target_m]))
 
 
 def _path_of(plan: _PlanFile, scene: PlanScene) -> PlannedPath | None:
