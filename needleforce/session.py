@@ -1005,7 +1005,6 @@ class InsertionSession:
             time_s=self._time_s,
             depth_in_tissue_m=None if entry_m is None else depth_m - entry_m,
             channel=self._course.channel_state,
-            plan=self._plan.state,
             plan=self._plan.reported_state,
             deviation=self._plan.deviation,
         )
