@@ -98,7 +98,7 @@ class IiwaArm(ControllerLink):
         self._unanswered = 0  # messages since the latest answer
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
-        """PositionCommand a joint velocity for the coming cycles.
+        """Command a joint velocity for the coming cycles.
 
         It holds for five cycles; then the arm brakes to rest.
 
