@@ -35,7 +35,7 @@ for sample in arm:
     else:
         speed_m_s = 0.02 if arm.time_s < STROKE_s else 0.0
         if arm.time_s > TARE_s:
-            session.tare()
+            session.start_tare()  # it rests for about a second
     tasks = [shaft, control.AxialSpeed(speed_m_s), posture]
     arm.send(controller.update(sample, tasks).dq_rad_s)
 

@@ -13,7 +13,7 @@ ends the tick.
 from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Self
 
 import numpy as np
 import pinocchio as pin
@@ -330,6 +330,18 @@ class SimulatedArm:
 
     def __iter__(self) -> Iterator[ArmSample]:
         return self
+
+    def close(self) -> None:
+        """End the samples, as the connection to a real arm is ended."""
+        self._tick = self._ticks
+
+    def __enter__(self) -> Self:
+        """Return the arm itself."""
+        return self
+
+    def __exit__(self, *error: object) -> None:
+        """End the samples."""
+        self.close()
 
     def __next__(self) -> ArmSample:
         """Let the tick pass, and those after it whose samples are not received."""

@@ -30,6 +30,7 @@ from urdf import MissingPackageError, example_robot_path
 ROOT = Path(__file__).parents[1]
 DOCS = ROOT / "docs"
 SAYS = {
+    "any_arm": r"after the tare at most 0\.[01]\d N",
     "autonomous_insertion": r"rests 3[1-4]\.\d mm deep, in state dwell",
     "controller_loop": (
         r"layer 1 ruptured at 3\d.\d mm\nat most \d\.\d\d N.*; 0 samples rejected"

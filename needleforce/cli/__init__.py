@@ -8,7 +8,7 @@ an arm, `demos` the demonstrations, `checkup` what `doctor` finds.
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
 `force`, `check`, `identify`, `report`, `simulate`, `record`, `live`, `ros2`, `view`,
 `demo`, `doctor` (the commands), `robot` (the robot from options and TOML files),
-`logs`, `plan_file`, `auto_tare`, `arms`, `demos`, `checkup`.
+`logs`, `plan_file`, `auto_tare`, `loop_threads`, `arms`, `demos`, `checkup`.
 """
 
 import re

@@ -7,6 +7,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, LOG, TARE, app
+from needleforce.cli.loop_threads import limit_library_threads
 from needleforce.cli.shared_options import (
     TARE_S,
     ArmName,
@@ -60,6 +61,7 @@ def live_command(
 
     needleforce live sim:stack-glove-constant --view
     """
+    limit_library_threads()
     from needleforce.cli.arms.arm_watch import ReferenceSensor, watch_arm
 
     sensor = None

@@ -6,6 +6,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, app
+from needleforce.cli.loop_threads import limit_library_threads
 from needleforce.cli.shared_options import ArmName, ArmOptions, RobotOptions
 
 
@@ -30,6 +31,7 @@ def record_command(
 
     needleforce record fri -o insertion.mcap
     """
+    limit_library_threads()
     from needleforce.cli.arms.arm_recording import record_signals
 
     return record_signals(arm, output, options, robot)

@@ -1,0 +1,49 @@
+"""One program, any arm
+====================
+
+The needle makes a stroke in free air, rests for the tare, and makes the stroke again.
+"""
+
+import matplotlib.pyplot as plt
+import numpy as np
+
+from groundtruth.rig_arm import SimulatedArm
+from needleforce import InsertionSession, control
+from residual import Status
+
+STROKE_s = 2.0  # down and up again
+REST_s = 0.5  # before the tare
+SPEED_m_s = 0.03  # at most
+
+# A real arm is another line, with connect_arm of needleforce.devices:
+# arm = connect_arm("fr3:ADDRESS", robot=load_urdf("fr3.urdf"), takes_commands=True)
+arm = SimulatedArm(plant="clean", duration_s=8.0)
+session = InsertionSession(arm.robot)
+controller = control.Controller(arm.robot, control.Limits(arm.robot))
+stroke = control.AxialSpeed(0.0)
+tasks = []
+moved_s = rested_s = 0.0
+rows = []
+with arm:  # at its end a real arm is braked
+    for sample in arm:
+        signals = (sample.q_rad, sample.dq_rad_s, sample.tau_Nm)
+        estimate = session.update(*signals, sample.dt_s)
+        if not tasks:
+            controller.tool.update(sample.q_rad)
+            posture = control.Posture(sample.q_rad)
+            tasks = [control.Fixture.here(controller.tool), stroke, posture]
+        is_moving = moved_s < STROKE_s or session.tared
+        moved_s += sample.dt_s * is_moving
+        rested_s += sample.dt_s * (not is_moving)
+        swing = np.sin(2.0 * np.pi * moved_s / STROKE_s)
+        stroke.speed_m_s = -SPEED_m_s * swing * is_moving
+        if rested_s > REST_s and not session.tared:
+            session.start_tare()  # fitted beside the next 1000 ticks or so
+        if estimate.status is Status.OK:
+            rows.append((moved_s, estimate.wrench.axial))
+        arm.send(controller.update(sample, tasks).dq_rad_s)
+        if moved_s > 2.0 * STROKE_s:
+            break
+plt.plot(*np.transpose(rows))
+plt.show()
+print(f"after the tare at most {max(abs(force_N) for _, force_N in rows):.2f} N")

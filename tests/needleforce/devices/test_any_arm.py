@@ -1,0 +1,86 @@
+"""The program of `examples/any_arm.py` on emulated arms of every kind."""
+
+import re
+from pathlib import Path
+
+import matplotlib.pyplot as plt
+import numpy as np
+import pytest
+
+from needleforce.devices import Fr3Arm, FriArm, IiwaArm, connect_arm
+from needleforce.devices.emulators import Emulator
+from needleforce.devices.fri_emulator import FriSettings, emulate_fri
+from needleforce.devices.sunrise_emulator import SunriseSettings, emulate_sunrise
+from tests.needleforce.devices.franka_sim_process import emulate_fr3
+from urdf import NeedleTool, load_lwr, load_urdf
+
+PROGRAM = (Path(__file__).parents[3] / "examples" / "any_arm.py").read_text(
+    encoding="utf-8"
+)
+ARM_LINE = re.compile(r"^arm = SimulatedArm\(.*\)$", re.MULTILINE)
+HOST = "127.0.0.5"
+
+
+def run_program(arm, monkeypatch, **times_s):
+    """Run the program on an arm; return its names."""
+    code, lines = ARM_LINE.subn("arm = given_arm", PROGRAM)
+    assert lines == 1
+
+    for name, value in times_s.items():
+        code, lines = re.subn(
+            rf"^{name} = [\d.]+", f"{name} = {value}", code, flags=re.M
+        )
+        assert lines == 1
+
+    monkeypatch.setattr(plt, "show", plt.close)
+    names = {"given_arm": arm}
+    exec(compile(code, "any_arm.py", "exec"), names)
+    return names
+
+
+def test_the_program_tares_an_fr3_and_strokes(monkeypatch, tmp_path, capsys):
+    pytest.importorskip("pylibfranka")
+    pytest.importorskip("franky_sim")
+    with Emulator(emulate_fr3, HOST):
+        path = tmp_path / "fr3.urdf"
+        path.write_text(Fr3Arm.read_urdf(HOST), encoding="utf-8")
+        robot = load_urdf(path, tool_frame="link8", payload=NeedleTool())
+        arm = connect_arm(f"fr3:{HOST}", robot=robot, takes_commands=True)
+        names = run_program(arm, monkeypatch, STROKE_s=0.8, REST_s=0.1)
+
+    assert names["session"].tared
+    assert len(names["rows"]) > 300
+    assert re.search(r"at most \d\.\d\d N", capsys.readouterr().out)
+
+
+@pytest.mark.parametrize("kind", ["fri", "iiwa"])
+def test_the_program_strokes_an_arm_that_sends_to_this_machine(kind, monkeypatch):
+    robot = load_lwr(payload=NeedleTool())
+    posture = np.array([[0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0]])
+    torque_Nm = np.zeros((1, 7))
+    arm_type = {"fri": FriArm, "iiwa": IiwaArm}[kind]
+    arm = arm_type(port=0, robot=robot, give_up_s=1.0)
+    settings_type = {"fri": FriSettings, "iiwa": SunriseSettings}[kind]
+    settings = settings_type(
+        port=arm.address.port,
+        q_rad=posture,
+        tau_Nm=torque_Nm,
+        period_s=2e-3,
+        cycles=400,
+        extra_wait_s=20.0,
+        command_from_s=0.1,
+    )
+    work = {"fri": emulate_fri, "iiwa": emulate_sunrise}[kind]
+    with Emulator(work, settings) as controller:
+        # It ends before the tare, without a row to draw.
+        with pytest.raises(ValueError, match="empty"):
+            run_program(arm, monkeypatch)
+
+        counts = controller.counts()
+
+    assert counts["same_cycle"] == 400
+    moved_rad = counts.get("moved_rad")
+    if moved_rad is None:
+        moved_rad = counts["commanded_rad"] - posture[0]
+
+    assert 1e-3 < np.abs(moved_rad).max() < 0.1
