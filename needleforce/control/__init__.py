@@ -9,8 +9,8 @@ Not a medical device: nothing here is claimed beyond the simulation it is measur
 
 Reading order: `ports` (what lies outside), `tasks`, `joint_limits`, `controller` (one
 tick), `priority_solver`, `state_machine`, `monitors`, `manager`, `event_log`,
-`rupture_counter`, `insertion_profile`, `guidance`, `passivity`, `teleoperation_sides`,
-`teleoperation`.
+`rupture_counter`, `insertion_profile`, `guidance`, `handle_watch`, `passivity`,
+`teleoperation_sides`, `teleoperation`.
 """
 
 from needleforce.control.controller import Controller as Controller

@@ -13,7 +13,8 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.control.errors import SettingError
-from needleforce.control.ports import ArmSample
+from needleforce.control.handle_watch import HandleWatch
+from needleforce.control.ports import ArmSample, MasterSample
 from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.state_machine import State
 from needleforce.needle_on_plan import describe_deviation
@@ -55,7 +56,7 @@ class SafetyLimits:
     lost_s: float = 0.006
     late_s: float = 0.03
     refused_s: float = 0.005
-    device_s: float = 0.05
+    device_s: float = 0.04
     tracking_rad: float = 0.05
     reaction_s: float = 0.015
     stop_off_plan: bool = False
@@ -74,13 +75,17 @@ class Beside(NamedTuple):
         command_rad_s: That command, shape (n,); None while the arm is not commanded.
         axial_N: Axial force of an F/T sensor, its bias and the needle's weight removed;
             None for that of the session.
-        has_device: Whether the haptic device has sent something new.
+        has_device: Whether the haptic device has sent something new, where nothing
+            else is known of it: at the far end of a line.
+        handle: What the haptic device has sent, or None; it counts as something new
+            unless it is invalid or repeated.
     """
 
     accepted: bool = True
     command_rad_s: Array | None = None
     axial_N: float | None = None
     has_device: bool = False
+    handle: MasterSample | None = None
 
 
 NOTHING = Beside()
@@ -259,6 +264,8 @@ class Monitors:
         self._side_force = _SideForce(limits)
         self._bad_s = 0.0
         self._device_silent_s = math.inf
+        self._handle_watch: HandleWatch | None = None  # once a handle has come
+        self._device_fault = ""
         self._clear_s = math.inf
         self.has_device = False
         self.is_healthy = True
@@ -293,10 +300,7 @@ class Monitors:
             ``fault`` or ``limit``, and why.
         """
         self._side_force.measure(estimate.wrench.lateral)
-        self._device_silent_s = (
-            0.0 if beside.has_device else self._device_silent_s + step_s
-        )
-        self.has_device = self._device_silent_s <= self._limits.device_s
+        self._watch_device(beside, step_s)
         axial_N = (
             estimate.wrench.axial
             if beside.axial_N is None
@@ -324,7 +328,10 @@ class Monitors:
         )
         if self._state == State.TELEOP and not self.has_device:
             silent_ms = 1e3 * self._device_silent_s
-            stop = f"the haptic device has been silent for {silent_ms:.0f} ms"
+            stop = (
+                self._device_fault
+                or f"the haptic device has been silent for {silent_ms:.0f} ms"
+            )
         return ("limit", stop) if stop else ("", "")
 
     def _check_plan(self, estimate: "SessionEstimate") -> str:
@@ -334,6 +341,19 @@ class Monitors:
         if not is_watched or deviation is None or not deviation.is_off_plan:
             return ""
         return describe_deviation(deviation)
+
+    def _watch_device(self, beside: Beside, step_s: float) -> None:
+        """Find out whether the haptic device has sent something usable of late."""
+        has_news = beside.has_device
+        if beside.handle is not None and self._handle_watch is None:
+            self._handle_watch = HandleWatch()
+        if self._handle_watch is not None:
+            report = self._handle_watch.update(beside.handle, step_s)
+            has_news = has_news or report.reading is not None
+            self._device_fault = "" if beside.has_device else report.fault
+        self._device_silent_s = 0.0 if has_news else self._device_silent_s + step_s
+        is_silent = self._device_silent_s > self._limits.device_s
+        self.has_device = not (is_silent or self._device_fault)
 
     def _check_lateness(self, dt_s: float, step_s: float) -> str:
         """Return what is wrong with the time since the last sample."""

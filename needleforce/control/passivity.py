@@ -32,6 +32,16 @@ HAND_ALLOWANCE_W = 2e-3
 """By so much that allowance is refilled: hand and tissue dissipate as much in any
 case."""
 
+MAX_FORCE_N = 5.0
+"""Largest force at a hand: what desktop devices can show for long."""
+
+RISE_s = 0.01
+"""Time in which the force at a hand grows to its largest: with 5 N at 500 N/s; a wall
+of 20 kN/m met at 20 mm/s wants 400 N/s."""
+
+MAX_UNCOUPLED_N = 0.5
+"""Largest force at a hand that does not move the needle: it feels free."""
+
 FORCE_LAG_s = 0.015
 """Of the virtual sensor's force, see `InsertionSession.lag_s`."""
 
@@ -106,10 +116,14 @@ class HandPort(Port):
     A hand that pushes the same way may still take a little more; damping then takes it
     back. Cutting comes first, since a damper needs speed and a sampled device cannot
     show much damping.
+
+    Args:
+        max_force_N: Largest force.
     """
 
-    def __init__(self) -> None:
+    def __init__(self, max_force_N: float = MAX_FORCE_N) -> None:
         super().__init__(HAND_ALLOWANCE_J, HAND_ALLOWANCE_W)
+        self._limit_N = max_force_N
         self._force_N = 0.0
         self._damping_N = 0.0  # the part of the force that is damping
         self._damped_J = 0.0  # what damping has taken
@@ -124,6 +138,7 @@ class HandPort(Port):
         *,
         dt_s: float,
         ahead_s: float,
+        is_coupled: bool = True,
     ) -> float:
         """Return the force to hold over the coming interval.
 
@@ -136,6 +151,7 @@ class HandPort(Port):
             incoming_J: Energy that is known to have entered at the other side.
             dt_s: Time since the last call.
             ahead_s: Time until the next call, at most.
+            is_coupled: Whether the hand moves the needle; else it feels free.
         """
         # At the first call the travel means nothing, but then no force is held.
         travel_m = position_m - self._position_m
@@ -153,9 +169,26 @@ class HandPort(Port):
         if missing_J > 0.0:
             damping_N = _damping_force_N(missing_J, speed_m_s, ahead_s)
             self._damping_N = min(max(damping_N, -max_N - force_N), max_N - force_N)
-        self._force_N = force_N + self._damping_N
+        sum_N = force_N + self._damping_N
+        shown_N = self._limit_force_N(sum_N, dt_s, is_coupled=is_coupled)
+        if shown_N != sum_N:
+            self._damping_N *= shown_N / sum_N
+        self._force_N = shown_N
         self._position_m = position_m
         return self._force_N
+
+    def _limit_force_N(
+        self, wanted_N: float, dt_s: float, *, is_coupled: bool
+    ) -> float:
+        """Return a force within the limits of size and growth.
+
+        It may fall at once, which gives nothing away, and then grow the other way.
+        """
+        start_N = abs(self._force_N) if wanted_N * self._force_N > 0.0 else 0.0
+        max_N = min(self._limit_N, start_N + self._limit_N / RISE_s * dt_s)
+        if not is_coupled:
+            max_N = min(max_N, MAX_UNCOUPLED_N)
+        return min(max(wanted_N, -max_N), max_N)
 
     def _max_force_N(self, wanted_N: float, speed_m_s: float, ahead_s: float) -> float:
         """Return the largest force that gives a free handle no more than it gave."""

@@ -11,13 +11,15 @@ Motion goes one way, scaled; force comes back, scaled and kept passive at both e
 """
 
 import math
-from typing import TYPE_CHECKING, Any, Literal, NamedTuple, Protocol, TypeVar, get_args
+from typing import TYPE_CHECKING, Literal, NamedTuple, Protocol, TypeVar, get_args
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from needleforce.control.errors import SettingError
+from needleforce.control.handle_watch import HandleReport, HandleWatch
+from needleforce.control.passivity import MAX_FORCE_N
 from needleforce.control.ports import MasterSample
 from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.teleoperation_sides import (
@@ -63,9 +65,6 @@ MIN_MOTION_SCALE = 0.1
 MAX_MOTION_SCALE = 1.0
 """A needle is not to be quicker than the hand."""
 
-MAX_HANDLE = 100.0
-"""No handle is further away [m], or quicker [m/s]."""
-
 
 class Line(Protocol[Packet]):
     """One way between the two sides."""
@@ -106,32 +105,19 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     return min(max(force_N, min(axial_N, 0.0)), max(axial_N, 0.0))
 
 
-def _handle_along(axis: Array, sample: MasterSample | None) -> HandleSample | None:
-    """Return the handle along an axis, or None for a sample that no handle can give."""
-    handle: Any = sample  # whatever a driver gives
-    try:
-        vectors = np.array((handle.position_m, handle.velocity_m_s), np.float64)
-        is_coupled = bool(handle.clutch)
-    except (AttributeError, TypeError, ValueError):
-        return None
-    if vectors.shape != (2, 3) or not (np.abs(vectors) < MAX_HANDLE).all():
-        return None
-    position_m, velocity_m_s = vectors
-    return HandleSample(
-        float(axis @ position_m), float(axis @ velocity_m_s), is_coupled
-    )
-
-
 class TeleopCommand(NamedTuple):
     """What to do until the next tick.
 
     Attributes:
         speed_m_s: Of the needle along its axis, positive inwards.
         force_N: To render at the device, shape (3,), in its axes.
+        reason: Why the needle stands although the clutch is closed; empty if it does
+            not.
     """
 
     speed_m_s: float
     force_N: Array
+    reason: str = ""
 
 
 class Teleoperation:
@@ -147,6 +133,7 @@ class Teleoperation:
         speed_limit_m_s: Largest speed of the needle.
         force_lag_s: Lag of the session's observer, one over its gain; a later force is
             damped more.
+        max_force_N: Largest force at the hand; it takes 10 ms to grow that large.
         lines: From the device to the needle, and back; None for no delay.
 
     Attributes:
@@ -168,6 +155,7 @@ class Teleoperation:
         shown: Shown = "tip",
         speed_limit_m_s: float = 0.02,
         force_lag_s: float = USUAL_FORCE_LAG_s,
+        max_force_N: float = MAX_FORCE_N,
         lines: Lines | tuple[Line[HandPacket], Line[NeedlePacket]] | None = None,
     ) -> None:
         direction = as_vector(axis, 3, "axis")
@@ -182,6 +170,7 @@ class Teleoperation:
                 "force_scale": force_scale,
                 "speed_limit_m_s": speed_limit_m_s,
                 "force_lag_s": force_lag_s,
+                "max_force_N": max_force_N,
             }
         )
         if shown not in get_args(Shown):
@@ -193,9 +182,11 @@ class Teleoperation:
         self._shown: Shown = shown
         self._axis = direction / np.linalg.norm(direction)
         self._lines = None if lines is None else Lines(*lines)
-        self.device = DeviceSide(motion_scale, force_lag_s)
+        self.device = DeviceSide(motion_scale, force_lag_s, max_force_N)
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
+        self._watch = HandleWatch()
+        self._doubt = ""  # why the needle stands until the clutch has been opened
         self.shown_N = 0.0
         self._rupture_left_s = 0.0  # time for which a rupture is still shown at once
 
@@ -207,15 +198,20 @@ class Teleoperation:
         """
         self.device.release()
         self.needle.start_m = None
+        self._watch = HandleWatch()
+        self._doubt = ""
 
     def update(
         self, sample: MasterSample | None, estimate: "SessionEstimate", dt_s: float
     ) -> TeleopCommand:
         """Return what to do until the next tick; never raise.
 
+        A handle that jumps, or whose velocity goes on contradicting its positions, lets
+        the needle stand until the clutch has been opened, or `reset`.
+
         Args:
             sample: Of the haptic device, or None; one that no handle can have counts as
-                none.
+                none, and so does one that is repeated for 30 ms.
             estimate: Of the session: force and depth.
             dt_s: Since the last call; if it does not advance, the needle stands, the
                 force stays.
@@ -223,12 +219,13 @@ class Teleoperation:
         dt_s = as_float(dt_s)
         if not 0.0 < dt_s < math.inf:
             return TeleopCommand(0.0, -self.device.force_N * self._axis)
-        self.shown_N = (
-            self._smooth_force(estimate, dt_s)
-            if estimate.status is Status.OK
-            else FADING_s / (FADING_s + dt_s) * self.shown_N
-        )
-        handle = _handle_along(self._axis, sample)
+        is_known = estimate.status is Status.OK
+        shown_N = self._smooth_force(estimate, dt_s) if is_known else math.nan
+        if not math.isfinite(shown_N):
+            shown_N = FADING_s / (FADING_s + dt_s) * self.shown_N
+        self.shown_N = shown_N
+        report = self._watch.update(sample, dt_s)
+        handle = self._take_handle(report)
         hand_packet = self.device.update(handle, self._from_needle, dt_s)
         news = hand_packet
         if self._lines is not None:
@@ -239,7 +236,31 @@ class Teleoperation:
         self._from_needle = needle_packet
         if self._lines is not None:
             self._from_needle = self._lines.to_device.exchange(needle_packet, dt_s)
-        return TeleopCommand(speed_m_s, -self.device.force_N * self._axis)
+        force_N = -self.device.force_N * self._axis
+        return TeleopCommand(speed_m_s, force_N, report.fault or self._doubt)
+
+    def _take_handle(self, report: HandleReport) -> HandleSample | None:
+        """Return the handle along the needle, coupled unless it is in doubt.
+
+        The device's side lets go of a handle that is gone, and of one that has jumped:
+        where it is, the next sample says.
+        """
+        if report.fault or report.has_jumped:
+            self.device.let_go()
+        reading = report.reading
+        if reading is None:
+            return None
+        if not reading.is_coupled:
+            self._doubt = ""
+        elif report.doubt and not self._doubt:
+            self._doubt = f"{report.doubt}: open the clutch and close it again"
+        if report.has_jumped:
+            return None
+        return HandleSample(
+            position_m=float(self._axis @ reading.position_m),
+            speed_m_s=float(self._axis @ reading.velocity_m_s),
+            is_coupled=reading.is_coupled and not self._doubt,
+        )
 
     def _smooth_force(self, estimate: "SessionEstimate", dt_s: float) -> float:
         """Return the force to be felt, less its noise; the raw one as it is.

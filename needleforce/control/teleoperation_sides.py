@@ -8,6 +8,7 @@ import math
 from typing import NamedTuple
 
 from needleforce.control.passivity import (
+    MAX_FORCE_N,
     HANDLE_kg,
     HandPort,
     MAX_DAMPING_Ns_m,
@@ -46,7 +47,7 @@ CALM_m_s = 3e-3
 """A slower swing is none that must be damped."""
 
 COUPLING_s = 0.2
-"""So softly the force comes and goes with the clutch: no step throws the hand."""
+"""So softly the force comes with the clutch: no step throws the hand."""
 
 MAX_HOLD_s = 0.02
 """Between two samples of the device its force stays; without one for so long it
@@ -137,6 +138,7 @@ class DeviceSide:
     Args:
         motion_scale: See `Teleoperation`.
         force_lag_s: See `Teleoperation`.
+        max_force_N: See `Teleoperation`.
 
     Attributes:
         port: Energy between device and hand.
@@ -145,13 +147,16 @@ class DeviceSide:
     """
 
     def __init__(
-        self, motion_scale: float, force_lag_s: float = USUAL_FORCE_LAG_s
+        self,
+        motion_scale: float,
+        force_lag_s: float = USUAL_FORCE_LAG_s,
+        max_force_N: float = MAX_FORCE_N,
     ) -> None:
         late_s = max(force_lag_s - USUAL_FORCE_LAG_s, 0.0)
         damping_Ns_m = DAMPING_Ns_m + MAX_STIFFNESS_N_per_m * late_s
         self._damping_Ns_m = max(MIN_DAMPING_Ns_m, damping_Ns_m * motion_scale)
         self._scale = motion_scale
-        self.port = HandPort()
+        self.port = HandPort(max_force_N)
         self.position_m: float | None = None
         self.force_N = 0.0
         self._packet = HandPacket(0.0, 0.0, 0.0, False)
@@ -217,6 +222,7 @@ class DeviceSide:
             incoming_J,
             dt_s=dt_s,
             ahead_s=self._gap_s,
+            is_coupled=handle.is_coupled,
         )
         scale = self._scale * handle.is_coupled
         self._packet = HandPacket(
@@ -232,6 +238,10 @@ class DeviceSide:
         if self._since_s < MAX_HOLD_s:
             return
         self._coupling -= self._coupling * dt_s / (COUPLING_s + dt_s)
+        self.let_go()
+
+    def let_go(self) -> None:
+        """Let go of a handle that is gone, or elsewhere; once is enough."""
         if self.position_m is not None:
             self.release(self._speed_m_s * self._since_s)
 

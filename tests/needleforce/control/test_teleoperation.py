@@ -213,7 +213,7 @@ def test_a_free_handle_gains_no_energy(every, mass_kg):
         force_N = move.force_N[2]
         pace = move.speed_m_s
         depth += pace * DT
-        assert abs(force_N) < 50.0
+        assert abs(force_N) <= 5.0
 
     assert least_J > -0.05
 
@@ -323,7 +323,7 @@ def test_after_a_reset_the_needle_stays():
         place.position_m = np.zeros(3)
         tele.update(place, estimate(depth_m=0.05), DT)
         place.position_m = np.array(
-            [0.0, 0.0, 0.1]
+            [0.0, 0.0, 0.004]
         )  # while nobody asked, and the depth is new
         if is_reset:
             tele.reset()

@@ -1,0 +1,233 @@
+"""Is a sample of the haptic device to be used? Numbers, motion, velocity, jumps.
+
+What a device reports moves a needle, so nothing of it is taken for granted: a handle
+may be gone, repeat itself, jump, or report a velocity that its positions contradict.
+"""
+
+import math
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from foundation.arrays import Array
+from needleforce.control.ports import MasterSample
+
+MAX_HANDLE = 100.0
+"""No handle is further away [m], or quicker [m/s]."""
+
+MAX_SILENT_s = 0.03
+"""A device that has sent nothing usable for so long is gone: with 20 ms to the next
+cycle of the manager and the arm's own, it is noticed within 50 ms."""
+
+FROZEN_s = 0.03
+"""A device that has repeated one sample for so long is frozen: encoders of 10 um show
+the tremor of a hand at rest within it."""
+
+MAX_JUMP_m = 5e-3
+"""No hand moves a handle further between two samples of a device at 200 Hz or more."""
+
+VELOCITY_MEMORY_s = 0.02
+"""Time constant of the means that compare velocity and positions: encoder steps of
+10 um at 1 kHz leave 1 mm/s in them."""
+
+VELOCITY_TOLERANCE_m_s = 0.01
+"""The two means may differ so much, for encoder steps and the device's own filter."""
+
+VELOCITY_TOLERANCE_RATIO = 0.5
+"""And by this fraction of the speed: cycles of device and loop drift through each
+other, so that a sample comes twice or not at all."""
+
+CONTRADICTED_s = 0.04
+"""A velocity contradicted for so long is wrong, not late."""
+
+
+class HandleReading(NamedTuple):
+    """A usable sample of the handle, in the device's axes.
+
+    Attributes:
+        position_m: Its position, shape (3,).
+        velocity_m_s: Its velocity, shape (3,); that of its positions where they
+            contradict the one reported.
+        is_coupled: Whether the hand moves the needle.
+    """
+
+    position_m: Array
+    velocity_m_s: Array
+    is_coupled: bool
+
+
+class HandleReport(NamedTuple):
+    """What a sample of the handle is good for.
+
+    Attributes:
+        reading: The sample; None if it is not to be used.
+        fault: Why there has been no usable sample of late; else empty.
+        doubt: Why the needle should stand, although the sample is usable: the handle
+            has jumped, or its velocity has been wrong for a while; else empty.
+        has_jumped: Whether the handle is elsewhere than a hand can have moved it since
+            the reading before.
+    """
+
+    reading: HandleReading | None
+    fault: str = ""
+    doubt: str = ""
+    has_jumped: bool = False
+
+
+def _parse(sample: MasterSample | None) -> HandleReading | None:
+    """Return a sample as numbers; None for one that no handle can give."""
+    handle: Any = sample  # whatever a driver gives
+    try:
+        vectors = np.array((handle.position_m, handle.velocity_m_s), np.float64)
+        is_coupled = bool(handle.clutch)
+    except (AttributeError, TypeError, ValueError):
+        return None
+    if vectors.shape != (2, 3) or not (np.abs(vectors) < MAX_HANDLE).all():
+        return None
+    return HandleReading(vectors[0], vectors[1], is_coupled)
+
+
+class _VelocityCheck:
+    """Compares the reported velocity with the change of the positions.
+
+    Both pass the same low-pass, so that their lag is the same.
+    """
+
+    def __init__(self) -> None:
+        self._of_positions_m_s = np.zeros(3)
+        self._reported_m_s = np.zeros(3)
+        self.contradicted_s = 0.0
+
+    def restart(self, velocity_m_s: Array) -> None:
+        """Begin at a velocity: the positions before say nothing about it."""
+        self._of_positions_m_s = velocity_m_s.copy()
+        self._reported_m_s = velocity_m_s.copy()
+
+    def check(self, reading: HandleReading, moved_m: Array, dt_s: float) -> Array:
+        """Return the velocity to be used, shape (3,).
+
+        Of two that contradict each other it is the slower one, in each direction, and
+        none where they oppose each other. A device that reports zeros has no velocity
+        to report: that of its positions is used.
+
+        Args:
+            reading: The sample.
+            moved_m: Change of its position since the one before, shape (3,).
+            dt_s: The time of that.
+        """
+        weight = dt_s / (VELOCITY_MEMORY_s + dt_s)
+        self._of_positions_m_s += weight * (moved_m / dt_s - self._of_positions_m_s)
+        self._reported_m_s += weight * (reading.velocity_m_s - self._reported_m_s)
+        speed_m_s = math.sqrt(float(self._of_positions_m_s @ self._of_positions_m_s))
+        error_m_s = self._reported_m_s - self._of_positions_m_s
+        error_size_m_s = math.sqrt(float(error_m_s @ error_m_s))
+        max_m_s = VELOCITY_TOLERANCE_m_s + VELOCITY_TOLERANCE_RATIO * speed_m_s
+        if error_size_m_s <= max_m_s:
+            self.contradicted_s = 0.0
+            return reading.velocity_m_s
+        if not self._reported_m_s.any():
+            self.contradicted_s = 0.0
+            return self._of_positions_m_s.copy()
+        self.contradicted_s += dt_s
+        return _slower(reading.velocity_m_s, self._of_positions_m_s)
+
+
+def _slower(first_m_s: Array, second_m_s: Array) -> Array:
+    """Return in each direction the slower of two velocities; zero if they oppose."""
+    size_m_s = np.minimum(np.abs(first_m_s), np.abs(second_m_s))
+    return np.where(first_m_s * second_m_s > 0.0, np.sign(first_m_s) * size_m_s, 0.0)
+
+
+class HandleWatch:
+    """Checks every sample of a haptic device; see `update`."""
+
+    def __init__(self) -> None:
+        self._velocity = _VelocityCheck()
+        self._last: HandleReading | None = None
+        self._last_t_s: object = None
+        self._since_s = 0.0  # time since the last reading
+        self._silent_s = 0.0  # time without a valid sample
+        self._repeated_s = 0.0  # time for which one sample has been repeated
+        self._is_invalid = False
+
+    def update(self, sample: MasterSample | None, dt_s: float) -> HandleReport:
+        """Return what a sample is good for; never raise.
+
+        A sample counts as repeated if its ``t_s`` is, or if its position and velocity
+        are; but a handle may rest, its velocity zero, while ``t_s`` goes on.
+
+        Args:
+            sample: Of the device, or None if it has sent nothing new.
+            dt_s: Time since the last call, positive.
+        """
+        self._since_s += dt_s
+        reading = _parse(sample)
+        if reading is None:
+            self._silent_s += dt_s
+            self._is_invalid = sample is not None
+            return HandleReport(None, fault=self._silence())
+        self._silent_s = 0.0
+        last = self._last
+        is_repeated = self._is_repeated(sample, reading)
+        self._repeated_s = self._repeated_s + dt_s if is_repeated else 0.0
+        if self._repeated_s >= FROZEN_s:
+            repeated_ms = 1e3 * self._repeated_s
+            return HandleReport(
+                None,
+                fault=f"the haptic device has repeated one sample for "
+                f"{repeated_ms:.0f} ms: it is frozen, or nobody holds it",
+            )
+        return self._use(reading, last)
+
+    def _silence(self) -> str:
+        """Return what is wrong with a device that has sent nothing usable."""
+        if self._silent_s < MAX_SILENT_s:
+            return ""
+        what = (
+            "has sent no three finite positions and velocities"
+            if self._is_invalid
+            else "has been silent"
+        )
+        return f"the haptic device {what} for {1e3 * self._silent_s:.0f} ms"
+
+    def _is_repeated(self, sample: object, reading: HandleReading) -> bool:
+        """Return whether a sample is the one before it."""
+        t_s = getattr(sample, "t_s", None)
+        last_t_s = self._last_t_s
+        self._last_t_s = t_s
+        last = self._last
+        self._last = reading
+        if last is None:
+            return False
+        if t_s is not None and t_s == last_t_s:
+            return True
+        is_same = bool(
+            (reading.position_m == last.position_m).all()
+            and (reading.velocity_m_s == last.velocity_m_s).all()
+        )
+        is_at_rest = t_s is not None and not reading.velocity_m_s.any()
+        return is_same and not is_at_rest
+
+    def _use(self, reading: HandleReading, last: HandleReading | None) -> HandleReport:
+        """Return a valid sample, compared with the one before it."""
+        since_s = self._since_s
+        self._since_s = 0.0
+        if last is None:
+            self._velocity.restart(reading.velocity_m_s)
+            return HandleReport(reading)
+        moved_m = reading.position_m - last.position_m
+        distance_m = math.sqrt(float(moved_m @ moved_m))
+        if distance_m > MAX_JUMP_m:
+            self._velocity.restart(np.zeros(3))
+            return HandleReport(
+                reading._replace(velocity_m_s=np.zeros(3)),
+                doubt=f"the handle jumped by {1e3 * distance_m:.0f} mm in "
+                f"{1e3 * since_s:.0f} ms",
+                has_jumped=True,
+            )
+        velocity_m_s = self._velocity.check(reading, moved_m, since_s)
+        usable = reading._replace(velocity_m_s=velocity_m_s)
+        if self._velocity.contradicted_s < CONTRADICTED_s:
+            return HandleReport(usable)
+        doubt = "the handle's velocity contradicts its positions"
+        return HandleReport(usable, doubt=doubt)
