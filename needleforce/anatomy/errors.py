@@ -54,6 +54,17 @@ class AnatomyCode(ErrorCode):
         "Export labels and scan again with their directions; where the patient's "
         "organs are exchanged, state the situs inversus.",
     )
+    MARKUPS = (
+        "NF-ANATOMY-MARKUPS",
+        "The file of points or of a line cannot be read, or says too little.",
+        "Save one list of points, or one line, from 3D Slicer as .mrk.json.",
+    )
+    NO_PATH = (
+        "NF-ANATOMY-NO-PATH",
+        "No straight path leads from the skin to the target within the limits.",
+        "Allow a longer or a flatter path or a smaller margin, avoid less, or choose "
+        "another target.",
+    )
     SCAN = (
         "NF-ANATOMY-SCAN",
         "The scan shows no body in air.",

@@ -170,6 +170,15 @@ class Labels:
                 progress(len(surfaces) / len(chosen_names))
         return surfaces
 
+    def skin(self) -> Surface:
+        """Return the closed surface of all that is labelled; see `with_body`."""
+        inside = np.zeros(self.grid.shape, bool)
+        for volume in self.volumes:
+            inside |= volume != 0
+        name = "skin"
+        body = Labels.of([inside.view(np.uint8)], self.grid, [Structure.named(name, 1)])
+        return body.surfaces()[name]
+
     def layers_along(
         self, entry_m: ArrayLike, target_m: ArrayLike, boundary_std_m: float = 0.0
     ) -> list[Layer]:

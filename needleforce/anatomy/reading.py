@@ -10,6 +10,7 @@ import math
 import re
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -21,7 +22,9 @@ from needleforce.anatomy.body_order import require_body_order
 from needleforce.anatomy.dicom_series import read_series
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.file_checks import require_placed_nrrd, require_whole_nifti
+from needleforce.anatomy.label_names import read_header_names
 from needleforce.anatomy.labels import Labels
+from needleforce.anatomy.mask_folder import find_masks, join_masks
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.volume import Grid, Volume
 
@@ -102,14 +105,16 @@ def read_labels(
     situs_inversus: bool = False,
     max_bytes: int = MAX_VOLUME_BYTES,
 ) -> Labels:
-    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, or NIfTI or NRRD.
+    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, NIfTI, NRRD, a folder of masks.
 
-    NIfTI and other NRRD files have one label per voxel.
+    NIfTI and other NRRD files have one label per voxel. A folder has a mask for every
+    structure, named as it, as TotalSegmentator writes them; or a DICOM series.
 
     Args:
-        path: The file, or a folder with a DICOM series.
+        path: The file or folder.
         names: Of label values, or a JSON file with them (``{"5": "liver"}``), by
-            default ``labels.json`` beside the file; labels without a name are called
+            default ``labels.json`` beside the file, or those in the header of a NIfTI
+            file, as TotalSegmentator writes them; labels without a name are called
             ``label_5``. Segments of a ``.seg.nrrd`` bring names and colours.
         scan: The CT to which the labels belong: places and Hounsfield units must
             agree.
@@ -121,21 +126,34 @@ def read_labels(
             structures that lie the wrong way round, or elsewhere than the scan shows
             them.
     """
-    image = _read_image(Path(path), max_bytes)
-    names_file = Path(path).with_name("labels.json")
-    if names is None and names_file.exists():
-        names = names_file
-    volumes = [_as_labels(values, path) for values in image.arrays]
+    masks = find_masks(Path(path))
     try:
-        structures = _read_segments(image.header, len(volumes))
-        if not structures:
-            structures = _name_labels(volumes, names)
-        labels = Labels.of(volumes, image.grid, structures)
+        if masks:
+            labels = join_masks(masks, partial(read_volume, max_bytes=max_bytes))
+        else:
+            labels = _read_label_file(Path(path), names, max_bytes)
         _require_all_named(labels)
         require_body_order(labels, situs_inversus=situs_inversus)
         return labels if scan is None else labels.checked_against(scan)
     except VolumeError as error:
+        if str(path) in str(error):
+            raise
         raise error.reworded(f"{path}: {error}") from None
+
+
+def _read_label_file(path: Path, names: Names, max_bytes: int) -> Labels:
+    """Read a segmentation from one file, or from a DICOM series."""
+    image = _read_image(path, max_bytes)
+    names_file = path.with_name("labels.json")
+    if names is None and names_file.exists():
+        names = names_file
+    volumes = [_as_labels(values, path) for values in image.arrays]
+    structures = _read_segments(image.header, len(volumes))
+    if not structures:
+        if names is None and image.header.get("nifti_type") == "1":
+            names = read_header_names(path)
+        structures = _name_labels(volumes, names)
+    return Labels.of(volumes, image.grid, structures)
 
 
 def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:

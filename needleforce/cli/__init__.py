@@ -6,9 +6,10 @@ that `--help` answers at once: `logs` has what works on recordings, `arms` what 
 an arm, `demos` the demonstrations, `checkup` what `doctor` finds.
 
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
-`force`, `check`, `identify`, `report`, `simulate`, `record`, `live`, `ros2`, `view`,
-`demo`, `doctor` (the commands), `robot` (the robot from options and TOML files),
-`logs`, `plan_file`, `auto_tare`, `loop_threads`, `arms`, `demos`, `checkup`.
+`force`, `check`, `identify`, `report`, `simulate`, `record`, `plan`, `touch`,
+`register`, `live`, `ros2`, `view`, `demo`, `doctor` (the commands), `robot` (the robot
+from options and TOML files), `logs`, `plan_file`, `auto_tare`, `loop_threads`, `arms`,
+`patient`, `demos`, `checkup`.
 """
 
 import re
@@ -24,10 +25,13 @@ from needleforce.cli import (
     force,
     identify,
     live,
+    plan,
     record,
+    register,
     report,
     ros2,
     simulate,
+    touch,
     view,
 )
 from needleforce.cli.application import app
@@ -42,10 +46,13 @@ __all__ = [
     "identify",
     "live",
     "main",
+    "plan",
     "record",
+    "register",
     "report",
     "ros2",
     "simulate",
+    "touch",
     "view",
 ]
 

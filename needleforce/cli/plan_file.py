@@ -5,7 +5,7 @@ The file is `plan.json`, see docs/how-to/scene.md; a segmentation may lie beside
 
 from collections.abc import Sequence
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -135,9 +135,21 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
         margin_m: Distance that stays free around it [m].
         accepted_obstacles: Names of obstacles that the needle may touch.
         situs_inversus: Liver and spleen of the patient are exchanged.
+        version: Of the file's format; 0 for one written by hand.
+        target: Name of the target.
+        ct: CT, from the file's folder.
+        labels: Segmentation, from the file's folder.
+        structures: Names of labels, from the file's folder.
+        registration: What the registration rests on, for people.
     """
 
-    rotation: Rotation = NO_ROTATION
+    version: int = 0
+    target: str = ""
+    ct: str = ""
+    labels: str = ""
+    structures: str = ""
+    registration: dict[str, Any] | None = None
+    rotation: Rotation | None = None
     translation_m: Point = Point(0.0, 0.0, 0.0)
     entry_m: Point | None = None
     target_m: Point | None = None
@@ -186,6 +198,7 @@ def read_plan(place: Path, *, is_past: bool = False) -> LoadedPlan:
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
         _require_metres(plan)
+        _require_registration(plan)
         scene, labels = _anatomy_of(plan, path.parent)
         layers = _planned_layers(plan) or list(scene.layers)
         path = _path_of(plan, scene)
@@ -292,6 +305,15 @@ def _require_metres(plan: _PlanFile) -> None:
         )
 
 
+def _require_registration(plan: _PlanFile) -> None:
+    """Refuse a plan of `needleforce plan` that was not registered."""
+    if plan.version and plan.rotation is None:
+        raise ValueError(
+            "it does not say where the patient lies in the robot's base: expected the "
+            "plan that `needleforce register --plan` writes"
+        )
+
+
 def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
     """Return the scene of a plan, and the labels beside it.
 
@@ -311,22 +333,32 @@ def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
             f"entry_m and target_m are the same point {list(plan.entry_m)}"
         )
     scene = PlanScene((), (), entry_m, target_m, rotation, translation_m)
-    files = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
-    if not files:
+    file = _find_labels(plan, folder)
+    if file is None:
         if not plan.layers:
             raise ValueError(MISSING_LAYERS)
         return _Anatomy(scene)
-    labels = read_labels(files[0], situs_inversus=plan.situs_inversus)
-    if scans := sorted(folder.glob("ct.n*")):
+    names = folder / plan.structures if plan.structures else None
+    labels = read_labels(file, names, situs_inversus=plan.situs_inversus)
+    scans = [folder / plan.ct] if plan.ct else sorted(folder.glob("ct.n*"))
+    if scans:
         labels = labels.checked_against(read_volume(scans[0]))
     surfaces = _large_surfaces(labels)
     layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
     return _Anatomy(scene._replace(surfaces=surfaces, layers=layers), labels)
 
 
+def _find_labels(plan: _PlanFile, folder: Path) -> Path | None:
+    """Return the segmentation that a plan names, or the one beside it, if any."""
+    if plan.labels:
+        return folder / plan.labels
+    beside = [*sorted(folder.glob("labels*.n*")), *sorted(folder.glob("*.seg.nrrd"))]
+    return beside[0] if beside else None
+
+
 def _checked_rotation(plan: _PlanFile) -> Array:
     """Return the rotation of a plan, shape (3, 3)."""
-    rotation = np.array(plan.rotation)
+    rotation = np.array(plan.rotation or NO_ROTATION)
     is_orthonormal = np.allclose(
         rotation @ rotation.T, np.eye(3), atol=ROTATION_TOLERANCE
     )

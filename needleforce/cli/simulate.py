@@ -7,6 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from needleforce.cli.application import OUTPUT, app
+from needleforce.cli.terminal import require_modules
 
 
 @Parameter(name="*", group=OUTPUT)
@@ -50,11 +51,25 @@ def simulate_command(
     depth and force alone.
 
     needleforce simulate gel-25-constant -o insertion.mcap --truth truth.csv
+
+    A patient to plan on, a torso's CT with labels and landmarks in a folder:
+
+    needleforce simulate torso -o patient
+
+    and the insertion of a plan: needleforce simulate plan/plan.json -o insertion.csv
     """
     from needleforce.cli.logs import simulated_log
+    from needleforce.cli.patient import example_case, simulated_patient
 
     if options.list:
         return simulated_log.print_scenarios()
+    if scenario == example_case.NAME and options.output is not None:
+        require_modules("simulate torso", ("SimpleITK",))
+        return example_case.write_example_case(options.output, options.seed)
+    if scenario is not None and simulated_patient.is_plan(scenario):
+        return simulated_log.write_patient_simulation(
+            Path(scenario), options.output, options.truth
+        )
     return simulated_log.write_simulation(
         scenario,
         plant=options.plant,

@@ -16,8 +16,8 @@ class ViewOptions:
     """What is shown beside a recording, and where.
 
     Attributes:
-        anatomy: Folder with plan.json and labels.nii.gz (or .nrrd, .seg.nrrd): see
-            docs/how-to/scene.md.
+        anatomy: Plan (plan.json, or its folder) with labels.nii.gz (or .nrrd,
+            .seg.nrrd): see docs/how-to/scene.md.
         mapping: TOML file that says which columns are which, as `needleforce force
             --print-config` writes.
         tare: Tare after so many seconds of motion without contact (default: 4); if it
@@ -29,7 +29,9 @@ class ViewOptions:
         port: Port of that page (default: 8080); another is used if it is busy.
     """
 
-    anatomy: Annotated[Path | None, Parameter(metavar="DIR")] = None
+    anatomy: Annotated[
+        Path | None, Parameter(name=("--anatomy", "--plan"), metavar="DIR|FILE")
+    ] = None
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
     export: Annotated[Path | None, Parameter(metavar="FILE", group=LIVE_OUTPUT)] = None

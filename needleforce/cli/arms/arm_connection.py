@@ -97,8 +97,13 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
             f"{name} simulates an LWR 4+ with its needle, expected no options of the "
             "robot"
         )
+    from needleforce.cli.patient.simulated_patient import insert_into_patient, is_plan
+
     with progress_bar("simulating"):
-        run = simulate(scenario, plant="clean")
+        if is_plan(scenario):
+            run = insert_into_patient(Path(scenario))
+        else:
+            run = simulate(scenario, plant="clean")
     signals = run.signals
     dt_s = np.diff(signals.t_s, prepend=2.0 * signals.t_s[0] - signals.t_s[1])
     arm = ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm)
@@ -146,7 +151,9 @@ def _kind_of(name: str) -> str:
         raise CommandError(f"{error}, or sim:SCENARIO") from error
 
 
-def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmReading]:
+def samples_until_stopped(
+    arm: Any, options: ArmOptions, *, is_paced: bool = True
+) -> Iterator[ArmReading]:
     """Yield samples until the time is over, the arm stays away, or a signal ends it.
 
     Signals are Ctrl-C, SIGTERM and SIGHUP.
@@ -154,6 +161,7 @@ def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmReading]
     Args:
         arm: A connection of `needleforce.devices`.
         options: For how long it is listened to.
+        is_paced: A simulated arm sends in real time, else as fast as it can.
 
     Raises:
         CommandError: The time is not positive.
@@ -169,7 +177,7 @@ def samples_until_stopped(arm: Any, options: ArmOptions) -> Iterator[ArmReading]
     ]
     passed_s = 0.0
     with stop_request(*signals, then=arm.end) as is_asked:
-        for sample in pace(arm) if isinstance(arm, ReplayArm) else arm:
+        for sample in pace(arm) if is_paced and isinstance(arm, ReplayArm) else arm:
             if not passed_s:
                 _say_sender(arm)
             passed_s += sample.dt_s

@@ -11,6 +11,8 @@ from groundtruth import SCENARIOS, NeedleRun, Run, Scenario, insert_needle, simu
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.tissue import Rupture, TissueTruth
+from needleforce.cli.patient.example_case import NAME as TORSO
+from needleforce.cli.patient.simulated_patient import insert_into_patient
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_outputs
@@ -20,11 +22,15 @@ NEEDLE = "needle"
 """As the plant: a needle on a linear stage with its force sensor, without an arm."""
 
 
+NOTHING_TO_WRITE = "nothing to write, expected -o FILE or --truth FILE"
+
+
 def print_scenarios() -> int:
     """Print every scenario with its title; return the exit code."""
     titles = {name: item.title for name, item in SCENARIOS.items()}
     titles[RANDOM_STACK] = "one to four layers drawn from the seed"
     titles[RANDOM_TISSUE] = "the same, each layer of its own law"
+    titles[TORSO] = "no insertion: CT, labels and landmarks of a torso, in a folder"
     write_out(aligned(titles.items()))
     return 0
 
@@ -59,6 +65,36 @@ def write_simulation(
         return _write_needle_simulation(chosen, seed, recording, truth)
     with progress_bar(f"simulating {chosen.id}"):
         run = simulate(chosen, plant=plant, seed=seed)
+    _write_run(run, recording, truth)
+    return 0
+
+
+def write_patient_simulation(
+    plan: Path, recording: Path | None, truth: Path | None
+) -> int:
+    """Simulate the insertion of a plan, write its files, and print a summary.
+
+    Args:
+        plan: The plan's file.
+        recording: File of the measured signals, if any.
+        truth: File of the ground truth, if any.
+
+    Returns:
+        The exit code.
+    """
+    outputs = {"-o": recording, "--truth": truth}
+    paths = {option: path for option, path in outputs.items() if path is not None}
+    if not paths:
+        raise CommandError(NOTHING_TO_WRITE)
+    _check_places(paths)
+    with progress_bar("simulating"):
+        run = insert_into_patient(plan)
+    _write_run(run, recording, truth)
+    return 0
+
+
+def _write_run(run: Run, recording: Path | None, truth: Path | None) -> None:
+    """Write recording and ground truth of a run, and print a summary."""
     joint_names = run.robot.joint_names
     if recording is not None:
         labels = TableLabels(joint_names=joint_names)
@@ -67,7 +103,6 @@ def write_simulation(
         labels = TableLabels(joint_names=joint_names, prefix="/truth")
         write_table(truth, truth_table(run), labels=labels)
     write_out(_summary(run, recording))
-    return 0
 
 
 def _write_needle_simulation(
@@ -89,16 +124,21 @@ def _check_simulation(
 ) -> Scenario:
     """Return the scenario of that name, once it and its files are known to work."""
     if not paths:
-        raise CommandError("nothing to write, expected -o FILE or --truth FILE")
+        raise CommandError(NOTHING_TO_WRITE)
     if scenario is None:
         raise CommandError("no scenario is named; --list prints the scenarios")
     if seed < 0:
         raise CommandError(f"--seed {seed}: expected a whole number from 0 up")
     chosen = scenario_named(scenario, seed)
+    _check_places(paths)
+    return chosen
+
+
+def _check_places(paths: Mapping[str, Path]) -> None:
+    """Refuse files that cannot be written."""
     check_outputs(paths)
     for path in paths.values():
         check_writable(path)
-    return chosen
 
 
 def signal_table(run: Run) -> dict[str, NDArray]:

@@ -1,0 +1,72 @@
+"""Names of labels in the header of a NIfTI file, as TotalSegmentator writes them.
+
+The header is followed by extensions: size and kind, four bytes each, then the content
+of size - 8 bytes. That of TotalSegmentator is the XML text of a Caret label table:
+``<Label Key="5" ...><![CDATA[liver]]></Label>``.
+"""
+
+import gzip
+import struct
+import zlib
+from pathlib import Path
+from xml.etree import ElementTree
+
+from needleforce.anatomy.errors import AnatomyCode, VolumeError
+
+HEADER_BYTES = 348
+"""Of NIfTI-1, before the four bytes that say whether extensions follow."""
+
+OFFSET_AT = 108
+"""Where the header says at which byte the voxels begin."""
+
+MAX_EXTENSION_BYTES = 1 << 22
+"""More than the names of a thousand labels take."""
+
+EXTENSION_HEAD_BYTES = 8
+
+
+def read_header_names(path: Path) -> dict[int, str]:
+    """Return names by label from the extensions of a NIfTI file, if it has any.
+
+    Raises:
+        VolumeError: There is a table of labels, and it cannot be read.
+    """
+    names: dict[int, str] = {}
+    for content in _read_extensions(path):
+        text = content.rstrip(b"\0").strip()
+        if b"<Label" not in text or b"<!DOCTYPE" in text or b"<!ENTITY" in text:
+            continue
+        try:
+            root = ElementTree.fromstring(text)
+            for label in root.iter("Label"):
+                names[int(label.attrib["Key"])] = (label.text or "").strip()
+        except (ElementTree.ParseError, KeyError, ValueError) as error:
+            raise VolumeError(
+                f"the table of labels in the header of {path} cannot be read: {error}",
+                AnatomyCode.LABELS,
+            ) from error
+    return {value: name for value, name in names.items() if name}
+
+
+def _read_extensions(path: Path) -> list[bytes]:
+    """Return the contents of the extensions behind the header."""
+    try:
+        with gzip.open(path) if path.name.endswith(".gz") else path.open("rb") as file:
+            header = file.read(HEADER_BYTES + 4)
+            if len(header) < HEADER_BYTES + 4 or not header[HEADER_BYTES]:
+                return []
+            order = "<" if struct.unpack_from("<i", header)[0] == HEADER_BYTES else ">"
+            end = int(struct.unpack_from(f"{order}f", header, OFFSET_AT)[0])
+            length = min(max(end - HEADER_BYTES - 4, 0), MAX_EXTENSION_BYTES)
+            block = file.read(length)
+    except (OSError, EOFError, zlib.error):
+        return []  # what is wrong with the file is said where its voxels are read
+    contents: list[bytes] = []
+    place = 0
+    while place + EXTENSION_HEAD_BYTES <= len(block):
+        size = struct.unpack_from(f"{order}i", block, place)[0]
+        if size < EXTENSION_HEAD_BYTES:
+            break
+        contents.append(block[place + EXTENSION_HEAD_BYTES : place + size])
+        place += size
+    return contents

@@ -1,0 +1,175 @@
+"""Points and lines of 3D Slicer: ``.mrk.json`` files.
+
+The file states its frame, LPS or RAS, and its unit; points come out in LPS, in metres.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any, Literal
+
+import msgspec
+import numpy as np
+
+from foundation.arrays import Array
+from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.files import whole_file
+
+SCHEMA = (
+    "https://raw.githubusercontent.com/slicer/slicer/master/Modules/Loadable/"
+    "Markups/Resources/Schema/markups-schema-v1.0.3.json#"
+)
+"""What Slicer writes at the head of its own files."""
+
+RAS_TO_LPS = np.array([-1.0, -1.0, 1.0])
+
+FRAMES = {"LPS": np.ones(3), "0": RAS_TO_LPS, "1": np.ones(3), "RAS": RAS_TO_LPS}
+"""Factors to LPS by the name of a frame, and by the number in old files."""
+
+UNITS_m = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
+"""Metres per unit of length."""
+
+MM_PER_M = 1e3
+
+UNPLACED = ("undefined", "missing", "preview")
+"""States of control points that have no place."""
+
+
+class _ControlPoint(msgspec.Struct):
+    """A control point of a file.
+
+    Attributes:
+        label: Its name.
+        position: Its place; None where it has none.
+        status: Whether it was placed.
+    """
+
+    label: str = ""
+    position: tuple[float, float, float] | None = None
+    status: str = msgspec.field(name="positionStatus", default="defined")
+
+
+class _Markup(msgspec.Struct):
+    """A list of points, a line, or another markup of a file.
+
+    Attributes:
+        kind: Such as ``Fiducial`` or ``Line``.
+        frame: Frame of its points.
+        units: Unit of length.
+        points: Its control points.
+    """
+
+    kind: str = msgspec.field(name="type", default="")
+    frame: str | int = msgspec.field(name="coordinateSystem", default="RAS")
+    units: str = msgspec.field(name="coordinateUnits", default="mm")
+    points: list[_ControlPoint] = msgspec.field(
+        name="controlPoints", default_factory=list
+    )
+
+
+class _File(msgspec.Struct):
+    """A file of Slicer.
+
+    Attributes:
+        markups: What is in it.
+    """
+
+    markups: list[_Markup]
+
+
+@dataclass(frozen=True, eq=False)
+class Markup:
+    """Named points.
+
+    Attributes:
+        names: Of the points.
+        points_m: Their places in LPS, shape (n, 3).
+        is_line: They are the two ends of a line.
+    """
+
+    names: tuple[str, ...]
+    points_m: Array
+    is_line: bool = False
+
+
+def read_markup(path: Path | str) -> Markup:
+    """Read the one list of points, or the one line, of a ``.mrk.json`` file.
+
+    Raises:
+        VolumeError: Not readable, several lists, no points, a frame or a unit that is
+            not known, or two points of one name.
+    """
+    try:
+        file = msgspec.json.decode(Path(path).read_bytes(), type=_File)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise VolumeError(
+            f"cannot read {path}: {error}; expected points or a line that 3D Slicer "
+            "saved as .mrk.json",
+            AnatomyCode.MARKUPS,
+        ) from error
+    if len(file.markups) != 1:
+        raise VolumeError(
+            f"{path} holds {len(file.markups)} markups: expected one",
+            AnatomyCode.MARKUPS,
+        )
+    markup = file.markups[0]
+    scale_m = UNITS_m.get(markup.units)
+    factors = FRAMES.get(str(markup.frame))
+    if scale_m is None or factors is None:
+        raise VolumeError(
+            f"{path} is in {markup.frame!r} and {markup.units!r}: expected LPS or RAS, "
+            f"and one of {', '.join(UNITS_m)}",
+            AnatomyCode.MARKUPS,
+        )
+    placed = [
+        point
+        for point in markup.points
+        if point.position is not None and point.status not in UNPLACED
+    ]
+    if not placed:
+        raise VolumeError(f"{path} holds no placed point", AnatomyCode.MARKUPS)
+    names = tuple(point.label or str(n) for n, point in enumerate(placed, 1))
+    if len(set(names)) < len(names):
+        raise VolumeError(
+            f"{path}: two points have one name: {', '.join(names)}",
+            AnatomyCode.MARKUPS,
+        )
+    positions = np.array([point.position for point in placed], dtype=float)
+    points_m = scale_m * factors * positions
+    if not np.isfinite(points_m).all():
+        raise VolumeError(f"{path}: a point is not finite", AnatomyCode.MARKUPS)
+    return Markup(names, points_m, markup.kind == "Line")
+
+
+def write_markup(
+    path: Path | str,
+    kind: Literal["Fiducial", "Line"],
+    names: Sequence[str],
+    points_m: Array,
+) -> None:
+    """Write points or a line for 3D Slicer, in LPS and millimetres.
+
+    Args:
+        path: The file, ``.mrk.json``.
+        kind: Points, or a line between two.
+        names: Of the points.
+        points_m: Their places in LPS, shape (n, 3).
+    """
+    points: list[dict[str, Any]] = [
+        {
+            "id": str(number),
+            "label": name,
+            "position": (MM_PER_M * point_m).round(4).tolist(),
+            "positionStatus": "defined",
+        }
+        for number, (name, point_m) in enumerate(zip(names, points_m, strict=True), 1)
+    ]
+    markup = {
+        "type": kind,
+        "coordinateSystem": "LPS",
+        "coordinateUnits": "mm",
+        "controlPoints": points,
+    }
+    content = msgspec.json.encode({"@schema": SCHEMA, "markups": [markup]})
+    with whole_file(path) as file:
+        file.write(msgspec.json.format(content, indent=2) + b"\n")

@@ -1,0 +1,136 @@
+"""CT and labels of a patient, and the plan's file that names them."""
+
+import os
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import msgspec
+import numpy as np
+
+from needleforce.anatomy import Labels, Volume, read_labels, read_volume
+from needleforce.cli.plan_file import PLAN
+from needleforce.cli.terminal import CommandCode, CommandError, staged_progress
+from needleforce.files import whole_file
+
+PLAN_VERSION = 1
+"""Of the plan's file."""
+
+
+class CaseFiles(NamedTuple):
+    """Where the data of a patient lie.
+
+    Attributes:
+        ct: CT: a folder with a DICOM series, or a file.
+        labels: Segmentation.
+        structures: JSON file with the names of labels, if they need one.
+        situs_inversus: Liver and spleen are exchanged.
+    """
+
+    ct: Path
+    labels: Path
+    structures: Path | None = None
+    situs_inversus: bool = False
+
+
+class PatientCase(NamedTuple):
+    """CT and labels of a patient.
+
+    Attributes:
+        files: Where they come from.
+        scan: The CT.
+        labels: The segmentation with ``fat`` and ``lean`` of the body around it.
+    """
+
+    files: CaseFiles
+    scan: Volume
+    labels: Labels
+
+
+def read_case(files: CaseFiles) -> PatientCase:
+    """Read CT and labels, and find the body in the CT.
+
+    Raises:
+        needleforce.anatomy.VolumeError: They cannot be read, or do not belong together.
+    """
+    with staged_progress("reading the CT"):
+        scan = read_volume(files.ct)
+    with staged_progress("reading the labels"):
+        labels = read_labels(
+            files.labels, files.structures, situs_inversus=files.situs_inversus
+        )
+    with staged_progress("finding body, fat and lean tissue"):
+        return PatientCase(files, scan, labels.with_body(scan, fat=True))
+
+
+def read_plan_fields(place: Path) -> dict[str, Any]:
+    """Return the fields of a plan's file.
+
+    Raises:
+        CommandError: The file cannot be read, or is no plan of this version.
+    """
+    path = place / PLAN if place.is_dir() else place
+    try:
+        fields = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
+    except (OSError, msgspec.MsgspecError) as error:
+        raise CommandError(f"{path}: {error}", CommandCode.PLAN) from error
+    if fields.get("version") != PLAN_VERSION:
+        raise CommandError(
+            f"{path} has version {fields.get('version')}: expected {PLAN_VERSION}, as "
+            "`needleforce plan` writes it",
+            CommandCode.PLAN,
+        )
+    return fields
+
+
+def case_of_plan(place: Path) -> PatientCase:
+    """Read CT and labels that a plan's file names.
+
+    Raises:
+        CommandError: The file is no plan, or does not name them.
+        needleforce.anatomy.VolumeError: They cannot be read any more.
+    """
+    path = place / PLAN if place.is_dir() else place
+    fields = read_plan_fields(path)
+    if not fields.get("ct") or not fields.get("labels"):
+        raise CommandError(
+            f"{path} names no CT and labels: expected a plan that `needleforce plan` "
+            "wrote",
+            CommandCode.PLAN,
+        )
+    folder = path.parent
+    structures = fields.get("structures")
+    return read_case(
+        CaseFiles(
+            folder / fields["ct"],
+            folder / fields["labels"],
+            folder / structures if structures else None,
+            bool(fields.get("situs_inversus", False)),
+        )
+    )
+
+
+def write_plan_fields(path: Path, fields: Mapping[str, Any]) -> None:
+    """Write the fields of a plan's file, whole or not at all.
+
+    Raises:
+        CommandError: The file cannot be written.
+    """
+    content = msgspec.json.encode(fields, enc_hook=_as_list)
+    try:
+        with whole_file(path) as file:
+            file.write(msgspec.json.format(content, indent=1) + b"\n")
+    except OSError as error:
+        raise CommandError(
+            f"cannot write {path}: {error.strerror}", CommandCode.OUTPUT
+        ) from error
+
+
+def relative_path(path: Path, folder: Path) -> str:
+    """Return how a file is found from a folder, with / between its parts."""
+    return Path(os.path.relpath(path, folder)).as_posix()
+
+
+def _as_list(value: Any) -> Any:
+    """Return an array, or a number of one, as what JSON has."""
+    return np.asarray(value).tolist()

@@ -1,0 +1,239 @@
+"""`needleforce plan`: paths from the skin to a target, and the plan of one."""
+
+from collections import Counter
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from foundation.arrays import Array
+from needleforce.anatomy import FreeSpace, Labels, require_clear_path
+from needleforce.anatomy.clearance import NEEDLE_RADIUS_m
+from needleforce.anatomy.markups import read_markup, write_markup
+from needleforce.anatomy.path_search import (
+    FoundPaths,
+    PathLimits,
+    SkinPath,
+    deepest_point_m,
+    find_paths,
+    judge_path,
+    orient_line,
+)
+from needleforce.cli.patient.case_files import (
+    PLAN_VERSION,
+    CaseFiles,
+    PatientCase,
+    read_case,
+    relative_path,
+    write_plan_fields,
+)
+from needleforce.cli.patient.plan_page import write_plan_page
+from needleforce.cli.patient.plan_table import describe_paths
+from needleforce.cli.plan_file import PLAN
+from needleforce.cli.terminal import (
+    CommandError,
+    require_modules,
+    say,
+    staged_progress,
+    write_out,
+)
+from needleforce.plots import PAGE, require_matplotlib, whole_folder
+
+MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh")
+"""Modules of extras that the command needs."""
+
+PATH_MARKUP = "path.mrk.json"
+"""The planned path for 3D Slicer."""
+
+M_PER_MM = 1e-3
+
+
+class PathWish(NamedTuple):
+    """What path is asked for.
+
+    Attributes:
+        target: Name of a structure, or a ``.mrk.json`` file.
+        avoid: Names of structures that must stay clear; by default those at risk.
+        margin_mm: Stays free around the needle [mm].
+        max_length_mm: Of the path [mm].
+        cone_deg: Largest angle to the skin's normal [degrees].
+        number: Of the path that becomes the plan, from 1.
+    """
+
+    target: str
+    avoid: tuple[str, ...]
+    margin_mm: float
+    max_length_mm: float
+    cone_deg: float
+    number: int
+
+    def limits(self) -> PathLimits:
+        """Return the limits of the search.
+
+        Raises:
+            CommandError: One of them cannot be.
+        """
+        if not 0.0 <= self.margin_mm <= 100.0:
+            raise CommandError(f"--margin {self.margin_mm:g}: expected 0 to 100 mm")
+        if not 1.0 <= self.max_length_mm <= 500.0:
+            raise CommandError(
+                f"--max-length {self.max_length_mm:g}: expected 1 to 500 mm"
+            )
+        if not 0.0 < self.cone_deg <= 90.0:
+            raise CommandError(f"--cone {self.cone_deg:g}: expected 0 to 90 degrees")
+        if self.number < 1:
+            raise CommandError(f"--choose {self.number}: expected 1 or more")
+        return PathLimits(
+            M_PER_MM * self.max_length_mm,
+            float(np.radians(self.cone_deg)),
+            FreeSpace(margin_m=M_PER_MM * self.margin_mm),
+        )
+
+
+class _Target(NamedTuple):
+    """Where the needle shall go.
+
+    Attributes:
+        name: Of the target.
+        place_m: The target, (3,) in LPS.
+        entry_m: A point outside through which it shall come; None for any.
+    """
+
+    name: str
+    place_m: Array
+    entry_m: Array | None = None
+
+
+def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
+    """Find paths, print them, and write the plan of one of them.
+
+    Args:
+        files: CT and labels.
+        wish: What path is asked for.
+        folder: Folder of the plan; whole or absent.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: A limit cannot be, or the path of that number was not found.
+        needleforce.anatomy.AnatomyError: The files do not belong together, or there is
+            no path.
+    """
+    require_matplotlib("plan")
+    require_modules("plan", MODULES)
+    limits = wish.limits()
+    case = read_case(files)
+    target = _find_target(wish.target, case.labels)
+    avoid = _names_to_avoid(case.labels, wish)
+    paths = _search(case.labels, target, avoid, limits)
+    if wish.number > len(paths.paths):
+        raise CommandError(
+            f"--choose {wish.number}: only {len(paths.paths)} paths were found"
+        )
+    chosen = paths.paths[wish.number - 1]
+    write_out(describe_paths(paths, target.name, avoid, limits, wish.number))
+    if case.labels.unchecked:
+        say(f"warning: {case.labels.unchecked}")
+    with whole_folder(folder) as place:
+        if place is not None:
+            fields = _plan_fields(case, wish, target, chosen, folder)
+            write_plan_fields(place / PLAN, fields)
+            write_markup(
+                place / PATH_MARKUP,
+                "Line",
+                ("entry", "target"),
+                np.array([chosen.entry_m, chosen.target_m]),
+            )
+            with staged_progress("drawing the page"):
+                write_plan_page(case, chosen, paths, target.name, limits, place)
+    for name in (PLAN, PATH_MARKUP, PAGE):
+        write_out(f"{folder / name}\n")
+    say(
+        f"next: needleforce touch ARM --landmarks FILE -o touches.json, then "
+        f"needleforce register --plan {folder / PLAN} --landmarks FILE --touches "
+        "touches.json"
+    )
+    return 0
+
+
+def _find_target(name: str, labels: Labels) -> _Target:
+    """Return the target that a user names: a file, or a structure."""
+    if not name.endswith(".json"):
+        return _Target(name, deepest_point_m(labels, name))
+    markup = read_markup(name)
+    if not markup.is_line:
+        return _Target(markup.names[0], markup.points_m[0])
+    if len(markup.points_m) != 2:
+        raise CommandError(f"{name}: a line of {len(markup.points_m)} points")
+    ends = orient_line(labels, markup.points_m)
+    return _Target("end of the line", ends.target_m, ends.entry_m)
+
+
+def _names_to_avoid(labels: Labels, wish: PathWish) -> tuple[str, ...]:
+    """Return the names of the structures that must stay clear."""
+    if wish.avoid:
+        return tuple(labels[name].name for name in wish.avoid)
+    if not any(item.is_obstacle or item.is_risk for item in labels.structures):
+        names = ", ".join(item.name for item in labels.structures)
+        raise CommandError(
+            "no structure is known as bone, vessel or another at risk by its name: "
+            f"there are {names}; --structures FILE gives names to labels, --avoid says "
+            "which must stay clear"
+        )
+    return tuple(
+        item.name
+        for item in labels.structures
+        if (item.is_obstacle or item.is_risk) and item.name != wish.target
+    )
+
+
+def _search(
+    labels: Labels, target: _Target, avoid: tuple[str, ...], limits: PathLimits
+) -> FoundPaths:
+    """Return the paths to a target; of a line that path alone."""
+    if target.entry_m is not None:
+        path = judge_path(labels, target.entry_m, target.place_m, limits)
+        require_clear_path(path.clearances, limits.space)
+        return FoundPaths((path,), Counter())
+    with staged_progress("searching paths") as progress:
+        return find_paths(labels, target.place_m, avoid, limits, progress)
+
+
+def _plan_fields(
+    case: PatientCase, wish: PathWish, target: _Target, path: SkinPath, folder: Path
+) -> Mapping[str, Any]:
+    """Return what stands in the plan's file; see docs/reference/files.md."""
+    files = case.files
+    fields: dict[str, Any] = {
+        "version": PLAN_VERSION,
+        "target": target.name,
+        "ct": relative_path(files.ct, folder),
+        "labels": relative_path(files.labels, folder),
+        "entry_m": path.entry_m,
+        "target_m": path.target_m,
+        "needle_radius_m": NEEDLE_RADIUS_m,
+        "margin_m": M_PER_MM * wish.margin_mm,
+        "layers": [
+            {
+                "name": layer.name,
+                "exit_m": layer.exit_m,
+                "exit_std_m": layer.exit_std_m,
+                "is_obstacle": layer.is_obstacle,
+            }
+            for layer in path.layers
+        ],
+    }
+    accepted = [
+        item.name
+        for item in case.labels.structures
+        if item.is_obstacle and item.name == target.name
+    ]
+    if accepted:
+        fields["accepted_obstacles"] = accepted
+    if files.structures is not None:
+        fields["structures"] = relative_path(files.structures, folder)
+    if files.situs_inversus:
+        fields["situs_inversus"] = True
+    return fields

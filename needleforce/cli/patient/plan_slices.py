@@ -1,0 +1,255 @@
+"""Slices of a CT along a path, and across it as the needle's tip sees them."""
+
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from foundation.arrays import Array
+from needleforce.anatomy import Labels, Structure
+from needleforce.anatomy.path_search import SkinPath
+from needleforce.cli.patient.case_files import PatientCase
+
+PIXEL_m = 7e-4
+"""Size of a pixel."""
+
+BESIDE_m = 0.08
+"""How far the planes along the path reach to either side."""
+
+BEFORE_m = 0.025
+"""How far they begin before the skin."""
+
+BEHIND_m = 0.05
+"""How far they reach behind the target."""
+
+PROBE_HALF_m = 0.045
+"""Half the edge of a slice across the path."""
+
+PROBE_SLICES = 6
+"""Slices across the path, from the skin to the target."""
+
+WINDOW_HU = (-160.0, 240.0)
+"""From black to white: soft tissue."""
+
+AIR_HU = -1000.0
+"""Of what lies outside the scan."""
+
+MIN_PIXELS = 40
+"""Structures with fewer pixels in a plane get no outline."""
+
+PLAIN = ("fat", "lean", "body", "skin")
+"""Structures without an outline: the CT shows them, and they surround everything."""
+
+HEAD_UP = np.array([0.0, 0.0, 1.0])
+BACK = np.array([0.0, 1.0, 0.0])
+MAX_COSINE = 0.9
+"""Of the angle between the path and the direction that is up; above it another one
+is."""
+
+PATH_COLOUR = "#ffd400"
+"""Of the needle: seen on grey by all."""
+
+M_TO_MM = 1e3
+
+
+class PathFrame(NamedTuple):
+    """Directions of a path.
+
+    Attributes:
+        axis: From entry to target, (3,).
+        side: Across it, (3,).
+        up: Across both, (3,).
+    """
+
+    axis: Array
+    side: Array
+    up: Array
+
+
+class Plane(NamedTuple):
+    """A plane through the patient.
+
+    Attributes:
+        rows_m: Places of the rows [m].
+        columns_m: Places of the columns [m].
+        values_HU: What the CT shows there.
+        owners: Number of the structure at each pixel; -1 for none.
+    """
+
+    rows_m: Array
+    columns_m: Array
+    values_HU: Array
+    owners: NDArray[np.intp]
+
+    @property
+    def extent_mm(self) -> tuple[float, ...]:
+        """Left, right, bottom, top for a picture with rows downwards."""
+        rows_mm = M_TO_MM * self.rows_m
+        columns_mm = M_TO_MM * self.columns_m
+        return (columns_mm[0], columns_mm[-1], rows_mm[-1], rows_mm[0])
+
+
+def path_frame(path: SkinPath) -> PathFrame:
+    """Return the directions of a path: up is to the head, as far as it can be."""
+    axis = (path.target_m - path.entry_m) / path.length_m
+    towards = BACK if abs(axis @ HEAD_UP) > MAX_COSINE else HEAD_UP
+    up = towards - (towards @ axis) * axis
+    up /= np.linalg.norm(up)
+    return PathFrame(axis, np.cross(axis, up), up)
+
+
+def draw_along(case: PatientCase, path: SkinPath, place: Path) -> Path:
+    """Draw the two planes that hold the path into a file; return its name."""
+    import matplotlib.pyplot as plt
+
+    frame = path_frame(path)
+    along_m = np.arange(-BEFORE_m, path.length_m + BEHIND_m, PIXEL_m)
+    across_m = np.arange(-BESIDE_m, BESIDE_m, PIXEL_m)
+    figure, panels = plt.subplots(1, 2, figsize=(10.0, 6.2), layout="constrained")
+    structures: dict[str, Structure] = {}
+    directions = {"towards side": frame.side, "towards head": frame.up}
+    for axes, (name, direction) in zip(panels, directions.items(), strict=True):
+        plane = _cut(case, path.entry_m, frame.axis, direction, along_m, across_m)
+        structures |= _draw_plane(axes, case.labels, plane)
+        length_mm = M_TO_MM * path.length_m
+        axes.plot([0.0, 0.0], [-M_TO_MM * BEFORE_m, length_mm], color=PATH_COLOUR)
+        axes.plot(0.0, length_mm, "o", mfc="none", mec=PATH_COLOUR, ms=10)
+        for layer in path.layers[:-1]:
+            axes.plot([-4.0, 4.0], [M_TO_MM * layer.exit_m] * 2, color=PATH_COLOUR)
+        axes.set(xlabel=f"{name} [mm]", ylabel="depth below the entry [mm]")
+    _add_legend(figure, structures)
+    figure.savefig(place, dpi=130)
+    plt.close(figure)
+    return place
+
+
+def draw_probe_view(
+    case: PatientCase, path: SkinPath, needed_m: float, place: Path
+) -> Path:
+    """Draw slices across the path as the needle sees them; return the file's name.
+
+    Args:
+        case: CT and labels.
+        path: The path.
+        needed_m: Radius that stays clear about the path.
+        place: The file.
+    """
+    import matplotlib.pyplot as plt
+    from matplotlib.patches import Circle
+
+    frame = path_frame(path)
+    span_m = np.arange(-PROBE_HALF_m, PROBE_HALF_m, PIXEL_m)
+    figure, panels = plt.subplots(2, 3, figsize=(10.0, 7.2), layout="constrained")
+    structures: dict[str, Structure] = {}
+    depths_m = np.linspace(0.0, path.length_m, PROBE_SLICES)
+    for axes, depth_m in zip(panels.flat, depths_m.tolist(), strict=True):
+        centre_m = path.entry_m + depth_m * frame.axis
+        # Rows run downwards in a picture, and up is to the head.
+        plane = _cut(case, centre_m, -frame.up, frame.side, span_m, span_m)
+        structures |= _draw_plane(axes, case.labels, plane)
+        axes.add_patch(
+            Circle((0.0, 0.0), M_TO_MM * needed_m, fill=False, color=PATH_COLOUR)
+        )
+        axes.plot(0.0, 0.0, "+", color=PATH_COLOUR)
+        axes.set(
+            title=f"{M_TO_MM * depth_m:.0f} mm", xlabel="side [mm]", ylabel="head [mm]"
+        )
+        axes.set_ylim(M_TO_MM * PROBE_HALF_m, -M_TO_MM * PROBE_HALF_m)
+        axes.yaxis.set_major_formatter(lambda value, _: f"{0.0 - value:.0f}")
+    _add_legend(figure, structures)
+    figure.savefig(place, dpi=130)
+    plt.close(figure)
+    return place
+
+
+def _cut(
+    case: PatientCase,
+    centre_m: Array,
+    row_axis: Array,
+    column_axis: Array,
+    rows_m: Array,
+    columns_m: Array,
+) -> Plane:
+    """Return the plane through a point along two directions."""
+    points_m = (
+        centre_m
+        + rows_m[:, None, None] * row_axis
+        + columns_m[None, :, None] * column_axis
+    )
+    index = np.moveaxis(case.scan.grid.indices(points_m), -1, 0)
+    values_HU = np.full(index.shape[1:], AIR_HU)
+    ndimage.map_coordinates(
+        case.scan.values, index, output=values_HU, order=1, cval=AIR_HU
+    )
+    return Plane(rows_m, columns_m, values_HU, _owners(case.labels, points_m))
+
+
+def _owners(labels: Labels, points_m: Array) -> NDArray[np.intp]:
+    """Return the number of the smallest structure at each point; -1 for none."""
+    index = np.rint(labels.grid.indices(points_m)).astype(int)
+    is_valid = np.all((index >= 0) & (index < labels.grid.shape), axis=-1)
+    voxels = tuple(np.moveaxis(np.where(is_valid[..., None], index, 0), -1, 0))
+    owners = np.full(is_valid.shape, -1)
+    order = sorted(range(len(labels.structures)), key=lambda n: -_voxels(labels, n))
+    for number in order:
+        item = labels.structures[number]
+        is_inside = labels.volumes[item.volume][voxels] == item.value
+        owners[is_valid & is_inside] = number
+    return owners
+
+
+def _voxels(labels: Labels, number: int) -> int:
+    return labels.structures[number].voxels
+
+
+def _draw_plane(axes: Any, labels: Labels, plane: Plane) -> dict[str, Structure]:
+    """Draw a plane of the CT with the outlines of structures; return these by name."""
+    axes.imshow(
+        plane.values_HU,
+        cmap="gray",
+        vmin=WINDOW_HU[0],
+        vmax=WINDOW_HU[1],
+        extent=plane.extent_mm,
+        aspect="equal",
+    )
+    drawn: dict[str, Structure] = {}
+    for number, item in enumerate(labels.structures):
+        is_owned = plane.owners == number
+        if item.name in PLAIN or np.count_nonzero(is_owned) < MIN_PIXELS:
+            continue
+        axes.contour(
+            M_TO_MM * plane.columns_m,
+            M_TO_MM * plane.rows_m,
+            is_owned.astype(float),
+            levels=[0.5],
+            colors=[item.colour],
+            linewidths=1.4,
+        )
+        drawn[item.name] = item
+    return drawn
+
+
+def _hex_of(item: Structure) -> str:
+    """Return the colour of a structure as #rrggbb."""
+    return "#" + "".join(f"{round(255 * value):02x}" for value in item.colour)
+
+
+def _add_legend(figure: Any, structures: dict[str, Structure]) -> None:
+    """Add the names of the outlined structures below the pictures."""
+    from matplotlib.lines import Line2D
+
+    lines = [
+        Line2D([], [], color=_hex_of(item), label=name.replace("_", " "))
+        for name, item in structures.items()
+    ]
+    lines.append(Line2D([], [], color=PATH_COLOUR, label="path"))
+    figure.legend(
+        handles=lines,
+        loc="outside lower center",
+        ncols=6,
+        fontsize=8,
+        facecolor="0.25",
+        labelcolor="white",
+    )

@@ -1,0 +1,226 @@
+"""`needleforce register`: where the patient of a plan lies in the robot's base."""
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from foundation.arrays import Array
+from needleforce.anatomy import Registration, fit_landmarks, fit_surface
+from needleforce.anatomy.markups import Markup, read_markup
+from needleforce.anatomy.surface import Surface
+from needleforce.anatomy.surface_fit import MIN_TOUCHES
+from needleforce.cli.patient.case_files import (
+    case_of_plan,
+    read_plan_fields,
+    relative_path,
+    write_plan_fields,
+)
+from needleforce.cli.patient.register_report import (
+    FitReport,
+    describe_fit,
+    write_fit_page,
+)
+from needleforce.cli.patient.touch_file import TouchFile, read_touches
+from needleforce.cli.plan_file import PLAN
+from needleforce.cli.terminal import (
+    CommandCode,
+    CommandError,
+    require_modules,
+    say,
+    staged_progress,
+    write_out,
+)
+from needleforce.plots import PAGE, whole_folder
+
+MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh")
+"""Modules of extras that the command needs."""
+
+M_PER_MM = 1e-3
+
+MAX_STD_mm = 50.0
+"""Larger ones are not in millimetres."""
+
+
+class Evidence(NamedTuple):
+    """What a registration rests on.
+
+    Attributes:
+        landmarks: Points of the CT.
+        touches: What was touched.
+        landmark_std_mm: Of a landmark along each axis [mm].
+        touch_std_mm: Of a touch of the skin [mm].
+        motion_mm: Of organs against the skin [mm].
+        landmarks_only: The touches of the skin are left out.
+    """
+
+    landmarks: Path
+    touches: Path
+    landmark_std_mm: float
+    touch_std_mm: float
+    motion_mm: float
+    landmarks_only: bool
+
+    def check(self) -> None:
+        """Raise `CommandError` for a deviation that cannot be."""
+        for option, value_mm in (
+            ("--landmark-std", self.landmark_std_mm),
+            ("--touch-std", self.touch_std_mm),
+        ):
+            if not 0.0 < value_mm < MAX_STD_mm:
+                raise CommandError(f"{option} {value_mm:g}: expected millimetres")
+        if not 0.0 <= self.motion_mm < MAX_STD_mm:
+            raise CommandError(f"--motion {self.motion_mm:g}: expected millimetres")
+
+
+class _Pairs(NamedTuple):
+    """Landmarks in both frames.
+
+    Attributes:
+        names: Of the landmarks.
+        model_m: In the CT, (n, 3).
+        robot_m: In the robot's base, (n, 3).
+    """
+
+    names: tuple[str, ...]
+    model_m: Array
+    robot_m: Array
+
+
+def register_plan(
+    place: Path, evidence: Evidence, output: Path, report: Path | None
+) -> int:
+    """Register the patient of a plan; print the report and write the plan.
+
+    Args:
+        place: The plan.
+        evidence: What the registration rests on.
+        output: The plan with its registration.
+        report: Folder for a page, if any.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: A file or an option cannot be used.
+        needleforce.anatomy.RegistrationError: Landmarks or touches do not fit.
+    """
+    require_modules("register", MODULES)
+    evidence.check()
+    fields = read_plan_fields(place)
+    touched = read_touches(evidence.touches)
+    pairs = _pair_landmarks(read_markup(evidence.landmarks), touched, evidence)
+    landmark_std_m = M_PER_MM * evidence.landmark_std_mm
+    rough = fit_landmarks(
+        pairs.model_m, pairs.robot_m, std_m=landmark_std_m, is_std_known=True
+    )
+    fit = rough
+    skin = None
+    touches_m = touched.skin_m()
+    if not evidence.landmarks_only:
+        _require_touches(touches_m)
+        skin = case_of_plan(place).labels.skin()
+        with staged_progress("fitting the touches to the skin"):
+            fit = fit_surface(
+                skin,
+                touches_m,
+                rough,
+                touch_std_m=M_PER_MM * evidence.touch_std_mm,
+            )
+    fit_report = _report_of(fit, pairs, skin, touches_m, fields, evidence)
+    write_out(describe_fit(fit_report))
+    source = place / PLAN if place.is_dir() else place
+    folder = source.parent
+    moved = {
+        key: relative_path(folder / fields[key], output.parent)
+        for key in ("ct", "labels", "structures")
+        if fields.get(key)
+    }
+    write_plan_fields(output, {**fields, **moved, **_fit_fields(fit_report)})
+    write_out(f"{output}\n")
+    with whole_folder(report) as page_folder:
+        if page_folder is not None:
+            write_fit_page(fit_report, page_folder)
+    if report is not None:
+        write_out(f"{report / PAGE}\n")
+    say(f"next: needleforce live ARM --plan {output} --view")
+    return 0
+
+
+def _pair_landmarks(markup: Markup, touched: TouchFile, evidence: Evidence) -> _Pairs:
+    """Return the landmarks that are in both files, by their names."""
+    place_by_name = dict(zip(markup.names, markup.points_m, strict=True))
+    names = tuple(one.name for one in touched.landmarks)
+    if len(set(names)) < len(names):
+        raise CommandError(
+            f"{evidence.touches}: a landmark was touched twice: {', '.join(names)}",
+            CommandCode.FILE,
+        )
+    unknown = [name for name in names if name not in place_by_name]
+    if unknown:
+        raise CommandError(
+            f"{evidence.touches} has landmarks {', '.join(unknown)} that are not in "
+            f"{evidence.landmarks}: there are {', '.join(markup.names)}",
+            CommandCode.FILE,
+        )
+    model_m = np.array([place_by_name[name] for name in names]).reshape(-1, 3)
+    robot_m = np.array([one.place_m for one in touched.landmarks]).reshape(-1, 3)
+    return _Pairs(names, model_m, robot_m)
+
+
+def _require_touches(touches_m: Array) -> None:
+    """Refuse too few touches of the skin before the CT is read."""
+    if len(touches_m) < MIN_TOUCHES:
+        raise CommandError(
+            f"{len(touches_m)} touches of the skin: expected {MIN_TOUCHES} or more; "
+            "--landmarks-only goes without, by the landmarks alone",
+            CommandCode.FILE,
+        )
+
+
+def _report_of(
+    fit: Registration,
+    pairs: _Pairs,
+    skin: Surface | None,
+    touches_m: Array,
+    fields: Mapping[str, Any],
+    evidence: Evidence,
+) -> FitReport:
+    """Return what is reported of a registration."""
+    landmark_errors_m = fit.to_robot(pairs.model_m) - pairs.robot_m
+    distances_m: Sequence[float] = ()
+    if skin is not None:
+        points_m = fit.to_model(touches_m)
+        nearest_m, normals = skin.nearest(points_m)
+        signed_m = ((points_m - nearest_m) * normals).sum(axis=1)
+        lengths_m = np.linalg.norm(points_m - nearest_m, axis=1)
+        distances_m = np.copysign(lengths_m, signed_m).tolist()
+    return FitReport(
+        fit=fit,
+        landmarks=dict(
+            zip(pairs.names, np.linalg.norm(landmark_errors_m, axis=1), strict=True)
+        ),
+        touch_distances_m=tuple(distances_m),
+        entry_m=np.array(fields["entry_m"]),
+        target_m=np.array(fields["target_m"]),
+        motion_m=M_PER_MM * evidence.motion_mm,
+    )
+
+
+def _fit_fields(report: FitReport) -> dict[str, Any]:
+    """Return what a registration adds to the plan's file."""
+    fit = report.fit
+    return {
+        "rotation": fit.rotation,
+        "translation_m": fit.translation_m,
+        "offset_std_m": report.offset_std_m,
+        "covariance": fit.covariance,
+        "pivot_m": fit.pivot_m,
+        "registration": {
+            "landmark_residuals_m": report.landmarks,
+            "touch_distances_m": report.touch_distances_m,
+            "target_error_rms_m": fit.tre_m(report.target_m),
+            "motion_std_m": report.motion_m,
+        },
+    }

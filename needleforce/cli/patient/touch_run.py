@@ -1,0 +1,216 @@
+"""`needleforce touch`: landmarks and touches with the needle's tip, into a file."""
+
+import select
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from foundation.arrays import Array
+from needleforce.anatomy.markups import read_markup
+from needleforce.cli.arms.arm_connection import (
+    NO_TORQUES,
+    ConnectedArm,
+    open_arm,
+    require_samples,
+    samples_until_stopped,
+)
+from needleforce.cli.patient.simulated_patient import is_plan, touch_patient
+from needleforce.cli.patient.touch_detector import TipTouch, TouchDetector
+from needleforce.cli.patient.touch_file import (
+    VERSION,
+    LandmarkTouch,
+    TouchFile,
+    write_touches,
+)
+from needleforce.cli.shared_options import ArmOptions, RobotOptions
+from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, say
+from needleforce.recordings.output import require_place
+from residual import VirtualForceSensor
+from urdf import Robot
+
+KEY_s = 0.05
+"""Time between two looks at the keyboard."""
+
+M_TO_MM = 1e3
+
+
+class TouchList:
+    """What was touched so far: landmarks in their order, then the skin.
+
+    Args:
+        names: Of the landmarks.
+        count: Touches of the skin that are wanted.
+    """
+
+    def __init__(self, names: tuple[str, ...], count: int) -> None:
+        self._names = names
+        self._count = count
+        self._places_m: list[Array] = []
+
+    @property
+    def is_full(self) -> bool:
+        """Whether all is touched."""
+        return len(self._places_m) >= len(self._names) + self._count
+
+    def add(self, touch: TipTouch) -> str:
+        """Add a touch; return in words what it is, and what comes next."""
+        number = len(self._places_m)
+        self._places_m.append(touch.place_m)
+        place_mm = ", ".join(f"{value:.1f}" for value in M_TO_MM * touch.place_m)
+        what = f"touch {number - len(self._names) + 1} of the skin"
+        if number < len(self._names):
+            what = f"landmark {self._names[number]!r}"
+        return f"{what} at {place_mm} mm, {touch.force_N:.1f} N{self._next()}"
+
+    def remove_last(self) -> str:
+        """Remove the last touch; return in words what is wanted now."""
+        if self._places_m:
+            self._places_m.pop()
+        return f"undone{self._next()}"
+
+    def begin(self) -> str:
+        """Return in words what is wanted first."""
+        return f"rest in contact for a second, or press Enter{self._next()}"
+
+    def file(self) -> TouchFile:
+        """Return what was touched."""
+        places = [tuple(place_m.tolist()) for place_m in self._places_m]
+        named = zip(self._names, places, strict=False)
+        return TouchFile(
+            version=VERSION,
+            landmarks=tuple(LandmarkTouch(name, place) for name, place in named),
+            touches_m=tuple(places[len(self._names) :]),
+        )
+
+    def _next(self) -> str:
+        number = len(self._places_m)
+        if number < len(self._names):
+            return f"; next: landmark {self._names[number]!r}"
+        return "" if self.is_full else "; next: the skin, anywhere around the entry"
+
+
+def record_touches(
+    arm_name: str,
+    output: Path,
+    options: ArmOptions,
+    robot: RobotOptions,
+    *,
+    landmarks: Path | None,
+    count: int,
+    contact_N: float,
+) -> int:
+    """Write what the needle's tip touches into a file.
+
+    Args:
+        arm_name: The arm as the command line names it.
+        output: The file.
+        options: For how long the arm is listened to.
+        robot: Options that describe the robot.
+        landmarks: Points of the CT that are touched first, if any.
+        count: Touches of the skin after which it ends.
+        contact_N: Least force of a contact.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: A number cannot be, nothing was touched, or the arm sends no
+            torques.
+    """
+    if count < 0 or not contact_N > 0.0:
+        raise CommandError(
+            f"--count {count}, --contact {contact_N:g}: expected none or more, and a "
+            "positive force"
+        )
+    require_place(output)
+    names = () if landmarks is None else read_markup(landmarks).names
+    touched = TouchList(names, count)
+    with _open_touching_arm(arm_name, robot, options, landmarks) as (arm, model):
+        say(touched.begin())
+        for touch in _touches(arm, model, options, contact_N):
+            say(touched.add(touch) if touch is not None else touched.remove_last())
+            if touched.is_full:
+                break
+    require_samples(arm_name, arm)
+    file = touched.file()
+    if not file.landmarks and not file.touches_m:
+        raise CommandError(
+            f"nothing was touched: the force never rose by {contact_N:g} N while the "
+            "tip rested for a second",
+            CommandCode.ARM,
+        )
+    write_touches(output, file)
+    say(
+        f"{len(file.landmarks)} of {len(names)} landmarks and {len(file.touches_m)} "
+        f"touches of the skin in {output}"
+    )
+    return 0
+
+
+@contextmanager
+def _open_touching_arm(
+    name: str, robot: RobotOptions, options: ArmOptions, landmarks: Path | None
+) -> Iterator[ConnectedArm]:
+    """Open the arm that a user names, or a simulated one that touches a plan's patient.
+
+    Args:
+        name: The arm as the command line names it; sim:PLAN.json for the latter.
+        robot: Options that describe the robot.
+        options: Motor constants of a UR.
+        landmarks: Points that the simulated arm touches first, if any.
+    """
+    kind, _, plan = name.partition(":")
+    if kind == "sim" and is_plan(plan):
+        with progress_bar("simulating"):
+            simulated = touch_patient(Path(plan), landmarks)
+        yield ConnectedArm(simulated.arm, simulated.robot)
+        return
+    with open_arm(name, robot, options.motor_constants) as connected:
+        yield connected
+
+
+def _touches(
+    arm: Any, model: Robot, options: ArmOptions, contact_N: float
+) -> Iterator[TipTouch | None]:
+    """Yield touches as they come, None where the last one is undone."""
+    sensor = VirtualForceSensor(model)
+    detector = TouchDetector(contact_N)
+    data = model.create_data()
+    next_key_s = 0.0
+    time_s = 0.0
+    for sample in samples_until_stopped(arm, options, is_paced=False):
+        if sample.tau_Nm is None:
+            raise CommandError(NO_TORQUES, CommandCode.ARM)
+        wrench = sensor.update(
+            sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
+        )
+        pin.framesForwardKinematics(model.model, data, np.asarray(sample.q_rad))
+        tip_m = data.oMf[model.tool_frame_id].translation.copy()
+        touch = detector.update(sample.dt_s, tip_m, wrench.force)
+        if touch is not None:
+            yield touch
+        time_s += sample.dt_s
+        if time_s < next_key_s:
+            continue
+        next_key_s = time_s + KEY_s
+        key = _read_key()
+        if key == "q":
+            return
+        if key == "u":
+            yield None
+        elif key is not None and (touch := detector.take_now()) is not None:
+            yield touch
+
+
+def _read_key() -> str | None:
+    """Return the line that was typed, without its end; None for none."""
+    if sys.stdin is None or not sys.stdin.isatty():
+        return None
+    if not select.select([sys.stdin], [], [], 0.0)[0]:
+        return None
+    return sys.stdin.readline().strip().lower()

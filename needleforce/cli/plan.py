@@ -1,0 +1,98 @@
+"""The command `needleforce plan`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Group, Parameter
+
+from needleforce.cli.application import LIVE_OUTPUT, app
+
+PATIENT = Group("Patient", sort_key=1)
+LIMITS = Group("Limits of the path", sort_key=3)
+
+
+@Parameter(name="*", group=PATIENT)
+@dataclass(frozen=True, kw_only=True)
+class CaseOptions:
+    """The patient, and where the needle shall go.
+
+    Attributes:
+        ct: CT: folder with one DICOM series, .nii.gz or .nrrd.
+        labels: Segmentation of that CT: .nii.gz, .nrrd, .seg.nrrd, DICOM SEG, or the
+            folder of masks that TotalSegmentator writes.
+        target: Name of a structure, whose innermost point is the target; or points or a
+            line of 3D Slicer (.mrk.json): the first point is the target, a line is the
+            path.
+        structures: JSON file with the names of labels ({"5": "liver"}), where the
+            segmentation has none.
+        situs_inversus: Liver and spleen of this patient are exchanged.
+    """
+
+    ct: Annotated[Path, Parameter(metavar="DIR|FILE")]
+    labels: Annotated[Path, Parameter(metavar="FILE")]
+    target: Annotated[str, Parameter(metavar="STRUCTURE|FILE")]
+    structures: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    situs_inversus: Annotated[bool, Parameter(negative="")] = False
+
+
+@Parameter(name="*", group=LIMITS)
+@dataclass(frozen=True, kw_only=True)
+class LimitOptions:
+    """What a path may be.
+
+    Attributes:
+        avoid: Structures that must stay clear of the path (default: bone, cartilage,
+            lungs, vessels, bowel and others at risk, by their names).
+        margin: Distance in millimetres that stays free around the needle (default: 5).
+        max_length: Longest path in millimetres (default: 120).
+        cone: Largest angle in degrees between the path and the skin's normal (default:
+            35).
+        choose: Number of the path, in the table, that becomes the plan (default: 1).
+    """
+
+    avoid: Annotated[
+        tuple[str, ...], Parameter(metavar="STRUCTURE", consume_multiple=True)
+    ] = ()
+    margin: Annotated[float, Parameter(metavar="MM")] = 5.0
+    max_length: Annotated[float, Parameter(metavar="MM")] = 120.0
+    cone: Annotated[float, Parameter(metavar="DEG")] = 35.0
+    choose: Annotated[int, Parameter(metavar="N")] = 1
+
+
+@app.command(name="plan")
+def plan_command(
+    *,
+    case: CaseOptions,
+    limits: LimitOptions = LimitOptions(),
+    output: Annotated[
+        Path,
+        Parameter(
+            name=("--output", "-o"),
+            metavar="DIR",
+            group=LIVE_OUTPUT,
+            help="Folder for plan.json, path.mrk.json for 3D Slicer and a page "
+            "(default: plan).",
+        ),
+    ] = Path("plan"),
+) -> int:
+    """Find straight paths from the skin to a target in a CT, ranked.
+
+    The table has length, angle to the skin, clearance of structures at risk, and the
+    layers crossed. Not a medical device.
+
+    needleforce plan --ct ct/ --labels segmentation.nii.gz --target lesion -o plan
+    """
+    from needleforce.cli.patient.case_files import CaseFiles
+    from needleforce.cli.patient.plan_run import PathWish, plan_paths
+
+    files = CaseFiles(case.ct, case.labels, case.structures, case.situs_inversus)
+    wish = PathWish(
+        target=case.target,
+        avoid=limits.avoid,
+        margin_mm=limits.margin,
+        max_length_mm=limits.max_length,
+        cone_deg=limits.cone,
+        number=limits.choose,
+    )
+    return plan_paths(files, wish, output)

@@ -1,0 +1,80 @@
+"""The command `needleforce register`."""
+
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Annotated
+
+from cyclopts import Group, Parameter
+
+from needleforce.cli.application import LIVE_OUTPUT, LOG, app
+
+REGISTRATION = Group("Registration", sort_key=2)
+
+
+@Parameter(name="*", group=REGISTRATION)
+@dataclass(frozen=True, kw_only=True)
+class RegisterOptions:
+    """What the registration rests on.
+
+    Attributes:
+        landmarks: Points of the CT (.mrk.json), with the names of those touched.
+        touches: What `needleforce touch` recorded.
+        landmark_std: Standard deviation of a landmark along each axis in millimetres,
+            localisation in the CT included (default: 1.5).
+        touch_std: Standard deviation of a touch of the skin, likewise (default: 0.5).
+        motion: Standard deviation of what organs move against the skin, in millimetres
+            (default: 3).
+        landmarks_only: Leave the touches of the skin out.
+    """
+
+    landmarks: Annotated[Path, Parameter(metavar="FILE")]
+    touches: Annotated[Path, Parameter(metavar="FILE")]
+    landmark_std: Annotated[float, Parameter(metavar="MM")] = 1.5
+    touch_std: Annotated[float, Parameter(metavar="MM")] = 0.5
+    motion: Annotated[float, Parameter(metavar="MM")] = 3.0
+    landmarks_only: Annotated[bool, Parameter(negative="")] = False
+
+
+@app.command(name="register")
+def register_command(
+    *,
+    plan: Annotated[
+        Path,
+        Parameter(
+            metavar="FILE", group=LOG, help="Plan that `needleforce plan` wrote."
+        ),
+    ],
+    output: Annotated[
+        Path,
+        Parameter(
+            name=("--output", "-o"),
+            metavar="FILE",
+            group=LIVE_OUTPUT,
+            help="The plan with its registration; the same file is replaced.",
+        ),
+    ],
+    options: RegisterOptions,
+    report: Annotated[
+        Path | None,
+        Parameter(metavar="DIR", group=LIVE_OUTPUT, help="Folder for a page."),
+    ] = None,
+) -> int:
+    """Find where the patient of a plan lies in the robot's base.
+
+    By landmarks first, then by touches of the skin. What does not fit is refused, with
+    the reason. Not a medical device.
+
+    needleforce register --plan plan/plan.json --landmarks landmarks.mrk.json --touches
+    touches.json -o plan/plan.json
+    """
+    from needleforce.cli.patient.register_run import Evidence, register_plan
+
+    evidence = Evidence(
+        landmarks=options.landmarks,
+        touches=options.touches,
+        landmark_std_mm=options.landmark_std,
+        touch_std_mm=options.touch_std,
+        motion_mm=options.motion,
+        landmarks_only=options.landmarks_only,
+    )
+    return register_plan(plan, evidence, output, report)

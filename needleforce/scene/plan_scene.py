@@ -1,0 +1,52 @@
+"""A plan without an arm as one 3-D page."""
+
+import sys
+from contextlib import redirect_stdout
+from pathlib import Path
+
+import numpy as np
+
+from needleforce.files import whole_file
+from needleforce.scene import nodes
+
+CAMERA_DISTANCE_M = 0.45
+"""From the target, behind the entry and a little to the head."""
+
+ANY_PORT = 0
+"""The system chooses a free one."""
+
+
+def export_plan(plan: nodes.PlanScene, path: Path) -> Path:
+    """Write structures and path of a plan as one page that needs nothing else.
+
+    Args:
+        plan: Anatomy and plan, with entry and target.
+        path: The page.
+
+    Returns:
+        Its path.
+    """
+    import viser
+
+    with redirect_stdout(sys.stderr):
+        server = viser.ViserServer(
+            host="127.0.0.1", port=ANY_PORT, label="needleforce plan", verbose=False
+        )
+    try:
+        server.scene.set_up_direction("+z")
+        nodes.add_anatomy(server, plan)
+        if plan.entry_m is not None and plan.target_m is not None:
+            entry_m = plan.to_robot(plan.entry_m)
+            target_m = plan.to_robot(plan.target_m)
+            outward = (entry_m - target_m) / np.linalg.norm(entry_m - target_m)
+            camera = server.initial_camera
+            camera.look_at = tuple(target_m)
+            camera.position = tuple(
+                target_m + CAMERA_DISTANCE_M * outward + np.array([0.0, 0.0, 0.15])
+            )
+        page = server.get_scene_serializer().as_html()
+    finally:
+        server.stop()
+    with whole_file(path) as file:
+        file.write(page.encode())
+    return path

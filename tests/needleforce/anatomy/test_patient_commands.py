@@ -1,0 +1,96 @@
+"""From a CT to a registered plan, by commands alone."""
+
+import json
+import re
+import shlex
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from needleforce.anatomy.markups import read_markup
+from needleforce.cli import main
+from needleforce.cli.plan_file import read_plan
+
+SCRIPT = Path(__file__).parents[3] / "examples" / "ct_to_insertion.sh"
+
+
+def commands():
+    """The commands of the example, but for the last, which runs for a minute."""
+    lines = SCRIPT.read_text(encoding="utf-8").splitlines()
+    return [shlex.split(line)[1:] for line in lines if line.startswith("needleforce")]
+
+
+@pytest.fixture(scope="module")
+def folder(tmp_path_factory):
+    """Where the example was run, up to the insertion."""
+    pytest.importorskip("SimpleITK")
+    pytest.importorskip("matplotlib")
+    place = tmp_path_factory.mktemp("patient")
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(place)
+        patch.setattr("needleforce.cli.patient.plan_page.find_spec", lambda name: None)
+        for arguments in commands()[:-1]:
+            assert main(arguments) == 0
+    return place
+
+
+def test_the_example_is_twelve_lines_of_shell():
+    assert len(commands()) == 5
+    assert len(SCRIPT.read_text(encoding="utf-8").splitlines()) <= 12
+
+
+def test_the_registered_plan_lies_where_the_patient_is(folder):
+    plan = read_plan(folder / "plan" / "plan.json")
+    markup = read_markup(folder / "patient" / "landmarks.mrk.json")
+    touched = json.loads((folder / "touches.json").read_bytes())
+    places_m = [landmark["place_m"] for landmark in touched["landmarks"]]
+    error_m = plan.scene.to_robot(markup.points_m) - places_m
+
+    assert len(touched["touches_m"]) == 40
+    assert np.linalg.norm(error_m, axis=1).max() < 3e-3
+    assert plan.scene.layers[-1].name == "lesion"
+    # The simulated needle points straight down at the planned entry.
+    axis = plan.scene.to_robot(plan.scene.target_m) - plan.entry_in_base_m
+    assert axis[2] / np.linalg.norm(axis) < -0.999
+
+
+def test_the_path_for_slicer_is_the_planned_one(folder):
+    fields = json.loads((folder / "plan" / "plan.json").read_bytes())
+    line = read_markup(folder / "plan" / "path.mrk.json")
+
+    assert line.is_line
+    assert np.allclose(
+        line.points_m, [fields["entry_m"], fields["target_m"]], atol=1e-6
+    )
+
+
+def test_the_page_shows_slices_and_all_paths(folder):
+    page = (folder / "plan" / "index.html").read_text(encoding="utf-8")
+
+    assert page.count("data:image/png") == 2
+    assert "not a medical device" in page
+    assert re.search(r"clearance of vessel \[mm\]", page)
+
+
+def test_a_plan_that_is_not_registered_is_refused(folder, capsys, tmp_path):
+    fields = json.loads((folder / "plan" / "plan.json").read_bytes())
+    del fields["rotation"]
+    (tmp_path / "plan.json").write_text(json.dumps(fields), encoding="utf-8")
+
+    assert main(["live", "sim:gel-25-constant", "--plan", str(tmp_path)]) == 2
+    assert "needleforce register" in capsys.readouterr().err
+
+
+def test_landmarks_that_are_not_in_the_ct_are_named(folder, capsys, tmp_path):
+    touched = json.loads((folder / "touches.json").read_bytes())
+    touched["landmarks"][0]["name"] = "elbow"
+    path = tmp_path / "touches.json"
+    path.write_text(json.dumps(touched), encoding="utf-8")
+    landmarks = folder / "patient" / "landmarks.mrk.json"
+    plan = folder / "plan" / "plan.json"
+    arguments = f"register --plan {plan} --landmarks {landmarks} --touches {path}"
+
+    assert main([*shlex.split(arguments), "-o", str(tmp_path / "plan.json")]) == 2
+    assert "elbow" in capsys.readouterr().err
+    assert not (tmp_path / "plan.json").exists()
