@@ -76,19 +76,26 @@ class MultilayerConfig:
 
     Attributes:
         alarm_probability: Of one more rupture, at which an alarm is raised.
+        provisional_probability: The same for a provisional alarm, at most as large.
         check: Limits of a plausible sample.
     """
 
     alarm_probability: float = 0.98
+    provisional_probability: float = 0.9
     check: CheckConfig = field(default_factory=CheckConfig)
 
     def __post_init__(self) -> None:
-        """Raise `InvalidConfigError` unless the probability lies between 0.5 and 1."""
+        """Raise `InvalidConfigError` unless 0.5 <= provisional <= alarm < 1."""
         _check_values(self)
         if not 0.5 <= self.alarm_probability < 1.0:
             raise InvalidConfigError(
                 "alarm_probability must be from 0.5 to below 1, got "
                 f"{self.alarm_probability!r}"
+            )
+        if not 0.5 <= self.provisional_probability <= self.alarm_probability:
+            raise InvalidConfigError(
+                "provisional_probability must be from 0.5 to alarm_probability, got "
+                f"{self.provisional_probability!r}"
             )
 
 

@@ -178,6 +178,13 @@ class Estimate(NamedTuple):
             provisionally or finally (see `LayerEstimate.is_final`), or None.
         retracted: The rupture, raised before, that this sample showed to be a false
             alarm (the force came back; its layer goes on and is not listed), or None.
+        provisional: The provisional alarm raised by this sample, or None. `rupture` in
+            a later sample confirms it, `provisional_retracted` retracts it. Of a
+            rupture that is certain at once there is none; nor in `published`.
+        provisional_retracted: The provisional alarm that this sample made improbable,
+            or None.
+        rupture_probability: Probability, now, of one rupture more than the alarms have
+            reported; None in `published`.
     """
 
     time_s: float
@@ -203,11 +210,16 @@ class Estimate(NamedTuple):
     rupture: Rupture | None
     identified_layer: LayerEstimate | None
     retracted: Rupture | None = None
+    provisional: Rupture | None = None
+    provisional_retracted: Rupture | None = None
+    rupture_probability: float | None = None
 
     @property
     def has_events(self) -> bool:
-        """Whether this sample raised or retracted a rupture, or identified a layer."""
-        return not (self.rupture is self.identified_layer is self.retracted is None)
+        """Whether this sample raised or retracted an alarm, or identified a layer."""
+        is_settled = self.rupture is self.identified_layer is self.retracted is None
+        is_provisional = not self.provisional is self.provisional_retracted is None
+        return not is_settled or is_provisional
 
     def without_events(self) -> "Estimate":
         """Return the same estimate, its events over."""
@@ -215,17 +227,21 @@ class Estimate(NamedTuple):
 
 
 class Events(NamedTuple):
-    """What happened at a sample, if anything: the last fields of an `Estimate`.
+    """What happened at a sample, if anything: fields of an `Estimate`.
 
     Attributes:
         rupture: The rupture raised.
         identified_layer: The layer whose friction was identified.
         retracted: The rupture that proved to be a false alarm.
+        provisional: The provisional alarm raised.
+        provisional_retracted: The provisional alarm that has become improbable.
     """
 
     rupture: Rupture | None = None
     identified_layer: LayerEstimate | None = None
     retracted: Rupture | None = None
+    provisional: Rupture | None = None
+    provisional_retracted: Rupture | None = None
 
 
 NO_EVENTS = Events()
@@ -262,6 +278,7 @@ def make_estimate(
     rupture_state: RuptureState,
     outputs: Outputs,
     events: Events,
+    rupture_probability: float | None = None,
 ) -> Estimate:
     """Put an estimate together: the one place where its fields get their values."""
     (
@@ -308,6 +325,9 @@ def make_estimate(
         events.rupture,
         events.identified_layer,
         events.retracted,
+        events.provisional,
+        events.provisional_retracted,
+        rupture_probability,
     )
 
 

@@ -165,6 +165,7 @@ class Identifier:
             self._method.rupture_state,
             self._method.report(),
             self._method.events,
+            self._method.rupture_probability,
         )
 
     def update(
@@ -301,7 +302,12 @@ class Identifier:
         if events is not NO_EVENTS:
             events = move_events(events, self._removed_m)
         self._last = make_estimate(
-            sample.time_s, status, method.rupture_state, outputs, events
+            sample.time_s,
+            status,
+            method.rupture_state,
+            outputs,
+            events,
+            method.rupture_probability,
         )
         return self._last
 
@@ -391,4 +397,6 @@ def move_events(events: Events, by_m: float) -> Events:
         rupture=move_rupture(events.rupture, by_m),
         identified_layer=None if layer is None else move_layer(layer, by_m),
         retracted=move_rupture(events.retracted, by_m),
+        provisional=move_rupture(events.provisional, by_m),
+        provisional_retracted=move_rupture(events.provisional_retracted, by_m),
     )

@@ -158,6 +158,9 @@ UNSETTLED_FRACTION = 0.3
 RETRACTING_PROBABILITY = 0.9
 """Probability of fewer ruptures at which an alarm is retracted."""
 
+UNLIKELY_PROBABILITY = 0.5
+"""Probability of one more rupture below which a provisional alarm is retracted."""
+
 EXPECTING_PROBABILITY = 0.5
 """Probability of one more rupture at which it is expected."""
 
@@ -237,6 +240,8 @@ class MultilayerState(NamedTuple):
         force_std_in_air_N: Of the force's slow error before the contact.
         ruptures: In the components that the last report followed.
         alarm: The last one raised and not retracted.
+        provisional: The provisional alarm that is neither confirmed nor retracted.
+        rupture_probability: Of one rupture more than were reported.
         layers: Those traversed.
         rupture_state: What is reported.
     """
@@ -258,6 +263,8 @@ class MultilayerState(NamedTuple):
     force_std_in_air_N: float = 0.0
     ruptures: int = 0
     alarm: Rupture | None = None
+    provisional: Rupture | None = None
+    rupture_probability: float = 0.0
     layers: tuple[LayerEstimate, ...] = ()
     rupture_state: RuptureState = RuptureState.NO_RUPTURE
 
@@ -290,7 +297,12 @@ class Likeliest(NamedTuple):
 
 
 class MultilayerMethod:
-    """The multi-layer method, sample by sample."""
+    """The multi-layer method, sample by sample.
+
+    Attributes:
+        layers: Those traversed.
+        rupture_probability: Of one rupture more than the alarms have reported, now.
+    """
 
     def __init__(self, config: MultilayerConfig) -> None:
         self._config = config
@@ -318,6 +330,8 @@ class MultilayerMethod:
             force_std_in_air_N=self._force_std_in_air_N,
             ruptures=self._ruptures,
             alarm=self._alarm,
+            provisional=self._provisional,
+            rupture_probability=self.rupture_probability,
             layers=self.layers,
             rupture_state=self._rupture_state,
         )
@@ -363,6 +377,8 @@ class MultilayerMethod:
         self._rupture_state = state.rupture_state
         self._ruptures = state.ruptures
         self._alarm = state.alarm
+        self._provisional = state.provisional
+        self.rupture_probability = state.rupture_probability
         self._keep_layers(state.layers)
 
     def _read_contact(self) -> None:
@@ -803,6 +819,7 @@ class MultilayerMethod:
         alarm = self._alarm
         evidence = weigh_evidence(self._memory.mixture, alarm, self._ruptures)
         count = count_ruptures(evidence, self._ruptures, self._block)
+        self.rupture_probability = min(count.more, 1.0)
         if self._is_layer_open:
             self._rupture_state = RuptureState.FORCE_DROP_MEASURING
         elif count.more > EXPECTING_PROBABILITY:
@@ -818,6 +835,7 @@ class MultilayerMethod:
             self._retract(alarm, count)
         elif alarm is not None and self._events.rupture is None:
             self._is_layer_due = self._is_layer_due or self._is_layer_report_due(alarm)
+        self._update_provisional(evidence, sample, count)
         rupture = self._alarm
         if rupture is None and self.layers:
             rupture = self.layers[-1].rupture
@@ -874,12 +892,42 @@ class MultilayerMethod:
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
         )
         self._ruptures = int(evidence.ruptures[count.likeliest_with_more])
+        self._provisional = None
         self._rupture_state = RuptureState.DETECTED
         self._events = Events(self._alarm, identified_layer)
         # Every beat may raise an alarm until it is known: then the window has to grow
         # across them.
         if not self._is_series or self._tissue.is_known:
             self._tissue = self._tissue.restarted(sample.clock_s)
+
+    def _update_provisional(
+        self, evidence: Evidence, sample: Sample, count: RuptureCount
+    ) -> None:
+        """Raise a provisional alarm, or retract the one raised.
+
+        Unlike an alarm it does not wait until the speed shows whether the needle
+        brakes.
+        """
+        if self._provisional is not None:
+            if count.more < UNLIKELY_PROBABILITY:
+                retracted = replace(self._provisional, probability=count.more)
+                self._events = self._events._replace(provisional_retracted=retracted)
+                self._provisional = None
+            return
+        component = count.likeliest_with_more
+        if count.more <= self._config.provisional_probability:
+            return
+        history = evidence.mixture.history
+        if not self._is_settled(float(read_column(history, "rupture_mm")[component])):
+            return
+        self._provisional = report_rupture(
+            evidence,
+            component,
+            layers_traversed(self.layers) + self._is_layer_open + 1,
+            count.more,
+            Alarm(sample.time_s, sample.clock_s, sample.depth_m),
+        )
+        self._events = self._events._replace(provisional=self._provisional)
 
     def _retract(self, alarm: Rupture, count: RuptureCount) -> None:
         """Retract an alarm: the force has come back, and no rupture was there."""

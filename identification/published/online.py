@@ -437,6 +437,7 @@ class PublishedMethod:
                 min_speed_m_s=config.least_speed_m_s,
             )
         )
+        self.rupture_probability = None  # the method states none
         self._variances = InitialVariances(
             stiffness=float(config.var_stiffness), friction=float(config.var_friction)
         )

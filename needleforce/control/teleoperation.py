@@ -265,13 +265,17 @@ class Teleoperation:
     def _smooth_force(self, estimate: "SessionEstimate", dt_s: float) -> float:
         """Return the force to be felt, less its noise; the raw one as it is.
 
+        After an alarm, confirmed or provisional, the force is smoothed less: a rupture
+        is felt at once, and one that is retracted costs some noise.
+
         With travel the shown force grows by the stiffness identified: a force that
         grows is not late. A needle that is drawn back touches nothing.
         """
         known_N = shown_force(estimate, self._shown)
         if self._shown == "raw":
             return known_N
-        if estimate.identification.rupture is not None:
+        alarms = estimate.identification
+        if alarms.rupture is not None or alarms.provisional is not None:
             self._rupture_left_s = RUPTURE_SHOWN_s
         else:
             self._rupture_left_s = max(self._rupture_left_s - dt_s, 0.0)

@@ -329,12 +329,16 @@ def test_what_is_no_number_is_refused(kind, name):
 
 
 def test_an_estimate_holds_outputs_under_their_names():
-    names = [name for name in Estimate._fields if name not in Events._fields][3:]
+    others = (*Events._fields, "rupture_probability")
+    names = [name for name in Estimate._fields if name not in others][3:]
     outputs = tuple(range(len(names)))
-    estimate = make_estimate(0.5, SampleStatus.OK, "state", outputs, Events("r", "l"))
+    events = Events("r", "l", provisional="p")
+    estimate = make_estimate(0.5, SampleStatus.OK, "state", outputs, events, 0.25)
     values = estimate._asdict()
 
     assert [values[name] for name in names] == list(outputs)
     assert (estimate.time_s, estimate.rupture_state) == (0.5, "state")
     assert (estimate.rupture, estimate.identified_layer) == ("r", "l")
     assert estimate.retracted is None
+    assert estimate.provisional == "p"
+    assert estimate.rupture_probability == 0.25

@@ -143,6 +143,39 @@ def assert_both_found(identifier, estimates, *, within=0.2):
         assert error_N < 3.0 * layer.friction_std_N + 0.03 * friction_N
 
 
+def test_a_provisional_alarm_comes_before_the_one_that_confirms_it():
+    _, estimates = run(straight())
+
+    provisional = values_of(estimates, "provisional")
+    assert provisional
+    for early in provisional:
+        assert early.probability > MULTILAYER.provisional_probability
+        confirmed = [
+            rupture
+            for rupture in values_of(estimates, "rupture")
+            if rupture.layer == early.layer
+        ]
+        assert 0.0 < confirmed[0].alarm_s - early.alarm_s < 0.1
+
+
+def test_a_provisional_alarm_is_confirmed_or_retracted_but_not_both():
+    config = MultilayerConfig(provisional_probability=0.5)
+    _, estimates = run(straight(seed=1), Identifier(config))
+
+    is_open = False
+    for estimate in estimates:
+        if estimate.provisional is not None:
+            assert not is_open
+            is_open = True
+        if estimate.provisional_retracted is not None:
+            assert is_open
+            assert estimate.rupture is None
+            is_open = False
+        if estimate.rupture is not None:
+            is_open = False
+    assert not is_open
+
+
 def test_two_layers_and_their_friction_are_found():
     identifier, estimates = run(straight())
 
@@ -400,3 +433,8 @@ def test_stiffness_of_a_membrane_met_in_air_is_reported(stiffness_N_per_m, seed)
     error = layer.stiffness_N_per_m - stiffness_N_per_m
     assert 0.0 < layer.stiffness_std_N_per_m < 0.1 * stiffness_N_per_m
     assert abs(error) < 3.0 * layer.stiffness_std_N_per_m
+
+
+def test_a_provisional_alarm_cannot_ask_for_more_than_an_alarm():
+    with pytest.raises(InvalidConfigError, match="provisional_probability"):
+        MultilayerConfig(alarm_probability=0.9, provisional_probability=0.95)

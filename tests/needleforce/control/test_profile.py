@@ -23,12 +23,22 @@ TARGETS = {"approach": State.APPROACH, "tare": State.TARE, "insert": State.INSER
 
 
 def identified(
-    in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None, alarm_m=1.0
+    in_contact=True,
+    state=RuptureState.NO_RUPTURE,
+    alarm_N=None,
+    alarm_m=1.0,
+    provisional_N=None,
 ):
-    rupture = (
-        None if alarm_N is None else SimpleNamespace(force_N=alarm_N, depth_m=alarm_m)
+    rupture, provisional = (
+        None if force_N is None else SimpleNamespace(force_N=force_N, depth_m=alarm_m)
+        for force_N in (alarm_N, provisional_N)
     )
-    return SimpleNamespace(in_contact=in_contact, rupture_state=state, rupture=rupture)
+    return SimpleNamespace(
+        in_contact=in_contact,
+        rupture_state=state,
+        rupture=rupture,
+        provisional=provisional,
+    )
 
 
 def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
@@ -81,6 +91,22 @@ def test_a_rupture_falls_twice_as_far_as_ordinary(times, count):
         ruptures.update(identified(state=state), force_N, 5e-6 * k, DT, is_steady=True)
 
     assert ruptures.count == count
+
+
+@pytest.mark.parametrize(("uses_provisional", "count"), [(False, 0), (True, 1)])
+def test_provisional_alarms_count_where_the_caller_asks(uses_provisional, count):
+    """Without them only the confirmed alarm of a needle that may brake counts."""
+    ruptures = RuptureCounter(uses_provisional=uses_provisional)
+    for k in range(3031):
+        force_N = 2.0 * min(k / 3000.0, 1.0) - max(k - 3000, 0) / 30.0
+        identification = identified(provisional_N=2.0 if k == 3020 else None)
+        ruptures.update(identification, force_N, 5e-6 * k, DT, is_steady=False)
+    assert ruptures.count == count
+
+    ruptures.update(
+        identified(alarm_N=2.0, alarm_m=0.015), 1.0, 0.0152, DT, is_steady=False
+    )
+    assert ruptures.count == 1
 
 
 def test_a_late_alarm_is_no_second_rupture():
