@@ -13,6 +13,7 @@ from foundation.errors import StateCode
 from foundation.jit import compile_waiting
 from residual.bias.estimator import BiasEstimator
 from residual.bias.model import Tare
+from residual.bias.separation import JointSeparation
 from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.checks.input import SampleClock, long_step_message
 from residual.checks.monitor import ConsistencyMonitor, MonitorState
@@ -118,6 +119,14 @@ class VirtualForceSensor:
     def taring(self) -> bool:
         """Whether a tare is being fitted, see `start_tare`."""
         return self._offset.memory.request is not None
+
+    @property
+    def tare_separation(self) -> tuple[JointSeparation, ...]:
+        """How well the tare told hysteresis from friction at every joint.
+
+        Empty before a tare, and for a tare of the kind ``constant``.
+        """
+        return self._offset.separation
 
     @property
     def velocity_rad_s(self) -> Array:

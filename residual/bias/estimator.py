@@ -13,6 +13,7 @@ from foundation.steps import Steps, finish
 from residual.bias.fit import FreeMotionFit
 from residual.bias.joint_states import joint_states_step
 from residual.bias.model import BiasModel, Tare, TareBlocks
+from residual.bias.separation import JointSeparation, separate_causes
 from residual.bias.tare_check import check_free_of_contact
 from residual.bias.tare_request import FittedTare, TareRequest
 from residual.bias.torque_diagnosis import TorqueDiagnosis
@@ -352,6 +353,13 @@ class BiasEstimator:
         recorder.add(memory.q, memory.states, residual, memory.now_s, dt_s)
         if recorder.age_s >= self.block_s - ROUNDING_S:
             recorder.close_block()
+
+    @property
+    def separation(self) -> tuple[JointSeparation, ...]:
+        """How well the tare told hysteresis from friction; empty before one."""
+        if not self.memory.tared:
+            return ()
+        return separate_causes(self._basis, self.memory.tare, self._robot.joint_names)
 
     @property
     def is_covariance_due(self) -> bool:

@@ -1,6 +1,6 @@
 """`needleforce check`: what a log and its tare verify, line by line."""
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from enum import StrEnum
 from typing import NamedTuple
 
@@ -29,6 +29,7 @@ from needleforce.cli.shared_options import (
 from needleforce.cli.terminal import stop_request, write_out
 from needleforce.recordings.log_stream import LogChunk
 from residual import TareError
+from residual.bias.separation import JointSeparation, advise_motion
 from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.errors import SensorCode, named_joints
 
@@ -335,6 +336,7 @@ def _torque_lines(
     else:
         text = f"{replay.tare} of the log: no contact is seen"
         yield CheckLine("tare", Outcome.VERIFIED, text)
+        yield from _separation_lines(replay.sensor.tare_separation)
     topics = ("order and signs", "scale", "payload")
     if diagnosis is None:
         reason = "no tare that checks the torques"
@@ -357,6 +359,24 @@ def _torque_lines(
     )
     yield CheckLine("scale", outcome, text)
     yield _payload_line(diagnosis, refusal)
+
+
+def _separation_lines(
+    separations: Sequence[JointSeparation],
+) -> Iterator[CheckLine]:
+    """Yield what the tare told of hysteresis and friction; of a plain offset none."""
+    if not separations:
+        return
+    advice = advise_motion(separations)
+    if advice:
+        yield CheckLine("hysteresis", Outcome.UNCHECKED, advice)
+        return
+    worst = max(separations, key=lambda item: item.hysteresis_std_Nm)
+    text = (
+        "told from friction at every joint; the least certain is "
+        f"{worst.joint}, to {worst.hysteresis_std_Nm:.2g} Nm"
+    )
+    yield CheckLine("hysteresis", Outcome.VERIFIED, text)
 
 
 def _sign_line(diagnosis: TorqueDiagnosis) -> CheckLine:
