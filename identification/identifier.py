@@ -52,6 +52,11 @@ class Method(Protocol):
         ...
 
     @property
+    def rupture_probability(self) -> float | None:
+        """Probability of one more rupture than was reported; None if it has none."""
+        ...
+
+    @property
     def events(self) -> Events:
         """What happened at the last sample."""
         ...

@@ -7,7 +7,7 @@ cover more of the right ones elsewhere.
 
 from collections.abc import Iterator, Sequence
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,10 +15,7 @@ from numpy.typing import NDArray
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.structures import Structure, words_of
-from needleforce.anatomy.volume import Volume
-
-if TYPE_CHECKING:
-    from needleforce.anatomy.labels import Labels
+from needleforce.anatomy.volume import Grid, Volume
 
 MAX_SHIFT_VOXELS = 0.1
 """Grids of one size that differ by more lie beside each other."""
@@ -49,6 +46,24 @@ BETTER_FIT = 0.05
 Right ones lose a tenth and more when they are moved by 10 mm."""
 
 MM_PER_M = 1e3
+
+
+class Segmentation(Protocol):
+    """What the check reads of labels."""
+
+    @property
+    def grid(self) -> Grid:
+        """Where the voxels lie."""
+        ...
+
+    @property
+    def structures(self) -> tuple[Structure, ...]:
+        """Structures with voxels."""
+        ...
+
+    def mask(self, name: str) -> NDArray[np.bool_]:
+        """Return which voxels in a structure's box belong to it, (i, j, k)."""
+        ...
 
 
 class _Kind(NamedTuple):
@@ -132,7 +147,7 @@ class _Cover(NamedTuple):
         return float(shifted_fraction - self.are_right(now_HU).mean())
 
 
-def check_against_scan(labels: "Labels", scan: Volume) -> str:
+def check_against_scan(labels: Segmentation, scan: Volume) -> str:
     """Refuse labels that do not lie where their scan shows what they name.
 
     Returns:
@@ -189,7 +204,7 @@ def _require_best_place(covers: Sequence[_Cover], scan: Volume) -> None:
         )
 
 
-def _find_covers(labels: "Labels") -> Iterator[_Cover]:
+def _find_covers(labels: Segmentation) -> Iterator[_Cover]:
     """Yield the voxels of each kind that has enough of them."""
     for kind in (BONE, *KINDS):
         structures = [item for item in labels.structures if _kind_of(item) is kind]
@@ -216,7 +231,7 @@ def _kind_of(item: Structure) -> _Kind | None:
     return kinds[0] if kinds else None
 
 
-def _require_place(labels: "Labels", scan: Volume) -> None:
+def _require_place(labels: Segmentation, scan: Volume) -> None:
     """Refuse labels that do not lie where their scan does.
 
     Raises:
