@@ -77,6 +77,9 @@ class OldChannel(NamedTuple):
         in_air_s: Time at which the needle came to it.
         in_air: What was known then, without the channel.
         checked_m: Depth up to which the force has been compared with the friction.
+        force_std_in_air_N: Standard deviation of the force in front of the entry; 0
+            where the needle has not been there. The force in free air is measured
+            there, so that only what the deviation grows by afterwards counts.
         excess_N: Mean force beyond the friction, over the last `EXCESS_TRAVEL_M`.
     """
 
@@ -86,9 +89,12 @@ class OldChannel(NamedTuple):
     in_air_s: float
     in_air: IdentifierSnapshot
     checked_m: float
+    force_std_in_air_N: float = 0.0
     excess_N: float = 0.0
 
-    def compared(self, travel: TipTravel, excess_N: float) -> "OldChannel":
+    def compared(
+        self, travel: TipTravel, excess_N: float, force_std_N: float
+    ) -> "OldChannel":
         """Return the channel with one force more that was compared.
 
         Only an advance within it counts: then friction has one direction, and the tip
@@ -97,17 +103,24 @@ class OldChannel(NamedTuple):
         Args:
             travel: Of the tip, delayed as the force is.
             excess_N: Axial force less the friction of the channel.
+            force_std_N: Standard deviation of the force.
         """
         depth_m = travel.delayed_depth_m
+        if depth_m <= self.begin_m:
+            return self._replace(force_std_in_air_N=force_std_N)
         advance_m = depth_m - self.checked_m
-        if advance_m <= 0.0 or not self.begin_m < depth_m < self.end_m - END_M:
+        if advance_m <= 0.0 or depth_m > self.end_m - END_M:
             return self
         weight = -math.expm1(-advance_m / EXCESS_TRAVEL_M)
         mean_N = self.excess_N + weight * (excess_N - self.excess_N)
         return self._replace(checked_m=depth_m, excess_N=mean_N)
 
     def is_contradicted(
-        self, speed_m_s: float, friction_N: float, force_std_N: float
+        self,
+        speed_m_s: float,
+        friction_N: float,
+        force_std_N: float,
+        noise_std_N: float,
     ) -> bool:
         """Return whether the force is larger than the friction of the channel allows.
 
@@ -115,9 +128,12 @@ class OldChannel(NamedTuple):
             speed_m_s: Speed of the tip.
             friction_N: Friction that the channel predicts.
             force_std_N: Standard deviation of the force.
+            noise_std_N: Standard deviation of its noise, which the wander of a mean is
+                no larger than.
         """
         variance_N2 = (
-            force_std_N**2
+            max(force_std_N**2 - self.force_std_in_air_N**2, 0.0)
+            + noise_std_N**2
             + self.friction.variance_at(speed_m_s)
             + (FRICTION_CHANGE_FRACTION * friction_N) ** 2
         )

@@ -890,11 +890,17 @@ class InsertionSession:
             old: The channel in which the needle goes on.
             wrench: Force of a sample that was used.
         """
-        friction_N = self._identification.predicted_force_N
-        old = old.compared(self._travel, wrench.axial_unsmoothed - friction_N)
+        identification = self._identification
+        friction_N = identification.predicted_force_N
+        excess_N = wrench.axial_unsmoothed - friction_N
+        old = old.compared(self._travel, excess_N, wrench.axial_std)
         self._course.channel = old
-        speed_m_s = self._travel.delayed_speed_m_s
-        if old.is_contradicted(speed_m_s, friction_N, wrench.axial_std):
+        if old.is_contradicted(
+            self._travel.delayed_speed_m_s,
+            friction_N,
+            wrench.axial_std,
+            identification.tip_force_std_N or 0.0,
+        ):
             self._drop_channel(old)
 
     def _drop_channel(self, old: OldChannel) -> None:
@@ -1077,4 +1083,5 @@ def _numbers_of(old: OldChannel | None) -> tuple[float, ...]:
     if old is None:
         return ()
     lengths_m = (old.begin_m, old.end_m, old.checked_m)
-    return (*lengths_m, *old.friction, old.in_air_s, old.excess_N)
+    forces_N = (old.force_std_in_air_N, old.excess_N)
+    return (*lengths_m, *old.friction, *forces_N, old.in_air_s)

@@ -7,7 +7,9 @@ import numpy as np
 import pytest
 
 from groundtruth.materials import gel
+from identification.channel import ChannelFriction
 from needleforce import (
+    Identifier,
     InsertionSession,
     SessionEstimate,
     read_snapshot,
@@ -17,10 +19,11 @@ from needleforce.insertion_course import has_moved_aside
 from needleforce.needle_channels import (
     ChannelState,
     NeedleChannel,
+    OldChannel,
     add_channel,
     find_channel,
 )
-from needleforce.tip_travel import TravelZero, measure_line_offset
+from needleforce.tip_travel import TipTravel, TravelZero, measure_line_offset
 from residual.tool_kinematics import ToolKinematics
 from tests.insertion_run import same
 from tests.needle_trips import DT_S, Trip
@@ -319,6 +322,28 @@ def test_a_resumed_session_knows_its_channels(twice, tmp_path, second_s):
     )
     assert same(resumed.snapshot().channels, whole.snapshot().channels)
     assert len(resumed.snapshot().channels) == 1
+
+
+@pytest.mark.parametrize(
+    ("was_in_air", "excess_N", "is_contradicted"),
+    [(True, 0.3, True), (True, 0.15, False), (False, 0.3, False), (False, 0.7, True)],
+)
+def test_what_is_uncertain_in_air_already_hides_no_rise(
+    was_in_air, excess_N, is_contradicted
+):
+    friction = ChannelFriction(0.0025, 0.0, 0.0, 0.0001)
+    in_air = Identifier().snapshot()
+    depths_m = np.arange(-0.002 if was_in_air else 0.005, 0.015, 1e-5)
+    channel = OldChannel(0.0, 0.03, friction, 0.0, in_air, checked_m=depths_m[0])
+    for depth_m in depths_m:
+        travel = TipTravel(depth_m, SPEED_M_S, depth_m, SPEED_M_S)
+        channel = channel.compared(travel, excess_N, force_std_N=0.2)
+
+    found = channel.is_contradicted(
+        SPEED_M_S, friction_N=0.2, force_std_N=0.205, noise_std_N=0.03
+    )
+
+    assert found == is_contradicted
 
 
 # Geometry alone.
