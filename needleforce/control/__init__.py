@@ -7,12 +7,17 @@
 
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
-Reading order: `ports` (what lies outside), `tasks`, `joint_limits`, `controller` (one
-tick), `priority_solver`, `state_machine`, `monitors`, `manager`, `event_log`,
-`rupture_counter`, `insertion_profile`, `guidance`, `handle_watch`, `passivity`,
-`teleoperation_sides`, `teleoperation`.
+Reading order: `ports` (what lies outside), `tasks`, `arm_limits`, `joint_limits`,
+`controller` (one tick), `priority_solver`, `state_machine`, `monitors`, `manager`,
+`event_log`, `rupture_counter`, `insertion_profile`, `guidance`, `handle_watch`,
+`passivity`, `teleoperation_sides`, `teleoperation`.
 """
 
+from needleforce.control.arm_limits import (
+    ARM_LIMITS as ARM_LIMITS,
+    ArmLimits as ArmLimits,
+    arm_limits as arm_limits,
+)
 from needleforce.control.controller import Controller as Controller
 from needleforce.control.errors import (
     ControlError as ControlError,

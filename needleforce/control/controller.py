@@ -30,6 +30,18 @@ FIRST_STEP_s = 1e-3
 """Time step that a first, invalid sample is braked with: the usual cycle."""
 
 
+FILTER_s = 8e-3
+"""Time constant of the positions under a limit of the jerk: 20 Hz."""
+
+MAX_SURPRISE_rad = 0.01
+"""An arm that is further from where its commands have led it has been moved: its
+positions are used as they are."""
+
+BRAKE_CYCLES = 2.0
+"""A joint whose jerk is limited turns from acceleration to braking in so many
+cycles."""
+
+
 class CommandStatus(StrEnum):
     """How a command came about."""
 
@@ -81,6 +93,8 @@ class Controller:
             )
         self.tool = ToolState(robot)
         self._limits = limits.joints
+        self._rates = limits.rates
+        self._tip_m_s = limits.tip_m_s
         self._limit_rows = np.array(limits.joints)
         self._joints = joints
         self._solve = solve
@@ -104,6 +118,8 @@ class Controller:
             velocity_rad_s = as_vector(dq_rad_s, self._joints, "dq_rad_s")
         max_rad_s = self._limits.speed_rad_s
         self.last_rad_s = np.clip(velocity_rad_s, -max_rad_s, max_rad_s)
+        self._acceleration_rad_s2 = np.zeros(self._joints)
+        self._position_rad: Array | None = None  # low-passed
 
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
         """Return the command for the coming cycle; never raise, always answer.
@@ -124,22 +140,84 @@ class Controller:
             if not math.isfinite(q_rad.dot(q_rad)):
                 return self._brake("positions are not finite")
             self._step_s = min(dt_s, MAX_STEP_s)
-            self.tool.update(q_rad)
+            self.tool.update(self._filter_positions(q_rad, dt_s))
             self._select_stack(stack)
             numbers = self._stack
             numbers.fill(stack, self.tool)
-            write_velocity_bounds(
-                self._limit_rows, q_rad, self.last_rad_s, self._step_s, numbers.bounds
-            )
+            self._write_bounds(q_rad, numbers.bounds)
             if not stack:
                 slowest_rad_s = np.clip(0.0, *numbers.bounds)
                 return self._command(slowest_rad_s, CommandStatus.BRAKING)
             velocity_rad_s, is_limited = self._solve(numbers)
+            velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
         except Exception as error:  # whatever a sample or a stranger's task brings
             return self._brake(f"{type(error).__name__}: {error}")
         return self._command(
             velocity_rad_s, CommandStatus.SATURATED if is_limited else CommandStatus.OK
         )
+
+    def note_sent(self, dq_rad_s: Array) -> None:
+        """Begin from another velocity than the last command: the one really sent.
+
+        Call it where something between controller and arm has changed the command, in
+        the same cycle.
+
+        Raises:
+            SettingError: The velocity is anything but n finite numbers.
+        """
+        sent_rad_s = as_vector(dq_rad_s, self._joints, "dq_rad_s")
+        if self._rates is not None:
+            self._acceleration_rad_s2 = (
+                self._acceleration_rad_s2
+                + (sent_rad_s - self.last_rad_s) / self._rates.cycle_s
+            )
+        self.last_rad_s = sent_rad_s
+
+    def _filter_positions(self, q_rad: Array, dt_s: float) -> Array:
+        """Return positions, low-passed about the commanded motion if jerk is limited.
+
+            q_f <- q_f + T dq_last + (q - q_f - T dq_last) T / (T + tau)
+
+        which lags behind a motion that was not commanded only.
+        """
+        if self._rates is None:
+            return q_rad
+        if self._position_rad is None or dt_s > MAX_STEP_s:
+            self._position_rad = q_rad.copy()
+            return self._position_rad
+        led_rad = self._position_rad + dt_s * self.last_rad_s
+        surprise_rad = q_rad - led_rad
+        if np.abs(surprise_rad).max() > MAX_SURPRISE_rad:
+            self._position_rad = q_rad.copy()
+        else:
+            self._position_rad = led_rad + surprise_rad * dt_s / (FILTER_s + dt_s)
+        return self._position_rad
+
+    def _write_bounds(self, q_rad: Array, bounds: Array) -> None:
+        """Write the bounds of the coming cycle, see `write_velocity_bounds`.
+
+        Where the jerk is limited they count from the last command by the arm's cycle,
+        however many samples were lost since.
+        """
+        rates = self._rates
+        step_s = self._step_s if rates is None else BRAKE_CYCLES * rates.cycle_s
+        write_velocity_bounds(self._limit_rows, q_rad, self.last_rad_s, step_s, bounds)
+        if rates is not None:
+            reach = rates.find_reach(self.last_rad_s, self._acceleration_rad_s2)
+            np.clip(bounds, *reach, out=bounds)
+
+    def _slow_tip(self, velocity_rad_s: Array, bounds: Array) -> Array:
+        """Return a velocity of the joints that keeps the limit of the tip's speed.
+
+        All joints slow down alike, as far as the bounds allow.
+        """
+        if self._tip_m_s is None:
+            return velocity_rad_s
+        tip_m_s = self.tool.jacobian[:3] @ velocity_rad_s
+        speed_m_s = math.sqrt(float(tip_m_s @ tip_m_s))
+        if speed_m_s <= self._tip_m_s:
+            return velocity_rad_s
+        return np.clip(velocity_rad_s * (self._tip_m_s / speed_m_s), *bounds)
 
     def _select_stack(self, tasks: Sequence[Task]) -> None:
         """Select the arrays for tasks of these sizes; make them where they are new.
@@ -158,6 +236,10 @@ class Controller:
 
     def _brake(self, reason: str) -> Command:
         """Brake from the last command at the rate that limits allow."""
+        if self._rates is not None:
+            reach = self._rates.find_reach(self.last_rad_s, self._acceleration_rad_s2)
+            slowest_rad_s = np.clip(0.0, *reach)
+            return self._command(slowest_rad_s, CommandStatus.SKIPPED, reason)
         change = self._limits.acceleration_rad_s2 * self._step_s - SLACK_rad_s
         velocity_rad_s = self.last_rad_s - np.clip(self.last_rad_s, -change, change)
         return self._command(velocity_rad_s, CommandStatus.SKIPPED, reason)
@@ -167,5 +249,8 @@ class Controller:
     ) -> Command:
         """Remember a velocity as the last one, and return it as a command."""
         velocity_rad_s.setflags(write=False)
+        if self._rates is not None:
+            change_rad_s = velocity_rad_s - self.last_rad_s
+            self._acceleration_rad_s2 = change_rad_s / self._rates.cycle_s
         self.last_rad_s = velocity_rad_s
         return Command(velocity_rad_s, status, reason)

@@ -7,6 +7,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Matrix, Vector, WrittenMatrix
 from foundation.jit import compiled
+from needleforce.control.arm_limits import arm_limits
 from needleforce.control.errors import ControlCode, SettingError
 from needleforce.control.setting_checks import require_positive
 from urdf import Robot
@@ -14,6 +15,49 @@ from urdf import Robot
 SLACK_rad_s = 1e-7
 """Speeds and their changes stay this far inside, and a solver may exceed the box by
 as much."""
+
+
+RATE_HEADROOM = 0.98
+"""Fraction of acceleration and jerk that is used: `SLACK_rad_s` is 0.1 rad/s3 at 1 kHz,
+arms round, and their clocks drift."""
+
+
+class RateLimits(NamedTuple):
+    """How fast the commanded velocity may change from cycle to cycle; arrays (n,).
+
+    The acceleration is at most the jerk times a cycle: it can then end within a cycle,
+    so that neither a stop nor a command that is lost, the one before held, exceeds the
+    jerk.
+
+    Attributes:
+        acceleration_rad_s2: Highest acceleration, either way.
+        jerk_rad_s3: Highest jerk, either way.
+        cycle_s: Time between two commands.
+    """
+
+    acceleration_rad_s2: Vector
+    jerk_rad_s3: Vector
+    cycle_s: float
+
+    def find_reach(
+        self, last_rad_s: Vector, last_acceleration_rad_s2: Vector
+    ) -> tuple[Vector, Vector]:
+        """Return the lowest and the highest velocity of the coming cycle, (n,) each.
+
+            dq_last + T clip(a_last -+ j T, -a, a)
+
+        Args:
+            last_rad_s: The velocity sent last.
+            last_acceleration_rad_s2: Its change since the one before, over T.
+        """
+        highest_rad_s2 = self.acceleration_rad_s2
+        change_rad_s2 = self.jerk_rad_s3 * self.cycle_s
+        start_rad_s2 = np.clip(
+            last_acceleration_rad_s2, -highest_rad_s2, highest_rad_s2
+        )
+        lower = np.maximum(start_rad_s2 - change_rad_s2, -highest_rad_s2)
+        upper = np.minimum(start_rad_s2 + change_rad_s2, highest_rad_s2)
+        return last_rad_s + self.cycle_s * lower, last_rad_s + self.cycle_s * upper
 
 
 class JointLimits(NamedTuple):
@@ -41,9 +85,17 @@ class Limits:
         acceleration_rad_s2: One or one per joint. A low one lengthens every stop.
         margin_rad: Kept from the position limits, for what moves the arm besides the
             command.
+        jerk_rad_s3: One or one per joint; None for no limit. With a limit the
+            acceleration is at most the jerk times a cycle, and positions are low-passed
+            at 20 Hz about what was commanded, which keeps their noise out of it.
+        tip_m_s: Highest speed of the tip; None for no limit.
+        cycle_s: Time between two commands, over which a jerk counts.
 
     Attributes:
         joints: The limits of every joint, the margin and `SLACK_rad_s` subtracted.
+        rates: How fast the command may change, `RATE_HEADROOM` subtracted; None without
+            a limit of the jerk.
+        tip_m_s: See above.
 
     Raises:
         SettingError: A limit is missing, not positive, or above the robot's.
@@ -55,8 +107,22 @@ class Limits:
         velocity_rad_s: ArrayLike | None = None,
         acceleration_rad_s2: ArrayLike = 10.0,
         margin_rad: float = 0.02,
+        *,
+        jerk_rad_s3: ArrayLike | None = None,
+        tip_m_s: float | None = None,
+        cycle_s: float = 1e-3,
     ) -> None:
         require_positive({"margin_rad": margin_rad}, or_zero=("margin_rad",))
+        require_positive({"cycle_s": cycle_s})
+        if tip_m_s is not None:
+            require_positive({"tip_m_s": tip_m_s})
+        self.tip_m_s = tip_m_s
+        self.rates: RateLimits | None = None
+        if jerk_rad_s3 is not None:
+            self.rates = _limit_rates(
+                robot.nv, acceleration_rad_s2, jerk_rad_s3, cycle_s
+            )
+            acceleration_rad_s2 = self.rates.acceleration_rad_s2
         limits = _one_per_joint(
             robot.nv,
             robot.position_lower_rad + margin_rad,
@@ -69,6 +135,63 @@ class Limits:
         for values in limits:
             values.setflags(write=False)
         self.joints = limits
+
+    @classmethod
+    def of_arm(
+        cls, robot: Robot, name: str, *, tip_m_s: float | None = None
+    ) -> "Limits":
+        """Return the limits that an arm enforces, see `arm_limits`.
+
+        Args:
+            robot: Its model; a lower speed of its own counts.
+            name: One of `ARM_LIMITS`.
+            tip_m_s: Highest speed of the tip; None for no limit.
+
+        Raises:
+            SettingError: The name is unknown, or the robot has other joints.
+        """
+        preset = arm_limits(name)
+        joint_count = len(preset.speed_rad_s)
+        if joint_count != robot.nv:
+            raise SettingError(
+                f"limits of {joint_count} joints ({name}), the robot has {robot.nv}",
+                ControlCode.LIMITS,
+            )
+        return cls(
+            robot,
+            np.minimum(preset.speed_rad_s, robot.velocity_limit_rad_s),
+            preset.acceleration_rad_s2,
+            jerk_rad_s3=preset.jerk_rad_s3,
+            tip_m_s=tip_m_s,
+            cycle_s=preset.cycle_s,
+        )
+
+
+def _limit_rates(
+    joint_count: int,
+    acceleration_rad_s2: ArrayLike,
+    jerk_rad_s3: ArrayLike,
+    cycle_s: float,
+) -> RateLimits:
+    """Return the limits of acceleration and jerk, see `RateLimits`."""
+    try:
+        acceleration = np.broadcast_to(
+            np.asarray(acceleration_rad_s2, np.float64), joint_count
+        )
+        jerk = np.broadcast_to(np.asarray(jerk_rad_s3, np.float64), joint_count)
+    except (TypeError, ValueError):
+        raise SettingError(
+            f"limits must be one number or {joint_count}, one per joint",
+            ControlCode.LIMITS,
+        ) from None
+    if not (np.isfinite(jerk).all() and (jerk > 0.0).all()):
+        raise SettingError(
+            f"jerk_rad_s3 is {jerk_rad_s3!r}, expected positive numbers",
+            ControlCode.LIMITS,
+        )
+    jerk = RATE_HEADROOM * jerk
+    acceleration = np.minimum(RATE_HEADROOM * acceleration, jerk * cycle_s)
+    return RateLimits(acceleration, jerk, cycle_s)
 
 
 def _one_per_joint(joint_count: int, *limits: ArrayLike) -> JointLimits:

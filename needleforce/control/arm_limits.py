@@ -1,0 +1,99 @@
+"""Limits that arms enforce on commands of joint velocity: presets, with their source.
+
+An arm that is sent more stops itself, a Franka with a reflex. Where a vendor publishes
+no acceleration or jerk the values are ours, and say so.
+"""
+
+from typing import NamedTuple
+
+from needleforce.control.errors import ControlCode, SettingError
+
+
+class ArmLimits(NamedTuple):
+    """What an arm accepts; tuples of one number per joint.
+
+    Attributes:
+        speed_rad_s: Highest speed.
+        acceleration_rad_s2: Highest acceleration.
+        jerk_rad_s3: Highest jerk.
+        cycle_s: Time between two commands.
+        source: Where the numbers come from; ``ours`` for those that no vendor
+            publishes.
+    """
+
+    speed_rad_s: tuple[float, ...]
+    acceleration_rad_s2: tuple[float, ...]
+    jerk_rad_s3: tuple[float, ...]
+    cycle_s: float
+    source: str
+
+
+OUR_ACCELERATION_rad_s2 = 10.0
+"""For arms whose vendor publishes none: that of the FR3."""
+
+OUR_JERK_rad_s3 = 5000.0
+"""For arms whose vendor publishes none: that of the FR3."""
+
+FR3 = ArmLimits(
+    speed_rad_s=(2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26),
+    acceleration_rad_s2=(10.0,) * 7,
+    jerk_rad_s3=(5000.0,) * 7,
+    cycle_s=1e-3,
+    source="libfranka, rate limits of the FR3",
+)
+
+FER = ArmLimits(
+    speed_rad_s=(2.175, 2.175, 2.175, 2.175, 2.61, 2.61, 2.61),
+    acceleration_rad_s2=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
+    jerk_rad_s3=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
+    cycle_s=1e-3,
+    source="libfranka 0.9, rate_limiting.h",
+)
+
+UR5E = ArmLimits(
+    speed_rad_s=(3.14,) * 6,
+    acceleration_rad_s2=(OUR_ACCELERATION_rad_s2,) * 6,
+    jerk_rad_s3=(OUR_JERK_rad_s3,) * 6,
+    cycle_s=2e-3,
+    source="speed: UR5e data sheet, 180 degrees/s; acceleration and jerk: ours",
+)
+
+IIWA14 = ArmLimits(
+    speed_rad_s=(1.48, 1.48, 1.74, 1.30, 2.26, 2.35, 2.35),
+    acceleration_rad_s2=(OUR_ACCELERATION_rad_s2,) * 7,
+    jerk_rad_s3=(OUR_JERK_rad_s3,) * 7,
+    cycle_s=1e-3,
+    source="speed: LBR iiwa 14 R820 data sheet; acceleration and jerk: ours",
+)
+
+LWR4PLUS = ArmLimits(
+    speed_rad_s=(1.91, 1.91, 2.23, 2.23, 3.56, 3.21, 3.21),
+    acceleration_rad_s2=(OUR_ACCELERATION_rad_s2,) * 7,
+    jerk_rad_s3=(OUR_JERK_rad_s3,) * 7,
+    cycle_s=1e-3,
+    source="speed: LWR 4+ data sheet, 110 to 204 degrees/s; acceleration and jerk: "
+    "ours",
+)
+
+ARM_LIMITS = {
+    "fr3": FR3,
+    "fer": FER,
+    "ur5e": UR5E,
+    "iiwa14": IIWA14,
+    "lwr": LWR4PLUS,
+}
+"""The presets by name."""
+
+
+def arm_limits(name: str) -> ArmLimits:
+    """Return the preset of an arm.
+
+    Raises:
+        SettingError: No arm has that name.
+    """
+    if name not in ARM_LIMITS:
+        raise SettingError(
+            f"no limits of an arm {name!r}, expected one of {', '.join(ARM_LIMITS)}",
+            ControlCode.LIMITS,
+        )
+    return ARM_LIMITS[name]
