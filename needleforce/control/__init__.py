@@ -16,7 +16,7 @@ Reading order: `ports` (what lies outside), `tasks`, `arm_limits`, `joint_limits
 from needleforce.control.arm_limits import (
     ARM_LIMITS as ARM_LIMITS,
     ArmLimits as ArmLimits,
-    arm_limits as arm_limits,
+    limits_of_arm as limits_of_arm,
 )
 from needleforce.control.controller import Controller as Controller
 from needleforce.control.errors import (

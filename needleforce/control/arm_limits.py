@@ -85,7 +85,7 @@ ARM_LIMITS = {
 """The presets by name."""
 
 
-def arm_limits(name: str) -> ArmLimits:
+def limits_of_arm(name: str) -> ArmLimits:
     """Return the preset of an arm.
 
     Raises:

@@ -7,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Matrix, Vector, WrittenMatrix
 from foundation.jit import compiled
-from needleforce.control.arm_limits import arm_limits
+from needleforce.control.arm_limits import limits_of_arm
 from needleforce.control.errors import ControlCode, SettingError
 from needleforce.control.setting_checks import require_positive
 from urdf import Robot
@@ -140,7 +140,7 @@ class Limits:
     def of_arm(
         cls, robot: Robot, name: str, *, tip_m_s: float | None = None
     ) -> "Limits":
-        """Return the limits that an arm enforces, see `arm_limits`.
+        """Return the limits that an arm enforces, see `ARM_LIMITS`.
 
         Args:
             robot: Its model; a lower speed of its own counts.
@@ -150,7 +150,7 @@ class Limits:
         Raises:
             SettingError: The name is unknown, or the robot has other joints.
         """
-        preset = arm_limits(name)
+        preset = limits_of_arm(name)
         joint_count = len(preset.speed_rad_s)
         if joint_count != robot.nv:
             raise SettingError(
