@@ -25,6 +25,10 @@ class SampleStatus(Enum):
     FORCE_RANGE = "force beyond any needle's: check the unit"
     TIME_RANGE = "dt must be between 1e-12 and 1e6 s: check the unit"
     MOTION_RANGE = "depth or speed beyond any needle's: check the unit"
+    NEEDLE_PULLED = (
+        "the force is far below zero while the needle advances: a fault of the sensor, "
+        "or a push at the hub"
+    )
 
     @property
     def is_used(self) -> bool:

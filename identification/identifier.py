@@ -47,6 +47,11 @@ class Method(Protocol):
         ...
 
     @property
+    def is_pulled(self) -> bool:
+        """Whether the force pulls at a needle that advances."""
+        ...
+
+    @property
     def rupture_state(self) -> RuptureState:
         """Where it stands with respect to a rupture."""
         ...
@@ -76,6 +81,14 @@ class Method(Protocol):
 
     def restore(self, state: Any) -> None:
         """Resume from a state, bit for bit."""
+        ...
+
+    def doubt_zero(self, std_N: float) -> None:
+        """Take the zero of the force for changed, by a standard deviation."""
+        ...
+
+    def doubt_ruptures(self, age_s: float) -> None:
+        """Take ruptures of the last time for less likely than none."""
         ...
 
 
@@ -254,6 +267,22 @@ class Identifier:
         )
         return self._process(sample, status)
 
+    def doubt_zero(self, std_N: float, age_s: float) -> None:
+        """Take the zero of the force for changed a short while before the last sample.
+
+        A step of the force since then, and at the next sample, may be one of its zero:
+        it is no rupture unless more speaks for one, and an alarm is retracted. The
+        published method knows no zero.
+
+        Args:
+            std_N: Standard deviation of that change; what is no positive number changes
+                nothing.
+            age_s: Time between that change and the last sample.
+        """
+        if math.isfinite(std_N) and std_N > 0.0:
+            self._method.doubt_zero(std_N)
+            self._method.doubt_ruptures(age_s)
+
     def snapshot(self) -> Snapshot:
         """Return everything needed to resume exactly here."""
         return Snapshot(
@@ -306,6 +335,8 @@ class Identifier:
         events = method.events
         if events is not NO_EVENTS:
             events = move_events(events, self._removed_m)
+        if method.is_pulled:
+            status = SampleStatus.NEEDLE_PULLED
         self._last = make_estimate(
             sample.time_s,
             status,

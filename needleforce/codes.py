@@ -65,6 +65,9 @@ REPORT_CURES = {
     "then `tare`.",
     "SensorWarning.VELOCITY": "Correct units, signs, order or delay of `dq`.",
     "SensorWarning.ARM_PUSHED": "Take the hand off the arm; it ends by itself.",
+    "SensorWarning.TORQUE_JUMP": "Take the hand off the arm; else withdraw, move in "
+    "free air, `start_tare_recording`, then `tare`; if it recurs, check the torque "
+    "sensors.",
     "SampleStatus.TIME_GAP": "Nothing: the sample is used.",
     "SampleStatus.NOT_A_SCALAR": "Give one number each for depth, speed, force and "
     "`dt_s`.",
@@ -76,6 +79,8 @@ REPORT_CURES = {
     "SampleStatus.FORCE_RANGE": "Give the force in newtons.",
     "SampleStatus.TIME_RANGE": "Give `dt_s` in seconds.",
     "SampleStatus.MOTION_RANGE": "Give depth in metres and speed in metres per second.",
+    "SampleStatus.NEEDLE_PULLED": "Take the hand off the hub; else stop, withdraw, and "
+    "tare again.",
 }
 """What may be done about a status or a warning of the online estimators."""
 

@@ -78,6 +78,9 @@ With `ARM_PUSHED` alone samples are still used: the force is off only by the par
 looks axial, and a lateral force that begins suddenly raises the warning, too. But no
 rupture is reported then, and no gap ends.
 """
+JUMP_SEEN_S = 0.6
+"""Time within which a torque sensor that jumps is noticed; a rupture since may be that
+jump."""
 CHECKPOINT_PERIOD_S = 0.25
 """Time between states to rewind to: a push on the arm grows for up to this long before
 it is detected."""
@@ -207,6 +210,7 @@ class SessionSnapshot(NamedTuple):
         travel: Depth and speed of the tip.
         speed_lag_s: Setting of the session.
         unused_s: Time of valid samples that were not used for identification.
+        jumps: Number of jumps of torque sensors that the identifier knows of.
         time_s: See `SessionEstimate`.
         checkpoints: States of the identification to rewind to.
         insertion: Course of this insertion.
@@ -220,6 +224,7 @@ class SessionSnapshot(NamedTuple):
     travel: TipTravel
     speed_lag_s: float
     unused_s: float
+    jumps: int
     time_s: float
     checkpoints: Checkpoints
     insertion: InsertionProgress
@@ -552,6 +557,7 @@ class InsertionSession:
             travel=self._travel,
             speed_lag_s=self._speed_lag_s,
             unused_s=self._unused_s,
+            jumps=self._jumps,
             time_s=self._time_s,
             checkpoints=self._checkpoints,
             insertion=self._course.insertion,
@@ -580,6 +586,7 @@ class InsertionSession:
         self._is_started = snapshot.sensor.last is not None
         self._travel = snapshot.travel
         self._unused_s = snapshot.unused_s
+        self._jumps = snapshot.jumps
         self._time_s = snapshot.time_s
         self._checkpoints = snapshot.checkpoints
         self._course.begin(snapshot.insertion)
@@ -667,6 +674,8 @@ class InsertionSession:
         elapsed_s = self._sensor.elapsed_s
         if wrench.status is not Status.OK or wrench.warnings & UNUSABLE:
             return self._skip_sample(wrench, elapsed_s)
+        if self._sensor.is_measuring_jump:
+            return self._skip_sample(wrench, elapsed_s, is_spoilt=True)
         is_resuming = self._unused_s > 0.0
         if self._is_watched:
             self._watch_needle(is_resuming=is_resuming)
@@ -674,6 +683,7 @@ class InsertionSession:
         # still there: a gap ends only once a check of this very sample shows none.
         if is_resuming and self._sensor.recheck(wrench).warnings & PUSHED:
             return self._skip_sample(wrench, elapsed_s)
+        self._doubt_zero_after_jump()
         identification = self._identify(wrench, elapsed_s + self._unused_s)
         self._unused_s = 0.0
         if identification.rupture is not None:
@@ -728,6 +738,7 @@ class InsertionSession:
         )
         self._plan.compare_with(self._tool)
 
+<<<<<<< HEAD
     def _watch_needle(self, *, is_resuming: bool) -> None:
         """Follow the needle, and begin another insertion where it has left the last.
 
@@ -795,6 +806,7 @@ class InsertionSession:
         """Begin an insertion: forget what was identified."""
         self._course.begin(insertion)
         self._identifier.reset()
+        self._jumps = self._sensor.jumps
         self._forget_checkpoints()
         self._plan.begin(*self.zero)
 
@@ -928,6 +940,13 @@ class InsertionSession:
             )
         )
         self._plan.begin(*self.zero)
+=======
+    def _doubt_zero_after_jump(self) -> None:
+        """Let the identifier doubt the force's zero, once after a jump of a torque."""
+        if self._jumps != self._sensor.jumps:
+            self._jumps = self._sensor.jumps
+            self._identifier.doubt_zero(self._sensor.jump_std_N, JUMP_SEEN_S)
+>>>>>>> cc67292 (A torque sensor that jumps is reported and held in axial_std; a force that pulls at the needle is no rupture)
 
     def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
         """Return the identifier's estimate after this sample.
@@ -972,10 +991,16 @@ class InsertionSession:
         self._checkpoints = Checkpoints(older, newer)
         self._is_checkpoint_due = False
 
-    def _skip_sample(self, wrench: WrenchEstimate, elapsed_s: float) -> SessionEstimate:
-        """Leave a valid sample out of the identification; rewind if a push begins."""
+    def _skip_sample(
+        self, wrench: WrenchEstimate, elapsed_s: float, *, is_spoilt: bool = False
+    ) -> SessionEstimate:
+        """Leave a valid sample out of the identification.
+
+        Rewind if a push begins, or if samples before it are spoilt in another way.
+        """
         self._unused_s += elapsed_s
-        if self._is_rewindable(elapsed_s) and wrench.warnings & PUSHED:
+        is_spoilt = is_spoilt or bool(wrench.warnings & PUSHED)
+        if is_spoilt and self._is_rewindable(elapsed_s):
             self._rewind()
         return self._repeat_last(wrench)
 

@@ -61,6 +61,11 @@ class SensorWarning(IntFlag):
     ARM_PUSHED = 256
     """The joint torques have just changed as no force at the tip changes them: a hand
     on the arm? At most 2.5 s; then they count as what the arm feels by itself."""
+    TORQUE_JUMP = 512
+    """One joint's torque has stepped beside any force at the tip: its sensor has
+    jumped, or something pushes the arm and stays. Which joint is not certain, so
+    nothing is corrected; ``axial_std`` holds the doubt. It stays until the torques are
+    back, or until the next tare."""
 
 
 class WrenchEstimate(NamedTuple):

@@ -160,6 +160,24 @@ class VirtualForceSensor:
         """
         return self._offset.diagnosis
 
+    @property
+    def is_measuring_jump(self) -> bool:
+        """Whether a torque sensor has jumped just now.
+
+        By how much is then known within 0.6 s.
+        """
+        return self._monitor.is_measuring_jump
+
+    @property
+    def jumps(self) -> int:
+        """Number of jumps of torque sensors that were measured since the tare."""
+        return self._monitor.jumps
+
+    @property
+    def jump_std_N(self) -> float:
+        """Standard deviation of the axial force by these jumps."""
+        return self._monitor.jump_std_N
+
     def std_of_bias_N(self, estimate: WrenchEstimate) -> float:
         """Return the standard deviation of an axial force without that of its scale.
 
@@ -347,7 +365,10 @@ class VirtualForceSensor:
         noise_Nm2 = tare.noise_Nm2.diagonal()
         smoothed_Nm2 *= noise_Nm2 / (noise_Nm2 + smoothed_Nm2)
         self._wrench.set_torque_covariance(
-            covariance_Nm2, tare.noise_Nm2, np.diag(smoothed_Nm2)
+            covariance_Nm2,
+            tare.noise_Nm2,
+            np.diag(smoothed_Nm2),
+            self._monitor.state.jump_Nm2,
         )
 
     def start_tare_recording(self) -> None:
@@ -457,9 +478,9 @@ class VirtualForceSensor:
             self._stream.restore(state.stream)
         self._offset.memory = state.offset
         self._offset.resume_tare(self._contact)
+        self._monitor.restore(state.monitor)
         self._set_covariance(state.torque_covariance)
         self._wrench.compute_gain(state.gain_configuration)
-        self._monitor.restore(state.monitor)
         self._wrench_filter = state.wrench_filter
         self._is_smoothing = state.is_smoothing
         self.lag_s = state.lag_s
@@ -578,7 +599,7 @@ class VirtualForceSensor:
             sample.dq if stream.has_velocity else None,
             residual,
             self._unchecked_s,
-            tared=self._offset.memory.tared,
+            self._offset.tare_error_Nm2,
         )
         self._unchecked_s = 0.0
 

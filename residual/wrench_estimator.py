@@ -503,6 +503,8 @@ class WrenchEstimator:
         self.scale_std = 0.0
         self.torque_covariance = np.eye(robot.nv)
         self._inverse = self.torque_covariance
+        self._inverse_with_jump = self.torque_covariance
+        self._jump_Nm2: Array | float = 0.0
         self._noise = self.torque_covariance
         self._smoothed_noise: Array | float = 0.0
         self.compute_gain(np.zeros(robot.nv))
@@ -512,6 +514,7 @@ class WrenchEstimator:
         covariance_Nm2: Array,
         noise_Nm2: Array | None = None,
         smoothed_noise_Nm2: Array | float = 0.0,
+        jump_Nm2: Array | None = None,
     ) -> None:
         """Set how far the residual may be trusted, for the next `compute_gain`.
 
@@ -522,6 +525,9 @@ class WrenchEstimator:
                 for all.
             smoothed_noise_Nm2: What `smoothing_step` removes of that while nothing
                 changes.
+            jump_Nm2: Variance of each torque by jumps of its sensor, shape (n,); None
+                for none. It widens what is stated, and leaves the gain as it is: a
+                constant error is better than other weights from one sample to the next.
 
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
@@ -539,6 +545,10 @@ class WrenchEstimator:
             )
         self.torque_covariance = covariance
         self._inverse = inverse
+        self._jump_Nm2 = 0.0 if jump_Nm2 is None else np.diag(jump_Nm2)
+        self._inverse_with_jump = (
+            inverse if jump_Nm2 is None else np.linalg.inv(covariance + self._jump_Nm2)
+        )
         self._noise = covariance if noise_Nm2 is None else noise_Nm2
         self._smoothed_noise = smoothed_noise_Nm2
 
@@ -579,7 +589,7 @@ class WrenchEstimator:
         # smoothed force, without the noise that smoothing removes.
         solution = weighted_inverse(
             rows,
-            self.torque_covariance - self._smoothed_noise,
+            self.torque_covariance + self._jump_Nm2 - self._smoothed_noise,
             self._inverse if self._is_weighted else np.eye(self._joints),
             self._damping,
         )
@@ -599,7 +609,7 @@ class WrenchEstimator:
             conditioning=solution.conditioning,
             damping_fraction=solution.damping_fraction,
             smallest_singular_value_m=smallest_singular_value(rows),
-            unexplained=unexplained_form(rows, self._inverse),
+            unexplained=unexplained_form(rows, self._inverse_with_jump),
         )
         self.observability.covariance.setflags(write=False)
         self.observability.damping_fraction.setflags(write=False)

@@ -74,6 +74,7 @@ from identification.multilayer.layer_report import (
 from identification.multilayer.mixture import (
     MAX_KEPT,
     MIN_BRANCH_MM,
+    SMALL_RELEASE_PENALTY,
     MixtureMemory,
     MixtureState,
     ProcessNoise,
@@ -87,6 +88,7 @@ from identification.multilayer.needle_contact import (
     begin_block,
     shift_depth,
 )
+from identification.multilayer.needle_pull import ONSET_S, NeedlePull, NetForce
 from identification.multilayer.noise_levels import NoiseLevels, Texture
 from identification.multilayer.shaft_posterior import (
     ShaftPosterior,
@@ -238,6 +240,7 @@ class MultilayerState(NamedTuple):
         branched_mm: Depth at which components began last.
         resumed: How much of a rest or reversal is left in the friction, 0 to 1.
         force_std_in_air_N: Of the force's slow error before the contact.
+        pull: Whether the force pulls at the needle.
         ruptures: In the components that the last report followed.
         alarm: The last one raised and not retracted.
         provisional: The provisional alarm that is neither confirmed nor retracted.
@@ -261,6 +264,7 @@ class MultilayerState(NamedTuple):
     branched_mm: float = -FAR_MM
     resumed: float = 0.0
     force_std_in_air_N: float = 0.0
+    pull: NeedlePull = NeedlePull()
     ruptures: int = 0
     alarm: Rupture | None = None
     provisional: Rupture | None = None
@@ -328,6 +332,7 @@ class MultilayerMethod:
             branched_mm=self._branched_mm,
             resumed=self._resumed,
             force_std_in_air_N=self._force_std_in_air_N,
+            pull=self._pull,
             ruptures=self._ruptures,
             alarm=self._alarm,
             provisional=self._provisional,
@@ -340,6 +345,11 @@ class MultilayerMethod:
     def contact_depth_m(self) -> float | None:
         """Depth at which tissue was met first, as known now; None before."""
         return self._contact_depth_m
+
+    @property
+    def is_pulled(self) -> bool:
+        """Whether the force pulls at a needle that advances."""
+        return self._pull.is_pulled
 
     @property
     def rupture_state(self) -> RuptureState:
@@ -374,6 +384,7 @@ class MultilayerMethod:
         self._deepest_mm = state.deepest_mm
         self._branched_mm = state.branched_mm
         self._force_std_in_air_N = state.force_std_in_air_N
+        self._pull = state.pull
         self._rupture_state = state.rupture_state
         self._ruptures = state.ruptures
         self._alarm = state.alarm
@@ -431,6 +442,21 @@ class MultilayerMethod:
             return outputs
         self._work(sample, is_full=is_full)
         return self._estimate(sample)
+
+    def doubt_zero(self, std_N: float) -> None:
+        """Take the zero of the force for changed, in every component alike."""
+        store = self._memory.store
+        store.covariances[: self._memory.size, OFFSET, OFFSET] += std_N * std_N
+
+    def doubt_ruptures(self, age_s: float) -> None:
+        """Count no ruptures of the last time, and take them for unlikely."""
+        mixture = self._memory.mixture
+        rupture_s = read_column(mixture.history, "rupture_s")
+        ruptures = read_column(mixture.assumptions, "ruptures")
+        is_recent = (rupture_s > self._block.time_s - age_s) & (ruptures > 0.0)
+        mixture.log_weights[is_recent] -= SMALL_RELEASE_PENALTY
+        ruptures[is_recent] -= 1.0
+        self._is_report_due = True
 
     def _estimate(self, sample: Sample) -> Outputs:
         """Return what to report of a sample by what is known now."""
@@ -540,18 +566,21 @@ class MultilayerMethod:
         self._deepest_mm = max(self._deepest_mm, block.depth_mm)
         self._predict(block, fresh_mm, levels, likeliest)
         self._stage = self._stage_after_pruning(clock_s)
-        if (is_advancing or not is_met) and not is_gap:
-            self._resumed *= math.exp(-fresh_mm / RESUMED_MM)
-            levels = self._learn_noise(block, filtered.speed_mm_s, clock_s)
-            block = block._replace(noise_std_N=levels.noise_std_N)
-            self._correct(block, levels, likeliest.assumptions)
-            store = self._memory.store
-            penalise_implausible(store, self._memory.size, block, is_advancing)
-            self._is_report_due = True
-            self._stage = Stage.BRANCH if is_advancing else Stage.PRUNE
-            force_N = block.force_N - block.force_by_speed_N
+        is_cutting = (is_advancing or not is_met) and not is_gap
+        if not is_gap:
+            self._watch_pull(block, sample, is_advancing=is_cutting)
+        if self.is_pulled:
+            self._levels = self._levels.restarted()
+            self._texture = self._texture.restarted()
+        elif is_cutting:
             in_tissue_mm = fresh_mm if is_met else 0.0
-            self._texture = self._texture.with_force(force_N, in_tissue_mm)
+            block = self._learn_from(
+                block, likeliest, fresh_mm, in_tissue_mm, filtered.speed_mm_s, clock_s
+            )
+            penalise_implausible(
+                self._memory.store, self._memory.size, block, is_advancing
+            )
+            self._stage = Stage.BRANCH if is_advancing else Stage.PRUNE
         else:
             self._pause(block, fresh_mm, is_gap=is_gap)
         if not is_met:
@@ -561,6 +590,57 @@ class MultilayerMethod:
         self._block = block._replace(model_error_N=model_error_N)
         if not is_gap:
             self._tissue = self._tissue.with_block(filtered, is_met=is_met)
+
+    def _learn_from(
+        self,
+        block: Block,
+        likeliest: Likeliest,
+        fresh_mm: float,
+        in_tissue_mm: float,
+        filtered_speed: float,
+        clock_s: float,
+    ) -> Block:
+        """Let noise, texture and mixture learn from the force of a block.
+
+        Returns:
+            The block with the noise of its force.
+        """
+        self._resumed *= math.exp(-fresh_mm / RESUMED_MM)
+        levels = self._learn_noise(block, filtered_speed, clock_s)
+        block = block._replace(noise_std_N=levels.noise_std_N)
+        self._correct(block, levels, likeliest.assumptions)
+        self._is_report_due = True
+        force_N = block.force_N - block.force_by_speed_N
+        self._texture = self._texture.with_force(force_N, in_tissue_mm)
+        return block
+
+    def _watch_pull(self, block: Block, sample: Sample, *, is_advancing: bool) -> None:
+        """Judge whether the force pulls; doubt what has seemed to rupture in its fall.
+
+        What has pulled for long is a new zero.
+        """
+        store = self._memory.store
+        was_pulled = self.is_pulled
+        variance_N2 = (
+            store.covariances[0, OFFSET, OFFSET]
+            + block.noise_std_N**2
+            + sample.force_std_N**2
+            + block.motion_variance_N2
+        )
+        net_force = NetForce(
+            value_N=block.force_N - float(store.means[0, OFFSET]),
+            std_N=math.sqrt(variance_N2),
+            time_s=block.time_s,
+            duration_s=block.duration_s,
+            is_advancing=is_advancing,
+            behind_mm=self._deepest_mm - block.depth_mm,
+        )
+        self._pull = self._pull.with_force(net_force)
+        if self.is_pulled and not was_pulled:
+            self.doubt_ruptures(block.time_s - self._pull.peak_s + ONSET_S)
+        if self._pull.is_new_zero(block.time_s):
+            self.doubt_zero(self._pull.fall_N)
+            self._pull = NeedlePull()
 
     def _take_block(self, since_reset_s: float, last: Block) -> Block:
         """Return means of the block that is full, and begin the next one."""
@@ -854,7 +934,7 @@ class MultilayerMethod:
     ) -> bool:
         """Return whether to raise an alarm."""
         component = count.likeliest_with_more
-        if count.more <= self._config.alarm_probability:
+        if count.more <= self._config.alarm_probability or self._pull.may_pull:
             return False
         mixture = evidence.mixture
         rupture_mm = float(read_column(mixture.history, "rupture_mm")[component])

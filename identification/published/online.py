@@ -468,6 +468,17 @@ class PublishedMethod:
             layers=self.layers,
         )
 
+    @property
+    def is_pulled(self) -> bool:
+        """False: the method has no zero to compare with."""
+        return False
+
+    def doubt_zero(self, std_N: float) -> None:
+        """Do nothing: the method has no unknown zero of the force."""
+
+    def doubt_ruptures(self, age_s: float) -> None:
+        """Do nothing: the method weighs no ruptures."""
+
     def restore(self, state: PublishedState) -> None:
         """Resume from a state, bit for bit."""
         self._tracker = as_record(state.tracker)

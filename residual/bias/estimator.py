@@ -382,6 +382,17 @@ class BiasEstimator:
         return covariance
 
     @property
+    def tare_error_Nm2(self) -> Array | None:
+        """Variance of the torque about the fit that lasts for a block, shape (n,).
+
+        None before the tare.
+        """
+        memory = self.memory
+        if not memory.tared:
+            return None
+        return memory.tare.noise_Nm2.diagonal() - memory.tare.scatter_Nm2
+
+    @property
     def _age_s(self) -> float:
         return self.memory.now_s - self.memory.tared_s
 

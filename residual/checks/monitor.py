@@ -1,7 +1,7 @@
 """Checks, every few samples: joint limits, singular poses, model mismatch.
 
-The checks of measured velocities and of pushes on the arm stand beside this module, in
-`velocity` and `pushed_arm`.
+The checks of measured velocities, of pushes on the arm and of torque sensors that jump
+stand beside this module, in `velocity`, `pushed_arm` and `torque_jump`.
 """
 
 import math
@@ -18,6 +18,7 @@ from residual.checks.pushed_arm import (
     first_change,
     unusual_change,
 )
+from residual.checks.torque_jump import TorqueCourse
 from residual.checks.velocity import (
     VelocityMatch,
     first_match,
@@ -61,19 +62,24 @@ class MonitorState(NamedTuple):
         mismatch_squared: Smoothed mean square of the model mismatch, in units of the
             covariance before it was widened.
         widening: Factor by which the covariance in use was widened.
+        jump_Nm2: Variance of each torque by jumps of its sensor, in use, shape (n,);
+            None for none.
         warnings: Of the last check, as a number.
         at_limit: Indices of joints at a position limit in that check.
         match: Of measured velocities with positions; None before a check, and where
             velocities are estimated.
         change: Of the torque; None before the tare.
+        course: Torque of the last second, and its jumps; None before the tare.
     """
 
     mismatch_squared: float = 0.0
     widening: float = 1.0
+    jump_Nm2: Array | None = None
     warnings: int = 0
     at_limit: tuple[int, ...] = ()
     match: VelocityMatch | None = None
     change: TorqueChange | None = None
+    course: TorqueCourse | None = None
 
 
 class ConsistencyMonitor:
@@ -101,7 +107,12 @@ class ConsistencyMonitor:
         self.restore(MonitorState())
 
     def check(
-        self, q: Array, dq: Array | None, residual: Array, dt_s: float, *, tared: bool
+        self,
+        q: Array,
+        dq: Array | None,
+        residual: Array,
+        dt_s: float,
+        tare_error_Nm2: Array | None,
     ) -> None:
         """Check a sample for which the wrench estimator has a gain.
 
@@ -110,11 +121,19 @@ class ConsistencyMonitor:
             dq: Velocity as measured [rad/s], shape (n,); None where it is estimated.
             residual: External joint torque after offset removal [Nm], shape (n,).
             dt_s: Time since the last check.
-            tared: Whether the residual's covariance is a fitted one.
+            tare_error_Nm2: Variance of the residual in free air that lasts, as the tare
+                has shown it, shape (n,); None before the tare.
         """
+        tared = tare_error_Nm2 is not None
         at_limit = self._joints_at_limit(q)
         mismatch_squared = self._next_mismatch(residual, dt_s, tared=tared)
         change = self._next_change(residual, dt_s) if tared else None
+        course = None
+        if tare_error_Nm2 is not None:
+            course = self._next_course(residual, dt_s, tare_error_Nm2)
+        if change is not None and course is not None and course.jumps > self.jumps:
+            # The jump is known by now: it is no push.
+            change = change._replace(reference=change.present, pushed_s=0.0)
         match_before = self.state.match
         match = self._next_match(q, dq, dt_s)
         warnings = SensorWarning.NONE
@@ -127,13 +146,17 @@ class ConsistencyMonitor:
             warnings |= SensorWarning.MODEL_MISMATCH
         if change is not None and change.pushed_s > 0.0:
             warnings |= SensorWarning.ARM_PUSHED
+        if course is not None and course.has_jumped:
+            warnings |= SensorWarning.TORQUE_JUMP
         self.state = MonitorState(
             mismatch_squared=mismatch_squared,
             widening=self.state.widening,
+            jump_Nm2=self.state.jump_Nm2,
             warnings=int(warnings),
             at_limit=at_limit,
             match=match,
             change=change,
+            course=course,
         )
         self._report(self._next_velocity_fault(match, match_before))
 
@@ -170,6 +193,16 @@ class ConsistencyMonitor:
             dt_s,
         )
 
+    def _next_course(
+        self, residual: Array, dt_s: float, tare_error_Nm2: Array
+    ) -> TorqueCourse:
+        """Return the next course of the torque; arguments of `check`."""
+        course = self.state.course or TorqueCourse.after_tare(tare_error_Nm2)
+        # A force at the tip in any direction, or with a torque where the mode has one.
+        directions = max(self._wrench.size, 3)
+        rows = self._wrench.kinematics.jacobian[:directions]
+        return course.advanced(np.ascontiguousarray(rows), residual, max(dt_s, 0.0))
+
     def _next_match(
         self, q: Array, dq: Array | None, dt_s: float
     ) -> VelocityMatch | None:
@@ -198,8 +231,43 @@ class ConsistencyMonitor:
 
     @property
     def wants_widening(self) -> bool:
-        """Whether the covariance in use is clearly too small for the mismatch."""
-        return self._wanted_widening > WIDENING_RATIO * self.state.widening
+        """Whether the covariance in use is clearly too small for the mismatch.
+
+        Or whether it is not that of the jumps of torque sensors.
+        """
+        is_too_small = self._wanted_widening > WIDENING_RATIO * self.state.widening
+        used_Nm2 = self.state.jump_Nm2
+        jump_Nm2 = self._jump_Nm2
+        if used_Nm2 is None or jump_Nm2 is None:
+            return is_too_small or used_Nm2 is not jump_Nm2
+        return is_too_small or not np.array_equal(used_Nm2, jump_Nm2)
+
+    @property
+    def _jump_Nm2(self) -> Array | None:
+        """Variance of each torque by jumps of its sensor, shape (n,); None for none."""
+        course = self.state.course
+        return None if course is None else course.jump_Nm2
+
+    @property
+    def is_measuring_jump(self) -> bool:
+        """Whether a torque has jumped just now, by how much is not certain yet."""
+        course = self.state.course
+        return course is not None and course.is_settling
+
+    @property
+    def jump_std_N(self) -> float:
+        """Standard deviation of the axial force by jumps of torque sensors."""
+        if self._jump_Nm2 is None:
+            return 0.0
+        gain = self._wrench.gain
+        axial_per_Nm = gain.direction.dot(gain.matrix[:3])
+        return math.sqrt(float(np.square(axial_per_Nm).dot(self._jump_Nm2)))
+
+    @property
+    def jumps(self) -> int:
+        """Number of jumps of torque sensors since the tare that were measured."""
+        course = self.state.course
+        return 0 if course is None else course.jumps
 
     def widen(self, covariance_Nm2: Array) -> Array:
         """Return a covariance widened by the joint torque that no wrench explains.
@@ -208,7 +276,9 @@ class ConsistencyMonitor:
         factor of least squares: errors seen in directions that no wrench explains are
         likely in the other directions, too. See `VARIANCE_GAIN`.
         """
-        self.state = self.state._replace(widening=self._wanted_widening)
+        self.state = self.state._replace(
+            widening=self._wanted_widening, jump_Nm2=self._jump_Nm2
+        )
         return self.state.widening * covariance_Nm2
 
     def forget_velocity(self) -> None:
@@ -289,6 +359,10 @@ _REASONS = {
     SensorWarning.MODEL_MISMATCH: "the joint torques do not fit the assumed contact",
     SensorWarning.ARM_PUSHED: (
         "the joint torques change as no force at the tip changes them"
+    ),
+    SensorWarning.TORQUE_JUMP: (
+        "a torque has jumped, by its sensor or a steady push on the arm; which one is "
+        "not certain, axial_std holds the doubt: withdraw and tare again"
     ),
 }
 

@@ -1,0 +1,130 @@
+"""A force far below zero while the needle advances is reported, and no rupture."""
+
+import numpy as np
+import pytest
+
+from identification import Identifier, SampleStatus
+
+STEP_s = 2e-3
+SPEED_m_s = 5e-3
+PULLED = SampleStatus.NEEDLE_PULLED
+
+
+def course(seed=3):
+    """Depth and force, with 10 mN of noise: 10 mm of air, a layer, 20 mm of another."""
+    depth_m = SPEED_m_s * STEP_s * np.arange(4_500)
+    into_m = np.maximum(depth_m - 10e-3, 0.0)
+    first_N = np.minimum(into_m, 15e-3) * 60.0
+    second_N = np.maximum(into_m - 15e-3, 0.0) * 40.0
+    tip_N = np.where(into_m < 15e-3, into_m * 40.0, 0.0)
+    noise_N = 0.01 * np.random.default_rng(seed).normal(size=len(depth_m))
+    return depth_m, 0.4 * first_N + second_N + tip_N + noise_N
+
+
+def insert(fault_N):
+    """Estimates of the course with a fault, a force a sample."""
+    depth_m, force_N = course()
+    identifier = Identifier()
+    return [
+        identifier.update(float(depth), SPEED_m_s, float(force), STEP_s)
+        for depth, force in zip(depth_m, force_N + fault_N, strict=True)
+    ]
+
+
+def alarms(estimates):
+    """Samples with an alarm that is not retracted within half a second."""
+    raised = [k for k, e in enumerate(estimates) if e.rupture is not None]
+    retracted = [k for k, e in enumerate(estimates) if e.retracted is not None]
+    return [k for k in raised if not any(0 < n - k <= 250 for n in retracted)]
+
+
+def reported(estimates):
+    return [k for k, e in enumerate(estimates) if e.status is PULLED]
+
+
+RUPTURE = 2_500
+
+
+def test_a_rupture_is_no_pull():
+    estimates = insert(np.zeros(4_500))
+    (alarm,) = alarms(estimates)
+
+    assert RUPTURE < alarm < RUPTURE + 50
+    assert reported(estimates) == []
+
+
+@pytest.mark.parametrize("step_N", [-2.0, -5.0])
+@pytest.mark.parametrize("start", [700, 1_200, 2_300, 2_700, 3_500])
+def test_a_step_below_zero_is_reported_and_no_rupture(start, step_N):
+    fault_N = np.where(np.arange(4_500) >= start, step_N, 0.0)
+    estimates = insert(fault_N)[: start + 500]
+    real = [k for k in alarms(estimates) if RUPTURE < k < RUPTURE + 50]
+
+    assert start <= reported(estimates)[0] < start + 20
+    assert alarms(estimates) == real
+    assert not any(estimates[k].status.is_used for k in reported(estimates))
+
+
+def test_a_push_at_the_hub_ends_and_the_rupture_is_found():
+    k = np.arange(4_500)
+    estimates = insert(np.where((k >= 1_500) & (k < 2_000), -10.0, 0.0))
+
+    assert 1_500 <= reported(estimates)[0] <= 1_505
+    assert reported(estimates)[-1] <= 2_010
+    (alarm,) = alarms(estimates)
+    assert RUPTURE < alarm < RUPTURE + 50
+
+
+def test_a_drift_below_zero_is_reported_and_its_alarms_retracted():
+    k = np.arange(4_500)
+    estimates = insert(-5.0 * np.clip((k - 1_600) / 500, 0.0, 1.0))[:2_400]
+
+    assert 1_600 < reported(estimates)[0] < 1_750
+    assert alarms(estimates) == []
+
+
+def test_a_force_that_stays_below_zero_becomes_a_new_zero():
+    identifier = Identifier()
+    force_N = np.where(np.arange(3_000) >= 700, -1.0, 0.0)
+    noise_N = 0.01 * np.random.default_rng(5).normal(size=3_000)
+    estimates = [
+        identifier.update(1e-5 * k, SPEED_m_s, float(force), STEP_s)
+        for k, force in enumerate(force_N + noise_N)
+    ]
+
+    assert 700 <= reported(estimates)[0] < 710
+    assert 1_940 < reported(estimates)[-1] < 1_980  # 2.5 s later
+    assert abs(estimates[-1].tip_force_N) < 0.05
+
+
+def test_friction_on_a_needle_drawn_back_is_no_pull():
+    identifier = Identifier()
+    depth_m, force_N = course()
+    for depth, force in zip(depth_m[:2_000], force_N[:2_000], strict=True):
+        identifier.update(float(depth), SPEED_m_s, float(force), STEP_s)
+    back_m = SPEED_m_s * STEP_s * np.arange(1, 500)
+    friction_N = 0.4 * (2.0 * np.exp(-back_m / 0.3e-3) - 1.0)
+    back = [
+        identifier.update(float(depth), -SPEED_m_s, float(force), STEP_s)
+        for depth, force in zip(depth_m[1_999] - back_m, friction_N, strict=True)
+    ]
+
+    assert reported(back) == []
+
+
+def test_a_snapshot_amid_a_pull_goes_on_bit_for_bit():
+    depth_m, force_N = course()
+    force_N = force_N - 3.0 * (np.arange(4_500) >= 1_500)
+    identifier = Identifier()
+    rows = [
+        (float(d), SPEED_m_s, float(f), STEP_s)
+        for d, f in zip(depth_m, force_N, strict=True)
+    ]
+    for row in rows[:1_600]:
+        identifier.update(*row)
+    resumed = Identifier()
+    resumed.restore(identifier.snapshot())
+
+    assert [identifier.update(*row) for row in rows[1_600:1_700]] == [
+        resumed.update(*row) for row in rows[1_600:1_700]
+    ]
