@@ -672,10 +672,10 @@ class InsertionSession:
         self._advance_clock()
         self._update_travel()
         elapsed_s = self._sensor.elapsed_s
-        if wrench.status is not Status.OK or wrench.warnings & UNUSABLE:
-            return self._skip_sample(wrench, elapsed_s)
-        if self._sensor.is_measuring_jump:
-            return self._skip_sample(wrench, elapsed_s, is_spoilt=True)
+        is_spoilt = self._sensor.is_measuring_jump
+        is_bad = wrench.status is not Status.OK or bool(wrench.warnings & UNUSABLE)
+        if is_bad or is_spoilt:
+            return self._skip_sample(wrench, elapsed_s, is_spoilt=is_spoilt)
         is_resuming = self._unused_s > 0.0
         if self._is_watched:
             self._watch_needle(is_resuming=is_resuming)
@@ -738,7 +738,6 @@ class InsertionSession:
         )
         self._plan.compare_with(self._tool)
 
-<<<<<<< HEAD
     def _watch_needle(self, *, is_resuming: bool) -> None:
         """Follow the needle, and begin another insertion where it has left the last.
 
@@ -940,13 +939,12 @@ class InsertionSession:
             )
         )
         self._plan.begin(*self.zero)
-=======
+
     def _doubt_zero_after_jump(self) -> None:
         """Let the identifier doubt the force's zero, once after a jump of a torque."""
         if self._jumps != self._sensor.jumps:
             self._jumps = self._sensor.jumps
             self._identifier.doubt_zero(self._sensor.jump_std_N, JUMP_SEEN_S)
->>>>>>> cc67292 (A torque sensor that jumps is reported and held in axial_std; a force that pulls at the needle is no rupture)
 
     def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
         """Return the identifier's estimate after this sample.
