@@ -546,9 +546,12 @@ class WrenchEstimator:
         self.torque_covariance = covariance
         self._inverse = inverse
         self._jump_Nm2 = 0.0 if jump_Nm2 is None else np.diag(jump_Nm2)
-        self._inverse_with_jump = (
-            inverse if jump_Nm2 is None else np.linalg.inv(covariance + self._jump_Nm2)
-        )
+        self._inverse_with_jump = inverse
+        if jump_Nm2 is not None:
+            with_jump_Nm2 = covariance + self._jump_Nm2
+            self._inverse_with_jump = np.asarray(
+                np.linalg.inv(with_jump_Nm2), dtype=np.float64
+            )
         self._noise = covariance if noise_Nm2 is None else noise_Nm2
         self._smoothed_noise = smoothed_noise_Nm2
 

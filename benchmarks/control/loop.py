@@ -10,7 +10,7 @@ import numpy as np
 
 from benchmarks.insertion.methods import on_lwr
 from groundtruth.rig_arm import SimulatedArm
-from identification import Estimate, Identifier
+from identification import Estimate, Identifier, SampleStatus
 from needleforce import InsertionSession
 from needleforce.control import (
     AxialSpeed,
@@ -73,6 +73,7 @@ class Insertion:
         self._profile = InsertionProfile(plan)
         self._with_ft = with_ft
         self._identifier = Identifier()
+        self._sample_status = SampleStatus.OK
         self._free_N = list[float]()
         self._zero_N = 0.0
         self.has_device = False
@@ -92,7 +93,11 @@ class Insertion:
         for sample in rig:
             manager.heartbeat()
             axial_N = self._axial_N() if self._with_ft else None
-            beside = beside._replace(axial_N=axial_N, has_device=self.has_device)
+            beside = beside._replace(
+                axial_N=axial_N,
+                has_device=self.has_device,
+                sample_status=self._sample_status,
+            )
             situation = manager.update(sample, beside)
             step = self._step(
                 situation, *self._identify(situation, sample.dt_s, axial_N)
@@ -142,4 +147,5 @@ class Insertion:
         identification = self._identifier.update(
             estimate.depth_m, estimate.speed_m_s, axial_N, dt_s
         )
+        self._sample_status = identification.status
         return identification, axial_N

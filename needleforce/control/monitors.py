@@ -12,6 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from identification.estimate import SampleStatus
 from needleforce.control.errors import SettingError
 from needleforce.control.handle_watch import HandleWatch
 from needleforce.control.ports import ArmSample, MasterSample
@@ -85,6 +86,7 @@ class Beside(NamedTuple):
     command_rad_s: Array | None = None
     axial_N: float | None = None
     has_device: bool = False
+    sample_status: SampleStatus = SampleStatus.OK
     handle: MasterSample | None = None
 
 
@@ -99,6 +101,7 @@ _FORCE_UNUSABLE = (
     | SensorWarning.NEAR_SINGULAR
     | SensorWarning.MODEL_MISMATCH
     | SensorWarning.TARE_EXPIRED
+    | SensorWarning.TORQUE_JUMP
 )
 """Warnings of a force that is not to be relied upon."""
 
@@ -108,6 +111,9 @@ _AT_TISSUE = (State.TELEOP, State.INSERTION, State.DWELL, State.WITHDRAW)
 _ADVANCING = (State.TELEOP, State.INSERTION)
 """States that need a usable force; without it a needle can be held, and must come
 out."""
+
+_HOLDING = (*_ADVANCING, State.DWELL)
+"""States in which a force that pulls is a fault: a dwell may have begun by it."""
 
 _RATE_LAG_s = 0.01
 """Time constant of the force's rate: shorter than the lag of the virtual sensor."""
@@ -309,6 +315,7 @@ class Monitors:
         fault = (
             self._check_lateness(as_float(getattr(sample, "dt_s", None)), step_s)
             or self._check_signals(estimate, axial_N, step_s)
+            or self._check_pull(estimate, beside, axial_N)
             or self._check_command(estimate, sample, beside, step_s)
         )
         self._clear_s = 0.0 if fault else self._clear_s + step_s
@@ -377,6 +384,19 @@ class Monitors:
             return f"bad samples for {1e3 * self._bad_s:.0f} ms: {reason}"
         is_broken = bool(estimate.warnings & _FAULTS) and not is_rejected
         return estimate.wrench.message if is_broken else ""
+
+    def _check_pull(
+        self, estimate: "SessionEstimate", beside: Beside, axial_N: float
+    ) -> str:
+        """Return what is wrong where the force pulls at a needle that advances."""
+        status = (
+            estimate.identification.status
+            if beside.axial_N is None
+            else beside.sample_status
+        )
+        if status is SampleStatus.NEEDLE_PULLED and self._state in _HOLDING:
+            return f"axial force {axial_N:.2f} N: {status.value}"
+        return ""
 
     def _check_command(
         self,

@@ -3,6 +3,7 @@
 import numpy as np
 
 from groundtruth.rig_arm import ArmSample
+from identification import SampleStatus
 from needleforce import InsertionSession
 from needleforce.control.manager import Manager
 from needleforce.control.monitors import Beside, SafetyLimits
@@ -43,7 +44,15 @@ class Sensor:
     def start_tare_recording(self):
         self.tared = False
 
-    def reads(self, status=Status.OK, *, depth_m=0.0, in_contact=False, **wrench):
+    def reads(
+        self,
+        status=Status.OK,
+        *,
+        depth_m=0.0,
+        in_contact=False,
+        sample_status=SampleStatus.OK,
+        **wrench,
+    ):
         estimate = self.estimate
         wrench = {"warnings": SensorWarning.NONE, "message": ""} | wrench
         self.estimate = estimate._replace(
@@ -51,7 +60,7 @@ class Sensor:
             status=status,
             depth_m=depth_m,
             identification=estimate.identification._replace(
-                in_contact=in_contact, layer=int(in_contact)
+                in_contact=in_contact, layer=int(in_contact), status=sample_status
             ),
         )
 

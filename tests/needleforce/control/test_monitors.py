@@ -5,6 +5,7 @@ import numpy as np
 import pytest
 
 from groundtruth.rig_arm import ArmSample
+from identification import SampleStatus
 from needleforce.control.errors import SettingError
 from needleforce.control.monitors import Beside, SafetyLimits
 from needleforce.control.state_machine import State
@@ -28,6 +29,16 @@ from tests.needleforce.control.managed_session import inserting, new_manager, ru
             "repeats",
         ),
         ({"status": Status.REJECTED, "message": "NaN"}, State.FAULTED, "bad samples"),
+        (
+            {"sample_status": SampleStatus.NEEDLE_PULLED, "axial": -1.6},
+            State.FAULTED,
+            "axial force -1.60 N: the force is far below zero",
+        ),
+        (
+            {"warnings": SensorWarning.TORQUE_JUMP, "message": "a torque has jumped"},
+            State.STOPPED,
+            "a torque has jumped",
+        ),
     ],
 )
 def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
@@ -38,6 +49,31 @@ def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
     assert situation.state is state
     assert reason in situation.reason
     assert not situation.is_moving
+
+
+def test_a_dwell_after_a_fall_that_pulls_is_a_fault():
+    manager, sensor = inserting()
+
+    assert manager.request("rupture") == ""
+    assert run(manager).state is State.DWELL
+
+    sensor.reads(sample_status=SampleStatus.NEEDLE_PULLED)
+    situation = run(manager)
+
+    assert situation.state is State.FAULTED
+    assert "a push at the hub" in situation.reason
+
+
+def test_an_identifier_of_a_force_sensor_reports_its_own_pull():
+    manager, sensor = inserting()
+    sensor.reads(sample_status=SampleStatus.NEEDLE_PULLED)
+    other = Beside(axial_N=0.3)
+
+    assert run(manager, beside=other).state is State.INSERTION
+
+    pulled = Beside(axial_N=-2.0, sample_status=SampleStatus.NEEDLE_PULLED)
+
+    assert run(manager, beside=pulled).state is State.FAULTED
 
 
 @pytest.mark.parametrize(
