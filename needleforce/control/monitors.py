@@ -80,14 +80,16 @@ class Beside(NamedTuple):
             else is known of it: at the far end of a line.
         handle: What the haptic device has sent, or None; it counts as something new
             unless it is invalid or repeated.
+        sample_status: Of an `Identifier` that uses the F/T sensor, at the sample
+            before; nothing of it is known to the session.
     """
 
     accepted: bool = True
     command_rad_s: Array | None = None
     axial_N: float | None = None
     has_device: bool = False
-    sample_status: SampleStatus = SampleStatus.OK
     handle: MasterSample | None = None
+    sample_status: SampleStatus = SampleStatus.OK
 
 
 NOTHING = Beside()
