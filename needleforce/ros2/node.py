@@ -359,8 +359,10 @@ def run_node(
             NODE_NAME, automatically_declare_parameters_from_overrides=True
         )
         needle_node = NeedleNode(ros, node, robot, declare_parameters(ros, node))
-        _spin(ros, node, needle_node)
-        say(needle_node.describe())
+        try:
+            _spin(ros, node, needle_node)
+        finally:
+            say(needle_node.describe())
     finally:
         ros.rclpy.try_shutdown()
 
@@ -374,6 +376,10 @@ def _spin(ros: RosModules, node: Any, needle_node: NeedleNode) -> None:
         while not needle_node.is_stopped:
             executor.spin_once()
     except (KeyboardInterrupt, ros.executors.ExternalShutdownException):
+        return
+    except RuntimeError:  # a signal ends the context in the midst of an update
+        if ros.rclpy.ok():
+            raise
         return
     # The answer of the service is on its way.
     executor.spin_once(timeout_sec=REPORT_PERIOD_S)

@@ -167,7 +167,7 @@ def statuses(message):
 def main():
     source, answers = map(Path, sys.argv[1:3])
     rclpy.init()
-    arm = ArmProcess(np.load(source))
+    arm = ArmProcess(dict(np.load(source)))
     arm.wait_until(lambda: arm.publisher.get_subscription_count() > 0, MAX_START_S)
     arm.wait_until(arm.setting.service_is_ready)
     arm.wait_until(lambda: all(s.service_is_ready() for s in arm.services.values()))
