@@ -131,7 +131,8 @@ class ReplayedArm:
         """Wait until the node listens and serves."""
         end_s = perf_counter() + MAX_START_S
         while not (
-            self._publisher.get_subscription_count() and self._service.service_is_ready()
+            self._publisher.get_subscription_count()
+            and self._service.service_is_ready()
         ):
             if perf_counter() > end_s:
                 raise TimeoutError(f"no node within {MAX_START_S:g} s")

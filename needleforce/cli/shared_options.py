@@ -265,9 +265,9 @@ ArmName = Annotated[
         help="fri or iiwa, with [:LOCAL_ADDRESS][:PORT][@CONTROLLER] (KUKA LWR 4+, LBR "
         "iiwa: the controller sends to this address of this machine; by default only "
         "programs of this machine are heard), fr3:ADDRESS, franka:ADDRESS (FER), "
-        "ur:ADDRESS, or sim:SCENARIO for a simulated LWR 4+. An fr3 describes itself, "
-        "a franka is taken for a panda and a ur for a ur10e unless --robot or --urdf "
-        "names another; an iiwa needs --urdf.",
+        "ur:ADDRESS, ros2:TOPIC (joint states), or sim:SCENARIO for a simulated "
+        "LWR 4+. An fr3 describes itself, a franka is taken for a panda and a ur for a "
+        "ur10e unless --robot or --urdf names another; iiwa and ros2 need one.",
     ),
 ]
 

@@ -1,8 +1,28 @@
 """How many messages were lost on their way, and how late the others come."""
 
-from collections.abc import Hashable
+from collections.abc import Hashable, Mapping
+from typing import Any, NamedTuple
 
 NS_PER_S = 10**9
+
+
+class Sender(NamedTuple):
+    """Who sent a message.
+
+    Attributes:
+        publisher: Its identity.
+        number: The message's sequence number; None if the middleware gives none.
+    """
+
+    publisher: Hashable
+    number: int | None
+
+
+def identify_sender(info: Mapping[str, Any]) -> Sender:
+    """Return the sender of a message from what rclpy says of it."""
+    publisher = info.get("publisher_gid") or {}
+    number = info.get("publication_sequence_number")
+    return Sender(publisher.get("data"), number)
 
 
 class LossCounter:

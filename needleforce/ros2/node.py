@@ -12,7 +12,11 @@ from needleforce.ros2.joint_samples import (
     JointSample,
     TorquePairing,
 )
-from needleforce.ros2.message_loss import DelayMeter, LossCounter
+from needleforce.ros2.message_loss import (
+    DelayMeter,
+    LossCounter,
+    identify_sender,
+)
 from needleforce.ros2.messages import (
     fill_stamp,
     fill_vector,
@@ -161,7 +165,7 @@ class NeedleNode:
     def _take_joint_state(self, message: Any, info: Any) -> None:
         """Process a joint state, and publish what it gives."""
         self._heard_s = time.monotonic()
-        self.loss.count(*_sender(info))
+        self.loss.count(*identify_sender(info))
         sample = self._reader.read(read_joint_state(message))
         if sample is not None and self._needs_pairing:
             sample = self._pairing.add_sample(sample)
@@ -327,12 +331,6 @@ def _fill_answer(response: Any, answer: ServiceAnswer) -> Any:
     response.success = answer.success
     response.message = answer.message
     return response
-
-
-def _sender(info: Any) -> tuple[Any, int | None]:
-    """Return who sent a message and its number, None where the middleware has none."""
-    publisher = info.get("publisher_gid") or {}
-    return publisher.get("data"), info.get("publication_sequence_number")
 
 
 def run_node(

@@ -79,6 +79,10 @@ def open_arm(
     if kind == "sim":
         yield _simulate_arm(name, scenario or SIMULATED_SCENARIO, options)
         return
+    if kind == "ros2":
+        with _open_ros2(name, scenario, options) as connected:
+            yield connected
+        return
     robot = _robot_of(name, _kind_of(name), options)
     with connect_arm(name, torque_constant_Nm_A=constants_Nm_A) as arm:
         if arm.joints != robot.nv:
@@ -108,6 +112,18 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
     dt_s = np.diff(signals.t_s, prepend=2.0 * signals.t_s[0] - signals.t_s[1])
     arm = ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm)
     return ConnectedArm(arm, run.robot)
+
+
+@contextmanager
+def _open_ros2(name: str, topic: str, options: RobotOptions) -> Iterator[ConnectedArm]:
+    """Listen to the joint states of a topic of ROS 2."""
+    from needleforce.ros2.arm import Ros2Arm
+
+    if not topic:
+        raise CommandError(f"{name}: expected ros2:TOPIC, such as ros2:/joint_states")
+    robot = _robot_of(name, "ros2", options)
+    with Ros2Arm(topic, robot.joint_names) as arm:
+        yield ConnectedArm(arm, robot)
 
 
 def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
@@ -148,7 +164,7 @@ def _kind_of(name: str) -> str:
     try:
         return parse_arm_name(name).kind
     except DeviceSettingError as error:
-        raise CommandError(f"{error}, or sim:SCENARIO") from error
+        raise CommandError(f"{error}, ros2:TOPIC or sim:SCENARIO") from error
 
 
 def samples_until_stopped(

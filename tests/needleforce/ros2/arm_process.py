@@ -1,6 +1,7 @@
 """An arm of another process: replays joint signals through ROS 2, keeps the answers.
 
-Needs rclpy and numpy alone. Usage: arm_process.py SIGNALS.npz ANSWERS.json
+Needs rclpy and numpy alone. Usage: arm_process.py SIGNALS.npz ANSWERS.json, or without the latter to send alone, at
+500 Hz and until it is ended.
 """
 
 import json
@@ -164,11 +165,21 @@ def statuses(message):
     ]
 
 
+def send_alone(arm):
+    """Publish the samples, at 500 Hz, as soon as someone listens."""
+    for k in range(len(arm.signals["t_s"])):
+        arm.send(k)
+        time.sleep(0.002)
+
+
 def main():
-    source, answers = map(Path, sys.argv[1:3])
+    source, *answers = map(Path, sys.argv[1:])
     rclpy.init()
     arm = ArmProcess(dict(np.load(source)))
     arm.wait_until(lambda: arm.publisher.get_subscription_count() > 0, MAX_START_S)
+    if not answers:
+        send_alone(arm)
+        return
     arm.wait_until(arm.setting.service_is_ready)
     arm.wait_until(lambda: all(s.service_is_ready() for s in arm.services.values()))
     arm.describe("queue_depth")
@@ -178,7 +189,7 @@ def main():
     arm.replay()
     arm.call("stop")
     arm.wait_until(lambda: arm.answers["stop"])
-    answers.write_text(json.dumps(arm.answers))
+    answers[0].write_text(json.dumps(arm.answers))
     rclpy.try_shutdown()
 
 

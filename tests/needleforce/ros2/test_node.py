@@ -14,6 +14,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from needleforce.recordings import read_log
 from tests.insertion_run import cut, short_run
 
 pytestmark = pytest.mark.skipif(
@@ -49,8 +50,8 @@ def node_command(*arguments):
 
 
 @pytest.fixture(scope="module")
-def answers(tmp_path_factory):
-    """What an arm that replays an insertion gets back, and how the node ended."""
+def signals(tmp_path_factory):
+    """File of the signals that the arm sends."""
     folder = tmp_path_factory.mktemp("ros2")
     run = short_run()
     sent = sent_signals()
@@ -63,7 +64,13 @@ def answers(tmp_path_factory):
         names=np.array(run.robot.joint_names),
         tare=int(np.searchsorted(sent.t_s, run.tare_end_s)),
     )
-    output = folder / "answers.json"
+    return folder / "signals.npz"
+
+
+@pytest.fixture(scope="module")
+def answers(signals):
+    """What an arm that replays an insertion gets back, and how the node ended."""
+    output = signals.with_name("answers.json")
     with subprocess.Popen(
         node_command("--ros-args", "-p", "reliability:=reliable"),
         env=ros_environment(),
@@ -72,7 +79,7 @@ def answers(tmp_path_factory):
     ) as node:
         try:
             subprocess.run(
-                [sys.executable, str(ARM), str(folder / "signals.npz"), str(output)],
+                [sys.executable, str(ARM), str(signals), str(output)],
                 env=ros_environment(),
                 timeout=600,
                 check=True,
@@ -184,3 +191,47 @@ def test_a_node_with_a_wrong_parameter_does_not_start(setting, message):
 
     assert done.returncode == 2
     assert message in done.stderr
+
+
+def test_an_arm_on_a_topic_is_recorded_with_the_signals_that_it_sends(
+    signals, tmp_path
+):
+    recording = tmp_path / "arm.csv"
+    command = [sys.executable, "-m", "needleforce", "record", "ros2:/joint_states"]
+    options = ["-o", str(recording), "--robot", "lwr", "--seconds", "0.5"]
+    with subprocess.Popen(
+        [sys.executable, str(ARM), str(signals)], env=ros_environment()
+    ) as arm:
+        done = subprocess.run(
+            [*command, *options],
+            env=ros_environment(),
+            capture_output=True,
+            text=True,
+            timeout=240,
+        )
+        arm.kill()
+
+    assert done.returncode == 0, done.stderr
+
+    log = read_log(recording, required=["q", "tau"])
+    sent_rad = sent_signals().q_rad
+    first = int(np.argmin(np.abs(sent_rad - log["q_rad"][0]).sum(axis=1)))
+    assert len(log.t_s) > 100
+    assert np.array_equal(log["q_rad"][0], sent_rad[first])
+    assert log.t_s[-1] == pytest.approx(0.5, abs=0.1)
+
+
+def test_an_arm_that_sends_nothing_is_an_error_with_the_topic(tmp_path):
+    done = subprocess.run(
+        [
+            *(sys.executable, "-m", "needleforce", "record", "ros2:/nobody"),
+            *("-o", str(tmp_path / "arm.csv"), "--robot", "lwr"),
+        ],
+        env=ros_environment(),
+        capture_output=True,
+        text=True,
+        timeout=240,
+    )
+
+    assert done.returncode == 2
+    assert "/nobody: no joint state has come within 10 s" in done.stderr
