@@ -16,6 +16,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 
+from benchmarks import BenchmarkError
 from foundation.arrays import Array
 from groundtruth import simulate
 from needleforce.ros2.messages import fill_stamp
@@ -93,13 +94,11 @@ class ReplayedArm:
         run = simulate(SCENARIO, plant=PLANT)
         first = int(np.searchsorted(run.signals.t_s, run.tare_end_s - BEFORE_TARE_S))
         rows = slice(first, first + round(DURATION_S / PERIOD_S))
+        sent = run.signals
+        if sent.dq_rad_s is None:
+            raise BenchmarkError(f"the arm of {SCENARIO} has no velocities")
         self._signals = [
-            values[rows].tolist()
-            for values in (
-                run.signals.q_rad,
-                run.signals.dq_rad_s,
-                run.signals.tau_Nm,
-            )
+            values[rows].tolist() for values in (sent.q_rad, sent.dq_rad_s, sent.tau_Nm)
         ]
         self._tare_index = round(BEFORE_TARE_S / PERIOD_S)
         self._ros = ros
@@ -130,13 +129,14 @@ class ReplayedArm:
     def wait_for_node(self) -> None:
         """Wait until the node listens and serves."""
         end_s = perf_counter() + MAX_START_S
-        while not (
-            self._publisher.get_subscription_count()
-            and self._service.service_is_ready()
-        ):
+        while not self._is_node_there():
             if perf_counter() > end_s:
-                raise TimeoutError(f"no node within {MAX_START_S:g} s")
+                raise BenchmarkError(f"no node within {MAX_START_S:g} s")
             sleep(0.1)
+
+    def _is_node_there(self) -> bool:
+        is_heard = self._publisher.get_subscription_count() > 0
+        return is_heard and self._service.service_is_ready()
 
     def replay(self) -> LinkResult:
         """Publish the insertion in real time; return what came back."""
@@ -146,8 +146,8 @@ class ReplayedArm:
         for k, (position, velocity, effort) in enumerate(samples):
             due_s = start_s + PERIOD_S * k
             late += perf_counter() > due_s + PERIOD_S
-            while perf_counter() < due_s:
-                self._executor.spin_once(timeout_sec=0.0)
+            while (left_s := due_s - perf_counter()) > 0.0:
+                self._executor.spin_once(timeout_sec=left_s)
             if k == self._tare_index:
                 future = self._service.call_async(self._ros.services.Trigger.Request())
                 future.add_done_callback(self._note_tare)
@@ -159,7 +159,7 @@ class ReplayedArm:
             self._publisher.publish(message)
         end_s = perf_counter() + OUTLASTING_S
         while perf_counter() < end_s:
-            self._executor.spin_once(timeout_sec=0.0)
+            self._executor.spin_once(timeout_sec=0.1)
         return LinkResult(
             sent=len(samples),
             late=late,

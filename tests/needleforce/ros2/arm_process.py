@@ -1,7 +1,7 @@
 """An arm of another process: replays joint signals through ROS 2, keeps the answers.
 
-Needs rclpy and numpy alone. Usage: arm_process.py SIGNALS.npz ANSWERS.json, or without the latter to send alone, at
-500 Hz and until it is ended.
+Needs rclpy and numpy alone. Usage: arm_process.py SIGNALS.npz ANSWERS.json, or without
+the latter to send alone, at 500 Hz.
 """
 
 import json
