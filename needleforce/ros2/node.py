@@ -46,6 +46,9 @@ OUTPUT_DEPTH = 1000
 EVENT_DEPTH = 100
 """Events that a subscriber gets who comes later."""
 
+MAX_TAKEN = 50
+"""Joint states that are taken before services and timers have their turn."""
+
 REPORT_PERIOD_S = 1.0
 """Time between two messages of diagnostics and layers [s]."""
 
@@ -151,8 +154,8 @@ class NeedleNode:
             else policy.RELIABLE,
         )
         state_type = ros.sensor.JointState
-        self._node.create_subscription(
-            state_type, "joint_states", self._take_joint_state, quality
+        self._subscription = self._node.create_subscription(
+            state_type, "joint_states", self._take_joint_states, quality
         )
         if self._needs_pairing:
             self._node.create_subscription(
@@ -161,6 +164,20 @@ class NeedleNode:
                 self._take_torque,
                 quality,
             )
+
+    def _take_joint_states(self, message: Any, info: Any) -> None:
+        """Process a joint state, and those that wait behind it.
+
+        What the executor does between two callbacks takes as long as an update.
+        """
+        self._take_joint_state(message, info)
+        subscription = self._subscription
+        for _ in range(MAX_TAKEN):
+            with subscription.handle:
+                taken = subscription.handle.take_message(subscription.msg_type, False)
+            if taken is None:
+                return
+            self._take_joint_state(*taken)
 
     def _take_joint_state(self, message: Any, info: Any) -> None:
         """Process a joint state, and publish what it gives."""
