@@ -9,6 +9,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.recordings.errors import FormatError, LogError
+from needleforce.recordings.link_transforms import LinkPoses
 from needleforce.recordings.time_stamps import exceed_float64
 
 TableColumns = Mapping[str, np.ndarray]
@@ -174,12 +175,17 @@ class TableLabels:
         joint_names: In the order of the columns of joint signals.
         frame: In which forces are given.
         prefix: How the topics of a bag begin that hold estimates.
+        robot_description: URDF of the arm, for who shows the bag; empty for none.
+        link_poses: Where the links are for the joint positions of a row; None if that
+            is not known.
     """
 
     start_ns: int = 0
     joint_names: tuple[str, ...] = ()
     frame: str = ""
     prefix: str = "/needleforce"
+    robot_description: str = ""
+    link_poses: LinkPoses | None = None
 
 
 def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.ndarray:

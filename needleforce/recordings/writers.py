@@ -27,6 +27,8 @@ Writer = Callable[[BinaryIO, TableLabels, TableColumns], AbstractContextManager[
 """Begins a table of these columns, here without rows, gives what writes rows, and
 finishes it."""
 
+STRING = "std_msgs/msg/String"
+
 MCAP_CHUNK_BYTES = 1 << 16
 """Of a bag that is written: who follows it sees rows so many at a time."""
 
@@ -140,13 +142,19 @@ def mcap_writer(
     bag = library.Writer(stream, chunk_size=MCAP_CHUNK_BYTES, enable_data_crcs=True)
     bag.start(profile="ros2", library="needleforce")
     channels = [_register(bag, topic) for topic in bag_topics(empty, labels, ())]
+    descriptions = _description_topics(labels)
 
     def append(columns: TableColumns) -> None:
         stamps_ns = _message_stamps_ns(columns, labels)
+        while descriptions and stamps_ns:
+            _write_first(bag, descriptions.pop(), stamps_ns[0])
         topics = bag_topics(columns, labels, stamps_ns)
         rows = (topic.messages for topic in topics)
         for stamp_ns, *messages in zip(stamps_ns, *rows, strict=True):
             for channel, message in zip(channels, messages, strict=True):
+                if message is None:
+                    continue
+
                 data = types.serialize_cdr(message, channel.kind)
                 bag.add_message(channel.number, stamp_ns, data, stamp_ns)
 
@@ -154,6 +162,23 @@ def mcap_writer(
 
     yield append
     bag.finish()  # writes the index
+
+
+def _description_topics(labels: TableLabels) -> list[WrittenTopic]:
+    """Return the topic of the arm's description, with its one message, if there is."""
+    if not labels.robot_description:
+        return []
+
+    message = standard_types().types[STRING](labels.robot_description)
+    return [WrittenTopic("/robot_description", STRING, [message])]
+
+
+def _write_first(bag: Any, topic: WrittenTopic, stamp_ns: int) -> None:
+    """Write the messages of a topic with the stamp of the first row."""
+    channel = _register(bag, topic)
+    for message in topic.messages:
+        data = standard_types().serialize_cdr(message, channel.kind)
+        bag.add_message(channel.number, stamp_ns, data, stamp_ns)
 
 
 def _register(bag: Any, topic: WrittenTopic) -> _McapChannel:

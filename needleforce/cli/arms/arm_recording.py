@@ -1,9 +1,12 @@
 """`needleforce record`: an arm's joint signals into a file."""
 
+from dataclasses import replace
 from pathlib import Path
 
+from needleforce.cli.arm_frames import ArmFrames, read_description
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
+    ROBOTS,
     open_arm,
     require_samples,
     samples_until_stopped,
@@ -11,6 +14,8 @@ from needleforce.cli.arms.arm_connection import (
 from needleforce.cli.arms.recorder import Recorder
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import say
+from needleforce.recordings.table import TableLabels
+from urdf import Robot
 
 
 def record_signals(
@@ -30,7 +35,9 @@ def record_signals(
     has_torque = True
     with (
         open_arm(arm_name, robot, options.motor_constants) as (arm, model),
-        Recorder(output, model.joint_names) as recorder,
+        Recorder(
+            output, model.joint_names, _labels_of_arm(arm_name, model, robot)
+        ) as recorder,
     ):
         for sample in samples_until_stopped(arm, options):
             recorder.put(sample)
@@ -40,3 +47,12 @@ def record_signals(
     if not has_torque:
         say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
     return 0
+
+
+def _labels_of_arm(arm_name: str, model: Robot, options: RobotOptions) -> TableLabels:
+    """Return what lets a bag show the arm."""
+    if options.robot is None and options.urdf is None:
+        options = replace(options, robot=ROBOTS.get(arm_name.partition(":")[0]))
+    return TableLabels(
+        robot_description=read_description(options), link_poses=ArmFrames(model)
+    )

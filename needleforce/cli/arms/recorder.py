@@ -10,6 +10,7 @@ import signal
 import threading
 from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
@@ -38,6 +39,9 @@ column."""
 Chunks = SimpleQueue[dict[str, Any] | None]
 """Columns that wait to be sent; None after the last."""
 
+NO_LABELS = TableLabels()
+"""Of a recording that does not show the arm."""
+
 
 class Recorder:
     """A recording that is written while samples come; for the ``with`` statement.
@@ -47,6 +51,7 @@ class Recorder:
     Args:
         path: The recording.
         joint_names: Names of the joints, in the order of the signals.
+        labels: What else a bag carries; by default nothing.
 
     Attributes:
         rows: Samples that were put into it.
@@ -56,7 +61,12 @@ class Recorder:
         needleforce.recordings.FileAccessError: The file cannot be written.
     """
 
-    def __init__(self, path: Path, joint_names: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        path: Path,
+        joint_names: tuple[str, ...],
+        labels: TableLabels = NO_LABELS,
+    ) -> None:
         check_writable(path)
         self.rows = 0
         self.time_s = 0.0
@@ -65,7 +75,8 @@ class Recorder:
         context = multiprocessing.get_context("spawn")
         self._writers_rows, self._rows_pipe = context.Pipe(duplex=False)
         self._answers, self._writers_answers = context.Pipe(duplex=False)
-        arguments = (self._writers_rows, self._writers_answers, path, joint_names)
+        written = replace(labels, joint_names=joint_names)
+        arguments = (self._writers_rows, self._writers_answers, path, written)
         self._process = context.Process(target=_write, args=arguments)
         self._waiting: Chunks = SimpleQueue()
         self._sender = threading.Thread(
@@ -179,7 +190,7 @@ def _received(rows: Connection) -> Iterator[dict[str, Any]]:
 
 
 def _write(
-    rows: Connection, answers: Connection, path: Path, joint_names: tuple[str, ...]
+    rows: Connection, answers: Connection, path: Path, labels: TableLabels
 ) -> None:
     """Write rows until the other end of their pipe is closed; runs in its own process.
 
@@ -189,9 +200,7 @@ def _write(
     leave_real_time()
     failure: Exception | None = None
     try:
-        with open_table(
-            path, is_live=True, labels=lambda: TableLabels(joint_names=joint_names)
-        ) as table:
+        with open_table(path, is_live=True, labels=lambda: labels) as table:
             answers.send(None)
             for columns in _received(rows):
                 table.append(columns)

@@ -13,6 +13,8 @@ from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.tissue import Rupture, TissueTruth
 from needleforce.cli.patient.example_case import NAME as TORSO
 from needleforce.cli.patient.simulated_patient import insert_into_patient
+from needleforce.cli.arm_frames import ArmFrames, read_description
+from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_outputs
@@ -97,7 +99,11 @@ def _write_run(run: Run, recording: Path | None, truth: Path | None) -> None:
     """Write recording and ground truth of a run, and print a summary."""
     joint_names = run.robot.joint_names
     if recording is not None:
-        labels = TableLabels(joint_names=joint_names)
+        labels = TableLabels(
+            joint_names=joint_names,
+            robot_description=read_description(RobotOptions()),
+            link_poses=ArmFrames(run.robot),
+        )
         write_table(recording, signal_table(run), labels=labels)
     if truth is not None:
         labels = TableLabels(joint_names=joint_names, prefix="/truth")

@@ -1,12 +1,13 @@
 """Rows of a table as messages of ROS 2, to be written to a bag."""
 
 import re
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from needleforce.recordings.bags.message_types import standard_types
+from needleforce.recordings.link_transforms import LinkPoses
 from needleforce.recordings.table import TableColumns, TableLabels, flat_columns
 from needleforce.recordings.time_stamps import NS_PER_S
 
@@ -16,6 +17,22 @@ FLOAT64 = "std_msgs/msg/Float64"
 
 JOINT_SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")
 """Position, velocity and effort of a `JointState`."""
+
+TF_MESSAGE = "tf2_msgs/msg/TFMessage"
+LOG = "rcl_interfaces/msg/Log"
+
+TF_RATE_HZ = 30.0
+"""Poses of the links in a second: as many as a screen shows."""
+
+LOG_INFO = 20
+"""Level of a `Log` that reports something usual."""
+
+EVENT_TEXTS = {
+    "rupture": "rupture of layer {}",
+    "retracted": "no rupture of layer {} after all: the force came back",
+    "identified_layer": "layer {} identified",
+}
+"""Columns that hold the number of a layer on the row of an event, and 0 elsewhere."""
 
 SENSOR_FORCE = "ft_force_N"
 SENSOR_TORQUE = "ft_torque_Nm"
@@ -28,7 +45,7 @@ class WrittenTopic(NamedTuple):
     Attributes:
         name: Such as /joint_states.
         kind: The type of its messages.
-        messages: One for each row.
+        messages: One for each row; None for a row without.
     """
 
     name: str
@@ -55,9 +72,16 @@ def bag_topics(
         for name, values in columns.items()
     }
     remaining.pop("t_s", None)
+    events = {name: remaining[name] for name in EVENT_TEXTS if name in remaining}
     signals = _pop_joint_signals(remaining)
     if signals:
         yield _joint_states(signals, labels, stamps_ns)
+    if "q_rad" in signals and labels.link_poses is not None:
+        poses = _link_poses(signals["q_rad"], labels.link_poses, stamps_ns)
+        yield WrittenTopic("/tf", TF_MESSAGE, poses)
+    if events:
+        logs = _event_logs(events, labels.prefix, stamps_ns)
+        yield WrittenTopic(f"{labels.prefix}/events", LOG, logs)
 
     has_sensor = all(
         name in remaining and remaining[name].shape[1:] == (3,)
@@ -117,6 +141,82 @@ def _joint_states(
     make_state = standard_types().types[JOINT_STATE]
     messages = (make_state(header, joint_names, *row) for header, *row in rows)
     return WrittenTopic("/joint_states", JOINT_STATE, messages)
+
+
+def _link_poses(
+    q_rad: np.ndarray, poses: LinkPoses, stamps_ns: Sequence[int]
+) -> Iterator[Any]:
+    """Yield a `TFMessage` for rows at `TF_RATE_HZ`, None for the others.
+
+    Args:
+        q_rad: Joint positions, shape (n, joints).
+        poses: Where the links are.
+        stamps_ns: Time stamps of the rows.
+    """
+    types = standard_types().types
+    make_vector = types["geometry_msgs/msg/Vector3"]
+    make_rotation = types["geometry_msgs/msg/Quaternion"]
+    make_transform = types["geometry_msgs/msg/Transform"]
+    make_stamped = types["geometry_msgs/msg/TransformStamped"]
+    latest: int | None = None
+    for position_rad, stamp_ns in zip(q_rad, stamps_ns, strict=True):
+        picture = int(stamp_ns * TF_RATE_HZ / NS_PER_S)
+        if picture == latest or not np.isfinite(position_rad).all():
+            yield None
+            continue
+
+        latest = picture
+        links = poses(position_rad)
+        headers = _headers([stamp_ns] * len(links.children), links.parent)
+        transforms = [
+            make_stamped(
+                header,
+                child,
+                make_transform(make_vector(*origin), make_rotation(*rotation)),
+            )
+            for header, child, origin, rotation in zip(
+                headers,
+                links.children,
+                links.translation_m.tolist(),
+                links.rotation_xyzw.tolist(),
+                strict=True,
+            )
+        ]
+        yield types[TF_MESSAGE](transforms)
+
+
+def _event_logs(
+    events: Mapping[str, np.ndarray], name: str, stamps_ns: Sequence[int]
+) -> Iterator[Any]:
+    """Yield a `Log` for rows on which something happened, None for the others.
+
+    Args:
+        events: Columns of `EVENT_TEXTS`, shape (n,).
+        name: Of who reports them.
+        stamps_ns: Time stamps of the rows.
+    """
+    types = standard_types().types
+    make_time = types["builtin_interfaces/msg/Time"]
+    make_log = types[LOG]
+    for index, stamp_ns in enumerate(stamps_ns):
+        texts = [
+            EVENT_TEXTS[kind].format(int(layers[index]))
+            for kind, layers in events.items()
+            if layers[index] > 0
+        ]
+        if not texts:
+            yield None
+            continue
+
+        yield make_log(
+            stamp=make_time(*divmod(stamp_ns, NS_PER_S)),
+            level=LOG_INFO,
+            name=name.strip("/"),
+            msg="; ".join(texts),
+            file="",
+            function="",
+            line=0,
+        )
 
 
 def _pop_vector(columns: dict[str, np.ndarray], quantity: str) -> np.ndarray | None:
