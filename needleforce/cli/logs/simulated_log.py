@@ -11,9 +11,9 @@ from groundtruth import SCENARIOS, NeedleRun, Run, Scenario, insert_needle, simu
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.tissue import Rupture, TissueTruth
+from needleforce.cli.arm_frames import ArmFrames, read_description
 from needleforce.cli.patient.example_case import NAME as TORSO
 from needleforce.cli.patient.simulated_patient import insert_into_patient
-from needleforce.cli.arm_frames import ArmFrames, read_description
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
