@@ -48,7 +48,7 @@ Right ones lose a tenth and more when they are moved by 10 mm."""
 MM_PER_M = 1e3
 
 
-class Segmentation(Protocol):
+class CheckedLabels(Protocol):
     """What the check reads of labels."""
 
     @property
@@ -147,7 +147,7 @@ class _Cover(NamedTuple):
         return float(shifted_fraction - self.are_right(now_HU).mean())
 
 
-def check_against_scan(labels: Segmentation, scan: Volume) -> str:
+def check_against_scan(labels: CheckedLabels, scan: Volume) -> str:
     """Refuse labels that do not lie where their scan shows what they name.
 
     Returns:
@@ -204,7 +204,7 @@ def _require_best_place(covers: Sequence[_Cover], scan: Volume) -> None:
         )
 
 
-def _find_covers(labels: Segmentation) -> Iterator[_Cover]:
+def _find_covers(labels: CheckedLabels) -> Iterator[_Cover]:
     """Yield the voxels of each kind that has enough of them."""
     for kind in (BONE, *KINDS):
         structures = [item for item in labels.structures if _kind_of(item) is kind]
@@ -231,7 +231,7 @@ def _kind_of(item: Structure) -> _Kind | None:
     return kinds[0] if kinds else None
 
 
-def _require_place(labels: Segmentation, scan: Volume) -> None:
+def _require_place(labels: CheckedLabels, scan: Volume) -> None:
     """Refuse labels that do not lie where their scan does.
 
     Raises:
