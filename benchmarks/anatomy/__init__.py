@@ -1,5 +1,5 @@
 """The patient's anatomy against analytic shapes and a real CT.
 
 Reading order: `study` (what can be run), then the parts: `surface`, `path`,
-`registration`, `match`, `abdomen`, `fullsize`.
+`obstacles`, `agreement`, `deviation`, `registration`, `match`, `abdomen`, `fullsize`.
 """

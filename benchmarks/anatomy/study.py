@@ -18,6 +18,9 @@ CT_FOLDER = "torso_ct_totalsegmentator"
 TITLES = {
     "surface": "surfaces of ellipsoids and of a CT, places read from every format",
     "path": "layers along straight paths through analytic torsos",
+    "obstacles": "paths among thin ribs: through bone, and clear ones",
+    "agreement": "labels against their scan: right, mirrored, shifted, foreign",
+    "deviation": "the needle against the plan: aside, turned, and on it",
     "registration": "landmarks and touches: errors stated and true, what is refused",
     "match": "the plan against the ruptures of random stacks; half an hour",
     "abdomen": "how far from the target the tip stops in the demonstration",

@@ -33,8 +33,8 @@ def next_layer_name(row: ViewRow, names: Mapping[float, str]) -> str:
 
 def rupture_text(row: ViewRow, names: Mapping[float, str]) -> str:
     """Return the rupture of a row, and the planned layer that it led into."""
-    depth_mm = M_TO_MM * row.rupture_depth_m
-    text = f"rupture {row.rupture:.0f} at {depth_mm:.1f} mm"
+    depth_mm = M_TO_MM * (row.rupture_depth_m - row.zero_m)
+    text = f"rupture {row.rupture:.0f} at {depth_mm:.1f} mm {row.zero_name}"
     if math.isnan(row.plan_matched):
         return text
     if row.is_off_plan:
@@ -58,8 +58,8 @@ def state_lines(
     """
     doubt = "" if row.is_good else " (not tared, or doubtful)"
     yield (
-        f"**{row.time_s:.1f} s** at {M_TO_MM * row.depth_m:.1f} mm, "
-        f"layer {row.layer:.0f}"
+        f"**{row.time_s:.1f} s** at {M_TO_MM * (row.depth_m - row.zero_m):.1f} mm "
+        f"{row.zero_name}, layer {row.layer:.0f}"
     )
     yield f"force {row.force_N:.2f} ± {2.0 * row.force_std_N:.2f} N{doubt}"
     yield (
@@ -94,7 +94,7 @@ def _plan_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
     place = f"in **{name}** ({100.0 * row.plan_probability:.0f} %)"
     next_name = next_layer_name(row, names)
     if next_name:
-        next_mm = M_TO_MM * row.plan_next_m
+        next_mm = M_TO_MM * (row.plan_next_m - row.zero_m)
         next_band_mm = 2.0 * M_TO_MM * row.plan_next_std_m
         place += f", {next_name} at {next_mm:.1f} ± {next_band_mm:.1f} mm"
 

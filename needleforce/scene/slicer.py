@@ -12,6 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needleforce.depth_zero import DepthZero, depth_zero
 from needleforce.scene.state_ring import Closing, SceneCode, SceneError
 
 PORT = 18944
@@ -26,7 +27,7 @@ LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
 """From axes to the left and to the back to axes to the right and to the front."""
 
 
-def _to_json(values: dict[str, float]) -> str:
+def _to_json(values: dict[str, float | str]) -> str:
     """Return numbers as JSON; a NaN becomes null."""
     return msgspec.json.encode(values, enc_hook=float).decode()
 
@@ -80,7 +81,7 @@ class SlicerOutput(Closing):
         """
         rupture = estimate.identification.rupture
         if rupture is not None:
-            self._send_rupture(rupture)
+            self._send_rupture(rupture, depth_zero(estimate))
         # A time before that of the last tick is that of a session which has begun anew.
         if self._next_s - 1.0 / MAX_RATE_HZ <= estimate.time_s < self._next_s:
             return rupture is not None
@@ -92,11 +93,12 @@ class SlicerOutput(Closing):
             self._send_deviation(estimate.deviation)
         return True
 
-    def _send_rupture(self, rupture: Any) -> None:
+    def _send_rupture(self, rupture: Any, zero: DepthZero) -> None:
         """Send a detected rupture."""
         values = {
             "layer": rupture.layer,
-            "depth_mm": M_TO_MM * rupture.depth_m,
+            "depth_mm": zero.shown_mm(rupture.depth_m),
+            "depth_zero": zero.name,
             "probability": rupture.probability,
             "time_s": rupture.time_s,
         }
@@ -110,11 +112,13 @@ class SlicerOutput(Closing):
 
     def _send_forces(self, estimate: Any) -> None:
         """Send the axial force, the tip force and the depth."""
+        zero = depth_zero(estimate)
         values = {
             "force_N": estimate.wrench.axial,
             "force_std_N": estimate.wrench.axial_std,
             "tip_force_N": estimate.identification.tip_force_N,
-            "depth_mm": M_TO_MM * estimate.depth_m,
+            "depth_mm": zero.shown_mm(estimate.depth_m),
+            "depth_zero": zero.name,
         }
         self._send(self._igtl.StringMessage(_to_json(values), device_name="Force"))
 

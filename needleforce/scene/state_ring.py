@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from foundation.errors import CodedError, ErrorCode
 from foundation.extras import install_command
+from needleforce.depth_zero import ZERO_NAMES, depth_zero
 
 ROWS = 4096
 """How many rows the ring has, four seconds at 1 kHz."""
@@ -63,6 +64,8 @@ class ViewRow(NamedTuple):
         aside_angle_rad: Between the planned and the needle's direction.
         aside_angle_std_rad: Standard deviation of that angle.
         aside_is_off_plan: 1 if the needle is off the plan, else 0.
+        zero_m: Depth from which shown depths count.
+        zero_kind: Number of its name in `needleforce.depth_zero.ZERO_NAMES`.
     """
 
     time_s: float
@@ -93,6 +96,13 @@ class ViewRow(NamedTuple):
     aside_angle_rad: float = math.nan
     aside_angle_std_rad: float = math.nan
     aside_is_off_plan: float = math.nan
+    zero_m: float = 0.0
+    zero_kind: float = 0.0
+
+    @property
+    def zero_name(self) -> str:
+        """Name of the zero of shown depths, such as ``below first contact``."""
+        return ZERO_NAMES[int(self.zero_kind)]
 
     @property
     def is_off_plan(self) -> bool:
@@ -142,6 +152,7 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
             for name in ASIDE_FIELDS
         }
 
+    zero = depth_zero(estimate)
     row = ViewRow(
         time_s=estimate.time_s,
         depth_m=estimate.depth_m,
@@ -156,6 +167,8 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
         rupture_depth_m=0.0 if rupture is None else rupture.depth_m,
         retracted=0.0 if retracted is None else retracted.layer,
         is_good=estimate.status.value == "ok",
+        zero_m=zero.depth_m,
+        zero_kind=ZERO_NAMES.index(zero.name),
         **plan_values,
     )
     return (*row, *np.asarray(q_rad, dtype=float).tolist())

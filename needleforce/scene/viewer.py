@@ -55,7 +55,7 @@ MAX_PORT = 65535
 M_TO_MM = 1e3
 
 TIME_LABEL = "time [s]"
-DEPTH_LABEL = "depth [mm]"
+DEPTH_LABEL = "depth, counted as above [mm]"
 
 
 class ForceCurve(NamedTuple):
@@ -380,7 +380,7 @@ class Viewer:
         self._plots[TIME_LABEL].data = (time_s, *curves)
 
         # A curve over depth runs forth and back: only what is deeper than all before.
-        depth_m = rows[:, COLUMN["depth_m"]]
+        depth_m = rows[:, COLUMN["depth_m"]] - self._rows[index, COLUMN["zero_m"]]
         is_deepest = depth_m >= np.maximum.accumulate(depth_m)
         self._plots[DEPTH_LABEL].data = tuple(
             values[is_deepest] for values in (M_TO_MM * depth_m, *curves)

@@ -22,6 +22,7 @@ from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
+from needleforce.depth_zero import DepthZero, depth_zero
 from needleforce.devices import NetFT
 from needleforce.devices.rdt_status import describe_status
 from needleforce.needle_on_plan import describe_deviation
@@ -89,15 +90,16 @@ class Display:
         force = f"force {wrench.axial:6.2f} ± {std_N:.3f} N"
         if self._reference is not None:
             force += f" ({describe_reference(self._reference)})"
-        depth_mm = M_TO_MM * estimate.depth_m
+        zero = depth_zero(estimate)
+        depth_mm = zero.shown_mm(estimate.depth_m)
         values = [
             f"{estimate.time_s:8.1f} s  {estimate.status}",
             force,
             f"tip {identification.tip_force_N:6.2f} N  "
-            f"depth {depth_mm:6.1f} mm  layer {identification.layer}",
+            f"depth {depth_mm:6.1f} mm {zero.name}  layer {identification.layer}",
         ]
         if estimate.plan is not None:
-            values.append(describe_plan(estimate.plan))
+            values.append(describe_plan(estimate.plan, zero))
         if estimate.deviation is not None:
             values.append(describe_deviation(estimate.deviation))
         return values
@@ -107,9 +109,10 @@ def describe_events(estimate: SessionEstimate) -> Iterator[str]:
     """Yield in words the rupture that was detected or retracted at this sample."""
     rupture = estimate.identification.rupture
     if rupture is not None:
-        depth_mm = M_TO_MM * rupture.depth_m
+        zero = depth_zero(estimate)
         text = (
-            f"rupture of layer {rupture.layer} at {depth_mm:.1f} mm "
+            f"rupture of layer {rupture.layer} at {zero.shown_mm(rupture.depth_m):.1f} "
+            f"mm {zero.name} "
             f"({_percent(rupture.probability)})"
         )
         plan = estimate.plan
@@ -133,13 +136,13 @@ def describe_reference(reference: ReferenceForce) -> str:
     )
 
 
-def describe_plan(plan: PlanState) -> str:
+def describe_plan(plan: PlanState, zero: DepthZero) -> str:
     """Return where the tip is by the plan, what comes next, and the plan's offset."""
     if plan.layer == OFF_PLAN_LAYER:
         return "no layer is named off the plan"
     text = f"in {plan.name} ({_percent(plan.probability)})"
     if plan.next_name:
-        next_mm = M_TO_MM * plan.next_m
+        next_mm = zero.shown_mm(plan.next_m)
         next_std_mm = M_TO_MM * plan.next_std_m
         text += f", {plan.next_name} at {next_mm:.1f} ± {next_std_mm:.1f} mm"
     offset_mm = M_TO_MM * plan.offset_m

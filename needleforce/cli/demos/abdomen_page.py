@@ -148,7 +148,9 @@ def _rows_of(insertion: Insertion) -> tuple[tuple[str, str], ...]:
         f"and {TOUCHES} touches of the skin": by_touches,
     }
     for number, (depth_m, plan) in enumerate(insertion.followed.ruptures, 1):
-        label = f"rupture {number} at {M_TO_MM * depth_m:.1f} mm"
+        label = (
+            f"rupture {number} at {M_TO_MM * depth_m:.1f} mm below the planned entry"
+        )
         rows[label] = _describe_match(plan)
     errors = insertion.errors_m
     rows["true shift along the needle"] = f"{M_TO_MM * insertion.shift_m:+.1f} mm"
@@ -260,7 +262,7 @@ def draw_plane(insertion: Insertion, path: Path) -> Path:
     _draw_needle(axes, insertion, outline)
     axes.set(
         xlabel="across the needle [mm]",
-        ylabel="along the needle [mm]",
+        ylabel="along the needle, below the planned entry [mm]",
         title="Plan and insertion",
     )
     legend = {"facecolor": "0.3", "labelcolor": "white", "fontsize": 8, "ncols": 4}

@@ -142,7 +142,7 @@ def test_marks_show_ruptures_up_to_the_time_shown(viewer):
     viewer.show()
     (mark,) = viewer.marks
 
-    assert mark.text == "rupture 1 at 12.0 mm"
+    assert mark.text == "rupture 1 at 12.0 mm from the tare, before contact"
     assert mark.time_s == pytest.approx(6.0)
     assert is_shown(mark)
 
@@ -198,8 +198,8 @@ def test_a_plan_names_layers_retracted_alarms_vanish(viewer):
     viewer.append(np.array([row(4.0, 0.032, 1.0, **planned(2, np.nan, -1))]))
     viewer.show()
     texts = [
-        "rupture 1 at 22.1 mm: into liver (97 %)",
-        "rupture 1 at 32.0 mm: a false alarm (97 %)",
+        "rupture 1 at 22.1 mm from the tare, before contact: into liver (97 %)",
+        "rupture 1 at 32.0 mm from the tare, before contact: a false alarm (97 %)",
     ]
 
     assert [mark.text for mark in viewer.marks] == texts

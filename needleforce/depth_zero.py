@@ -1,0 +1,45 @@
+"""One zero for the depths that are shown: the planned entry, or the first contact.
+
+A session counts depth from where it was tared, which says nothing to a reader. What is
+shown counts from the planned entry where a plan has one, else from the first contact
+with tissue, and says which.
+"""
+
+from typing import Any, NamedTuple
+
+PLANNED_ENTRY = "below the planned entry"
+FIRST_CONTACT = "below first contact"
+TARE = "from the tare, before contact"
+
+ZERO_NAMES = (TARE, FIRST_CONTACT, PLANNED_ENTRY)
+"""Names of zeros by their numbers in rows of the scene."""
+
+
+class DepthZero(NamedTuple):
+    """Where shown depths count from.
+
+    Attributes:
+        depth_m: Depth of that place as the session counts.
+        name: Behind a depth, such as ``below first contact``.
+    """
+
+    depth_m: float
+    name: str
+
+    def shown_mm(self, depth_m: float) -> float:
+        """Return a depth of the session as it is shown [mm]."""
+        return 1e3 * (depth_m - self.depth_m)
+
+
+def depth_zero(estimate: Any) -> DepthZero:
+    """Return where the depths of an estimate count from when they are shown.
+
+    Args:
+        estimate: A `SessionEstimate`.
+    """
+    below_m = getattr(estimate, "depth_in_tissue_m", None)
+    if below_m is None:
+        return DepthZero(0.0, TARE)
+    has_entry = getattr(estimate, "deviation", None) is not None
+    name = PLANNED_ENTRY if has_entry else FIRST_CONTACT
+    return DepthZero(estimate.depth_m - below_m, name)
