@@ -6,14 +6,14 @@ stored in any direction.
 
 from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.anatomy.study import CT_FOLDER
 from benchmarks.jobs import Progress
 from benchmarks.results import Measurement, our_measurement
-from foundation.arrays import Array
 from groundtruth.torso import analytic_torso
 from needleforce.anatomy import (
     Grid,
@@ -42,11 +42,11 @@ SHOWN_HU = {
 }
 SHAPE = (120, 84, 112)
 SPACING_m = 3e-3
-LEAST_PART = np.array([70, 60, 45])
+MIN_PART = np.array([70, 60, 45])
 """Voxels of a part of the CT along each axis, at least."""
 
 
-class Case(NamedTuple):
+class LabelledScan(NamedTuple):
     """A scan and what is labelled in it.
 
     Attributes:
@@ -55,11 +55,11 @@ class Case(NamedTuple):
         structures: Structures of the labels.
     """
 
-    values: Array
+    values: NDArray[Any]
     scan: Volume
     structures: tuple[Structure, ...]
 
-    def is_accepted(self, values: Array, grid: Grid | None = None) -> bool:
+    def is_accepted(self, values: NDArray[Any], grid: Grid | None = None) -> bool:
         """Return whether labels with other values, or elsewhere, are accepted."""
         place = self.scan.grid if grid is None else grid
         try:
@@ -73,7 +73,9 @@ class Case(NamedTuple):
 
 def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
     """Yield how many right labels pass, and how many wrong ones are refused."""
-    sources: dict[str, Callable[[np.random.Generator], Case]] = {"torso": draw_torso}
+    sources: dict[str, Callable[[np.random.Generator], LabelledScan]] = {
+        "torso": draw_torso
+    }
     if data is not None:
         folder = data / CT_FOLDER
         ct = read_volume(folder / "ct.nii.gz")
@@ -100,7 +102,7 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
             yield our_measurement("labels_refused_pct", percent, f"{name}, {fault}")
 
 
-def draw_torso(rng: np.random.Generator) -> Case:
+def draw_torso(rng: np.random.Generator) -> LabelledScan:
     """Draw a torso and its noisy scan."""
     torso = analytic_torso(rng)
     grid = Grid(SHAPE, -0.5 * SPACING_m * np.array(SHAPE), SPACING_m * np.eye(3))
@@ -110,13 +112,13 @@ def draw_torso(rng: np.random.Generator) -> Case:
     structures = tuple(
         Structure.named(shape.name, k) for k, shape in enumerate(torso.shapes, 1)
     )
-    return Case(values, Volume(scan_HU, grid), structures)
+    return LabelledScan(values, Volume(scan_HU, grid), structures)
 
 
-def draw_part(ct: Volume, labels: Labels, rng: np.random.Generator) -> Case:
+def draw_part(ct: Volume, labels: Labels, rng: np.random.Generator) -> LabelledScan:
     """Draw a part of a CT, with axes stored in any direction, and noise."""
     shape = np.array(ct.grid.shape)
-    size = rng.integers(LEAST_PART, shape)
+    size = rng.integers(MIN_PART, shape)
     corner = rng.integers(0, shape - size + 1)
     box = tuple(slice(a, a + n) for a, n in zip(corner, size, strict=True))
     values = labels.volumes[0][box]
@@ -132,18 +134,18 @@ def draw_part(ct: Volume, labels: Labels, rng: np.random.Generator) -> Case:
     structures = tuple(
         Structure.named(item.name, item.value) for item in labels.structures
     )
-    return Case(values, Volume(scan_HU, grid), structures)
+    return LabelledScan(values, Volume(scan_HU, grid), structures)
 
 
-def _mirror(axis: int) -> Callable[[Case, np.random.Generator], Array]:
+def _mirror(axis: int) -> Callable[[LabelledScan, np.random.Generator], NDArray[Any]]:
     """Return what mirrors labels along an axis of their array."""
     return lambda case, rng: np.flip(case.values, axis)
 
 
-def _shift(axis: int) -> Callable[[Case, np.random.Generator], Array]:
+def _shift(axis: int) -> Callable[[LabelledScan, np.random.Generator], NDArray[Any]]:
     """Return what shifts labels along an axis, to either side."""
 
-    def spoil(case: Case, rng: np.random.Generator) -> Array:
+    def spoil(case: LabelledScan, rng: np.random.Generator) -> NDArray[Any]:
         voxels = round(SHIFT_m / case.scan.grid.spacing_m[axis])
         moved = np.roll(case.values, voxels, axis)
         lost = [slice(None)] * 3
@@ -154,13 +156,13 @@ def _shift(axis: int) -> Callable[[Case, np.random.Generator], Array]:
     return spoil
 
 
-def _foreign(case: Case, rng: np.random.Generator) -> Array:
+def _foreign(case: LabelledScan, rng: np.random.Generator) -> NDArray[Any]:
     """Return labels of another place and size."""
     moved = np.roll(case.values, rng.integers(12, 40, 3).tolist(), (0, 1, 2))
     return np.flip(moved, int(rng.integers(0, 3)))
 
 
-FAULTS: dict[str, Callable[[Case, np.random.Generator], Array]] = {
+FAULTS: dict[str, Callable[[LabelledScan, np.random.Generator], NDArray[Any]]] = {
     "mirrored x": _mirror(0),
     "mirrored y": _mirror(1),
     "mirrored z": _mirror(2),

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial.transform import Rotation
+from scipy.stats import special_ortho_group
 
 from benchmarks.jobs import Progress
 from benchmarks.results import Measurement, our_measurement
@@ -55,7 +55,7 @@ def draw_chest(spacing_m: Array, rng: np.random.Generator) -> Labels:
     is_rib = np.abs(radius_m - CHEST_m) < 0.5 * thickness_m
     is_rib &= np.mod(height_m, PITCH_m) < width_m
     values[is_rib] = 2
-    rotation = Rotation.random(random_state=rng).as_matrix()
+    rotation = special_ortho_group.rvs(3, random_state=rng)
     grid = Grid(shape, rng.normal(0.0, 0.1, 3), rotation * spacing_m)
     names = ("lung_left", "rib_left_8")
     structures = [Structure.named(name, k) for k, name in enumerate(names, 1)]
