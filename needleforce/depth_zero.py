@@ -31,7 +31,7 @@ class DepthZero(NamedTuple):
         return 1e3 * (depth_m - self.depth_m)
 
 
-def depth_zero(estimate: Any) -> DepthZero:
+def find_depth_zero(estimate: Any) -> DepthZero:
     """Return where the depths of an estimate count from when they are shown.
 
     Args:

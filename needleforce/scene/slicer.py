@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
-from needleforce.depth_zero import DepthZero, depth_zero
+from needleforce.depth_zero import DepthZero, find_depth_zero
 from needleforce.scene.state_ring import Closing, SceneCode, SceneError
 
 PORT = 18944
@@ -81,7 +81,7 @@ class SlicerOutput(Closing):
         """
         rupture = estimate.identification.rupture
         if rupture is not None:
-            self._send_rupture(rupture, depth_zero(estimate))
+            self._send_rupture(rupture, find_depth_zero(estimate))
         # A time before that of the last tick is that of a session which has begun anew.
         if self._next_s - 1.0 / MAX_RATE_HZ <= estimate.time_s < self._next_s:
             return rupture is not None
@@ -112,7 +112,7 @@ class SlicerOutput(Closing):
 
     def _send_forces(self, estimate: Any) -> None:
         """Send the axial force, the tip force and the depth."""
-        zero = depth_zero(estimate)
+        zero = find_depth_zero(estimate)
         values = {
             "force_N": estimate.wrench.axial,
             "force_std_N": estimate.wrench.axial_std,

@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from foundation.errors import CodedError, ErrorCode
 from foundation.extras import install_command
-from needleforce.depth_zero import ZERO_NAMES, depth_zero
+from needleforce.depth_zero import ZERO_NAMES, find_depth_zero
 
 ROWS = 4096
 """How many rows the ring has, four seconds at 1 kHz."""
@@ -152,7 +152,7 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
             for name in ASIDE_FIELDS
         }
 
-    zero = depth_zero(estimate)
+    zero = find_depth_zero(estimate)
     row = ViewRow(
         time_s=estimate.time_s,
         depth_m=estimate.depth_m,

@@ -22,7 +22,7 @@ from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
-from needleforce.depth_zero import DepthZero, depth_zero
+from needleforce.depth_zero import DepthZero, find_depth_zero
 from needleforce.devices import NetFT
 from needleforce.devices.rdt_status import describe_status
 from needleforce.needle_on_plan import describe_deviation
@@ -90,7 +90,7 @@ class Display:
         force = f"force {wrench.axial:6.2f} ± {std_N:.3f} N"
         if self._reference is not None:
             force += f" ({describe_reference(self._reference)})"
-        zero = depth_zero(estimate)
+        zero = find_depth_zero(estimate)
         depth_mm = zero.shown_mm(estimate.depth_m)
         values = [
             f"{estimate.time_s:8.1f} s  {estimate.status}",
@@ -109,7 +109,7 @@ def describe_events(estimate: SessionEstimate) -> Iterator[str]:
     """Yield in words the rupture that was detected or retracted at this sample."""
     rupture = estimate.identification.rupture
     if rupture is not None:
-        zero = depth_zero(estimate)
+        zero = find_depth_zero(estimate)
         text = (
             f"rupture of layer {rupture.layer} at {zero.shown_mm(rupture.depth_m):.1f} "
             f"mm {zero.name} "
