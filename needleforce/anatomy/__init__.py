@@ -10,8 +10,8 @@ metres. Stands alone: no robots, no forces. Not a medical device.
 
 Reading order: `volume`, `structures`, `labels`, `path_layers`, `obstacle_crossings`,
 `clearance`, `surface`, `reading`, `file_checks`, `dicom_series`, `registration`,
-`landmarks`, `surface_fit`, `label_names`, `mask_folder`, `markups`, `path_search`,
-`plan_match`, `rupture_model`.
+`landmark_check`, `landmarks`, `surface_fit`, `label_names`, `mask_folder`, `markups`,
+`path_search`, `plan_match`, `rupture_model`.
 """
 
 from needleforce.anatomy.clearance import (

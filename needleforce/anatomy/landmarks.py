@@ -14,6 +14,7 @@ from scipy.stats import chi2
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, RegistrationError, require_deviation
+from needleforce.anatomy.landmark_check import find_equal_order
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
     MIN_WIDTH_m,
@@ -82,7 +83,8 @@ def fit_landmarks(
 
     Raises:
         RegistrationError: Too few, collinear, mirrored or swapped landmarks,
-            millimetres for metres, a deviation that is none, one landmark elsewhere.
+            millimetres for metres, a deviation that is none, one landmark elsewhere,
+            landmarks that fit as well in another order.
             Three landmarks cannot show a mirror image.
     """
     require_deviation("std_m", std_m, RegistrationError)
@@ -95,6 +97,7 @@ def fit_landmarks(
             _find_cause(landmarks, std_m, residual_rms_m),
             AnatomyCode.MISFITTING_LANDMARKS,
         )
+    _require_one_order(landmarks, std_m)
     degrees = 3 * count - 6
     variance_m2 = fit.squares_m2 / degrees if count > 3 else np.nan
     if is_std_known:
@@ -111,6 +114,18 @@ def fit_landmarks(
         degrees=np.inf if is_std_known else float(degrees),
         residual_rms_m=residual_rms_m,
     )
+
+
+def _require_one_order(landmarks: _Landmarks, std_m: float) -> None:
+    """Refuse landmarks that fit as well in another order."""
+    order = find_equal_order(landmarks.model_m, landmarks.robot_m, std_m)
+    if order is not None:
+        numbers = ", ".join(str(number + 1) for number in order)
+        raise RegistrationError(
+            f"the landmarks fit as well in another order ({numbers}): they lie "
+            "symmetrically; touch one more, off the symmetry",
+            AnatomyCode.LANDMARKS,
+        )
 
 
 def _checked_landmarks(model_m: ArrayLike, robot_m: ArrayLike) -> _Landmarks:

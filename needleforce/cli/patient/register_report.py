@@ -1,6 +1,6 @@
 """What `needleforce register` reports: residuals, and the region at the target."""
 
-from collections.abc import Mapping
+from collections.abc import Sequence
 from pathlib import Path
 from typing import NamedTuple
 
@@ -9,6 +9,7 @@ from scipy.stats import f as f_law
 
 from foundation.arrays import Array
 from needleforce.anatomy import Registration
+from needleforce.anatomy.landmark_check import MIN_VERIFIED, LandmarkResidual
 from needleforce.anatomy.registration import MAX_DEGREES
 from needleforce.cli.patient.plan_table import NOT_MEDICAL
 from needleforce.cli.terminal import aligned
@@ -25,7 +26,7 @@ class FitReport(NamedTuple):
 
     Attributes:
         fit: The registration.
-        landmarks: Distance left at each landmark, by its name [m].
+        landmarks: How far each landmark lies from where the others put it.
         touch_distances_m: Of the touches from the skin, positive outside.
         entry_m: Of the plan, (3,) in LPS.
         target_m: Of the plan, (3,).
@@ -33,7 +34,7 @@ class FitReport(NamedTuple):
     """
 
     fit: Registration
-    landmarks: Mapping[str, float]
+    landmarks: tuple[LandmarkResidual, ...]
     touch_distances_m: tuple[float, ...]
     entry_m: Array
     target_m: Array
@@ -65,6 +66,32 @@ def describe_fit(report: FitReport) -> str:
     return f"{aligned(_rows(report))}{NOT_MEDICAL}\n"
 
 
+def describe_doubts(residuals: Sequence[LandmarkResidual]) -> list[str]:
+    """Return in words which landmark is probably off, or that none can be verified."""
+    if len(residuals) < MIN_VERIFIED:
+        return [
+            f"{len(residuals)} landmarks cannot be verified: one that is off shows "
+            f"only with {MIN_VERIFIED} or more"
+        ]
+    worst = min(residuals, key=lambda one: one.probability)
+    if not worst.is_doubtful:
+        return []
+    return [
+        f"landmark {worst.name!r} lies {M_TO_MM * worst.left_out_m:.1f} mm from where "
+        f"the others put it (p = {worst.probability:.2g}): touch it again"
+    ]
+
+
+def _describe_residual(one: LandmarkResidual) -> str:
+    """Return the residual of a landmark in words."""
+    text = f"{M_TO_MM * one.left_m:.1f} mm left"
+    if np.isfinite(one.left_out_m):
+        text += f", {M_TO_MM * one.left_out_m:.1f} mm from where the others put it"
+    if np.isfinite(one.probability):
+        text += f" (p = {one.probability:.2g})"
+    return text
+
+
 def write_fit_page(report: FitReport, folder: Path) -> None:
     """Write the page of a registration into a folder."""
     touches = [
@@ -87,8 +114,7 @@ def write_fit_page(report: FitReport, folder: Path) -> None:
 def _rows(report: FitReport) -> tuple[tuple[str, str], ...]:
     """Return label and text of every line."""
     rows = [
-        (f"landmark {name}", f"{M_TO_MM * error_m:.1f} mm left")
-        for name, error_m in report.landmarks.items()
+        (f"landmark {one.name}", _describe_residual(one)) for one in report.landmarks
     ]
     if report.touch_distances_m:
         distances_mm = M_TO_MM * np.abs(report.touch_distances_m)

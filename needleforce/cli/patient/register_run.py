@@ -7,8 +7,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy import Registration, fit_landmarks, fit_surface
-from needleforce.anatomy.markups import Markup, read_markup
+from needleforce.anatomy import (
+    Registration,
+    RegistrationError,
+    fit_landmarks,
+    fit_surface,
+)
+from needleforce.anatomy.errors import AnatomyCode
+from needleforce.anatomy.landmark_check import LandmarkResidual, judge_landmarks
+from needleforce.anatomy.markups import RAS_TO_LPS, Markup, read_markup
 from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.surface_fit import MIN_TOUCHES
 from needleforce.cli.patient.case_files import (
@@ -19,6 +26,7 @@ from needleforce.cli.patient.case_files import (
 )
 from needleforce.cli.patient.register_report import (
     FitReport,
+    describe_doubts,
     describe_fit,
     write_fit_page,
 )
@@ -38,6 +46,9 @@ MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh")
 """Modules of extras that the command needs."""
 
 M_PER_MM = 1e-3
+
+MAX_OFF_SKIN_m = 0.012
+"""Landmarks of the skin lie nearer to it."""
 
 MAX_STD_mm = 50.0
 """Larger ones are not in millimetres."""
@@ -115,12 +126,16 @@ def register_plan(
     rough = fit_landmarks(
         pairs.model_m, pairs.robot_m, std_m=landmark_std_m, is_std_known=True
     )
+    residuals = judge_landmarks(
+        pairs.model_m, pairs.robot_m, landmark_std_m, pairs.names
+    )
     fit = rough
-    skin = None
     touches_m = touched.skin_m()
     if not evidence.landmarks_only:
         _require_touches(touches_m)
-        skin = case_of_plan(place).labels.skin()
+    skin = case_of_plan(place).labels.skin()
+    _require_lps(pairs.model_m, skin)
+    if not evidence.landmarks_only:
         with staged_progress("fitting the touches to the skin"):
             fit = fit_surface(
                 skin,
@@ -128,7 +143,10 @@ def register_plan(
                 rough,
                 touch_std_m=M_PER_MM * evidence.touch_std_mm,
             )
-    fit_report = _report_of(fit, pairs, skin, touches_m, fields, evidence)
+    touched_m = touches_m[:0] if evidence.landmarks_only else touches_m
+    fit_report = _report_of(fit, residuals, skin, touched_m, fields, evidence)
+    for warning in describe_doubts(residuals):
+        say(f"warning: {warning}")
     write_out(describe_fit(fit_report))
     source = place / PLAN if place.is_dir() else place
     folder = source.parent
@@ -169,6 +187,34 @@ def _pair_landmarks(markup: Markup, touched: TouchFile, evidence: Evidence) -> _
     return _Pairs(names, model_m, robot_m)
 
 
+def _require_lps(model_m: Array, skin: Surface) -> None:
+    """Refuse landmarks that lie on the skin only if they are taken for RAS.
+
+    In RAS x and y are negative: the landmarks fit as well, and the patient would lie
+    turned by half a turn.
+    """
+    off_m = float(np.median(_distances_m(model_m, skin)))
+    other_m = float(np.median(_distances_m(model_m * RAS_TO_LPS, skin)))
+    if off_m > MAX_OFF_SKIN_m and other_m < MAX_OFF_SKIN_m:
+        raise RegistrationError(
+            f"half of the landmarks lie {off_m / M_PER_MM:.0f} mm or more from the "
+            f"skin of the CT, and within {other_m / M_PER_MM:.0f} mm with x and y "
+            "negated: the file says LPS and holds RAS, or the reverse",
+            AnatomyCode.LANDMARKS,
+        )
+    if off_m > MAX_OFF_SKIN_m:
+        say(
+            f"warning: half of the landmarks lie {off_m / M_PER_MM:.0f} mm or more "
+            "from the skin of the CT: whether they belong to this CT is not verified"
+        )
+
+
+def _distances_m(points_m: Array, skin: Surface) -> Array:
+    """Return the distances of points (n, 3) from the skin."""
+    nearest_m, _ = skin.nearest(points_m)
+    return np.linalg.norm(points_m - nearest_m, axis=1)
+
+
 def _require_touches(touches_m: Array) -> None:
     """Refuse too few touches of the skin before the CT is read."""
     if len(touches_m) < MIN_TOUCHES:
@@ -181,16 +227,15 @@ def _require_touches(touches_m: Array) -> None:
 
 def _report_of(
     fit: Registration,
-    pairs: _Pairs,
-    skin: Surface | None,
+    residuals: Sequence[LandmarkResidual],
+    skin: Surface,
     touches_m: Array,
     fields: Mapping[str, Any],
     evidence: Evidence,
 ) -> FitReport:
     """Return what is reported of a registration."""
-    landmark_errors_m = fit.to_robot(pairs.model_m) - pairs.robot_m
     distances_m: Sequence[float] = ()
-    if skin is not None:
+    if len(touches_m):
         points_m = fit.to_model(touches_m)
         nearest_m, normals = skin.nearest(points_m)
         signed_m = ((points_m - nearest_m) * normals).sum(axis=1)
@@ -198,9 +243,7 @@ def _report_of(
         distances_m = np.copysign(lengths_m, signed_m).tolist()
     return FitReport(
         fit=fit,
-        landmarks=dict(
-            zip(pairs.names, np.linalg.norm(landmark_errors_m, axis=1), strict=True)
-        ),
+        landmarks=tuple(residuals),
         touch_distances_m=tuple(distances_m),
         entry_m=np.array(fields["entry_m"]),
         target_m=np.array(fields["target_m"]),
@@ -218,7 +261,7 @@ def _fit_fields(report: FitReport) -> dict[str, Any]:
         "covariance": fit.covariance,
         "pivot_m": fit.pivot_m,
         "registration": {
-            "landmark_residuals_m": report.landmarks,
+            "landmark_residuals_m": {one.name: one.left_m for one in report.landmarks},
             "touch_distances_m": report.touch_distances_m,
             "target_error_rms_m": fit.tre_m(report.target_m),
             "motion_std_m": report.motion_m,

@@ -1,0 +1,159 @@
+"""Each landmark against the others: leave-one-out residuals, other orders, mirror.
+
+The residual of a landmark in a fit without it is not pulled towards itself. With n - 1
+others of standard deviation s, its covariance is s^2 (I + J (J'J)^-1 J'), J the
+displacement per rotation and shift, so its size follows chi squared with three degrees
+of freedom.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import ArrayLike
+from scipy.stats import chi2
+
+from foundation.arrays import Array
+from needleforce.anatomy.registration import (
+    MIN_WIDTH_m,
+    displacement_jacobian,
+    fit_rigidly,
+    rms_extents_m,
+)
+
+MIN_VERIFIED = 5
+"""With fewer landmarks the others do not say which of them is off."""
+
+DOUBTFUL = 0.01
+"""A landmark whose residual would be exceeded less often is named."""
+
+MAX_ORDERED = 7
+"""Of more landmarks not all orders are tried: pairs are, see `landmarks`."""
+
+EQUAL_FIT = 10.0
+"""Difference of the squares over the variance, in favour of the stated order, below
+which another order fits as well: the stated one is less than 150 times as likely."""
+
+EQUAL_FIT_OF_THREE = 2.0
+"""The same of three landmarks, of which two sides are often nearly equal."""
+
+MAX_GAP_STD = 8.0
+"""Distances between landmarks that differ by so many standard deviations rule an order
+out before it is fitted."""
+
+
+@dataclass(frozen=True)
+class LandmarkResidual:
+    """How far a landmark lies from where the others put it.
+
+    Attributes:
+        name: Of the landmark.
+        left_m: Distance that the fit of all landmarks leaves.
+        left_out_m: Distance in the fit of the others; nan where they cannot register.
+        probability: Of so large a distance or a larger one where nothing is wrong; nan
+            where it cannot be judged.
+    """
+
+    name: str
+    left_m: float
+    left_out_m: float
+    probability: float
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the landmark is probably off."""
+        return bool(self.probability < DOUBTFUL)
+
+
+class _LeftOut(NamedTuple):
+    """A landmark in the fit of the others.
+
+    Attributes:
+        distance_m: From where they put it.
+        probability: Of so large a distance or a larger one.
+    """
+
+    distance_m: float
+    probability: float
+
+
+def judge_landmarks(
+    model_m: ArrayLike,
+    robot_m: ArrayLike,
+    std_m: float,
+    names: Sequence[str] = (),
+) -> list[LandmarkResidual]:
+    """Return the residual of each landmark, also in the fit of the others.
+
+    Args:
+        model_m: Landmarks in the CT, (n, 3).
+        robot_m: The same in the robot's base.
+        std_m: Standard deviation of a landmark along each axis.
+        names: Of the landmarks; by default their numbers from 1.
+    """
+    model = np.asarray(model_m, dtype=float)
+    robot = np.asarray(robot_m, dtype=float)
+    fit = fit_rigidly(model, robot)
+    moved_m = model @ fit.rotation.T + fit.translation_m
+    left_m = np.linalg.norm(moved_m - robot, axis=1).tolist()
+    chosen = names or tuple(str(number) for number in range(1, len(model) + 1))
+    residuals: list[LandmarkResidual] = []
+    for number, name in enumerate(chosen):
+        left_out = _leave_out(model, robot, number, std_m)
+        residuals.append(LandmarkResidual(name, left_m[number], *left_out))
+    return residuals
+
+
+def _leave_out(model: Array, robot: Array, number: int, std_m: float) -> _LeftOut:
+    """Return distance and probability of a landmark in the fit of the others."""
+    is_other = np.arange(len(model)) != number
+    others = model[is_other]
+    if len(others) < 3 or rms_extents_m(others)[1] < MIN_WIDTH_m:
+        return _LeftOut(np.nan, np.nan)
+    fit = fit_rigidly(others, robot[is_other])
+    moved_m = model @ fit.rotation.T + fit.translation_m
+    error_m = moved_m[number] - robot[number]
+    distance_m = float(np.linalg.norm(error_m))
+    if len(model) < MIN_VERIFIED:
+        return _LeftOut(distance_m, np.nan)
+    pivot_m = moved_m[is_other].mean(axis=0)
+    rows = displacement_jacobian(moved_m[is_other] - pivot_m).reshape(-1, 6)
+    jacobian = displacement_jacobian(moved_m[number] - pivot_m)
+    factor = np.eye(3) + jacobian @ np.linalg.solve(rows.T @ rows, jacobian.T)
+    squares = error_m @ np.linalg.solve(factor, error_m) / std_m**2
+    return _LeftOut(distance_m, float(chi2.sf(squares, 3)))
+
+
+def find_equal_order(
+    model: Array, robot: Array, std_m: float
+) -> tuple[int, ...] | None:
+    """Return another order of the touched landmarks that fits as well; None for none.
+
+    Args:
+        model: Landmarks in the CT, (n, 3).
+        robot: The same in the robot's base.
+        std_m: Standard deviation of a landmark along each axis.
+    """
+    if len(model) > MAX_ORDERED:
+        return None
+    equal_fit = EQUAL_FIT if len(model) > 3 else EQUAL_FIT_OF_THREE
+    max_squares_m2 = fit_rigidly(model, robot).squares_m2 + equal_fit * std_m**2
+    model_gaps_m = _gaps_m(model)
+    robot_gaps_m = _gaps_m(robot)
+    max_gap_m = MAX_GAP_STD * std_m
+    stated = tuple(range(len(model)))
+    for order in permutations(stated):
+        chosen = np.array(order)
+        gaps_m = robot_gaps_m[np.ix_(chosen, chosen)]
+        if order == stated or np.abs(gaps_m - model_gaps_m).max() > max_gap_m:
+            continue
+        if fit_rigidly(model, robot[chosen]).squares_m2 <= max_squares_m2:
+            return order
+    return None
+
+
+def _gaps_m(points_m: Array) -> Array:
+    """Return the distances between all points, (n, n)."""
+    return np.linalg.norm(points_m[:, None] - points_m[None], axis=-1)
