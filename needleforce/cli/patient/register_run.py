@@ -50,6 +50,12 @@ M_PER_MM = 1e-3
 MAX_OFF_SKIN_m = 0.012
 """Landmarks of the skin lie nearer to it."""
 
+MIN_OFF_SKIN_m = 3e-3
+"""Landmarks this near to the skin are in the right frame."""
+
+OTHER_FRAME_RATIO = 3.0
+"""So much nearer to the skin they are in the right frame than in the wrong one."""
+
 MAX_STD_mm = 50.0
 """Larger ones are not in millimetres."""
 
@@ -193,19 +199,18 @@ def _require_lps(model_m: Array, skin: Surface) -> None:
     In RAS x and y are negative: the landmarks fit as well, and the patient would lie
     turned by half a turn.
     """
-    off_m = float(np.median(_distances_m(model_m, skin)))
-    other_m = float(np.median(_distances_m(model_m * RAS_TO_LPS, skin)))
-    if off_m > MAX_OFF_SKIN_m and other_m < MAX_OFF_SKIN_m:
+    off_m = float(np.mean(_distances_m(model_m, skin)))
+    other_m = float(np.mean(_distances_m(model_m * RAS_TO_LPS, skin)))
+    if off_m > max(MIN_OFF_SKIN_m, OTHER_FRAME_RATIO * other_m):
         raise RegistrationError(
-            f"half of the landmarks lie {off_m / M_PER_MM:.0f} mm or more from the "
-            f"skin of the CT, and within {other_m / M_PER_MM:.0f} mm with x and y "
-            "negated: the file says LPS and holds RAS, or the reverse",
+            f"the landmarks lie {off_m / M_PER_MM:.1f} mm from the skin of the CT on "
+            f"average, and {other_m / M_PER_MM:.1f} mm with x and y negated: the file says LPS and holds RAS, or the reverse",
             AnatomyCode.LANDMARKS,
         )
     if off_m > MAX_OFF_SKIN_m:
         say(
-            f"warning: half of the landmarks lie {off_m / M_PER_MM:.0f} mm or more "
-            "from the skin of the CT: whether they belong to this CT is not verified"
+            f"warning: the landmarks lie {off_m / M_PER_MM:.0f} mm from the skin of "
+            "the CT on average: whether they belong to this CT is not verified"
         )
 
 
