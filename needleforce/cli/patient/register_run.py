@@ -50,7 +50,7 @@ M_PER_MM = 1e-3
 MAX_OFF_SKIN_m = 0.012
 """Landmarks of the skin lie nearer to it."""
 
-MIN_OFF_SKIN_m = 3e-3
+MIN_OFF_SKIN_m = 2e-3
 """Landmarks this near to the skin are in the right frame."""
 
 OTHER_FRAME_RATIO = 3.0
@@ -204,7 +204,8 @@ def _require_lps(model_m: Array, skin: Surface) -> None:
     if off_m > max(MIN_OFF_SKIN_m, OTHER_FRAME_RATIO * other_m):
         raise RegistrationError(
             f"the landmarks lie {off_m / M_PER_MM:.1f} mm from the skin of the CT on "
-            f"average, and {other_m / M_PER_MM:.1f} mm with x and y negated: the file says LPS and holds RAS, or the reverse",
+            f"average, and {other_m / M_PER_MM:.1f} mm with x and y "
+            "negated: the file says LPS and holds RAS, or the reverse",
             AnatomyCode.LANDMARKS,
         )
     if off_m > MAX_OFF_SKIN_m:
