@@ -12,7 +12,6 @@ from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.tissue import Rupture, TissueTruth
 from needleforce.cli.arm_frames import ArmFrames, read_description
-from needleforce.cli.patient.example_case import NAME as TORSO
 from needleforce.cli.patient.simulated_patient import insert_into_patient
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
@@ -32,7 +31,6 @@ def print_scenarios() -> int:
     titles = {name: item.title for name, item in SCENARIOS.items()}
     titles[RANDOM_STACK] = "one to four layers drawn from the seed"
     titles[RANDOM_TISSUE] = "the same, each layer of its own law"
-    titles[TORSO] = "no insertion: CT, labels and landmarks of a torso, in a folder"
     write_out(aligned(titles.items()))
     return 0
 
