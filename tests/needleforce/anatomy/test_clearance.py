@@ -192,15 +192,15 @@ def test_an_arm_is_not_watched_on_a_path_too_near_to_bone(tmp_path, capsys):
 
 def test_a_boundary_passed_by_less_than_an_alarm_takes_is_not_yet_missed():
     layers = [
-        Layer("muscle", 0.0, 0.02, 0.0, 1e-4, False),
-        Layer("liver_bed", 0.02, 0.06, 1e-4, 1e-4, False),
+        Layer("gel", 0.0, 0.02, 0.0, 1e-4, False),
+        Layer("muscle", 0.02, 0.06, 1e-4, 1e-4, False),
     ]
     match = PlanMatch(layers, 2e-4)
     before, at, behind = (
         match.state(depth_m, contact_m=0.0) for depth_m in (0.0195, 0.0203, 0.022)
     )
 
-    assert before.name == at.name == "muscle"
+    assert before.name == at.name == "gel"
     assert before.probability > 0.98
     assert at.probability > 0.7
-    assert behind.name == "liver_bed"
+    assert behind.name == "muscle"
