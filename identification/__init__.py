@@ -21,10 +21,12 @@ from identification.config import (
 from identification.errors import IdentificationError
 from identification.estimate import (
     Estimate,
+    HardContact,
     LayerEstimate,
     Rupture,
     RuptureState,
     SampleStatus,
+    TissueWarning,
 )
 from identification.identifier import Identifier, Snapshot
 from identification.log_replay import Replay, replay
@@ -40,6 +42,7 @@ __all__ = [
     "PUBLISHED",
     "PUBLISHED_KV",
     "Estimate",
+    "HardContact",
     "IdentificationError",
     "Identifier",
     "LayerEstimate",
@@ -53,6 +56,7 @@ __all__ = [
     "RuptureState",
     "SampleStatus",
     "Snapshot",
+    "TissueWarning",
     "identify_offline",
     "replay",
 ]

@@ -77,11 +77,15 @@ class MultilayerConfig:
     Attributes:
         alarm_probability: Of one more rupture, at which an alarm is raised.
         provisional_probability: The same for a provisional alarm, at most as large.
+        hard_contact_N_per_m: Growth of the force per travel beyond which a contact is
+            hard, as bone: twice what a tip of 18 G meets in cartilage, see
+            `multilayer.hard_contact`.
         check: Limits of a plausible sample.
     """
 
     alarm_probability: float = 0.98
     provisional_probability: float = 0.9
+    hard_contact_N_per_m: float = 4000.0
     check: CheckConfig = field(default_factory=CheckConfig)
 
     def __post_init__(self) -> None:

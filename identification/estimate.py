@@ -8,7 +8,7 @@ from the same zero, so that a travel in tissue is a difference of the two.
 """
 
 from dataclasses import dataclass
-from enum import Enum
+from enum import Enum, IntFlag
 from typing import NamedTuple
 
 
@@ -34,6 +34,18 @@ class SampleStatus(Enum):
     def is_used(self) -> bool:
         """Whether the sample went into the estimate."""
         return self is SampleStatus.OK or self is SampleStatus.TIME_GAP
+
+
+class TissueWarning(IntFlag):
+    """What about the tissue keeps an estimate from being what it is elsewhere."""
+
+    NONE = 0
+    TISSUE_MOVES = 1
+    """Tissue overtakes the needle, as with free breathing: ruptures are doubtful, no
+    layer becomes final, and standard deviations hold half of the swing of the force."""
+    HARD_CONTACT = 2
+    """The tip is at something harder than soft tissue, such as bone: the force has
+    grown faster per travel than `MultilayerConfig.hard_contact_N_per_m`."""
 
 
 class RuptureState(Enum):
@@ -140,6 +152,23 @@ class LayerEstimate:
     viscous_identified: bool = False
 
 
+@dataclass(frozen=True, slots=True, kw_only=True)
+class HardContact:
+    """The tip meets something harder than soft tissue, such as bone.
+
+    Attributes:
+        alarm_s: Time of the sample that showed it.
+        depth_m: Depth of the tip at that sample.
+        force_N: Axial force at that sample.
+        growth_N_per_m: Growth of the force per travel before it.
+    """
+
+    alarm_s: float
+    depth_m: float
+    force_N: float
+    growth_N_per_m: float
+
+
 class Estimate(NamedTuple):
     """State of knowledge after one sample. Every number is finite.
 
@@ -189,6 +218,8 @@ class Estimate(NamedTuple):
             or None.
         rupture_probability: Probability, now, of one rupture more than the alarms have
             reported; None in `published`.
+        hard_contact: The hard contact that this sample showed, or None.
+        warnings: Motion of the tissue, or something hard at the tip.
     """
 
     time_s: float
@@ -217,13 +248,16 @@ class Estimate(NamedTuple):
     provisional: Rupture | None = None
     provisional_retracted: Rupture | None = None
     rupture_probability: float | None = None
+    hard_contact: HardContact | None = None
+    warnings: TissueWarning = TissueWarning.NONE
 
     @property
     def has_events(self) -> bool:
         """Whether this sample raised or retracted an alarm, or identified a layer."""
         is_settled = self.rupture is self.identified_layer is self.retracted is None
         is_provisional = not self.provisional is self.provisional_retracted is None
-        return not is_settled or is_provisional
+        is_hard = self.hard_contact is not None
+        return not is_settled or is_provisional or is_hard
 
     def without_events(self) -> "Estimate":
         """Return the same estimate, its events over."""
@@ -239,6 +273,7 @@ class Events(NamedTuple):
         retracted: The rupture that proved to be a false alarm.
         provisional: The provisional alarm raised.
         provisional_retracted: The provisional alarm that has become improbable.
+        hard_contact: The hard contact that was found.
     """
 
     rupture: Rupture | None = None
@@ -246,6 +281,7 @@ class Events(NamedTuple):
     retracted: Rupture | None = None
     provisional: Rupture | None = None
     provisional_retracted: Rupture | None = None
+    hard_contact: HardContact | None = None
 
 
 NO_EVENTS = Events()
@@ -283,6 +319,7 @@ def make_estimate(
     outputs: Outputs,
     events: Events,
     rupture_probability: float | None = None,
+    warnings: TissueWarning = TissueWarning.NONE,
 ) -> Estimate:
     """Put an estimate together: the one place where its fields get their values."""
     (
@@ -332,6 +369,8 @@ def make_estimate(
         events.provisional,
         events.provisional_retracted,
         rupture_probability,
+        events.hard_contact,
+        warnings,
     )
 
 

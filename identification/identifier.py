@@ -25,6 +25,7 @@ from identification.estimate import (
     RuptureState,
     Sample,
     SampleStatus,
+    TissueWarning,
     make_estimate,
 )
 from identification.multilayer.method import MultilayerMethod, MultilayerState
@@ -64,6 +65,11 @@ class Method(Protocol):
     @property
     def events(self) -> Events:
         """What happened at the last sample."""
+        ...
+
+    @property
+    def warnings(self) -> TissueWarning:
+        """What about the tissue keeps the estimate from being what it is elsewhere."""
         ...
 
     @property
@@ -335,7 +341,8 @@ class Identifier:
         events = method.events
         if events is not NO_EVENTS:
             events = move_events(events, self._removed_m)
-        if method.is_pulled:
+        warnings = method.warnings
+        if method.is_pulled and TissueWarning.TISSUE_MOVES not in warnings:
             status = SampleStatus.NEEDLE_PULLED
         self._last = make_estimate(
             sample.time_s,
@@ -344,6 +351,7 @@ class Identifier:
             outputs,
             events,
             method.rupture_probability,
+            warnings,
         )
         return self._last
 
@@ -429,10 +437,14 @@ def move_events(events: Events, by_m: float) -> Events:
     if by_m == 0.0:
         return events
     layer = events.identified_layer
+    contact = events.hard_contact
+    if contact is not None:
+        contact = replace(contact, depth_m=contact.depth_m + by_m)
     return Events(
         rupture=move_rupture(events.rupture, by_m),
         identified_layer=None if layer is None else move_layer(layer, by_m),
         retracted=move_rupture(events.retracted, by_m),
         provisional=move_rupture(events.provisional, by_m),
         provisional_retracted=move_rupture(events.provisional_retracted, by_m),
+        hard_contact=contact,
     )

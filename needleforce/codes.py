@@ -16,7 +16,7 @@ from typing import NamedTuple
 from foundation.errors import ErrorCode, StateCode, fill_advice
 from groundtruth.errors import SimulationCode
 from identification.errors import IdentificationCode
-from identification.estimate import SampleStatus
+from identification.estimate import SampleStatus, TissueWarning
 from needleforce.anatomy.errors import AnatomyCode
 from needleforce.cli.advice import COMMAND_ADVICE
 from needleforce.cli.terminal import CommandCode
@@ -68,6 +68,10 @@ REPORT_CURES = {
     "SensorWarning.TORQUE_JUMP": "Take the hand off the arm; else withdraw, move in "
     "free air, `start_tare_recording`, then `tare`; if it recurs, check the torque "
     "sensors.",
+    "TissueWarning.TISSUE_MOVES": "Insert while the breath is held; it ends 15 s after "
+    "the last pull, layers met meanwhile keep wide deviations.",
+    "TissueWarning.HARD_CONTACT": "Stop, withdraw, and choose another path; a stiff "
+    "tissue that is no bone wants a larger `MultilayerConfig.hard_contact_N_per_m`.",
     "SampleStatus.TIME_GAP": "Nothing: the sample is used.",
     "SampleStatus.NOT_A_SCALAR": "Give one number each for depth, speed, force and "
     "`dt_s`.",
@@ -84,7 +88,12 @@ REPORT_CURES = {
 }
 """What may be done about a status or a warning of the online estimators."""
 
-NO_REPORTS = {Status.OK, SensorWarning.NONE, SampleStatus.OK}
+NO_REPORTS = {
+    Status.OK,
+    SensorWarning.NONE,
+    SampleStatus.OK,
+    TissueWarning.NONE,
+}
 """Members that report nothing."""
 
 
@@ -139,13 +148,18 @@ def _report_entries() -> list[CodeEntry]:
     meanings: dict[Enum, str] = {
         **_attribute_docs(Status),
         **_attribute_docs(SensorWarning),
+        **_attribute_docs(TissueWarning),
         **{status: f"{status.value.capitalize()}." for status in SampleStatus},
     }
     entries: list[CodeEntry] = []
     for member, meaning in meanings.items():
         label = f"{type(member).__name__}.{member.name}"
         if member not in NO_REPORTS:
-            area = "warning" if isinstance(member, SensorWarning) else "status"
+            area = (
+                "warning"
+                if isinstance(member, SensorWarning | TissueWarning)
+                else "status"
+            )
             cure = REPORT_CURES[label]
             entries.append(CodeEntry(label, area, meaning, cure, cure))
     return entries

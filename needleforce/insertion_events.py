@@ -3,6 +3,7 @@
 from collections.abc import Iterator
 from typing import NamedTuple
 
+from identification.estimate import HardContact
 from needleforce.session import SessionEstimate
 
 M_TO_MM = 1e3
@@ -12,7 +13,7 @@ class SessionEvent(NamedTuple):
     """An event of an insertion.
 
     Attributes:
-        kind: ``rupture``, ``rupture_retracted`` or ``layer``.
+        kind: ``rupture``, ``rupture_retracted``, ``layer`` or ``hard_contact``.
         text: One sentence for people.
         values: What is known of it, by name with unit.
     """
@@ -20,6 +21,14 @@ class SessionEvent(NamedTuple):
     kind: str
     text: str
     values: dict[str, float]
+
+
+def describe_hard_contact(contact: HardContact) -> str:
+    """Return a hard contact in words."""
+    return (
+        f"hard contact at {M_TO_MM * contact.depth_m:.1f} mm: the force grows by "
+        f"{contact.growth_N_per_m / M_TO_MM:.0f} N/mm, as on bone"
+    )
 
 
 def session_events(estimate: SessionEstimate) -> Iterator[SessionEvent]:
@@ -48,6 +57,17 @@ def session_events(estimate: SessionEstimate) -> Iterator[SessionEvent]:
             text=f"no rupture of layer {retracted.layer} after all: the force came "
             "back",
             values={"layer": retracted.layer, "depth_m": retracted.depth_m},
+        )
+    contact = identification.hard_contact
+    if contact is not None:
+        yield SessionEvent(
+            kind="hard_contact",
+            text=describe_hard_contact(contact),
+            values={
+                "depth_m": contact.depth_m,
+                "force_N": contact.force_N,
+                "growth_N_per_m": contact.growth_N_per_m,
+            },
         )
     layer = identification.identified_layer
     if layer is not None:

@@ -25,6 +25,7 @@ class Block(NamedTuple):
         depth_std_mm: Standard deviation of the depth's noise.
         speed_std_mm_s: Standard deviation of the speed's noise.
         motion_variance_N2: Variance of the force where the arm accelerates.
+        is_swing: Whether the block is a whole swing of the needle.
     """
 
     time_s: float = 0.0
@@ -43,3 +44,4 @@ class Block(NamedTuple):
     depth_std_mm: float = 0.0
     speed_std_mm_s: float = 0.0
     motion_variance_N2: float = 0.0
+    is_swing: bool = False

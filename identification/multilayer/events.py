@@ -243,7 +243,8 @@ def leave_undecided_cutting_on_shaft(
 def begin_contact(step: LinearMap, block: Block) -> None:
     """Begin a layer without friction; the shaft may have some from before."""
     clear_rows(step, LAYER_COULOMB, LAYER_VISCOUS + 1)
-    initial_std = INITIAL_FRICTION_STD_N * (1.0 - block.deflection)
+    unsettled = 0.0 if block.is_swing else 1.0 - block.deflection
+    initial_std = INITIAL_FRICTION_STD_N * unsettled
     step.variance[TRAVERSED_COULOMB] = initial_std**2
 
 

@@ -542,6 +542,7 @@ def update_sample(  # noqa: PLR0913, a named tuple would cost Python a microseco
     force_std: float,
     unfiltered_depth_m: float,
     dt_s: float,
+    measured_m_s: float,
 ) -> tuple[bool, Outputs]:
     """Use one sample; return whether the block is full, and what to report of it.
 
@@ -557,6 +558,7 @@ def update_sample(  # noqa: PLR0913, a named tuple would cost Python a microseco
         force_std,
         unfiltered_depth_m,
         dt_s,
+        measured_m_s,
     )
     is_full = update_contact(contacts[0], sample)
     outputs = estimate_sample(posteriors, contacts, layers, depth_m, speed_m_s, force)

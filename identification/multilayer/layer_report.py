@@ -213,6 +213,29 @@ def _is_identified(value: float, std: float) -> bool:
     return 0.0 < std <= IDENTIFIED_FRACTION * value
 
 
+def with_doubt(layer: LayerEstimate, std_N: float) -> LayerEstimate:
+    """Return a layer that is not final, its force in doubt by so much at least."""
+    thickness_m = layer.thickness_m
+    speed_m_s = max(layer.rupture.speed_m_s, MIN_SPEED_M_S)
+    per_length = std_N / thickness_m
+    viscous = per_length / speed_m_s
+    return replace(
+        layer,
+        is_final=False,
+        rupture=replace(layer.rupture, is_final=False),
+        force_drop_std_N=max(layer.force_drop_std_N or 0.0, std_N),
+        stiffness_std_N_per_m=max(layer.stiffness_std_N_per_m or 0.0, per_length),
+        stiffness_identified=False,
+        friction_std_N=max(layer.friction_std_N or 0.0, std_N),
+        friction_std_Ns_per_m2=max(layer.friction_std_Ns_per_m2 or 0.0, viscous),
+        friction_identified=False,
+        coulomb_std_N_per_m=max(layer.coulomb_std_N_per_m or 0.0, per_length),
+        coulomb_identified=False,
+        viscous_std_Ns_per_m2=max(layer.viscous_std_Ns_per_m2 or 0.0, viscous),
+        viscous_identified=False,
+    )
+
+
 def with_friction(layer: LayerEstimate, friction: LayerFriction) -> LayerEstimate:
     """Return a layer with its friction known better.
 

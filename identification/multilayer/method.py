@@ -8,9 +8,9 @@ fills a block reports as well. One more may look for moving tissue.
 """
 
 import math
-from dataclasses import astuple, replace
+from dataclasses import replace
 from enum import Enum
-from typing import Any, NamedTuple, cast
+from typing import NamedTuple
 
 import numpy as np
 
@@ -20,18 +20,19 @@ from foundation.records import (
     read_column,
     read_element,
     read_field,
-    record_array,
 )
 from identification.config import MultilayerConfig
 from identification.estimate import (
     NO_EVENTS,
     NO_SAMPLE,
     Events,
+    HardContact,
     LayerEstimate,
     Outputs,
     Rupture,
     RuptureState,
     Sample,
+    TissueWarning,
 )
 from identification.multilayer.block import Block
 from identification.multilayer.decisions import (
@@ -62,6 +63,7 @@ from identification.multilayer.force_split import (
     estimate_sample,
     update_sample,
 )
+from identification.multilayer.hard_contact import HardContactState
 from identification.multilayer.layer_report import (
     Alarm,
     friction_of_last_layer,
@@ -69,6 +71,7 @@ from identification.multilayer.layer_report import (
     partial_rupture_probability,
     report_layer,
     report_rupture,
+    with_doubt,
     with_friction,
 )
 from identification.multilayer.mixture import (
@@ -89,7 +92,12 @@ from identification.multilayer.needle_contact import (
     shift_depth,
 )
 from identification.multilayer.needle_pull import ONSET_S, NeedlePull, NetForce
-from identification.multilayer.noise_levels import NoiseLevels, Texture
+from identification.multilayer.needle_swing import MIN_HALF_S
+from identification.multilayer.noise_levels import (
+    NO_DIFFERENCES,
+    NoiseLevels,
+    Texture,
+)
 from identification.multilayer.shaft_posterior import (
     ShaftPosterior,
     update_posterior,
@@ -100,6 +108,7 @@ from identification.multilayer.speed_filter import (
     filter_speed,
 )
 from identification.multilayer.tissue_motion import Motion, TissueMotion
+from identification.multilayer.tissue_pull import REMEMBERED_S, TissuePull
 
 CUTTING_DRIFT = 0.05
 """Relative change of the cutting force, per square root of a mm."""
@@ -118,6 +127,9 @@ RESUMED_MM = 0.6
 
 REVERSAL = 0.3
 """What a reversal leaves, where a rest leaves 1: it is over in half the travel."""
+
+MIN_SLIDING_DEFLECTION = 0.9
+"""Presliding deflection from which on all of the shaft slides inwards."""
 
 SETTLED = 0.1
 """Of a rest or reversal so much is left in the friction when that counts as back."""
@@ -241,6 +253,8 @@ class MultilayerState(NamedTuple):
         resumed: How much of a rest or reversal is left in the friction, 0 to 1.
         force_std_in_air_N: Of the force's slow error before the contact.
         pull: Whether the force pulls at the needle.
+        tissue_pull: Whether tissue that moves has pulled at the needle.
+        hard_contact: What a hard contact is found by.
         ruptures: In the components that the last report followed.
         alarm: The last one raised and not retracted.
         provisional: The provisional alarm that is neither confirmed nor retracted.
@@ -265,6 +279,8 @@ class MultilayerState(NamedTuple):
     resumed: float = 0.0
     force_std_in_air_N: float = 0.0
     pull: NeedlePull = NeedlePull()
+    tissue_pull: TissuePull = TissuePull()
+    hard_contact: HardContactState = HardContactState()
     ruptures: int = 0
     alarm: Rupture | None = None
     provisional: Rupture | None = None
@@ -318,7 +334,7 @@ class MultilayerMethod:
         """All that it remembers."""
         return MultilayerState(
             mixture=self._memory.mixture.state,
-            contact=read_element(NeedleContact, self._contact, 0),
+            contact=from_record(NeedleContact, self._contact),
             posterior=from_record(ShaftPosterior, self._posterior),
             levels=self._levels,
             tissue=self._tissue,
@@ -333,6 +349,8 @@ class MultilayerMethod:
             resumed=self._resumed,
             force_std_in_air_N=self._force_std_in_air_N,
             pull=self._pull,
+            tissue_pull=self._tissue_pull,
+            hard_contact=self._hard_contact,
             ruptures=self._ruptures,
             alarm=self._alarm,
             provisional=self._provisional,
@@ -361,12 +379,26 @@ class MultilayerMethod:
         """What happened at the last sample."""
         return self._events
 
+    @property
+    def warnings(self) -> TissueWarning:
+        """What about the tissue keeps the estimate from being what it is elsewhere."""
+        warnings = TissueWarning.NONE
+        if self._is_tissue_moving:
+            warnings |= TissueWarning.TISSUE_MOVES
+        if self._hard_contact.is_hard:
+            warnings |= TissueWarning.HARD_CONTACT
+        return warnings
+
+    @property
+    def _is_tissue_moving(self) -> bool:
+        """Whether tissue overtakes the needle of late."""
+        return self._tissue_pull.is_moving(self._block.time_s)
+
     def restore(self, state: MultilayerState) -> None:
         """Go on from a state."""
         mean, covariance, innovation = state.speed_filter
         self._memory = MixtureMemory(state.mixture.mixture)
-        self._contact = record_array(NeedleContact, 1)
-        cast(Any, self._contact)[0] = astuple(state.contact)
+        self._contact = as_record(state.contact)
         self._posterior = as_record(state.posterior)
         self._read_contact()
         self._events = NO_EVENTS
@@ -385,6 +417,8 @@ class MultilayerMethod:
         self._branched_mm = state.branched_mm
         self._force_std_in_air_N = state.force_std_in_air_N
         self._pull = state.pull
+        self._tissue_pull = state.tissue_pull
+        self._hard_contact = state.hard_contact
         self._rupture_state = state.rupture_state
         self._ruptures = state.ruptures
         self._alarm = state.alarm
@@ -431,6 +465,7 @@ class MultilayerMethod:
             sample.force_std_N,
             sample.raw_depth_m,
             sample.dt_s,
+            sample.raw_speed_m_s,
         )
         self._events = NO_EVENTS
         if not (
@@ -439,7 +474,7 @@ class MultilayerMethod:
             or self._is_layer_due
             or self._stage is not DONE
         ):
-            return outputs
+            return self._with_doubt(outputs)
         self._work(sample, is_full=is_full)
         return self._estimate(sample)
 
@@ -460,7 +495,7 @@ class MultilayerMethod:
 
     def _estimate(self, sample: Sample) -> Outputs:
         """Return what to report of a sample by what is known now."""
-        return estimate_sample(
+        outputs = estimate_sample(
             self._posterior,
             self._contact,
             self._layer_rows,
@@ -468,6 +503,13 @@ class MultilayerMethod:
             sample.speed_m_s,
             sample.force_N,
         )
+        return self._with_doubt(outputs)
+
+    def _with_doubt(self, outputs: Outputs) -> Outputs:
+        """Return outputs with what moving tissue leaves in doubt."""
+        if self._tissue_pull.doubt_N == 0.0:
+            return outputs
+        return self._tissue_pull.widen(outputs)
 
     def _seen_by_tissue(self, sample: Sample) -> Sample:
         """Return a sample as the tissue, which moves, meets the needle."""
@@ -557,11 +599,12 @@ class MultilayerMethod:
         is_gap = filtered.duration_s > max(self._gap_s, GAP_BLOCKS * last.duration_s)
         is_met = bool(read_field(self._posterior, "in_contact"))
         is_advancing = not is_gap and self._is_advancing(filtered)
-        fresh_mm = 0.0
-        if self._deepest_mm > -FAR_MM:
-            fresh_mm = max(filtered.depth_mm - self._deepest_mm, 0.0)
-        levels = self._levels.beside(self._tissue, clock_s)
+        fresh_mm = self._fresh_travel_mm(filtered)
+        if filtered.is_swing is not last.is_swing:
+            # Blocks of another length show other noise.
+            self._levels = self._levels._replace(differences=NO_DIFFERENCES)
         likeliest = self._likeliest()
+        levels = self._levels.beside(self._tissue, clock_s)
         block = self._with_own_speed(filtered, levels, likeliest, is_gap=is_gap)
         self._deepest_mm = max(self._deepest_mm, block.depth_mm)
         self._predict(block, fresh_mm, levels, likeliest)
@@ -589,6 +632,8 @@ class MultilayerMethod:
         model_error_N = self._texture.model_error(net_N, sample.force_std_N)
         self._block = block._replace(model_error_N=model_error_N)
         if not is_gap:
+            is_even = is_advancing and self._resumed < SETTLED
+            self._watch_tissue(sample, is_met=is_met, is_even=is_even)
             self._tissue = self._tissue.with_block(filtered, is_met=is_met)
 
     def _learn_from(
@@ -642,9 +687,71 @@ class MultilayerMethod:
             self.doubt_zero(self._pull.fall_N)
             self._pull = NeedlePull()
 
+    def _fresh_travel_mm(self, block: Block) -> float:
+        """Return the travel of a block beyond the deepest point so far."""
+        if self._deepest_mm == -FAR_MM:
+            return 0.0
+        return max(block.depth_mm - self._deepest_mm, 0.0)
+
+    def _watch_tissue(self, sample: Sample, *, is_met: bool, is_even: bool) -> None:
+        """Look for tissue that pulls, and for a hard contact, with the last block.
+
+        Args:
+            sample: The last one.
+            is_met: Whether the needle is in tissue.
+            is_even: Whether the needle has advanced evenly.
+        """
+        block = self._block
+        store = self._memory.store
+        zero_N = float(store.means[0, OFFSET])
+        zero_variance_N2 = float(store.covariances[0, OFFSET, OFFSET])
+        variance_N2 = (
+            self._levels.variances.white
+            + sample.force_std_N**2
+            + block.motion_variance_N2
+        )
+        doubt_N = self._tissue_pull.doubt_N
+        self._tissue_pull = self._tissue_pull.with_zero(
+            zero_N, zero_variance_N2, is_met=is_met
+        ).with_force(
+            block,
+            variance_N2,
+            self._tissue.amplitude_mm,
+            is_sliding=is_even and block.deflection > MIN_SLIDING_DEFLECTION,
+        )
+        if self._tissue_pull.doubt_N > doubt_N:
+            self._doubt_layers(sample.time_s)
+        self._hard_contact = self._hard_contact.with_force(
+            block,
+            block.force_N - zero_N,
+            self._config.hard_contact_N_per_m / MM_PER_M,
+            is_even=is_even and is_met and not self._is_tissue_moving,
+        )
+        if self._hard_contact.is_new:
+            contact = HardContact(
+                alarm_s=sample.time_s,
+                depth_m=sample.depth_m,
+                force_N=block.force_N,
+                growth_N_per_m=MM_PER_M * self._hard_contact.growth_N_per_mm,
+            )
+            self._events = self._events._replace(hard_contact=contact)
+
+    def _doubt_layers(self, time_s: float) -> None:
+        """Take back that layers are final whose ruptures motion may have made."""
+        doubt_N = self._tissue_pull.doubt_N
+        self._keep_layers(
+            tuple(
+                with_doubt(layer, doubt_N)
+                if time_s - layer.rupture.alarm_s < REMEMBERED_S
+                else layer
+                for layer in self.layers
+            )
+        )
+
     def _take_block(self, since_reset_s: float, last: Block) -> Block:
         """Return means of the block that is full, and begin the next one."""
-        contact = read_element(NeedleContact, self._contact, 0)
+        contact = from_record(NeedleContact, self._contact)
+        swing = contact.swing
         begin_block(self._contact)
         duration_s = contact.block_s
         depth_std_mm = MM_PER_M * contact.depth_std_m
@@ -653,6 +760,16 @@ class MultilayerMethod:
         forgotten = math.exp(
             -duration_s / USUAL_S - abs(speed_mm_s) * duration_s / USUAL_MM
         )
+        is_swing = swing.is_swinging and duration_s > 2.0 * MIN_HALF_S
+        usual_speed_mm_s = max(last.usual_speed_mm_s * forgotten, speed_mm_s)
+        if is_swing:
+            if not last.is_swing:
+                # What the swing has added to the speed so far is not usual.
+                mean_speed_mm_s = MM_PER_M * swing.mean_m_s
+                usual_speed_mm_s = max(speed_mm_s, mean_speed_mm_s)
+            # The travel filter takes a swing for noise; the mean speed has none of it.
+            noise_std_mm_s = MM_PER_M * math.sqrt(swing.noise_variance)
+            speed_std_mm_s = min(speed_std_mm_s, noise_std_mm_s)
         return Block(
             time_s=since_reset_s - 0.5 * duration_s,
             duration_s=duration_s,
@@ -663,19 +780,40 @@ class MultilayerMethod:
             unfiltered_depth_mm=MM_PER_M * contact.unfiltered_depth_m_s / duration_s,
             # A filter that leaves so much noise in both is as slow as their ratio.
             speed_lag_s=speed_lag(depth_std_mm, speed_std_mm_s),
-            usual_speed_mm_s=max(last.usual_speed_mm_s * forgotten, speed_mm_s),
+            usual_speed_mm_s=usual_speed_mm_s,
             force_before_N=last.force_N,
             depth_std_mm=depth_std_mm,
             speed_std_mm_s=speed_std_mm_s,
-            motion_variance_N2=contact.motion_variance_N2_s / duration_s,
+            # Over a swing the accelerations cancel.
+            motion_variance_N2=(
+                0.0 if is_swing else contact.motion_variance_N2_s / duration_s
+            ),
+            is_swing=is_swing,
         )
 
     def _is_advancing(self, block: Block) -> bool:
-        """Return whether the needle cuts further."""
+        """Return whether the needle cuts further.
+
+        A needle that swings does if the mean place of a swing lies deeper than that of
+        the swing before.
+        """
+        if block.is_swing and self._block.is_swing:
+            mean_speed = self._mean_speed_of_swings(block)
+            usual_speed = MIN_ADVANCING_FRACTION * block.usual_speed_mm_s
+            return mean_speed > max(CREEP_MM_S, usual_speed)
         creep = CREEP_MM_S + 2.0 * block.speed_std_mm_s
         min_speed = max(creep, MIN_ADVANCING_FRACTION * block.usual_speed_mm_s)
         channel_mm = self._deepest_mm - CHANNEL_MM - CHANNEL_SIGMAS * block.depth_std_mm
         return block.speed_mm_s > min_speed and block.depth_mm > channel_mm
+
+    def _mean_speed_of_swings(self, block: Block) -> float:
+        """Return the speed from the middle of the last swing to that of this one.
+
+        Depths before the filter show it, which takes a swing for noise.
+        """
+        last = self._block
+        travel_mm = block.unfiltered_depth_mm - last.unfiltered_depth_mm
+        return travel_mm / (block.time_s - last.time_s)
 
     def _with_own_speed(
         self,
@@ -798,10 +936,19 @@ class MultilayerMethod:
         variance_N2 = max(white_N2, MIN_WHITE_VARIANCE_N2) + (damping * speed_std) ** 2
         variance_N2 = variance_N2 + block.motion_variance_N2
         if assumptions.medium != AIR:
-            unsettled = max(1.0 - block.deflection, self._resumed)
+            unsettled = max(self._unsettled_deflection(block), self._resumed)
             net_N = block.force_N - mean[OFFSET]
             variance_N2 += (UNSETTLED_FRACTION * unsettled * net_N) ** 2
         correct(self._memory.store, self._memory.size, block, variance_N2)
+
+    def _unsettled_deflection(self, block: Block) -> float:
+        """Return how far a block's presliding is from what the force model holds for.
+
+        From one swing to the next only its change is.
+        """
+        if block.is_swing and self._block.is_swing:
+            return abs(block.deflection - self._block.deflection)
+        return 1.0 - block.deflection
 
     def _pause(self, block: Block, fresh_mm: float, *, is_gap: bool) -> None:
         """Learn nothing from a block: after a gap, at rest, in the own channel."""
@@ -961,7 +1108,7 @@ class MultilayerMethod:
         """Report a rupture, and with it the layer before as final."""
         layers = self.layers
         identified_layer = self._events.identified_layer
-        if layers and not layers[-1].is_final:
+        if layers and not (layers[-1].is_final or self._is_tissue_moving):
             identified_layer = replace(layers[-1], is_final=True)
             self._keep_layers((*layers[:-1], identified_layer))
         self._alarm = report_rupture(
@@ -1019,6 +1166,8 @@ class MultilayerMethod:
 
     def _is_layer_final(self, alarm: Rupture) -> bool:
         """Return whether the last layer is final now, so far behind its rupture."""
+        if self._is_tissue_moving:
+            return False
         travel_m = self._block.depth_mm / MM_PER_M - alarm.depth_m
         is_far = not 0.0 <= travel_m < FINAL_M
         return is_far and not self._is_layer_open and not self.layers[-1].is_final
@@ -1037,7 +1186,8 @@ class MultilayerMethod:
         # What the force's slow error grew by since the air is in the friction, and the
         # force model's.
         grown_N2 = max(force_std_N**2 - self._force_std_in_air_N**2, 0.0)
-        variance_N2 = grown_N2 + self._block.model_error_N**2
+        doubt_N = self._tissue_pull.doubt_N
+        variance_N2 = grown_N2 + self._block.model_error_N**2 + doubt_N**2
         if self._is_layer_open:
             self._report_new_layer(alarm, evidence, variance_N2)
         else:
@@ -1052,6 +1202,8 @@ class MultilayerMethod:
             return
         layer = report_layer(evidence, alarm, self._ruptures, friction)
         if layer is not None:
+            if self._tissue_pull.doubt_N > 0.0:
+                layer = with_doubt(layer, self._tissue_pull.doubt_N)
             self._keep_layers((*self.layers, layer))
             self._events = self._events._replace(identified_layer=layer)
             self._rupture_state = RuptureState.FRICTION_IDENTIFIED

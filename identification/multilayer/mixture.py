@@ -825,7 +825,7 @@ def possible_events(
 def _possible_contacts(
     assumption: Assumptions, block: Block, probability: float
 ) -> Iterator[Event]:
-    if block.deflection < MIN_CONTACT_DEFLECTION:
+    if block.deflection < MIN_CONTACT_DEFLECTION and not block.is_swing:
         return
     if assumption.ruptures:
         probability *= GAP_OF_AIR_FRACTION

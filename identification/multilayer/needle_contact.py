@@ -4,7 +4,7 @@ Friction turns round over a travel (Dahl 1968) and relaxes at rest.
 """
 
 import math
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from typing import NamedTuple
 
 import numpy as np
@@ -12,12 +12,16 @@ import numpy as np
 from foundation.arrays import Matrix
 from foundation.jit import compiled, compiled_inside
 from identification.multilayer.evidence import MM_PER_M
+from identification.multilayer.needle_swing import NeedleSwing, update_swing
 
 MAX_BLOCK_S = 0.01
 """A block ends after this time: enough to average the noise of single samples."""
 
 MAX_BLOCK_MM = 0.06
 """A block ends after this travel: well below any release."""
+
+MAX_SWING_S = 0.24
+"""A block of a swing ends after this time: two of the longest halves."""
 
 MIN_BLOCK_S = 0.002
 """Time before a block ends by its travel."""
@@ -85,6 +89,7 @@ class NeedleContact:
         force_N_s: Integral of the force.
         unfiltered_depth_m_s: Integral of the unfiltered depth.
         motion_variance_N2_s: Integral of the variance of the force by motion.
+        swing: Of the needle.
     """
 
     deflection: float = 0.0
@@ -103,6 +108,7 @@ class NeedleContact:
     force_N_s: float = 0.0
     unfiltered_depth_m_s: float = 0.0
     motion_variance_N2_s: float = 0.0
+    swing: NeedleSwing = field(default_factory=NeedleSwing)
 
 
 class Presliding(NamedTuple):
@@ -168,6 +174,7 @@ class ContactSample(NamedTuple):
         force_std_N: Standard deviation of the force's slow error.
         unfiltered_depth_m: Depth before the filter.
         dt_s: Time since the sample before.
+        measured_m_s: Speed of the arm before the filter.
     """
 
     depth_m: float
@@ -179,6 +186,7 @@ class ContactSample(NamedTuple):
     force_std_N: float
     unfiltered_depth_m: float
     dt_s: float
+    measured_m_s: float
 
 
 @compiled_inside
@@ -220,10 +228,13 @@ def update_friction_state(contact: NeedleContact, sample: ContactSample) -> None
 
 
 @compiled_inside
-def fill_block(contact: NeedleContact, sample: ContactSample) -> bool:
+def fill_block(
+    contact: NeedleContact, sample: ContactSample, is_end_of_swing: bool
+) -> bool:
     """Add a sample to the block, and return whether it is full.
 
-    The contact is already that of this sample.
+    The contact is already that of this sample. Where the needle swings the block holds
+    a whole swing.
     """
     dt_s = sample.dt_s
     contact.block_s += dt_s
@@ -233,6 +244,8 @@ def fill_block(contact: NeedleContact, sample: ContactSample) -> bool:
     contact.force_N_s += dt_s * sample.force_N
     contact.unfiltered_depth_m_s += dt_s * sample.unfiltered_depth_m
     contact.motion_variance_N2_s += dt_s * contact.motion_variance_N2
+    if contact.swing.is_swinging:
+        return is_end_of_swing or contact.block_s > MAX_SWING_S
     if contact.block_s > MAX_BLOCK_S * (1.0 - ROUNDING):
         return True
     is_far = MM_PER_M * abs(contact.travel_m) >= MAX_BLOCK_MM
@@ -247,7 +260,8 @@ def update_contact(contact: NeedleContact, sample: ContactSample) -> bool:
     contact.deepest_m = max(contact.deepest_m, sample.depth_m)
     contact.depth_std_m = sample.depth_std_m
     contact.speed_std_m_s = sample.speed_std_m_s
-    return fill_block(contact, sample)
+    is_end_of_swing = update_swing(contact.swing, sample.measured_m_s, sample.dt_s)
+    return fill_block(contact, sample, is_end_of_swing)
 
 
 @compiled

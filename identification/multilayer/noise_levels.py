@@ -251,6 +251,10 @@ def no_differences(size: int, step: float) -> SecondDifferences:
     )
 
 
+NO_DIFFERENCES = no_differences(MAX_DIFFERENCES, STEP_S)
+"""Before the first force."""
+
+
 class NoiseLevels(NamedTuple):
     """What is known of the noise; immutable.
 
@@ -259,7 +263,7 @@ class NoiseLevels(NamedTuple):
         variances: Of its parts.
     """
 
-    differences: SecondDifferences = no_differences(MAX_DIFFERENCES, STEP_S)
+    differences: SecondDifferences = NO_DIFFERENCES
     variances: NoiseVariances = NoiseVariances(INITIAL_WHITE_N2, 0.0, 0.0, 0.0)
 
     @property

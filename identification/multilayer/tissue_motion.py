@@ -158,6 +158,13 @@ class TissueMotion(NamedTuple):
         """Whether a motion is in use."""
         return len(self.fit.beats) > 0
 
+    @property
+    def amplitude_mm(self) -> float:
+        """Largest amplitude of a beat of the motion in use; 0 if none is known."""
+        if not self.is_known:
+            return 0.0
+        return float(np.hypot(self.fit.beats[:, 1], self.fit.beats[:, 2]).max())
+
     def motion_at(self, time_s: float) -> Motion:
         """Return place and speed of the tissue at a time."""
         times_s = np.array([time_s - self.fit.at_s])

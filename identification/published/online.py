@@ -24,6 +24,7 @@ from identification.estimate import (
     Rupture,
     RuptureState,
     Sample,
+    TissueWarning,
 )
 from identification.published.state import (
     DETECTED,
@@ -478,6 +479,11 @@ class PublishedMethod:
 
     def doubt_ruptures(self, age_s: float) -> None:
         """Do nothing: the method weighs no ruptures."""
+
+    @property
+    def warnings(self) -> TissueWarning:
+        """None: the method looks neither for motion nor for hard contacts."""
+        return TissueWarning.NONE
 
     def restore(self, state: PublishedState) -> None:
         """Resume from a state, bit for bit."""

@@ -18,6 +18,7 @@ from needleforce.control.handle_watch import HandleWatch
 from needleforce.control.ports import ArmSample, MasterSample
 from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.state_machine import State
+from needleforce.insertion_events import describe_hard_contact
 from needleforce.needle_on_plan import describe_deviation
 from residual.checks.input import as_float
 from residual.estimate import SensorWarning, Status
@@ -331,7 +332,8 @@ class Monitors:
         ahead_N = self._predict_axial_N(axial_N, ahead_s, step_s)
         side_force = self._side_force.check(step_s, lag_s)
         stop = (
-            self._check_axial(estimate, axial_N, ahead_N)
+            self._check_hard_contact(estimate)
+            or self._check_axial(estimate, axial_N, ahead_N)
             or side_force
             or self._check_plan(estimate)
         )
@@ -456,6 +458,16 @@ class Monitors:
                 f"limit {limit_N:g} N"
             )
         return ""
+
+    def _check_hard_contact(self, estimate: "SessionEstimate") -> str:
+        """Return what is wrong with the tip; empty unless it meets bone by itself.
+
+        In teleoperation the hand feels it.
+        """
+        contact = estimate.identification.hard_contact
+        if contact is None or self._state != State.INSERTION:
+            return ""
+        return describe_hard_contact(contact)
 
     def _check_axial_in_air(self, estimate: "SessionEstimate") -> str:
         """Return what is wrong with the change of the axial force in this state.

@@ -63,6 +63,7 @@ COMPONENTS = (
 """The components of a vector along x, y, z."""
 
 RUPTURE = LineStyle(color=BLACK, marker="|", width_pt=1.6, size_pt=13.0)
+HARD_CONTACT = replace(RUPTURE, color=VERMILION)
 COMPENSATION = replace(RUPTURE, marker="o", width_pt=0.5, size_pt=3.0)
 REJECTED = LineStyle(color="#c0392b", marker="|", width_pt=1.0, size_pt=7.0)
 

@@ -329,7 +329,7 @@ def test_what_is_no_number_is_refused(kind, name):
 
 
 def test_an_estimate_holds_outputs_under_their_names():
-    others = (*Events._fields, "rupture_probability")
+    others = (*Events._fields, "rupture_probability", "warnings")
     names = [name for name in Estimate._fields if name not in others][3:]
     outputs = tuple(range(len(names)))
     events = Events("r", "l", provisional="p")
@@ -342,3 +342,4 @@ def test_an_estimate_holds_outputs_under_their_names():
     assert estimate.retracted is None
     assert estimate.provisional == "p"
     assert estimate.rupture_probability == 0.25
+    assert estimate.warnings == 0

@@ -25,6 +25,7 @@ from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
 from needleforce.depth_zero import DepthZero, find_depth_zero
 from needleforce.devices import NetFT
 from needleforce.devices.rdt_status import describe_status
+from needleforce.insertion_events import describe_hard_contact
 from needleforce.needle_on_plan import describe_deviation
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import InsertionSession, SessionEstimate
@@ -106,7 +107,7 @@ class Display:
 
 
 def describe_events(estimate: SessionEstimate) -> Iterator[str]:
-    """Yield in words the rupture that was detected or retracted at this sample."""
+    """Yield in words what was detected or retracted at this sample."""
     rupture = estimate.identification.rupture
     if rupture is not None:
         zero = find_depth_zero(estimate)
@@ -127,6 +128,9 @@ def describe_events(estimate: SessionEstimate) -> Iterator[str]:
     retracted = estimate.identification.retracted
     if retracted is not None:
         yield f"no rupture of layer {retracted.layer} after all: the force came back"
+    contact = estimate.identification.hard_contact
+    if contact is not None:
+        yield describe_hard_contact(contact)
 
 
 def describe_reference(reference: ReferenceForce) -> str:

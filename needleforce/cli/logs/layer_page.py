@@ -105,10 +105,29 @@ class LayerPage:
         return "Layers"
 
     def answer(self) -> tuple[str, ...]:
+        """Return what was found, in sentences."""
+        return (self._describe_layers(), *self._describe_warnings())
+
+    def _describe_warnings(self) -> tuple[str, ...]:
+        """Return where something hard was met, and whether the tissue moved."""
+        rows = self.result.rows
+        sentences: list[str] = []
+        depths_m = rows["depth_m"][rows["hard_contact"] > 0].tolist()
+        if depths_m:
+            depths = _join(f"{M_TO_MM * depth_m:.1f} mm" for depth_m in depths_m)
+            sentences.append(f"Hard contact, as with bone, at a depth of {depths}.")
+        if (rows["tissue_moves"] > 0).any():
+            sentences.append(
+                "The tissue moved and pulled at the needle: ruptures of that time are "
+                "doubtful, and no layer became final."
+            )
+        return tuple(sentences)
+
+    def _describe_layers(self) -> str:
         """Return the ruptures found and the friction of their layers, in sentences."""
         layers = self.result.layers
         if not layers:
-            return ("No rupture was detected.",)
+            return "No rupture was detected."
         depths_mm = [M_TO_MM * layer.rupture.depth_m for layer in layers]
         depths = _join(f"{depth_mm:.1f} mm" for depth_mm in depths_mm)
         plural = "s" if len(layers) > 1 else ""
@@ -119,7 +138,7 @@ class LayerPage:
                 f"{layer.friction_N:.2f} N (layer {layer.layer})" for layer in known
             )
             sentences.append(f"Friction of the layers traversed: {frictions}.")
-        return (" ".join(sentences),)
+        return " ".join(sentences)
 
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
         """Save the chart of a report in a folder.
@@ -187,10 +206,13 @@ class LayerPage:
         identified = tuple(
             rows["t_s"][self.result.rows["identified_layer"] > 0] - start_s
         )
-        return (
+        hard = tuple(rows["t_s"][self.result.rows["hard_contact"] > 0] - start_s)
+        instants = (
             plots.Instants("estimated rupture time", palette.RUPTURE, ruptures),
             plots.Instants("friction identified", palette.COMPENSATION, identified),
+            plots.Instants("hard contact", palette.HARD_CONTACT, hard),
         )
+        return instants if hard else instants[:2]
 
 
 def _join(texts: Iterable[str]) -> str:

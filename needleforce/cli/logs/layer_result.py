@@ -8,7 +8,14 @@ from operator import attrgetter
 import numpy as np
 
 from foundation.arrays import Array
-from identification import MULTILAYER, PUBLISHED, PUBLISHED_KV, Estimate, LayerEstimate
+from identification import (
+    MULTILAYER,
+    PUBLISHED,
+    PUBLISHED_KV,
+    Estimate,
+    LayerEstimate,
+    TissueWarning,
+)
 from identification.log_replay import ReplayStream
 from needleforce.cli.advice import describe_suspicion
 from needleforce.cli.logs.row_overview import RowOverview
@@ -37,6 +44,8 @@ DRAWN_COLUMNS = (
     "friction_Ns_per_m2",
     "cumulative_friction_Ns_per_m",
     "identified_layer",
+    "hard_contact",
+    "tissue_moves",
 )
 """Columns whose extremes a figure must show."""
 
@@ -165,8 +174,9 @@ def estimate_table(t_s: Array, estimates: Sequence[Estimate]) -> LayerRows:
     `used` is 0 for rows that were rejected. On the rows of events stands the number of
     a layer, else 0: `rupture` on the row of the alarm, `identified_layer` where its
     friction was identified, provisionally or, with `is_final`, finally, `retracted`
-    where the alarm proved false. Standard deviations that a method does not state are
-    nan.
+    where the alarm proved false. `hard_contact` is 1 on the row that showed one, and
+    `tissue_moves` on every row with that warning. Standard deviations that a method
+    does not state are nan.
 
     Args:
         t_s: Time stamps [s], shape (n,).
@@ -184,6 +194,15 @@ def estimate_table(t_s: Array, estimates: Sequence[Estimate]) -> LayerRows:
     identified = [estimate.identified_layer for estimate in estimates]
     table["is_final"] = np.array(
         [float(layer is not None and layer.is_final) for layer in identified]
+    )
+    table["hard_contact"] = np.array(
+        [float(estimate.hard_contact is not None) for estimate in estimates]
+    )
+    table["tissue_moves"] = np.array(
+        [
+            float(TissueWarning.TISSUE_MOVES in estimate.warnings)
+            for estimate in estimates
+        ]
     )
     return table
 

@@ -211,6 +211,11 @@ def _report_rejections(rejected: Counter[str]) -> None:
 
 
 def _has_event(estimate: SessionEstimate) -> bool:
-    """Return whether a rupture was detected or retracted at this sample."""
+    """Return whether something was detected or retracted at this sample."""
     identification = estimate.identification
-    return identification.rupture is not None or identification.retracted is not None
+    return not (
+        identification.rupture
+        is identification.retracted
+        is identification.hard_contact
+        is None
+    )

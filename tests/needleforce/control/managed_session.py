@@ -51,6 +51,7 @@ class Sensor:
         depth_m=0.0,
         in_contact=False,
         sample_status=SampleStatus.OK,
+        hard_contact=None,
         **wrench,
     ):
         estimate = self.estimate
@@ -60,7 +61,10 @@ class Sensor:
             status=status,
             depth_m=depth_m,
             identification=estimate.identification._replace(
-                in_contact=in_contact, layer=int(in_contact), status=sample_status
+                in_contact=in_contact,
+                layer=int(in_contact),
+                hard_contact=hard_contact,
+                status=sample_status,
             ),
         )
 

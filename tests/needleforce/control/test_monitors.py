@@ -5,12 +5,14 @@ import numpy as np
 import pytest
 
 from groundtruth.rig_arm import ArmSample
-from identification import SampleStatus
+from identification import HardContact, SampleStatus
 from needleforce.control.errors import SettingError
 from needleforce.control.monitors import Beside, SafetyLimits
 from needleforce.control.state_machine import State
 from residual import SensorWarning, Status
 from tests.needleforce.control.managed_session import inserting, new_manager, run
+
+BONE = HardContact(alarm_s=4.0, depth_m=32.1e-3, force_N=1.2, growth_N_per_m=9000.0)
 
 
 @pytest.mark.parametrize(
@@ -18,6 +20,7 @@ from tests.needleforce.control.managed_session import inserting, new_manager, ru
     [
         ({"axial": 2.5}, State.STOPPED, "axial force 2.50 N"),
         ({"lateral": 1.5}, State.STOPPED, "side force 1.50 N"),
+        ({"hard_contact": BONE}, State.STOPPED, "hard contact at 32.1 mm"),
         (
             {"warnings": SensorWarning.MODEL_MISMATCH, "message": "no fit"},
             State.STOPPED,
