@@ -1,10 +1,12 @@
 """What happens in an insertion, as events with a sentence and named values."""
 
 from collections.abc import Iterator
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 from identification.estimate import HardContact
-from needleforce.session import SessionEstimate
+
+if TYPE_CHECKING:
+    from needleforce.session import SessionEstimate
 
 M_TO_MM = 1e3
 
@@ -31,7 +33,7 @@ def describe_hard_contact(contact: HardContact) -> str:
     )
 
 
-def session_events(estimate: SessionEstimate) -> Iterator[SessionEvent]:
+def session_events(estimate: "SessionEstimate") -> Iterator[SessionEvent]:
     """Yield the events of one update."""
     identification = estimate.identification
     rupture = identification.rupture

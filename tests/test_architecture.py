@@ -30,7 +30,7 @@ PRODUCT = (
     "needleforce",
 )
 ALL = (*PRODUCT, "benchmarks")
-MAX_FILES_PER_UPDATE = 27
+MAX_FILES_PER_UPDATE = 29
 MAX_FILES_PER_ROW = 17
 MAX_CHAIN = 21
 
