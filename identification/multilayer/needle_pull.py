@@ -21,7 +21,12 @@ BRAKING_S = 0.1
 """Time after the last advance for which a needle that brakes counts as advancing."""
 
 BACK_MM = 0.1
-"""Way back from the deepest point, at most: friction turns only beyond it."""
+"""Way back from the deepest point up to which a needle that is pulled still is."""
+
+BEGIN_BACK_MM = 0.03
+"""The same where a pull begins: a tenth of the way over which friction turns, so that a
+needle that is drawn back, and held by the tissue, is not taken for one that is pulled.
+"""
 
 OVER_S = 0.3
 """A fall is over if the force has not been lower for so long."""
@@ -89,7 +94,8 @@ class NeedlePull(NamedTuple):
         idle_s = 0.0 if force.is_advancing else self.idle_s + force.duration_s
         limit_N = max(PULL_SIGMAS * force.std_N, MIN_PULL_N)
         may_pull = force.value_N < -STILL_PULLED * limit_N
-        has_begun = idle_s < BRAKING_S and force.value_N < -limit_N
+        may_begin = idle_s < BRAKING_S and force.behind_mm < BEGIN_BACK_MM
+        has_begun = may_begin and force.value_N < -limit_N
         is_pulled = has_begun or (self.is_pulled and may_pull)
         is_pulled = is_pulled and force.behind_mm < BACK_MM
         is_over = force.value_N > self.peak_N or force.time_s - self.low_s > OVER_S
