@@ -133,7 +133,7 @@ def test_a_snapshot_amid_a_pull_goes_on_bit_for_bit():
 
 @pytest.mark.parametrize(("behind_mm", "is_pulled"), [(0.0, True), (0.06, False)])
 def test_a_needle_just_drawn_back_is_held_and_not_pulled(behind_mm, is_pulled):
-    """Friction that turns at a reversal passes zero before the tenth of a millimetre."""
+    """Friction that turns at a reversal passes zero within a tenth of a millimetre."""
     advancing = NetForce(1.0, 0.005, 10.0, 0.01, is_advancing=True, behind_mm=0.0)
     after = NetForce(-0.2, 0.005, 10.05, 0.01, is_advancing=False, behind_mm=behind_mm)
 
