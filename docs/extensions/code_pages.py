@@ -21,6 +21,7 @@ AREAS = {
     "control": "Control",
     "anatomy": "The patient and the plan",
     "device": "Devices",
+    "ros": "ROS 2",
     "scene": "The scene",
     "figure": "Figures",
     "simulation": "The simulation",

@@ -6,6 +6,7 @@ import sys
 from collections.abc import Iterator
 from dataclasses import dataclass
 from importlib import metadata
+from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
@@ -16,6 +17,9 @@ _NAME = re.compile(r"^([\w.-]+)\s*(?:\[([^\]]*)\])?")
 
 _EXTRA = re.compile(r"""extra\s*==\s*["']([\w-]+)["']""")
 _PLATFORM = re.compile(r"""(sys_platform|platform_machine)\s*==\s*["']([\w-]+)["']""")
+
+OUTSIDE = {"ros2": "rclpy"}
+"""Module that an extra needs and no package index installs, by extra."""
 
 _HERE = {"sys_platform": sys.platform, "platform_machine": platform.machine()}
 
@@ -116,6 +120,9 @@ def extra_states() -> tuple[ExtraState, ...]:
         missing = tuple(
             name for name in sorted(_own_packages(extra)) if version_of(name) is None
         )
+        outside = OUTSIDE.get(extra)
+        if outside is not None and find_spec(outside) is None:
+            missing += (outside,)
         states.append(
             ExtraState(name=extra, adds=adds, is_installed=not missing, missing=missing)
         )

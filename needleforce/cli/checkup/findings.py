@@ -10,6 +10,7 @@ from foundation.compile_cache import PROJECT
 from foundation.extras import PACKAGE, install_command
 from needleforce.cli.checkup.compiler import CompileCache, inspect_cache
 from needleforce.cli.checkup.distributions import (
+    OUTSIDE,
     ExtraState,
     InstalledSize,
     core_versions,
@@ -156,6 +157,8 @@ def _describe_extra(extra: ExtraState) -> str:
     if extra.is_installed:
         return f"installed      {extra.adds}"
     missing = ", ".join(extra.missing)
+    if extra.name in OUTSIDE:
+        return f"not installed  {extra.adds} (missing: {missing})"
     return (
         f"not installed  {extra.adds}: {install_command(extra.name)} "
         f"(missing: {missing})"

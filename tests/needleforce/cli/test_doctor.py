@@ -85,6 +85,21 @@ def test_a_missing_package_of_an_extra_is_named_with_the_command(monkeypatch, ca
     assert "(missing: mujoco)" in line
 
 
+def test_what_no_extra_can_install_is_named_without_a_command(monkeypatch, capsys):
+    monkeypatch.setattr(distributions, "find_spec", lambda name: None)
+    states = {state.name: state for state in extra_states()}
+
+    assert not states["ros2"].is_installed
+    assert states["ros2"].missing == ("rclpy",)
+
+    line = next(
+        line for line in report(capsys).splitlines() if line.startswith("  ros2 ")
+    )
+
+    assert "not installed" in line
+    assert "pip install" not in line
+
+
 def test_an_extra_counts_what_it_contains():
     states = {
         state.name: distributions._own_packages(state.name) for state in extra_states()
