@@ -38,6 +38,7 @@ SCRIPTS = (
     "autonomous_insertion",
     "landmarks",
     "watched_plan",
+    "any_arm",
 )
 """The scripts in examples/, in the order of the gallery."""
 
