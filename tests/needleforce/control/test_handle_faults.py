@@ -88,6 +88,7 @@ def estimate(force_N, depth_m, speed_m_s):
             tip_force_N=force_N,
             enhanced_force_N=force_N,
             rupture=None,
+            provisional=None,
             stiffness_N_per_m=0.0,
         ),
         depth_m=depth_m,

@@ -40,6 +40,7 @@ def estimate(
         tip_force_N=tip_N,
         enhanced_force_N=0.5 * (tip_N + axial_N),
         rupture=rupture,
+        provisional=None,
         stiffness_N_per_m=stiffness,
     )
     return SimpleNamespace(
