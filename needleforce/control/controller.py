@@ -47,6 +47,7 @@ class CommandStatus(StrEnum):
 
     OK = "ok"  # the tasks in order of priority, no limit in the way
     SATURATED = "saturated"  # the same, with at least one joint at a limit
+    NEAR_SINGULAR = "near singular"  # the same, with a direction damped: it hardly acts
     BRAKING = "braking"  # no task: as slow as the limits allow
     SKIPPED = "skipped"  # sample or task invalid: braking without them
 
@@ -152,9 +153,10 @@ class Controller:
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
         except Exception as error:  # whatever a sample or a stranger's task brings
             return self._brake(f"{type(error).__name__}: {error}")
-        return self._command(
-            velocity_rad_s, CommandStatus.SATURATED if is_limited else CommandStatus.OK
-        )
+        status = CommandStatus.SATURATED if is_limited else CommandStatus.OK
+        if numbers.is_damped:
+            status = CommandStatus.NEAR_SINGULAR
+        return self._command(velocity_rad_s, status)
 
     def note_sent(self, dq_rad_s: Array) -> None:
         """Begin from another velocity than the last command: the one really sent.

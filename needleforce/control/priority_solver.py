@@ -20,8 +20,25 @@ from needleforce.control.errors import SettingError
 from needleforce.control.joint_limits import SLACK_rad_s
 from needleforce.control.tasks import JointTask, Task, ToolState
 
-MIN_NEW_PART = 1e-6
-"""Where less than that of a row is new, it counts as dependent on those above it."""
+MIN_NEW_PART = 0.15
+"""Where less than that part of a row is new, it depends too much on those above it for
+a step that meets all of them: the levels are then solved one by one, and damped where
+that is needed."""
+
+WEAK_MOTION = 0.02
+"""A direction of a level that moves its rows, of length one, by less is damped."""
+
+MAX_DAMPING = 0.02
+"""Damping of a direction that hardly moves its level: a rate asks joints for at most 25
+times itself."""
+
+INEFFECTIVE_MOTION = 0.1
+"""Along a direction that moves the rows by less joints are slowed to
+`MAX_DETOUR_rad_s`."""
+
+MAX_DETOUR_rad_s = 0.4
+"""Speed of the joints together along such a direction, at most: far motion for a small
+gain, which surprises those who stand beside the arm."""
 
 MIN_ROW_LENGTH = 1e-9
 """Shorter rows are not scaled to length one: joints hardly move what they ask for."""
@@ -64,6 +81,7 @@ class Stack:
             needs no rows; else zero.
         bounds: l and u, shape (2, n), for its user to fill in.
         levels: Rows and rates of each task, views of the above.
+        is_damped: Whether the solver has damped a direction; for it to fill in.
 
     Raises:
         SettingError: A task is for another number of joints.
@@ -81,6 +99,7 @@ class Stack:
         self.rates = np.zeros(sum(sizes))
         self.joint_velocity = np.zeros(joints)
         self.bounds = np.zeros((2, joints))
+        self.is_damped = False
         ends = itertools.pairwise(itertools.accumulate(sizes, initial=0))
         self.levels = [
             (self.rows[start:end], self.rates[start:end]) for start, end in ends
@@ -107,7 +126,11 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
     achieved:
 
         dq_k = dq_{k-1} + N y,  min_y |J_k N y - (v_k - J_k dq_{k-1})|,  l <= dq_k <= u
+
+    Directions that hardly move a level are damped, see `find_damping`; all others are
+    exact.
     """
+    stack.is_damped = False
     velocity = stack.joint_velocity.copy()
     if meet_all_rows(stack.rows, stack.rates, stack.bounds, velocity):
         return velocity, False
@@ -121,9 +144,14 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
     for rows, rates in [*stack.levels, (free_directions, stack.joint_velocity)]:
         if free_directions.size:
             length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), MIN_ROW_LENGTH)
+            scaled_rows = rows / length[:, None]
+            scaled_rates = rates / length
+            errors = scaled_rates - scaled_rows @ velocity
+            damping = find_damping(scaled_rows, errors, free_directions)
+            stack.is_damped = stack.is_damped or len(damping) > 0
             velocity, free_directions = solve_level(
-                rows / length[:, None],
-                rates / length,
+                np.vstack((scaled_rows, damping)),
+                np.concatenate((scaled_rates, np.zeros(len(damping)))),
                 free_directions,
                 stack.bounds,
                 velocity,
@@ -135,6 +163,37 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
     return velocity, bool(room.min() <= AT_LIMIT_rad_s)
 
 
+def find_damping(rows: Array, errors: Array, free: Array) -> Array:
+    """Return rows that keep joints from moving far for a gain that is small.
+
+    Along a right singular vector v of J N, with the singular value σ and the part e of
+    the errors, the level asks joints for e/σ. One more row λ (N v)ᵀ, which asks for
+    rest, makes that e σ/(σ² + λ²), with the larger of
+
+        λ = λ_max (1 - (σ/σ₀)²)      below σ₀ (`WEAK_MOTION`)
+        λ² = |e| σ/w_max - σ²        where |e|/σ exceeds w_max (`MAX_DETOUR_rad_s`)
+
+    (Nakamura and Hanafusa, ASME J. Dyn. Syst. 1986; Chiaverini, IEEE T-RA 1997). Both
+    are zero, and the level exact, elsewhere.
+
+    Args:
+        rows: J of the level, of length one each, shape (m, n).
+        errors: v - J dq of the levels above, scaled alike, shape (m,).
+        free: N, orthonormal directions in columns, shape (n, k).
+
+    Returns:
+        The rows, shape (number of damped directions, n).
+    """
+    parts, motion, directions = np.linalg.svd(rows @ free, full_matrices=False)
+    weakness = np.maximum(1.0 - (motion / WEAK_MOTION) ** 2, 0.0)
+    asked = np.abs(parts.T @ errors) * motion
+    excess = np.sqrt(np.maximum(asked / MAX_DETOUR_rad_s - motion**2, 0.0))
+    excess[motion >= INEFFECTIVE_MOTION] = 0.0
+    damping = np.maximum(MAX_DAMPING * weakness, excess)
+    is_damped = (damping > 0.0) & (motion > MIN_MOTION)
+    return damping[is_damped, None] * (directions[is_damped] @ free.T)
+
+
 @compiled
 def meet_all_rows(
     rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector
@@ -143,7 +202,7 @@ def meet_all_rows(
 
     Gram-Schmidt steps, twice for accuracy, make a basis of the rows; moving along its
     i-th direction meets row i and leaves the rows before it met. False where rows
-    depend on each other.
+    nearly depend on each other.
     """
     joints = velocity.size
     if rates.size > joints:
@@ -152,12 +211,13 @@ def meet_all_rows(
     for i in range(rates.size):
         direction = basis[i]
         direction[:] = rows[i]
+        row_length = math.sqrt(dot(rows[i], rows[i]))
         for j in range(2 * i):
             overlap = dot(direction, basis[j % i])
             for k in range(joints):
                 direction[k] -= overlap * basis[j % i, k]
         length = math.sqrt(dot(direction, direction))
-        if length < MIN_NEW_PART:
+        if length < MIN_ROW_LENGTH or length < MIN_NEW_PART * row_length:
             return False
         direction /= length
         step = (rates[i] - dot(rows[i], velocity)) / dot(rows[i], direction)
