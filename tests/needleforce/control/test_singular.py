@@ -31,7 +31,8 @@ def advance(wrist_rad, seconds=2.0):
     tool = controller.tool
     q = np.array([0.0, -1.571, 1.571, -1.571, wrist_rad, 0.0])
     tool.update(q)
-    start_m, axis = tool.tip_m.copy(), tool.axis.copy()
+    start_m = tool.tip_m.copy()
+    axis = tool.axis.copy()
     stack = [Fixture.here(tool, 30.0), AxialSpeed(SPEED_m_s), Posture(q.copy())]
     rows = []
     for _ in range(round(seconds / DT_s)):
