@@ -253,11 +253,15 @@ class Estimate(NamedTuple):
 
     @property
     def has_events(self) -> bool:
-        """Whether this sample raised or retracted an alarm, or identified a layer."""
-        is_settled = self.rupture is self.identified_layer is self.retracted is None
-        is_provisional = not self.provisional is self.provisional_retracted is None
-        is_hard = self.hard_contact is not None
-        return not is_settled or is_provisional or is_hard
+        """Whether this sample brought any of the `Events`."""
+        return (
+            self.rupture is not None
+            or self.identified_layer is not None
+            or self.retracted is not None
+            or self.provisional is not None
+            or self.provisional_retracted is not None
+            or self.hard_contact is not None
+        )
 
     def without_events(self) -> "Estimate":
         """Return the same estimate, its events over."""

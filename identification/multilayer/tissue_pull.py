@@ -28,21 +28,6 @@ MAX_FOLLOWED_MM = 2.0
 REMEMBERED_S = 15.0
 """Tissue that has pulled moves for so much longer: two breaths at 8 a minute."""
 
-ENHANCED_STD = 3
-"""Place in `Outputs` of the standard deviation of the enhanced force."""
-
-TIP_STD = 5
-"""The same of the tip force."""
-
-SHAFT_STD = 7
-"""The same of the friction of the shaft."""
-
-STIFFNESS_IDENTIFIED = 11
-"""Place in `Outputs` of whether the data determine the stiffness."""
-
-FRICTION_IDENTIFIED = 14
-"""The same of the friction."""
-
 
 class TissuePull(NamedTuple):
     """Whether tissue has pulled at the advancing needle; immutable.
@@ -124,10 +109,45 @@ class TissuePull(NamedTuple):
         )
 
     def widen(self, outputs: Outputs) -> Outputs:
-        """Return what is reported of a sample with the doubt in its deviations."""
-        values = list(outputs)
-        for place in (ENHANCED_STD, TIP_STD, SHAFT_STD):
-            values[place] = math.hypot(values[place] or 0.0, self.doubt_N)
-        values[STIFFNESS_IDENTIFIED] = False
-        values[FRICTION_IDENTIFIED] = False
-        return tuple(values)  # type: ignore[return-value]
+        """Return what is reported of a sample with the doubt in its deviations.
+
+        Neither stiffness nor friction then counts as identified.
+        """
+        (
+            in_contact,
+            layer,
+            enhanced_N,
+            enhanced_std_N,
+            tip_N,
+            tip_std_N,
+            shaft_N,
+            shaft_std_N,
+            predicted_N,
+            stiffness,
+            stiffness_std,
+            _,
+            friction,
+            friction_std,
+            _,
+            cumulative_friction,
+            cumulative_friction_std,
+        ) = outputs
+        return (
+            in_contact,
+            layer,
+            enhanced_N,
+            math.hypot(enhanced_std_N or 0.0, self.doubt_N),
+            tip_N,
+            math.hypot(tip_std_N or 0.0, self.doubt_N),
+            shaft_N,
+            math.hypot(shaft_std_N or 0.0, self.doubt_N),
+            predicted_N,
+            stiffness,
+            stiffness_std,
+            False,
+            friction,
+            friction_std,
+            False,
+            cumulative_friction,
+            cumulative_friction_std,
+        )

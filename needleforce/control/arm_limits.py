@@ -39,7 +39,7 @@ FR3 = ArmLimits(
     acceleration_rad_s2=(10.0,) * 7,
     jerk_rad_s3=(5000.0,) * 7,
     cycle_s=1e-3,
-    source="libfranka, rate limits of the FR3",
+    source="libfranka 0.21, rate_limiting.h; speed: its highest, far from the stops",
 )
 
 FER = ArmLimits(
@@ -47,7 +47,7 @@ FER = ArmLimits(
     acceleration_rad_s2=(15.0, 7.5, 10.0, 12.5, 15.0, 20.0, 20.0),
     jerk_rad_s3=(7500.0, 3750.0, 5000.0, 6250.0, 7500.0, 10000.0, 10000.0),
     cycle_s=1e-3,
-    source="libfranka 0.9, rate_limiting.h",
+    source="libfranka 0.9, rate_limiting.h, without its margin for lost packets",
 )
 
 UR5E = ArmLimits(

@@ -13,7 +13,7 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import AbstractContextManager, suppress
 from dataclasses import dataclass
 from multiprocessing.connection import Connection
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 
@@ -39,6 +39,41 @@ MAX_GARBAGE_BYTES = 2000
 
 MAX_REQUEST_BYTES = 2048
 """No request to a device is longer."""
+
+
+class CyclicController(Protocol):
+    """A controller that is emulated cycle by cycle.
+
+    Attributes:
+        cycles: How many have passed.
+    """
+
+    cycles: int
+
+    def run_cycle(self) -> None:
+        """Send what a cycle sends, and wait for its answer until the cycle is over."""
+        ...
+
+
+def run_cycles(
+    controller: CyclicController,
+    cycles: int | None,
+    pipe: Connection,
+    cycles_between_looks: int,
+) -> None:
+    """Run a controller for so many cycles, or until something comes in the pipe.
+
+    Args:
+        controller: To be run.
+        cycles: After so many it ends; None for no end of its own.
+        pipe: To the process that has begun this one.
+        cycles_between_looks: Cycles between two looks into the pipe.
+    """
+    while controller.cycles != cycles:
+        if controller.cycles % cycles_between_looks == 0 and pipe.poll():
+            break
+
+        controller.run_cycle()
 
 
 Window = tuple[float, float]

@@ -7,6 +7,7 @@ limits that no Franka takes for a fault.
 """
 
 import threading
+from abc import abstractmethod
 from collections.abc import Iterator
 from contextlib import suppress
 from queue import Empty, Full, Queue
@@ -100,6 +101,33 @@ class _FrankaArm(CheckedArm):
         """Return what the client raises."""
         return (RuntimeError,)
 
+    def __iter__(self) -> Iterator[ArmReading]:
+        """Yield readings as they come, until the arm stays away.
+
+        Raises:
+            LinkError: An arm that is controlled has stopped, as with a reflex.
+        """
+        if self.takes_commands:
+            yield from self._controlled_readings()
+            return
+
+        while self._is_open:
+            try:
+                state = self.client.read_once()
+            except self._errors():
+                self.report.outages += 1
+                return
+
+            yield from self._state_readings(state, self._time_s(state))
+
+    @abstractmethod
+    def _controlled_readings(self) -> Iterator[ArmReading]:
+        """Yield readings of an arm that is commanded."""
+
+    @abstractmethod
+    def _time_s(self, state: Any) -> float:
+        """Return the arm's own time of a state of the client [s]."""
+
     def send(self, dq_rad_s: ArrayLike) -> bool:
         """Command a joint velocity for the coming cycles.
 
@@ -182,24 +210,8 @@ class Fr3Arm(_FrankaArm):
         """
         return read_urdf(host, FR3_LIBRARY.version)
 
-    def __iter__(self) -> Iterator[ArmReading]:
-        """Yield readings as they come, until the arm stays away.
-
-        Raises:
-            LinkError: An arm that is controlled has stopped, as with a reflex.
-        """
-        if self.takes_commands:
-            yield from self._controlled_readings()
-            return
-
-        while self._is_open:
-            try:
-                state = self.client.read_once()
-            except self._errors():
-                self.report.outages += 1
-                return
-
-            yield from self._state_readings(state, state.time.to_sec())
+    def _time_s(self, state: Any) -> float:
+        return state.time.to_sec()
 
     def _controlled_readings(self) -> Iterator[ArmReading]:
         """Yield a reading a cycle, and answer it before the next one."""
@@ -284,24 +296,8 @@ class FrankaArm(_FrankaArm):
         self._failure: BaseException | None = None
         self._thread: threading.Thread | None = None  # while the arm is controlled
 
-    def __iter__(self) -> Iterator[ArmReading]:
-        """Yield readings as they come, until the arm stays away.
-
-        Raises:
-            LinkError: An arm that is controlled has stopped, as with a reflex.
-        """
-        if self.takes_commands:
-            yield from self._controlled_readings()
-            return
-
-        while self._is_open:
-            try:
-                state = self.client.read_once()
-            except RuntimeError:
-                self.report.outages += 1
-                return
-
-            yield from self._state_readings(state, 1e-3 * state.time.to_msec())
+    def _time_s(self, state: Any) -> float:
+        return 1e-3 * state.time.to_msec()
 
     def _controlled_readings(self) -> Iterator[ArmReading]:
         """Yield the readings of the thread that answers the arm."""

@@ -14,6 +14,7 @@ from needleforce.devices.emulators import (
     FaultyWire,
     WireFaults,
     is_within,
+    run_cycles,
     take_real_time,
 )
 
@@ -64,12 +65,7 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
 
     controller = _Controller(settings)
     pipe.send({"port": controller.wire.address.port})
-    while controller.cycles != settings.cycles:
-        if controller.cycles % STOP_CHECK_CYCLES == 0 and pipe.poll():
-            break
-
-        controller.run_cycle()
-
+    run_cycles(controller, settings.cycles, pipe, STOP_CHECK_CYCLES)
     return {
         "cycles": controller.cycles,
         "same_cycle": controller.answered_in_cycle,

@@ -12,7 +12,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.devices.datagram_link import LOOPBACK, Endpoint
-from needleforce.devices.emulators import FaultyWire, WireFaults
+from needleforce.devices.emulators import FaultyWire, WireFaults, run_cycles
 from needleforce.devices.sunrise_messages import (
     JOINTS,
     MONITORING_KIND,
@@ -79,12 +79,7 @@ def emulate_sunrise(pipe: Connection, settings: SunriseSettings) -> dict[str, An
     """
     controller = _Controller(settings)
     pipe.send({"port": controller.wire.address.port})
-    while controller.cycles != settings.cycles:
-        if controller.cycles % STOP_CHECK_CYCLES == 0 and pipe.poll():
-            break
-
-        controller.run_cycle()
-
+    run_cycles(controller, settings.cycles, pipe, STOP_CHECK_CYCLES)
     return {
         "cycles": controller.cycles,
         "same_cycle": controller.answered_in_cycle,

@@ -56,11 +56,13 @@ def table_row(number: int, path: SkinPath) -> tuple[str, ...]:
 
 
 def describe_layers(layers: Iterable[Layer]) -> str:
-    """Return the layers with their thickness in words."""
-    return ", ".join(
-        f"{layer.name} {M_TO_MM * (layer.exit_m - layer.entry_m):.0f}"
-        for layer in layers
-    )
+    """Return the layers with their thickness in whole millimetres in words."""
+    texts: list[str] = []
+    for layer in layers:
+        thickness_mm = M_TO_MM * (layer.exit_m - layer.entry_m)
+        text = f"{thickness_mm:.0f}" if thickness_mm >= 0.5 else "<1"
+        texts.append(f"{layer.name} {text}")
+    return ", ".join(texts)
 
 
 def describe_clearances(clearances: Iterable[Clearance]) -> str:
