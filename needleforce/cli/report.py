@@ -14,6 +14,7 @@ from needleforce.cli.shared_options import (
     SensorOptions,
     Source,
 )
+from needleforce.cli.terminal import CommandError
 
 
 @app.command(name="report")
@@ -28,6 +29,15 @@ def report_command(
     sensor: SensorOptions = SensorOptions(),
     options: IdentificationOptions = IdentificationOptions(),
     columns: AllColumns = AllColumns(),
+    plan: Annotated[
+        Path | None,
+        Parameter(
+            metavar="FILE",
+            group=LOG,
+            help="Plan to compare with what was found (plan.json, or its folder); the "
+            "log needs joint positions.",
+        ),
+    ] = None,
 ) -> int:
     """Write a page with charts, results, warnings and settings of a log into a folder.
 
@@ -39,9 +49,16 @@ def report_command(
     """
     from needleforce.cli.logs import force_run, identify_run
     from needleforce.cli.logs.log_session import has_channels
+    from needleforce.cli.plan_file import load_plan
 
     output = Output(report=folder)
     torque = "tau_ext" if sensor.external_torque else "tau"
     if has_channels(log, columns, ("q", torque)):
-        return force_run.run(log, output, robot, sensor, columns, options)
+        loaded = None if plan is None else load_plan(plan, is_past=True)
+        return force_run.run(log, output, robot, sensor, columns, options, loaded)
+    if plan is not None:
+        raise CommandError(
+            f"--plan {plan}: {log} has no joint positions and torques, so that it is "
+            "not known where its needle was; give the log of the arm"
+        )
     return identify_run.run(log, output, options, columns)

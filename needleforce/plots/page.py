@@ -96,11 +96,15 @@ class Page:
     Attributes:
         title: Its title.
         lead: Paragraphs under the title.
+        notices: Text below them that must not be overlooked.
+        tables: Tables below those.
         sections: Its sections, listed above where there are at least three.
     """
 
     title: str
     lead: tuple[str, ...] = ()
+    notices: tuple[str, ...] = ()
+    tables: tuple[PageTable, ...] = ()
     sections: tuple[Section, ...] = ()
 
     def html(self) -> str:

@@ -10,8 +10,10 @@ from numpy.typing import NDArray
 
 from foundation.arrays import Array
 from needleforce import plots
-from needleforce.cli.logs.force_result import ForceResult, vectors_of
+from needleforce.cli.logs.force_result import NO_WARNING, ForceResult, vectors_of
 from needleforce.cli.logs.layer_page import LayerPage
+from needleforce.cli.logs.outputs import Answer
+from needleforce.cli.logs.plan_found import PlanFound
 from needleforce.cli.logs.row_overview import axis_span, time_axis
 from needleforce.cli.logs.sensor_replay import ForceRows, has_status
 from needleforce.cli.shared_options import Over
@@ -63,15 +65,18 @@ class ForcePage:
     Attributes:
         result: The forces.
         layers: What is shown of the layers in them, if they were asked for.
+        plan: The plan against what was found, if there is one.
     """
 
     result: ForceResult
     layers: LayerPage | None = None
+    plan: PlanFound | None = None
 
     def text(self) -> str:
         """Return the lines of the summary, and of the layers if asked for."""
         summary = aligned(self.result.summary())
-        return summary if self.layers is None else f"{summary}\n{self.layers.text()}"
+        layers = "" if self.layers is None else f"\n{self.layers.text()}"
+        return f"{summary}{layers}{'' if self.plan is None else self.plan.text()}"
 
     def chart(self, over: Over = "time") -> Chart:
         """Return every estimated component with its band of two standard deviations."""
@@ -103,10 +108,16 @@ class ForcePage:
         """What the page of a report shows."""
         return "Forces" if self.layers is None else "Forces and layers"
 
-    def answer(self) -> tuple[str, ...]:
-        """Return what was found, in sentences."""
-        layers = () if self.layers is None else self.layers.answer()
-        return (self.result.answer(), *layers)
+    def answer(self) -> Answer:
+        """Return what was found: layers, then the plan against them, then forces."""
+        layers = Answer(()) if self.layers is None else self.layers.answer()
+        plan = Answer(()) if self.plan is None else self.plan.answer()
+        forces = Answer((self.result.answer(),), self._force_warnings())
+        return Answer(
+            layers.sentences + plan.sentences + forces.sentences,
+            plan.warnings + layers.warnings + forces.warnings,
+            layers.tables + plan.tables,
+        )
 
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
         """Save the charts of a report in a folder.
@@ -118,7 +129,6 @@ class ForcePage:
         forces = plots.Section(
             heading="Forces",
             anchor="forces",
-            notices=tuple(f"Warning: {text}" for text in self._model_warnings()),
             paragraphs=(f"Made by `needleforce force`: {origin}.",),
             figures=self._save_figures(folder),
         )
@@ -127,11 +137,13 @@ class ForcePage:
         table = plots.PageTable(caption=caption, head=("", ""), rows=lines)
         summary = plots.Section(heading="Summary", anchor="summary", tables=(table,))
         layers = () if self.layers is None else self.layers.sections(folder)
-        return forces, *layers, summary
+        return *layers, forces, summary
 
-    def _model_warnings(self) -> tuple[str, ...]:
-        """Return what is odd in the robot's description."""
-        return self.result.replay.robot.warnings
+    def _force_warnings(self) -> tuple[str, ...]:
+        """Return what is odd in the robot's description, and in the forces."""
+        model = self.result.replay.robot.warnings
+        flags = self.result.describe_warnings()
+        return model if flags == NO_WARNING else (*model, f"samples with {flags}")
 
     def settings(self) -> tuple[plots.Section, ...]:
         """Return the settings of the sensor, and of the identification."""

@@ -14,6 +14,9 @@ from needleforce.cli.logs.torque_summary import describe_torques
 from residual import SensorConfig, SensorWarning, Status
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
+NO_WARNING = "none"
+"""What stands for the warnings of a log without any."""
+
 
 class VectorColumns(NamedTuple):
     """An estimated vector, one per row.
@@ -153,7 +156,7 @@ class ForceResult:
         yield "samples", self._describe_samples()
         yield "rejected", self._describe_rejections()
         yield "gaps", self._describe_gaps()
-        yield "warnings", self._describe_warnings()
+        yield "warnings", self.describe_warnings()
         if replay.velocity_fault:
             yield "velocity", f"{replay.velocity_fault}; --dq none estimates it from q"
         if replay.question:
@@ -206,13 +209,14 @@ class ForceResult:
             )
         return text
 
-    def _describe_warnings(self) -> str:
+    def describe_warnings(self) -> str:
+        """Return how many samples have which warning; `NO_WARNING` for none."""
         texts = [
             f"{count} x {str(warning.name).lower().replace('_', ' ')}"
             for warning, count in self.warnings.most_common()
             if count
         ]
-        return ", ".join(texts) or "none"
+        return ", ".join(texts) or NO_WARNING
 
     def _describe_tare(self) -> str:
         window = self.replay.tare

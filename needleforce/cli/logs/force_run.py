@@ -8,6 +8,7 @@ from needleforce.cli.logs.layer_page import LayerPage
 from needleforce.cli.logs.layer_result import identify_layers
 from needleforce.cli.logs.log_session import LogSession, mapping_from_options
 from needleforce.cli.logs.outputs import open_output, run_log
+from needleforce.cli.logs.plan_found import PlanWatch
 from needleforce.cli.logs.replay_setup import (
     prepare,
     robot_of_log,
@@ -18,6 +19,7 @@ from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_columns import with_torque_option
 from needleforce.cli.logs.torque_summary import describe_doubt
+from needleforce.cli.plan_file import LoadedPlan
 from needleforce.cli.robot import (
     payload_from_options,
     payload_lines,
@@ -43,6 +45,7 @@ def run(
     sensor: SensorOptions,
     columns: JointColumns,
     layers: IdentificationOptions | None = None,
+    plan: LoadedPlan | None = None,
 ) -> int:
     """Estimate the forces of a log, and the layers in them if asked for.
 
@@ -53,6 +56,7 @@ def run(
         sensor: How joint signals become a force.
         columns: Which columns are which channels.
         layers: How forces become layers; None for forces alone.
+        plan: The plan against which they are compared, if any.
 
     Returns:
         The exit code.
@@ -66,7 +70,7 @@ def run(
     work = prepare(source, robot_options, sensor, columns)
 
     def estimate(log: LogSession) -> ForcePage:
-        return estimate_forces(log, work.replay, output, layers)
+        return estimate_forces(log, work.replay, output, layers, plan)
 
     return run_log(source, output, work.request, estimate)
 
@@ -94,6 +98,7 @@ def estimate_forces(
     replay: SensorReplay,
     output: Output,
     layers: IdentificationOptions | None = None,
+    plan: LoadedPlan | None = None,
 ) -> ForcePage:
     """Run the sensor over a log and write its forces into the table of the output.
 
@@ -102,11 +107,13 @@ def estimate_forces(
         replay: The sensor.
         output: Which files are written.
         layers: How forces become layers; None for forces alone.
+        plan: The plan against which they are compared, if any.
     """
     config = replay.config
     result = ForceResult(log.name, replay)
     overview = RowOverview(_tracked_columns(config))
     chunks: list[LogChunk] = []
+    watch = PlanWatch(plan, replay)
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
     try:
@@ -119,6 +126,7 @@ def estimate_forces(
                 overview.add(rows)
                 if table is not None:
                     table.append(force_table(rows, config))
+                watch.add(chunk.channels["q_rad"], rows["travel_m"])
                 if layers is not None:
                     chunks.append(_as_depth_log(chunk, rows))
             result.count_bad_stamps(log.bad_stamp_count)
@@ -130,7 +138,8 @@ def estimate_forces(
     result.rows = overview.columns()
     if layers is None or not result.counts[Status.OK]:
         return ForcePage(result)
-    return ForcePage(result, LayerPage(identify_layers(chunks, log.name, layers)))
+    found = identify_layers(chunks, log.name, layers)
+    return ForcePage(result, LayerPage(found), watch.compare(found.layers))
 
 
 def _tracked_columns(config: SensorConfig) -> list[str]:

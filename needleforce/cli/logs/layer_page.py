@@ -16,6 +16,7 @@ from needleforce.cli.logs.layer_result import (
     layer_cells,
     layer_text,
 )
+from needleforce.cli.logs.outputs import Answer
 from needleforce.cli.logs.row_overview import axis_span, time_axis
 from needleforce.cli.shared_options import Over
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
@@ -104,11 +105,25 @@ class LayerPage:
         """What the page of a report shows."""
         return "Layers"
 
-    def answer(self) -> tuple[str, ...]:
-        """Return what was found, in sentences."""
-        return (self._describe_layers(), *self._describe_warnings())
+    def answer(self) -> Answer:
+        """Return what was found: ruptures, friction, and the table of the layers."""
+        return Answer(
+            sentences=(self._describe_layers(),),
+            warnings=(*self._describe_events(), *self.result.warnings),
+            tables=(self._layer_table(),) if self.result.layers else (),
+        )
 
-    def _describe_warnings(self) -> tuple[str, ...]:
+    def _layer_table(self) -> plots.PageTable:
+        """Return the table of the layers traversed."""
+        return plots.PageTable(
+            caption="Layers traversed",
+            head=HEADER,
+            rows=tuple(map(layer_cells, self.result.layers)),
+            numeric=frozenset(range(len(HEADER))),
+            note=_TABLE_NOTE,
+        )
+
+    def _describe_events(self) -> tuple[str, ...]:
         """Return where something hard was met, and whether the tissue moved."""
         rows = self.result.rows
         sentences: list[str] = []
@@ -154,20 +169,11 @@ class LayerPage:
             caption=_CAPTION,
             is_alone=True,
         )
-        table = plots.PageTable(
-            caption="Layers traversed" if result.layers else "No rupture detected.",
-            head=HEADER,
-            rows=tuple(map(layer_cells, result.layers)),
-            numeric=frozenset(range(len(HEADER))),
-            note=_TABLE_NOTE,
-        )
         layers = plots.Section(
             heading="Layers",
             anchor="layers",
             paragraphs=(f"Made by `needleforce identify`, method {result.method}.",),
-            notices=tuple(f"Warning: {text}" for text in result.warnings),
             figures=(figure,),
-            tables=(table,),
         )
         return (layers,)
 

@@ -24,6 +24,8 @@ from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.output import OpenTable, open_table
 from needleforce.recordings.table import TableLabels
 
+NOTE = "Research only: not a medical device."
+
 REPORT_FILES = (
     plots.PAGE,
     "forces-over-time.svg",
@@ -34,6 +36,20 @@ REPORT_FILES = (
     "layers-wide.svg",
 )
 """Names of the files in the folder of a report."""
+
+
+class Answer(NamedTuple):
+    """How the page of a report begins.
+
+    Attributes:
+        sentences: What was found.
+        warnings: What makes it doubtful.
+        tables: What was found, in numbers.
+    """
+
+    sentences: tuple[str, ...]
+    warnings: tuple[str, ...] = ()
+    tables: tuple[plots.PageTable, ...] = ()
 
 
 class LogPage(Protocol):
@@ -52,8 +68,8 @@ class LogPage(Protocol):
         """What the page of a report shows."""
         ...
 
-    def answer(self) -> tuple[str, ...]:
-        """Return what was found, in sentences: how the page of a report begins."""
+    def answer(self) -> Answer:
+        """Return what was found: how the page of a report begins."""
         ...
 
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
@@ -104,21 +120,15 @@ def run_log(
 
 
 def _write_report(page: LogPage, log: LogSession, folder: Path) -> None:
-    """Write the page of a log: what was found first, settings last.
-
-    Its first section shows what was wrong with the log.
-    """
-    first, *others = page.sections(folder)
-    notices = (*(f"Warning: {text}" for text in log.warnings), *first.notices)
+    """Write the page of a log: what was found and what is doubtful, settings last."""
+    answer = page.answer()
+    warnings = (*log.warnings, *answer.warnings)
     document = plots.Page(
         title=f"{page.title} from {log.name}",
-        lead=page.answer(),
-        sections=(
-            replace(first, notices=notices),
-            *others,
-            _channel_section(log),
-            *page.settings(),
-        ),
+        lead=(*answer.sentences, NOTE),
+        notices=tuple(f"Warning: {text}" for text in warnings),
+        tables=answer.tables,
+        sections=(*page.sections(folder), _channel_section(log), *page.settings()),
     )
     plots.write_page(folder / plots.PAGE, document)
 

@@ -248,9 +248,12 @@ def test_report_shows_forces_and_their_layers(insertion):
 
     assert re.search(r"Force along the needle: \S+ to \S+ N", lead)
     assert re.search(r"ruptures? detected, at a depth of [\d.]+ mm", lead)
+    assert "Layers traversed" in lead
+    assert "Warning: rows whose status" in lead
+    assert "not a medical device" in lead
     assert re.findall('<section id="([^"]+)"', page) == [
-        "forces",
         "layers",
+        "forces",
         "summary",
         "channels",
         "sensor",
