@@ -31,6 +31,7 @@ from needleforce.anatomy import (
 )
 from needleforce.cli.demos.abdomen_plan import (
     FRONT,
+    ScannedTorso,
     StraightPath,
     inside_body,
     plan_path,
@@ -41,9 +42,6 @@ from needleforce.cli.terminal import Progress
 from needleforce.scene.state_ring import FIELDS, view_row
 from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
-
-ORGAN = "liver"
-"""Structure in which the target lies."""
 
 SHIFT_STD_m = 3e-3
 """How far organs lie from where the CT saw them, along the needle [m]."""
@@ -176,7 +174,7 @@ class Insertion(NamedTuple):
     """What the demonstration has done.
 
     Attributes:
-        labels: The segmentation.
+        torso: CT and labels.
         path: The planned path.
         layers: The planned layers along it.
         registrations: What is known of the placement.
@@ -186,7 +184,7 @@ class Insertion(NamedTuple):
         followed: The session over its signals.
     """
 
-    labels: Labels
+    torso: ScannedTorso
     path: StraightPath
     layers: list[Layer]
     registrations: Registrations
@@ -303,8 +301,9 @@ def insert(
         progress: Takes the fraction of the work that is done.
     """
     rng = np.random.default_rng(seed)
-    labels = read_torso(folder, rng)
-    path = plan_path(labels, ORGAN, rng)
+    torso = read_torso(folder, rng)
+    labels = torso.labels
+    path = plan_path(labels, torso.target, rng)
     layers = thick_layers(labels.layers_along(path.entry_m, path.target_m))
     placement = _draw_placement(rng)
     registrations = register(labels, path.entry_m, placement, rng)
@@ -318,7 +317,7 @@ def insert(
     std_m = float(np.hypot(fine.std_along_m(axis, path.target_m), SHIFT_STD_m))
     followed = _follow_plan(run, PlanMatch(layers, std_m), shift_m, path.length_m)
     return Insertion(
-        labels, path, layers, registrations, placement, shift_m, run.robot, followed
+        torso, path, layers, registrations, placement, shift_m, run.robot, followed
     )
 
 
@@ -437,6 +436,8 @@ def _follow_plan(
 ) -> FollowedInsertion:
     """Run a session over the signals of a run, its ruptures matched with the plan.
 
+    It ends where the corrected plan has the target: there the needle would stop.
+
     Args:
         run: The insertion.
         match: The plan.
@@ -452,8 +453,9 @@ def _follow_plan(
             rows.append(view_row(estimate, sample.q_rad))
         depth_m = estimate.depth_m - follower.entry_m
         offset_m = estimate.plan.offset_m if estimate.plan is not None else 0.0
-        if stop_m is None and depth_m >= length_m + offset_m:
+        if depth_m >= length_m + offset_m:
             stop_m = depth_m
+            break
     table = np.array(rows)
     depths_m = table[:, FIELDS.index("depth_m")] - follower.entry_m
     return FollowedInsertion(

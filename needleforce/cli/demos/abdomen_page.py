@@ -10,14 +10,15 @@ from scipy.ndimage import distance_transform_edt
 from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
-from needleforce.anatomy import Labels, PlanState, Registration, Structure
+from needleforce.anatomy import Labels, Layer, PlanState, Registration, Structure
 from needleforce.cli.demos.abdomen_insertion import (
     LANDMARKS,
     TOUCHES,
     Insertion,
     insert,
 )
-from needleforce.cli.demos.result_page import DemoResult, NamedChart
+from needleforce.cli.demos.result_page import NOT_MEDICAL, DemoResult, NamedChart
+from needleforce.cli.patient.plan_slices import draw_along
 from needleforce.cli.plan_file import large_structures
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import RobotOptions
@@ -27,11 +28,16 @@ from needleforce.plots import (
     Chart,
     Curve,
     Instants,
+    Page,
     PageFigure,
+    PageTable,
     Panel,
+    Section,
     palette,
     require_matplotlib,
+    save_page_figure,
     whole_folder,
+    write_page,
 )
 
 MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "mujoco")
@@ -47,6 +53,16 @@ HIDING_STRUCTURE = "lean"
 """Structure that would hide what lies in it; the scene does not show it."""
 
 TITLE = "From a CT to a needle whose ruptures correct the plan"
+
+CT_ROW = "CT"
+PATH_ROW = "planned path"
+OFF_ROW = "plan off by"
+NO_SCENE = "3-D film: not made, the extra `scene` is not installed."
+
+CT_CAPTION = (
+    "The CT in two planes that hold the planned path (yellow, with a bar where a layer "
+    "ends and a ring at the target); outlines of the structures."
+)
 
 SLICE_CAPTION = (
     "The plane of the needle through the segmentation, as planned: entry and target, "
@@ -83,17 +99,73 @@ def run(
     result.print_table()
     with whole_folder(folder) as place:
         if place is not None:
-            plane = draw_plane(insertion, place / "slice.png")
-            figure = PageFigure(path=plane, alt=SLICE_CAPTION, caption=SLICE_CAPTION)
-            result.write_page("abdomen", place, [figure])
-            if find_spec("viser") is not None:
-                write_scene(insertion, place / SCENE)
+            _write_page(insertion, result, place)
     if picture is not None:
         draw_plane(insertion, picture)
     if folder is not None:
         pages = [folder / name for name in (PAGE, SCENE) if (folder / name).exists()]
         write_out("".join(f"{page}\n" for page in pages))
     return 0
+
+
+class PlannedWay(NamedTuple):
+    """The planned path with its layers, for pictures.
+
+    Attributes:
+        entry_m: Where it meets the skin, shape (3,) [m].
+        target_m: Where it ends, shape (3,) [m].
+        length_m: From entry to target [m].
+        layers: What it crosses.
+    """
+
+    entry_m: Array
+    target_m: Array
+    length_m: float
+    layers: Sequence[Layer]
+
+
+def _write_page(insertion: Insertion, result: DemoResult, folder: Path) -> None:
+    """Write the page: CT and path first, then what the insertion made of the plan."""
+    path = insertion.path
+    way = PlannedWay(path.entry_m, path.target_m, path.length_m, insertion.layers)
+    scan = draw_along(insertion.torso, way, folder / "ct.png")
+    plane = draw_plane(insertion, folder / "slice.png")
+    charts = tuple(
+        save_page_figure(chart, folder / f"{name}.svg", alt=caption, caption=caption)
+        for name, chart, caption in result.charts
+    )
+    rows = dict(result.rows)
+    has_scene = find_spec("viser") is not None
+    table = PageTable(caption="Result", head=("what", "value"), rows=result.rows)
+    page = Page(
+        title=result.title,
+        lead=(
+            f"CT: {rows[CT_ROW]}.",
+            f"Planned path: {rows[PATH_ROW]}.",
+            f"Plan off by {rows[OFF_ROW]}.",
+            f"3-D film: open `{SCENE}` in the same folder." if has_scene else NO_SCENE,
+            NOT_MEDICAL,
+        ),
+        sections=(
+            Section(
+                heading="CT and planned path",
+                anchor="plan",
+                figures=(PageFigure(path=scan, alt=CT_CAPTION, caption=CT_CAPTION),),
+            ),
+            Section(
+                heading="Insertion",
+                anchor="insertion",
+                figures=(
+                    PageFigure(path=plane, alt=SLICE_CAPTION, caption=SLICE_CAPTION),
+                    *charts,
+                ),
+                tables=(table,),
+            ),
+        ),
+    )
+    write_page(folder / PAGE, page)
+    if has_scene:
+        write_scene(insertion, folder / SCENE)
 
 
 def write_scene(insertion: Insertion, path: Path) -> Path:
@@ -111,7 +183,7 @@ def write_scene(insertion: Insertion, path: Path) -> Path:
         weights=[np.inf, 1.0],
     )
     rotation = alignment[0]
-    labels = insertion.labels
+    labels = insertion.torso.labels
     names = [name for name in large_structures(labels) if name != HIDING_STRUCTURE]
     scene = PlanScene(
         surfaces=tuple(labels.surfaces(names).values()),
@@ -140,8 +212,16 @@ def _rows_of(insertion: Insertion) -> tuple[tuple[str, str], ...]:
     by_touches = "refused: the skin slides or spins on itself"
     if fine is not rough:
         by_touches = _describe_registration(insertion, fine)
+    torso = insertion.torso
+    errors = insertion.errors_m
+    voxels = " x ".join(map(str, torso.scan.grid.shape))
+    spacing_mm = ", ".join(f"{M_TO_MM * one:g}" for one in torso.scan.grid.spacing_m)
     rows = {
-        "planned path": path,
+        CT_ROW: f"{torso.origin}: {voxels} voxels of {spacing_mm} mm",
+        PATH_ROW: f"{path}; target in the {torso.target}",
+        OFF_ROW: f"{M_TO_MM * errors.by_plan_m:.1f} -> "
+        f"{M_TO_MM * errors.corrected_m:.1f} mm after "
+        f"{len(insertion.followed.ruptures)} ruptures (tip from target)",
         f"registration by {LANDMARKS} landmarks": _describe_registration(
             insertion, rough
         ),
@@ -152,12 +232,7 @@ def _rows_of(insertion: Insertion) -> tuple[tuple[str, str], ...]:
             f"rupture {number} at {M_TO_MM * depth_m:.1f} mm below the planned entry"
         )
         rows[label] = _describe_match(plan)
-    errors = insertion.errors_m
     rows["true shift along the needle"] = f"{M_TO_MM * insertion.shift_m:+.1f} mm"
-    by_plan_mm = M_TO_MM * errors.by_plan_m
-    rows["tip from the target, by the plan alone"] = f"{by_plan_mm:.1f} mm"
-    corrected_mm = M_TO_MM * errors.corrected_m
-    rows["tip from the target, corrected by force"] = f"{corrected_mm:.1f} mm"
     return tuple(rows.items())
 
 
@@ -316,7 +391,7 @@ def _draw_needle(axes: Any, insertion: Insertion, outline: Sequence[Any]) -> Non
 def cut_plane(insertion: Insertion) -> NeedlePlane:
     """Return the segmentation in the plane of the needle and across the body."""
     planned = insertion.path
-    labels = insertion.labels
+    labels = insertion.torso.labels
     along_m = np.arange(-BEFORE_ENTRY_M, planned.length_m + BEHIND_TARGET_M, PIXEL_M)
     across_m = np.arange(-BESIDE_M, BESIDE_M, PIXEL_M)
     axis = (planned.target_m - planned.entry_m) / planned.length_m

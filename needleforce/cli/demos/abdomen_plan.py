@@ -12,8 +12,9 @@ from scipy.spatial.transform import Rotation
 from foundation.arrays import Array
 from groundtruth.torso import analytic_torso
 from needleforce import anatomy
-from needleforce.anatomy import Grid, Labels, Layer, Structure
+from needleforce.anatomy import Grid, Labels, Layer, Structure, Volume
 from needleforce.anatomy.path_layers import UNLABELLED
+from needleforce.cli.patient.example_case import draw_scan
 from needleforce.cli.terminal import CommandCode, CommandError
 
 VOXEL_m = 2e-3
@@ -37,8 +38,11 @@ CORE_VOXELS = 3
 LENGTHS_m = (0.05, 0.1)
 """Least and largest length of the path [m]."""
 
-CROSSABLE = ("lean", "fat", "muscle", "cavity", "lesion", UNLABELLED)
-"""What a needle may cross into an organ: neither lung nor bowel nor large vessel."""
+ORGAN = "liver"
+"""Structure in which the target lies where there is no lesion."""
+
+CROSSABLE = ("lean", "fat", "muscle", "cavity", ORGAN, "lesion", UNLABELLED)
+"""What a needle may cross to its target: neither lung nor bowel nor large vessel."""
 
 CLEARANCE_m = 6e-3
 """So far beside the path nothing else may lie [m]."""
@@ -48,6 +52,33 @@ MIN_LAYER_m = 6.5e-3
 
 MAX_DISTANCE_m = 0.3
 """How far from a target the skin is sought [m]."""
+
+
+LESIONS = ("lesion", "tumor", "tumour")
+"""Words in the names of structures that are targets, where a segmentation has one."""
+
+
+class ScannedTorso(NamedTuple):
+    """CT and labels of the demonstration.
+
+    Attributes:
+        scan: The CT.
+        labels: The segmentation.
+        origin: Where they come from, in words.
+    """
+
+    scan: Volume
+    labels: Labels
+    origin: str
+
+    @property
+    def target(self) -> str:
+        """Name of the structure in which the target lies: a lesion if there is one."""
+        names = (structure.name for structure in self.labels.structures)
+        lesions = (
+            name for name in names if any(word in name.lower() for word in LESIONS)
+        )
+        return next(lesions, ORGAN)
 
 
 class StraightPath(NamedTuple):
@@ -74,14 +105,14 @@ class StraightPath(NamedTuple):
         )
 
 
-def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
+def read_torso(folder: Path | None, rng: np.random.Generator) -> ScannedTorso:
     """Return a CT with labels from a folder, or a built-in analytic torso.
 
     Raises:
         CommandError: The folder has no CT, or no labels beside it.
     """
     if folder is None:
-        return _analytic_labels(rng)
+        return _analytic_torso(rng)
     scans = [*sorted(folder.glob("ct.n*")), *sorted(folder.glob("*/ct.n*"))]
     beside = scans[0].parent if scans else folder
     files = [*sorted(beside.glob("labels*.n*")), *sorted(beside.glob("*.seg.nrrd"))]
@@ -92,11 +123,12 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> Labels:
             CommandCode.FILE,
         )
     scan = anatomy.read_volume(scans[0])
-    return anatomy.read_labels(files[0]).with_body(scan, fat=True)
+    labels = anatomy.read_labels(files[0]).with_body(scan, fat=True)
+    return ScannedTorso(scan, labels, f"{scans[0].name} of {folder}")
 
 
-def _analytic_labels(rng: np.random.Generator) -> Labels:
-    """Return the labels of an analytic torso drawn at random."""
+def _analytic_torso(rng: np.random.Generator) -> ScannedTorso:
+    """Return CT and labels of an analytic torso drawn at random."""
     torso = analytic_torso(rng)
     skin = torso["fat"]
     half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + MARGIN_VOXELS
@@ -108,7 +140,10 @@ def _analytic_labels(rng: np.random.Generator) -> Labels:
         for number, body in enumerate(torso.shapes, 1)
     ]
     voxels = torso.voxels(grid.shape, grid.origin_m, grid.axes_m)
-    return Labels.of([voxels], grid, structures)
+    labels = Labels.of([voxels], grid, structures)
+    noise = np.random.default_rng(int(rng.integers(2**32)))
+    scan = Volume(draw_scan(torso, voxels, noise), grid)
+    return ScannedTorso(scan, labels, "analytic torso, built in")
 
 
 def inside_body(labels: Labels) -> NDArray[np.bool_]:
@@ -116,21 +151,21 @@ def inside_body(labels: Labels) -> NDArray[np.bool_]:
     return np.any([volume != 0 for volume in labels.volumes], axis=0)
 
 
-def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> StraightPath:
-    """Return the path into an organ that crosses the most tissues.
+def plan_path(labels: Labels, target: str, rng: np.random.Generator) -> StraightPath:
+    """Return the path into a structure that crosses the most tissues.
 
     It is the best of straight paths of `LENGTHS_m` through what is `CROSSABLE`, also
     `CLEARANCE_m` beside them; of paths through as many tissues the shortest.
 
     Args:
         labels: The segmentation.
-        organ: Name of the structure in which the target lies.
+        target: Name of the structure in which it ends.
         rng: Draws targets and directions.
 
     Raises:
         CommandError: There is no such path from the front.
     """
-    targets_m = _points_inside(labels, organ)
+    targets_m = _points_inside(labels, target)
     body = inside_body(labels)
     best_path: StraightPath | None = None
     best_rank = (0, np.inf)
@@ -144,14 +179,14 @@ def plan_path(labels: Labels, organ: str, rng: np.random.Generator) -> StraightP
         path = StraightPath(target_m + length_m * axis, target_m)
         layers = thick_layers(labels.layers_along(path.entry_m, path.target_m))
         rank = (-len(layers), length_m)
-        ends_inside = len(layers) > 1 and layers[-1].name == organ
+        ends_inside = len(layers) > 1 and layers[-1].name == target
         is_better = best_path is None or rank < best_rank
-        if ends_inside and is_better and _is_clear(labels, path, organ):
+        if ends_inside and is_better and _is_clear(labels, path, target):
             best_path = path
             best_rank = rank
     if best_path is None:
         raise CommandError(
-            f"no straight way from the front into {organ!r} through soft tissue"
+            f"no straight way from the front into {target!r} through soft tissue"
         )
     return best_path
 
@@ -165,7 +200,7 @@ def _points_inside(labels: Labels, organ: str) -> Array:
     return labels.grid.points_m(indices)
 
 
-def _is_clear(labels: Labels, path: StraightPath, organ: str) -> bool:
+def _is_clear(labels: Labels, path: StraightPath, target: str) -> bool:
     """Return whether a path, and those beside it, cross only what a needle may."""
     axis = path.axis
     side = np.cross(axis, [0.0, 0.0, 1.0])
@@ -173,7 +208,7 @@ def _is_clear(labels: Labels, path: StraightPath, organ: str) -> bool:
     angles = np.radians(np.arange(0.0, 360.0, 60.0))[:, None]
     around = np.cos(angles) * side + np.sin(angles) * np.cross(axis, side)
     return all(
-        layer.name in (*CROSSABLE, organ)
+        layer.name in (*CROSSABLE, target)
         for offset_m in (np.zeros(3), *(CLEARANCE_m * around))
         for layer in labels.layers_along(
             path.entry_m + offset_m, path.target_m + offset_m

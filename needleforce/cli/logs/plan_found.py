@@ -26,7 +26,7 @@ NOTE = (
 M_TO_MM = 1e3
 
 
-class MatchedRupture(NamedTuple):
+class NamedRupture(NamedTuple):
     """A rupture, and what the plan says of it.
 
     Attributes:
@@ -54,7 +54,7 @@ class PlanFound(NamedTuple):
     """
 
     layers: tuple[Layer, ...]
-    ruptures: tuple[MatchedRupture, ...]
+    ruptures: tuple[NamedRupture, ...]
     last: PlanState | None
     deepest: PlanDeviation | None
     off_fraction: float
@@ -118,7 +118,7 @@ class PlanFound(NamedTuple):
         )
         return (table,)
 
-    def _cells(self, number: int, rupture: MatchedRupture) -> tuple[str, ...]:
+    def _cells(self, number: int, rupture: NamedRupture) -> tuple[str, ...]:
         """Return the line of a rupture."""
         state = rupture.state
         planned = deeper = ""
@@ -204,7 +204,7 @@ class PlanWatch:
         warnings = list(plan.warnings)
         if plan.path is not None and not self._rows_below:
             warnings.append("the needle never came below the planned entry")
-        ruptures: tuple[MatchedRupture, ...] = ()
+        ruptures: tuple[NamedRupture, ...] = ()
         last: PlanState | None = None
         try:
             ruptures = _match(plan.match, ruptures_m, contact_m)
@@ -225,10 +225,10 @@ class PlanWatch:
 
 def _match(
     match: PlanMatch, ruptures_m: list[float], contact_m: float | None
-) -> tuple[MatchedRupture, ...]:
+) -> tuple[NamedRupture, ...]:
     """Match ruptures with a plan, each with those before it."""
     return tuple(
-        MatchedRupture(
+        NamedRupture(
             depth_m, match.state(depth_m, ruptures_m[:count], contact_m=contact_m)
         )
         for count, depth_m in enumerate(ruptures_m, 1)

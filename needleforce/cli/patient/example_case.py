@@ -95,7 +95,8 @@ def write_example_case(folder: Path, seed: int) -> int:
     axes_m = np.diag(SPACING_m)
     grid = Grid(tuple((2 * half + 1).tolist()), -axes_m @ half, axes_m)
     voxels = torso.voxels(grid.shape, grid.origin_m, grid.axes_m)
-    _write_image(folder / "ct.nii.gz", _scan_of(torso, voxels, seed), grid)
+    scan_HU = draw_scan(torso, voxels, np.random.default_rng(seed))
+    _write_image(folder / "ct.nii.gz", scan_HU, grid)
     names = {value: name for value, name in enumerate(SEGMENTED, 1)}
     numbers = {body.name: number for number, body in enumerate(torso.shapes, 1)}
     labels = np.zeros_like(voxels)
@@ -116,11 +117,19 @@ def write_example_case(folder: Path, seed: int) -> int:
     return 0
 
 
-def _scan_of(torso: Torso, voxels: NDArray[Any], seed: int) -> NDArray[np.int16]:
-    """Return what a CT shows of the torso."""
+def draw_scan(
+    torso: Torso, voxels: NDArray[Any], rng: np.random.Generator
+) -> NDArray[np.int16]:
+    """Return what a CT shows of the torso, with its noise [HU], shape (i, j, k).
+
+    Args:
+        torso: The torso.
+        voxels: Number of the organ in every voxel, from 1; 0 for air.
+        rng: Draws the noise.
+    """
     values_HU = [AIR_HU, *(TISSUE_HU[body.name] for body in torso.shapes)]
     scan = np.array(values_HU, np.float32)[voxels]
-    noise = np.random.default_rng(seed).standard_normal(scan.shape, np.float32)
+    noise = rng.standard_normal(scan.shape, np.float32)
     return np.round(scan + NOISE_HU * noise).astype(np.int16)
 
 

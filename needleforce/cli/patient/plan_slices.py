@@ -1,16 +1,15 @@
 """Slices of a CT along a path, and across it as the needle's tip sees them."""
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
-from needleforce.anatomy import Labels, Structure
-from needleforce.anatomy.path_search import SkinPath
-from needleforce.cli.patient.case_files import PatientCase
+from needleforce.anatomy import Labels, Layer, Structure, Volume
 
 PIXEL_m = 7e-4
 """Size of a pixel."""
@@ -54,6 +53,44 @@ PATH_COLOUR = "#ffd400"
 M_TO_MM = 1e3
 
 
+class ScannedBody(Protocol):
+    """CT and labels, such as a `PatientCase`."""
+
+    @property
+    def scan(self) -> Volume:
+        """The CT."""
+        ...
+
+    @property
+    def labels(self) -> Labels:
+        """The segmentation."""
+        ...
+
+
+class DrawnPath(Protocol):
+    """A straight path, such as a `needleforce.anatomy.path_search.SkinPath`."""
+
+    @property
+    def entry_m(self) -> Array:
+        """Where it meets the skin, (3,)."""
+        ...
+
+    @property
+    def target_m(self) -> Array:
+        """Where it ends, (3,)."""
+        ...
+
+    @property
+    def length_m(self) -> float:
+        """From entry to target."""
+        ...
+
+    @property
+    def layers(self) -> Sequence[Layer]:
+        """What it crosses."""
+        ...
+
+
 class PathFrame(NamedTuple):
     """Directions of a path.
 
@@ -91,7 +128,7 @@ class Plane(NamedTuple):
         return (columns_mm[0], columns_mm[-1], rows_mm[-1], rows_mm[0])
 
 
-def path_frame(path: SkinPath) -> PathFrame:
+def path_frame(path: DrawnPath) -> PathFrame:
     """Return the directions of a path: up is to the head, as far as it can be."""
     axis = (path.target_m - path.entry_m) / path.length_m
     towards = BACK if abs(axis @ HEAD_UP) > MAX_COSINE else HEAD_UP
@@ -100,7 +137,7 @@ def path_frame(path: SkinPath) -> PathFrame:
     return PathFrame(axis, np.cross(axis, up), up)
 
 
-def draw_along(case: PatientCase, path: SkinPath, place: Path) -> Path:
+def draw_along(case: ScannedBody, path: DrawnPath, place: Path) -> Path:
     """Draw the two planes that hold the path into a file; return its name."""
     import matplotlib.pyplot as plt
 
@@ -126,7 +163,7 @@ def draw_along(case: PatientCase, path: SkinPath, place: Path) -> Path:
 
 
 def draw_probe_view(
-    case: PatientCase, path: SkinPath, needed_m: float, place: Path
+    case: ScannedBody, path: DrawnPath, needed_m: float, place: Path
 ) -> Path:
     """Draw slices across the path as the needle sees them; return the file's name.
 
@@ -165,7 +202,7 @@ def draw_probe_view(
 
 
 def _cut(
-    case: PatientCase,
+    case: ScannedBody,
     centre_m: Array,
     row_axis: Array,
     column_axis: Array,

@@ -21,22 +21,24 @@ def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
 
     assert "not a medical device" in said
 
-    shift, by_plan, corrected = (
-        float(re.search(rf"{caption} +([-+]?\d+\.\d) mm", said)[1])
-        for caption in (
-            "true shift along the needle",
-            "by the plan alone",
-            "corrected by force",
-        )
-    )
+    shift = float(re.search(r"true shift along the needle +([-+]\d+\.\d) mm", said)[1])
+    off = re.search(r"plan off by +(\d+\.\d) -> (\d+\.\d) mm after (\d) rup", said)
+    by_plan = float(off[1])
+    corrected = float(off[2])
 
+    assert re.search(r"^CT +analytic torso.* voxels of 2, 2, 2 mm$", said, re.MULTILINE)
+    assert re.search(r"planned path .*lesion \d+ mm; target in the lesion\n", said)
+    assert len(re.findall(r"^rupture \d", said, re.MULTILINE)) == int(off[3])
     assert by_plan == pytest.approx(abs(shift), abs=1.0)
     assert corrected < 1.5
     assert re.search(r"rupture 1 at .* into \w+ \(\d+ %\)", said)
 
     page = (tmp_path / "index.html").read_text(encoding="utf-8")
 
-    assert page.count("<figure") == 2
+    assert page.count("<figure") == 3
+    lead = page[: page.index("<section")]
+    assert f"Plan off by {off[1]} -&gt; {off[2]} mm" in lead
+    assert lead.index("CT: analytic torso") < lead.index("Planned path: fat")
 
     pytest.importorskip("viser")
 
@@ -46,12 +48,13 @@ def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
 @pytest.mark.parametrize("seed", [0, 1])
 def test_a_planned_way_crosses_soft_tissue_only(seed):
     rng = np.random.default_rng(seed)
-    labels = abdomen_plan.read_torso(None, rng)
-    entry, target = abdomen_plan.plan_path(labels, "liver", rng)
+    torso = abdomen_plan.read_torso(None, rng)
+    labels = torso.labels
+    entry, target = abdomen_plan.plan_path(labels, torso.target, rng)
     layers = labels.layers_along(entry, target)
 
-    assert layers[-1].name == "liver"
-    assert {layer.name for layer in layers} <= {*abdomen_plan.CROSSABLE, "liver"}
+    assert layers[-1].name == "lesion"
+    assert {layer.name for layer in layers} <= {*abdomen_plan.CROSSABLE}
 
     thick = abdomen_plan.thick_layers(layers)
 
