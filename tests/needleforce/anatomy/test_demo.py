@@ -12,7 +12,6 @@ pytest.importorskip("skimage")
 
 
 def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
-    monkeypatch.setattr(abdomen_plan, "LENGTHS_m", (0.04, 0.06))
     monkeypatch.setattr(abdomen_insertion, "SPEED_m_s", 6e-3)
 
     assert main(["demo", "abdomen", "--seed", "1", "--report", str(tmp_path)]) == 0
