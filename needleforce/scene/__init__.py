@@ -1,8 +1,8 @@
 """The insertion in a browser page, live or recorded, and in 3D Slicer.
 
 Reading order: `state_ring` (what a loop hands over), `nodes` (what stands in the
-scene), `viewer` (the page), `row_text` (a row in words), `live` (the page beside a
-loop), `slicer` (OpenIGTLink).
+scene), `guarded_server` (who may open the page), `viewer` (the page), `row_text`
+(a row in words), `live` (the page beside a loop), `slicer` (OpenIGTLink).
 """
 
 from needleforce.scene.live import LiveView as LiveView, open_viewer as open_viewer

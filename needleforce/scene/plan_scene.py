@@ -8,10 +8,12 @@ import numpy as np
 
 from needleforce.files import whole_file
 from needleforce.scene import nodes
+from needleforce.scene.guarded_server import PageAccess, open_server
 
 CAMERA_DISTANCE_M = 0.45
 """From the target, behind the entry and a little to the head."""
 
+HOST = "127.0.0.1"
 ANY_PORT = 0
 """The system chooses a free one."""
 
@@ -26,12 +28,8 @@ def export_plan(plan: nodes.PlanScene, path: Path) -> Path:
     Returns:
         Its path.
     """
-    import viser
-
-    with redirect_stdout(sys.stderr):
-        server = viser.ViserServer(
-            host="127.0.0.1", port=ANY_PORT, label="needleforce plan", verbose=False
-        )
+    access = PageAccess.of_host(HOST)
+    server = open_server(HOST, ANY_PORT, "needleforce plan", access)
     try:
         server.scene.set_up_direction("+z")
         nodes.add_anatomy(server, plan)
@@ -46,7 +44,8 @@ def export_plan(plan: nodes.PlanScene, path: Path) -> Path:
             )
         page = server.get_scene_serializer().as_html()
     finally:
-        server.stop()
+        with redirect_stdout(sys.stderr):
+            server.stop()
     with whole_file(path) as file:
         file.write(page.encode())
     return path

@@ -7,8 +7,11 @@ forces and the marks of ruptures are those of that time.
 
 import errno
 import socket
+import sys
 import threading
 import time
+from collections.abc import Sequence
+from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -17,6 +20,7 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.files import whole_file
 from needleforce.scene import nodes
+from needleforce.scene.guarded_server import PageAccess, open_server
 from needleforce.scene.row_text import (
     BANNER,
     layer_names,
@@ -132,9 +136,10 @@ class Viewer:
         urdf_path: The arm's description, for its shapes.
         host: Address to listen on.
         port: Where; another is taken if it is busy, see `url`.
+        further_hosts: Names beside the address and loopback by which it is opened.
 
     Attributes:
-        url: Where the page is.
+        url: Where the page is; with a token unless it is bound to loopback.
         marks: The ruptures shown, past and to come.
 
     Raises:
@@ -150,19 +155,13 @@ class Viewer:
         urdf_path: Path | None = None,
         host: str = "127.0.0.1",
         port: int = 8080,
+        further_hosts: Sequence[str] = (),
     ) -> None:
-        try:
-            import viser
-        except ImportError as error:
-            raise SceneError(
-                "viser is not installed", SceneCode.LIBRARY, extra="scene"
-            ) from error
-
         check_address(host, port)
-        self._server = viser.ViserServer(
-            host=host, port=port, label="needleforce", verbose=False
-        )
-        self.url = f"http://{self._server.get_host()}:{self._server.get_port()}"
+        access = PageAccess.of_host(host, further_hosts)
+        self._server = open_server(host, port, "needleforce", access)
+        shown_host = next(iter(further_hosts), host)
+        self.url = access.address(shown_host, self._server.get_port())
         self.marks: list[Mark] = []
         self._rows = np.empty((0, len(FIELDS) + robot.nv))
         self._names = layer_names(plan)
@@ -443,7 +442,8 @@ class Viewer:
 
     def stop(self) -> None:
         """Close the page."""
-        self._server.stop()
+        with redirect_stdout(sys.stderr):
+            self._server.stop()
 
 
 def _view_row_of(row_values: Array) -> ViewRow:

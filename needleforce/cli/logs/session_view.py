@@ -1,9 +1,7 @@
 """`needleforce view`: a session over a recording, in the scene."""
 
-import sys
 from collections import Counter
 from collections.abc import Iterator
-from contextlib import redirect_stdout
 from functools import partial
 from pathlib import Path
 from time import sleep
@@ -53,11 +51,13 @@ class ScenePage(NamedTuple):
         host: Address on which the page is served.
         port: Port of the page; another is used if it is busy.
         export: HTML file that is written instead of waiting for Ctrl-C.
+        further_hosts: Other names by which the page is opened.
     """
 
     host: str
     port: int
     export: Path | None = None
+    further_hosts: tuple[str, ...] = ()
 
     def check(self, recording: Path) -> None:
         """Refuse now what would fail, or harm the recording, after minutes of work.
@@ -114,13 +114,18 @@ def view_recording(
     rows = replay_session(recording, model, tare_s=tare_s, mapping=mapping, plan=plan)
     scene = EMPTY if plan is None else plan.scene
     shapes = urdf_with_shapes(robot)
-    with redirect_stdout(sys.stderr):  # viser's banner is no result
-        viewer = Viewer(model, scene, urdf_path=shapes, host=page.host, port=page.port)
+    viewer = Viewer(
+        model,
+        scene,
+        urdf_path=shapes,
+        host=page.host,
+        port=page.port,
+        further_hosts=page.further_hosts,
+    )
     viewer.append(rows)
     viewer.show()
     page.show(viewer)
-    with redirect_stdout(sys.stderr):
-        viewer.stop()
+    viewer.stop()
     return 0
 
 
