@@ -138,17 +138,18 @@ def open_server(host: str, port: int, label: str, access: PageAccess) -> Any:
     # viser's banner is no result.
     with redirect_stdout(sys.stderr), _guarded_serve(access) as calls:
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
+    reason = "" if calls else "it does not call websockets' serve"
     try:
-        if not calls:
-            raise AttributeError("it does not call websockets' serve")
         Steering(server)
     except AttributeError as error:
+        reason = str(error)
+    if reason:
         server.stop()
         raise SceneError(
-            f"viser {viser.__version__} cannot be guarded: {error}",
+            f"viser {viser.__version__} cannot be guarded: {reason}",
             SceneCode.LIBRARY,
             extra="scene",
-        ) from error
+        )
     # Otherwise any browser could ask for a tunnel to the internet.
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server
