@@ -76,7 +76,7 @@ def require_body_order(labels: "Labels", *, situs_inversus: bool = False) -> Non
             way round.
     """
     centroids_m = {
-        item.name.lower(): labels.centroid_m(item.name) for item in labels.structures
+        item.anatomy.lower(): labels.centroid_m(item.name) for item in labels.structures
     }
     orders = [
         *_left_of_right(centroids_m),

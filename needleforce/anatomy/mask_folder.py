@@ -52,7 +52,7 @@ def join_masks(masks: Sequence[Path], read: Callable[[Path], Volume]) -> Labels:
     for value, path in enumerate(masks, 1):
         scan = first if value == 1 else read(path)
         mask = _as_mask(scan, first.grid, path)
-        place = _first_free(volumes, mask)
+        place = first_free(volumes, mask)
         if place == len(volumes):
             volumes.append(np.zeros(first.grid.shape, kind))
         volumes[place][mask] = value
@@ -83,7 +83,7 @@ def _as_mask(scan: Volume, grid: Grid, path: Path) -> NDArray[np.bool_]:
     return mask
 
 
-def _first_free(volumes: Sequence[NDArray[Any]], mask: NDArray[np.bool_]) -> int:
+def first_free(volumes: Sequence[NDArray[Any]], mask: NDArray[np.bool_]) -> int:
     """Return the number of the first volume that a mask does not overlap."""
     for place, volume in enumerate(volumes):
         if not volume[mask].any():

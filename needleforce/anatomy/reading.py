@@ -4,27 +4,27 @@ SimpleITK reads every format, in LPS millimetres. What it would take in spite of
 or doubt is refused, see `file_checks` and `dicom_series`.
 """
 
-import json
 import locale
 import math
-import re
 from collections.abc import Mapping, Sequence
-from dataclasses import replace
 from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
-import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
 from needleforce.anatomy.body_order import require_body_order
+from needleforce.anatomy.dicom_kinds import find_label_objects, refuse_contours
+from needleforce.anatomy.dicom_segmentation import read_dicom_segmentation
 from needleforce.anatomy.dicom_series import read_series
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.file_checks import require_placed_nrrd, require_whole_nifti
 from needleforce.anatomy.label_names import read_header_names
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.mask_folder import find_masks, join_masks
+from needleforce.anatomy.renaming import is_unnamed, rename
+from needleforce.anatomy.slicer_segments import read_segments
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.volume import Grid, Volume
 
@@ -42,11 +42,14 @@ GB_PER_BYTE = 1e-9
 
 M_PER_MM = 1e-3
 
+NIFTI_ENDINGS = (".nii", ".nii.gz")
+
 MAX_UINT8_LABELS = 256
 """So many values, 0 included, fit into a byte."""
 
 Names = Mapping[Any, str] | Path | str | None
-"""Names of labels: by value, or a JSON file with them."""
+"""Names of labels, by their values or by the names in the file; or a JSON file with
+them."""
 
 
 class _Image(NamedTuple):
@@ -56,27 +59,13 @@ class _Image(NamedTuple):
         arrays: One (i, j, k) per component.
         grid: Where their voxels lie.
         header: Fields of the file's header.
+        is_nifti: The file is NIfTI, and not one that another was copied from.
     """
 
     arrays: list[NDArray[Any]]
     grid: Grid
     header: dict[str, str]
-
-
-class _Segment(NamedTuple):
-    """A segment as 3D Slicer describes it in a file's header.
-
-    Attributes:
-        name: Of the structure.
-        volume: Index of the component in which it lies.
-        value: Of its voxels.
-        colour: Red, green, blue from 0 to 1; empty where none is stated.
-    """
-
-    name: str
-    volume: int
-    value: int
-    colour: tuple[float, ...]
+    is_nifti: bool
 
 
 def read_volume(path: Path | str, *, max_bytes: int = MAX_VOLUME_BYTES) -> Volume:
@@ -105,17 +94,17 @@ def read_labels(
     situs_inversus: bool = False,
     max_bytes: int = MAX_VOLUME_BYTES,
 ) -> Labels:
-    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, NIfTI, NRRD, a folder of masks.
+    """Read a segmentation: 3D Slicer's ``.seg.nrrd``, NIfTI, NRRD, DICOM SEG, masks.
 
     NIfTI and other NRRD files have one label per voxel. A folder has a mask for every
-    structure, named as it, as TotalSegmentator writes them; or a DICOM series.
+    structure, named as it, as TotalSegmentator writes them; or one DICOM SEG.
 
     Args:
         path: The file or folder.
-        names: Of label values, or a JSON file with them (``{"5": "liver"}``), by
-            default ``labels.json`` beside the file, or those in the header of a NIfTI
-            file, as TotalSegmentator writes them; labels without a name are called
-            ``label_5``. Segments of a ``.seg.nrrd`` bring names and colours.
+        names: By label value, or by the name in the file, or a JSON file with them
+            (``{"5": "liver", "Segment_2": "rib"}``). They replace those in the file:
+            segments, and NIfTI of TotalSegmentator, bring names; other labels are
+            called as in ``labels.json`` beside the file, or ``label_5``.
         scan: The CT to which the labels belong: places and Hounsfield units must
             agree.
         situs_inversus: Liver and spleen of this patient are exchanged.
@@ -126,13 +115,15 @@ def read_labels(
             structures that lie the wrong way round, or elsewhere than the scan shows
             them.
     """
-    masks = find_masks(Path(path))
+    place = Path(path)
     try:
-        if masks:
-            labels = join_masks(masks, partial(read_volume, max_bytes=max_bytes))
-        else:
-            labels = _read_label_file(Path(path), names, max_bytes)
+        labels = _read_structures(place, max_bytes)
         _require_all_named(labels)
+        beside = place.with_name("labels.json")
+        if names is None and beside.exists() and is_unnamed(labels):
+            names = beside
+        if names is not None:
+            labels = rename(labels, names)
         require_body_order(labels, situs_inversus=situs_inversus)
         return labels if scan is None else labels.checked_against(scan)
     except VolumeError as error:
@@ -141,18 +132,33 @@ def read_labels(
         raise error.reworded(f"{path}: {error}") from None
 
 
-def _read_label_file(path: Path, names: Names, max_bytes: int) -> Labels:
+def _read_structures(place: Path, max_bytes: int) -> Labels:
+    """Read a segmentation from a file or a folder, with the names that it has."""
+    masks = find_masks(place)
+    if masks:
+        return join_masks(masks, partial(read_volume, max_bytes=max_bytes))
+    objects = find_label_objects(place)
+    if objects.contours:
+        refuse_contours(objects.contours[0])
+    if len(objects.segmentations) > 1:
+        raise VolumeError(
+            f"{place} holds {len(objects.segmentations)} DICOM segmentations: expected "
+            "one; give the file",
+            AnatomyCode.SERIES,
+        )
+    if objects.segmentations:
+        return read_dicom_segmentation(objects.segmentations[0], max_bytes)
+    return _read_label_file(place, max_bytes)
+
+
+def _read_label_file(path: Path, max_bytes: int) -> Labels:
     """Read a segmentation from one file, or from a DICOM series."""
     image = _read_image(path, max_bytes)
-    names_file = path.with_name("labels.json")
-    if names is None and names_file.exists():
-        names = names_file
     volumes = [_as_labels(values, path) for values in image.arrays]
-    structures = _read_segments(image.header, len(volumes))
+    structures = read_segments(image.header, len(volumes))
     if not structures:
-        if names is None and image.header.get("nifti_type") == "1":
-            names = read_header_names(path)
-        structures = _name_labels(volumes, names)
+        header_names = read_header_names(path) if image.is_nifti else {}
+        structures = _name_labels(volumes, header_names)
     return Labels.of(volumes, image.grid, structures)
 
 
@@ -182,16 +188,10 @@ def _require_all_named(labels: Labels) -> None:
         )
 
 
-def _name_labels(volumes: Sequence[NDArray[Any]], names: Names) -> list[Structure]:
+def _name_labels(
+    volumes: Sequence[NDArray[Any]], names: Mapping[int, str]
+) -> list[Structure]:
     """Return a structure for every label up to the highest one."""
-    try:
-        is_file = isinstance(names, Path | str)
-        stated = json.loads(Path(names).read_bytes()) if is_file else names
-        name_by_value = msgspec.convert(stated or {}, dict[int, str], strict=False)
-    except (OSError, ValueError, msgspec.ValidationError) as error:
-        raise VolumeError(
-            f"cannot read names from {names}: {error}", AnatomyCode.LABELS
-        ) from error
     if len(volumes) > 1:
         raise VolumeError(
             "several labels per voxel and no segments: expected a .seg.nrrd file",
@@ -199,76 +199,8 @@ def _name_labels(volumes: Sequence[NDArray[Any]], names: Names) -> list[Structur
         )
     values = range(1, int(volumes[0].max()) + 1)
     return [
-        Structure.named(name_by_value.get(value, f"label_{value}"), value)
-        for value in values
+        Structure.named(names.get(value, f"label_{value}"), value) for value in values
     ]
-
-
-def _read_segments(header: Mapping[str, str], volumes: int) -> list[Structure]:
-    """Return the segments that a header describes; none in files of other kinds.
-
-    Args:
-        header: Of the file.
-        volumes: How many components the file has.
-    """
-    structures: dict[tuple[int, int], Structure] = {}
-    count = len({key.split("_")[0] for key in header if re.match(r"Segment\d+_", key)})
-    for number in range(count):
-        segment = _read_segment(header, number, count, volumes)
-        if not 0 <= segment.volume < volumes:
-            raise VolumeError(
-                f"segment {segment.name} lies in layer {segment.volume}; the file has "
-                f"{volumes}",
-                AnatomyCode.LABELS,
-            )
-        place = (segment.volume, segment.value)
-        if place in structures:
-            raise VolumeError(
-                f"segment {segment.name} has the label {segment.value} of another",
-                AnatomyCode.LABELS,
-            )
-        structure = Structure.named(segment.name, segment.value, segment.volume)
-        structures[place] = replace(
-            structure, colour=segment.colour or structure.colour
-        )
-    return list(structures.values())
-
-
-def _read_segment(
-    header: Mapping[str, str], number: int, count: int, volumes: int
-) -> _Segment:
-    """Return one segment of a header."""
-    prefix = f"Segment{number}_"
-    fields = {key.removeprefix(prefix): text for key, text in header.items()}
-    if "ID" not in fields:
-        raise VolumeError(
-            f"{prefix}ID is not in its header: expected {count} segments from 0 on",
-            AnatomyCode.LABELS,
-        )
-    name = fields.get("Name", fields["ID"])
-    # Slicer up to 4.10 states neither layer nor label: each component is a segment.
-    is_component = volumes == count
-    try:
-        return _Segment(
-            name=name,
-            volume=int(fields.get("Layer", number if is_component else 0)),
-            value=int(fields.get("LabelValue", 1 if is_component else number + 1)),
-            colour=_read_colour(fields.get("Color", "")),
-        )
-    except ValueError as error:
-        raise VolumeError(
-            f"segment {name}: {error}; expected numbers in its header",
-            AnatomyCode.LABELS,
-        ) from error
-
-
-def _read_colour(text: str) -> tuple[float, ...]:
-    """Return the numbers of a colour, none of an empty text."""
-    colour = tuple(float(number) for number in text.split())
-    is_in_range = all(0.0 <= number <= 1.0 for number in colour)
-    if len(colour) not in (0, 3) or not is_in_range:
-        raise ValueError(f"colour {colour}: expected three from 0 to 1")
-    return colour
 
 
 def _read_image(path: Path, max_bytes: int) -> _Image:
@@ -289,7 +221,9 @@ def _read_image(path: Path, max_bytes: int) -> _Image:
             AnatomyCode.GEOMETRY,
         )
     header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
-    if header.get("nifti_type") == "1":
+    # SimpleITK copies the fields of a NIfTI file into an NRRD file that it writes.
+    is_nifti = path.name.endswith(NIFTI_ENDINGS) and header.get("nifti_type") == "1"
+    if is_nifti:
         require_whole_nifti(path, header, spacing_mm, grid.shape)
     elif path.suffix in (".nrrd", ".nhdr"):
         require_placed_nrrd(path)
@@ -298,7 +232,7 @@ def _read_image(path: Path, max_bytes: int) -> _Image:
             f"{path}: whether a file of this kind says how it lies, and is whole, is "
             "not known"
         )
-    return _Image(_components(image), grid, header)
+    return _Image(_components(image), grid, header, is_nifti)
 
 
 def _open_image(path: Path, max_bytes: int) -> Any:

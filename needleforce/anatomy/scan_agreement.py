@@ -222,7 +222,7 @@ def _find_covers(labels: CheckedLabels) -> Iterator[_Cover]:
 
 def _kind_of(item: Structure) -> _Kind | None:
     """Return the kind of a structure by its name; None for those of no kind."""
-    words = words_of(item.name)
+    words = words_of(item.anatomy)
     if words & MIXED:
         return None
     if item.is_obstacle:

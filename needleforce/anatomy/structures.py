@@ -34,7 +34,18 @@ OBSTACLES = frozenset(
         "ulna",
         "pelvis",
         "skull",
+        "cranium",
         "mandible",
+        "maxilla",
+        "manubrium",
+        "xiphoid",
+        "ilium",
+        "ischium",
+        "pubis",
+        "calcaneus",
+        "talus",
+        "tooth",
+        "teeth",
     ]
 )
 """Words in the names of structures that stop a needle."""
@@ -57,8 +68,10 @@ RISKS = frozenset(
         "vessels",
         "brachiocephalic",
         "bowel",
+        "intestine",
         "duodenum",
         "colon",
+        "rectum",
         "stomach",
         "esophagus",
         "oesophagus",
@@ -74,6 +87,12 @@ RISKS = frozenset(
 
 SOFT = frozenset(("renal", "kidney", "artery", "vein", "muscle", "nerve"))
 """Words beside which the words of obstacles do not count: a renal pelvis is no bone."""
+
+PASSABLE = frozenset(("soft", "skin", "prostate", "thyroid", "breast"))
+"""Words of what a needle may pass, without a colour of their own."""
+
+SAYS_NOTHING = frozenset(("tissue", "organ", "structure"))
+"""Words that say nothing where a name has no others."""
 
 _COLOURS = {
     " ".join(sorted(OBSTACLES)): (241, 214, 145),
@@ -114,6 +133,7 @@ class Structure:
         volume: In which label volume it lies: segments that overlap need several.
         voxels: How many it has.
         box: Around its voxels, one slice per axis.
+        kind: What coded terms of the file say that it is; empty where there are none.
     """
 
     name: str
@@ -124,13 +144,22 @@ class Structure:
     volume: int = 0
     voxels: int = 0
     box: tuple[slice, ...] = ()
+    kind: str = ""
 
     @classmethod
-    def named(cls, name: str, value: int, volume: int = 0) -> "Structure":
-        """Return a structure with the colour and the hardness that its name implies."""
-        words = words_of(name)
-        if words & SOFT:
-            words -= OBSTACLES
+    def named(
+        cls, name: str, value: int, volume: int = 0, kind: str = ""
+    ) -> "Structure":
+        """Return a structure with the colour and the hardness that its name implies.
+
+        Args:
+            name: Of the structure.
+            value: Of its voxels.
+            volume: In which label volume it lies.
+            kind: What coded terms of the file say that it is; it is an obstacle, or at
+                risk, if name or kind say so.
+        """
+        words = _telling_words(name) | _telling_words(kind)
         colours = [
             colour for key, colour in _COLOURS.items() if words & set(key.split())
         ]
@@ -142,7 +171,13 @@ class Structure:
             is_obstacle=bool(words & OBSTACLES),
             is_risk=bool(words & RISKS),
             volume=volume,
+            kind=kind,
         )
+
+    @property
+    def anatomy(self) -> str:
+        """What it is: its name, or its kind where the name says nothing known."""
+        return self.name if is_known(self.name) or not self.kind else self.kind
 
 
 def _bluish(number: int) -> tuple[float, ...]:
@@ -154,3 +189,16 @@ def _bluish(number: int) -> tuple[float, ...]:
 def words_of(name: str) -> set[str]:
     """Return the words of a structure's name, in small letters."""
     return set(re.split(r"[\W_]+", name.lower()))
+
+
+def is_known(name: str) -> bool:
+    """Return whether a name says what a structure is, in words that are known here."""
+    words = words_of(name) - SAYS_NOTHING
+    coloured = {word for key in _COLOURS for word in key.split()}
+    return bool(words & (coloured | RISKS | SOFT | PASSABLE))
+
+
+def _telling_words(name: str) -> set[str]:
+    """Return the words of a name, without those of bone in names of soft tissue."""
+    words = words_of(name)
+    return words - OBSTACLES if words & SOFT else words

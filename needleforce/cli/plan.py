@@ -19,20 +19,20 @@ class CaseOptions:
 
     Attributes:
         ct: CT: folder with one DICOM series, .nii.gz or .nrrd.
-        labels: Segmentation of that CT: .nii.gz, .nrrd, .seg.nrrd, or the
-            folder of masks that TotalSegmentator writes.
+        labels: Segmentation of that CT: .nii.gz, .nrrd, .seg.nrrd, DICOM SEG, or
+            the folder of masks that TotalSegmentator writes.
         target: Name of a structure, whose innermost point is the target; or points or a
             line of 3D Slicer (.mrk.json): the first point is the target, a line is the
             path.
-        structures: JSON file with the names of labels ({"5": "liver"}), where the
-            segmentation has none.
+        structures: What structures are that the segmentation does not name:
+            label_5=liver,Segment_2=rib; or a JSON file ({"5": "liver"}).
         situs_inversus: Liver and spleen of this patient are exchanged.
     """
 
     ct: Annotated[Path, Parameter(metavar="DIR|FILE")]
     labels: Annotated[Path, Parameter(metavar="FILE")]
     target: Annotated[str, Parameter(metavar="STRUCTURE|FILE")]
-    structures: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    structures: Annotated[str | None, Parameter(metavar="NAME=KIND,...|FILE")] = None
     situs_inversus: Annotated[bool, Parameter(negative="")] = False
 
 
@@ -85,8 +85,11 @@ def plan_command(
     """
     from needleforce.cli.patient.case_files import CaseFiles
     from needleforce.cli.patient.plan_run import PathWish, plan_paths
+    from needleforce.cli.patient.structure_names import parse_structures
 
-    files = CaseFiles(case.ct, case.labels, case.structures, case.situs_inversus)
+    files = CaseFiles(
+        case.ct, case.labels, parse_structures(case.structures), case.situs_inversus
+    )
     wish = PathWish(
         target=case.target,
         avoid=limits.avoid,

@@ -139,7 +139,8 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
         target: Name of the target.
         ct: CT, from the file's folder.
         labels: Segmentation, from the file's folder.
-        structures: Names of labels, from the file's folder.
+        structures: Names of structures by those in the segmentation, or a file with
+            them, from the file's folder.
         registration: What the registration rests on, for people.
     """
 
@@ -147,7 +148,7 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
     target: str = ""
     ct: str = ""
     labels: str = ""
-    structures: str = ""
+    structures: str | dict[str, str] = ""
     registration: dict[str, Any] | None = None
     rotation: Rotation | None = None
     translation_m: Point = Point(0.0, 0.0, 0.0)
@@ -289,6 +290,13 @@ def _check_obstacles(
         f"the path {describe_clearance(one)}: less than {space}"
         for one in too_near(clearances, space)
     ]
+    if not clearances:
+        names = ", ".join(item.name for item in labels.structures)
+        warnings.append(
+            "no structure is known as bone, vessel or another at risk by its name: "
+            f"clearance not checked; there are {names}: `structures` in the plan says "
+            "what they are"
+        )
     return [*warnings, labels.unchecked] if labels.unchecked else warnings
 
 
@@ -338,7 +346,9 @@ def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
         if not plan.layers:
             raise ValueError(MISSING_LAYERS)
         return _Anatomy(scene)
-    names = folder / plan.structures if plan.structures else None
+    names = plan.structures or None
+    if isinstance(names, str):
+        names = folder / names
     labels = read_labels(file, names, situs_inversus=plan.situs_inversus)
     scans = [folder / plan.ct] if plan.ct else sorted(folder.glob("ct.n*"))
     if scans:

@@ -9,6 +9,7 @@ import msgspec
 import numpy as np
 
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
+from needleforce.cli.patient.structure_names import StructureNames
 from needleforce.cli.plan_file import PLAN
 from needleforce.cli.terminal import CommandCode, CommandError, staged_progress
 from needleforce.files import whole_file
@@ -23,13 +24,14 @@ class CaseFiles(NamedTuple):
     Attributes:
         ct: CT: a folder with a DICOM series, or a file.
         labels: Segmentation.
-        structures: JSON file with the names of labels, if they need one.
+        structures: Names of structures, or a file with them, where the segmentation
+            has none.
         situs_inversus: Liver and spleen are exchanged.
     """
 
     ct: Path
     labels: Path
-    structures: Path | None = None
+    structures: StructureNames = None
     situs_inversus: bool = False
 
 
@@ -99,12 +101,12 @@ def case_of_plan(place: Path) -> PatientCase:
             CommandCode.PLAN,
         )
     folder = path.parent
-    structures = fields.get("structures")
+    structures = fields.get("structures") or None
     return read_case(
         CaseFiles(
             folder / fields["ct"],
             folder / fields["labels"],
-            folder / structures if structures else None,
+            folder / structures if isinstance(structures, str) else structures,
             bool(fields.get("situs_inversus", False)),
         )
     )

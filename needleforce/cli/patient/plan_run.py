@@ -30,6 +30,7 @@ from needleforce.cli.patient.case_files import (
 )
 from needleforce.cli.patient.plan_page import write_plan_page
 from needleforce.cli.patient.plan_table import describe_paths
+from needleforce.cli.patient.structure_names import require_known_names
 from needleforce.cli.plan_file import PLAN
 from needleforce.cli.terminal import (
     CommandError,
@@ -125,8 +126,8 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
     require_modules("plan", MODULES)
     limits = wish.limits()
     case = read_case(files)
-    target = _find_target(wish.target, case.labels)
     avoid = _names_to_avoid(case.labels, wish)
+    target = _find_target(wish.target, case.labels)
     paths = _search(case.labels, target, avoid, limits)
     if wish.number > len(paths.paths):
         raise CommandError(
@@ -175,13 +176,7 @@ def _names_to_avoid(labels: Labels, wish: PathWish) -> tuple[str, ...]:
     """Return the names of the structures that must stay clear."""
     if wish.avoid:
         return tuple(labels[name].name for name in wish.avoid)
-    if not any(item.is_obstacle or item.is_risk for item in labels.structures):
-        names = ", ".join(item.name for item in labels.structures)
-        raise CommandError(
-            "no structure is known as bone, vessel or another at risk by its name: "
-            f"there are {names}; --structures FILE gives names to labels, --avoid says "
-            "which must stay clear"
-        )
+    require_known_names(labels)
     return tuple(
         item.name
         for item in labels.structures
@@ -233,7 +228,12 @@ def _plan_fields(
     if accepted:
         fields["accepted_obstacles"] = accepted
     if files.structures is not None:
-        fields["structures"] = relative_path(files.structures, folder)
+        fields["structures"] = _stated_names(files.structures, folder)
     if files.situs_inversus:
         fields["situs_inversus"] = True
     return fields
+
+
+def _stated_names(names: Path | Mapping[str, str], folder: Path) -> Any:
+    """Return names of structures, or where their file is found from a folder."""
+    return relative_path(names, folder) if isinstance(names, Path) else dict(names)

@@ -159,7 +159,7 @@ def register_plan(
     moved = {
         key: relative_path(folder / fields[key], output.parent)
         for key in ("ct", "labels", "structures")
-        if fields.get(key)
+        if isinstance(fields.get(key), str) and fields[key]
     }
     write_plan_fields(output, {**fields, **moved, **_fit_fields(fit_report)})
     write_out(f"{output}\n")

@@ -1,0 +1,80 @@
+"""What kind of object a DICOM file is, by its first bytes."""
+
+import struct
+from pathlib import Path
+from typing import NamedTuple
+
+from needleforce.anatomy.errors import AnatomyCode, VolumeError
+
+PREAMBLE_BYTES = 128
+"""Of a DICOM file, before ``DICM``."""
+
+START_BYTES = 1024
+"""The group of the file's own description lies within."""
+
+SOP_CLASS_TAG = b"\x02\x00\x02\x00UI"
+"""Tag and type of the class of the object, always little-endian and explicit."""
+
+SEGMENTATION = frozenset(
+    ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")
+)
+"""Classes of segmentations: of binary or fractional segments, and of labels."""
+
+CONTOURS = "1.2.840.10008.5.1.4.1.1.481.3"
+"""Class of the structure sets of radiotherapy (RTSTRUCT)."""
+
+
+class LabelObjects(NamedTuple):
+    """DICOM files that hold structures, and not slices.
+
+    Attributes:
+        segmentations: Those of DICOM SEG.
+        contours: Those of RTSTRUCT.
+    """
+
+    segmentations: list[Path]
+    contours: list[Path]
+
+
+def find_label_objects(place: Path) -> LabelObjects:
+    """Return the DICOM files with structures: a file itself, or those in a folder."""
+    found = LabelObjects([], [])
+    for path in sorted(place.iterdir()) if place.is_dir() else [place]:
+        sop_class = _read_class(path)
+        if sop_class in SEGMENTATION:
+            found.segmentations.append(path)
+        elif sop_class == CONTOURS:
+            found.contours.append(path)
+    return found
+
+
+def refuse_contours(path: Path) -> None:
+    """Refuse a structure set of radiotherapy, and say how it is converted.
+
+    Raises:
+        VolumeError: Always.
+    """
+    raise VolumeError(
+        f"{path} is a structure set of radiotherapy (RTSTRUCT): contours, which are "
+        "not read here. In 3D Slicer with the extension SlicerRT: load CT and "
+        "structure set in the DICOM module; in Segmentations, under Representations, "
+        "create Binary labelmap and make it the source; save the segmentation as "
+        ".seg.nrrd (File, Save Data), and give that file",
+        AnatomyCode.LABELS,
+    )
+
+
+def _read_class(path: Path) -> str:
+    """Return the class of the object in a DICOM file; empty of other files."""
+    try:
+        with path.open("rb") as file:
+            start = file.read(START_BYTES)
+    except OSError:
+        return ""  # what is wrong with the file is said where it is read
+    place = start.find(SOP_CLASS_TAG)
+    if start[PREAMBLE_BYTES : PREAMBLE_BYTES + 4] != b"DICM" or place < 0:
+        return ""
+    place += len(SOP_CLASS_TAG)
+    size = struct.unpack_from("<H", start, place)[0]
+    text = start[place + 2 : place + 2 + size]
+    return text.rstrip(b"\0 ").decode("ascii", "replace")
