@@ -9,9 +9,10 @@ Points are in the patient's frame LPS (x to the left, y to the back, z to the he
 metres. Stands alone: no robots, no forces. Not a medical device.
 
 Reading order: `volume`, `structures`, `labels`, `path_layers`, `obstacle_crossings`,
-`clearance`, `surface`, `reading`, `file_checks`, `dicom_series`, `registration`,
-`landmark_check`, `landmarks`, `surface_fit`, `label_names`, `mask_folder`, `markups`,
-`path_search`, `plan_match`, `rupture_model`.
+`clearance`, `surface`, `reading`, `file_checks`, `dicom_series`, `dicom_kinds`,
+`dicom_segmentation`, `label_names`, `mask_folder`, `slicer_segments`, `segment_names`,
+`renaming`, `registration`, `landmark_check`, `landmarks`, `surface_fit`, `markups`,
+`transform_file`, `path_search`, `plan_match`, `rupture_model`.
 """
 
 from needleforce.anatomy.clearance import (
@@ -35,6 +36,7 @@ from needleforce.anatomy.registration import Registration
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.surface_fit import fit_surface
+from needleforce.anatomy.transform_file import read_transform
 from needleforce.anatomy.volume import Grid, Volume
 
 __all__ = [
@@ -57,6 +59,7 @@ __all__ = [
     "fit_landmarks",
     "fit_surface",
     "read_labels",
+    "read_transform",
     "read_volume",
     "require_clear_path",
 ]

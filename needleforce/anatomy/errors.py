@@ -59,6 +59,11 @@ class AnatomyCode(ErrorCode):
         "The file of points or of a line cannot be read, or says too little.",
         "Save one list of points, or one line, from 3D Slicer as .mrk.json.",
     )
+    TRANSFORM = (
+        "NF-ANATOMY-TRANSFORM",
+        "The file holds no rigid motion from the CT to the robot's base.",
+        "Save a rigid transform, in millimetres, as .h5 or .tfm.",
+    )
     NO_PATH = (
         "NF-ANATOMY-NO-PATH",
         "No straight path leads from the skin to the target within the limits.",

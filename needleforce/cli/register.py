@@ -2,11 +2,12 @@
 
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, LOG, app
+from needleforce.cli.terminal import CommandError
 
 REGISTRATION = Group("Registration", sort_key=2)
 
@@ -19,6 +20,12 @@ class RegisterOptions:
     Attributes:
         landmarks: Points of the CT (.mrk.json), with the names of those touched.
         touches: What `needleforce touch` recorded.
+        transform: In place of landmarks: a rigid transform from the CT to the robot's
+            base (.h5, .tfm), which touches of the skin check.
+        transform_from: Who wrote it: slicer, or itk (TransformPoint carries points of
+            the CT to the base).
+        transform_std: Its standard deviation at the patient along each axis, in
+            millimetres.
         landmark_std: Standard deviation of a landmark along each axis in millimetres,
             localisation in the CT included (default: 1.5).
         touch_std: Standard deviation of a touch of the skin, likewise (default: 0.5).
@@ -27,8 +34,11 @@ class RegisterOptions:
         landmarks_only: Leave the touches of the skin out.
     """
 
-    landmarks: Annotated[Path, Parameter(metavar="FILE")]
-    touches: Annotated[Path, Parameter(metavar="FILE")]
+    landmarks: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    touches: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    transform: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    transform_from: Annotated[Literal["slicer", "itk"] | None, Parameter()] = None
+    transform_std: Annotated[float | None, Parameter(metavar="MM")] = None
     landmark_std: Annotated[float, Parameter(metavar="MM")] = 1.5
     touch_std: Annotated[float, Parameter(metavar="MM")] = 0.5
     motion: Annotated[float, Parameter(metavar="MM")] = 3.0
@@ -53,7 +63,7 @@ def register_command(
             help="The plan with its registration; the same file is replaced.",
         ),
     ],
-    options: RegisterOptions,
+    options: RegisterOptions = RegisterOptions(),
     report: Annotated[
         Path | None,
         Parameter(metavar="DIR", group=LIVE_OUTPUT, help="Folder for a page."),
@@ -67,6 +77,12 @@ def register_command(
     needleforce register --plan plan/plan.json --landmarks landmarks.mrk.json --touches
     touches.json -o plan/plan.json
     """
+    if options.transform is not None:
+        return _register_by_transform(plan, options, output, report)
+    if options.landmarks is None or options.touches is None:
+        raise CommandError(
+            "expected --landmarks and --touches, or --transform with a file"
+        )
     from needleforce.cli.patient.register_run import Evidence, register_plan
 
     evidence = Evidence(
@@ -78,3 +94,25 @@ def register_command(
         landmarks_only=options.landmarks_only,
     )
     return register_plan(plan, evidence, output, report)
+
+
+def _register_by_transform(
+    plan: Path, options: RegisterOptions, output: Path, report: Path | None
+) -> int:
+    """Register the patient by a transform of another program."""
+    from needleforce.cli.patient.transform_run import (
+        StatedTransform,
+        register_by_transform,
+    )
+
+    if options.transform is None or options.landmarks is not None:
+        raise CommandError("--transform stands in place of --landmarks: leave one out")
+    stated = StatedTransform(
+        path=options.transform,
+        source=options.transform_from,
+        std_mm=options.transform_std,
+        motion_mm=options.motion,
+        touches=options.touches,
+        touch_std_mm=options.touch_std,
+    )
+    return register_by_transform(plan, stated, output, report)

@@ -11,6 +11,7 @@ from foundation.arrays import Array
 from needleforce.anatomy import Registration
 from needleforce.anatomy.landmark_check import MIN_VERIFIED, LandmarkResidual
 from needleforce.anatomy.registration import MAX_DEGREES
+from needleforce.anatomy.surface import Surface
 from needleforce.cli.patient.plan_table import NOT_MEDICAL
 from needleforce.cli.terminal import aligned
 from needleforce.plots import PAGE, Page, PageTable, Section, write_page
@@ -59,6 +60,20 @@ class FitReport(NamedTuple):
         degrees = min(self.fit.degrees, MAX_DEGREES)
         quantile = 3.0 * f_law.ppf(LEVEL, 3, degrees)
         return np.sqrt(np.maximum(variances_m2, 0.0) * quantile)
+
+
+def skin_distances_m(fit: Registration, skin: Surface, touches_m: Array) -> Array:
+    """Return how far touches lie from the skin, positive outside, shape (n,).
+
+    Args:
+        fit: The registration.
+        skin: Of the CT.
+        touches_m: In the robot's base, (n, 3).
+    """
+    points_m = fit.to_model(touches_m)
+    nearest_m, normals = skin.nearest(points_m)
+    signed_m = ((points_m - nearest_m) * normals).sum(axis=1)
+    return np.copysign(np.linalg.norm(points_m - nearest_m, axis=1), signed_m)
 
 
 def describe_fit(report: FitReport) -> str:

@@ -28,6 +28,7 @@ from needleforce.cli.patient.register_report import (
     FitReport,
     describe_doubts,
     describe_fit,
+    skin_distances_m,
     write_fit_page,
 )
 from needleforce.cli.patient.touch_file import TouchFile, read_touches
@@ -153,6 +154,28 @@ def register_plan(
     fit_report = _report_of(fit, residuals, skin, touched_m, fields, evidence)
     for warning in describe_doubts(residuals):
         say(f"warning: {warning}")
+    return finish_registration(place, fields, fit_report, output, report)
+
+
+def finish_registration(
+    place: Path,
+    fields: Mapping[str, Any],
+    fit_report: FitReport,
+    output: Path,
+    report: Path | None,
+) -> int:
+    """Print the report of a registration, and write plan and page.
+
+    Args:
+        place: The plan.
+        fields: What stands in it.
+        fit_report: The registration.
+        output: The plan with its registration.
+        report: Folder for a page, if any.
+
+    Returns:
+        The exit code.
+    """
     write_out(describe_fit(fit_report))
     source = place / PLAN if place.is_dir() else place
     folder = source.parent
@@ -242,11 +265,7 @@ def _report_of(
     """Return what is reported of a registration."""
     distances_m: Sequence[float] = ()
     if len(touches_m):
-        points_m = fit.to_model(touches_m)
-        nearest_m, normals = skin.nearest(points_m)
-        signed_m = ((points_m - nearest_m) * normals).sum(axis=1)
-        lengths_m = np.linalg.norm(points_m - nearest_m, axis=1)
-        distances_m = np.copysign(lengths_m, signed_m).tolist()
+        distances_m = skin_distances_m(fit, skin, touches_m).tolist()
     return FitReport(
         fit=fit,
         landmarks=tuple(residuals),

@@ -1,0 +1,145 @@
+"""`needleforce register --transform`: a registration that another program made."""
+
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from foundation.arrays import Array
+from needleforce.anatomy import Registration, RegistrationError, read_transform
+from needleforce.anatomy.errors import AnatomyCode
+from needleforce.anatomy.transform_file import RigidTransform, TransformSource
+from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
+from needleforce.cli.patient.register_report import FitReport, skin_distances_m
+from needleforce.cli.patient.register_run import finish_registration
+from needleforce.cli.patient.touch_file import read_touches
+from needleforce.cli.terminal import CommandError, require_modules, say
+from needleforce.needle_on_plan import PlannedPath
+
+M_PER_MM = 1e-3
+
+MAX_STD_mm = 50.0
+"""Larger ones are not in millimetres."""
+
+MAX_STDS = 3.0
+"""Touches further from the skin than so many standard deviations contradict the
+transform."""
+
+
+class StatedTransform(NamedTuple):
+    """A transform, and what is known of it.
+
+    Attributes:
+        path: The file.
+        source: Who wrote it.
+        std_mm: Its standard deviation at the patient along each axis [mm].
+        motion_mm: Of organs against the skin [mm].
+        touches: Touches of the skin that it is checked with, if any.
+        touch_std_mm: Of a touch [mm].
+    """
+
+    path: Path
+    source: TransformSource | None
+    std_mm: float | None
+    motion_mm: float
+    touches: Path | None
+    touch_std_mm: float
+
+
+def register_by_transform(
+    place: Path, stated: StatedTransform, output: Path, report: Path | None
+) -> int:
+    """Register the patient of a plan by a transform; print a report, write the plan.
+
+    Args:
+        place: The plan.
+        stated: The transform.
+        output: The plan with its registration.
+        report: Folder for a page, if any.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: A file or an option cannot be used, or one is missing.
+        needleforce.anatomy.AnatomyError: The file holds no rigid motion, or touches of
+            the skin contradict it.
+    """
+    require_modules("register", ("SimpleITK",))
+    std_mm = _checked_std_mm(stated.std_mm)
+    if stated.source is None:
+        raise CommandError(
+            "--transform needs --transform-from slicer or itk: their files hold a "
+            "motion and its inverse; see docs/how-to/segmentations.md"
+        )
+    fields = read_plan_fields(place)
+    motion = read_transform(stated.path, stated.source)
+    fit = _registration_of(motion, fields, M_PER_MM * std_mm)
+    distances_m = _touch_distances_m(place, stated, fit)
+    fit_report = FitReport(
+        fit=fit,
+        landmarks=(),
+        touch_distances_m=tuple(distances_m.tolist()),
+        entry_m=np.array(fields["entry_m"]),
+        target_m=np.array(fields["target_m"]),
+        motion_m=M_PER_MM * stated.motion_mm,
+    )
+    return finish_registration(place, fields, fit_report, output, report)
+
+
+def _checked_std_mm(std_mm: float | None) -> float:
+    """Return the deviation of a transform, which no file states."""
+    if std_mm is None:
+        raise CommandError(
+            "--transform needs --transform-std: its standard deviation at the patient "
+            "along each axis in millimetres, which the file does not state"
+        )
+    if not 0.0 < std_mm < MAX_STD_mm:
+        raise CommandError(f"--transform-std {std_mm:g}: expected millimetres")
+    return std_mm
+
+
+def _registration_of(
+    motion: RigidTransform, fields: Mapping[str, Any], std_m: float
+) -> Registration:
+    """Return the registration of a transform with one deviation at the patient."""
+    entry_m = motion.rotation @ np.array(fields["entry_m"]) + motion.translation_m
+    target_m = motion.rotation @ np.array(fields["target_m"]) + motion.translation_m
+    path = PlannedPath.of_std(entry_m, target_m, std_m)
+    return Registration(
+        motion.rotation,
+        motion.translation_m,
+        path.covariance,
+        path.pivot_m,
+        np.inf,
+        np.nan,
+    )
+
+
+def _touch_distances_m(
+    place: Path, stated: StatedTransform, fit: Registration
+) -> Array:
+    """Return how far touches of the skin lie from it under a transform.
+
+    Raises:
+        RegistrationError: They contradict it.
+    """
+    if stated.touches is None:
+        say("warning: the transform was not checked: --touches FILE checks it")
+        return np.zeros(0)
+    touches_m = read_touches(stated.touches).skin_m()
+    if not len(touches_m):
+        raise CommandError(f"{stated.touches} holds no touches of the skin")
+    distances_m = skin_distances_m(fit, case_of_plan(place).labels.skin(), touches_m)
+    expected_mm = float(np.hypot(stated.std_mm or 0.0, stated.touch_std_mm))
+    rms_mm = float(np.sqrt((distances_m**2).mean())) / M_PER_MM
+    if rms_mm > MAX_STDS * expected_mm:
+        raise RegistrationError(
+            f"the touches lie {rms_mm:.1f} mm (rms) from the skin under this "
+            f"transform, and {expected_mm:.1f} mm are expected by --transform-std and "
+            "--touch-std: it is the inverse (--transform-from), in other axes, of "
+            "another patient, or less accurate than stated",
+            AnatomyCode.MISFITTING_SURFACE,
+        )
+    return distances_m
