@@ -147,6 +147,22 @@ class ReplayStream:
         self._gap_s = 0.0  # until rows have come
         self._gaps = 0
         self._rejected: Counter[SampleStatus] = Counter()
+        # The published method is told where the contact is.
+        is_published = isinstance(config, PublishedConfig)
+        self._known_contact_m = config.contact_depth_m if is_published else None
+        self._contacts_m: list[float | None] = []
+
+    @property
+    def contact_depth_m(self) -> float | None:
+        """Depth of the first contact, as known now; None before."""
+        if self._known_contact_m is not None:
+            return self._known_contact_m
+        return self._identifier.contact_depth_m
+
+    @property
+    def contact_depths_m(self) -> Array:
+        """The same as known at each row of the last `run`, nan before, shape (n,)."""
+        return np.array(self._contacts_m, dtype=np.float64)  # None becomes nan
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
@@ -196,17 +212,19 @@ class ReplayStream:
             dt_s[: first + 1] = usual_s
         self._gaps += int((dt_s > self._gap_s).sum())
         self._signs.update(depth_m, speed_m_s, force_N)
-        estimates = list(
-            map(
-                self._identifier.update,
-                depth_m.tolist(),
-                repeat(None) if speed_m_s is None else speed_m_s.tolist(),
-                force_N.tolist(),
-                dt_s.tolist(),
-                t_s.tolist(),
-                repeat(0.0) if force_std_N is None else force_std_N.tolist(),
-            )
-        )
+        estimates: list[Estimate] = []
+        self._contacts_m = []
+        for row in zip(
+            depth_m.tolist(),
+            repeat(None) if speed_m_s is None else speed_m_s.tolist(),
+            force_N.tolist(),
+            dt_s.tolist(),
+            t_s.tolist(),
+            repeat(0.0) if force_std_N is None else force_std_N.tolist(),
+            strict=False,
+        ):
+            estimates.append(self._identifier.update(*row))
+            self._contacts_m.append(self.contact_depth_m)
         self._rejected.update(estimate.status for estimate in estimates)
         return estimates
 

@@ -10,6 +10,8 @@ from typing import Any, NamedTuple
 PLANNED_ENTRY = "below the planned entry"
 FIRST_CONTACT = "below first contact"
 TARE = "from the tare, before contact"
+FIRST_ROW = "from the first row"
+LOG_ZERO = "as in the log, without contact"
 
 ZERO_NAMES = (TARE, FIRST_CONTACT, PLANNED_ENTRY)
 """Names of zeros by their numbers in rows of the scene."""

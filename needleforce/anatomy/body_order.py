@@ -63,6 +63,11 @@ class _Order(NamedTuple):
     axis: int
     distance_m: float
 
+    @property
+    def is_situs(self) -> bool:
+        """Whether it is that of liver and spleen."""
+        return {self.first, self.second} == {"liver", "spleen"} and self.axis == LEFT
+
 
 def require_body_order(labels: "Labels", *, situs_inversus: bool = False) -> None:
     """Refuse labels whose structures lie the wrong way round.
@@ -91,6 +96,8 @@ def require_body_order(labels: "Labels", *, situs_inversus: bool = False) -> Non
             if order.axis == axis and abs(order.distance_m) > MIN_DISTANCE_m
         ]
         wrong = [order for order in along if order.distance_m < 0.0]
+        if all(order.is_situs for order in wrong):
+            continue  # judged below
         if wrong and 2 * len(wrong) >= len(along):
             _refuse(wrong, len(along), reason)
     _require_situs(orders, situs_inversus=situs_inversus)
@@ -110,9 +117,8 @@ def _refuse(wrong: list[_Order], count: int, reason: str) -> None:
 def _require_situs(orders: list[_Order], *, situs_inversus: bool) -> None:
     """Refuse liver and spleen on the wrong sides, whatever lies beside them."""
     for order in orders:
-        is_situs = {order.first, order.second} == {"liver", "spleen"}
-        if is_situs and order.axis == LEFT and order.distance_m < -MIN_DISTANCE_m:
-            reason = EXCHANGED[LEFT] + ", or this is a situs inversus"
+        if order.is_situs and order.distance_m < -MIN_DISTANCE_m:
+            reason = EXCHANGED[LEFT] + ", or this is a situs inversus, to be stated"
             if situs_inversus:
                 reason = "a situs inversus was stated, and this is none"
             raise VolumeError(

@@ -12,6 +12,7 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
+from foundation.extras import install_command
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.mask_folder import MAX_NAMES, first_free
@@ -120,9 +121,8 @@ def _open(path: Path) -> Any:
         import highdicom
     except ImportError as error:
         raise VolumeError(
-            f"{path} is a DICOM segmentation, which needs highdicom: pip install "
-            '".[patient]" in the project\'s folder, or save the segmentation as '
-            ".seg.nrrd"
+            f"{path} is a DICOM segmentation, which needs highdicom: "
+            f"{install_command('patient')}; or save the segmentation as .seg.nrrd"
         ) from error
     try:
         return highdicom.seg.segread(str(path))

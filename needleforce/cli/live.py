@@ -25,6 +25,7 @@ class WatchOptions:
     Attributes:
         plan: Plan to match ruptures with (plan.json, or its folder): see
             docs/how-to/scene.md.
+        situs_inversus: Liver and spleen of the plan's patient are exchanged.
         reference: ATI Net F/T between flange and tool: its axial force, and the rms
             difference since the tare, are shown next to the estimate.
         reference_axis: Direction of insertion in that sensor's axes (default: 0 0 1).
@@ -35,6 +36,7 @@ class WatchOptions:
     """
 
     plan: Annotated[Path | None, Parameter(metavar="FILE", group=LOG)] = None
+    situs_inversus: Annotated[bool, Parameter(negative="", group=LOG)] = False
     reference: Annotated[str | None, Parameter(metavar="ADDRESS", group=LOG)] = None
     reference_axis: Annotated[Direction, Parameter(metavar="X Y Z", group=LOG)] = (
         0.0,
@@ -73,6 +75,7 @@ def live_command(
         robot,
         tare_s=watch.tare,
         plan_path=watch.plan,
+        situs_inversus=watch.situs_inversus,
         reference_sensor=sensor,
         page_port=watch.port if watch.view else None,
     )

@@ -177,20 +177,37 @@ class _Anatomy(NamedTuple):
     labels: Labels | None = None
 
 
-def load_plan(place: Path, *, is_past: bool = False) -> LoadedPlan:
-    """Return a plan from its file, and say its warnings on stderr; see `read_plan`."""
-    plan = read_plan(place, is_past=is_past)
+def load_plan(
+    place: Path | None, *, is_past: bool = False, situs_inversus: bool = False
+) -> LoadedPlan | None:
+    """Return a plan from its file, and say its warnings on stderr; see `read_plan`.
+
+    Without a file there is no plan.
+
+    Raises:
+        CommandError: As `read_plan`; or a situs inversus is stated of no plan.
+    """
+    if place is None:
+        if situs_inversus:
+            raise CommandError(
+                "--situs-inversus belongs to the labels of a plan: expected --plan"
+            )
+        return None
+    plan = read_plan(place, is_past=is_past, situs_inversus=situs_inversus)
     for warning in plan.warnings:
         say(f"warning: {warning}")
     return plan
 
 
-def read_plan(place: Path, *, is_past: bool = False) -> LoadedPlan:
+def read_plan(
+    place: Path, *, is_past: bool = False, situs_inversus: bool = False
+) -> LoadedPlan:
     """Return a plan from its file, or from a folder with `plan.json`.
 
     Args:
         place: The file or folder.
         is_past: The insertion is over: obstacles on its path are a warning.
+        situs_inversus: Liver and spleen are exchanged, whether or not the plan says so.
 
     Raises:
         CommandError: The file cannot be read, or holds no plan that can be followed.
@@ -198,6 +215,7 @@ def read_plan(place: Path, *, is_past: bool = False) -> LoadedPlan:
     path = place / PLAN if place.is_dir() else place
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
+        plan.situs_inversus |= situs_inversus
         _require_metres(plan)
         _require_registration(plan)
         scene, labels = _anatomy_of(plan, path.parent)

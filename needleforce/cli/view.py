@@ -18,6 +18,7 @@ class ViewOptions:
     Attributes:
         anatomy: Plan (plan.json, or its folder) with labels.nii.gz (or .nrrd,
             .seg.nrrd): see docs/how-to/scene.md.
+        situs_inversus: Liver and spleen of this patient are exchanged.
         mapping: TOML file that says which columns are which, as `needleforce force
             --print-config` writes.
         tare: Tare after so many seconds of motion without contact (default: 4); if it
@@ -34,6 +35,7 @@ class ViewOptions:
     anatomy: Annotated[
         Path | None, Parameter(name=("--anatomy", "--plan"), metavar="DIR|FILE")
     ] = None
+    situs_inversus: Annotated[bool, Parameter(negative="")] = False
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
     export: Annotated[Path | None, Parameter(metavar="FILE", group=LIVE_OUTPUT)] = None
@@ -65,4 +67,5 @@ def view_command(
         tare_s=options.tare,
         mapping=options.mapping,
         anatomy=options.anatomy,
+        situs_inversus=options.situs_inversus,
     )

@@ -218,6 +218,7 @@ def watch_arm(
     *,
     tare_s: float,
     plan_path: Path | None = None,
+    situs_inversus: bool = False,
     reference_sensor: ReferenceSensor | None = None,
     page_port: int | None = None,
 ) -> int:
@@ -229,6 +230,7 @@ def watch_arm(
         robot: Options that describe the robot.
         tare_s: Motion without contact before a tare [s].
         plan_path: Plan to match ruptures with, if any.
+        situs_inversus: Liver and spleen of the patient are exchanged.
         reference_sensor: Force sensor to compare with, if any.
         page_port: Port of the scene beside the session; None for no scene.
 
@@ -239,7 +241,7 @@ def watch_arm(
         CommandError: The arm sends nothing, or no torques.
     """
     tare = SessionTare(tare_s)
-    plan = None if plan_path is None else load_plan(plan_path)
+    plan = load_plan(plan_path, situs_inversus=situs_inversus)
     with (
         open_arm(arm_name, robot, options.motor_constants) as (arm, model),
         _reference_beside(reference_sensor) as reference,

@@ -18,6 +18,7 @@ from needleforce.cli.logs.row_overview import axis_span, time_axis
 from needleforce.cli.logs.sensor_replay import ForceRows, has_status
 from needleforce.cli.shared_options import Over
 from needleforce.cli.terminal import aligned
+from needleforce.depth_zero import FIRST_ROW, LOG_ZERO, DepthZero
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
 from residual import Status
@@ -36,8 +37,8 @@ CAPTIONS: dict[Over, str] = {
     "when tissue pushes back. The band is two standard deviations wide to either side. "
     "Grey lines are not tared: they carry the errors of the model and of the torque "
     "sensors.",
-    "depth": "The same over the travel of the tool along the needle since the first "
-    "sample: in tissue the upper branch is the insertion, the lower the withdrawal.",
+    "depth": "The same over the travel of the tool along the needle: in tissue the "
+    "upper branch is the insertion, the lower the withdrawal.",
 }
 """Caption of the chart over time, and of that over travel."""
 
@@ -83,8 +84,9 @@ class ForcePage:
         result = self.result
         rows = result.rows
         if over == "depth":
-            x = M_TO_MM * rows["travel_m"]
-            x_label = "travel of the tool along the needle [mm]"
+            zero = self._depth_zero()
+            x = M_TO_MM * (rows["travel_m"] - zero.depth_m)
+            x_label = f"travel along the needle, {zero.name} [mm]"
             marks: dict[str, Any] = {}
         else:
             start_s, x_label = time_axis(rows["t_s"])
@@ -102,6 +104,12 @@ class ForcePage:
             x_limits=axis_span(x),
             **marks,
         )
+
+    def _depth_zero(self) -> DepthZero:
+        """Return where travel counts from: as the layers, where there are any."""
+        if self.layers is None or self.layers.result.zero.name == LOG_ZERO:
+            return DepthZero(0.0, FIRST_ROW)
+        return self.layers.result.zero
 
     @property
     def title(self) -> str:

@@ -11,6 +11,7 @@ from foundation.arrays import Array
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay, has_status
 from needleforce.cli.logs.tare_schedule import describe_rejections, velocity_advice
 from needleforce.cli.logs.torque_summary import describe_torques
+from needleforce.depth_zero import FIRST_ROW
 from residual import SensorConfig, SensorWarning, Status
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
@@ -165,6 +166,10 @@ class ForceResult:
         diagnosis = replay.sensor.diagnosis
         yield "torque", describe_torques(diagnosis, is_external=replay.is_external)
         yield "axial force", self._describe_axial_force()
+        yield (
+            "travel",
+            (f"counts {FIRST_ROW}; identify and report count below first contact"),
+        )
         if replay.is_external:
             yield "lag", "that of the robot's own estimate"
         else:

@@ -139,6 +139,7 @@ def estimate_forces(
     if layers is None or not result.counts[Status.OK]:
         return ForcePage(result)
     found = identify_layers(chunks, log.name, layers)
+    found = replace(found, zero=watch.zero or found.zero)
     return ForcePage(result, LayerPage(found), watch.compare(found.layers))
 
 

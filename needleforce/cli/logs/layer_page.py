@@ -13,6 +13,7 @@ from needleforce.cli.logs.layer_result import (
     METHODS,
     IdentificationResult,
     LayerRows,
+    describe_zero,
     layer_cells,
     layer_text,
 )
@@ -75,7 +76,7 @@ class LayerPage:
 
     def text(self) -> str:
         """Return a text table, one line per layer."""
-        return layer_text(self.result.layers)
+        return layer_text(self.result.layers, self.result.zero)
 
     def chart(self, over: Over = "time") -> Chart:
         """Return forces above, parameters below, as in Figure 8 of Ferro et al."""
@@ -85,8 +86,9 @@ class LayerPage:
         x = rows["t_s"] - start_s
         events = self._events(rows, start_s)
         if over == "depth":
-            x = M_TO_MM * rows["depth_m"]
-            x_label = "depth [mm]"
+            zero = self.result.zero
+            x = M_TO_MM * (rows["depth_m"] - zero.depth_m)
+            x_label = f"depth {zero.name} [mm]"
             events = ()
         panels = [_force_panel(rows, x)]
         panels += [self._parameter_panel(name, rows, x) for name in _PARAMETERS]
@@ -118,9 +120,11 @@ class LayerPage:
         return plots.PageTable(
             caption="Layers traversed",
             head=HEADER,
-            rows=tuple(map(layer_cells, self.result.layers)),
+            rows=tuple(
+                layer_cells(layer, self.result.zero) for layer in self.result.layers
+            ),
             numeric=frozenset(range(len(HEADER))),
-            note=_TABLE_NOTE,
+            note=f"{describe_zero(self.result.zero)} {_TABLE_NOTE}",
         )
 
     def _describe_events(self) -> tuple[str, ...]:
@@ -129,8 +133,9 @@ class LayerPage:
         sentences: list[str] = []
         depths_m = rows["depth_m"][rows["hard_contact"] > 0].tolist()
         if depths_m:
-            depths = _join(f"{M_TO_MM * depth_m:.1f} mm" for depth_m in depths_m)
-            sentences.append(f"Hard contact, as with bone, at a depth of {depths}.")
+            zero = self.result.zero
+            depths = _join(f"{zero.shown_mm(depth_m):.1f} mm" for depth_m in depths_m)
+            sentences.append(f"Hard contact, as with bone, {depths} {zero.name}.")
         if (rows["tissue_moves"] > 0).any():
             sentences.append(
                 "The tissue moved and pulled at the needle: ruptures of that time are "
@@ -143,10 +148,11 @@ class LayerPage:
         layers = self.result.layers
         if not layers:
             return "No rupture was detected."
-        depths_mm = [M_TO_MM * layer.rupture.depth_m for layer in layers]
+        zero = self.result.zero
+        depths_mm = [zero.shown_mm(layer.rupture.depth_m) for layer in layers]
         depths = _join(f"{depth_mm:.1f} mm" for depth_mm in depths_mm)
         plural = "s" if len(layers) > 1 else ""
-        sentences = [f"{len(layers)} rupture{plural} detected, at a depth of {depths}."]
+        sentences = [f"{len(layers)} rupture{plural} detected, {depths} {zero.name}."]
         known = [layer for layer in layers if layer.friction_identified]
         if known:
             frictions = _join(

@@ -21,6 +21,7 @@ from needleforce.cli.advice import describe_suspicion
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.shared_options import IdentificationOptions
 from needleforce.cli.terminal import say
+from needleforce.depth_zero import FIRST_CONTACT, LOG_ZERO, DepthZero
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.output import OpenTable
@@ -82,6 +83,7 @@ class IdentificationResult:
         layers: Layers traversed, as known at the end.
         warnings: What seems wrong with signs and forces.
         rows: For a figure: `depth_m`, `force_N` and the columns of `estimate_table`.
+        zero: Where the depths that are shown count from.
     """
 
     log: str
@@ -89,6 +91,7 @@ class IdentificationResult:
     layers: tuple[LayerEstimate, ...]
     warnings: tuple[str, ...]
     rows: LayerRows
+    zero: DepthZero
 
 
 def identify_layers(
@@ -121,7 +124,8 @@ def identify_layers(
             chunk.channels.get("speed_m_s"),
             chunk.channels.get("force_std_N"),
         )
-        columns = estimate_table(chunk.t_s, estimates)
+        below_m = depth_m - stream.contact_depths_m
+        columns = estimate_table(chunk.t_s, below_m, estimates)
         overview.add({"depth_m": depth_m, "force_N": force_N} | columns)
         if table is not None:
             table.append(columns)
@@ -130,8 +134,20 @@ def identify_layers(
     for warning in warnings:
         say(f"warning: {warning}")
     return IdentificationResult(
-        name, options.method, layers, warnings, overview.columns()
+        name,
+        options.method,
+        layers,
+        warnings,
+        overview.columns(),
+        _zero_at(stream.contact_depth_m),
     )
+
+
+def _zero_at(contact_m: float | None) -> DepthZero:
+    """Return the zero of depths at the first contact; the log's own without one."""
+    if contact_m is None:
+        return DepthZero(0.0, LOG_ZERO)
+    return DepthZero(contact_m, FIRST_CONTACT)
 
 
 def _count_ignored(ignored: Counter[str]) -> list[str]:
@@ -168,7 +184,9 @@ _read_numbers = attrgetter(*_NUMBERS, "status.is_used")
 _read_events = attrgetter(*_EVENTS)
 
 
-def estimate_table(t_s: Array, estimates: Sequence[Estimate]) -> LayerRows:
+def estimate_table(
+    t_s: Array, depth_in_tissue_m: Array, estimates: Sequence[Estimate]
+) -> LayerRows:
     """Return the columns of the estimates of at least one row; names carry the unit.
 
     `used` is 0 for rows that were rejected. On the rows of events stands the number of
@@ -180,6 +198,8 @@ def estimate_table(t_s: Array, estimates: Sequence[Estimate]) -> LayerRows:
 
     Args:
         t_s: Time stamps [s], shape (n,).
+        depth_in_tissue_m: Depth of the tip below first contact, as known then; nan
+            before, shape (n,).
         estimates: One estimate per row.
     """
     table: LayerRows = {"t_s": t_s}
@@ -204,6 +224,7 @@ def estimate_table(t_s: Array, estimates: Sequence[Estimate]) -> LayerRows:
             for estimate in estimates
         ]
     )
+    table["depth_in_tissue_m"] = depth_in_tissue_m
     return table
 
 
@@ -221,17 +242,32 @@ HEADER = (
 """Heads of the columns of `layer_cells`."""
 
 
-def layer_text(layers: Sequence[LayerEstimate]) -> str:
-    """Return a text table, one line per layer; `?` marks what is not identified."""
+def layer_text(layers: Sequence[LayerEstimate], zero: DepthZero) -> str:
+    """Return a text table, one line per layer; `?` marks what is not identified.
+
+    Args:
+        layers: The layers.
+        zero: Where depths count from.
+    """
     if not layers:
         return "no rupture detected\n"
-    lines = [HEADER, *map(layer_cells, layers)]
+    lines = [HEADER, *(layer_cells(layer, zero) for layer in layers)]
     widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
     cells = [map(str.rjust, line, widths) for line in lines]
-    return "".join("  ".join(line) + "\n" for line in cells)
+    table = "".join("  ".join(line) + "\n" for line in cells)
+    return f"{table}{describe_zero(zero)}\n"
 
 
-def layer_cells(layer: LayerEstimate) -> tuple[str, ...]:
+def describe_zero(zero: DepthZero) -> str:
+    """Return in a sentence where depths count from."""
+    if zero.name == LOG_ZERO:
+        return f"Depths count {LOG_ZERO}."
+    return (
+        f"Depths are {zero.name}, {1e3 * zero.depth_m:.1f} mm from the log's own zero."
+    )
+
+
+def layer_cells(layer: LayerEstimate, zero: DepthZero) -> tuple[str, ...]:
     """Return the line of a layer, its times on the log's clock."""
     rupture = layer.rupture
     end_depth_m = layer.start_depth_m + layer.thickness_m
@@ -241,8 +277,8 @@ def layer_cells(layer: LayerEstimate) -> tuple[str, ...]:
     friction_mark = "" if layer.friction_identified else "?"
     return (
         str(layer.layer),
-        f"{1e3 * layer.start_depth_m:.1f}",
-        f"{1e3 * end_depth_m:.1f}",
+        f"{zero.shown_mm(layer.start_depth_m):.1f}",
+        f"{zero.shown_mm(end_depth_m):.1f}",
         f"{rupture.time_s:.2f}",
         f"{rupture.alarm_s:.2f}",
         _with_std(layer.force_drop_N, layer.force_drop_std_N, 2),

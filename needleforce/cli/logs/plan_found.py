@@ -12,6 +12,7 @@ from needleforce.anatomy import Layer, PlanError, PlanMatch, PlanState
 from needleforce.cli.logs.outputs import Answer
 from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.plan_file import LoadedPlan
+from needleforce.depth_zero import PLANNED_ENTRY, DepthZero
 from needleforce.needle_on_plan import PlanDeviation, describe_deviation
 from residual.tool_kinematics import ToolKinematics
 
@@ -153,6 +154,13 @@ class PlanWatch:
         self._deepest: PlanDeviation | None = None
         self._rows_below = 0
         self._rows_off = 0
+
+    @property
+    def zero(self) -> DepthZero | None:
+        """The planned entry, from which depths count; None without one."""
+        if self._plan is None or self._plan.entry_in_base_m is None:
+            return None
+        return DepthZero(self._entry_travel_m or 0.0, PLANNED_ENTRY)
 
     def add(self, q_rad: Array, travel_m: Array) -> None:
         """Take further rows: joint positions, (m, n), and travel of the tool, (m,)."""

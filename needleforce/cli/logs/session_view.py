@@ -92,6 +92,7 @@ def view_recording(
     tare_s: float,
     mapping: str | None,
     anatomy: Path | None,
+    situs_inversus: bool = False,
 ) -> int:
     """Show a recording until Ctrl-C, or write it as one page.
 
@@ -102,6 +103,7 @@ def view_recording(
         tare_s: Motion without contact before a tare [s].
         mapping: File that says which columns are which, if any.
         anatomy: Folder with plan and labels, if any.
+        situs_inversus: Liver and spleen of the patient are exchanged.
 
     Returns:
         The exit code.
@@ -110,7 +112,7 @@ def view_recording(
     columns = load_mapping(mapping) if mapping else ColumnMapping()
     find_joints = partial(find_log_joints, str(recording), columns, "tau")
     model = robot_from_options(robot, mapping, find_joints)
-    plan = None if anatomy is None else load_plan(anatomy, is_past=True)
+    plan = load_plan(anatomy, is_past=True, situs_inversus=situs_inversus)
     rows = replay_session(recording, model, tare_s=tare_s, mapping=mapping, plan=plan)
     scene = EMPTY if plan is None else plan.scene
     shapes = urdf_with_shapes(robot)

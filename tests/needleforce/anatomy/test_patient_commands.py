@@ -3,6 +3,7 @@
 import json
 import re
 import shlex
+import shutil
 from pathlib import Path
 
 import numpy as np
@@ -94,3 +95,61 @@ def test_landmarks_that_are_not_in_the_ct_are_named(folder, capsys, tmp_path):
     assert main([*shlex.split(arguments), "-o", str(tmp_path / "plan.json")]) == 2
     assert "elbow" in capsys.readouterr().err
     assert not (tmp_path / "plan.json").exists()
+
+
+def test_labels_without_names_are_listed_and_mapped(folder, tmp_path, capsys):
+    """The error's own advice leads to a plan, which keeps the names."""
+    labels = tmp_path / "labels.nii.gz"
+    shutil.copy(folder / "patient" / "labels.nii.gz", labels)
+    arguments = f"plan --ct {folder}/patient/ct.nii.gz --labels {labels}"
+    arguments = [*shlex.split(arguments), "--target", "lesion"]
+
+    assert main(arguments) == 2
+    said = capsys.readouterr().err
+    assert "there are label_1, label_2, label_3, label_4, label_5, label_6" in said
+    assert '--structures "label_1=bone,label_2=rib,' in said
+
+    names = "label_1=vertebra,label_2=rib,3=stomach,4=liver,5=vessel,6=lesion"
+    place = tmp_path / "plan"
+    assert main([*arguments, "--structures", names, "-o", str(place)]) == 0
+    fields = json.loads((place / "plan.json").read_bytes())
+    planned = json.loads((folder / "plan" / "plan.json").read_bytes())
+    assert fields["structures"]["label_2"] == "rib"
+    assert fields["entry_m"] == planned["entry_m"]
+    assert [one["name"] for one in fields["layers"]] == [
+        one["name"] for one in planned["layers"]
+    ]
+
+    registered = {key: planned[key] for key in ("rotation", "translation_m")}
+    (place / "plan.json").write_text(json.dumps(fields | registered), encoding="utf-8")
+    assert read_plan(place).scene.layers[-1].name == "lesion"
+
+
+@pytest.mark.parametrize("source", ["slicer", "itk"])
+def test_a_transform_registers_and_touches_check_it(folder, tmp_path, capsys, source):
+    sitk = pytest.importorskip("SimpleITK")
+    fields = json.loads((folder / "plan" / "plan.json").read_bytes())
+    transform = sitk.AffineTransform(3)
+    transform.SetMatrix(np.ravel(fields["rotation"]).tolist())
+    transform.SetTranslation((1e3 * np.array(fields["translation_m"])).tolist())
+    sitk.WriteTransform(transform, str(tmp_path / "a.h5"))
+    arguments = f"register --plan {folder}/plan/plan.json --transform {tmp_path}/a.h5"
+    arguments += f" --transform-from {source} --touches {folder}/touches.json"
+    arguments = [*shlex.split(arguments), "-o", str(tmp_path / "plan.json")]
+
+    assert main(arguments) == 2
+    assert "--transform-std" in capsys.readouterr().err
+
+    is_right = source == "itk"
+    assert main([*arguments, "--transform-std", "1"]) == (0 if is_right else 2)
+    if is_right:
+        written = json.loads((tmp_path / "plan.json").read_bytes())
+        assert written["rotation"] == pytest.approx(np.array(fields["rotation"]))
+    else:
+        assert "mm (rms) from the skin" in capsys.readouterr().err
+        assert not (tmp_path / "plan.json").exists()
+
+
+def test_a_situs_inversus_of_no_plan_is_refused(capsys):
+    assert main(["live", "sim:gel-25-constant", "--situs-inversus"]) == 2
+    assert "expected --plan" in capsys.readouterr().err

@@ -45,7 +45,14 @@ def identify(needle, tmp_path, capsys):
         assert main(["identify", str(log), "-o", str(out), *options]) == 0
         printed = capsys.readouterr()
         lines, _, channels = printed.out.partition("\n\n")
-        names, *rows = (re.split(r"  +", line.strip()) for line in lines.splitlines())
+        head, *texts = lines.splitlines()
+        if texts:
+            assert re.fullmatch(
+                r"Depths are below first contact, -?[\d.]+ mm from the log's own "
+                r"zero\.",
+                texts.pop(),
+            )
+        names, *rows = (re.split(r"  +", line.strip()) for line in (head, *texts))
         assert channels.startswith("channel")
         layers = [dict(zip(names, row, strict=True)) for row in rows]
         return np.genfromtxt(out, delimiter=",", names=True), layers, printed.err
@@ -63,6 +70,12 @@ def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path
     assert np.count_nonzero(table["rupture"]) == 1
     assert table["identified_layer"][table["is_final"] == 1].tolist() == [1.0]
     assert np.all(table["used"] == 1)
+    is_met = table["in_contact"] > 0
+    below_mm = 1e3 * table["depth_in_tissue_m"][is_met]
+    assert np.isnan(table["depth_in_tissue_m"][0])
+    assert float(layer["to mm"]) == pytest.approx(
+        below_mm[table["rupture"][is_met] > 0][0], abs=0.5
+    )
     assert png.read_bytes()[:4] == b"\x89PNG"
 
     identify("--figure", str(pdf), "--over", "depth", "--to", "20")
@@ -247,7 +260,7 @@ def test_report_shows_forces_and_their_layers(insertion):
     lead = page[: page.index("<section")]
 
     assert re.search(r"Force along the needle: \S+ to \S+ N", lead)
-    assert re.search(r"ruptures? detected, at a depth of [\d.]+ mm", lead)
+    assert re.search(r"ruptures? detected, [\d.]+ mm below first contact", lead)
     assert "Layers traversed" in lead
     assert "Warning: rows whose status" in lead
     assert "not a medical device" in lead
