@@ -15,12 +15,14 @@ START_BYTES = 1024
 SOP_CLASS_TAG = b"\x02\x00\x02\x00UI"
 """Tag and type of the class of the object, always little-endian and explicit."""
 
-SEGMENTATION = frozenset(
-    ("1.2.840.10008.5.1.4.1.1.66.4", "1.2.840.10008.5.1.4.1.1.66.7")
-)
+_STORAGE = "1.2.840.10008.5.1"
+_IMAGES = f"{_STORAGE}.4.1.1"
+"""Beginning of the numbers of classes."""
+
+SEGMENTATION = frozenset((f"{_IMAGES}.66.4", f"{_IMAGES}.66.7"))
 """Classes of segmentations: of binary or fractional segments, and of labels."""
 
-CONTOURS = "1.2.840.10008.5.1.4.1.1.481.3"
+CONTOURS = f"{_IMAGES}.481.3"
 """Class of the structure sets of radiotherapy (RTSTRUCT)."""
 
 

@@ -42,7 +42,7 @@ CAUGHT = {
     "identification/published/offline.py",
     "needleforce/__init__.py",
     "needleforce/anatomy/file_checks.py",
-    "needleforce/anatomy/reading.py",
+    "needleforce/anatomy/slicer_segments.py",
     "needleforce/cli/logs/log_session.py",
     "needleforce/cli/plan_file.py",
     "needleforce/cli/terminal.py",

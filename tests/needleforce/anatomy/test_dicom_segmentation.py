@@ -69,7 +69,7 @@ def test_rounded_positions_are_read(tmp_path):
 def test_fractional_segments_are_refused(tmp_path):
     path = tmp_path / "seg.dcm"
     dicom_files.write_segmentation(path, masks(), SEGMENTS, "FRACTIONAL")
-    with pytest.raises(VolumeError, match="fractional segments.*binary"):
+    with pytest.raises(VolumeError, match=r"fractional segments.*binary"):
         read_labels(path)
 
 
