@@ -7,7 +7,7 @@ import pytest
 
 from benchmarks.faults.false_alarms import KINDS, held_back, sensed
 from residual import DEFAULT, SensorWarning, Status, VirtualForceSensor
-from tests.residual.guarded_sensor import feed, tared
+from tests.residual.guarded_sensor import feed, rows_of, signals, tared
 from tests.residual.residual_signals import MIDDLE, external_torque_of
 
 
@@ -29,6 +29,22 @@ def test_a_spike_is_rejected_alone(lwr, which, size, with_velocity):
 
     assert all(e.status is Status.OK and not e.warnings for e in after)
     assert max(abs(e.axial) for e in after) < 0.2
+
+
+@pytest.mark.parametrize(("sigmas", "is_spike"), [(11.0, False), (14.0, True)])
+def test_a_noisy_torque_may_jump_by_twelve_times_its_noise(lwr, sigmas, is_spike):
+    noise_Nm = 0.3
+    q, dq, tau = signals(lwr, 0.7)
+    wrist_Nm = noise_Nm * np.random.default_rng(0).normal(size=len(tau))
+    wrist_Nm[-2:] = 0.0
+    # The difference of two samples has twice the variance of one. A wrist of 38 Nm may
+    # also step by 2 % of that.
+    wrist_Nm[-1] += sigmas * np.sqrt(2.0) * noise_Nm + 0.76
+    tau[:, 6] += wrist_Nm
+    sensor = VirtualForceSensor(lwr)
+    *_, last = feed(sensor, rows_of(q, dq, tau))
+
+    assert (last.status is Status.REJECTED) == is_spike
 
 
 @pytest.mark.parametrize("with_velocity", [True, False])

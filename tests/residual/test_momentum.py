@@ -16,7 +16,11 @@ from residual import (
     VelocityEstimator,
 )
 from residual.checks.input import round_step
-from residual.momentum_observer import ROWS, set_step_weights
+from residual.momentum_observer import (
+    ROWS,
+    momentum_smoothing_step,
+    set_step_weights,
+)
 from residual.velocity_filter import lag_pair_coefficients
 from tests.residual.guarded_sensor import feed, rows_of
 from tests.residual.residual_signals import JOINTS, external_torque_of, swing
@@ -327,3 +331,39 @@ def test_gap_starts_the_filter_anew():
 
     assert not sample.settled
     assert sample.dq[0] == 0.0
+
+
+def smoothed_momentum(momentum, threshold, dt_s=1e-3):
+    """A momentum, sample by sample, smoothed as the observer does it."""
+    smoothed = np.zeros(1)
+    values = []
+    for value in momentum:
+        newest = np.array([value])
+        momentum_smoothing_step(newest, smoothed, np.array([threshold]), dt_s)
+        smoothed = newest
+        values.append(float(newest[0]))
+    return np.array(values)
+
+
+def test_momentum_at_rest_is_smoothed_from_ten_radians_per_second_on():
+    times_s = 1e-3 * np.arange(6000)
+    turning = np.exp(-10j * times_s)  # unfolds the part at 10 rad/s
+    momentum = np.sin(10.0 * times_s)
+    after_start = slice(720, 720 + 8 * 628)  # whole periods
+    smoothed = smoothed_momentum(momentum, threshold=1e3)
+    ratio = (smoothed * turning)[after_start].sum()
+    ratio /= (momentum * turning)[after_start].sum()
+
+    assert abs(ratio) == pytest.approx(np.sqrt(0.5), rel=0.02)
+    assert np.angle(ratio, deg=True) == pytest.approx(-45.0, abs=1.0)
+
+
+@pytest.mark.parametrize(
+    ("distance", "per_s"), [(0.01, 10.0), (1.0, 20.0), (2.0, 170.0)]
+)
+def test_momentum_far_behind_catches_up_sooner(distance, per_s):
+    dt_s = 1e-6
+    smoothed = smoothed_momentum([distance], threshold=1.0, dt_s=dt_s)
+
+    # What it is behind by becomes the estimate's step.
+    assert smoothed[0] / distance == pytest.approx(per_s * dt_s, rel=1e-3)

@@ -14,7 +14,11 @@ from residual.bias.estimator import BiasEstimator, TareRecorder
 from residual.bias.fit import FreeMotionFit
 from residual.bias.joint_states import play_operator
 from residual.bias.model import BiasModel, TareBlocks
-from residual.bias.tare_check import check_free_of_contact
+from residual.bias.tare_check import (
+    check_free_of_contact,
+    find_contacts,
+    tip_torques,
+)
 from tests.residual.residual_signals import (
     BIAS,
     MIDDLE,
@@ -80,6 +84,17 @@ def fitted_to(basis, blocks):
 def check(robot, basis, blocks, wrench):
     fit = fitted_to(basis, blocks)
     finish(check_free_of_contact(robot, fit, wrench, 0.25, is_external=False))
+
+
+def touched(robot, blocks, push_N):
+    """The blocks with a force along the needle, shape (m,)."""
+    lever_m = external_torque_of(robot, MIDDLE, pose_of(robot, MIDDLE).rotation[:, 2])
+    pushed_Nm = push_N[:, None] * lever_m
+    return replace(
+        blocks,
+        residual_Nm=blocks.residual_Nm - pushed_Nm,
+        torque_Nm=blocks.torque_Nm + pushed_Nm,
+    )
 
 
 @pytest.fixture
@@ -174,16 +189,23 @@ def test_contact_during_the_stroke_is_refused(lwr, basis, push):
     stands = push[0] > 0.0
     _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)) if stands else None)
     check(lwr, basis, blocks, wrench)
-    lever_m = external_torque_of(lwr, MIDDLE, pose_of(lwr, MIDDLE).rotation[:, 2])
-    pushed = push[:, None] * lever_m
-    touched = replace(
-        blocks,
-        residual_Nm=blocks.residual_Nm - pushed,
-        torque_Nm=blocks.torque_Nm + pushed,
-    )
-
     with pytest.raises(TareError, match="in contact"):
-        check(lwr, basis, touched, wrench)
+        check(lwr, basis, touched(lwr, blocks, push), wrench)
+
+
+def test_a_contact_is_refused_from_five_deviations_on(lwr, basis):
+    wrench = WrenchEstimator(lwr)
+    _, blocks = stroke(lwr, basis, truth=np.zeros(len(basis.std)), noise=0.2)
+    slight = touched(lwr, blocks, 0.2 * LATE)
+    clear = touched(lwr, blocks, 0.47 * LATE)
+    torque_Nm = finish(tip_torques(clear, wrench))
+    fit = fitted_to(basis, clear)
+    contacts = finish(find_contacts(fit, torque_Nm, wrench, 0.0, is_whole=True))
+
+    assert all(5.3 < abs(one.force_N) / one.std_N < 6.0 for one in contacts)
+    with pytest.raises(TareError, match="in contact"):
+        check(lwr, basis, clear, wrench)
+    check(lwr, basis, slight, wrench)
 
 
 def recorded(values, block):

@@ -211,6 +211,32 @@ def test_noise_is_smoothed_and_a_rupture_passes(lwr, mode):
     assert np.abs(axial[2001:] - 2.0).max() < 2.5 * std
 
 
+@pytest.mark.parametrize("mode", ["point", "full"])
+def test_noise_across_the_needle_is_smoothed_and_hides_no_force(lwr, mode):
+    estimator = estimator_of(lwr, mode=mode)
+    estimator.set_torque_covariance(0.02**2 * np.eye(7))
+    estimator.compute_gain(MIDDLE)
+    torques_Nm = 0.02 * np.random.default_rng(0).normal(size=(3000, 7))
+    forces_N = []
+    deviations_N = []
+    # Lags of smoothing and of the observer in samples: none, a long and a short one.
+    for smoothing_lag, observer_lag in ((0.0, 0.0), (33.0, 0.0), (10.0, 5.0)):
+        state = WrenchFilterState.at_zero(estimator.size)
+        estimates = [
+            estimator.solve(torque_Nm, state, smoothing_lag, observer_lag)
+            for torque_Nm in torques_Nm
+        ][500:]
+        forces_N.append(np.sqrt(np.mean([e.lateral**2 for e in estimates])))
+        deviations_N.append(max(e.lateral_std for e in estimates))
+    plain_N, smoothed_N, _ = forces_N
+
+    # Two components are noisy; the deviation is that of the noisier one. A lag of 33
+    # leaves 1 / 66 of a variance.
+    assert deviations_N[0] < plain_N < np.sqrt(2.0) * deviations_N[0]
+    assert smoothed_N < 1.45 * plain_N / np.sqrt(66.0)
+    assert deviations_N == pytest.approx(3 * deviations_N[:1])
+
+
 def test_deviation_covers_what_a_lag_hides(lwr):
     estimator = estimator_of(lwr)
     estimator.set_torque_covariance(0.02**2 * np.eye(7))

@@ -137,3 +137,22 @@ def test_a_component_with_an_older_rupture_denies_the_alarm():
     assert evidence.ruptures[0] == 0.0
     assert evidence.ruptures[1] == 1.0
     assert count_ruptures(evidence, 1, BLOCK).fewer > 0.9
+
+
+@pytest.mark.parametrize(
+    ("released_N", "noise_N", "probability"),
+    [(0.11, 0.01, 1.0), (0.09, 0.01, 0.0), (0.17, 0.05, 1.0), (0.13, 0.05, 0.0)],
+)
+def test_a_rupture_releases_a_tenth_of_a_newton_and_more_than_noise(
+    released_N, noise_N, probability
+):
+    mixture = first_mixture()
+    set_fields(mixture.assumptions, medium=LAYER, ruptures=1.0)
+    mixture.means[0, RELEASED] = released_N
+    set_fields(
+        mixture.history, rupture_s=BLOCK.time_s, rupture_force_N=1.0, min_force_N=0.9
+    )
+    block = BLOCK._replace(noise_std_N=noise_N)
+    count = count_ruptures(weigh_evidence(mixture, None, 0), 0, block)
+
+    assert count.more == probability

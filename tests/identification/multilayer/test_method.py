@@ -18,6 +18,8 @@ from identification import (
 )
 from identification.config import CheckConfig
 from identification.errors import InvalidConfigError
+from identification.multilayer import method
+from identification.multilayer.decisions import count_ruptures
 
 SPEED_M_S = 4e-3
 
@@ -156,6 +158,20 @@ def test_a_provisional_alarm_comes_before_the_one_that_confirms_it():
             if rupture.layer == early.layer
         ]
         assert 0.0 < confirmed[0].alarm_s - early.alarm_s < 0.1
+
+
+@pytest.mark.parametrize(("most", "alarms"), [(0.975, 0), (0.985, 1)])
+def test_an_alarm_is_raised_from_a_probability_of_98_percent_on(
+    monkeypatch, most, alarms
+):
+    def count_doubtfully(*args):
+        count = count_ruptures(*args)
+        return count._replace(more=min(count.more, most))
+
+    monkeypatch.setattr(method, "count_ruptures", count_doubtfully)
+    _, estimates = run(straight()[:5200])
+
+    assert len(values_of(estimates, "rupture")) == alarms
 
 
 def test_a_provisional_alarm_is_confirmed_or_retracted_but_not_both():
