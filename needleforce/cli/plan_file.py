@@ -4,6 +4,7 @@ The file is `plan.json`, see docs/how-to/scene.md; a segmentation may lie beside
 """
 
 from collections.abc import Sequence
+from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,10 +15,12 @@ from foundation.arrays import Array
 from needleforce.anatomy import (
     AnatomyError,
     FreeSpace,
+    Grid,
     Labels,
     Layer,
     PlanMatch,
     Registration,
+    Volume,
     read_labels,
     read_volume,
     require_clear_path,
@@ -33,6 +36,9 @@ from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene
 
 PLAN = "plan.json"
+
+CROP_MARGIN_M = 0.1
+"""The scene keeps the CT up to here from the path [m]."""
 
 MIN_VOXELS = 500
 """Structures with fewer voxels are not shown."""
@@ -370,10 +376,26 @@ def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
     labels = read_labels(file, names, situs_inversus=plan.situs_inversus)
     scans = [folder / plan.ct] if plan.ct else sorted(folder.glob("ct.n*"))
     if scans:
-        labels = labels.checked_against(read_volume(scans[0]))
+        scan = read_volume(scans[0])
+        labels = labels.checked_against(scan)
+        scene = scene._replace(scan=crop_scan(scan, entry_m, target_m))
     surfaces = _large_surfaces(labels)
     layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
     return _Anatomy(scene._replace(surfaces=surfaces, layers=layers), labels)
+
+
+def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume:
+    """Return the part of a CT around a path, for the slices of the scene."""
+    corners_m = np.array([entry_m, target_m])
+    low_m = corners_m.min(axis=0) - CROP_MARGIN_M
+    high_m = corners_m.max(axis=0) + CROP_MARGIN_M
+    corners = np.array(list(product(*zip(low_m, high_m, strict=True))))
+    indices = scan.grid.indices(corners)
+    first = np.clip(np.floor(indices.min(axis=0)), 0, scan.grid.shape).astype(int)
+    end = np.clip(np.ceil(indices.max(axis=0)) + 1, 0, scan.grid.shape).astype(int)
+    part = scan.values[tuple(map(slice, first.tolist(), end.tolist()))]
+    origin_m = scan.grid.points_m(first)
+    return Volume(part.copy(), Grid(part.shape, origin_m, scan.grid.axes_m))
 
 
 def _find_labels(plan: _PlanFile, folder: Path) -> Path | None:

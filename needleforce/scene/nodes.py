@@ -60,6 +60,11 @@ class Ring(NamedTuple):
         self.line.visible = is_visible
         self.label.visible = is_visible
 
+    def shift_label(self, shift_m: float) -> None:
+        """Shift the label along the axis, so that it overprints no other."""
+        x, y, _ = self.label.position
+        self.label.position = (x, y, shift_m)
+
     def move(self, position_m: Array, axis: Array) -> None:
         """Move the ring to a place, about an axis."""
         self.line.position = tuple(position_m)
@@ -84,25 +89,31 @@ RING_RADIUS_M = 6e-3
 RING_POINTS = 33
 """Of the line that draws a ring."""
 
-_PLANNED_LABEL_M = -6.0 * RING_RADIUS_M
+_PLANNED_LABEL_M = -2.0 * RING_RADIUS_M
 _FOUND_LABEL_M = 2.0 * RING_RADIUS_M
 
-PATH_COLOR = Color(235, 235, 235)
-PLANNED = RingStyle(PATH_COLOR, _PLANNED_LABEL_M)
-OBSTACLE = RingStyle(Color(220, 60, 40), _PLANNED_LABEL_M)
-DETECTED = RingStyle(Color(255, 205, 0), _FOUND_LABEL_M)
+LABEL_HEIGHT_M = 6e-3
+LABEL_GAP_M = 8e-3
+"""Height of a label, and distance along the needle from one to the next."""
 
-EXPECTED = RingStyle(Color(90, 200, 250), _FOUND_LABEL_M)
+PATH_COLOR = Color(60, 60, 60)
+PLANNED = RingStyle(PATH_COLOR, _PLANNED_LABEL_M)
+OBSTACLE = RingStyle(Color(170, 40, 30), _PLANNED_LABEL_M)
+DETECTED = RingStyle(Color(230, 159, 0), _FOUND_LABEL_M)
+
+EXPECTED = RingStyle(Color(0, 114, 178), _FOUND_LABEL_M)
 """Of the next boundary, moved by what the ruptures have shown."""
 
-NEEDLE_COLOR = Color(200, 200, 210)
+NEEDLE_COLOR = Color(70, 75, 90)
 OFF_PLAN_COLOR = Color(230, 30, 30)
 """Of the needle while it is off the plan."""
 
 BONE_COLOR = Color(90, 100, 120)
-TARGET_COLOR = Color(80, 220, 120)
+TARGET_COLOR = Color(0, 158, 115)
+TRAIL_COLOR = Color(213, 94, 0)
+TRAIL_WIDTH = 3.0  # pixels
 
-CAMERA_M = np.array([0.29, -0.35, 0.16])
+CAMERA_M = np.array([0.19, -0.23, 0.11])
 """Where the camera stands at first, from the tip."""
 
 RIGHT = np.array([0.55, 0.45, 0.0]) / np.hypot(0.55, 0.45)
@@ -111,7 +122,6 @@ RIGHT = np.array([0.55, 0.45, 0.0]) / np.hypot(0.55, 0.45)
 MAX_RIGHT_COSINE = 0.9
 """An axis closer to that direction has its labels along z instead."""
 
-SURFACE_OPACITY = 0.35
 NEEDLE_LENGTH_M = 0.2
 NEEDLE_RADIUS_M = 0.8e-3
 TARGET_RADIUS_M = 3e-3
@@ -135,6 +145,7 @@ class PlanScene(NamedTuple):
         rotation: From the model to the robot's base, shape (3, 3).
         translation_m: Of the model's origin in the robot's base, shape (3,).
         warnings: What is wrong with the plan, or could not be checked.
+        scan: CT around the path, with `values` and `grid`, in the model; None for none.
     """
 
     surfaces: Sequence[Any] = ()
@@ -144,6 +155,7 @@ class PlanScene(NamedTuple):
     rotation: Array = np.eye(3)
     translation_m: Array = np.zeros(3)
     warnings: tuple[str, ...] = ()
+    scan: Any = None
 
     def to_robot(self, points_m: ArrayLike) -> Array:
         """Return points of the model in the robot's base, shape (3,) or (n, 3)."""
@@ -191,14 +203,20 @@ class ArmNodes:
         """Show the needle in the colour of a needle on the plan, or off it."""
         self._needle.color = OFF_PLAN_COLOR if is_off_plan else NEEDLE_COLOR
 
+    def needle_at(self, q_rad: ArrayLike) -> NeedlePose:
+        """Return where the needle is at joint positions, shape (n,)."""
+        q = np.asarray(q_rad, dtype=float)
+        pin.framesForwardKinematics(self._robot.model, self._data, q)
+        pose = self._data.oMf[self._robot.tool_frame_id]
+        return NeedlePose(pose.translation.copy(), pose.rotation[:, 2].copy())
+
     def update(self, q_rad: ArrayLike) -> NeedlePose:
         """Move the arm to joint positions, shape (n,); return where the needle is."""
         q = np.asarray(q_rad, dtype=float)
+        needle = self.needle_at(q)
+        tip_m = needle.tip_m
+        axis = needle.axis
         data = self._data
-        pin.framesForwardKinematics(self._robot.model, data, q)
-        pose = data.oMf[self._robot.tool_frame_id]
-        tip_m = pose.translation.copy()
-        axis = pose.rotation[:, 2].copy()
         if self._shapes is not None:
             self._shown_rad[self._shown_joints] = q
             self._shapes.update_cfg(self._shown_rad)
@@ -206,15 +224,32 @@ class ArmNodes:
             joints = range(self._robot.model.njoints)
             points_m = [data.oMi[joint].translation for joint in joints]
             bones = np.array([*points_m, tip_m])
-            _add_lines(self._server, "/bones", bones, BONE_COLOR, BONE_WIDTH)
+            add_lines(self._server, "/bones", bones, BONE_COLOR, BONE_WIDTH)
 
         self._needle.position = tuple(tip_m - 0.5 * NEEDLE_LENGTH_M * axis)
         self._needle.wxyz = quaternion_of_axis(axis)
-        return NeedlePose(tip_m, axis)
+        return needle
 
 
-def quaternion_of_axis(axis: Array) -> tuple[float, ...]:
-    """Return the quaternion (w, x, y, z) that turns the z axis to a direction.
+def label_shifts_m(depths_m: Sequence[float]) -> list[float]:
+    """Return how far labels at depths are shifted so that none overprints another.
+
+    The deepest stays; those before it move towards the entry as far as they must.
+
+    Args:
+        depths_m: Along the needle, in rising order.
+    """
+    shifts_m: list[float] = []
+    limit_m = np.inf
+    for depth_m in reversed(depths_m):
+        place_m = min(depth_m, limit_m)
+        limit_m = place_m - LABEL_GAP_M
+        shifts_m.append(place_m - depth_m)
+    return shifts_m[::-1]
+
+
+def rotation_of_axis(axis: Array) -> Array:
+    """Return the rotation that turns the z axis to a direction, shape (3, 3).
 
     x is turned to the right of the first view, as far as it can be.
     """
@@ -222,8 +257,12 @@ def quaternion_of_axis(axis: Array) -> tuple[float, ...]:
     right = np.array([0.0, 0.0, 1.0]) if is_along_right else RIGHT
     side = right - (right @ axis) * axis
     side /= np.linalg.norm(side)
-    rotation = np.column_stack([side, np.cross(axis, side), axis])
-    quaternion = pin.Quaternion(rotation)
+    return np.column_stack([side, np.cross(axis, side), axis])
+
+
+def quaternion_of_axis(axis: Array) -> tuple[float, ...]:
+    """Return the quaternion (w, x, y, z) of `rotation_of_axis`."""
+    quaternion = pin.Quaternion(rotation_of_axis(axis))
     return (
         float(quaternion.w),
         float(quaternion.x),
@@ -232,22 +271,12 @@ def quaternion_of_axis(axis: Array) -> tuple[float, ...]:
     )
 
 
-def add_anatomy(server: Any, plan: PlanScene) -> None:
-    """Add translucent structures, and the plan if there is one.
+def add_path(server: Any, plan: PlanScene) -> None:
+    """Add the planned path, its target, and a ring with a name at every boundary.
 
     Raises:
         SceneError: The plan has no length.
     """
-    for surface in plan.surfaces:
-        server.scene.add_mesh_simple(
-            f"/anatomy/{surface.name}",
-            plan.to_robot(surface.vertices_m).astype(np.float32),
-            np.asarray(surface.triangles, dtype=np.uint32),
-            color=Color(*(round(255 * value) for value in surface.colour)),
-            opacity=SURFACE_OPACITY,
-            side="double",
-        )
-
     if plan.entry_m is not None and plan.target_m is not None:
         _add_path(server, plan, plan.entry_m, plan.target_m)
 
@@ -255,7 +284,7 @@ def add_anatomy(server: Any, plan: PlanScene) -> None:
 def _add_path(
     server: Any, plan: PlanScene, model_entry_m: Array, model_target_m: Array
 ) -> None:
-    """Add the planned path, its target, and a ring with a name at every boundary."""
+    """Add path, target and rings between two points of the model."""
     entry_m = plan.to_robot(model_entry_m)
     target_m = plan.to_robot(model_target_m)
     length_m = float(np.linalg.norm(target_m - entry_m))
@@ -266,19 +295,22 @@ def _add_path(
 
     axis = (target_m - entry_m) / length_m
     line = np.array([entry_m - PATH_LEAD_M * axis, target_m])
-    _add_lines(server, "/plan/way", line, PATH_COLOR, PATH_WIDTH)
+    add_lines(server, "/plan/way", line, PATH_COLOR, PATH_WIDTH)
     server.scene.add_icosphere(
         "/plan/target", TARGET_RADIUS_M, color=TARGET_COLOR, position=tuple(target_m)
     )
+    exits_m = [layer.exit_m for layer in plan.layers[:-1]]
+    shifts_m = label_shifts_m(exits_m)
     for number, layer in enumerate(plan.layers[:-1], 1):
         next_layer = plan.layers[number]
-        add_ring(
+        ring = add_ring(
             server,
             f"/plan/boundary {number}",
             NeedlePose(entry_m + layer.exit_m * axis, axis),
             OBSTACLE if next_layer.is_obstacle else PLANNED,
-            next_layer.name,
+            next_layer.name.replace("_", " "),
         )
+        ring.shift_label(shifts_m[number - 1])
 
 
 def add_ring(
@@ -296,16 +328,21 @@ def add_ring(
     angle_rad = np.linspace(0.0, 2.0 * np.pi, RING_POINTS)
     circle = [np.cos(angle_rad), np.sin(angle_rad), np.zeros(RING_POINTS)]
     points_m = RING_RADIUS_M * np.stack(circle, axis=1)
-    line = _add_lines(server, name, points_m, style.color, RING_WIDTH)
+    line = add_lines(server, name, points_m, style.color, RING_WIDTH)
     label = server.scene.add_label(
-        f"{name}/label", text, position=(style.label_offset_m, 0.0, 0.0)
+        f"{name}/label",
+        text,
+        position=(style.label_offset_m, 0.0, 0.0),
+        font_size_mode="scene",
+        font_scene_height=LABEL_HEIGHT_M,
+        anchor="center-right" if style.label_offset_m < 0.0 else "center-left",
     )
     ring = Ring(line, label)
     ring.move(pose.tip_m, pose.axis)
     return ring
 
 
-def _add_lines(
+def add_lines(
     server: Any, name: str, points_m: Array, color: Color, width: float
 ) -> Any:
     """Add a line through points, shape (n, 3), so many pixels wide."""

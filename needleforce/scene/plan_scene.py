@@ -9,6 +9,8 @@ import numpy as np
 from needleforce.files import whole_file
 from needleforce.scene import nodes
 from needleforce.scene.guarded_server import PageAccess, open_server
+from needleforce.scene.structure_list import add_surfaces
+from needleforce.scene.title_bar import TitleBar
 
 CAMERA_DISTANCE_M = 0.45
 """From the target, behind the entry and a little to the head."""
@@ -32,7 +34,9 @@ def export_plan(plan: nodes.PlanScene, path: Path) -> Path:
     server = open_server(HOST, ANY_PORT, "needleforce plan", access)
     try:
         server.scene.set_up_direction("+z")
-        nodes.add_anatomy(server, plan)
+        add_surfaces(server, plan)
+        nodes.add_path(server, plan)
+        TitleBar(server, plan.warnings)
         if plan.entry_m is not None and plan.target_m is not None:
             entry_m = plan.to_robot(plan.entry_m)
             target_m = plan.to_robot(plan.target_m)

@@ -46,6 +46,16 @@ def rupture_text(row: ViewRow, names: Mapping[float, str]) -> str:
     return f"{text}: {meaning} ({100.0 * row.plan_matched_probability:.0f} %)"
 
 
+def rupture_label(row: ViewRow, names: Mapping[float, str]) -> str:
+    """Return the rupture of a row in a word or two, for its label in the scene."""
+    number = f"{row.rupture:.0f}"
+    if math.isnan(row.plan_matched) or row.is_off_plan:
+        return f"rupture {number}"
+    if row.plan_matched < 0.0:
+        return f"{number}: false alarm?"
+    return f"{number}: {names.get(row.plan_matched, '').replace('_', ' ')}"
+
+
 def state_lines(
     row: ViewRow, names: Mapping[float, str], full_bar_N: float
 ) -> Iterator[str]:

@@ -44,6 +44,7 @@ class ViewRow(NamedTuple):
         tip_N: Tip force.
         tip_std_N: Standard deviation of the tip force.
         friction_N: Shaft friction.
+        enhanced_N: Axial force less the friction of the layers traversed.
         layer: Number of the layer that the tip is in.
         rupture: Number of the layer that ruptured in this tick, else 0.
         rupture_depth_m: Depth of that rupture.
@@ -76,6 +77,7 @@ class ViewRow(NamedTuple):
     tip_N: float
     tip_std_N: float
     friction_N: float
+    enhanced_N: float
     layer: float
     rupture: float
     rupture_depth_m: float
@@ -162,6 +164,7 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
         tip_N=identification.tip_force_N,
         tip_std_N=identification.tip_force_std_N or 0.0,
         friction_N=identification.shaft_friction_N,
+        enhanced_N=identification.enhanced_force_N,
         layer=identification.layer,
         rupture=0.0 if rupture is None else rupture.layer,
         rupture_depth_m=0.0 if rupture is None else rupture.depth_m,

@@ -9,7 +9,6 @@ import errno
 import socket
 import sys
 import threading
-import time
 from collections.abc import Sequence
 from contextlib import redirect_stdout
 from pathlib import Path
@@ -20,24 +19,35 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.files import whole_file
 from needleforce.scene import nodes
+from needleforce.scene.force_arrow import ForceArrow
+from needleforce.scene.force_plots import COLUMN, ForcePlots
 from needleforce.scene.guarded_server import PageAccess, open_server
 from needleforce.scene.row_text import (
     BANNER,
     layer_names,
     next_layer_name,
+    rupture_label,
     rupture_text,
     state_lines,
 )
+from needleforce.scene.scan_slices import PIXELS, TITLES, ScanSlices
 from needleforce.scene.state_ring import FIELDS, SceneCode, SceneError, ViewRow
+from needleforce.scene.structure_list import StructureList, add_surfaces
+from needleforce.scene.time_panel import FRAME_S, TimePanel
+from needleforce.scene.title_bar import NOTE, TitleBar
 from urdf import Robot
 
-NOTE = "Simulation and research only: not a medical device."
+NARROW_PX = 600
+"""On a narrower screen the panel is folded at first."""
 
 FULL_BAR_N = 4.0
 """Tip force at which the bar is full."""
 
-MAX_CURVE_POINTS = 500
-"""Of a curve; longer ones are thinned."""
+MAX_TRAIL_POINTS = 100
+"""Of the real path of the tip; longer ones are thinned."""
+
+TIP_CAMERA_M = 0.04
+"""Of the camera at the tip, behind it and beside it."""
 
 KEPT_RATE_HZ = 50.0
 """So many rows a second are kept, and those with ruptures."""
@@ -45,49 +55,7 @@ KEPT_RATE_HZ = 50.0
 MAX_ROWS = 30_000
 """When more are kept, every second one is dropped."""
 
-FRAME_S = 0.05
-"""Time from picture to picture when a recording is played."""
-
-TIME_STEP_S = 0.01
-"""Of the time line."""
-
-MIN_SPAN_S = 0.01
-"""The time line is never shorter."""
-
 MAX_PORT = 65535
-
-M_TO_MM = 1e3
-
-TIME_LABEL = "time [s]"
-DEPTH_LABEL = "depth, counted as above [mm]"
-
-
-class ForceCurve(NamedTuple):
-    """A force in the plots.
-
-    Attributes:
-        name: In the legend.
-        field: Of a row, with its values.
-        std_field: Of a row, with their standard deviations.
-        color: Red, green and blue.
-    """
-
-    name: str
-    field: str
-    std_field: str
-    color: str
-
-
-CURVES = (
-    ForceCurve("force", "force_N", "force_std_N", "42, 157, 111"),
-    ForceCurve("tip force", "tip_N", "tip_std_N", "138, 58, 185"),
-)
-
-LINE_WIDTH = 2.0  # pixels
-BAND_WIDTH = 0.3  # pixels, of the two lines that bound a band
-
-COLUMN = {name: column for column, name in enumerate(FIELDS)}
-"""Columns of rows by the names of their fields."""
 
 
 class Mark(NamedTuple):
@@ -98,6 +66,7 @@ class Mark(NamedTuple):
         number: Of the layer that ruptured.
         text: Of its label.
         ring: In the scene.
+        place_m: Of the rupture in the robot's base, shape (3,).
         until_s: When the alarm was retracted.
     """
 
@@ -105,6 +74,7 @@ class Mark(NamedTuple):
     number: float
     text: str
     ring: nodes.Ring
+    place_m: Array
     until_s: float = np.inf
 
 
@@ -141,6 +111,8 @@ class Viewer:
     Attributes:
         url: Where the page is; with a token unless it is bound to loopback.
         marks: The ruptures shown, past and to come.
+        time: The time line.
+        structures: The list of structures.
 
     Raises:
         SceneError: viser is not installed, nothing can listen there, or the plan has no
@@ -167,8 +139,11 @@ class Viewer:
         self._names = layer_names(plan)
         self._lock = threading.Lock()
         self._shown_s: float | None = None  # time of the row that is shown
+        self._server.on_client_connect(_fold_on_phone)
         self._add_scene(robot, plan, urdf_path)
         self._add_panel(plan.warnings)
+        self._slices = None if plan.scan is None else ScanSlices(plan)
+        self._images = [] if plan.scan is None else self._add_images()
 
     def _add_scene(
         self, robot: Robot, plan: nodes.PlanScene, urdf_path: Path | None
@@ -177,7 +152,16 @@ class Viewer:
         scene = self._server.scene
         scene.set_up_direction("+z")
         self._arm = nodes.ArmNodes(self._server, robot, urdf_path)
-        nodes.add_anatomy(self._server, plan)
+        self._surfaces = add_surfaces(self._server, plan)
+        nodes.add_path(self._server, plan)
+        self._arrow = ForceArrow(self._server)
+        self._trail = nodes.add_lines(
+            self._server,
+            "/trail",
+            np.zeros((2, 3)),
+            nodes.TRAIL_COLOR,
+            nodes.TRAIL_WIDTH,
+        )
         upright = nodes.NeedlePose(np.zeros(3), np.array([0.0, 0.0, 1.0]))
         self._ahead = nodes.add_ring(
             self._server, "/ahead", upright, nodes.EXPECTED, ""
@@ -189,6 +173,7 @@ class Viewer:
     def _add_panel(self, plan_warnings: tuple[str, ...]) -> None:
         """Add the state in words, the time line and the plots beside the scene."""
         gui = self._server.gui
+        self._title = TitleBar(self._server, plan_warnings)
         gui.add_markdown(f"**needleforce** – {NOTE}")
         self._banner = gui.add_markdown("")
         for warning in plan_warnings:
@@ -196,50 +181,21 @@ class Viewer:
         self._text = gui.add_markdown("waiting for the first sample")
         self._bar = gui.add_progress_bar(0.0, color="violet")
         self._events = gui.add_markdown("")
-        with gui.add_folder("Time"):
-            self._slider = gui.add_slider(TIME_LABEL, 0.0, 1.0, TIME_STEP_S, 0.0)
-            self._live = gui.add_checkbox("live", True)
-            self._play = gui.add_button("Play")
+        self.time = TimePanel(gui, self.show)
+        self._plots = ForcePlots(gui)
+        self.structures = StructureList(self._server, self._surfaces)
+        self._at_tip = gui.add_checkbox("camera at the tip", False)
 
-        self._plots = {
-            label: self._add_plot(label) for label in (TIME_LABEL, DEPTH_LABEL)
-        }
-        self._slider.on_update(self._show_slider_time)
-        self._play.on_click(
-            lambda _: threading.Thread(target=self._replay, daemon=True).start()
-        )
-
-    def _add_plot(self, x_label: str) -> Any:
-        """Add a plot of the curves, each with a band of two standard deviations."""
-        from viser import uplot
-
-        series = [uplot.Series(label=x_label)]
-        bands = []
-        for curve in CURVES:
-            stroke = f"rgb({curve.color})"
-            upper = len(series) + 1
-            bands.append(
-                uplot.Band(series=(upper, upper + 1), fill=f"rgba({curve.color}, 0.18)")
-            )
-            series += [
-                uplot.Series(
-                    label=f"{curve.name} [N]", stroke=stroke, width=LINE_WIDTH
-                ),
-                uplot.Series(label="+ 2 std", stroke=stroke, width=BAND_WIDTH),
-                uplot.Series(label="- 2 std", stroke=stroke, width=BAND_WIDTH),
+    def _add_images(self) -> list[Any]:
+        """Add the places of the CT's slices beside the scene."""
+        panel = self._server.gui.add_panel()
+        empty = np.zeros((PIXELS, PIXELS, 3), np.uint8)
+        with panel.add_tab("CT at the needle"):
+            images = [
+                self._server.gui.add_image(empty, label=title) for title in TITLES
             ]
-
-        return self._server.gui.add_uplot(
-            tuple(np.zeros(1) for _ in series),
-            tuple(series),
-            title=f"force [N] over {x_label}",
-            bands=tuple(bands),
-            scales={
-                "x": uplot.Scale(time=False, auto=True),
-                "y": uplot.Scale(auto=True),
-            },
-            aspect=1.6,
-        )
+        panel.dock_left()
+        return images
 
     def append(self, rows: Array) -> None:
         """Add further rows of `view_row`, shape (n, k), in the order of time."""
@@ -283,10 +239,19 @@ class Viewer:
             f"/ruptures/{len(self.marks)}",
             nodes.NeedlePose(rupture_m, needle.axis),
             nodes.DETECTED,
-            text,
+            rupture_label(row, self._names),
         )
         ring.set_visible(False)  # until its time is shown
-        self.marks.append(Mark(row.time_s, row.rupture, text, ring))
+        self.marks.append(Mark(row.time_s, row.rupture, text, ring, rupture_m))
+        self.time.add_jump(row.time_s, f"rupture {row.rupture:.0f}")
+        self._spread_labels(needle.axis)
+
+    def _spread_labels(self, axis: Array) -> None:
+        """Shift the labels of the ruptures so that none overprints another."""
+        marks = sorted(self.marks, key=lambda mark: float(mark.place_m @ axis))
+        shifts_m = nodes.label_shifts_m([float(mark.place_m @ axis) for mark in marks])
+        for mark, shift_m in zip(marks, shifts_m, strict=True):
+            mark.ring.shift_label(shift_m)
 
     def show(self, time_s: float | None = None) -> None:
         """Show the state at a time, by default the newest."""
@@ -306,8 +271,16 @@ class Viewer:
 
     def follow(self) -> None:
         """Show the newest, unless somebody has moved the time line."""
-        if self._live.value:
+        if self.time.live.value:
             self.show()
+
+    def open_recording(self) -> None:
+        """Show what has come from its start, as a recording that does not go on."""
+        with self._lock:
+            times_s = self._rows[:, COLUMN["time_s"]]
+        if len(times_s):
+            self.time.open_recording(float(times_s[0]), float(times_s[-1]))
+            self.show(float(times_s[0]))
 
     def _draw(self, index: int) -> None:
         """Draw the row of an index, and what had happened until then."""
@@ -318,17 +291,20 @@ class Viewer:
             self._draw_marks(row)
             self._draw_expected(row, needle)
             self._draw_banner(row, needle)
-            latest_s = float(self._rows[-1, COLUMN["time_s"]])
-            self._slider.max = max(latest_s, MIN_SPAN_S)
-            if self._live.value:
-                self._slider.value = round(row.time_s, 2)
+            self._arrow.show(row, needle)
+            self._draw_trail(index, row)
+            self._draw_slices(needle)
+            self.time.set_end(float(self._rows[-1, COLUMN["time_s"]]))
+            if self.time.live.value:
+                self.time.slider.value = round(row.time_s, 2)
 
             lines = state_lines(row, self._names, FULL_BAR_N)
             self._text.content = "\n\n".join(lines)
             percent = 100.0 * row.tip_N / FULL_BAR_N
             self._bar.value = float(np.clip(percent, 0.0, 100.0))
-            self._draw_curves(index)
+            self._plots.draw(self._rows[: index + 1], row.zero_m)
 
+        self._move_camera(needle)
         if self._shown_s is None:
             camera = self._server.initial_camera
             camera.look_at = tuple(needle.tip_m)
@@ -358,55 +334,48 @@ class Viewer:
     def _draw_banner(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
         """Turn the needle red and say so while it is off the plan."""
         self._arm.show_off_plan(row.is_off_plan)
+        self._title.show(is_off_plan=row.is_off_plan)
         self._off_plan.visible = row.is_off_plan
         self._off_plan.position = tuple(needle.tip_m)
         self._banner.content = ""
         if row.is_off_plan:
             self._banner.content = f"# ⚠ {BANNER}\n\nNo layer is named from it."
 
-    def _draw_curves(self, index: int) -> None:
-        """Draw the forces until a row, where they were good."""
+    def _draw_trail(self, index: int, row: ViewRow) -> None:
+        """Draw the real path of the tip until a row, from shortly before the entry."""
         rows = self._rows[: index + 1]
-        rows = rows[rows[:, COLUMN["is_good"]] > 0.0]
-        rows = rows[:: max(len(rows) // MAX_CURVE_POINTS, 1)]
-        curves = []
-        for curve in CURVES:
-            force_N = rows[:, COLUMN[curve.field]]
-            band_N = 2.0 * rows[:, COLUMN[curve.std_field]]
-            curves += [force_N, force_N + band_N, force_N - band_N]
+        begin_m = row.zero_m - nodes.PATH_LEAD_M
+        rows = rows[rows[:, COLUMN["depth_m"]] >= begin_m]
+        rows = rows[:: max(len(rows) // MAX_TRAIL_POINTS, 1)]
+        is_shown = len(rows) > 1
+        self._trail.visible = is_shown
+        if is_shown:
+            tips_m = np.array(
+                [self._arm.needle_at(_joints_of(one)).tip_m for one in rows]
+            )
+            segments = np.stack([tips_m[:-1], tips_m[1:]], axis=1)
+            self._trail.points = segments.astype(np.float32)
 
-        time_s = rows[:, COLUMN["time_s"]]
-        self._plots[TIME_LABEL].data = (time_s, *curves)
+    def _draw_slices(self, needle: nodes.NeedlePose) -> None:
+        """Draw the CT at the needle, if there is one and the needle has moved."""
+        if self._slices is None:
+            return
+        for image, picture in zip(
+            self._images, self._slices.draw(needle), strict=False
+        ):
+            image.image = picture
 
-        # A curve over depth runs forth and back: only what is deeper than all before.
-        depth_m = rows[:, COLUMN["depth_m"]] - self._rows[index, COLUMN["zero_m"]]
-        is_deepest = depth_m >= np.maximum.accumulate(depth_m)
-        self._plots[DEPTH_LABEL].data = tuple(
-            values[is_deepest] for values in (M_TO_MM * depth_m, *curves)
-        )
-
-    def _show_slider_time(self, event: Any) -> None:
-        """Show the time that somebody has moved the time line to."""
-        if event.client is not None:  # by hand, not by the program
-            self._live.value = False
-            self.show(self._slider.value)
-
-    def _replay(self) -> None:
-        """Play from where the time line stands to its end, in real time."""
-        self._live.value = False
-        self._play.disabled = True
-        start_s = float(self._slider.value)
-        end_s = self._slider.max
-        if start_s >= end_s - FRAME_S:
-            start_s = 0.0
-
-        begin_s = time.monotonic() - start_s
-        while (shown_s := time.monotonic() - begin_s) < end_s + FRAME_S:
-            self._slider.value = round(min(shown_s, end_s), 2)
-            self.show(shown_s)
-            time.sleep(FRAME_S)
-
-        self._play.disabled = False
+    def _move_camera(self, needle: nodes.NeedlePose) -> None:
+        """Let every browser look along the needle, if that is asked for."""
+        if not self._at_tip.value:
+            return
+        frame = nodes.rotation_of_axis(needle.axis)
+        for client in self._server.get_clients().values():
+            client.camera.up_direction = tuple(frame[:, 1])
+            client.camera.position = tuple(
+                needle.tip_m - TIP_CAMERA_M * needle.axis + TIP_CAMERA_M * frame[:, 0]
+            )
+            client.camera.look_at = tuple(needle.tip_m)
 
     def export(self, path: str | Path, *, frames: int = 120) -> Path:
         """Write the scene as one page that needs nothing else, with a film.
@@ -444,6 +413,12 @@ class Viewer:
         """Close the page."""
         with redirect_stdout(sys.stderr):
             self._server.stop()
+
+
+def _fold_on_phone(browser: Any) -> None:
+    """Fold the panel of a browser on a narrow screen; a tap unfolds it."""
+    if browser.camera.image_width < NARROW_PX:
+        browser.gui.main_panel.minimize()
 
 
 def _view_row_of(row_values: Array) -> ViewRow:

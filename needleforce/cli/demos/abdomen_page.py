@@ -19,7 +19,7 @@ from needleforce.cli.demos.abdomen_insertion import (
 )
 from needleforce.cli.demos.result_page import NOT_MEDICAL, DemoResult, NamedChart
 from needleforce.cli.patient.plan_slices import draw_along
-from needleforce.cli.plan_file import large_structures
+from needleforce.cli.plan_file import crop_scan, large_structures
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import progress_bar, require_modules, write_out
@@ -48,9 +48,6 @@ SCENE = "scene.html"
 
 UP = (0.0, 0.0, 1.0)
 """Direction to the head in the model, and up in the scene."""
-
-HIDING_STRUCTURE = "lean"
-"""Structure that would hide what lies in it; the scene does not show it."""
 
 TITLE = "From a CT to a needle whose ruptures correct the plan"
 
@@ -184,7 +181,7 @@ def write_scene(insertion: Insertion, path: Path) -> Path:
     )
     rotation = alignment[0]
     labels = insertion.torso.labels
-    names = [name for name in large_structures(labels) if name != HIDING_STRUCTURE]
+    names = large_structures(labels)
     scene = PlanScene(
         surfaces=tuple(labels.surfaces(names).values()),
         layers=insertion.layers,
@@ -192,6 +189,7 @@ def write_scene(insertion: Insertion, path: Path) -> Path:
         target_m=planned.target_m,
         rotation=rotation.as_matrix(),
         translation_m=followed.entry_in_base_m - rotation.apply(planned.entry_m),
+        scan=crop_scan(insertion.torso.scan, planned.entry_m, planned.target_m),
     )
     shapes = urdf_with_shapes(RobotOptions())
     viewer = Viewer(insertion.robot, scene, urdf_path=shapes)

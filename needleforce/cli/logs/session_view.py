@@ -125,7 +125,7 @@ def view_recording(
         further_hosts=page.further_hosts,
     )
     viewer.append(rows)
-    viewer.show()
+    viewer.open_recording()
     page.show(viewer)
     viewer.stop()
     return 0

@@ -172,18 +172,18 @@ def test_the_first_browser_steers_the_second_looks(viewer):
         assert second.wait_for(has_slider)
         assert second.wait_for("document.body.innerText.includes('You look.')")
         assert "You look." not in first.evaluate("document.body.innerText")
-        before = viewer._slider.value
+        before = viewer.time.slider.value
         second.evaluate(press)
         time.sleep(1.0)
 
-        assert viewer._slider.value == before
+        assert viewer.time.slider.value == before
 
         first.evaluate(press)
         end_s = time.monotonic() + 10.0
-        while viewer._slider.value == before and time.monotonic() < end_s:
+        while viewer.time.slider.value == before and time.monotonic() < end_s:
             time.sleep(0.1)
 
-        assert viewer._slider.value != before
+        assert viewer.time.slider.value != before
 
 
 @needs_chromium
@@ -207,4 +207,4 @@ def test_a_page_of_another_server_gets_no_connection(viewer, tmp_path):
     finally:
         other.shutdown()
         other.server_close()
-    assert np.isfinite(viewer._slider.value)
+    assert np.isfinite(viewer.time.slider.value)

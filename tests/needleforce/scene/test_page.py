@@ -172,7 +172,9 @@ def test_before_the_tare_no_curve_is_shown(viewer):
     viewer.append(np.vstack([row(0.0, is_good=0.0), insertion()[2:]]))
     for time_s, points in ((None, 198), (0.0, 0)):
         viewer.show(time_s)
-        assert all(len(plot.data[0]) == points for plot in viewer._plots.values())
+        assert all(
+            len(plot.data[0]) == points for plot in viewer._plots.charts.values()
+        )
 
 
 def test_a_plan_names_layers_retracted_alarms_vanish(viewer):
@@ -222,6 +224,7 @@ def test_a_row_holds_the_estimate_and_its_plan():
     )
     identification.tip_force_std_N = None
     identification.shaft_friction_N = 0.1
+    identification.enhanced_force_N = 0.7
     estimate = SimpleNamespace(
         time_s=1.0,
         depth_m=0.04,
@@ -276,6 +279,7 @@ def test_a_loop_hands_rows_to_a_page_process():
         rupture=None, retracted=None, tip_force_N=0.5, tip_force_std_N=None
     )
     identification.shaft_friction_N = 0.1
+    identification.enhanced_force_N = 0.7
     identification.layer = 1
     with open_viewer(robot, port=8241) as view:
         assert view.url.startswith("http://127.0.0.1:")

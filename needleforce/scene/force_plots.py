@@ -1,0 +1,129 @@
+"""Forces over time and over depth, with bands of two standard deviations."""
+
+from typing import Any, NamedTuple
+
+import numpy as np
+
+from foundation.arrays import Array
+from needleforce.scene.state_ring import FIELDS
+
+MAX_CURVE_POINTS = 500
+"""Of a curve; longer ones are thinned."""
+
+TIME_LABEL = "time [s]"
+DEPTH_LABEL = "depth, counted as above [mm]"
+FORCE_LABEL = "force [N]"
+
+LINE_WIDTH = 2.0  # pixels
+BAND_WIDTH = 0.3  # pixels, of the two lines that bound a band
+
+M_TO_MM = 1e3
+
+COLUMN = {name: column for column, name in enumerate(FIELDS)}
+"""Columns of rows by the names of their fields."""
+
+
+class ForceCurve(NamedTuple):
+    """A force in the plots.
+
+    Attributes:
+        name: In the legend.
+        field: Of a row, with its values.
+        std_field: Of a row, with their standard deviations; empty where none are known.
+        color: Red, green and blue; told apart also without red or green.
+        dash: Pixels drawn and left out; empty for a line without gaps.
+    """
+
+    name: str
+    field: str
+    std_field: str
+    color: str
+    dash: tuple[float, ...] = ()
+
+
+CURVES = (
+    ForceCurve("axial force", "force_N", "force_std_N", "0, 114, 178"),
+    ForceCurve("tip force", "tip_N", "tip_std_N", "213, 94, 0", (8.0, 3.0)),
+    ForceCurve("enhanced force", "enhanced_N", "", "0, 0, 0", (2.0, 3.0)),
+)
+
+
+class ForcePlots:
+    """The two plots.
+
+    Args:
+        gui: Of the page.
+
+    Attributes:
+        charts: The plots by the label of their x axis.
+    """
+
+    def __init__(self, gui: Any) -> None:
+        self.charts = {label: _add_chart(gui, label) for label in _LABELS}
+
+    def draw(self, rows: Array, zero_m: float) -> None:
+        """Draw the forces of rows, shape (n, k), where they were good.
+
+        Args:
+            rows: See `view_row`.
+            zero_m: Depth from which shown depths count.
+        """
+        rows = rows[rows[:, COLUMN["is_good"]] > 0.0]
+        rows = rows[:: max(len(rows) // MAX_CURVE_POINTS, 1)]
+        curves: list[Array] = []
+        for curve in CURVES:
+            force_N = rows[:, COLUMN[curve.field]]
+            curves.append(force_N)
+            if curve.std_field:
+                band_N = 2.0 * rows[:, COLUMN[curve.std_field]]
+                curves += [force_N + band_N, force_N - band_N]
+
+        time_s = rows[:, COLUMN["time_s"]]
+        self.charts[TIME_LABEL].data = (time_s, *curves)
+
+        # A curve over depth runs forth and back: only what is deeper than all before.
+        depth_m = rows[:, COLUMN["depth_m"]] - zero_m
+        is_deepest = depth_m >= np.maximum.accumulate(depth_m)
+        self.charts[DEPTH_LABEL].data = tuple(
+            values[is_deepest] for values in (M_TO_MM * depth_m, *curves)
+        )
+
+
+_LABELS = (TIME_LABEL, DEPTH_LABEL)
+
+
+def _add_chart(gui: Any, x_label: str) -> Any:
+    """Add a plot of the curves, each with its band."""
+    from viser import uplot
+
+    series = [uplot.Series(label=x_label)]
+    bands = []
+    for curve in CURVES:
+        stroke = f"rgb({curve.color})"
+        line = uplot.Series(
+            label=f"{curve.name} [N]", stroke=stroke, width=LINE_WIDTH, dash=curve.dash
+        )
+        series.append(line)
+        if not curve.std_field:
+            continue
+        upper = len(series)
+        bands.append(
+            uplot.Band(series=(upper, upper + 1), fill=f"rgba({curve.color}, 0.18)")
+        )
+        series += [
+            uplot.Series(label=label, stroke=stroke, width=BAND_WIDTH)
+            for label in ("+ 2 std", "- 2 std")
+        ]
+
+    return gui.add_uplot(
+        tuple(np.zeros(1) for _ in series),
+        tuple(series),
+        title=f"{FORCE_LABEL} over {x_label}",
+        bands=tuple(bands),
+        scales={
+            "x": uplot.Scale(time=False, auto=True),
+            "y": uplot.Scale(auto=True),
+        },
+        axes=(uplot.Axis(label=x_label), uplot.Axis(label=FORCE_LABEL)),
+        aspect=1.4,
+    )

@@ -1,0 +1,78 @@
+"""The structures of a scene: each can be hidden, or made more or less see-through."""
+
+from collections.abc import Sequence
+from typing import Any
+
+import numpy as np
+
+from needleforce.scene.nodes import Color, PlanScene
+
+FAINT = ("fat", "skin", "body", "lean")
+"""Words in the names of structures that surround all others."""
+
+FAINT_OPACITY = 0.06
+OPACITY = 0.4
+OPACITY_STEP = 0.02
+
+
+def usual_opacity(name: str) -> float:
+    """Return how opaque a structure is at first."""
+    words = name.lower().replace("_", " ").split()
+    return FAINT_OPACITY if any(word in words for word in FAINT) else OPACITY
+
+
+def add_surfaces(server: Any, plan: PlanScene) -> dict[str, Any]:
+    """Add the surfaces of the structures; return their nodes by name."""
+    nodes: dict[str, Any] = {}
+    for surface in plan.surfaces:
+        nodes[surface.name] = server.scene.add_mesh_simple(
+            f"/anatomy/{surface.name}",
+            plan.to_robot(surface.vertices_m).astype(np.float32),
+            np.asarray(surface.triangles, dtype=np.uint32),
+            color=Color(*(round(255 * value) for value in surface.colour)),
+            opacity=usual_opacity(surface.name),
+            side="double",
+        )
+    return nodes
+
+
+class StructureList:
+    """The list beside the scene: a box and a slider for each structure.
+
+    Args:
+        server: Of the page.
+        nodes: The structures by name.
+    """
+
+    def __init__(self, server: Any, nodes: dict[str, Any]) -> None:
+        self.sliders: dict[str, Any] = {}
+        self.boxes: dict[str, Any] = {}
+        if not nodes:
+            return
+        with server.gui.add_folder("Structures", expand_by_default=False):
+            for name in _sorted_names(nodes):
+                self._add_line(server.gui, name, nodes[name])
+
+    def _add_line(self, gui: Any, name: str, node: Any) -> None:
+        """Add box and slider of a structure."""
+        shown = name.replace("_", " ")
+        box = gui.add_checkbox(shown, True)
+        slider = gui.add_slider(
+            "opacity", 0.0, 1.0, OPACITY_STEP, usual_opacity(name), hint=shown
+        )
+
+        def show(_event: Any) -> None:
+            node.visible = box.value
+
+        def fade(_event: Any) -> None:
+            node.opacity = slider.value
+
+        box.on_update(show)
+        slider.on_update(fade)
+        self.boxes[name] = box
+        self.sliders[name] = slider
+
+
+def _sorted_names(nodes: dict[str, Any]) -> Sequence[str]:
+    """Return the names, those of faint structures last."""
+    return sorted(nodes, key=lambda name: (usual_opacity(name) == FAINT_OPACITY, name))
