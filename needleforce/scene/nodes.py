@@ -93,7 +93,7 @@ _PLANNED_LABEL_M = -2.0 * RING_RADIUS_M
 _FOUND_LABEL_M = 2.0 * RING_RADIUS_M
 
 LABEL_HEIGHT_M = 6e-3
-LABEL_GAP_M = 8e-3
+LABEL_GAP_M = 10e-3
 """Height of a label, and distance along the needle from one to the next."""
 
 PATH_COLOR = Color(60, 60, 60)

@@ -7,11 +7,11 @@ import numpy as np
 
 from needleforce.scene.nodes import Color, PlanScene
 
-FAINT = ("fat", "skin", "body", "lean")
+FAINT = ("fat", "skin", "body", "lean", "muscle", "cavity")
 """Words in the names of structures that surround all others."""
 
 FAINT_OPACITY = 0.06
-OPACITY = 0.4
+OPACITY = 0.25
 OPACITY_STEP = 0.02
 
 

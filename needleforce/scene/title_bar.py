@@ -11,9 +11,9 @@ from typing import Any
 from needleforce.scene.row_text import BANNER
 
 NOTE = "Simulation and research only: not a medical device."
-SHORT_NOTE = "Research only: not a medical device"
+SHORT_NOTE = "Not a medical device"
 
-WIDTH_PX = 340
+WIDTH_PX = 260
 HEIGHT_PX = 28
 BANNER_PX = 88
 BADGE_PX = 20

@@ -37,9 +37,6 @@ from needleforce.scene.time_panel import FRAME_S, TimePanel
 from needleforce.scene.title_bar import NOTE, TitleBar
 from urdf import Robot
 
-NARROW_PX = 600
-"""On a narrower screen the panel is folded at first."""
-
 FULL_BAR_N = 4.0
 """Tip force at which the bar is full."""
 
@@ -139,7 +136,6 @@ class Viewer:
         self._names = layer_names(plan)
         self._lock = threading.Lock()
         self._shown_s: float | None = None  # time of the row that is shown
-        self._server.on_client_connect(_fold_on_phone)
         self._add_scene(robot, plan, urdf_path)
         self._add_panel(plan.warnings)
         self._slices = None if plan.scan is None else ScanSlices(plan)
@@ -413,12 +409,6 @@ class Viewer:
         """Close the page."""
         with redirect_stdout(sys.stderr):
             self._server.stop()
-
-
-def _fold_on_phone(browser: Any) -> None:
-    """Fold the panel of a browser on a narrow screen; a tap unfolds it."""
-    if browser.camera.image_width < NARROW_PX:
-        browser.gui.main_panel.minimize()
 
 
 def _view_row_of(row_values: Array) -> ViewRow:

@@ -1,0 +1,220 @@
+"""The panel beside the scene: time line, jumps, structures, CT, off plan."""
+
+import time
+
+import numpy as np
+import pytest
+
+from tests.chromium import needs_chromium
+from tests.needleforce.scene.test_page import HOME, insertion, plan, row
+
+pytest.importorskip("viser")
+
+from needleforce import NeedleTool, load_lwr
+from needleforce.anatomy import Grid, Volume
+from needleforce.cli.plan_file import crop_scan
+from needleforce.scene import PlanScene, Viewer
+from needleforce.scene.nodes import NeedlePose, label_shifts_m
+from needleforce.scene.scan_slices import PIXELS, TIP_ROW, ScanSlices
+from needleforce.scene.state_ring import FIELDS
+from needleforce.scene.structure_list import usual_opacity
+from needleforce.scene.title_bar import TitleBar
+
+
+def scanned(bright_m):
+    """A plan with a CT of air that has one bright place, in axes of its own."""
+    grid = Grid((61, 61, 61), np.full(3, -0.06), 2e-3 * np.eye(3))
+    values = np.full(grid.shape, -1000, np.int16)
+    i, j, k = np.rint(grid.indices(bright_m)).astype(int)
+    values[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2] = 1000
+    rotation = np.array([[1.0, 0.0, 0.0], [0.0, 0.0, 1.0], [0.0, -1.0, 0.0]])
+    return PlanScene(
+        rotation=rotation,
+        translation_m=np.array([0.6, 0.0, 0.3]),
+        scan=Volume(values, grid),
+    )
+
+
+@pytest.fixture
+def viewer():
+    """A recording with a plan, which ends off the plan."""
+    page = Viewer(load_lwr(payload=NeedleTool()), plan(), port=8431)
+    rows = insertion()
+    rows[150:, FIELDS.index("aside_is_off_plan")] = 1.0
+    page.append(rows)
+    page.open_recording()
+    yield page
+    page.stop()
+
+
+def wait_until(condition, seconds=10.0):
+    """Whether a condition becomes true in time."""
+    end_s = time.monotonic() + seconds
+    while not condition() and time.monotonic() < end_s:
+        time.sleep(0.05)
+    return condition()
+
+
+def test_a_recording_opens_at_its_start(viewer):
+    viewer.follow()
+
+    assert viewer.time.slider.value == 0.0
+    assert "**0.0 s**" in viewer._text.content
+    assert not viewer.time.live.visible
+
+
+def test_a_recording_plays_faster_if_asked(viewer):
+    viewer.time.speed.value = "8"
+    begin_s = time.monotonic()
+    viewer.time._toggle(None)
+
+    assert wait_until(lambda: viewer.time.slider.value > 4.0)
+
+    lasted_s = time.monotonic() - begin_s
+    shown_s = viewer.time.slider.value
+
+    assert shown_s / lasted_s > 2.0
+
+    viewer.time._toggle(None)
+
+    assert wait_until(lambda: viewer.time.play.label == "Play")
+
+
+def test_labels_keep_their_distance():
+    shifts_m = label_shifts_m([0.02, 0.022, 0.05])
+
+    assert np.allclose(shifts_m, [-0.008, 0.0, 0.0])
+    assert label_shifts_m([]) == []
+
+
+def test_what_surrounds_all_others_is_faint():
+    assert usual_opacity("subcutaneous_fat") < 0.1
+    assert usual_opacity("skin") < 0.1
+    assert usual_opacity("liver") > 0.2
+    assert usual_opacity("fatty_lesion") > 0.2
+
+
+def test_a_bright_place_stands_where_it_lies_in_each_slice():
+    bright_m = np.array([0.0, 0.0, 0.02])  # to the head of the model's origin
+    scene = scanned(bright_m)
+    axis = scene.rotation @ np.array([0.0, 1.0, 0.0])  # to the back
+    tip_m = scene.to_robot(np.array([0.0, -0.01, 0.0]))
+    slices = ScanSlices(scene)
+    side, head, probe = slices.draw(NeedlePose(tip_m, axis))
+    middle = PIXELS // 2
+
+    # 10 mm behind the tip, 20 mm to the head, pixels of 0.8 mm.
+    assert side[:, : middle - 5].max() == 0
+    assert tuple(head[TIP_ROW + 12, middle + 25]) == (255, 255, 255)
+    assert head[TIP_ROW + 12, middle - 25].max() == 0
+    assert probe[: middle - 10].max() == 0  # the bright place is deeper than the tip
+
+    *_, probe = slices.draw(NeedlePose(tip_m + 0.01 * axis, axis))
+
+    assert tuple(probe[middle - 25, middle]) == (255, 255, 255)
+    assert slices.draw(NeedlePose(tip_m + 0.0101 * axis, axis)) == ()
+
+
+def test_a_cropped_scan_is_the_same_scan():
+    scan = scanned(np.array([0.0, 0.0, 0.02])).scan
+    wide = Grid((300, 61, 61), scan.grid.origin_m, scan.grid.axes_m)
+    values = np.zeros(wide.shape, np.int16)
+    values[:61] = scan.values
+    cropped = crop_scan(Volume(values, wide), np.zeros(3), np.array([0.0, 0.0, 0.02]))
+    index = np.rint(cropped.grid.indices([0.0, 0.0, 0.02])).astype(int)
+
+    assert cropped.values.shape[0] < 100
+    assert cropped.values[tuple(index)] == 1000
+
+
+def test_the_title_bar_says_off_plan_and_warnings(viewer):
+    sent = []
+
+    class Gui:
+        def configure_theme(self, **theme):
+            sent.append(theme["titlebar_content"]["image"]["image_alt"])
+
+    class Server:
+        gui = Gui()
+
+    bar = TitleBar(Server(), ("no labels",))
+    bar.show(is_off_plan=False)
+    bar.show(is_off_plan=True)
+
+    assert sent == [
+        "Simulation and research only: not a medical device. Warning: no labels.",
+        "OFF PLAN: no layer is named. Simulation and research only: not a medical "
+        "device. Warning: no labels.",
+    ]
+
+
+KEY = (
+    "(() => {{ const s = document.querySelectorAll('[role=slider]')[{number}];"
+    "s.focus(); s.dispatchEvent(new KeyboardEvent('keydown',"
+    "{{key: '{key}', code: '{key}', bubbles: true}})); }})()"
+)
+CLICK = (
+    "[...document.querySelectorAll('button, .mantine-Paper-root')]"
+    ".filter(b => b.innerText.startsWith('{text}'))[0].click()"
+)
+TITLE = "document.images[0].alt"
+
+
+@needs_chromium
+def test_slider_jump_opacity_and_banner_work_in_a_browser(viewer):
+    from tests.needleforce.scene.scene_page import open_page
+
+    liver = viewer._surfaces["liver"]
+    with open_page(viewer.url) as page:
+        assert page.wait_for("document.body.innerText.includes('6.0 s: rupture 1')")
+        assert "not a medical device" in page.evaluate(TITLE)
+
+        page.evaluate(CLICK.format(text="6.0 s: rupture 1"))
+
+        assert page.wait_for("document.body.innerText.includes('rupture 1 at 12.0 mm')")
+        assert viewer.time.slider.value == 6.0
+
+        page.evaluate(KEY.format(number=0, key="End"))
+
+        assert page.wait_for(f"{TITLE}.startsWith('OFF PLAN: no layer is named')")
+
+        page.evaluate(KEY.format(number=0, key="Home"))
+
+        assert page.wait_for(f"!{TITLE}.includes('OFF PLAN')")
+        assert viewer.time.slider.value == 0.0
+
+        page.evaluate(
+            "[...document.querySelectorAll('*')].filter(e => e.children.length < 2"
+            " && e.innerText == 'Structures')[0].click()"
+        )
+        assert page.wait_for("document.body.innerText.includes('liver')")
+        page.evaluate(KEY.format(number=1, key="Home"))
+
+        assert wait_until(lambda: liver.opacity == 0.0)
+        page.evaluate(
+            "[...document.querySelectorAll('input[type=checkbox]')][0].click()"
+        )
+
+        assert wait_until(lambda: not liver.visible)
+        assert page.errors == []
+
+
+@needs_chromium
+def test_the_exported_page_says_what_it_is(viewer, tmp_path):
+    from tests.needleforce.scene.scene_page import open_page
+
+    page = viewer.export(tmp_path / "scene.html", frames=12)
+    with open_page(page.as_uri()) as opened:
+        assert opened.wait_for(f"{TITLE}.includes('not a medical device')")
+        # The film goes on to where the needle is off the plan.
+        assert opened.wait_for(f"{TITLE}.startsWith('OFF PLAN')", seconds=30.0)
+
+
+def test_a_live_page_follows_the_newest():
+    page = Viewer(load_lwr(payload=NeedleTool()), port=8441)
+    page.append(np.array([row(0.0), row(1.0, 0.01, q=HOME)]))
+    page.follow()
+
+    assert page.time.slider.value == 1.0
+
+    page.stop()
