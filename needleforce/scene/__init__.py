@@ -1,8 +1,10 @@
 """The insertion in a browser page, live or recorded, and in 3D Slicer.
 
 Reading order: `state_ring` (what a loop hands over), `nodes` (what stands in the
-scene), `guarded_server` (who may open the page), `viewer` (the page), `row_text`
-(a row in words), `live` (the page beside a loop), `slicer` (OpenIGTLink).
+scene), `viewer` (the page) with its parts `title_bar`, `time_panel`, `force_plots`,
+`structure_list`, `scan_slices`, `force_arrow` and `row_text` (a row in words);
+`guarded_server` (who may open the page), `live` (the page beside a loop), `slicer`
+(OpenIGTLink).
 """
 
 from needleforce.scene.live import LiveView as LiveView, open_viewer as open_viewer

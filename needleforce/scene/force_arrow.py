@@ -12,15 +12,15 @@ from needleforce.scene.nodes import (
 )
 from needleforce.scene.state_ring import ViewRow
 
-M_PER_N = 15e-3
+M_PER_N = 25e-3
 """Length of the arrow per newton."""
 
 BESIDE_M = 6e-3
 """The arrow stands so far beside the needle."""
 
-SHAFT_RADIUS_M = 0.8e-3
-HEAD_RADIUS_M = 2e-3
-HEAD_LENGTH_M = 4e-3
+SHAFT_RADIUS_M = 1.2e-3
+HEAD_RADIUS_M = 3e-3
+HEAD_LENGTH_M = 5e-3
 
 ARROW_COLOR = Color(213, 94, 0)
 BAND_COLOR = Color(120, 120, 120)

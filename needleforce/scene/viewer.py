@@ -43,6 +43,9 @@ FULL_BAR_N = 4.0
 MAX_TRAIL_POINTS = 100
 """Of the real path of the tip; longer ones are thinned."""
 
+BANNER_M = 0.1
+"""The banner stands so far before the tip, where no other label is."""
+
 TIP_CAMERA_M = 0.04
 """Of the camera at the tip, behind it and beside it."""
 
@@ -332,7 +335,7 @@ class Viewer:
         self._arm.show_off_plan(row.is_off_plan)
         self._title.show(is_off_plan=row.is_off_plan)
         self._off_plan.visible = row.is_off_plan
-        self._off_plan.position = tuple(needle.tip_m)
+        self._off_plan.position = tuple(needle.tip_m - BANNER_M * needle.axis)
         self._banner.content = ""
         if row.is_off_plan:
             self._banner.content = f"# ⚠ {BANNER}\n\nNo layer is named from it."

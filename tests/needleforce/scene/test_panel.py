@@ -192,7 +192,8 @@ def test_slider_jump_opacity_and_banner_work_in_a_browser(viewer):
 
         assert wait_until(lambda: liver.opacity == 0.0)
         page.evaluate(
-            "[...document.querySelectorAll('input[type=checkbox]')][0].click()"
+            "document.getElementById([...document.querySelectorAll('label')]"
+            ".filter(e => e.innerText == 'liver')[0].htmlFor).click()"
         )
 
         assert wait_until(lambda: not liver.visible)
