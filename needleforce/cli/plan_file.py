@@ -384,8 +384,8 @@ def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
     return _Anatomy(scene._replace(surfaces=surfaces, layers=layers), labels)
 
 
-def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume:
-    """Return the part of a CT around a path, for the slices of the scene."""
+def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume | None:
+    """Return the part of a CT around a path; None where the CT does not reach it."""
     corners_m = np.array([entry_m, target_m])
     low_m = corners_m.min(axis=0) - CROP_MARGIN_M
     high_m = corners_m.max(axis=0) + CROP_MARGIN_M
@@ -394,6 +394,8 @@ def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume:
     first = np.clip(np.floor(indices.min(axis=0)), 0, scan.grid.shape).astype(int)
     end = np.clip(np.ceil(indices.max(axis=0)) + 1, 0, scan.grid.shape).astype(int)
     part = scan.values[tuple(map(slice, first.tolist(), end.tolist()))]
+    if not part.size:
+        return None
     origin_m = scan.grid.points_m(first)
     return Volume(part.copy(), Grid(part.shape, origin_m, scan.grid.axes_m))
 

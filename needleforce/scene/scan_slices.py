@@ -125,4 +125,5 @@ class ScanSlices:
         )
         low_HU, high_HU = WINDOW_HU
         grey = np.clip((values_HU - low_HU) / (high_HU - low_HU), 0.0, 1.0)
-        return np.repeat(np.uint8(255.0 * grey)[..., None], 3, axis=2)
+        pixels = (255.0 * grey).astype(np.uint8)
+        return np.repeat(pixels[:, :, None], 3, axis=2)

@@ -121,6 +121,10 @@ def test_a_cropped_scan_is_the_same_scan():
     values = np.zeros(wide.shape, np.int16)
     values[:61] = scan.values
     cropped = crop_scan(Volume(values, wide), np.zeros(3), np.array([0.0, 0.0, 0.02]))
+    outside = np.full(3, 2.0)
+
+    assert crop_scan(scan, outside, outside + 0.05) is None
+
     index = np.rint(cropped.grid.indices([0.0, 0.0, 0.02])).astype(int)
 
     assert cropped.values.shape[0] < 100
