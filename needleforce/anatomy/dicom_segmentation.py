@@ -6,6 +6,7 @@ ones, or labels.
 
 import math
 from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -88,6 +89,10 @@ def read_dicom_segmentation(path: Path, max_bytes: int) -> Labels:
             AnatomyCode.LABELS,
         )
     stack = _find_stack(file)
+    if stack is None:  # rounded positions with gaps: the step has to be found first
+        with suppress(AttributeError, IndexError):  # frames that say no place
+            file = _with_step(file)
+        stack = _find_stack(file)
     if stack is None:
         raise VolumeError(
             f"{path}: its frames do not lie evenly, one behind the other, and make no "
@@ -144,6 +149,34 @@ def _find_stack(file: Any) -> _Stack | None:
         if geometry is not None:
             return _Stack(geometry, options)
     return None
+
+
+def _with_step(file: Any) -> Any:
+    """Return a segmentation that states the step between its slices.
+
+    Frames without voxels are left out, and scanners round positions: single steps give
+    the step well enough to count those in wider gaps.
+    """
+    import highdicom
+
+    shared = file.SharedFunctionalGroupsSequence[0]
+    directions = np.array(shared.PlaneOrientationSequence[0].ImageOrientationPatient)
+    normal = np.cross(directions[:3].astype(float), directions[3:].astype(float))
+    heights_mm = np.unique(
+        [
+            normal
+            @ np.array(frame.PlanePositionSequence[0].ImagePositionPatient, float)
+            for frame in file.PerFrameFunctionalGroupsSequence
+        ]
+    )
+    gaps_mm = np.sort(np.diff(heights_mm))
+    step_mm = float(gaps_mm[0])
+    steps = 0
+    for count, gap_mm in enumerate(gaps_mm, 1):
+        steps += max(round(float(gap_mm) / step_mm), 1)
+        step_mm = float(gaps_mm[:count].sum()) / steps
+    shared.PixelMeasuresSequence[0].SpacingBetweenSlices = step_mm
+    return highdicom.seg.Segmentation.from_dataset(file)
 
 
 def _require_size(

@@ -53,10 +53,12 @@ def test_segments_lie_and_are_called_as_in_the_file(tmp_path, kind, overlap, is_
         )
 
 
-def test_rounded_positions_are_read(tmp_path):
+@pytest.mark.parametrize("first_slice", [6, 8])
+def test_rounded_positions_are_read(tmp_path, first_slice):
+    """Also where empty slices between two structures are left out."""
     liver, rib, kidney = masks()
     rib[:] = False
-    rib[2:5, 3:9, 6:10] = True  # no slice is left out
+    rib[2:5, 3:9, first_slice : first_slice + 4] = True
     path = tmp_path / "seg.dcm"
     dicom_files.write_segmentation(path, [liver, rib, kidney], SEGMENTS, decimals=1)
     labels = read_labels(path)
