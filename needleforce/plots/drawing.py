@@ -51,15 +51,6 @@ BAND_OPACITY = 0.2
 AREA_POINTS = 1000
 """Points of a band at most, or fewer than twice as many."""
 
-TITLE_LETTERS = 54
-"""Letters of a title's line at the usual width."""
-
-LEGEND_ROW_IN = 0.17
-"""Height of a row of the legend."""
-
-LEGEND_COLUMNS = (4, 3, 2, 1)
-"""Columns of the legend: the most that fit are taken."""
-
 CUT_MARKS = 40
 """Marks of cut curves along an edge at most."""
 
@@ -67,20 +58,6 @@ VALUE_GAP_PT = 4.0
 """Gap between the farthest mark of a cut curve and its value."""
 
 PT_PER_IN = 72.0
-
-_NOT_TEXT = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
-"""What XML or UTF-8 cannot hold."""
-
-
-def printable(text: str) -> str:
-    r"""Return text that XML and UTF-8 can hold.
-
-    Bytes of a file name that cannot be text become ``\udcff``.
-    """
-    return _NOT_TEXT.sub(
-        lambda match: match.group().encode("unicode_escape").decode(), text
-    )
-
 
 def draw(chart: Chart) -> "Figure":
     """Draw a chart; no window and no global state of matplotlib is involved."""
@@ -113,19 +90,6 @@ def draw(chart: Chart) -> "Figure":
     return figure
 
 
-def _draw_title(figure: "Figure", top: "Axes", chart: Chart) -> None:
-    """Draw the first line of the title in bold, the others below it in grey."""
-    letters = int(chart.width_in / WIDTH_IN * TITLE_LETTERS)
-    first, *others = (
-        "\n".join(wrap(line, letters)) for line in printable(chart.title).split("\n")
-    )
-    figure.suptitle(first, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
-    # The pad leaves room for the values of cut peaks above the panel.
-    top.set_title(
-        "\n".join(others), loc="left", fontsize=8.5, color="#444444", pad=10.0
-    )
-
-
 def _draw_marks(axes: "Axes", chart: Chart) -> None:
     """Draw the shadings and the instants of a chart into a panel."""
     from matplotlib.transforms import ScaledTranslation
@@ -146,7 +110,7 @@ def _draw_marks(axes: "Axes", chart: Chart) -> None:
             label=label,
             transform=axes.get_xaxis_transform() + lift,
             zorder=4,
-            **_line_arguments(style),
+            **line_arguments(style),
         )
 
 
@@ -154,7 +118,7 @@ def _draw_curve(axes: "Axes", curve: Curve, x_limits: Span | None) -> None:
     """Draw a curve, and its band below it."""
     if curve.std is not None:
         _draw_band(axes, curve, curve.std, x_limits)
-    axes.plot(curve.x, curve.y, label=curve.label, **_line_arguments(curve.style))
+    axes.plot(curve.x, curve.y, label=curve.label, **line_arguments(curve.style))
 
 
 def _draw_band(axes: "Axes", curve: Curve, std: Array, x_limits: Span | None) -> None:
@@ -177,19 +141,6 @@ def _draw_band(axes: "Axes", curve: Curve, std: Array, x_limits: Span | None) ->
     )
     for edge in (low, high):  # above the curve, whose noise may fill the band
         axes.plot(x, edge, color=curve.style.color, linewidth=0.5, alpha=0.6, zorder=3)
-
-
-def _line_arguments(style: LineStyle) -> dict[str, Any]:
-    """Return the arguments of matplotlib for a style."""
-    arguments: dict[str, Any] = {"color": style.color, "alpha": style.opacity}
-    if style.marker:
-        return arguments | {
-            "marker": style.marker,
-            "ms": style.size_pt,
-            "mew": style.width_pt,
-            "linestyle": "none",
-        }
-    return arguments | {"linestyle": style.dash, "linewidth": style.width_pt}
 
 
 class _CutPoint(NamedTuple):
@@ -272,31 +223,6 @@ def _write_value(axes: "Axes", point: _CutPoint, edge: float) -> None:
         va="bottom",
         ha="right" if is_right else "left",
     )
-
-
-def _draw_legend(figure: "Figure", panels: Sequence["Axes"], chart: Chart) -> int:
-    """Draw one legend for all panels, below them, where it hides nothing.
-
-    Returns:
-        Its rows.
-    """
-    handles: dict[str, Any] = {}
-    for axes in panels:
-        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
-            handles.setdefault(label, handle)
-    if not handles:
-        return 0
-    marks = [mark.label for mark in (*chart.shadings, *chart.instants)]
-    labels = sorted(handles, key=lambda label: label in marks)
-    ordered = [handles[label] for label in labels]
-    columns = LEGEND_COLUMNS[0]
-    for columns in LEGEND_COLUMNS:
-        legend = figure.legend(ordered, labels, loc="outside lower left", ncols=columns)
-        if legend.get_window_extent().width <= figure.bbox.width:
-            break
-        if columns > 1:
-            legend.remove()
-    return -(-len(labels) // columns)
 
 
 def require_matplotlib(purpose: str, path: str | Path | None = None) -> None:
