@@ -8,7 +8,6 @@ import warnings
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
-from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -17,10 +16,9 @@ from foundation.arrays import Array
 from needleforce.files import whole_file
 from needleforce.plots.chart import (
     BAND_STD,
-    WIDTH_IN,
     Chart,
     Curve,
-    LineStyle,
+    Panel,
     Span,
     is_within,
     limits_of,
@@ -31,6 +29,13 @@ from needleforce.plots.errors import (
     MissingExtraError,
     WriteError,
 )
+from needleforce.plots.frame import (
+    LEGEND_ROW_IN,
+    draw_legend,
+    draw_title,
+    line_arguments,
+)
+from needleforce.plots.space import SpaceChart, draw_space
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -59,8 +64,16 @@ VALUE_GAP_PT = 4.0
 
 PT_PER_IN = 72.0
 
-def draw(chart: Chart) -> "Figure":
+
+def draw(chart: Chart | SpaceChart) -> "Figure":
     """Draw a chart; no window and no global state of matplotlib is involved."""
+    if isinstance(chart, SpaceChart):
+        return draw_space(chart)
+    return _draw_panels(chart)
+
+
+def _draw_panels(chart: Chart) -> "Figure":
+    """Draw the panels of a chart, its title and its legend."""
     from matplotlib.figure import Figure
 
     figure = Figure(
@@ -73,21 +86,45 @@ def draw(chart: Chart) -> "Figure":
     panels = list(grid[:, 0])
     for axes, panel in zip(panels, chart.panels, strict=True):
         _draw_marks(axes, chart)
-        axes.axhline(0.0, color="#555555", linewidth=0.6)
-        for curve in panel.curves:
-            _draw_curve(axes, curve, chart.x_limits)
-        limits = panel.limits or limits_of(panel.curves, chart.x_limits)
-        axes.set(ylabel=panel.y_label, ylim=limits)
-        for edge, side in zip(limits, (-1.0, 1.0), strict=True):
-            _mark_cut_curves(axes, panel.curves, edge, side, chart.x_limits)
+        _draw_panel(axes, panel, chart.x_limits)
     figure.align_ylabels(panels)
     panels[-1].set(xlabel=chart.x_label, xlim=chart.x_limits)
     if chart.x_ticks:
         panels[-1].set_xticks(*zip(*chart.x_ticks, strict=True))
-    _draw_title(figure, panels[0], chart)
-    rows = _draw_legend(figure, panels, chart)
+    subtitle = draw_title(figure, chart.title, chart.width_in)
+    # The pad leaves room for the values of cut peaks above the panel.
+    panels[0].set_title(subtitle, loc="left", fontsize=8.5, color="#444444", pad=10.0)
+    marks = [mark.label for mark in (*chart.shadings, *chart.instants)]
+    rows = draw_legend(figure, panels, marks)
     figure.set_size_inches(chart.width_in, chart.height_in + rows * LEGEND_ROW_IN)
     return figure
+
+
+def _draw_panel(axes: "Axes", panel: Panel, x_limits: Span | None) -> None:
+    """Draw the curves of a panel, mark where they are cut, and write its notes."""
+    if panel.is_log:
+        axes.set_yscale("log")
+        axes.yaxis.set_major_formatter("{x:g}")
+    else:
+        axes.axhline(0.0, color="#555555", linewidth=0.6)
+    for curve in panel.curves:
+        _draw_curve(axes, curve, x_limits)
+    limits = panel.limits or limits_of(panel.curves, x_limits)
+    axes.set(ylabel=panel.y_label, ylim=limits)
+    for edge, side in zip(limits, (-1.0, 1.0), strict=True):
+        _mark_cut_curves(axes, panel.curves, edge, side, x_limits)
+    for note in panel.notes:
+        axes.annotate(
+            note.text,
+            (note.x, note.y),
+            (-VALUE_GAP_PT if note.is_left else VALUE_GAP_PT, 0.0),
+            textcoords="offset points",
+            fontsize=8.5,
+            color=note.color,
+            va="center",
+            ha="right" if note.is_left else "left",
+            zorder=6,
+        )
 
 
 def _draw_marks(axes: "Axes", chart: Chart) -> None:
@@ -250,7 +287,7 @@ def require_matplotlib(purpose: str, path: str | Path | None = None) -> None:
         ) from error
 
 
-def save_figure(chart: Chart, path: str | Path) -> Path:
+def save_figure(chart: Chart | SpaceChart, path: str | Path) -> Path:
     """Draw a chart and write it as PNG, SVG or PDF, by the ending of its name.
 
     Returns:

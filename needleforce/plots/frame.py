@@ -8,6 +8,7 @@ from typing import TYPE_CHECKING, Any
 from needleforce.plots.chart import WIDTH_IN, LineStyle
 
 if TYPE_CHECKING:
+    from matplotlib.axes import Axes
     from matplotlib.figure import Figure
 
 TITLE_LETTERS = 54
@@ -33,17 +34,14 @@ def printable(text: str) -> str:
     )
 
 
-def draw_title(figure: "Figure", top: "Axes", chart: Chart) -> None:
-    """Draw the first line of the title in bold, the others below it in grey."""
-    letters = int(chart.width_in / WIDTH_IN * TITLE_LETTERS)
+def draw_title(figure: "Figure", title: str, width_in: float) -> str:
+    """Draw the first line of a title in bold; return the others, to draw below it."""
+    letters = int(width_in / WIDTH_IN * TITLE_LETTERS)
     first, *others = (
-        "\n".join(wrap(line, letters)) for line in printable(chart.title).split("\n")
+        "\n".join(wrap(line, letters)) for line in printable(title).split("\n")
     )
     figure.suptitle(first, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
-    # The pad leaves room for the values of cut peaks above the panel.
-    top.set_title(
-        "\n".join(others), loc="left", fontsize=8.5, color="#444444", pad=10.0
-    )
+    return "\n".join(others)
 
 
 def line_arguments(style: LineStyle) -> dict[str, Any]:
@@ -59,8 +57,21 @@ def line_arguments(style: LineStyle) -> dict[str, Any]:
     return arguments | {"linestyle": style.dash, "linewidth": style.width_pt}
 
 
-def draw_legend(figure: "Figure", panels: Sequence["Axes"], chart: Chart) -> int:
+def draw_legend(
+    figure: "Figure",
+    panels: Sequence["Axes"],
+    last: Sequence[str] = (),
+    *,
+    is_inside: bool = False,
+) -> int:
     """Draw one legend for all panels, below them, where it hides nothing.
+
+    Args:
+        figure: The figure.
+        panels: Its panels.
+        last: Labels that come last.
+        is_inside: Whether it stands in the figure's own lower margin, where no layout
+            makes room for it.
 
     Returns:
         Its rows.
@@ -71,16 +82,14 @@ def draw_legend(figure: "Figure", panels: Sequence["Axes"], chart: Chart) -> int
             handles.setdefault(label, handle)
     if not handles:
         return 0
-    marks = [mark.label for mark in (*chart.shadings, *chart.instants)]
-    labels = sorted(handles, key=lambda label: label in marks)
+    labels = sorted(handles, key=lambda label: label in last)
     ordered = [handles[label] for label in labels]
+    place = "lower left" if is_inside else "outside lower left"
     columns = LEGEND_COLUMNS[0]
     for columns in LEGEND_COLUMNS:
-        legend = figure.legend(ordered, labels, loc="outside lower left", ncols=columns)
+        legend = figure.legend(ordered, labels, loc=place, ncols=columns)
         if legend.get_window_extent().width <= figure.bbox.width:
             break
         if columns > 1:
             legend.remove()
     return -(-len(labels) // columns)
-
-

@@ -9,8 +9,10 @@ from pathlib import Path
 from typing import Any
 
 from needleforce.plots.chart import WIDE_IN, Chart
-from needleforce.plots.drawing import printable, save_figure, write_file
+from needleforce.plots.drawing import save_figure, write_file
 from needleforce.plots.errors import ChartError, WriteError
+from needleforce.plots.frame import printable
+from needleforce.plots.space import SpaceChart
 
 MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
 """Media types of figures, by suffix."""
@@ -153,7 +155,12 @@ def write_page(path: str | Path, page: Page) -> Path:
 
 
 def save_page_figure(
-    chart: Chart, path: Path, *, alt: str, caption: str, is_alone: bool = False
+    chart: Chart | SpaceChart,
+    path: Path,
+    *,
+    alt: str,
+    caption: str,
+    is_alone: bool = False,
 ) -> PageFigure:
     """Save a chart as a figure of a page.
 

@@ -1,6 +1,7 @@
-"""A hand pushes the hub aside with a growing force and lets go; the arm yields."""
+"""A hand pushes the hub aside, more and then less; the arm yields."""
 
 import math
+from typing import NamedTuple
 
 import numpy as np
 
@@ -16,7 +17,15 @@ from needleforce.cli.demos.result_page import (
 from needleforce.cli.shared_options import Direction
 from needleforce.cli.terminal import Progress
 from needleforce.control import AxialSpeed, Controller, Fixture, Limits, Task
-from needleforce.plots import Chart, palette
+from needleforce.plots import (
+    Chart,
+    Curve,
+    LineStyle,
+    Panel,
+    Shading,
+    palette,
+    whole_range_of,
+)
 from residual import SensorConfig, Status, VirtualForceSensor
 
 TARE_S = 4.0
@@ -28,20 +37,17 @@ STROKE_SPEED_M_S = 0.02
 PUSH_S = 5.0
 """When the push begins [s]."""
 
-PUSH_END_S = 7.0
-"""When the hand lets go [s]."""
+PUSH_RISE_S = 1.3
+"""Time in which the push grows, and in which it falls again [s]."""
 
-PUSH_N = 2.0
-"""Force of the push when the hand lets go [N]."""
+PUSH_N = 1.3
+"""Largest force of the push [N]."""
 
 GUIDED_S = 10.0
 """When the demonstration ends [s]."""
 
 GAIN_PER_S = 20.0
 """Gain that holds the needle's line before the tare [1/s]."""
-
-YIELDED_MM = 0.5
-"""Motion from which on the arm has yielded [mm]."""
 
 REST_S = 1.0
 """Time after the push from which on the arm should rest [s]."""
@@ -50,14 +56,22 @@ TICKS_BEFORE_PUSH = 500
 """Ticks of 1 ms before the push that are drawn."""
 
 S_TO_TICKS = 1e3
+MEAN_TICKS = 20
+"""Ticks over which the speed of the tip is averaged."""
+
+DRAWN_TICKS = 5
+"""Every so many ticks are drawn."""
+
 M_TO_MM = 1e3
+
+FALLING = LineStyle(color=palette.ORANGE, dash=palette.DASHED, width_pt=1.4)
+BREAKAWAY = LineStyle(color=palette.VERMILION, marker="o", width_pt=0.5, size_pt=6.0)
 
 
 def push_force_N(t_s: float) -> Direction:
-    """Return the force of the hand after a time [s], which grows evenly [N]."""
-    if not PUSH_S <= t_s < PUSH_END_S:
-        return (0.0, 0.0, 0.0)
-    return (PUSH_N * (t_s - PUSH_S) / (PUSH_END_S - PUSH_S), 0.0, 0.0)
+    """Return the force of the hand at a time [s]; it grows and falls [N]."""
+    from_peak_s = abs(t_s - PUSH_S - PUSH_RISE_S)
+    return (PUSH_N * max(1.0 - from_peak_s / PUSH_RISE_S, 0.0), 0.0, 0.0)
 
 
 class _GuidedArm:
@@ -73,10 +87,12 @@ class _GuidedArm:
         self._guidance = control.Guidance(arm.robot)
         self._shaft = Fixture.here(self._controller.tool, GAIN_PER_S)
 
-    def update(self, sample: ArmSample) -> None:
-        """Move the arm by one tick."""
+    def update(self, sample: ArmSample) -> bool:
+        """Move the arm by one tick; return whether it was told to move."""
         tasks = self._tasks(sample)
-        self._arm.send(self._controller.update(sample, tasks).dq_rad_s)
+        command = self._controller.update(sample, tasks)
+        self._arm.send(command.dq_rad_s)
+        return bool(np.any(command.dq_rad_s))
 
     def _tasks(self, sample: ArmSample) -> list[Task]:
         sensor = self._sensor
@@ -98,6 +114,46 @@ class _GuidedArm:
         return [self._shaft, AxialSpeed(speed_m_s)]
 
 
+class GuidedRun(NamedTuple):
+    """Push and motion over time, from a little before the push; arrays: (n,).
+
+    Attributes:
+        t_s: Time [s].
+        push_N: Force of the hand at the hub [N].
+        travel_mm: Travel of the tip along the push [mm].
+        is_commanded: Whether the arm was told to move.
+    """
+
+    t_s: Array
+    push_N: Array
+    travel_mm: Array
+    is_commanded: Array
+
+    @property
+    def speed_mm_s(self) -> Array:
+        """Speed of the tip along the push, averaged over `MEAN_TICKS` [mm/s]."""
+        window = np.full(MEAN_TICKS, 1.0 / MEAN_TICKS)
+        ends = np.pad(self.travel_mm, MEAN_TICKS, mode="edge")
+        speed_mm_s = S_TO_TICKS * np.gradient(ends)
+        return np.convolve(speed_mm_s, window, "same")[MEAN_TICKS:-MEAN_TICKS]
+
+    @property
+    def breakaway(self) -> int:
+        """Tick at which the arm is first told to move in the push."""
+        return int(np.argmax(self.is_commanded & (self.push_N > 0.0)))
+
+    @property
+    def standstill(self) -> int:
+        """Last tick at which it is told to move."""
+        return len(self.t_s) - 1 - int(np.argmax(self.is_commanded[::-1]))
+
+    @property
+    def creep_mm(self) -> float:
+        """Travel from `REST_S` after the push on [mm]."""
+        is_rest = self.t_s > PUSH_S + 2.0 * PUSH_RISE_S + REST_S
+        return float(np.ptp(self.travel_mm[is_rest]))
+
+
 def guide_by_hand(progress: Progress) -> DemoResult:
     """Push the arm at the hub; return push and motion of the tip."""
     hand = HandOnArm(at="hub", force_N=push_force_N)
@@ -105,37 +161,113 @@ def guide_by_hand(progress: Progress) -> DemoResult:
     guided = _GuidedArm(arm)
     t_s: list[float] = []
     push_N: list[float] = []
-    tip_m: list[Array] = []
+    tip_m: list[float] = []
+    is_commanded: list[bool] = []
     for sample in arm:
-        guided.update(sample)
+        is_commanded.append(guided.update(sample))
         t_s.append(arm.time_s)
         push_N.append(push_force_N(arm.time_s)[0])
-        tip_m.append(np.array(arm.truth.tip_m))
+        tip_m.append(float(arm.truth.tip_m[0]))
         progress(arm.time_s / GUIDED_S)
     drawn = slice(round(S_TO_TICKS * PUSH_S) - TICKS_BEFORE_PUSH, None)
-    tips_m = np.array(tip_m)[drawn]
-    moved_mm = M_TO_MM * np.linalg.norm(tips_m - tips_m[0], axis=1)
-    return _result_of(np.array(t_s)[drawn], np.array(push_N)[drawn], moved_mm)
-
-
-def _result_of(t_s: Array, push_N: Array, moved_mm: Array) -> DemoResult:
-    """Return table and chart of push and motion over time, each of shape (n,)."""
-    yielded = int(np.argmax(moved_mm > YIELDED_MM))
-    creep_mm = np.ptp(moved_mm[t_s > PUSH_END_S + REST_S])
-    chart = Chart(
-        title="Manual guidance\na push at the hub grows by 1 N/s, then lets go",
-        x_label=palette.TIME,
-        panels=(
-            panel_over_time(t_s, "push [N]", palette.READING, push_N),
-            panel_over_time(t_s, "tip moved [mm]", palette.OURS, moved_mm),
-        ),
+    travel_mm = M_TO_MM * np.array(tip_m)[drawn]
+    return _result_of(
+        GuidedRun(
+            t_s=np.array(t_s)[drawn],
+            push_N=np.array(push_N)[drawn],
+            travel_mm=travel_mm - travel_mm[0],
+            is_commanded=np.array(is_commanded)[drawn],
+        )
     )
+
+
+def _result_of(run: GuidedRun) -> DemoResult:
+    """Return the answer, the table and the charts of push and motion."""
+    breakaway = f"{run.push_N[run.breakaway]:.2f} N"
+    standstill = f"{run.push_N[run.standstill]:.2f} N"
+    fastest = f"{run.speed_mm_s.max():.0f} mm/s"
+    answer = (
+        f"The arm stands until the hand pushes with {breakaway}, follows at up to "
+        f"{fastest} under {PUSH_N:g} N, and rests when let go."
+    )
+    setting = (
+        f"A hand pushes the hub aside with a force that grows to {PUSH_N:g} N in "
+        f"{PUSH_RISE_S:g} s and "
+        "falls as evenly. The arm feels it in its joint torques alone: below the "
+        "breakaway force the push cannot be told from errors of the torques."
+    )
+    rest_s = GUIDED_S - PUSH_S - 2.0 * PUSH_RISE_S - REST_S
     rows = (
-        (
-            "force at which the arm has yielded by 0.5 mm",
-            f"{push_N[yielded]:.2f} N",
-        ),
-        ("creep, from 1 s after it was let go", f"{creep_mm:.4f} mm in 2 s"),
+        ("breakaway: the arm begins to move", breakaway),
+        ("the arm stops, as the push falls", standstill),
+        ("largest speed of the tip", fastest),
+        ("largest push", f"{run.push_N.max():.2f} N"),
+        ("creep, from 1 s after the push", f"{run.creep_mm:.4f} mm in {rest_s:.1f} s"),
     )
-    charts = (NamedChart("guidance", chart, "Push and motion of the tip."),)
-    return DemoResult("Manual guidance", rows, charts)
+    charts = (
+        NamedChart(
+            "guidance",
+            _speed_chart(run),
+            "Push over the speed it causes. The arm stands while the push rises to the "
+            "breakaway; once a hand is felt, the dead zone narrows, so that the arm "
+            "follows lightly and stops only at a smaller force.",
+        ),
+        NamedChart("time", _time_chart(run), "The same run over time."),
+    )
+    return DemoResult("Manual guidance", answer, setting, rows, charts)
+
+
+def _speed_chart(run: GuidedRun) -> Chart:
+    """Return the push over the speed of the tip, as it grows and as it falls."""
+    speed_mm_s = run.speed_mm_s
+    peak = int(np.argmax(run.push_N))
+    rising = slice(0, peak + 1, DRAWN_TICKS)
+    falling = slice(peak, None, DRAWN_TICKS)
+    rise = Curve(
+        style=palette.OURS,
+        x=speed_mm_s[rising],
+        y=run.push_N[rising],
+        label="push grows",
+    )
+    fall = Curve(
+        style=FALLING,
+        x=speed_mm_s[falling],
+        y=run.push_N[falling],
+        label="push falls",
+    )
+    tick = run.breakaway
+    mark = Curve(
+        style=BREAKAWAY,
+        x=speed_mm_s[tick : tick + 1],
+        y=run.push_N[tick : tick + 1],
+        label="breakaway",
+    )
+    curves = (fall, rise, mark)
+    return Chart(
+        title=f"Force over speed\nthe arm breaks away at {run.push_N[tick]:.2f} N",
+        x_label="speed of the tip along the push [mm/s]",
+        panels=(
+            Panel(y_label="push [N]", curves=curves, limits=whole_range_of(curves)),
+        ),
+    )
+
+
+def _time_chart(run: GuidedRun) -> Chart:
+    """Return push, speed and travel over time."""
+    drawn = slice(None, None, DRAWN_TICKS)
+    t_s = run.t_s[drawn] - PUSH_S
+    moving_s = (float(run.t_s[run.breakaway]), float(run.t_s[run.standstill]))
+    span = (moving_s[0] - PUSH_S, moving_s[1] - PUSH_S)
+    speed_mm_s = run.speed_mm_s[drawn]
+    travel_mm = run.travel_mm[drawn]
+    return Chart(
+        title="Push, speed and travel\na push at the hub that grows and falls by 1 N/s",
+        x_label="time since the push began [s]",
+        panels=(
+            panel_over_time(t_s, "push [N]", palette.READING, run.push_N[drawn]),
+            panel_over_time(t_s, "speed\n[mm/s]", palette.OURS, speed_mm_s),
+            panel_over_time(t_s, "travel\n[mm]", palette.OURS, travel_mm),
+        ),
+        shadings=(Shading("the arm is told to move", palette.TARE, (span,)),),
+        height_in=4.2,
+    )

@@ -133,6 +133,7 @@ class Teleinsertion:
         tip_N: True force at the tip [N].
         raw_N: Axial force as the virtual sensor measures it [N].
         shown_N: Force that is sent to be felt [N].
+        felt_N: Force that the device shows, positive against insertion [N].
         energy_J: True energy at the hand's port [J].
         is_open: Whether the clutch is open: the hand goes back.
         alarms_s: Times of the rupture alarms [s].
@@ -146,6 +147,7 @@ class Teleinsertion:
     tip_N: list[float] = field(default_factory=list)
     raw_N: list[float] = field(default_factory=list)
     shown_N: list[float] = field(default_factory=list)
+    felt_N: list[float] = field(default_factory=list)
     energy_J: list[float] = field(default_factory=list)
     is_open: list[bool] = field(default_factory=list)
     alarms_s: list[float] = field(default_factory=list)
@@ -162,6 +164,7 @@ class Teleinsertion:
         truth: ArmTruth,
         estimate: SessionEstimate,
         shown_N: float,
+        felt_N: float,
         master: HapticMaster,
     ) -> None:
         """Add a row."""
@@ -170,6 +173,7 @@ class Teleinsertion:
         self.tip_N.append(truth.tissue.tip_N)
         self.raw_N.append(estimate.wrench.axial)
         self.shown_N.append(shown_N)
+        self.felt_N.append(felt_N)
         self.energy_J.append(master.port_energy_J)
         self.is_open.append(not master.clutch)
         has_alarm = estimate.identification.rupture is not None
@@ -265,7 +269,8 @@ class _HandLoop:
         self._asked_m += self._hand.scale * moved_m * master.clutch
         master.render(command.force_N)
         shown_N = self._teleoperation.shown_N
-        self.run.add(self._arm.truth, estimate, shown_N, master)
+        felt_N = -float(command.force_N[2])
+        self.run.add(self._arm.truth, estimate, shown_N, felt_N, master)
         return command.speed_m_s
 
 

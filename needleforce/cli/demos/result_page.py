@@ -2,12 +2,21 @@
 
 from collections.abc import Sequence
 from pathlib import Path
+from textwrap import fill
 from typing import NamedTuple
 
 from foundation.arrays import Array
 from needleforce import plots
 from needleforce.cli.terminal import aligned, write_out
-from needleforce.plots import Chart, Curve, LineStyle, PageFigure, Panel
+from needleforce.plots import (
+    Chart,
+    Curve,
+    LineStyle,
+    PageFigure,
+    Panel,
+    SpaceChart,
+    whole_range_of,
+)
 
 NOT_MEDICAL = "Simulation only: not a medical device."
 
@@ -22,7 +31,7 @@ class NamedChart(NamedTuple):
     """
 
     name: str
-    chart: Chart
+    chart: Chart | SpaceChart
     caption: str
 
 
@@ -30,18 +39,23 @@ class DemoResult(NamedTuple):
     """What a demonstration shows.
 
     Attributes:
-        title: Title of the table, and of the section of the page.
+        title: Title of the table.
+        answer: What the run showed, in a sentence: the heading of the page.
+        setting: What was simulated.
         rows: Label and text of every line of the table.
         charts: Charts of the page.
     """
 
     title: str
+    answer: str
+    setting: str
     rows: tuple[tuple[str, str], ...]
     charts: tuple[NamedChart, ...]
 
     def print_table(self) -> None:
         """Print the table."""
-        write_out(f"{self.title}\n{aligned(self.rows)}{NOT_MEDICAL}\n")
+        text = "\n".join(map(fill, (self.title, self.answer)))
+        write_out(f"{text}\n{aligned(self.rows)}{NOT_MEDICAL}\n")
 
     def write_page(
         self, kind: str, folder: Path, pictures: Sequence[PageFigure] = ()
@@ -60,22 +74,25 @@ class DemoResult(NamedTuple):
                 plots.save_page_figure(chart, place, alt=caption, caption=caption)
             )
         table = plots.PageTable(
-            caption="Result", head=("what", "value"), rows=self.rows
+            caption="The run in numbers", head=("what", "value"), rows=self.rows
         )
-        result = plots.Section(heading=self.title, anchor=kind, tables=(table,))
         drawn = plots.Section(
-            heading="Figures", anchor="figures", figures=tuple(figures)
+            heading=self.title,
+            anchor=kind,
+            paragraphs=(self.setting,),
+            figures=tuple(figures),
         )
+        numbers = plots.Section(heading="Numbers", anchor="numbers", tables=(table,))
         page = plots.Page(
-            title=f"needleforce demo {kind}",
-            lead=(NOT_MEDICAL,),
-            sections=(result, drawn),
+            title=self.answer,
+            lead=(f"`needleforce demo {kind}`. {NOT_MEDICAL}",),
+            sections=(drawn, numbers),
         )
         plots.write_page(folder / plots.PAGE, page)
 
 
 def panel_over_time(t_s: Array, y_label: str, style: LineStyle, y: Array) -> Panel:
-    """Return a panel with one curve over time.
+    """Return a panel with one curve over time, with every peak.
 
     Args:
         t_s: Time [s], shape (n,).
@@ -83,4 +100,5 @@ def panel_over_time(t_s: Array, y_label: str, style: LineStyle, y: Array) -> Pan
         style: Line of the curve.
         y: Values, shape (n,).
     """
-    return Panel(y_label=y_label, curves=(Curve(style=style, x=t_s, y=y),))
+    curves = (Curve(style=style, x=t_s, y=y),)
+    return Panel(y_label=y_label, curves=curves, limits=whole_range_of(curves))
