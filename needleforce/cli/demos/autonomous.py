@@ -251,7 +251,7 @@ def _result_of(run: StoppedRun, noisy: Stop) -> DemoResult:
             "The whole insertion: true depth of the tip, and measured axial force.",
         ),
     )
-    return DemoResult("Autonomous insertion", answer, setting, table, charts)
+    return DemoResult("Autonomous insertion", table, charts, answer, setting)
 
 
 def _column(rows: list[StopRow], name: str) -> Array:

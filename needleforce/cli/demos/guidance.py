@@ -214,7 +214,7 @@ def _result_of(run: GuidedRun) -> DemoResult:
         ),
         NamedChart("time", _time_chart(run), "The same run over time."),
     )
-    return DemoResult("Manual guidance", answer, setting, rows, charts)
+    return DemoResult("Manual guidance", rows, charts, answer, setting)
 
 
 def _speed_chart(run: GuidedRun) -> Chart:

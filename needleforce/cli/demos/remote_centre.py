@@ -239,7 +239,7 @@ def _result_of(runs: list[CircleRun]) -> DemoResult:
             "Distance of the needle's true axis from its entry, on a logarithmic axis.",
         ),
     )
-    return DemoResult("Remote centre of motion", answer, setting, tuple(rows), charts)
+    return DemoResult("Remote centre of motion", tuple(rows), charts, answer, setting)
 
 
 def _error_chart(runs: list[CircleRun]) -> Chart:

@@ -40,22 +40,22 @@ class DemoResult(NamedTuple):
 
     Attributes:
         title: Title of the table.
-        answer: What the run showed, in a sentence: the heading of the page.
-        setting: What was simulated.
         rows: Label and text of every line of the table.
         charts: Charts of the page.
+        answer: What the run showed, in a sentence: the heading of the page.
+        setting: What was simulated.
     """
 
     title: str
-    answer: str
-    setting: str
     rows: tuple[tuple[str, str], ...]
     charts: tuple[NamedChart, ...]
+    answer: str = ""
+    setting: str = ""
 
     def print_table(self) -> None:
         """Print the table."""
-        text = "\n".join(map(fill, (self.title, self.answer)))
-        write_out(f"{text}\n{aligned(self.rows)}{NOT_MEDICAL}\n")
+        text = f"{self.title}\n" + (f"{fill(self.answer)}\n" if self.answer else "")
+        write_out(f"{text}{aligned(self.rows)}{NOT_MEDICAL}\n")
 
     def write_page(
         self, kind: str, folder: Path, pictures: Sequence[PageFigure] = ()
@@ -79,12 +79,12 @@ class DemoResult(NamedTuple):
         drawn = plots.Section(
             heading=self.title,
             anchor=kind,
-            paragraphs=(self.setting,),
+            paragraphs=(self.setting,) if self.setting else (),
             figures=tuple(figures),
         )
         numbers = plots.Section(heading="Numbers", anchor="numbers", tables=(table,))
         page = plots.Page(
-            title=self.answer,
+            title=self.answer or f"needleforce demo {kind}",
             lead=(f"`needleforce demo {kind}`. {NOT_MEDICAL}",),
             sections=(drawn, numbers),
         )

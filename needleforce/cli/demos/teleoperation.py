@@ -111,10 +111,10 @@ def teleoperate_needle(progress: Progress) -> DemoResult:
     )
     return DemoResult(
         "Teleoperation, 10 ms of delay each way",
-        answer,
-        setting,
         tuple(rows.items()),
         _charts_of(run, energy),
+        answer,
+        setting,
     )
 
 
