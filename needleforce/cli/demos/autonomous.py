@@ -94,14 +94,14 @@ class Stop(NamedTuple):
 
     Attributes:
         rupture: The rupture, in the ground truth.
-        count: Ruptures inside the tissue until the end.
+        ruptures: Ruptures inside the tissue until the end.
         delay_s: From its onset to the request to stop [s]; nan without one.
         overshoot_m: From the depth of its onset to the greatest depth [m].
         rest_m: Depth at the end [m].
     """
 
     rupture: Rupture
-    count: int
+    ruptures: int
     delay_s: float
     overshoot_m: float
     rest_m: float
@@ -200,7 +200,7 @@ def _stop_of(rows: list[StopRow], ruptures: list[Rupture]) -> Stop:
     is_after = last_inserting_s > rupture.onset_s
     return Stop(
         rupture=rupture,
-        count=len(ruptures),
+        ruptures=len(ruptures),
         delay_s=last_inserting_s - rupture.onset_s if is_after else math.nan,
         overshoot_m=deepest.depth_m - rupture.onset_m,
         rest_m=rows[-1].depth_m,
@@ -230,7 +230,7 @@ def _result_of(run: StoppedRun, noisy: Stop) -> DemoResult:
     )
     rest_m = stop.rest_m - stop.rupture.onset_m
     table = (
-        ("ruptures passed", f"{stop.count} (asked: 1)"),
+        ("ruptures passed", f"{stop.ruptures} (asked: 1)"),
         ("request to stop, after the rupture began", delay),
         ("overshoot past the rupture", overshoot),
         ("overshoot with the errors of an LWR's interface", noisy_overshoot),

@@ -140,7 +140,7 @@ class GuidedRun(NamedTuple):
     @property
     def breakaway(self) -> int:
         """Tick at which the arm is first told to move in the push."""
-        return int(np.argmax(self.is_commanded & (self.push_N > 0.0)))
+        return int(np.argmax(np.logical_and(self.is_commanded, self.push_N > 0.0)))
 
     @property
     def standstill(self) -> int:

@@ -51,10 +51,10 @@ DRAWN_TICKS = 10
 NEEDLES = 12
 """Needles that are drawn over the circle."""
 
-LEAST_DRAWN_UM = 0.01
+MIN_DRAWN_UM = 0.01
 """A smaller error is drawn as this on the logarithmic axis [µm]."""
 
-MOST_DRAWN_UM = 1e5
+MAX_DRAWN_UM = 1e5
 """Upper end of that axis [µm]."""
 
 M_TO_MM = 1e3
@@ -248,9 +248,7 @@ def _error_chart(runs: list[CircleRun]) -> Chart:
         Curve(
             style=run.case.style,
             x=np.array(run.t_s)[::DRAWN_TICKS],
-            y=np.maximum(M_TO_UM * np.array(run.error_m), LEAST_DRAWN_UM)[
-                ::DRAWN_TICKS
-            ],
+            y=np.maximum(M_TO_UM * np.array(run.error_m), MIN_DRAWN_UM)[::DRAWN_TICKS],
             label=run.case.label,
         )
         for run in runs
@@ -258,7 +256,7 @@ def _error_chart(runs: list[CircleRun]) -> Chart:
     panel = Panel(
         y_label="axis to entry [µm]",
         curves=curves,
-        limits=(LEAST_DRAWN_UM, MOST_DRAWN_UM),
+        limits=(MIN_DRAWN_UM, MAX_DRAWN_UM),
         is_log=True,
     )
     return Chart(
