@@ -18,6 +18,7 @@ FIRST_SEED = 1000
 """Controllers are tuned on seeds below."""
 TITLES = {
     "priority": "strict priority of tasks and hard limits, random and hostile input",
+    "limits": "commands within the limits of five arms, a minute about an entry",
     "constraints": "remote centre, fixture and turn about the tip, true positions",
     "guidance": "hands on hub, wrist and elbow lead the arm",
     "teleoperation": "a hand drives the needle over a delay",
@@ -45,6 +46,9 @@ def run_part(job: Job, progress: Progress) -> JobResult:
     return JobResult(measurements)
 
 
+WITHOUT_PLANT = ("priority", "limits")
+"""Parts in which no plant plays a part: the controller's arithmetic alone."""
+
 CONTROL = tuple(
     Benchmark(
         id=f"{GROUP}-{part}",
@@ -54,9 +58,8 @@ CONTROL = tuple(
         first_seed=FIRST_SEED,
         group=GROUP,
         is_default=False,
-        # No plant plays a part in the solver's arithmetic.
-        plants=("clean",) if part == "priority" else ("clean", "fri"),
-        possible=("clean",) if part == "priority" else tuple(PLANT_MODELS),
+        plants=("clean",) if part in WITHOUT_PLANT else ("clean", "fri"),
+        possible=("clean",) if part in WITHOUT_PLANT else tuple(PLANT_MODELS),
     )
     for part, title in TITLES.items()
 )

@@ -1,0 +1,218 @@
+"""Whether commands stay within what each arm accepts, for a minute about an entry.
+
+The needle goes in 10 mm past a remote centre, tilts by 20 degrees in two seconds and
+goes round on that cone. Positions carry noise of 1e-5 rad; commands act at once or
+after 10 ms, and one cycle in a hundred is lost, which repeats the command before. The
+arm integrates what reaches it: no dynamics, so that what is counted is the
+controller's. Limits are those of `ARM_LIMITS`, errors those of true positions.
+"""
+
+import math
+from collections import deque
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass
+from time import thread_time_ns
+from typing import NamedTuple
+
+import numpy as np
+
+from benchmarks.results import Measurement, our_measurement
+from foundation.arrays import Array
+from groundtruth.rig_arm import ArmSample
+from groundtruth.rig_contacts import distance_to_axis_m
+from needleforce.control.arm_limits import ARM_LIMITS, ArmLimits
+from needleforce.control.controller import CommandStatus, Controller
+from needleforce.control.joint_limits import Limits
+from needleforce.control.tasks import (
+    Posture,
+    RemoteCentre,
+    TipVelocity,
+    ToolState,
+)
+from urdf import NeedleTool, Robot, load_example, load_lwr
+
+SECONDS = 60.0
+DEPTH_m = 0.01
+"""Of the tip past the entry."""
+TILT_rad = math.radians(20.0)
+TILT_s = 2.0
+PERIOD_s = 8.0
+"""Of once round the cone."""
+TIP_GAIN_per_s = 10.0
+NOISE_rad = 1e-5
+LOST = 0.01
+"""Fraction of the cycles that are lost."""
+ROUNDING = 1e-6
+"""A limit is passed by more than this part of it: differences of doubles round."""
+DELAYS_ms = (0, 10)
+MILLI = 1e3
+US_PER_NS = 1e-3
+
+
+class Arm(NamedTuple):
+    """An arm of the benchmark.
+
+    Attributes:
+        load: Returns its model with the needle.
+        posture_rad: Where it begins.
+    """
+
+    load: Callable[[], Robot]
+    posture_rad: tuple[float, ...]
+
+
+def _load_iiwa() -> Robot:
+    """Return an iiwa 14 with the needle: the LWR's axes and limits, other lengths.
+
+    Base to A2 360 mm, A2 to A4 420 mm, A4 to A6 400 mm, A6 to the flange 126 mm, of
+    KUKA's data sheet; no masses matter here.
+    """
+    robot = load_lwr(payload=NeedleTool())
+    placements = robot.model.jointPlacements
+    heights_m = [placement.translation[2] for placement in placements]
+    for lower, upper, length_m in ((1, 2, 0.36), (3, 4, 0.42), (5, 6, 0.40)):
+        own_m = heights_m[lower] + heights_m[upper]
+        for joint in (lower, upper):
+            placements[joint].translation[2] *= length_m / own_m
+    placements[7].translation[2] = 0.126
+    return robot
+
+
+def _load_panda() -> Robot:
+    """Return a Franka arm with the needle; FER and FR3 have the same lengths."""
+    return load_example("panda", without=["panda_hand"], payload=NeedleTool())
+
+
+_KUKA_POSTURE_rad = (0.0, 0.6, 0.0, -1.4, 0.0, 1.1, 0.0)
+_FRANKA_POSTURE_rad = (0.0, -0.785, 0.0, -2.356, 0.0, 1.571, 0.785)
+ARMS = {
+    "lwr": Arm(lambda: load_lwr(payload=NeedleTool()), _KUKA_POSTURE_rad),
+    "fr3": Arm(_load_panda, _FRANKA_POSTURE_rad),
+    "fer": Arm(_load_panda, _FRANKA_POSTURE_rad),
+    "ur5e": Arm(
+        lambda: load_example("ur5e", payload=NeedleTool()),
+        (0.0, -1.571, 1.571, -1.571, -1.571, 0.0),
+    ),
+    "iiwa14": Arm(_load_iiwa, _KUKA_POSTURE_rad),
+}
+CASES = tuple(f"{arm} {delay_ms}ms" for arm in ARMS for delay_ms in DELAYS_ms)
+
+
+@dataclass(frozen=True)
+class ConeRun:
+    """What a minute on the cone leaves.
+
+    Attributes:
+        robot: The arm.
+        positions_rad: True positions, cycle by cycle, shape (N, n).
+        commands_rad_s: What reached the arm's inlet, shape (N, n).
+        errors_m: True axis to entry, shape (N,).
+        taken_us: Processor time of each update that was not lost.
+        is_limited: Whether its command met a limit.
+    """
+
+    robot: Robot
+    positions_rad: Array
+    commands_rad_s: Array
+    errors_m: Array
+    taken_us: Array
+    is_limited: Array
+
+
+def run_cone(name: str, delay_ms: int, rng: np.random.Generator) -> ConeRun:
+    """Move an arm round the cone for `SECONDS`."""
+    arm = ARMS[name]
+    robot = arm.load()
+    cycle_s = ARM_LIMITS[name].cycle_s
+    control = Controller(robot, Limits.of_arm(robot, name))
+    truth = ToolState(robot)
+    q_rad = np.array(arm.posture_rad)
+    truth.update(q_rad)
+    home_m = truth.tip_m
+    axes = truth.rotation
+    entry_m = home_m - DEPTH_m * axes[:, 2]
+    tip = TipVelocity((0.0, 0.0, 0.0), home_m, TIP_GAIN_per_s)
+    stack = (RemoteCentre(entry_m), tip, Posture(q_rad.copy()))
+    command_rad_s = np.zeros(robot.nv)
+    waiting = deque([command_rad_s] * round(delay_ms / MILLI / cycle_s))
+    no_torque_Nm = np.zeros(robot.nv)
+    since_s = 0.0
+    positions = list[Array]()
+    commands = list[Array]()
+    errors_m = list[float]()
+    taken_us = list[float]()
+    limited = list[bool]()
+    for cycle in range(round(SECONDS / cycle_s)):
+        tip.goal_m = entry_m + DEPTH_m * axes @ _point_on_cone(cycle * cycle_s)
+        since_s += cycle_s
+        if rng.random() >= LOST:
+            measured_rad = q_rad + NOISE_rad * rng.standard_normal(robot.nv)
+            sample = ArmSample(since_s, measured_rad, None, no_torque_Nm)
+            begin_ns = thread_time_ns()
+            command = control.update(sample, stack)
+            taken_us.append((thread_time_ns() - begin_ns) * US_PER_NS)
+            limited.append(command.status is CommandStatus.SATURATED)
+            command_rad_s = command.dq_rad_s
+            since_s = 0.0
+        commands.append(command_rad_s)
+        waiting.append(command_rad_s)
+        q_rad = q_rad + cycle_s * waiting.popleft()
+        truth.update(q_rad)
+        positions.append(q_rad)
+        errors_m.append(distance_to_axis_m(entry_m, truth.tip_m, truth.axis))
+    return ConeRun(
+        robot,
+        np.array(positions),
+        np.array(commands),
+        np.array(errors_m),
+        np.array(taken_us),
+        np.array(limited),
+    )
+
+
+def _point_on_cone(t_s: float) -> Array:
+    """Return the needle's direction at a time, in the axes that it began with."""
+    grown = min(t_s / TILT_s, 1.0)
+    tilt_rad = TILT_rad * grown**2 * (3.0 - 2.0 * grown)
+    angle_rad = 2.0 * math.pi * t_s / PERIOD_s
+    across = math.sin(tilt_rad)
+    return np.array(
+        (across * math.cos(angle_rad), across * math.sin(angle_rad), math.cos(tilt_rad))
+    )
+
+
+def count_excess(run: ConeRun, preset: ArmLimits) -> dict[str, int]:
+    """Count cycles in which a joint is beyond a limit, by its name."""
+    at_rest = np.zeros((1, run.robot.nv))
+    velocities = np.vstack((at_rest, run.commands_rad_s))
+    accelerations = np.diff(velocities, axis=0) / preset.cycle_s
+    jerks = np.diff(np.vstack((at_rest, accelerations)), axis=0) / preset.cycle_s
+    ratios = {
+        "speed": np.abs(velocities) / preset.speed_rad_s,
+        "acceleration": np.abs(accelerations) / preset.acceleration_rad_s2,
+        "jerk": np.abs(jerks) / preset.jerk_rad_s3,
+    }
+    counts = {
+        name: int((ratio > 1.0 + ROUNDING).any(axis=1).sum())
+        for name, ratio in ratios.items()
+    }
+    is_below = run.positions_rad < run.robot.position_lower_rad
+    is_above = run.positions_rad > run.robot.position_upper_rad
+    counts["position"] = int((is_below | is_above).any(axis=1).sum())
+    return counts
+
+
+def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+    """Yield the numbers of an arm at a delay; no plant plays a part."""
+    del plant
+    name, delay = case.split()
+    run = run_cone(name, int(delay.removesuffix("ms")), np.random.default_rng(seed))
+    for limit, count in count_excess(run, ARM_LIMITS[name]).items():
+        yield our_measurement(f"ticks_above_{limit}_limit", count)
+    yield our_measurement("rcm_error_max_mm", MILLI * run.errors_m.max())
+    yield our_measurement("rcm_error_rms_mm", MILLI * np.sqrt(np.mean(run.errors_m**2)))
+    yield our_measurement("ticks_at_limit", run.is_limited.sum())
+    if run.is_limited.any() and not run.is_limited.all():
+        limited_us = np.median(run.taken_us[run.is_limited])
+        ratio = limited_us / np.median(run.taken_us[~run.is_limited])
+        yield our_measurement("tick_ratio_at_limit", ratio)
