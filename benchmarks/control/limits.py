@@ -1,7 +1,7 @@
 """Whether commands stay within what each arm accepts, for a minute about an entry.
 
-The needle goes in 10 mm past a remote centre, tilts by 20 degrees in two seconds and
-goes round on that cone. Positions carry noise of 1e-5 rad; commands act at once or
+The needle goes in 10 mm past a remote centre, tilts by 20 degrees in two seconds (half
+a second where *quick*) and goes round on that cone. Positions carry noise of 1e-5 rad; commands act at once or
 after 10 ms, and one cycle in a hundred is lost, which repeats the command before. The
 arm integrates what reaches it: no dynamics, so that what is counted is the
 controller's. Limits are those of `ARM_LIMITS`, errors those of true positions.
@@ -36,6 +36,7 @@ DEPTH_m = 0.01
 """Of the tip past the entry."""
 TILT_rad = math.radians(20.0)
 TILT_s = 2.0
+QUICK_TILT_s = 0.5
 PERIOD_s = 8.0
 """Of once round the cone."""
 TIP_GAIN_per_s = 10.0
@@ -95,7 +96,14 @@ ARMS = {
     ),
     "iiwa14": Arm(_load_iiwa, _KUKA_POSTURE_rad),
 }
-CASES = tuple(f"{arm} {delay_ms}ms" for arm in ARMS for delay_ms in DELAYS_ms)
+QUICK = "quick"
+_PACES = ("", f" {QUICK}")
+CASES = tuple(
+    f"{arm} {delay_ms}ms{pace}"
+    for arm in ARMS
+    for delay_ms in DELAYS_ms
+    for pace in _PACES
+)
 
 
 @dataclass(frozen=True)
@@ -119,8 +127,10 @@ class ConeRun:
     is_limited: Array
 
 
-def run_cone(name: str, delay_ms: int, rng: np.random.Generator) -> ConeRun:
-    """Move an arm round the cone for `SECONDS`."""
+def run_cone(
+    name: str, delay_ms: int, tilt_s: float, rng: np.random.Generator
+) -> ConeRun:
+    """Move an arm onto the cone in some time, and round it for `SECONDS`."""
     arm = ARMS[name]
     robot = arm.load()
     cycle_s = ARM_LIMITS[name].cycle_s
@@ -143,7 +153,7 @@ def run_cone(name: str, delay_ms: int, rng: np.random.Generator) -> ConeRun:
     taken_us = list[float]()
     limited = list[bool]()
     for cycle in range(round(SECONDS / cycle_s)):
-        tip.goal_m = entry_m + DEPTH_m * axes @ _point_on_cone(cycle * cycle_s)
+        tip.goal_m = entry_m + DEPTH_m * axes @ _point_on_cone(cycle * cycle_s, tilt_s)
         since_s += cycle_s
         if rng.random() >= LOST:
             measured_rad = q_rad + NOISE_rad * rng.standard_normal(robot.nv)
@@ -170,9 +180,9 @@ def run_cone(name: str, delay_ms: int, rng: np.random.Generator) -> ConeRun:
     )
 
 
-def _point_on_cone(t_s: float) -> Array:
+def _point_on_cone(t_s: float, tilt_s: float) -> Array:
     """Return the needle's direction at a time, in the axes that it began with."""
-    grown = min(t_s / TILT_s, 1.0)
+    grown = min(t_s / tilt_s, 1.0)
     tilt_rad = TILT_rad * grown**2 * (3.0 - 2.0 * grown)
     angle_rad = 2.0 * math.pi * t_s / PERIOD_s
     across = math.sin(tilt_rad)
@@ -205,8 +215,10 @@ def count_excess(run: ConeRun, preset: ArmLimits) -> dict[str, int]:
 def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
     """Yield the numbers of an arm at a delay; no plant plays a part."""
     del plant
-    name, delay = case.split()
-    run = run_cone(name, int(delay.removesuffix("ms")), np.random.default_rng(seed))
+    name, delay, *pace = case.split()
+    tilt_s = QUICK_TILT_s if pace else TILT_s
+    rng = np.random.default_rng(seed)
+    run = run_cone(name, int(delay.removesuffix("ms")), tilt_s, rng)
     for limit, count in count_excess(run, ARM_LIMITS[name]).items():
         yield our_measurement(f"ticks_above_{limit}_limit", count)
     yield our_measurement("rcm_error_max_mm", MILLI * run.errors_m.max())
