@@ -1,10 +1,11 @@
 """Whether commands stay within what each arm accepts, for a minute about an entry.
 
 The needle goes in 10 mm past a remote centre, tilts by 20 degrees in two seconds (half
-a second where *quick*) and goes round on that cone. Positions carry noise of 1e-5 rad; commands act at once or
-after 10 ms, and one cycle in a hundred is lost, which repeats the command before. The
-arm integrates what reaches it: no dynamics, so that what is counted is the
-controller's. Limits are those of `ARM_LIMITS`, errors those of true positions.
+a second where *quick*) and goes round on that cone. Positions carry noise of 1e-5 rad;
+commands act at once or after 10 ms, and one cycle in a hundred is lost, which repeats
+the command before. The arm integrates what reaches it: no dynamics, so that what is
+counted is the controller's. Limits are those of `ARM_LIMITS`, errors those of true
+positions.
 """
 
 import math
