@@ -16,6 +16,7 @@ from time import thread_time_ns
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from benchmarks.results import Measurement, our_measurement
 from foundation.arrays import Array
@@ -125,7 +126,7 @@ class ConeRun:
     commands_rad_s: Array
     errors_m: Array
     taken_us: Array
-    is_limited: Array
+    is_limited: NDArray[np.bool_]
 
 
 def run_cone(
