@@ -7,9 +7,9 @@ an arm, `demos` the demonstrations, `checkup` what `doctor` finds.
 
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
 `force`, `check`, `identify`, `report`, `simulate`, `record`, `plan`, `touch`,
-`register`, `live`, `ros2`, `view`, `demo`, `doctor` (the commands), `robot` (the robot
-from options and TOML files), `logs`, `plan_file`, `auto_tare`, `loop_threads`, `arms`,
-`patient`, `demos`, `checkup`.
+`register`, `live`, `lag`, `ros2`, `view`, `demo`, `doctor` (the commands), `robot` (the
+robot from options and TOML files), `logs`, `plan_file`, `auto_tare`, `loop_threads`,
+`arms`, `patient`, `demos`, `checkup`.
 """
 
 import re
@@ -24,6 +24,7 @@ from needleforce.cli import (
     doctor,
     force,
     identify,
+    lag,
     live,
     plan,
     record,
@@ -44,6 +45,7 @@ __all__ = [
     "doctor",
     "force",
     "identify",
+    "lag",
     "live",
     "main",
     "plan",

@@ -27,6 +27,11 @@ class ControlCode(ErrorCode):
         "The session's needle is not along z of the robot's tool frame.",
         "Load the robot with a `tool_frame` whose z axis is the needle.",
     )
+    LAG = (
+        "NF-CONTROL-LAG",
+        "The delay of the arm cannot be measured.",
+        "Let the arm take commands, with nothing touching it, away from its limits.",
+    )
     EVENT_LOG = (
         "NF-CONTROL-EVENT-LOG",
         "A log of events cannot be written or read.",

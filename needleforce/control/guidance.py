@@ -15,6 +15,11 @@ while what is felt swings (compare Landi et al., IROS 2017), and decays:
     d ln c / dt = a max(1 - q / q_0, 0) - b ln c,   q = m^T D m / p,   1 <= c <= c_max
     m = mean of w,   p = mean of w^T D w,   over 0.12 s at most, since the hand was felt
 
+D comes from the mass matrix M, averaged over the range of the joints, and from the
+limits of torque and speed, so that arms of any size yield alike:
+
+    D_i = s (M_ii / tau + e r_max,i / v_max,i)
+
 Let the sensor's `SensorConfig.smooth_momentum` be off: smoothing is for an arm that
 hardly accelerates; in guidance it turns acceleration into residual, and the arm
 chatters at 26 Hz.
@@ -23,10 +28,12 @@ chatters at 26 Hz.
 import math
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from needleforce.control.errors import SettingError
+from needleforce.control.setting_checks import require_positive
 from needleforce.control.tasks import JointVelocity
 from residual.checks.input import MAX_PLAUSIBLE, as_float, known_limits
 from residual.checks.outliers import UNKNOWN_EFFORT_NM
@@ -52,6 +59,17 @@ ZONE_OPENS_s = 0.05
 ZONE_CLOSES_s = 0.5
 """Time constant with which z returns: a hand that turns round does not meet it
 again."""
+
+INERTIA_s = 0.8
+"""tau: an arm of mass M gives way as if D stopped it in so long. With `LIMIT_FRACTION`
+the formula gives an LWR what was found for it by trial, to a factor of 2."""
+
+LIMIT_FRACTION = 0.012
+"""e: a joint at its highest speed takes this fraction of its torque limit. It damps
+wrists, whose mass is next to nothing."""
+
+POSTURES = 64
+"""Over so many the mass matrix is averaged."""
 
 LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)
 """D of an LWR per rad, 10 to 25 Ns/m at the hub."""
@@ -93,6 +111,43 @@ MAX_GUIDED_STEP_s = 0.1
 
 MIN_POWER_W = 1e-12
 """Keeps q finite where nothing moves."""
+
+
+def find_damping_of_arm(robot: Robot) -> Array:
+    """Return D of every joint at a scale of 1, shape (n,) [Nms/rad]; see the module.
+
+    Raises:
+        SettingError: The model has no speed limits.
+    """
+    speed_rad_s = robot.velocity_limit_rad_s
+    if not (np.isfinite(speed_rad_s).all() and (speed_rad_s > 0.0).all()):
+        raise SettingError(
+            "the robot's model has no speed limits to find a damping from, expected "
+            f"damping_Nms_per_rad: a positive number for each of {robot.nv} joints"
+        )
+    torque_limit_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
+    by_limits_Nms = LIMIT_FRACTION * torque_limit_Nm / speed_rad_s
+    return _average_inertia(robot) / INERTIA_s + by_limits_Nms
+
+
+def _average_inertia(robot: Robot) -> Array:
+    """Return the diagonal of the mass matrix, averaged over postures, (n,) [kg m^2].
+
+    Postures fill the range of the joints, a turn at most, evenly: the k-th is at the
+    fractions of k sqrt(p), with p a prime for each joint (Kronecker's sequence).
+    """
+    lower_rad = np.maximum(robot.position_lower_rad, -np.pi)
+    upper_rad = np.minimum(robot.position_upper_rad, np.pi)
+    candidates = np.arange(2, 14 * robot.nv + 2)
+    is_prime = [bool((n % np.arange(2, n)).all()) for n in candidates]
+    steps = np.sqrt(candidates[is_prime][: robot.nv])
+    data = robot.create_data()
+    inertia = np.zeros(robot.nv)
+    for number in range(POSTURES):
+        fractions = np.modf(number * steps)[0]
+        posture_rad = lower_rad + fractions * (upper_rad - lower_rad)
+        inertia += np.diag(pin.crba(robot.model, data, posture_rad))
+    return inertia / POSTURES
 
 
 class _SwingDamping:
@@ -147,20 +202,29 @@ class Guidance:
 
     Args:
         robot: The arm; its torque limits set the dead zone.
-        damping_Nms_per_rad: D of every joint, shape (n,); None for those of an LWR
-            (`lwr...`).
+        damping_Nms_per_rad: D of every joint at a scale of 1, shape (n,); None for
+            those of the module, and for an LWR (`lwr...`) those found by trial.
+        scale: s: 2 makes the arm twice as heavy to lead, and steadier.
 
     Raises:
-        SettingError: A damping is not positive, or the robot is no LWR and has none.
+        SettingError: A damping or the scale is not positive, or the robot's model has
+            no speed limits to find a damping from.
     """
 
     def __init__(
-        self, robot: Robot, damping_Nms_per_rad: ArrayLike | None = None
+        self,
+        robot: Robot,
+        damping_Nms_per_rad: ArrayLike | None = None,
+        *,
+        scale: float = 1.0,
     ) -> None:
+        require_positive({"scale": scale})
         damping = damping_Nms_per_rad
         if damping is None and robot.joint_names[0].startswith("lwr"):
             damping = LWR_DAMPING_Nms
-        self._damping_Nms = np.array(damping, dtype=np.float64)
+        elif damping is None:
+            damping = find_damping_of_arm(robot)
+        self._damping_Nms = scale * np.array(damping, dtype=np.float64)
         is_positive = bool(
             np.isfinite(self._damping_Nms).all() and (self._damping_Nms > 0.0).all()
         )

@@ -194,7 +194,7 @@ class _Fit(NamedTuple):
     def noise_of_delay(self, speed_rad_s: Array) -> float:
         """Return the deviation of T that what is left over makes.
 
-            sigma^2 = rms(r)^2 (1 + rho) / (1 - rho) / sum(x'^2),    rho of lag one
+        sigma^2 = rms(r)^2 (1 + rho) / (1 - rho) / sum(x'^2),    rho of lag one
         """
         left = self.left_rad
         power = max(float(left @ left), 1e-24)

@@ -1,6 +1,7 @@
 """An emulator of the controller of an LWR, which speaks the protocol of `fri`."""
 
 import time
+from collections import deque
 from dataclasses import dataclass, field
 from multiprocessing.connection import Connection
 from typing import Any
@@ -27,7 +28,7 @@ class FriSettings:
     """What the emulated controller does.
 
     Rows of the signals are sent in turn, one a cycle; commands move only the reported
-    command.
+    command, unless `delay_cycles` is set.
 
     Attributes:
         port: To which it sends.
@@ -38,6 +39,8 @@ class FriSettings:
         in_real_time: Whether it asks the system for real-time priority.
         extra_wait_s: So much longer a cycle lasts until it is answered; one of a real
             controller never does.
+        delay_cycles: So many cycles after a command the reported position is there;
+            None: positions are those of ``q_rad``.
         command_from_s: When it goes from monitor to command mode.
         faults: What goes wrong on the wire.
     """
@@ -49,6 +52,7 @@ class FriSettings:
     cycles: int | None = None
     in_real_time: bool = False
     extra_wait_s: float = 0.0
+    delay_cycles: int | None = None
     command_from_s: float = float("inf")
     faults: WireFaults = field(default_factory=WireFaults)
 
@@ -93,6 +97,10 @@ class _Controller:
         self._packet["kind"] = fri.MEASUREMENT_KIND
         self._packet["period_s"] = settings.period_s
         self._packet["commanded_rad"] = settings.q_rad[0]
+        delay_cycles = settings.delay_cycles or 0
+        self._commanded: deque[Array] = deque(
+            [settings.q_rad[0]] * (delay_cycles + 1), maxlen=delay_cycles + 1
+        )
         self._due_s = time.monotonic()
 
     @property
@@ -141,4 +149,7 @@ class _Controller:
         packet["state"] = state
         packet["quality"] = fri.FriQuality.BAD if is_bad else fri.FriQuality.PERFECT
         packet["position_rad"] = self._settings.q_rad[row]
+        if self._settings.delay_cycles is not None:
+            self._commanded.append(self.commanded_rad)
+            packet["position_rad"] = self._commanded[0]
         packet["torque_Nm"] = self._settings.tau_Nm[row]

@@ -11,6 +11,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from groundtruth import simulate
+from groundtruth.rig_arm import SimulatedArm
 from needleforce.cli.robot import LWR, robot_from_options
 from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
 from needleforce.cli.terminal import (
@@ -29,6 +30,7 @@ from needleforce.devices import (
     pace,
     parse_arm_name,
 )
+from needleforce.devices.arm_names import EXPECTED_NAMES
 from needleforce.devices.datagram_link import LOOPBACK, DatagramLink
 from urdf import Robot
 
@@ -61,7 +63,11 @@ class ConnectedArm(NamedTuple):
 
 @contextmanager
 def open_arm(
-    name: str, options: RobotOptions, constants_Nm_A: MotorConstants | None = None
+    name: str,
+    options: RobotOptions,
+    constants_Nm_A: MotorConstants | None = None,
+    *,
+    takes_commands: bool = False,
 ) -> Iterator[ConnectedArm]:
     """Open the arm that a user names, with its model; it is closed in the end.
 
@@ -69,6 +75,7 @@ def open_arm(
         name: The arm as the command line names it, such as ``fri:30200``.
         options: Options that describe the robot.
         constants_Nm_A: Torque per motor current of each joint of a UR [Nm/A].
+        takes_commands: Whether the arm shall move.
 
     Raises:
         CommandError: There is no such arm, or the model does not fit it.
@@ -76,6 +83,13 @@ def open_arm(
     kind, _, scenario = name.partition(":")
     if constants_Nm_A is not None and kind != "ur":
         raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {name}")
+    if takes_commands and kind == "ros2":
+        raise CommandError(
+            f"{name} takes no commands, expected {EXPECTED_NAMES} or sim"
+        )
+    if takes_commands and kind == "sim":
+        yield _open_simulated(name, options)
+        return
     if kind == "sim":
         yield _simulate_arm(name, scenario or SIMULATED_SCENARIO, options)
         return
@@ -84,7 +98,9 @@ def open_arm(
             yield connected
         return
     robot = _robot_of(name, _kind_of(name), options)
-    with connect_arm(name, torque_constant_Nm_A=constants_Nm_A) as arm:
+    with connect_arm(
+        name, torque_constant_Nm_A=constants_Nm_A, takes_commands=takes_commands
+    ) as arm:
         if arm.joints != robot.nv:
             raise CommandError(
                 f"{name} has {arm.joints} joints, the robot that describes it "
@@ -92,6 +108,14 @@ def open_arm(
                 CommandCode.ROBOT,
             )
         yield ConnectedArm(arm, robot)
+
+
+def _open_simulated(name: str, options: RobotOptions) -> ConnectedArm:
+    """Return a simulated LWR 4+ in free air, which takes commands."""
+    if options not in (RobotOptions(), RobotOptions(robot=LWR)):
+        raise CommandError(f"{name} is an LWR 4+, expected no options of the robot")
+    arm = SimulatedArm(plant="clean")
+    return ConnectedArm(arm, arm.robot)
 
 
 def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedArm:

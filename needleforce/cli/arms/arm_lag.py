@@ -1,0 +1,133 @@
+"""The delay of an arm, measured by moving it: `needleforce lag`."""
+
+import json
+import sys
+from typing import Any
+
+from needleforce.cli.arms.arm_connection import open_arm
+from needleforce.cli.shared_options import RobotOptions
+from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
+from needleforce.control import Limits
+from needleforce.control.lag import (
+    Delay,
+    LagProbe,
+    ProbeState,
+    SafeGain,
+    find_safe_gain,
+)
+from needleforce.control.tasks import GAIN_PER_S
+from urdf import Robot
+
+S_TO_MS = 1e3
+
+MAX_WAIT_S = 30.0
+"""So long the arm may take to accept commands."""
+
+
+def measure_arm(
+    arm_name: str, options: RobotOptions, *, is_confirmed: bool, as_json: bool
+) -> int:
+    """Measure the delay of an arm and print it, with the largest safe gain.
+
+    Args:
+        arm_name: The arm as the command line names it.
+        options: Options that describe the robot.
+        is_confirmed: Whether the arm may move without a question.
+        as_json: Whether JSON is printed.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: The user says no, or the arm takes no commands.
+        ControlError: It cannot be measured: see the message.
+    """
+    if not is_confirmed:
+        _ask(arm_name)
+    with open_arm(arm_name, options, takes_commands=True) as (arm, robot):
+        probe = LagProbe(robot, Limits(robot))
+        _move(arm, arm_name, probe)
+        delays = probe.measure()
+    slowest = max(delays, key=lambda delay: delay.delay_s + delay.std_s)
+    gain = find_safe_gain(slowest, probe.cycle_s)
+    if as_json:
+        write_out(_as_json(robot, delays, gain, probe.cycle_s))
+    else:
+        write_out(_as_text(robot, delays, gain, probe.cycle_s))
+    return 0
+
+
+def _ask(arm_name: str) -> None:
+    """Ask whether the arm may move; raise `CommandError` unless the answer is yes."""
+    if not sys.stdin.isatty():
+        raise CommandError(
+            f"{arm_name} would move and nobody can be asked: give --yes",
+            CommandCode.OPTION,
+        )
+    say(
+        f"All joints of {arm_name} will move for 5 s, the tip by at most 5 mm either "
+        "way. The needle must be in free air, and the stop button at hand."
+    )
+    if input("Move? [y/N] ").strip().lower() not in ("y", "yes"):
+        raise CommandError("not confirmed: nothing has moved", CommandCode.OPTION)
+
+
+def _move(arm: Any, arm_name: str, probe: LagProbe) -> None:
+    """Move the arm by the chirp, and bring it to rest."""
+    waited_s = 0.0
+
+    for sample in arm:
+        command = probe.update(sample)
+        is_accepted = arm.send(command.dq_rad_s)
+        probe.note_sent(command, is_accepted=is_accepted)
+        if probe.state is ProbeState.WAITING:
+            waited_s += sample.dt_s
+            if waited_s > MAX_WAIT_S:
+                raise CommandError(
+                    f"{arm_name} took no command in {MAX_WAIT_S:g} s: let it take "
+                    "commands at its own panel",
+                    CommandCode.ARM,
+                )
+        is_over = probe.state in (ProbeState.DONE, ProbeState.FAILED)
+        if is_over and not command.dq_rad_s.any():
+            return
+
+
+def _as_json(robot: Robot, delays: list[Delay], gain: SafeGain, cycle_s: float) -> str:
+    """Return the result as JSON; times in ms, gains in 1/s."""
+    joints = [
+        {
+            "joint": name,
+            "delay_ms": S_TO_MS * delay.delay_s,
+            "std_ms": S_TO_MS * delay.std_s,
+            "followed": delay.followed,
+        }
+        for name, delay in zip(robot.joint_names, delays, strict=True)
+    ]
+    result = {
+        "joints": joints,
+        "cycle_ms": S_TO_MS * cycle_s,
+        "safe_gain_per_s": gain.safe_per_s,
+        "unstable_gain_per_s": gain.unstable_per_s,
+        "phase_margin_deg": gain.margin_deg,
+        "usual_gain_per_s": GAIN_PER_S,
+    }
+    return json.dumps(result, indent=2)
+
+
+def _as_text(robot: Robot, delays: list[Delay], gain: SafeGain, cycle_s: float) -> str:
+    """Return the result in lines to be read."""
+    lines = [
+        f"{name}: {S_TO_MS * delay.delay_s:.2f} ± {S_TO_MS * delay.std_s:.2f} ms"
+        for name, delay in zip(robot.joint_names, delays, strict=True)
+    ]
+    usual = (
+        "is safe" if gain.safe_per_s >= GAIN_PER_S else "is too high: pass gain_per_s"
+    )
+    lines += [
+        f"cycle {S_TO_MS * cycle_s:.2f} ms",
+        f"largest safe gain {gain.safe_per_s:.1f} / s (phase margin "
+        f"{gain.margin_deg:.0f} degrees); unstable from {gain.unstable_per_s:.0f} / s",
+        f"the usual gain of {GAIN_PER_S:g} / s {usual}",
+    ]
+    return "\n".join(lines)
