@@ -22,7 +22,7 @@ def lag_command(
 ) -> int:
     """Measure the delay from command to motion, and print the largest safe gain.
 
-    All joints move for 5 s by a chirp of 1 to 6 Hz, the tip by at most 5 mm either way:
+    All joints move for 4 s by a chirp of 1 to 6 Hz, the tip by at most 5 mm either way:
     keep the needle in free air. A gain K is stable while K (T + h/2) < pi/2, with T the
     delay and h the cycle; the safe one keeps a phase margin of 55 degrees.
 

@@ -111,13 +111,13 @@ class ChirpSettings(NamedTuple):
         rest_s: Time of listening before and after it.
     """
 
-    duration_s: float = 4.0
+    duration_s: float = 3.0
     first_Hz: float = 1.0
     last_Hz: float = 6.0
     speed_rad_s: float = 0.03
     tip_m: float = 5e-3
     ramp_s: float = 0.3
-    rest_s: float = 0.4
+    rest_s: float = 0.3
 
 
 USUAL_CHIRP = ChirpSettings()

@@ -65,7 +65,7 @@ def _ask(arm_name: str) -> None:
             CommandCode.OPTION,
         )
     say(
-        f"All joints of {arm_name} will move for 5 s, the tip by at most 5 mm either "
+        f"All joints of {arm_name} will move for 4 s, the tip by at most 5 mm either "
         "way. The needle must be in free air, and the stop button at hand."
     )
     if input("Move? [y/N] ").strip().lower() not in ("y", "yes"):

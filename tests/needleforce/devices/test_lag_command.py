@@ -29,19 +29,19 @@ def test_an_emulated_kuka_is_as_late_as_it_was_made(capsys):
         port=port,
         q_rad=np.array([[0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0]]),
         tau_Nm=np.zeros((1, 7)),
-        period_s=4e-3,
+        period_s=2e-3,
+        extra_wait_s=3.0,
         delay_cycles=5,
-        extra_wait_s=20.0,
         command_from_s=0.1,
     )
     with Emulator(emulate_fri, settings):
         assert main(["lag", f"fri:{port}", "--yes", "--json"]) == 0
 
     result = json.loads(capsys.readouterr().out)
-    # A command is in the answer to the next packet, and in the packet after that one.
+    # A command is in the answer to the next packet, and in the one after that.
     for joint in result["joints"]:
-        assert joint["delay_ms"] == pytest.approx(4.0 * (5 + 2), abs=1.5)
-    assert result["cycle_ms"] == pytest.approx(4.0)
+        assert joint["delay_ms"] == pytest.approx(2.0 * (5 + 1), abs=1.0)
+    assert result["cycle_ms"] == pytest.approx(2.0)
 
 
 def test_an_arm_does_not_move_unasked(capsys):
