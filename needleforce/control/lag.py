@@ -19,6 +19,7 @@ from enum import StrEnum
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.optimize import minimize_scalar
 
 from foundation.arrays import Array
@@ -49,8 +50,9 @@ COARSE_STEP_s = 2e-3
 WINDOWS = 4
 """Parts of the chirp in which the delay is measured anew: slow to quick motion."""
 
-MIN_FOLLOWED = 0.8
-"""An arm that moves by less of its commands has not followed them."""
+MIN_FOLLOWED = 0.5
+"""An arm that moves by less of its commands has not followed them. A soft servo makes
+0.7 of quick ones."""
 
 MAX_FOLLOWED = 1.2
 """An arm that moves by more was moved by something else."""
@@ -216,15 +218,15 @@ class _Path(NamedTuple):
     times_s: Array
     commanded_rad: Array
     q_rad: Array
-    rows: Array | None = None
+    rows: NDArray[np.intp] | None = None
 
-    def within(self, rows: Array) -> "_Path":
+    def within(self, rows: NDArray[np.intp]) -> "_Path":
         """Return the same, compared at some samples."""
         return self._replace(rows=rows)
 
     def fit(self, delay_s: float) -> _Fit:
         """Fit a, b and c at a delay."""
-        rows = slice(None) if self.rows is None else self.rows
+        rows = np.arange(self.times_s.size) if self.rows is None else self.rows
         times_s = self.times_s[rows]
         moved_rad = self.q_rad[rows]
         late_rad = np.interp(times_s - delay_s, self.times_s, self.commanded_rad)
@@ -295,7 +297,7 @@ class LagProbe:
         self._robot = robot
         self._controller = Controller(robot, limits)
         self._chirp = chirp
-        self._start_rad: Array | None = None
+        self._start_rad = np.zeros(0)  # empty before the first sample
         self._moving_s = 0.0
         self._times_s: list[float] = []
         self._commands_rad_s: list[Array] = []
@@ -303,7 +305,7 @@ class LagProbe:
 
     def update(self, sample: ArmSample) -> Command:
         """Return the command for the coming cycle; at rest once it is over."""
-        if self._start_rad is None:
+        if not self._start_rad.size:
             self._begin(sample.q_rad)
         elif self.state is ProbeState.MOVING:
             self._moving_s += sample.dt_s
