@@ -51,9 +51,9 @@ def measure_arm(
     slowest = max(delays, key=lambda delay: delay.delay_s + delay.std_s)
     gain = find_safe_gain(slowest, probe.cycle_s)
     if as_json:
-        write_out(_as_json(robot, delays, gain, probe.cycle_s))
+        write_out(_as_json(robot, delays, gain, probe.cycle_s) + "\n")
     else:
-        write_out(_as_text(robot, delays, gain, probe.cycle_s))
+        write_out(_as_text(robot, delays, gain, probe.cycle_s) + "\n")
     return 0
 
 
