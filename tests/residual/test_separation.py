@@ -51,10 +51,17 @@ def test_the_deviations_are_those_of_the_tare():
     rng = np.random.default_rng(0)
     draws = rng.multivariate_normal(tare.mean, tare.covariance, 4000)
     sums_Nm = draws[:, loops].sum(axis=1)
+    after_loops = 4 * joints + links + 1
+    elements = slice(after_loops, after_loops + 3 * joints, joints)
+    frictions_Nm = draws[:, elements].sum(axis=1)
 
     second = session.tare_separation[1]
     assert second.hysteresis_Nm == pytest.approx(np.mean(sums_Nm), abs=2e-3)
     assert second.hysteresis_std_Nm == pytest.approx(np.std(sums_Nm), rel=0.05)
+    assert second.friction_Nm == pytest.approx(np.mean(frictions_Nm), abs=2e-3)
+    assert second.friction_std_Nm == pytest.approx(np.std(frictions_Nm), rel=0.05)
+    correlation = np.corrcoef(sums_Nm, frictions_Nm)[0, 1]
+    assert second.correlation == pytest.approx(correlation, abs=0.03)
 
 
 def test_the_advice_names_the_joints_that_the_motion_left_undecided():

@@ -12,7 +12,7 @@ from groundtruth.plant_model import CLEAN
 from residual import DEFAULT, BiasPrior, ConfigurationError, TareError, WrenchEstimator
 from residual.bias.estimator import BiasEstimator, TareRecorder
 from residual.bias.fit import FreeMotionFit
-from residual.bias.joint_states import play_operator
+from residual.bias.joint_states import joint_states_step, play_operator
 from residual.bias.model import BiasModel, TareBlocks
 from residual.bias.tare_check import (
     check_free_of_contact,
@@ -253,6 +253,32 @@ def test_ripple_of_a_known_gear_ratio_is_fitted(lwr):
     np.testing.assert_allclose(got[[1, 3]], expected[[1, 3]], atol=0.01)
     with pytest.raises(ConfigurationError, match="expected 7"):
         BiasModel(lwr, "model", BiasPrior(gear_ratio=(160.0,)))
+
+
+def test_a_sliding_bearing_rubs_more_at_low_speed():
+    states = np.zeros((7, 1))  # three loops, two elements, more at low speed, speed
+    plays = np.zeros((5, 1))
+    lagged_q = np.zeros(1)
+    q = np.zeros(1)
+    for _ in range(2000):
+        q = q + 0.02e-3  # 0.02 rad/s
+        joint_states_step(
+            plays,
+            np.zeros(1),
+            lagged_q,
+            states,
+            q,
+            np.zeros(1),
+            np.full((5, 1), 1e-3),
+            loops=3,
+            stribeck_rad_s=0.02,
+            dt_s=1e-3,
+        )
+
+    assert states[:3, 0] == pytest.approx(np.zeros(3))
+    assert states[3:5, 0] == pytest.approx(np.ones(2))
+    assert states[5, 0] == pytest.approx(np.exp(-1.0), rel=1e-3)
+    assert states[6, 0] == pytest.approx(0.02, rel=1e-3)
 
 
 def test_hysteresis_state_remembers_and_turns_over_width():

@@ -9,7 +9,7 @@ from identification.multilayer.decisions import (
     speed_lag,
 )
 from identification.multilayer.evidence import weigh_evidence
-from identification.multilayer.force_model import LAYER, RELEASED
+from identification.multilayer.force_model import LAYER, OFFSET, RELEASED
 from identification.multilayer.layer_report import Alarm, report_rupture
 from identification.multilayer.mixture import first_mixture
 from identification.multilayer.tissue_motion import TissueMotion
@@ -156,3 +156,19 @@ def test_a_rupture_releases_a_tenth_of_a_newton_and_more_than_noise(
     count = count_ruptures(weigh_evidence(mixture, None, 0), 0, block)
 
     assert count.more == probability
+
+
+def test_no_more_than_the_whole_force_is_released():
+    """A force of 0.08 N above that in free air is too little for a rupture."""
+    mixture = first_mixture()
+    set_fields(mixture.assumptions, medium=LAYER, ruptures=1.0)
+    mixture.means[0, [RELEASED, OFFSET]] = 0.3, 0.2
+    evidence = weigh_evidence(mixture, None, 0)
+    for force_N, probability in ((0.28, 0.0), (0.38, 1.0)):
+        set_fields(
+            mixture.history,
+            rupture_s=BLOCK.time_s,
+            rupture_force_N=force_N,
+            min_force_N=0.2,
+        )
+        assert count_ruptures(evidence, 0, BLOCK).more == probability

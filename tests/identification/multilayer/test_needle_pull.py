@@ -140,3 +140,34 @@ def test_a_needle_just_drawn_back_is_held_and_not_pulled(behind_mm, is_pulled):
     pull = NeedlePull().with_force(advancing).with_force(after)
 
     assert pull.is_pulled == is_pulled
+
+
+def pull_of(force_at, seconds):
+    """The pull at every block of an advancing needle, for a force over time."""
+    pull = NeedlePull()
+    pulls = []
+    for time_s in np.arange(0.0, seconds, 0.01).tolist():
+        force = NetForce(
+            force_at(time_s), 0.005, time_s, 0.01, is_advancing=True, behind_mm=0.0
+        )
+        pull = pull.with_force(force)
+        pulls.append((time_s, pull))
+    return pulls
+
+
+def test_a_zero_is_new_once_the_force_has_been_steady_for_two_and_a_half_seconds():
+    """A force that still falls is no zero, however long it has fallen."""
+    pulls = pull_of(lambda time_s: -max(min(time_s, 4.0), 0.0), 8.0)
+    new_s = [time_s for time_s, pull in pulls if pull.is_new_zero(time_s)]
+
+    assert new_s[0] == pytest.approx(6.5, abs=0.1)
+
+
+@pytest.mark.parametrize(("behind_mm", "is_pulled"), [(0.05, True), (0.15, False)])
+def test_a_pulled_needle_that_is_drawn_back_is_pulled_no_more(behind_mm, is_pulled):
+    """Behind its deepest point tissue holds it, as friction has turned."""
+    _, pull = pull_of(lambda _: -1.0, 0.5)[-1]
+    back = NetForce(-1.0, 0.005, 0.5, 0.01, is_advancing=False, behind_mm=behind_mm)
+
+    assert pull.is_pulled
+    assert pull.with_force(back).is_pulled == is_pulled

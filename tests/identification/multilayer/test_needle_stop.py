@@ -8,7 +8,7 @@ from identification import replay
 from identification.multilayer.block import Block
 from identification.multilayer.force_split import estimate_sample
 from identification.multilayer.needle_contact import NeedleContact
-from identification.multilayer.needle_stop import NeedleStop
+from identification.multilayer.needle_stop import NeedleStop, Retention, meet_stop
 from identification.multilayer.shaft_posterior import (
     Friction,
     ShaftPosterior,
@@ -108,3 +108,22 @@ def test_coulomb_friction_stays_on_the_shaft_at_a_stop():
     std_N = np.array([item.tip_force_std_N for item in rest], dtype=float)
 
     assert np.mean(np.abs(error_N) <= 2.0 * std_N) > 0.95
+
+
+def test_friction_at_rest_is_that_of_weighed_draws():
+    """Draws of friction and of what remains, weighed by how well they fit the force."""
+    rng = np.random.default_rng(0)
+    friction_N = rng.normal(1.0, 0.12, 200_000)
+    kept_friction = rng.normal(0.5, 0.1, 200_000)
+    kept_tip = rng.normal(0.95, 0.05, 200_000)
+    at_rest_N = kept_friction * friction_N
+    missed_N = 1.5 - at_rest_N - kept_tip * (2.0 - friction_N)
+    weights = np.exp(-0.5 * (missed_N / 0.05) ** 2)
+    mean_N = np.average(at_rest_N, weights=weights)
+    variance_N2 = np.average((at_rest_N - mean_N) ** 2, weights=weights)
+    stop = NeedleStop(force=2.0, friction=1.0, friction_variance=0.12**2)
+    before = Retention(0.5, 0.95, 0.1**2, 0.05**2, 0.0)
+    met = meet_stop(stop, before, 1.5, 0.05**2)
+
+    assert met.friction == pytest.approx(mean_N, abs=0.01)
+    assert np.sqrt(met.variance) == pytest.approx(np.sqrt(variance_N2), rel=0.05)

@@ -91,3 +91,10 @@ def test_texture_before_it_is_known_is_a_part_of_the_force():
 
     assert texture.model_error(0.5, 0.0) == pytest.approx(0.1)
     assert texture.model_error(2.0, 0.05) == pytest.approx(0.4)
+
+
+def test_texture_is_no_more_than_friction_can_be():
+    """Friction lies between none and all of the force: half of that, in doubt."""
+    rough = Texture(variance_N2=1e3, hidden_N2=0.0)
+
+    assert rough.model_error(0.8, 0.0) == pytest.approx(0.4)
