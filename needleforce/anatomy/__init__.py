@@ -11,8 +11,9 @@ metres. Stands alone: no robots, no forces. Not a medical device.
 Reading order: `volume`, `structures`, `labels`, `path_layers`, `obstacle_crossings`,
 `clearance`, `surface`, `reading`, `file_checks`, `dicom_series`, `dicom_kinds`,
 `dicom_segmentation`, `label_names`, `mask_folder`, `slicer_segments`, `segment_names`,
-`renaming`, `registration`, `landmark_check`, `landmarks`, `surface_fit`, `markups`,
-`transform_file`, `path_search`, `plan_match`, `rupture_model`.
+`renaming`, `registration`, `landmark_check`, `landmarks`, `landmark_frame`,
+`surface_fit`, `markups`, `transform_file`, `path_search`, `plan_match`,
+`rupture_model`.
 """
 
 from needleforce.anatomy.clearance import (
@@ -28,6 +29,7 @@ from needleforce.anatomy.errors import (
     VolumeError,
 )
 from needleforce.anatomy.labels import Labels
+from needleforce.anatomy.landmark_frame import SkinLandmarks, require_lps
 from needleforce.anatomy.landmarks import fit_landmarks
 from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
@@ -51,6 +53,7 @@ __all__ = [
     "PlanState",
     "Registration",
     "RegistrationError",
+    "SkinLandmarks",
     "Structure",
     "Surface",
     "Volume",
@@ -62,4 +65,5 @@ __all__ = [
     "read_transform",
     "read_volume",
     "require_clear_path",
+    "require_lps",
 ]

@@ -136,10 +136,24 @@ def find_equal_order(
         robot: The same in the robot's base.
         std_m: Standard deviation of a landmark along each axis.
     """
-    if len(model) > MAX_ORDERED:
-        return None
     equal_fit = EQUAL_FIT if len(model) > 3 else EQUAL_FIT_OF_THREE
     max_squares_m2 = fit_rigidly(model, robot).squares_m2 + equal_fit * std_m**2
+    return find_order(model, robot, std_m, max_squares_m2)
+
+
+def find_order(
+    model: Array, robot: Array, std_m: float, max_squares_m2: float
+) -> tuple[int, ...] | None:
+    """Return another order of the touched landmarks that fits; None for none.
+
+    Args:
+        model: Landmarks in the CT, (n, 3).
+        robot: The same in the robot's base.
+        std_m: Standard deviation of a landmark along each axis.
+        max_squares_m2: Largest sum of the squares that it may leave.
+    """
+    if len(model) > MAX_ORDERED:
+        return None
     model_gaps_m = _gaps_m(model)
     robot_gaps_m = _gaps_m(robot)
     max_gap_m = MAX_GAP_STD * std_m

@@ -14,7 +14,7 @@ from scipy.stats import chi2
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, RegistrationError, require_deviation
-from needleforce.anatomy.landmark_check import find_equal_order
+from needleforce.anatomy.landmark_check import find_equal_order, find_order
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
     MIN_WIDTH_m,
@@ -27,6 +27,17 @@ from needleforce.anatomy.registration import (
 
 FALSE_REFUSAL = 1e-6
 """Probability that good landmarks do not fit: no refusal is wrong in a life."""
+
+STATED_DEGREES = 0.5
+"""Residuals for which a known deviation counts: all but those of the landmarks, or one
+of them that is off would leave the stated error as it is."""
+
+DOUBTFUL_FIT = 0.05
+"""Residuals that good landmarks exceed more seldom are taken for those of one landmark
+that is off."""
+
+DEGREES_OF_ONE = 3.0
+"""Degrees of freedom of one landmark that is off."""
 
 MIN_EXTENT_m = 1e-12
 """Keeps the ratio of extents finite where all landmarks are at one place."""
@@ -45,9 +56,24 @@ class _Landmarks(NamedTuple):
 
     def fit(self, std_m: float) -> bool:
         """Return whether they fit with a standard deviation along each axis."""
+        return bool(fit_rigidly(*self).squares_m2 <= self.max_squares_m2(std_m))
+
+    def max_squares_m2(self, std_m: float) -> float:
+        """Return the largest sum of squares that good landmarks leave."""
         degrees = 3 * len(self.model_m) - 6
-        max_squares_m2 = std_m**2 * chi2.isf(FALSE_REFUSAL, degrees)
-        return bool(fit_rigidly(*self).squares_m2 <= max_squares_m2)
+        return float(std_m**2 * chi2.isf(FALSE_REFUSAL, degrees))
+
+
+class _Noise(NamedTuple):
+    """How far landmarks are off.
+
+    Attributes:
+        variance_m2: Along each axis; nan where nothing can be said.
+        degrees: Of freedom behind it.
+    """
+
+    variance_m2: float
+    degrees: float
 
 
 class _Explanation(NamedTuple):
@@ -77,9 +103,9 @@ def fit_landmarks(
             axes.
         std_m: Standard deviation of a touch along each axis, localisation in the CT
             included: what does not fit with several times as much is refused.
-        is_std_known: Use it for the covariance too; else that is estimated from the
-            residuals, and with three landmarks, which leave next to none, nothing is
-            claimed.
+        is_std_known: It counts as half a residual more for the covariance, which the
+            residuals decide: one landmark that is off widens it. Else three landmarks,
+            which leave next to no residuals, claim nothing.
 
     Raises:
         RegistrationError: Too few, collinear, mirrored or swapped landmarks,
@@ -98,22 +124,44 @@ def fit_landmarks(
             AnatomyCode.MISFITTING_LANDMARKS,
         )
     _require_one_order(landmarks, std_m)
-    degrees = 3 * count - 6
-    variance_m2 = fit.squares_m2 / degrees if count > 3 else np.nan
-    if is_std_known:
-        variance_m2 = std_m**2
+    noise = _estimate_noise(fit.squares_m2, count, std_m, is_std_known=is_std_known)
     moved_m = landmarks.model_m @ fit.rotation.T + fit.translation_m
     pivot_m = moved_m.mean(axis=0)
     rows = displacement_jacobian(moved_m - pivot_m).reshape(-1, 6)
-    covariance = variance_m2 * np.linalg.inv(rows.T @ rows)
+    covariance = noise.variance_m2 * np.linalg.inv(rows.T @ rows)
     return Registration(
         rotation=fit.rotation,
         translation_m=fit.translation_m,
         covariance=np.asarray(covariance, dtype=float),
         pivot_m=pivot_m,
-        degrees=np.inf if is_std_known else float(degrees),
+        degrees=noise.degrees,
         residual_rms_m=residual_rms_m,
     )
+
+
+def _estimate_noise(
+    squares_m2: float, count: int, std_m: float, *, is_std_known: bool
+) -> _Noise:
+    """Return how far landmarks are off, by the residuals.
+
+    Where these are larger than good landmarks leave, one landmark is taken to be off:
+    its three coordinates decide, so the region grows as Student's law with three
+    degrees of freedom does.
+
+    Args:
+        squares_m2: Sum of the squared residuals.
+        count: Landmarks.
+        std_m: Stated deviation along each axis.
+        is_std_known: It counts, too.
+    """
+    degrees = 3.0 * count - 6.0
+    if count == 3 and not is_std_known:
+        return _Noise(np.nan, degrees)
+    if chi2.sf(squares_m2 / std_m**2, degrees) < DOUBTFUL_FIT:
+        return _Noise(squares_m2 / degrees, DEGREES_OF_ONE)
+    stated = STATED_DEGREES if is_std_known else 0.0
+    variance_m2 = (squares_m2 + stated * std_m**2) / (degrees + stated)
+    return _Noise(variance_m2, degrees + stated)
 
 
 def _require_one_order(landmarks: _Landmarks, std_m: float) -> None:
@@ -161,6 +209,13 @@ def _find_cause(landmarks: _Landmarks, std_m: float, residual_rms_m: float) -> s
     for cause, corrected in _explanations(landmarks):
         if corrected.fit(std_m):
             return cause
+    order = find_order(*landmarks, std_m, landmarks.max_squares_m2(std_m))
+    if order is not None:
+        numbers = ", ".join(str(number + 1) for number in order)
+        return (
+            f"the touched landmarks fit in the order {numbers}; touch them in the "
+            "model's order"
+        )
     return (
         f"the landmarks do not fit: {1e3 * residual_rms_m:.1f} mm rms are left with "
         f"{1e3 * std_m:g} mm per axis expected; are they the same points, in the same "

@@ -32,6 +32,8 @@ class RegisterOptions:
         motion: Standard deviation of what organs move against the skin, in millimetres
             (default: 3).
         landmarks_only: Leave the touches of the skin out.
+        negate_xy: Negate x and y of the landmarks: their file says LPS and holds RAS,
+            or the reverse.
     """
 
     landmarks: Annotated[Path | None, Parameter(metavar="FILE")] = None
@@ -43,6 +45,7 @@ class RegisterOptions:
     touch_std: Annotated[float, Parameter(metavar="MM")] = 0.5
     motion: Annotated[float, Parameter(metavar="MM")] = 3.0
     landmarks_only: Annotated[bool, Parameter(negative="")] = False
+    negate_xy: Annotated[bool, Parameter(negative="")] = False
 
 
 @app.command(name="register")
@@ -92,6 +95,7 @@ def register_command(
         touch_std_mm=options.touch_std,
         motion_mm=options.motion,
         landmarks_only=options.landmarks_only,
+        is_xy_negated=options.negate_xy,
     )
     return register_plan(plan, evidence, output, report)
 

@@ -9,11 +9,11 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.anatomy import (
     Registration,
-    RegistrationError,
+    SkinLandmarks,
     fit_landmarks,
     fit_surface,
+    require_lps,
 )
-from needleforce.anatomy.errors import AnatomyCode
 from needleforce.anatomy.landmark_check import LandmarkResidual, judge_landmarks
 from needleforce.anatomy.markups import RAS_TO_LPS, Markup, read_markup
 from needleforce.anatomy.surface import Surface
@@ -48,15 +48,6 @@ MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh")
 
 M_PER_MM = 1e-3
 
-MAX_OFF_SKIN_m = 0.012
-"""Landmarks of the skin lie nearer to it."""
-
-MIN_OFF_SKIN_m = 2e-3
-"""Landmarks this near to the skin are in the right frame."""
-
-OTHER_FRAME_RATIO = 3.0
-"""So much nearer to the skin they are in the right frame than in the wrong one."""
-
 MAX_STD_mm = 50.0
 """Larger ones are not in millimetres."""
 
@@ -71,6 +62,7 @@ class Evidence(NamedTuple):
         touch_std_mm: Of a touch of the skin [mm].
         motion_mm: Of organs against the skin [mm].
         landmarks_only: The touches of the skin are left out.
+        is_xy_negated: The landmarks' file says LPS and holds RAS, or the reverse.
     """
 
     landmarks: Path
@@ -79,6 +71,7 @@ class Evidence(NamedTuple):
     touch_std_mm: float
     motion_mm: float
     landmarks_only: bool
+    is_xy_negated: bool
 
     def check(self) -> None:
         """Raise `CommandError` for a deviation that cannot be."""
@@ -141,7 +134,15 @@ def register_plan(
     if not evidence.landmarks_only:
         _require_touches(touches_m)
     skin = case_of_plan(place).labels.skin()
-    _require_lps(pairs.model_m, skin)
+    landmarks = SkinLandmarks(
+        points_m=pairs.model_m,
+        skin=skin,
+        names=pairs.names,
+        touches_m=rough.to_model(touches_m),
+        entry_m=np.array(fields["entry_m"]),
+    )
+    for doubt in require_lps(landmarks):
+        say(f"warning: {doubt}")
     if not evidence.landmarks_only:
         with staged_progress("fitting the touches to the skin"):
             fit = fit_surface(
@@ -212,36 +213,10 @@ def _pair_landmarks(markup: Markup, touched: TouchFile, evidence: Evidence) -> _
             CommandCode.FILE,
         )
     model_m = np.array([place_by_name[name] for name in names]).reshape(-1, 3)
+    if evidence.is_xy_negated:
+        model_m = model_m * RAS_TO_LPS
     robot_m = np.array([one.place_m for one in touched.landmarks]).reshape(-1, 3)
     return _Pairs(names, model_m, robot_m)
-
-
-def _require_lps(model_m: Array, skin: Surface) -> None:
-    """Refuse landmarks that lie on the skin only if they are taken for RAS.
-
-    In RAS x and y are negative: the landmarks fit as well, and the patient would lie
-    turned by half a turn.
-    """
-    off_m = float(np.mean(_distances_m(model_m, skin)))
-    other_m = float(np.mean(_distances_m(model_m * RAS_TO_LPS, skin)))
-    if off_m > max(MIN_OFF_SKIN_m, OTHER_FRAME_RATIO * other_m):
-        raise RegistrationError(
-            f"the landmarks lie {off_m / M_PER_MM:.1f} mm from the skin of the CT on "
-            f"average, and {other_m / M_PER_MM:.1f} mm with x and y "
-            "negated: the file says LPS and holds RAS, or the reverse",
-            AnatomyCode.LANDMARKS,
-        )
-    if off_m > MAX_OFF_SKIN_m:
-        say(
-            f"warning: the landmarks lie {off_m / M_PER_MM:.0f} mm from the skin of "
-            "the CT on average: whether they belong to this CT is not verified"
-        )
-
-
-def _distances_m(points_m: Array, skin: Surface) -> Array:
-    """Return the distances of points (n, 3) from the skin."""
-    nearest_m, _ = skin.nearest(points_m)
-    return np.linalg.norm(points_m - nearest_m, axis=1)
 
 
 def _require_touches(touches_m: Array) -> None:

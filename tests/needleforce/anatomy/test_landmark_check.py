@@ -151,3 +151,33 @@ def test_points_of_slicer_are_read_in_either_frame(frame, sign, tmp_path):
 
     assert markup.names == ("F-1",)
     assert np.allclose(markup.points_m, [[sign * 0.01, sign * 0.02, 0.03]])
+
+
+@pytest.mark.parametrize(
+    ("offset_m", "count"), [(0.0, 4), (3e-3, 4), (3e-3, 6), (5e-3, 5), (10e-3, 6)]
+)
+def test_the_region_holds_or_the_fit_is_refused_with_one_landmark_off(offset_m, count):
+    rng = np.random.default_rng(1010)
+    target_m = np.array([0.0, 0.05, 0.0])
+    inside = []
+    refused = 0
+    for _ in range(300):
+        robot, (rotation, shift) = touched(FRONT_m[:count], rng, 1e-3)
+        way = rng.normal(size=3)
+        robot[rng.integers(count)] += offset_m * way / np.linalg.norm(way)
+        try:
+            fit = fit_landmarks(FRONT_m[:count], robot, std_m=1e-3, is_std_known=True)
+        except RegistrationError:
+            refused += 1
+            continue
+        inside.append(fit.region_contains(target_m, rotation @ target_m + shift))
+
+    assert refused > 250 or np.mean(inside) == pytest.approx(0.95, abs=0.04)
+    assert refused == 0 or offset_m > 3e-3
+
+
+def test_an_order_of_three_is_named():
+    robot, _ = touched(FRONT_m[[1, 2, 0, 3, 4, 5]], np.random.default_rng(1011), 1e-3)
+
+    with pytest.raises(RegistrationError, match=r"fit in the order 3, 1, 2, 4, 5, 6"):
+        fit_landmarks(FRONT_m, robot, std_m=1e-3)
