@@ -7,6 +7,7 @@ All but the last line works in voxels, so that unequal spacings are smoothed ali
 
 from dataclasses import dataclass
 from functools import cached_property
+from itertools import chain
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -169,8 +170,8 @@ class Surface:
         reach_m = np.linalg.norm(positions_m - points_m, axis=1) + pieces.size_m
         near = pieces.tree.query_ball_point(points_m, reach_m * (1.0 + 1e-9))
         rows = np.repeat(every_point, [len(indices) for indices in near])
-        near_triangles = pieces.triangles[np.concatenate(near).astype(int)]
-        pairs = np.unique(rows * len(self.triangles) + near_triangles)
+        near_pieces = np.fromiter(chain.from_iterable(near), np.intp, len(rows))
+        pairs = np.unique(rows * len(self.triangles) + pieces.triangles[near_pieces])
         rows, triangles = np.divmod(pairs, len(self.triangles))
         positions_m = self._nearest_on(triangles, points_m[rows])
         distance_m = np.linalg.norm(positions_m - points_m[rows], axis=1)

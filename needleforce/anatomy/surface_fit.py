@@ -70,8 +70,11 @@ MAX_ROUNDS = 60
 STILL_m = 1e-7
 """Motion of the touches in a step that is none."""
 
+NEARLY_STILL_m = 2e-5
+"""Motion of the touches in a step after which their noise says which slipped."""
+
 WIDE_ROUNDS = 12
-"""So long the touches' own distances say which of them slipped, then their noise."""
+"""At most so long the touches' own distances say which of them slipped."""
 
 FULL_STEPS = 8.0
 """Later steps are shorter: from facet to facet they would go back and forth."""
@@ -87,6 +90,9 @@ touches."""
 WEAK_DIRECTIONS = 3
 """Number of these: a sphere spins about three axes, a plane slides and spins along
 three."""
+
+BACK_m = 0.5e-3
+"""A solution this near to another one, at the touches, is on its way to it."""
 
 MAX_STAY = 0.5
 """Fraction of the push that may be left at the touches after fitting again."""
@@ -219,21 +225,34 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     return touches
 
 
-def _fit_points(surface: Surface, points: Array, noise_m: float) -> _Fit:
+def _fit_points(
+    surface: Surface, points: Array, noise_m: float, known: Array | None = None
+) -> _Fit:
     """Fit from where the touches lie in the model, shape (n, 3).
 
     While they are far away all of them count; then those count nothing that lie further
     than the others do; last those that lie further than noise: many that slipped
     together would widen their own scale.
+
+    Args:
+        surface: Of the model.
+        points: Touches in the model, to begin with.
+        noise_m: Standard deviation of touches and surface.
+        known: Touches in the model in another solution: a fit that comes near to it
+            ends there.
     """
     rounds = 0
+    wide_rounds = WIDE_ROUNDS
     while True:
-        fit = _linearise(surface, points, noise_m, is_wide=rounds < WIDE_ROUNDS)
+        fit = _linearise(surface, points, noise_m, is_wide=rounds < wide_rounds)
         rounds += 1
         points = _move(points, _gauss_newton_step(fit, rounds))
-        is_settled = rounds > WIDE_ROUNDS + 1
-        is_still = is_settled and rms_length(points - fit.points) < STILL_m
-        if is_still or rounds == MAX_ROUNDS:
+        motion_m = rms_length(points - fit.points)
+        if rounds < wide_rounds and motion_m < NEARLY_STILL_m:
+            wide_rounds = rounds
+        is_still = rounds > wide_rounds + 1 and motion_m < STILL_m
+        is_known = known is not None and rms_length(points - known) < BACK_m
+        if is_still or is_known or rounds == MAX_ROUNDS:
             return fit
 
 
@@ -304,7 +323,7 @@ def _require_no_sliding(surface: Surface, fit: _Fit, noise_m: float) -> None:
     directions = eigh(fit.normal_matrix, motion)[1][:, :WEAK_DIRECTIONS].T
     for direction in directions:
         pushed = _move(fit.points, PUSH_m * direction)
-        other = _fit_points(surface, pushed, noise_m)
+        other = _fit_points(surface, pushed, noise_m, fit.points)
         away_m = rms_length(other.points - fit.points)
         max_median_m = SAME_FIT * max(fit.median_m, FINE_FIT * noise_m)
         if away_m > MAX_STAY * PUSH_m and other.median_m < max_median_m:
@@ -319,7 +338,7 @@ def _require_no_sliding(surface: Surface, fit: _Fit, noise_m: float) -> None:
 def _require_no_better(surface: Surface, fit: _Fit, noise_m: float) -> None:
     """Refuse a solution if another one elsewhere fits better."""
     for points in _other_starts(fit.points):
-        other = _fit_points(surface, points, noise_m)
+        other = _fit_points(surface, points, noise_m, fit.points)
         away_m = rms_length(other.points - fit.points)
         if away_m > FAR_m and other.median_m < BETTER_FIT * fit.median_m:
             raise RegistrationError(
