@@ -34,6 +34,11 @@ Pose = tuple[Array, Array]
 
 LANDMARK_DRAWS = 10_000
 REFUSAL_DRAWS = 300
+OFF_DRAWS = 300
+OFF_COUNTS = (4, 5, 6, 7, 8)
+OFF_mm = (0, 3, 5, 10)
+OFF_STD_m = 1e-3
+"""Of landmarks of which one is off by so much: draws for each number of them."""
 SYMMETRIC_FITS = 30
 FAR_STARTS = 100
 FAR_rad = (np.pi / 4, np.pi)
@@ -61,6 +66,7 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
     yield from _landmarks(rng)
     progress(0.2)
     yield from _refusals(rng)
+    yield from _one_landmark_off(np.random.default_rng([seed, 9]))
     progress(0.3)
     yield from _symmetric(rng)
     progress(0.5)
@@ -110,9 +116,12 @@ def _landmarks(rng: np.random.Generator) -> Iterator[Measurement]:
             model = landmarks(count, rng)
             rotation, shift = pose(rng)
             robot = model @ rotation.T + shift + STD_m * rng.normal(size=model.shape)
-            registration = fit_landmarks(
-                model, robot, std_m=STD_m, is_std_known=is_known
-            )
+            try:
+                registration = fit_landmarks(
+                    model, robot, std_m=STD_m, is_std_known=is_known
+                )
+            except RegistrationError:  # they lie symmetrically
+                continue
             truth = rotation @ TARGET_m + shift
             inside.append(registration.region_contains(TARGET_m, truth))
             error.append(np.linalg.norm(registration.to_robot(TARGET_m) - truth))
@@ -121,6 +130,35 @@ def _landmarks(rng: np.random.Generator) -> Iterator[Measurement]:
         ratio = _rms(error) / _rms(stated)
         yield our_measurement("landmark_region_coverage_95", cover, name)
         yield our_measurement("landmark_error_ratio", ratio, name)
+
+
+def _one_landmark_off(rng: np.random.Generator) -> Iterator[Measurement]:
+    """Measure the region at the target where one landmark is off, or the refusals."""
+    for off_mm in OFF_mm:
+        inside: list[bool] = []
+        refused = 0
+        for draw in range(OFF_DRAWS * len(OFF_COUNTS)):
+            count = OFF_COUNTS[draw % len(OFF_COUNTS)]
+            model = landmarks(count, rng)
+            rotation, shift = pose(rng)
+            noise = OFF_STD_m * rng.normal(size=model.shape)
+            robot = model @ rotation.T + shift + noise
+            way = rng.normal(size=3)
+            off = 1e-3 * off_mm * way / np.linalg.norm(way)
+            robot[rng.integers(count)] += off
+            try:
+                registration = fit_landmarks(
+                    model, robot, std_m=OFF_STD_m, is_std_known=True
+                )
+            except RegistrationError:
+                refused += 1
+                continue
+            truth = rotation @ TARGET_m + shift
+            inside.append(registration.region_contains(TARGET_m, truth))
+        name = f"one {off_mm} mm off"
+        refused_pct = 100.0 * refused / (OFF_DRAWS * len(OFF_COUNTS))
+        yield our_measurement("landmark_off_coverage_95", float(np.mean(inside)), name)
+        yield our_measurement("landmark_off_refused_pct", refused_pct, name)
 
 
 def _rms(values: list[Any]) -> float:

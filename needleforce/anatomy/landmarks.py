@@ -103,9 +103,9 @@ def fit_landmarks(
             axes.
         std_m: Standard deviation of a touch along each axis, localisation in the CT
             included: what does not fit with several times as much is refused.
-        is_std_known: It counts as half a residual more for the covariance, which the
-            residuals decide: one landmark that is off widens it. Else three landmarks,
-            which leave next to no residuals, claim nothing.
+        is_std_known: It decides the covariance of three landmarks, which leave next to
+            no residuals and else claim nothing; of more it counts as half a residual,
+            so that one landmark that is off widens the covariance.
 
     Raises:
         RegistrationError: Too few, collinear, mirrored or swapped landmarks,
@@ -159,6 +159,8 @@ def _estimate_noise(
         return _Noise(np.nan, degrees)
     if chi2.sf(squares_m2 / std_m**2, degrees) < DOUBTFUL_FIT:
         return _Noise(squares_m2 / degrees, DEGREES_OF_ONE)
+    if count == 3:
+        return _Noise(std_m**2, np.inf)
     stated = STATED_DEGREES if is_std_known else 0.0
     variance_m2 = (squares_m2 + stated * std_m**2) / (degrees + stated)
     return _Noise(variance_m2, degrees + stated)

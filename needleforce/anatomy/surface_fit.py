@@ -251,7 +251,7 @@ def _fit_points(
         if rounds < wide_rounds and motion_m < NEARLY_STILL_m:
             wide_rounds = rounds
         is_still = rounds > wide_rounds + 1 and motion_m < STILL_m
-        is_known = known is not None and rms_length(points - known) < BACK_m
+        is_known = known is not None and rms_length(fit.points - known) < BACK_m
         if is_still or is_known or rounds == MAX_ROUNDS:
             return fit
 
