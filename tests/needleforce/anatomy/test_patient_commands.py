@@ -1,6 +1,7 @@
 """From a CT to a registered plan, by commands alone."""
 
 import json
+import os
 import re
 import shlex
 import shutil
@@ -153,3 +154,59 @@ def test_a_transform_registers_and_touches_check_it(folder, tmp_path, capsys, so
 def test_a_situs_inversus_of_no_plan_is_refused(capsys):
     assert main(["live", "sim:gel-25-constant", "--situs-inversus"]) == 2
     assert "expected --plan" in capsys.readouterr().err
+
+
+def test_the_last_command_names_the_lesion(folder, capsys, monkeypatch):
+    monkeypatch.chdir(folder)
+    monkeypatch.setattr("needleforce.cli.arms.arm_connection.pace", lambda arm: arm)
+
+    assert main(commands()[-1]) == 0
+    assert re.search(r"rupture of layer \d .*by the plan into lesion", _said(capsys))
+
+
+def test_keys_record_undo_and_end(folder, capsys, monkeypatch, tmp_path):
+    openpty = pytest.importorskip("pty").openpty
+    keyboard, terminal = openpty()
+    # Before the first moment Enter records nothing; two lines then are one too many.
+    os.write(keyboard, b"\n\nu\n\n\nQ\n")
+    output = tmp_path / "touches.json"
+    with os.fdopen(terminal, encoding="utf-8") as typed:
+        monkeypatch.setattr("sys.stdin", typed)
+        arm = f"sim:{folder / 'plan' / 'plan.json'}"
+
+        assert main(["touch", arm, "-o", str(output)]) == 0
+
+    os.close(keyboard)
+
+    assert len(json.loads(output.read_bytes())["touches_m"]) == 2
+    assert "undone" in _said(capsys)
+
+
+def test_landmarks_in_the_other_frame_are_refused_and_can_be_negated(
+    folder, capsys, tmp_path
+):
+    landmarks = tmp_path / "ras.mrk.json"
+    text = (folder / "patient" / "landmarks.mrk.json").read_text(encoding="utf-8")
+    landmarks.write_text(text.replace("LPS", "RAS"), encoding="utf-8")
+    plan = folder / "plan" / "plan.json"
+    output = tmp_path / "plan.json"
+    arguments = shlex.split(
+        f"register --plan {plan} --landmarks {landmarks} --touches "
+        f"{folder / 'touches.json'} -o {output}"
+    )
+
+    assert main(arguments) == 2
+    assert "--negate-xy" in capsys.readouterr().err
+    assert not output.exists()
+    assert main([*arguments, "--negate-xy"]) == 0
+    assert np.allclose(
+        json.loads(output.read_bytes())["rotation"],
+        json.loads(plan.read_bytes())["rotation"],
+        atol=1e-3,
+    )
+
+
+def _said(capsys):
+    """All that was said, on both streams."""
+    captured = capsys.readouterr()
+    return captured.out + captured.err
