@@ -57,7 +57,9 @@ class Grid:
             box: A box in the grid; by default the whole grid.
         """
         whole = [slice(0, size) for size in self.shape]
-        ends = [(side.start, side.stop - 1) for side in box or whole]
+        ends: list[tuple[int, int]] = [
+            (side.start, side.stop - 1) for side in box or whole
+        ]
         return self.points_m(list(product(*ends)))
 
 
