@@ -60,7 +60,7 @@ class Grid:
         ends: list[tuple[int, int]] = [
             (side.start, side.stop - 1) for side in box or whole
         ]
-        return self.points_m(list(product(*ends)))
+        return self.points_m(np.array(list(product(*ends)), dtype=float))
 
 
 @dataclass(frozen=True, eq=False)
