@@ -5,10 +5,10 @@ And the errors of a force.
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
-from scipy.optimize import minimize_scalar
+from scipy.optimize import OptimizeResult, minimize_scalar
 from scipy.signal import lfilter
 
 from benchmarks import DataError
@@ -402,7 +402,7 @@ def force_lag_s(t_s: Array, estimate: Array, truth: Array) -> float:
     minimum = minimize_scalar(
         variance, bounds=around, method="bounded", options={"xatol": 1e-5}
     )
-    return float(minimum.x)
+    return float(cast(OptimizeResult, minimum).x)
 
 
 def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Measurement]:
