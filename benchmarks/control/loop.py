@@ -49,6 +49,7 @@ class Insertion:
         with_ft: Take the rig's F/T sensor for force and identification, zeroed over the
             tare stroke, over which the needle's weight and inertia do not show.
         known: The robot as the session is to know it, if not as it is.
+        rest_s: Time after the end of the insertion for which it goes on.
 
     Attributes:
         manager: Of the run.
@@ -64,12 +65,14 @@ class Insertion:
         *,
         with_ft: bool = False,
         known: Robot | None = None,
+        rest_s: float = REST_S,
     ) -> None:
         session = InsertionSession(
             rig.robot if known is None else known, on_lwr(DEFAULT)
         )
         self.manager = Manager(session, limits)
         self.rig = rig
+        self._rest_s = rest_s
         self._profile = InsertionProfile(plan)
         self._with_ft = with_ft
         self._identifier = Identifier()
@@ -121,7 +124,7 @@ class Insertion:
                 self.ended_s = rig.time_s
             was_inside |= is_inside
             yield situation
-            if self.ended_s is not None and rig.time_s > self.ended_s + REST_S:
+            if self.ended_s is not None and rig.time_s > self.ended_s + self._rest_s:
                 return
 
     def _step(self, situation: Situation, *beside: Any) -> Step:

@@ -23,6 +23,7 @@ TITLES = {
     "guidance": "hands on hub, wrist and elbow lead the arm",
     "teleoperation": "a hand drives the needle over a delay",
     "autonomous": "the needle by itself: ruptures, bone, side forces, lost signals",
+    "pulls": "forces that no tissue makes: steps, drifts, pushes at the hub",
     "faults": "faults of sensors, clocks and devices while the needle moves",
 }
 """Of the parts."""
