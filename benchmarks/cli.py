@@ -171,7 +171,7 @@ def run(
 
     Args:
         ids: Names of the list; or several at once: tissue, robustness, control
-            (closed loop, 20 minutes a seed), anatomy, or all (but robustness, control,
+            (closed loop, 30 minutes a seed), anatomy, or all (but robustness, control,
             anatomy and faults); default: a quick set.
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between
             several; may be given more than once. Default: clean; for drawn scenarios

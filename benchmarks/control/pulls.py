@@ -116,7 +116,7 @@ PHASES: Mapping[str, Phase] = {
 CASES = tuple(f"{phase}: {fall}" for phase in PHASES for fall in FALLS)
 
 
-class Outcome(NamedTuple):
+class FallOutcome(NamedTuple):
     """What an insertion made of a fall.
 
     Attributes:
@@ -156,7 +156,7 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
         yield our_measurement("pull_report_ms", 1e3 * outcome.report_s)
 
 
-class Alarm(NamedTuple):
+class UnretractedAlarm(NamedTuple):
     """An alarm that has not been retracted.
 
     Attributes:
@@ -202,12 +202,12 @@ class PulledInsertion:
         self._insertion = Insertion(self._rig, plan, limits, rest_s=DURATION_S)
         self._last_state = State.IDLE
         self._is_stopped_by_rupture = False
-        self._alarms: list[Alarm] = []
+        self._alarms: list[UnretractedAlarm] = []
         self._is_pull = False
         self._is_jump = False
         self._report_s = math.inf
 
-    def run(self) -> Outcome | None:
+    def run(self) -> FallOutcome | None:
         """Run it and return what came of the fall; None if it did not get so far."""
         rig = self._rig
         rest_s = 0.0
@@ -228,7 +228,9 @@ class PulledInsertion:
         is_rupture = bool(self._alarms_without_rupture()) or (
             self._is_stopped_by_rupture and not is_held
         )
-        return Outcome(is_rupture, self._is_pull, self._is_jump, self._report_s, state)
+        return FallOutcome(
+            is_rupture, self._is_pull, self._is_jump, self._report_s, state
+        )
 
     def _strike(self, situation: Situation) -> None:
         """Let the fall begin where the phase says."""
@@ -265,7 +267,7 @@ class PulledInsertion:
         identification = situation.estimate.identification
         if identification.rupture is not None:
             layer = identification.rupture.layer
-            self._alarms.append(Alarm(layer, self._rig.time_s))
+            self._alarms.append(UnretractedAlarm(layer, self._rig.time_s))
         if identification.retracted is not None:
             layer = identification.retracted.layer
             self._alarms = [alarm for alarm in self._alarms if alarm.layer != layer]
@@ -289,7 +291,7 @@ class PulledInsertion:
         """Return whether the tissue has ruptured since the fall began."""
         return any(onset_s > self._struck_s for onset_s in self._onsets_s())
 
-    def _alarms_without_rupture(self) -> list[Alarm]:
+    def _alarms_without_rupture(self) -> list[UnretractedAlarm]:
         """Return the alarms, not retracted, that belong to no rupture."""
         return [
             alarm
