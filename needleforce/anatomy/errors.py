@@ -64,6 +64,13 @@ class AnatomyCode(ErrorCode):
         "The file holds no rigid motion from the CT to the robot's base.",
         "Save a rigid transform, in millimetres, as .h5 or .tfm.",
     )
+    MISFITTING_TRANSFORM = (
+        "NF-ANATOMY-TRANSFORM-MISFIT",
+        "Touches of the skin contradict the transform.",
+        "Name the other source if the transform may be the inverse; check that it "
+        "belongs to this CT and that the patient has not moved, or register by "
+        "landmarks.",
+    )
     NO_PATH = (
         "NF-ANATOMY-NO-PATH",
         "No straight path leads from the skin to the target within the limits.",

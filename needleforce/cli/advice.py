@@ -89,6 +89,9 @@ COMMAND_ADVICE: dict[str, str] = {
     "NF-DEVICE-UNITS": "Set the sensor to N and Nm on its own page",
     "NF-ANATOMY-LANDMARKS-MISFIT": "Check the order and the place of the landmarks and "
     "touch them again",
+    "NF-ANATOMY-TRANSFORM-MISFIT": "Try the other --transform-from; check that the "
+    "transform belongs to this CT and that the patient has not moved, or register with "
+    "--landmarks",
     "NF-FIGURE-CHART": "Widen the window of --from and --to",
     "NF-STATE-FILE": "Give a file that holds a snapshot",
     "NF-STATE-KIND": "Give the snapshot of such an object",

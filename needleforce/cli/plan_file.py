@@ -257,12 +257,12 @@ def _largest_std_m(plan: _PlanFile) -> float:
     if not plan.covariance or plan.entry_m is None or plan.target_m is None:
         return plan.offset_std_m
     registration = Registration(
-        _checked_rotation(plan),
-        np.array(plan.translation_m),
-        np.array(plan.covariance),
-        np.array(plan.pivot_m),
-        np.inf,
-        np.nan,
+        rotation=_checked_rotation(plan),
+        translation_m=np.array(plan.translation_m),
+        covariance=np.array(plan.covariance),
+        pivot_m=np.array(plan.pivot_m),
+        degrees=np.inf,
+        residual_rms_m=np.nan,
     )
     return registration.largest_std_m(np.array([plan.entry_m, plan.target_m]))
 

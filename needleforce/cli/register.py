@@ -111,6 +111,12 @@ def _register_by_transform(
 
     if options.transform is None or options.landmarks is not None:
         raise CommandError("--transform stands in place of --landmarks: leave one out")
+    if options.negate_xy or options.landmarks_only:
+        option = "--negate-xy" if options.negate_xy else "--landmarks-only"
+        raise CommandError(
+            f"{option} belongs to --landmarks, which --transform replaces: leave "
+            f"{option} out"
+        )
     stated = StatedTransform(
         path=options.transform,
         source=options.transform_from,

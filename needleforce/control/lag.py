@@ -148,7 +148,9 @@ def find_safe_gain(
     )
 
 
-def measure_delay(times_s: Array, command_rad_s: Array, q_rad: Array) -> Delay:
+def measure_delay(
+    times_s: Array, command_rad_s: Array, q_rad: Array, joint: str = "the joint"
+) -> Delay:
     """Measure the delay of one joint by least squares, see the module.
 
     Args:
@@ -156,6 +158,7 @@ def measure_delay(times_s: Array, command_rad_s: Array, q_rad: Array) -> Delay:
         command_rad_s: Velocity that was sent after each sample, until the next one,
             shape (m,).
         q_rad: Positions, shape (m,).
+        joint: Name of the joint, for messages.
 
     Raises:
         ControlError: The joint has not followed its commands.
@@ -168,7 +171,7 @@ def measure_delay(times_s: Array, command_rad_s: Array, q_rad: Array) -> Delay:
     explained = 1.0 - fit.left_rad.var() / max(fit.moved_rad.var(), 1e-18)
     if not (MIN_FOLLOWED < fit.followed < MAX_FOLLOWED and explained > MIN_EXPLAINED):
         raise ControlError(
-            f"a joint moved by {100.0 * fit.followed:.0f} % of its commands, which "
+            f"{joint} moved by {100.0 * fit.followed:.0f} % of its commands, which "
             f"explain {100.0 * max(explained, 0.0):.0f} % of its motion: expected an "
             "arm that follows velocities and that nothing touches",
             ControlCode.LAG,
@@ -341,8 +344,10 @@ class LagProbe:
         commands_rad_s = np.array(self._commands_rad_s)
         positions_rad = np.array(self._positions_rad[:count])
         return [
-            measure_delay(times_s, commands_rad_s[:, joint], positions_rad[:, joint])
-            for joint in range(self._robot.nv)
+            measure_delay(
+                times_s, commands_rad_s[:, joint], positions_rad[:, joint], name
+            )
+            for joint, name in enumerate(self._robot.joint_names)
         ]
 
     @property
@@ -381,11 +386,14 @@ class LagProbe:
         q_rad = np.array(sample.q_rad, dtype=np.float64)
         self._times_s.append(self._moving_s)
         self._positions_rad.append(q_rad)
-        stray_rad = float(np.abs(q_rad - self._start_rad).max())
-        if not stray_rad < max(MAX_STRAY * self.excursion_rad, MIN_STRAY_rad):
+        strays_rad = np.abs(q_rad - self._start_rad)
+        stray_rad = float(strays_rad.max())
+        max_stray_rad = max(MAX_STRAY * self.excursion_rad, MIN_STRAY_rad)
+        if not stray_rad < max_stray_rad:
+            joint = self._robot.joint_names[int(strays_rad.argmax())]
             self._fail(
-                f"a joint is {stray_rad:.3f} rad off its start, expected at most "
-                f"{self.excursion_rad:.3f}: something moves the arm, or it runs away"
+                f"{joint} is {stray_rad:.3f} rad off its start, expected less than "
+                f"{max_stray_rad:.3f}: something moves the arm, or it runs away"
             )
         elif self._moving_s > self._chirp.duration_s + 2.0 * self._chirp.rest_s:
             self.state = ProbeState.DONE

@@ -21,7 +21,8 @@ from urllib.parse import parse_qs, urlsplit
 from needleforce.scene.state_ring import SceneCode, SceneError
 
 LOOPBACK_NAMES = frozenset(("local" + "host", "127.0.0.1", "::1"))
-"""Hosts by which a page of this machine is opened."""
+"""Hosts by which a page of this machine is opened; the first is written in two parts
+because no file may name a machine."""
 
 TOKEN_BYTES = 16
 """Of randomness in a token."""
@@ -63,7 +64,12 @@ class PageAccess(NamedTuple):
         Args:
             host: The address.
             further_hosts: Other names by which the page is opened.
+
+        Raises:
+            SceneError: One of them is no name or address alone.
         """
+        for name in further_hosts:
+            _require_bare_name(name)
         names = {host.lower(), *map(str.lower, further_hosts)} | LOOPBACK_NAMES
         token = "" if is_loopback(host) else secrets.token_urlsafe(TOKEN_BYTES)
         return cls(frozenset(names), token)
@@ -82,8 +88,11 @@ class PageAccess(NamedTuple):
         """
         hosts = headers.get_all("Host")
         host = hosts[0] if len(hosts) == 1 else ""
-        if _name_of(f"//{host}") not in self.hosts:
-            return f"host {host!r} is not known here: --allow-host adds it"
+        name = _name_of(f"//{host}")
+        if not name:
+            return f"host {host!r} is no name or address: open the page by one"
+        if name not in self.hosts:
+            return f"host {name!r} is not known here: --allow-host {name} adds it"
         origins = headers.get_all("Origin")
         if any(urlsplit(origin).netloc != host for origin in origins):
             return f"a page of {origins[0]!r} may not speak with this one"
@@ -107,6 +116,21 @@ class PageAccess(NamedTuple):
         shown = f"[{host}]" if ":" in host else host
         query = f"/?token={self.token}" if self.token else ""
         return f"http://{shown}:{port}{query}"
+
+
+def _require_bare_name(name: str) -> None:
+    """Refuse a name of a host that comes with a scheme, a port or a path.
+
+    Raises:
+        SceneError: It does, or it is empty; requests would never match it.
+    """
+    shown = f"[{name}]" if name.count(":") > 1 else name
+    if _name_of(f"//{shown}") != name.lower():
+        bare = _name_of(name if "//" in name else f"//{name}")
+        raise SceneError(
+            f"browsers name no host {name!r}: expected {bare or 'such as robot.lab'}",
+            SceneCode.HOST,
+        )
 
 
 def _name_of(address: str) -> str:

@@ -190,6 +190,11 @@ class SceneCode(ErrorCode):
         "The page of the scene cannot be opened.",
         "Give an address of this machine and a free port.",
     )
+    HOST = (
+        "NF-SCENE-HOST",
+        "A name by which the page may be opened is no name of a host.",
+        "Give a name or an address alone, without scheme and port.",
+    )
     WRITE = (
         "NF-SCENE-WRITE",
         "The scene cannot be written to a file.",

@@ -85,7 +85,7 @@ def open_arm(
         raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {name}")
     if takes_commands and kind == "ros2":
         raise CommandError(
-            f"{name} takes no commands, expected {EXPECTED_NAMES} or sim"
+            f"{name} takes no commands: expected {EXPECTED_NAMES}, or sim"
         )
     if takes_commands and kind == "sim":
         yield _open_simulated(name, options)

@@ -75,14 +75,35 @@ class Evidence(NamedTuple):
 
     def check(self) -> None:
         """Raise `CommandError` for a deviation that cannot be."""
-        for option, value_mm in (
-            ("--landmark-std", self.landmark_std_mm),
-            ("--touch-std", self.touch_std_mm),
-        ):
-            if not 0.0 < value_mm < MAX_STD_mm:
-                raise CommandError(f"{option} {value_mm:g}: expected millimetres")
-        if not 0.0 <= self.motion_mm < MAX_STD_mm:
-            raise CommandError(f"--motion {self.motion_mm:g}: expected millimetres")
+        require_std("--landmark-std", self.landmark_std_mm)
+        require_std("--touch-std", self.touch_std_mm)
+        require_motion(self.motion_mm)
+
+
+def require_std(option: str, std_mm: float) -> None:
+    """Refuse a standard deviation [mm] that is not positive, or not in millimetres.
+
+    Raises:
+        CommandError: It is not.
+    """
+    if not 0.0 < std_mm < MAX_STD_mm:
+        raise CommandError(
+            f"{option} {std_mm:g}: expected millimetres, above 0 and below "
+            f"{MAX_STD_mm:g}"
+        )
+
+
+def require_motion(motion_mm: float) -> None:
+    """Refuse a motion of organs [mm] that is negative, or not in millimetres.
+
+    Raises:
+        CommandError: It is not zero or more, in millimetres.
+    """
+    if not 0.0 <= motion_mm < MAX_STD_mm:
+        raise CommandError(
+            f"--motion {motion_mm:g}: expected millimetres, 0 or more and below "
+            f"{MAX_STD_mm:g}"
+        )
 
 
 class _Pairs(NamedTuple):

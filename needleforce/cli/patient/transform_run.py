@@ -12,15 +12,16 @@ from needleforce.anatomy.errors import AnatomyCode
 from needleforce.anatomy.transform_file import RigidTransform, TransformSource
 from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
 from needleforce.cli.patient.register_report import FitReport, skin_distances_m
-from needleforce.cli.patient.register_run import finish_registration
+from needleforce.cli.patient.register_run import (
+    finish_registration,
+    require_motion,
+    require_std,
+)
 from needleforce.cli.patient.touch_file import read_touches
 from needleforce.cli.terminal import CommandError, require_modules, say
 from needleforce.needle_on_plan import PlannedPath
 
 M_PER_MM = 1e-3
-
-MAX_STD_mm = 50.0
-"""Larger ones are not in millimetres."""
 
 MAX_STDS = 3.0
 """Touches further from the skin than so many standard deviations contradict the
@@ -68,6 +69,8 @@ def register_by_transform(
     """
     require_modules("register", ("SimpleITK",))
     std_mm = _checked_std_mm(stated.std_mm)
+    require_std("--touch-std", stated.touch_std_mm)
+    require_motion(stated.motion_mm)
     if stated.source is None:
         raise CommandError(
             "--transform needs --transform-from slicer or itk: their files hold a "
@@ -76,7 +79,7 @@ def register_by_transform(
     fields = read_plan_fields(place)
     motion = read_transform(stated.path, stated.source)
     fit = _registration_of(motion, fields, M_PER_MM * std_mm)
-    distances_m = _touch_distances_m(place, stated, fit)
+    distances_m = _touch_distances_m(place, stated, fit, std_mm)
     fit_report = FitReport(
         fit=fit,
         landmarks=(),
@@ -95,8 +98,7 @@ def _checked_std_mm(std_mm: float | None) -> float:
             "--transform needs --transform-std: its standard deviation at the patient "
             "along each axis in millimetres, which the file does not state"
         )
-    if not 0.0 < std_mm < MAX_STD_mm:
-        raise CommandError(f"--transform-std {std_mm:g}: expected millimetres")
+    require_std("--transform-std", std_mm)
     return std_mm
 
 
@@ -108,38 +110,48 @@ def _registration_of(
     target_m = motion.rotation @ np.array(fields["target_m"]) + motion.translation_m
     path = PlannedPath.of_std(entry_m, target_m, std_m)
     return Registration(
-        motion.rotation,
-        motion.translation_m,
-        path.covariance,
-        path.pivot_m,
-        np.inf,
-        np.nan,
+        rotation=motion.rotation,
+        translation_m=motion.translation_m,
+        covariance=path.covariance,
+        pivot_m=path.pivot_m,
+        degrees=np.inf,
+        residual_rms_m=np.nan,
     )
 
 
 def _touch_distances_m(
-    place: Path, stated: StatedTransform, fit: Registration
+    place: Path, stated: StatedTransform, fit: Registration, std_mm: float
 ) -> Array:
-    """Return how far touches of the skin lie from it under a transform.
+    """Return how far touches lie from the skin under a transform, shape (n,) [m].
+
+    Args:
+        place: The plan.
+        stated: The transform, and the file of touches, if any.
+        fit: Its registration.
+        std_mm: Standard deviation of the transform along each axis [mm].
 
     Raises:
-        RegistrationError: They contradict it.
+        CommandError: The file holds no touches of the skin.
+        RegistrationError: The touches contradict the transform.
     """
     if stated.touches is None:
         say("warning: the transform was not checked: --touches FILE checks it")
         return np.zeros(0)
     touches_m = read_touches(stated.touches).skin_m()
     if not len(touches_m):
-        raise CommandError(f"{stated.touches} holds no touches of the skin")
+        raise CommandError(
+            f"{stated.touches} holds no touches of the skin: expected one or "
+            "more; without --touches the transform is not checked"
+        )
     distances_m = skin_distances_m(fit, case_of_plan(place).labels.skin(), touches_m)
-    expected_mm = float(np.hypot(stated.std_mm or 0.0, stated.touch_std_mm))
+    expected_mm = float(np.hypot(std_mm, stated.touch_std_mm))
     rms_mm = float(np.sqrt((distances_m**2).mean())) / M_PER_MM
     if rms_mm > MAX_STDS * expected_mm:
         raise RegistrationError(
             f"the touches lie {rms_mm:.1f} mm (rms) from the skin under this "
             f"transform, and {expected_mm:.1f} mm are expected by --transform-std and "
-            "--touch-std: it is the inverse (--transform-from), in other axes, of "
-            "another patient, or less accurate than stated",
-            AnatomyCode.MISFITTING_SURFACE,
+            "--touch-std: it is the inverse, in other axes, of another patient, or "
+            "less accurate than stated",
+            AnatomyCode.MISFITTING_TRANSFORM,
         )
     return distances_m

@@ -98,6 +98,51 @@ def test_landmarks_that_are_not_in_the_ct_are_named(folder, capsys, tmp_path):
     assert not (tmp_path / "plan.json").exists()
 
 
+@pytest.fixture(scope="module")
+def by_transform(folder):
+    """The command that registers by the transform that the landmarks gave."""
+    simple_itk = pytest.importorskip("SimpleITK")
+    fields = json.loads((folder / "plan" / "plan.json").read_bytes())
+    motion = simple_itk.AffineTransform(3)
+    motion.SetMatrix(np.ravel(fields["rotation"]).tolist())
+    motion.SetTranslation((1e3 * np.array(fields["translation_m"])).tolist())
+    simple_itk.WriteTransform(motion, str(folder / "itk.tfm"))
+    options = "--transform itk.tfm --transform-std 2 --touches touches.json"
+    return shlex.split(f"register --plan plan/plan.json {options} -o moved.json")
+
+
+def test_the_inverse_of_a_transform_is_refused_and_the_advice_works(
+    folder, by_transform, monkeypatch, capsys
+):
+    monkeypatch.chdir(folder)
+
+    assert main([*by_transform, "--transform-from", "slicer"]) == 2
+    said = capsys.readouterr().err
+    assert "NF-ANATOMY-TRANSFORM-MISFIT" in said
+    assert "Try the other --transform-from" in said
+    assert not Path("moved.json").exists()
+    assert main([*by_transform, "--transform-from", "itk"]) == 0
+
+
+@pytest.mark.parametrize(
+    ("options", "said"),
+    [
+        ("--motion -3", "--motion -3: expected millimetres, 0 or more"),
+        ("--touch-std 0", "--touch-std 0: expected millimetres, above 0"),
+        ("--negate-xy", "--negate-xy belongs to --landmarks"),
+        ("--landmarks-only", "--landmarks-only belongs to --landmarks"),
+    ],
+)
+def test_options_that_a_transform_cannot_take_are_refused(
+    folder, by_transform, monkeypatch, capsys, options, said
+):
+    monkeypatch.chdir(folder)
+    arguments = [*by_transform, "--transform-from", "itk", *options.split()]
+
+    assert main(arguments) == 2
+    assert said in capsys.readouterr().err
+
+
 def test_labels_without_names_are_listed_and_mapped(folder, tmp_path, capsys):
     """The error's own advice leads to a plan, which keeps the names."""
     labels = tmp_path / "labels.nii.gz"

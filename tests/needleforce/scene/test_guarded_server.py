@@ -17,12 +17,14 @@ from tests.needleforce.scene.test_page import insertion
 pytest.importorskip("viser")
 
 from viser import __version__ as viser_version
+from websockets.datastructures import Headers
 from websockets.exceptions import InvalidStatus
 from websockets.sync.client import connect
 
 from needleforce import NeedleTool, load_lwr
 from needleforce.scene import SceneError, Viewer, guarded_server
 from needleforce.scene.guarded_server import PageAccess, is_loopback
+from needleforce.scene.state_ring import SceneCode
 
 LOOPBACK = "local" + "host"
 PROTOCOL = f"viser-v{viser_version}"
@@ -144,6 +146,35 @@ def test_tokens_differ_and_loopback_is_known_by_its_addresses():
     assert is_loopback("127.0.0." + "2")
     assert is_loopback("::1")
     assert not is_loopback(f"{LOOPBACK}.example")
+
+
+@pytest.mark.parametrize(
+    ("given", "expected"),
+    [
+        ("robot.lab:8080", "expected robot[.]lab"),
+        ("http://robot.lab/", "expected robot[.]lab"),
+        ("", "such as robot[.]lab"),
+    ],
+)
+def test_a_host_that_browsers_never_name_is_refused(given, expected):
+    with pytest.raises(SceneError, match=expected) as caught:
+        PageAccess.of_host("127.0.0.1", [given])
+    assert caught.value.code is SceneCode.HOST
+
+
+def test_the_name_that_a_refusal_offers_is_one_that_is_taken():
+    headers = Headers()
+    headers["Host"] = "Robot.lab:8080"
+    refusal = PageAccess.of_host("127.0.0.1").refusal("/", headers)
+    offered = refusal.partition("--allow-host ")[2].split()[0]
+
+    assert PageAccess.of_host("127.0.0.1", [offered]).refusal("/", headers) == ""
+
+
+def test_further_hosts_may_be_addresses():
+    hosts = PageAccess.of_host("127.0.0.1", ["fe80::1", "Robot.lab"]).hosts
+
+    assert {"fe80::1", "robot.lab"} <= hosts
 
 
 def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch):
