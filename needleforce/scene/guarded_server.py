@@ -125,7 +125,7 @@ def _require_bare_name(name: str) -> None:
         SceneError: It does, or it is empty; requests would never match it.
     """
     shown = f"[{name}]" if name.count(":") > 1 else name
-    if _name_of(f"//{shown}") != name.lower():
+    if not name or _name_of(f"//{shown}") != name.lower():
         bare = _name_of(name if "//" in name else f"//{name}")
         raise SceneError(
             f"browsers name no host {name!r}: expected {bare or 'such as robot.lab'}",
