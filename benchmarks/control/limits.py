@@ -33,12 +33,16 @@ from needleforce.control.tasks import (
 )
 from urdf import NeedleTool, Robot, load_example, load_lwr
 
-SECONDS = 60.0
+DURATION_s = 60.0
+"""Of a run."""
 DEPTH_m = 0.01
 """Of the tip past the entry."""
 TILT_rad = math.radians(20.0)
+"""Half the angle of the cone."""
 TILT_s = 2.0
+"""Time of the tilt."""
 QUICK_TILT_s = 0.5
+"""The same where *quick*."""
 PERIOD_s = 8.0
 """Of once round the cone."""
 TIP_GAIN_per_s = 10.0
@@ -132,7 +136,7 @@ class ConeRun:
 def run_cone(
     name: str, delay_ms: int, tilt_s: float, rng: np.random.Generator
 ) -> ConeRun:
-    """Move an arm onto the cone in some time, and round it for `SECONDS`."""
+    """Move an arm onto the cone in some time, and round it for `DURATION_s`."""
     arm = ARMS[name]
     robot = arm.load()
     cycle_s = ARM_LIMITS[name].cycle_s
@@ -154,7 +158,7 @@ def run_cone(
     errors_m = list[float]()
     taken_us = list[float]()
     limited = list[bool]()
-    for cycle in range(round(SECONDS / cycle_s)):
+    for cycle in range(round(DURATION_s / cycle_s)):
         tip.goal_m = entry_m + DEPTH_m * axes @ _point_on_cone(cycle * cycle_s, tilt_s)
         since_s += cycle_s
         if rng.random() >= LOST:

@@ -1,8 +1,8 @@
 """Whether landmarks of the skin are in the frame of the CT, or with x and y negated.
 
-RAS is LPS turned by half a turn about the head's axis, so landmarks of the wrong frame
-register as well, and the patient lies on the belly. The skin shows it, or, on a body
-that is alike in front and back, names with a side and touches about the entry.
+RAS is LPS after half a turn about the axis from feet to head, so landmarks of the wrong
+frame register as well, but with the patient turned over. The skin shows it, or, on a
+body that is alike in front and back, names with a side and touches about the entry.
 """
 
 from collections.abc import Sequence
@@ -29,11 +29,12 @@ MIN_SIDE_m = 5e-3
 """Landmarks nearer to the middle of the body say nothing of sides."""
 
 MIN_NEARER_m = 0.03
-"""Touches so much nearer to the entry in the other frame are meant there: the start
-and the choice of places are off by less."""
+"""Touches are in the other frame if there they lie so much nearer to the entry: errors
+of the first registration and the choice of places make less."""
 
 NEARER_RATIO = 1.5
-"""And by this factor."""
+"""Ratio of the two distances from the entry that touches of the other frame pass, too:
+far from the entry `MIN_NEARER_m` alone shows little."""
 
 FAR_FROM_ENTRY_m = 0.15
 """Touches about the entry lie nearer to it."""

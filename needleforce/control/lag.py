@@ -70,6 +70,17 @@ away: the measurement stops."""
 MIN_STRAY_rad = 5e-3
 """The same for a small chirp."""
 
+REFINED_STEPS = 5.0
+"""So many coarse steps either way the best delay is refined: noise may have put it a
+few steps off."""
+
+NO_MOTION_rad2 = 1e-24
+"""Sum of squared motions, or of squared speeds, at least: what does not move leaves
+ratios finite."""
+
+MIN_REACH_m_per_rad = 1e-9
+"""Motion of the tip by all joints, at least: keeps the amplitude finite."""
+
 
 class Delay(NamedTuple):
     """The delay of one joint.
@@ -168,7 +179,7 @@ def measure_delay(
     path = _Path(times_s, commanded_rad, q_rad)
     delay_s = path.find_delay()
     fit = path.fit(delay_s)
-    explained = 1.0 - fit.left_rad.var() / max(fit.moved_rad.var(), 1e-18)
+    explained = 1.0 - fit.left_rad.var() / max(fit.moved_rad.var(), NO_MOTION_rad2)
     if not (MIN_FOLLOWED < fit.followed < MAX_FOLLOWED and explained > MIN_EXPLAINED):
         raise ControlError(
             f"{joint} moved by {100.0 * fit.followed:.0f} % of its commands, which "
@@ -202,10 +213,12 @@ class _Fit(NamedTuple):
         sigma^2 = rms(r)^2 (1 + rho) / (1 - rho) / sum(x'^2),    rho of lag one
         """
         left = self.left_rad
-        power = max(float(left @ left), 1e-24)
+        power = max(float(left @ left), NO_MOTION_rad2)
         rho = min(max(float(left[1:] @ left[:-1]) / power, 0.0), 0.99)
         variance = power / left.size * (1.0 + rho) / (1.0 - rho)
-        return math.sqrt(variance / max(float(speed_rad_s @ speed_rad_s), 1e-24))
+        return math.sqrt(
+            variance / max(float(speed_rad_s @ speed_rad_s), NO_MOTION_rad2)
+        )
 
 
 class _Path(NamedTuple):
@@ -237,7 +250,7 @@ class _Path(NamedTuple):
         basis, _ = np.linalg.qr(straight)
         late_rad = late_rad - basis @ (basis.T @ late_rad)
         moved_rad = moved_rad - basis @ (basis.T @ moved_rad)
-        power = max(float(late_rad @ late_rad), 1e-24)
+        power = max(float(late_rad @ late_rad), NO_MOTION_rad2)
         followed = float(late_rad @ moved_rad) / power
         return _Fit(followed, moved_rad - followed * late_rad, moved_rad)
 
@@ -251,9 +264,9 @@ class _Path(NamedTuple):
         if near_s is None:
             tried_s = np.arange(MIN_DELAY_s, MAX_DELAY_s, COARSE_STEP_s)
             near_s = float(tried_s[np.argmin([find_left(delay) for delay in tried_s])])
-        width_s = 5.0 * COARSE_STEP_s
+        width_s = REFINED_STEPS * COARSE_STEP_s
         # The square of what is left, relative to a step of the delay, may be tiny.
-        scale = 1.0 / max(find_left(near_s + width_s), 1e-24)
+        scale = 1.0 / max(find_left(near_s + width_s), NO_MOTION_rad2)
         best = minimize_scalar(
             lambda delay_s: scale * find_left(delay_s),
             bounds=(near_s - width_s, near_s + width_s),
@@ -361,9 +374,11 @@ class LagProbe:
         self._start_rad = np.array(q_rad, dtype=np.float64)
         tool = self._controller.tool
         tool.update(self._start_rad)
-        reach_m = float(np.linalg.norm(tool.jacobian[:3], axis=0).sum())
+        reach_m_per_rad = float(np.linalg.norm(tool.jacobian[:3], axis=0).sum())
         slowest_rad_s = 2.0 * np.pi * chirp.first_Hz
-        by_tip_rad_s = slowest_rad_s * chirp.tip_m / max(reach_m, 1e-9)
+        by_tip_rad_s = (
+            slowest_rad_s * chirp.tip_m / max(reach_m_per_rad, MIN_REACH_m_per_rad)
+        )
         self.speed_rad_s = min(chirp.speed_rad_s, by_tip_rad_s)
         room_rad = np.minimum(
             self._start_rad - self._robot.position_lower_rad,

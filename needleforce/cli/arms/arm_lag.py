@@ -75,7 +75,6 @@ def _ask(arm_name: str) -> None:
 def _move(arm: Any, arm_name: str, probe: LagProbe) -> None:
     """Move the arm by the chirp, and bring it to rest."""
     waited_s = 0.0
-
     for sample in arm:
         command = probe.update(sample)
         is_accepted = arm.send(command.dq_rad_s)

@@ -35,6 +35,8 @@ SETTLE_S = 0.5
 """Rest before the circle, over which the measured start is averaged [s]."""
 
 DURATION_S = SETTLE_S + CIRCLE_S + 0.5
+"""Of a run, with a rest at the end [s]."""
+
 ENTRY_M = 80e-3
 """Distance from the tip to the entry point [m]."""
 
@@ -45,6 +47,11 @@ ROOM_M = 5e-3
 """Room around what is drawn in space [m]."""
 
 GAIN_PER_S = 20.0
+"""Gain that holds tip and entry [1/s]."""
+
+TICKS_PER_S = 1e3
+"""Samples that the simulated arm sends [1/s]."""
+
 DRAWN_TICKS = 10
 """Every so many ticks are drawn over time."""
 
@@ -162,7 +169,7 @@ def draw_circle(case: CircleCase) -> CircleRun:
     arm = SimulatedArm(None, case.plant, contacts=[trocar], duration_s=DURATION_S)
     controller = Controller(arm.robot, Limits(arm.robot))
     tool = controller.tool
-    still = [next(arm).q_rad for _ in range(round(SETTLE_S * M_TO_MM))]
+    still = [next(arm).q_rad for _ in range(round(SETTLE_S * TICKS_PER_S))]
     tool.update(np.mean(still[len(still) // 2 :], axis=0))
     start_m = tool.tip_m.copy()
     tip = control.TipVelocity((0.0, 0.0, 0.0), start_m, gain_per_s=GAIN_PER_S)
@@ -274,8 +281,8 @@ def _space_chart(run: CircleRun, title: str) -> SpaceChart:
     at_entry_mm = tips_mm - (tips_mm[:, 2] / axes[:, 2])[:, None] * axes
     behind_mm = at_entry_mm - M_TO_MM * SHOWN_BEHIND_M * axes
     end = int(np.searchsorted(run.t_s, CIRCLE_S))
-    angle_step = (tips_mm[:end] - tips_mm[0])[:, :2]
-    travel_mm = np.cumsum(np.linalg.norm(np.diff(angle_step, axis=0), axis=1))
+    in_plane_mm = (tips_mm[:end] - tips_mm[0])[:, :2]
+    travel_mm = np.cumsum(np.linalg.norm(np.diff(in_plane_mm, axis=0), axis=1))
     places = np.linspace(0.0, travel_mm[-1], NEEDLES, endpoint=False)
     needles = [
         SpaceCurve(NEEDLE, np.array((tips_mm[tick], behind_mm[tick])), label)

@@ -222,12 +222,12 @@ class PlanWatch:
         except PlanError as error:
             warnings.append(f"ruptures not matched with the plan: {error}")
         return PlanFound(
-            plan.match.layers,
-            ruptures,
-            last,
-            self._deepest,
-            self._rows_off / self._rows_below if self._rows_below else 0.0,
-            tuple(warnings),
+            layers=plan.match.layers,
+            ruptures=ruptures,
+            last=last,
+            deepest=self._deepest,
+            off_fraction=self._rows_off / max(self._rows_below, 1),
+            warnings=tuple(warnings),
         )
 
 

@@ -10,7 +10,7 @@ from needleforce.control.arm_limits import FR3
 
 @pytest.mark.parametrize("arm", ["lwr", "fr3", "fer", "ur5e", "iiwa14"])
 def test_no_command_is_above_what_the_arm_accepts(monkeypatch, arm):
-    monkeypatch.setattr(limits, "SECONDS", 0.4)
+    monkeypatch.setattr(limits, "DURATION_s", 0.4)
     values = {
         item.metric: item.value for item in measure(f"{arm} 10ms quick", "clean", 0)
     }
