@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, LOG, app
-from needleforce.cli.terminal import require_modules, say
+from needleforce.cli.terminal import CommandError, require_modules, say
 
 ANNOUNCEMENT = (
     "A simulated arm pushes a needle through three gels; the force at its tip is "
@@ -64,6 +64,7 @@ def demo_command(
 
     needleforce demo teleop --report teleop
     """
+    _refuse_unused(kind, options)
     if kind == "insertion":
         require_modules("demo", MODULES)
         say(ANNOUNCEMENT)
@@ -81,3 +82,17 @@ def demo_command(
     from needleforce.cli.demos.closed_loops import run
 
     return run(kind, folder=options.report, picture=options.figure)
+
+
+def _refuse_unused(kind: str, options: DemoOptions) -> None:
+    """Raise `CommandError` for an option that a demonstration does not read."""
+    if options.data is not None and kind != "abdomen":
+        raise CommandError(
+            f"--data {options.data}: only the abdomen is read from files, expected "
+            "needleforce demo abdomen"
+        )
+    if options.seed and kind not in ("insertion", "abdomen"):
+        raise CommandError(
+            f"--seed {options.seed}: {kind} draws nothing at random that can be "
+            "chosen, leave --seed out"
+        )

@@ -6,12 +6,12 @@ from cyclopts import Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, app
 from needleforce.cli.loop_threads import limit_library_threads
-from needleforce.cli.shared_options import ArmName, RobotOptions
+from needleforce.cli.shared_options import MovedArmName, RobotOptions
 
 
 @app.command(name="lag")
 def lag_command(
-    arm: ArmName,
+    arm: MovedArmName,
     /,
     *,
     yes: Annotated[

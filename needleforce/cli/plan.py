@@ -30,7 +30,7 @@ class CaseOptions:
     """
 
     ct: Annotated[Path, Parameter(metavar="DIR|FILE")]
-    labels: Annotated[Path, Parameter(metavar="FILE")]
+    labels: Annotated[Path, Parameter(metavar="DIR|FILE")]
     target: Annotated[str, Parameter(metavar="STRUCTURE|FILE")]
     structures: Annotated[str | None, Parameter(metavar="NAME=KIND,...|FILE")] = None
     situs_inversus: Annotated[bool, Parameter(negative="")] = False

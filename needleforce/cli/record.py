@@ -21,7 +21,7 @@ def record_command(
             name=("--output", "-o"),
             metavar="FILE",
             group=LIVE_OUTPUT,
-            help="Recording.",
+            help="Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag.",
         ),
     ],
     options: ArmOptions = ArmOptions(),

@@ -75,7 +75,7 @@ class DepthColumns(Columns):
     Attributes:
         depth: Travel of the needle tip along its axis, growing into the tissue (m, cm,
             mm, um, inch).
-        speed: Rate of depth (m/s, cm/s, mm/s, um/s, mm/min).
+        speed: Rate of depth (m/s, cm/s, mm/s, um/s, m/min, mm/min, inch/s, inch/min).
         force: Axial force, positive when tissue pushes back (N, mN, cN, kN, gf, kgf,
             lbf, ozf).
     """
@@ -257,19 +257,38 @@ class IdentificationOptions:
     ignore_status: bool = False
 
 
+_CONNECTED_ARMS = (
+    "fri or iiwa, with [:LOCAL_ADDRESS][:PORT][@CONTROLLER] (KUKA LWR 4+, LBR iiwa: "
+    "the controller sends to this address of this machine; by default only programs "
+    "of this machine are heard), fr3:ADDRESS, franka:ADDRESS (FER), ur:ADDRESS"
+)
+
+_MODELS_OF_ARMS = (
+    "An fr3 describes itself, a franka is taken for a panda and a ur for a ur10e "
+    "unless --robot or --urdf names another"
+)
+
 ArmName = Annotated[
     str,
     Parameter(
         name="ARM",
         group=LOG,
-        help="fri or iiwa, with [:LOCAL_ADDRESS][:PORT][@CONTROLLER] (KUKA LWR 4+, LBR "
-        "iiwa: the controller sends to this address of this machine; by default only "
-        "programs of this machine are heard), fr3:ADDRESS, franka:ADDRESS (FER), "
-        "ur:ADDRESS, ros2:TOPIC (joint states), or sim:SCENARIO for a simulated "
-        "LWR 4+. An fr3 describes itself, a franka is taken for a panda and a ur for a "
-        "ur10e unless --robot or --urdf names another; iiwa and ros2 need one.",
+        help=f"{_CONNECTED_ARMS}, ros2:TOPIC (joint states), or sim:SCENARIO for a "
+        f"simulated LWR 4+. {_MODELS_OF_ARMS}; iiwa and ros2 need one.",
     ),
 ]
+"""An arm that is listened to."""
+
+MovedArmName = Annotated[
+    str,
+    Parameter(
+        name="ARM",
+        group=LOG,
+        help=f"{_CONNECTED_ARMS}, or sim for a simulated LWR 4+ in free air. "
+        f"{_MODELS_OF_ARMS}; iiwa needs one.",
+    ),
+]
+"""An arm that is moved."""
 
 
 MotorConstants = tuple[float, float, float, float, float, float]

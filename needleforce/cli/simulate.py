@@ -7,7 +7,7 @@ from typing import Annotated, Literal
 from cyclopts import Parameter
 
 from needleforce.cli.application import OUTPUT, app
-from needleforce.cli.terminal import require_modules
+from needleforce.cli.terminal import CommandError, require_modules
 
 
 @Parameter(name="*", group=OUTPUT)
@@ -64,9 +64,21 @@ def simulate_command(
     if options.list:
         return simulated_log.print_scenarios()
     if scenario == example_case.NAME and options.output is not None:
+        _refuse_plant(options, "a patient at rest has no arm")
+        if options.truth is not None:
+            raise CommandError(
+                f"--truth {options.truth}: labels.nii.gz holds what is true of the "
+                "torso, leave --truth out"
+            )
         require_modules("simulate torso", ("SimpleITK",))
         return example_case.write_example_case(options.output, options.seed)
     if scenario is not None and simulated_patient.is_plan(scenario):
+        _refuse_plant(options, "the insertion of a plan is always on clean")
+        if options.seed:
+            raise CommandError(
+                f"--seed {options.seed}: the insertion of a plan is always that of "
+                "seed 0, leave --seed out"
+            )
         return simulated_log.write_patient_simulation(
             Path(scenario), options.output, options.truth
         )
@@ -77,3 +89,9 @@ def simulate_command(
         recording=options.output,
         truth=options.truth,
     )
+
+
+def _refuse_plant(options: SimulationOptions, reason: str) -> None:
+    """Raise `CommandError` if a plant is named where none is chosen."""
+    if options.plant != "clean":
+        raise CommandError(f"--plant {options.plant}: {reason}, leave --plant out")

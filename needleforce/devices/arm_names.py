@@ -21,7 +21,10 @@ LISTENING_KINDS = ("fri", "iiwa")
 CALLED_KINDS = ("fr3", "franka", "ur")
 """Arms that are connected to at their own address."""
 
-EXPECTED_NAMES = "fri[:LOCAL_ADDRESS][:PORT][@CONTROLLER], franka:ADDRESS or ur:ADDRESS"
+EXPECTED_NAMES = (
+    "fri or iiwa, with [:LOCAL_ADDRESS][:PORT][@CONTROLLER], fr3:ADDRESS, "
+    "franka:ADDRESS, ur:ADDRESS"
+)
 """How arms are named, for messages."""
 
 

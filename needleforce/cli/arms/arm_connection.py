@@ -40,6 +40,10 @@ ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
 FR3_FLANGES = ("fr3_link8", "link8")
 """Names of an FR3's flange in its own description."""
 
+LISTENED_NAMES = "ros2:TOPIC or sim:SCENARIO"
+MOVED_NAMES = "or sim"
+"""Arms without a connection of their own, to be listened to or moved, for messages."""
+
 SIMULATED_SCENARIO = "stack-glove-constant"
 """What ``sim`` simulates without a scenario."""
 
@@ -85,7 +89,7 @@ def open_arm(
         raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {name}")
     if takes_commands and kind == "ros2":
         raise CommandError(
-            f"{name} takes no commands: expected {EXPECTED_NAMES}, or sim"
+            f"{name} takes no commands: expected {EXPECTED_NAMES}, {MOVED_NAMES}"
         )
     if takes_commands and kind == "sim":
         yield _open_simulated(name, options)
@@ -97,7 +101,8 @@ def open_arm(
         with _open_ros2(name, scenario, options) as connected:
             yield connected
         return
-    robot = _robot_of(name, _kind_of(name), options)
+    other_names = MOVED_NAMES if takes_commands else LISTENED_NAMES
+    robot = _robot_of(name, _kind_of(name, other_names), options)
     with connect_arm(
         name, torque_constant_Nm_A=constants_Nm_A, takes_commands=takes_commands
     ) as arm:
@@ -112,6 +117,11 @@ def open_arm(
 
 def _open_simulated(name: str, options: RobotOptions) -> ConnectedArm:
     """Return a simulated LWR 4+ in free air, which takes commands."""
+    if name != "sim":
+        raise CommandError(
+            f"{name}: the simulated arm moves in free air, expected sim without a "
+            "scenario"
+        )
     if options not in (RobotOptions(), RobotOptions(robot=LWR)):
         raise CommandError(f"{name} is an LWR 4+, expected no options of the robot")
     arm = SimulatedArm(plant="clean")
@@ -183,12 +193,17 @@ def _robot_of_fr3(host: str, options: RobotOptions) -> Robot:
         return robot_from_options(described, None)
 
 
-def _kind_of(name: str) -> str:
-    """Return the kind of an arm; refuse a name of none."""
+def _kind_of(name: str, other_names: str) -> str:
+    """Return the kind of an arm; refuse a name of none.
+
+    Args:
+        name: The arm as the command line names it.
+        other_names: How arms without a connection are named, for the message.
+    """
     try:
         return parse_arm_name(name).kind
     except DeviceSettingError as error:
-        raise CommandError(f"{error}, ros2:TOPIC or sim:SCENARIO") from error
+        raise CommandError(f"{error}, {other_names}") from error
 
 
 def samples_until_stopped(

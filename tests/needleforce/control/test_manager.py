@@ -266,7 +266,7 @@ def test_a_stand_in_has_what_a_session_has():
 
 
 def test_the_page_shows_the_table_as_it_is():
-    page = Path(__file__).resolve().parents[3] / "docs" / "explanation" / "control.md"
+    page = Path(__file__).resolve().parents[3] / "docs" / "reference" / "control.md"
     rows = [line.strip("| ").split(" | ") for line in page.read_text().splitlines()]
     for rule in TABLE:
         assert [rule.event, rule.sources, rule.target, rule.guards or "–"] in rows
