@@ -186,17 +186,29 @@ def test_function_inside_others_stays_plain_for_python(monkeypatch):
     assert not hasattr(triple_it, "py_func")
 
 
+FUNCTIONS = 12
+"""In each of two modules: enough that a second process compiles one of them."""
+
+MODULE = "from foundation.jit import compiled\n" + "".join(
+    f"\n@compiled\ndef times_{k}(x: float) -> float:\n    return {k}.0 * x\n"
+    for k in range(FUNCTIONS)
+)
+
 FIRST_USE = (
-    "from identification import Identifier; "
-    "print(Identifier().update(0.0, None, 0.1, 1e-3).status.name)"
+    "import first, second; from foundation.jit import compile_waiting; "
+    "compile_waiting(); print(first.times_3(2.0), second.times_5(2.0))"
 )
 
 
-def start(environment, script=FIRST_USE):
-    """Start another interpreter with an environment beside the present one."""
+def start(folder):
+    """Start an interpreter that uses the modules of a folder, and keeps them there."""
+    environment = {
+        "NUMBA_CACHE_DIR": str(folder / "kept"),
+        "PYTHONPATH": os.pathsep.join([str(folder), str(ROOT)]),
+    }
     return subprocess.Popen(
-        [sys.executable, "-c", script],
-        cwd=ROOT,
+        [sys.executable, "-c", FIRST_USE],
+        cwd=folder,
         env=os.environ | environment,
         stdout=subprocess.PIPE,
         stderr=subprocess.PIPE,
@@ -206,17 +218,20 @@ def start(environment, script=FIRST_USE):
 
 @needs_compiler
 def test_two_first_uses_at_once_share_a_folder_and_say_so_once_each(tmp_path):
-    environment = {"NUMBA_CACHE_DIR": str(tmp_path)}
-    outputs = [run.communicate() for run in [start(environment), start(environment)]]
+    for name in ("first", "second"):
+        (tmp_path / f"{name}.py").write_text(MODULE)
+    outputs = [run.communicate() for run in [start(tmp_path), start(tmp_path)]]
 
     for printed, said in outputs:
-        assert printed == "OK\n"
+        assert printed == "6.0 10.0\n"
         assert said.count("\n") == 1
         assert "compiling once, about" in said
 
-    printed, said = start(environment).communicate()
+    printed, said = start(tmp_path).communicate()
 
-    assert (printed, said) == ("OK\n", "")
+    assert (printed, said) == ("6.0 10.0\n", "")
+    kept = [path.name for path in (tmp_path / "kept").glob("*/*.nbi")]
+    assert len(kept) == 2 * FUNCTIONS
 
 
 def test_modules_are_shared_out_by_size(tmp_path):
@@ -318,10 +333,10 @@ def test_the_chain_gives_the_same_numbers_without_the_compiler(tmp_path):
         "NUMBA_DISABLE_JIT": "1",
         "PYTHONPATH": str(ROOT),
     }
-    command = [sys.executable, "-c", f"{script}(1100, 900))"]
+    command = [sys.executable, "-c", f"{script}(1100, 500))"]
     subprocess.run(command, env=environment, check=True)
     plain = np.load(tmp_path / "a.npy")
-    compiled_ = chain_numbers(1100, 900)
+    compiled_ = chain_numbers(1100, 500)
 
     assert np.isfinite(plain).all()
     np.testing.assert_allclose(compiled_, plain, rtol=1e-6, atol=1e-9)

@@ -6,6 +6,8 @@ import platform
 import subprocess
 import sys
 from importlib import metadata
+from pathlib import Path
+from shutil import copytree
 
 import pytest
 
@@ -13,7 +15,11 @@ from foundation.compile_cache import CacheStatus
 from foundation.extras import EXTRAS, install_command
 from needleforce.cli import main
 from needleforce.cli.checkup import compiler, distributions, findings, machine
-from needleforce.cli.checkup.compiler import CompileCache, inspect_cache
+from needleforce.cli.checkup.compiler import (
+    CompileCache,
+    compile_everything,
+    inspect_cache,
+)
 from needleforce.cli.checkup.distributions import (
     extra_states,
     installed_sizes,
@@ -174,6 +180,11 @@ def test_the_trial_of_a_priority_leaves_this_thread_as_it_was():
 
 
 def test_compile_leaves_nothing_for_a_later_start(tmp_path):
+    """What is kept of other packages is taken along: compiling them takes a minute."""
+    compile_everything()
+    for kept in Path(inspect_cache().folder).glob("*-*"):
+        if not kept.name.startswith("needleforce."):
+            copytree(kept, tmp_path / kept.name)
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-m", "needleforce", "doctor", "--compile", "--json"]
     done = subprocess.run(
@@ -184,6 +195,7 @@ def test_compile_leaves_nothing_for_a_later_start(tmp_path):
     assert "compiling once, about" in done.stderr
     assert cache["kept_modules"] == cache["modules"] > 5
     assert cache["folder"] == str(tmp_path)
+    assert list(tmp_path.glob("needleforce.*"))
 
 
 def test_nothing_is_compiled_or_written(tmp_path):

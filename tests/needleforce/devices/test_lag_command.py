@@ -2,15 +2,27 @@
 
 import json
 import socket
+from functools import partial
 
 import numpy as np
 import pytest
 
 from needleforce.cli import main
+from needleforce.cli.arms import arm_lag
+from needleforce.control.lag import ChirpSettings, LagProbe
 from needleforce.devices.emulators import Emulator
 from needleforce.devices.fri_emulator import FriSettings, emulate_fri
 
+QUICK = ChirpSettings(duration_s=1.5, rest_s=0.2)
 
+
+@pytest.fixture
+def _quick(monkeypatch):
+    """Half of the usual motion."""
+    monkeypatch.setattr(arm_lag, "LagProbe", partial(LagProbe, chirp=QUICK))
+
+
+@pytest.mark.usefixtures("_quick")
 def test_the_simulated_arm_is_as_late_as_its_line(capsys):
     assert main(["lag", "sim", "--yes", "--json"]) == 0
 
@@ -21,6 +33,7 @@ def test_the_simulated_arm_is_as_late_as_its_line(capsys):
     assert 100.0 < result["safe_gain_per_s"] < result["unstable_gain_per_s"]
 
 
+@pytest.mark.usefixtures("_quick")
 def test_an_emulated_kuka_is_as_late_as_it_was_made(capsys):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:
         free.bind(("127.0.0.1", 0))
