@@ -302,17 +302,56 @@ def save_figure(chart: Chart | SpaceChart, path: str | Path) -> Path:
     from matplotlib import rc_context
 
     suffix = Path(path).suffix.lower()
+    with rc_context(fname=STYLE):
+        content = _encode(draw(chart), suffix)
+    return write_file(path, content)
+
+
+class DrawnChart(NamedTuple):
+    """A chart as SVG, and where its x axis stands in it.
+
+    Attributes:
+        svg: The drawing.
+        left: Begin of the x axis, from 0 at the left edge of the drawing to 1.
+        right: End of the x axis, likewise.
+        x_limits: Values at these two places.
+    """
+
+    svg: str
+    left: float
+    right: float
+    x_limits: Span
+
+
+def draw_svg(chart: Chart) -> DrawnChart:
+    """Draw a chart for a page that marks places on its x axis.
+
+    Raises:
+        MissingExtraError: As `require_matplotlib`.
+    """
+    require_matplotlib("a figure")
+    from matplotlib import rc_context
+
+    with rc_context(fname=STYLE):
+        figure = draw(chart)
+        svg = _encode(figure, ".svg").decode()
+    axes = figure.axes[-1]
+    place = axes.get_position()
+    return DrawnChart(svg, float(place.x0), float(place.x1), axes.get_xlim())
+
+
+def _encode(figure: "Figure", suffix: str) -> bytes:
+    """Return a figure as the content of a file with a suffix of `FORMATS`."""
     buffer = BytesIO()
-    with rc_context(fname=STYLE), warnings.catch_warnings():
+    with warnings.catch_warnings():
         # A file name in a script that the font lacks is drawn as boxes.
         warnings.filterwarnings("ignore", "Glyph .* missing from")
-        draw(chart).savefig(buffer, format=suffix[1:], **FORMATS[suffix])
+        figure.savefig(buffer, format=suffix[1:], **FORMATS[suffix])
     content = buffer.getvalue()
-    if suffix == ".svg":
-        # A tenth of a point is finer than any line; the other digits are half of the
-        # file.
-        content = re.sub(rb" \nL (-?\d+\.\d)\d* (-?\d+\.\d)\d*", rb"L\1 \2", content)
-    return write_file(path, content)
+    if suffix != ".svg":
+        return content
+    # A tenth of a point is finer than any line; the other digits are half of the file.
+    return re.sub(rb" \nL (-?\d+\.\d)\d* (-?\d+\.\d)\d*", rb"L\1 \2", content)
 
 
 def write_file(path: str | Path, content: bytes) -> Path:

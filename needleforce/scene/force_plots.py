@@ -40,6 +40,11 @@ class ForceCurve(NamedTuple):
     color: str
     dash: tuple[float, ...] = ()
 
+    @property
+    def hex_color(self) -> str:
+        """The colour as ``#rrggbb``."""
+        return "#" + "".join(f"{int(part):02x}" for part in self.color.split(","))
+
 
 CURVES = (
     ForceCurve("axial force", "force_N", "force_std_N", "0, 114, 178"),
@@ -68,25 +73,36 @@ class ForcePlots:
             rows: See `view_row`.
             zero_m: Depth from which shown depths count.
         """
-        rows = rows[rows[:, COLUMN["is_good"]] > 0.0]
-        rows = rows[:: max(len(rows) // MAX_CURVE_POINTS, 1)]
-        curves: list[Array] = []
-        for curve in CURVES:
-            force_N = rows[:, COLUMN[curve.field]]
-            curves.append(force_N)
-            if curve.std_field:
-                band_N = 2.0 * rows[:, COLUMN[curve.std_field]]
-                curves += [force_N + band_N, force_N - band_N]
+        rows = shown_rows(rows)
+        times_s = rows[:, COLUMN["time_s"]]
+        self.charts[TIME_LABEL].data = (times_s, *_curves_of(rows))
+        deepest = deepest_rows(rows)
+        depths_mm = M_TO_MM * (deepest[:, COLUMN["depth_m"]] - zero_m)
+        self.charts[DEPTH_LABEL].data = (depths_mm, *_curves_of(deepest))
 
-        time_s = rows[:, COLUMN["time_s"]]
-        self.charts[TIME_LABEL].data = (time_s, *curves)
 
-        # A curve over depth runs forth and back: only what is deeper than all before.
-        depth_m = rows[:, COLUMN["depth_m"]] - zero_m
-        is_deepest = depth_m >= np.maximum.accumulate(depth_m)
-        self.charts[DEPTH_LABEL].data = tuple(
-            values[is_deepest] for values in (M_TO_MM * depth_m, *curves)
-        )
+def shown_rows(rows: Array) -> Array:
+    """Return rows, shape (n, k), that were good, thinned to those that are drawn."""
+    rows = rows[rows[:, COLUMN["is_good"]] > 0.0]
+    return rows[:: max(len(rows) // MAX_CURVE_POINTS, 1)]
+
+
+def deepest_rows(rows: Array) -> Array:
+    """Return the rows deeper than all before: over depth no curve runs back."""
+    depth_m = rows[:, COLUMN["depth_m"]]
+    return rows[depth_m >= np.maximum.accumulate(depth_m)]
+
+
+def _curves_of(rows: Array) -> list[Array]:
+    """Return the forces of rows, each with the edges of its band behind it."""
+    curves: list[Array] = []
+    for curve in CURVES:
+        force_N = rows[:, COLUMN[curve.field]]
+        curves.append(force_N)
+        if curve.std_field:
+            band_N = 2.0 * rows[:, COLUMN[curve.std_field]]
+            curves += [force_N + band_N, force_N - band_N]
+    return curves
 
 
 _LABELS = (TIME_LABEL, DEPTH_LABEL)

@@ -31,6 +31,12 @@ class Color(NamedTuple):
     blue: int
 
 
+def color_of(parts: Sequence[float]) -> Color:
+    """Return the colour of red, green and blue from 0 to 1."""
+    red, green, blue = (round(255 * part) for part in parts)
+    return Color(red, green, blue)
+
+
 class RingStyle(NamedTuple):
     """How a ring about the needle's line looks.
 

@@ -6,11 +6,11 @@ from pathlib import Path
 
 import numpy as np
 
-from needleforce.files import whole_file
 from needleforce.scene import nodes
+from needleforce.scene.export_page import SceneWords, write_scene_page
 from needleforce.scene.guarded_server import PageAccess, open_server
+from needleforce.scene.legend import legend_lines
 from needleforce.scene.structure_list import add_surfaces
-from needleforce.scene.title_bar import TitleBar
 
 CAMERA_DISTANCE_M = 0.45
 """From the target, behind the entry and a little to the head."""
@@ -36,7 +36,6 @@ def export_plan(plan: nodes.PlanScene, path: Path) -> Path:
         server.scene.set_up_direction("+z")
         add_surfaces(server, plan)
         nodes.add_path(server, plan)
-        TitleBar(server, plan.warnings)
         if plan.entry_m is not None and plan.target_m is not None:
             entry_m = plan.to_robot(plan.entry_m)
             target_m = plan.to_robot(plan.target_m)
@@ -50,6 +49,6 @@ def export_plan(plan: nodes.PlanScene, path: Path) -> Path:
     finally:
         with redirect_stdout(sys.stderr):
             server.stop()
-    with whole_file(path) as file:
-        file.write(page.encode())
-    return path
+    legend = legend_lines(plan, has_needle=False)
+    words = SceneWords("needleforce: plan", plan.warnings, legend)
+    return write_scene_page(path, page, words)

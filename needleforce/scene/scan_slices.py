@@ -74,25 +74,43 @@ def needle_frame(axis: Array, rotation: Array) -> NeedleFrame:
     return NeedleFrame(axis, np.cross(axis, up), up)
 
 
+class SlicePictures(NamedTuple):
+    """The pictures of the three planes, each of shape (n, n, 3).
+
+    Attributes:
+        side: Along the needle, side to side.
+        head: Along the needle, head to feet.
+        probe: Across the needle at its tip.
+    """
+
+    side: NDArray[np.uint8]
+    head: NDArray[np.uint8]
+    probe: NDArray[np.uint8]
+
+
 class ScanSlices:
     """Cuts the CT of a plan at the needle.
 
     Args:
         plan: With its scan.
+
+    Attributes:
+        latest: The pictures drawn last; None before the first.
     """
 
     def __init__(self, plan: PlanScene) -> None:
         self._plan = plan
         self._drawn_at: NeedlePose | None = None
+        self.latest: SlicePictures | None = None
 
-    def draw(self, needle: NeedlePose) -> tuple[NDArray[np.uint8], ...]:
-        """Return the three pictures, shape (n, n, 3); none if the needle stands."""
+    def draw(self, needle: NeedlePose) -> SlicePictures | None:
+        """Return the three pictures; None if the needle stands."""
         drawn = self._drawn_at
         if drawn is not None:
             travel_m = np.linalg.norm(needle.tip_m - drawn.tip_m)
             turn = np.linalg.norm(needle.axis - drawn.axis) * PIXELS * PIXEL_M
             if max(travel_m, turn) < MIN_TRAVEL_M:
-                return ()
+                return None
         self._drawn_at = needle
         frame = needle_frame(needle.axis, self._plan.rotation)
         side = self._cut(needle.tip_m, frame.axis, frame.side, TIP_ROW)
@@ -103,7 +121,8 @@ class ScanSlices:
             picture[:TIP_ROW, middle - 1 : middle + 1] = NEEDLE_COLOR
         probe[middle, middle - 5 : middle + 6] = NEEDLE_COLOR
         probe[middle - 5 : middle + 6, middle] = NEEDLE_COLOR
-        return side, head, probe
+        self.latest = SlicePictures(side, head, probe)
+        return self.latest
 
     def _cut(
         self, tip_m: Array, row_axis: Array, column_axis: Array, tip_row: int

@@ -1,11 +1,11 @@
 """The structures of a scene: each can be hidden, or made more or less see-through."""
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from typing import Any
 
 import numpy as np
 
-from needleforce.scene.nodes import Color, PlanScene
+from needleforce.scene.nodes import PlanScene, color_of
 
 FAINT = ("fat", "skin", "body", "lean", "muscle", "cavity")
 """Words in the names of structures that surround all others."""
@@ -29,7 +29,7 @@ def add_surfaces(server: Any, plan: PlanScene) -> dict[str, Any]:
             f"/anatomy/{surface.name}",
             plan.to_robot(surface.vertices_m).astype(np.float32),
             np.asarray(surface.triangles, dtype=np.uint32),
-            color=Color(*(round(255 * value) for value in surface.colour)),
+            color=color_of(surface.colour),
             opacity=usual_opacity(surface.name),
             side="double",
         )
@@ -50,7 +50,7 @@ class StructureList:
         if not nodes:
             return
         with server.gui.add_folder("Structures", expand_by_default=False):
-            for name in _sorted_names(nodes):
+            for name in sorted_names(nodes):
                 self._add_line(server.gui, name, nodes[name])
 
     def _add_line(self, gui: Any, name: str, node: Any) -> None:
@@ -73,6 +73,6 @@ class StructureList:
         self.sliders[name] = slider
 
 
-def _sorted_names(nodes: dict[str, Any]) -> Sequence[str]:
-    """Return the names, those of faint structures last."""
-    return sorted(nodes, key=lambda name: (usual_opacity(name) == FAINT_OPACITY, name))
+def sorted_names(names: Iterable[str]) -> Sequence[str]:
+    """Return names of structures in order, those of faint ones last."""
+    return sorted(names, key=lambda name: (usual_opacity(name) == FAINT_OPACITY, name))

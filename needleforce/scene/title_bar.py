@@ -1,4 +1,4 @@
-"""What a page always shows, also narrow and exported: off plan, warnings, what it is.
+"""What a page always shows, also a narrow one: off plan, warnings, what it is.
 
 It stands in the title bar as a picture, for buttons there vanish in a menu on a narrow
 screen, and the panel folds.
@@ -49,11 +49,12 @@ class TitleBar:
         self._gui = server.gui
         self._warnings = warnings
         self._is_off_plan: bool | None = None
+        self._is_hidden = False
         self.show(is_off_plan=False)
 
     def show(self, *, is_off_plan: bool) -> None:
         """Show whether the needle is off the plan; nothing is sent if that is known."""
-        if is_off_plan is self._is_off_plan:
+        if self._is_hidden or is_off_plan is self._is_off_plan:
             return
         self._is_off_plan = is_off_plan
         picture = _draw(len(self._warnings), is_off_plan=is_off_plan)
@@ -70,6 +71,14 @@ class TitleBar:
             },
             show_logo=False,
             show_share_button=False,
+        )
+
+    def hide(self) -> None:
+        """Show no title bar, in a page that says the same around the scene."""
+        self._is_off_plan = None
+        self._is_hidden = True
+        self._gui.configure_theme(
+            titlebar_content=None, show_logo=False, show_share_button=False
         )
 
     def _describe(self, *, is_off_plan: bool) -> str:

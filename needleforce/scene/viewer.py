@@ -17,11 +17,21 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.files import whole_file
 from needleforce.scene import nodes
+from needleforce.scene.export_page import SceneWords, require_export, write_scene_page
+from needleforce.scene.film import (
+    MIN_FILM_S,
+    Film,
+    FilmFrame,
+    FilmRupture,
+    film_frame,
+    film_times_s,
+)
 from needleforce.scene.force_arrow import ForceArrow
+from needleforce.scene.force_charts import draw_force_charts
 from needleforce.scene.force_plots import COLUMN, ForcePlots
 from needleforce.scene.guarded_server import PageAccess, open_server
+from needleforce.scene.legend import legend_lines
 from needleforce.scene.row_text import (
     BANNER,
     layer_names,
@@ -30,10 +40,10 @@ from needleforce.scene.row_text import (
     rupture_text,
     state_lines,
 )
-from needleforce.scene.scan_slices import PIXELS, TITLES, ScanSlices
+from needleforce.scene.scan_slices import PIXELS, TITLES, ScanSlices, SlicePictures
 from needleforce.scene.state_ring import FIELDS, SceneCode, SceneError, ViewRow
 from needleforce.scene.structure_list import StructureList, add_surfaces
-from needleforce.scene.time_panel import FRAME_S, TimePanel
+from needleforce.scene.time_panel import TimePanel
 from needleforce.scene.title_bar import NOTE, TitleBar
 from urdf import Robot
 
@@ -136,6 +146,7 @@ class Viewer:
         self.url = access.address(shown_host, self._server.get_port())
         self.marks: list[Mark] = []
         self._rows = np.empty((0, len(FIELDS) + robot.nv))
+        self._plan = plan
         self._names = layer_names(plan)
         self._lock = threading.Lock()
         self._shown_s: float | None = None  # time of the row that is shown
@@ -359,9 +370,10 @@ class Viewer:
         """Draw the CT at the needle, if there is one and the needle has moved."""
         if self._slices is None:
             return
-        for image, picture in zip(
-            self._images, self._slices.draw(needle), strict=False
-        ):
+        pictures = self._slices.draw(needle)
+        if pictures is None:
+            return
+        for image, picture in zip(self._images, pictures, strict=True):
             image.image = picture
 
     def _move_camera(self, needle: nodes.NeedlePose) -> None:
@@ -381,32 +393,49 @@ class Viewer:
 
         Args:
             path: Of the page.
-            frames: Pictures of the film, from the first row to the last.
+            frames: Pictures of the film from the first row to the last, beside one for
+                each rupture.
 
         Raises:
             SceneError: Nothing was shown yet, or the file cannot be written.
+            MissingExtraError: matplotlib or jinja2 is not installed.
         """
         if not len(self._rows):
             raise SceneError("nothing to export: no rows have come")
 
+        require_export()
+        self._title.hide()
         serializer = self._server.get_scene_serializer()
         times_s = self._rows[:, COLUMN["time_s"]]
-        start_s = float(times_s[0])
-        end_s = max(float(times_s[-1]), start_s + FRAME_S)
-        frame_times_s, step_s = np.linspace(start_s, end_s, frames, retstep=True)
-        for shown_s in frame_times_s.tolist():
-            self.show(shown_s)
-            serializer.insert_sleep(float(step_s))
+        events_s = [mark.time_s for mark in self.marks]
+        shown_s = film_times_s(times_s, events_s, frames)
+        steps_s = np.diff(shown_s, append=shown_s[-1] + MIN_FILM_S)
+        pictures: list[FilmFrame] = []
+        slices: list[SlicePictures] = []
+        for time_s, step_s in zip(shown_s.tolist(), steps_s.tolist(), strict=True):
+            self.show(time_s)
+            pictures.append(self._film_frame(time_s - shown_s[0], slices))
+            serializer.insert_sleep(step_s)
 
-        try:
-            with whole_file(path) as file:
-                file.write(serializer.as_html().encode())
-        except OSError as error:
-            raise SceneError(
-                f"cannot write {path}: {error.strerror}", SceneCode.WRITE
-            ) from error
+        ruptures = [
+            FilmRupture(mark.time_s, mark.until_s, mark.text) for mark in self.marks
+        ]
+        last = _view_row_of(self._rows[-1])
+        charts = draw_force_charts(self._rows, last.zero_m, last.zero_name, events_s)
+        words = SceneWords("needleforce", self._plan.warnings, legend_lines(self._plan))
+        film = Film(pictures, ruptures, slices)
+        return write_scene_page(Path(path), serializer.as_html(), words, film, charts)
 
-        return Path(path)
+    def _film_frame(self, film_s: float, slices: list[SlicePictures]) -> FilmFrame:
+        """Return what the page says of the row that is shown; add its slices."""
+        latest = None if self._slices is None else self._slices.latest
+        if latest is not None and (not slices or slices[-1] is not latest):
+            slices.append(latest)
+        times_s = self._rows[:, COLUMN["time_s"]]
+        index = int(np.searchsorted(times_s, self._shown_s or 0.0, "right")) - 1
+        row = _view_row_of(self._rows[max(index, 0)])
+        lines = state_lines(row, self._names, FULL_BAR_N)
+        return film_frame(row, film_s, lines, len(slices) - 1)
 
     def stop(self) -> None:
         """Close the page."""

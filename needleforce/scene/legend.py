@@ -1,0 +1,63 @@
+"""What the marks and colours of the scene stand for, in words."""
+
+from typing import NamedTuple
+
+from needleforce.scene import nodes
+from needleforce.scene.force_arrow import ARROW_COLOR, BAND_COLOR
+from needleforce.scene.structure_list import sorted_names
+
+LINE = "line"
+RING = "ring"
+AREA = "area"
+"""Shapes of the samples."""
+
+
+class LegendLine(NamedTuple):
+    """A line of the legend.
+
+    Attributes:
+        shape: Of its sample: `LINE`, `RING` or `AREA`.
+        color: Of its sample.
+        text: What it stands for.
+    """
+
+    shape: str
+    color: nodes.Color
+    text: str
+
+
+OF_THE_NEEDLE = (
+    LegendLine(LINE, nodes.NEEDLE_COLOR, "needle"),
+    LegendLine(LINE, nodes.TRAIL_COLOR, "path of the tip so far"),
+    LegendLine(AREA, ARROW_COLOR, "arrow: force of the tissue on the tip"),
+    LegendLine(LINE, BAND_COLOR, "bar beside it: ± two standard deviations"),
+    LegendLine(RING, nodes.DETECTED.color, "rupture detected"),
+)
+
+OF_THE_PLAN = (
+    LegendLine(LINE, nodes.OFF_PLAN_COLOR, "needle off the plan"),
+    LegendLine(LINE, nodes.PATH_COLOR, "planned path"),
+    LegendLine(AREA, nodes.TARGET_COLOR, "target"),
+    LegendLine(RING, nodes.PLANNED.color, "planned boundary"),
+    LegendLine(RING, nodes.OBSTACLE.color, "planned boundary of an obstacle"),
+    LegendLine(RING, nodes.EXPECTED.color, "next boundary, as the ruptures moved it"),
+)
+
+
+def legend_lines(
+    plan: nodes.PlanScene, *, has_needle: bool = True
+) -> tuple[LegendLine, ...]:
+    """Return the legend of a scene, structures last.
+
+    Args:
+        plan: Anatomy and plan.
+        has_needle: Whether an insertion is shown.
+    """
+    lines = OF_THE_NEEDLE if has_needle else ()
+    if plan.entry_m is not None:
+        lines += OF_THE_PLAN if has_needle else OF_THE_PLAN[1:-1]
+    colors = {surface.name: surface.colour for surface in plan.surfaces}
+    return lines + tuple(
+        LegendLine(AREA, nodes.color_of(colors[name]), name.replace("_", " "))
+        for name in sorted_names(colors)
+    )
