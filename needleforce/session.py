@@ -711,6 +711,7 @@ class InsertionSession:
         else:
             self._zero_depth()
             self._course.begin(InsertionProgress(self.zero))
+            self._plan.begin(*self.zero)
             self._is_started = True
 
     def _update_travel(self) -> None:

@@ -314,12 +314,16 @@ class DrawnChart(NamedTuple):
         svg: The drawing.
         left: Begin of the x axis, from 0 at the left edge of the drawing to 1.
         right: End of the x axis, likewise.
-        x_limits: Values at these two places.
+        bottom: The x axis, from 0 at the upper edge of the drawing to 1.
+        top: Upper edge of its panels, likewise.
+        x_limits: Values at the ends of the x axis.
     """
 
     svg: str
     left: float
     right: float
+    bottom: float
+    top: float
     x_limits: Span
 
 
@@ -335,9 +339,16 @@ def draw_svg(chart: Chart) -> DrawnChart:
     with rc_context(fname=STYLE):
         figure = draw(chart)
         svg = _encode(figure, ".svg").decode()
-    axes = figure.axes[-1]
-    place = axes.get_position()
-    return DrawnChart(svg, float(place.x0), float(place.x1), axes.get_xlim())
+    highest = figure.axes[0].get_position()
+    lowest = figure.axes[-1].get_position()
+    return DrawnChart(
+        svg=svg,
+        left=float(lowest.x0),
+        right=float(lowest.x1),
+        bottom=1.0 - float(lowest.y0),
+        top=1.0 - float(highest.y1),
+        x_limits=figure.axes[-1].get_xlim(),
+    )
 
 
 def _encode(figure: "Figure", suffix: str) -> bytes:

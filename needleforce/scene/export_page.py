@@ -177,6 +177,8 @@ def _chart_data(chart: DrawnChart) -> dict[str, float]:
     return {
         "left": chart.left,
         "right": chart.right,
+        "top": chart.top,
+        "bottom": chart.bottom,
         "first": float(first),
         "last": float(last),
     }

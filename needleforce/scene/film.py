@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.scene.row_text import M_TO_MM
+from needleforce.scene.row_text import M_TO_MM, headline
 from needleforce.scene.scan_slices import SlicePictures
 from needleforce.scene.state_ring import ViewRow
 
@@ -24,6 +24,7 @@ class FilmFrame(NamedTuple):
         film_s: From the start of the film.
         time_s: Of the session.
         depth_mm: Of the tip, as shown.
+        headline: Time, depth and tip force.
         lines: State in words.
         is_off_plan: Whether the needle is off the plan.
         slices: Number of the pictures of the CT; -1 without a CT.
@@ -32,6 +33,7 @@ class FilmFrame(NamedTuple):
     film_s: float
     time_s: float
     depth_mm: float
+    headline: str
     lines: tuple[str, ...]
     is_off_plan: bool
     slices: int
@@ -96,6 +98,7 @@ def film_frame(
         film_s=film_s,
         time_s=row.time_s,
         depth_mm=M_TO_MM * (row.depth_m - row.zero_m),
+        headline=headline(row),
         lines=tuple(line.replace("**", "") for line in lines),
         is_off_plan=row.is_off_plan,
         slices=slices,

@@ -1,5 +1,7 @@
 """What the marks and colours of the scene stand for, in words."""
 
+from collections.abc import Iterable
+from html import escape
 from typing import NamedTuple
 
 from needleforce.scene import nodes
@@ -60,4 +62,27 @@ def legend_lines(
     return lines + tuple(
         LegendLine(AREA, nodes.color_of(colors[name]), name.replace("_", " "))
         for name in sorted_names(colors)
+    )
+
+
+SAMPLE_STYLES = {
+    LINE: "height:.25em;background:",
+    RING: "height:.9em;width:.9em;border-radius:50%;border:3px solid ",
+    AREA: "height:.8em;background:",
+}
+"""CSS of a sample by its shape; the colour follows."""
+
+
+def legend_html(lines: Iterable[LegendLine]) -> str:
+    """Return a legend as HTML for the panel beside the scene."""
+    return "".join(_html_of(line) for line in lines)
+
+
+def _html_of(line: LegendLine) -> str:
+    """Return a line of the legend as HTML."""
+    style = f"{SAMPLE_STYLES[line.shape]}rgb{tuple(line.color)}"
+    return (
+        '<div style="margin:.3em .8em"><span style="display:inline-block;width:1.3em;'
+        f'margin-right:.6em;vertical-align:middle;{style}"></span>{escape(line.text)}'
+        "</div>"
     )

@@ -254,6 +254,20 @@ def label_shifts_m(depths_m: Sequence[float]) -> list[float]:
     return shifts_m[::-1]
 
 
+def free_shift_m(depth_m: float, taken_m: Sequence[float]) -> float:
+    """Return how far a label at a depth is shifted inwards to overprint no other.
+
+    Args:
+        depth_m: Along the needle.
+        taken_m: Depths of the other labels.
+    """
+    place_m = depth_m
+    for other_m in sorted(taken_m):
+        if abs(other_m - place_m) < LABEL_GAP_M:
+            place_m = other_m + LABEL_GAP_M
+    return place_m - depth_m
+
+
 def rotation_of_axis(axis: Array) -> Array:
     """Return the rotation that turns the z axis to a direction, shape (3, 3).
 

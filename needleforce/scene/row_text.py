@@ -56,25 +56,32 @@ def rupture_label(row: ViewRow, names: Mapping[float, str]) -> str:
     return f"{number}: {names.get(row.plan_matched, '').replace('_', ' ')}"
 
 
-def state_lines(
-    row: ViewRow, names: Mapping[float, str], full_bar_N: float
-) -> Iterator[str]:
+def headline(row: ViewRow) -> str:
+    """Return time, depth and tip force of a row in a line."""
+    return (
+        f"{row.time_s:.1f} s, {_depth_text(row)}; tip force {row.tip_N:.2f} "
+        f"± {2.0 * row.tip_std_N:.2f} N"
+    )
+
+
+def _depth_text(row: ViewRow) -> str:
+    """Return the depth of the tip with the name of its zero."""
+    return f"{M_TO_MM * (row.depth_m - row.zero_m):.1f} mm {row.zero_name}"
+
+
+def state_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
     """Yield where the needle is, the forces, and what they say of the plan.
 
     Args:
         row: The tick.
         names: Of the planned layers, by number.
-        full_bar_N: Tip force at which the bar of the page is full.
     """
     doubt = "" if row.is_good else " (not tared, or doubtful)"
-    yield (
-        f"**{row.time_s:.1f} s** at {M_TO_MM * (row.depth_m - row.zero_m):.1f} mm "
-        f"{row.zero_name}, layer {row.layer:.0f}"
-    )
+    yield (f"**{row.time_s:.1f} s** at {_depth_text(row)}, layer {row.layer:.0f}")
     yield f"force {row.force_N:.2f} ± {2.0 * row.force_std_N:.2f} N{doubt}"
     yield (
         f"**tip force {row.tip_N:.2f} ± {2.0 * row.tip_std_N:.2f} N**, "
-        f"shaft friction {row.friction_N:.2f} N; the bar is full at {full_bar_N:g} N"
+        f"shaft friction {row.friction_N:.2f} N"
     )
     if not math.isnan(row.aside_entry_m):
         yield aside_text(row)

@@ -31,9 +31,10 @@ from needleforce.scene.force_arrow import ForceArrow
 from needleforce.scene.force_charts import draw_force_charts
 from needleforce.scene.force_plots import COLUMN, ForcePlots
 from needleforce.scene.guarded_server import PageAccess, open_server
-from needleforce.scene.legend import legend_lines
+from needleforce.scene.legend import legend_html, legend_lines
 from needleforce.scene.row_text import (
     BANNER,
+    headline,
     layer_names,
     next_layer_name,
     rupture_label,
@@ -49,6 +50,9 @@ from urdf import Robot
 
 FULL_BAR_N = 4.0
 """Tip force at which the bar is full."""
+
+ENLARGED = 2
+"""Pixels of the screen for each of the CT's slices; these fill their panel then."""
 
 MAX_TRAIL_POINTS = 100
 """Of the real path of the tip; longer ones are thinned."""
@@ -86,6 +90,10 @@ class Mark(NamedTuple):
     ring: nodes.Ring
     place_m: Array
     until_s: float = np.inf
+
+    def is_known_at(self, time_s: float) -> bool:
+        """Return whether it stood at a time."""
+        return self.time_s <= time_s < self.until_s
 
 
 def check_address(host: str, port: int) -> None:
@@ -151,7 +159,7 @@ class Viewer:
         self._lock = threading.Lock()
         self._shown_s: float | None = None  # time of the row that is shown
         self._add_scene(robot, plan, urdf_path)
-        self._add_panel(plan.warnings)
+        self._add_panel(plan)
         self._slices = None if plan.scan is None else ScanSlices(plan)
         self._images = [] if plan.scan is None else self._add_images()
 
@@ -180,26 +188,39 @@ class Viewer:
         self._off_plan.visible = False
         scene.add_grid("/floor", width=2.0, height=2.0, cell_size=0.1)
 
-    def _add_panel(self, plan_warnings: tuple[str, ...]) -> None:
-        """Add the state in words, the time line and the plots beside the scene."""
+    def _add_panel(self, plan: nodes.PlanScene) -> None:
+        """Add state, time line, plots and structures beside the scene.
+
+        What must always be seen stands in the main panel; all else in a second one,
+        which is folded at first on a narrow screen.
+        """
         gui = self._server.gui
-        self._title = TitleBar(self._server, plan_warnings)
-        gui.add_markdown(f"**needleforce** – {NOTE}")
+        self._title = TitleBar(self._server, plan.warnings)
         self._banner = gui.add_markdown("")
-        for warning in plan_warnings:
+        for warning in plan.warnings:
             gui.add_markdown(f"Warning: {warning}")
-        self._text = gui.add_markdown("waiting for the first sample")
-        self._bar = gui.add_progress_bar(0.0, color="violet")
-        self._events = gui.add_markdown("")
-        self.time = TimePanel(gui, self.show)
-        self._plots = ForcePlots(gui)
-        self.structures = StructureList(self._server, self._surfaces)
-        self._at_tip = gui.add_checkbox("camera at the tip", False)
+        self._headline = gui.add_markdown("waiting for the first sample")
+        panel = gui.add_panel()
+        with panel.add_tab("Insertion"):
+            gui.add_markdown(f"**needleforce** – {NOTE}")
+            self._text = gui.add_markdown("")
+            gui.add_markdown(f"Bar: tip force; full at {FULL_BAR_N:g} N.")
+            self._bar = gui.add_progress_bar(0.0, color="violet")
+            self._events = gui.add_markdown("")
+            self.time = TimePanel(gui, self.show)
+            self._at_tip = gui.add_checkbox("camera at the tip", False)
+            self._plots = ForcePlots(gui)
+        with panel.add_tab("Structures"):
+            self.structures = StructureList(self._server, self._surfaces)
+        with panel.add_tab("What is what"):
+            gui.add_html(legend_html(legend_lines(plan)))
+        panel.dock_right()
 
     def _add_images(self) -> list[Any]:
         """Add the places of the CT's slices beside the scene."""
         panel = self._server.gui.add_panel()
-        empty = np.zeros((PIXELS, PIXELS, 3), np.uint8)
+        side = ENLARGED * PIXELS
+        empty = np.zeros((side, side, 3), np.uint8)
         with panel.add_tab("CT at the needle"):
             images = [
                 self._server.gui.add_image(empty, label=title) for title in TITLES
@@ -308,7 +329,8 @@ class Viewer:
             if self.time.live.value:
                 self.time.slider.value = round(row.time_s, 2)
 
-            lines = state_lines(row, self._names, FULL_BAR_N)
+            self._headline.content = headline(row)
+            lines = state_lines(row, self._names)
             self._text.content = "\n\n".join(lines)
             percent = 100.0 * row.tip_N / FULL_BAR_N
             self._bar.value = float(np.clip(percent, 0.0, 100.0))
@@ -316,15 +338,21 @@ class Viewer:
 
         self._move_camera(needle)
         if self._shown_s is None:
-            camera = self._server.initial_camera
-            camera.look_at = tuple(needle.tip_m)
-            camera.position = tuple(needle.tip_m + nodes.CAMERA_M)
+            self._place_camera(needle)
+
+    def _place_camera(self, needle: nodes.NeedlePose) -> None:
+        """Let browsers look at the planned entry at first, without one at the tip."""
+        entry_m = self._plan.entry_m
+        centre_m = needle.tip_m if entry_m is None else self._plan.to_robot(entry_m)
+        camera = self._server.initial_camera
+        camera.look_at = tuple(centre_m)
+        camera.position = tuple(centre_m + nodes.CAMERA_M)
 
     def _draw_marks(self, row: ViewRow) -> None:
         """Show the ruptures known at a row, and hide the others."""
         texts = []
         for mark in self.marks:
-            is_known = mark.time_s <= row.time_s < mark.until_s
+            is_known = mark.is_known_at(row.time_s)
             mark.ring.set_visible(is_known)
             if is_known:
                 texts.append(f"- {mark.text}")
@@ -337,9 +365,21 @@ class Viewer:
         self._ahead.set_visible(is_expected)
         if is_expected:
             distance_m = row.plan_next_m - row.depth_m
-            self._ahead.move(needle.tip_m + distance_m * needle.axis, needle.axis)
+            place_m = needle.tip_m + distance_m * needle.axis
+            self._ahead.move(place_m, needle.axis)
+            depth_m = float(place_m @ needle.axis)
+            taken_m = self._label_depths_m(row, needle.axis)
+            self._ahead.shift_label(nodes.free_shift_m(depth_m, taken_m))
             next_name = next_layer_name(row, self._names)
             self._ahead.label.text = f"{next_name}, expected"
+
+    def _label_depths_m(self, row: ViewRow, axis: Array) -> list[float]:
+        """Return where along an axis labels of ruptures stand that a row knows."""
+        return [
+            float(mark.place_m @ axis) + float(mark.ring.label.position[2])
+            for mark in self.marks
+            if mark.is_known_at(row.time_s)
+        ]
 
     def _draw_banner(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
         """Turn the needle red and say so while it is off the plan."""
@@ -374,7 +414,7 @@ class Viewer:
         if pictures is None:
             return
         for image, picture in zip(self._images, pictures, strict=True):
-            image.image = picture
+            image.image = picture.repeat(ENLARGED, 0).repeat(ENLARGED, 1)
 
     def _move_camera(self, needle: nodes.NeedlePose) -> None:
         """Let every browser look along the needle, if that is asked for."""
@@ -434,7 +474,7 @@ class Viewer:
         times_s = self._rows[:, COLUMN["time_s"]]
         index = int(np.searchsorted(times_s, self._shown_s or 0.0, "right")) - 1
         row = _view_row_of(self._rows[max(index, 0)])
-        lines = state_lines(row, self._names, FULL_BAR_N)
+        lines = state_lines(row, self._names)
         return film_frame(row, film_s, lines, len(slices) - 1)
 
     def stop(self) -> None:
