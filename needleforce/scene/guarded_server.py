@@ -10,11 +10,11 @@ import asyncio
 import hashlib
 import ipaddress
 import secrets
-import sys
 import threading
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from http import HTTPStatus
+from io import StringIO
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
@@ -159,8 +159,8 @@ def open_server(host: str, port: int, label: str, access: PageAccess) -> Any:
             "viser is not installed", SceneCode.LIBRARY, extra="scene"
         ) from error
 
-    # viser's banner is no result.
-    with redirect_stdout(sys.stderr), _guarded_serve(access) as calls:
+    # viser's banner is no result, and names an address without its token.
+    with redirect_stdout(StringIO()), _guarded_serve(access) as calls:
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
     reason = "" if calls else "it does not call websockets' serve"
     try:
@@ -168,7 +168,7 @@ def open_server(host: str, port: int, label: str, access: PageAccess) -> Any:
     except AttributeError as error:
         reason = str(error)
     if reason:
-        server.stop()
+        stop_server(server)
         raise SceneError(
             f"viser {viser.__version__} cannot be guarded: {reason}",
             SceneCode.LIBRARY,
@@ -177,6 +177,12 @@ def open_server(host: str, port: int, label: str, access: PageAccess) -> Any:
     # Otherwise any browser could ask for a tunnel to the internet.
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server
+
+
+def stop_server(server: Any) -> None:
+    """Stop a server without viser's words on it."""
+    with redirect_stdout(StringIO()):
+        server.stop()
 
 
 @contextmanager

@@ -1,14 +1,12 @@
 """A plan without an arm as one 3-D page."""
 
-import sys
-from contextlib import redirect_stdout
 from pathlib import Path
 
 import numpy as np
 
 from needleforce.scene import nodes
 from needleforce.scene.export_page import SceneWords, write_scene_page
-from needleforce.scene.guarded_server import PageAccess, open_server
+from needleforce.scene.guarded_server import PageAccess, open_server, stop_server
 from needleforce.scene.legend import legend_lines
 from needleforce.scene.structure_list import add_surfaces
 
@@ -47,8 +45,7 @@ def export_plan(plan: nodes.PlanScene, path: Path) -> Path:
             )
         page = server.get_scene_serializer().as_html()
     finally:
-        with redirect_stdout(sys.stderr):
-            server.stop()
+        stop_server(server)
     legend = legend_lines(plan, has_needle=False)
     words = SceneWords("needleforce: plan", plan.warnings, legend)
     return write_scene_page(path, page, words)

@@ -47,11 +47,8 @@ class StructureList:
     def __init__(self, server: Any, nodes: dict[str, Any]) -> None:
         self.sliders: dict[str, Any] = {}
         self.boxes: dict[str, Any] = {}
-        if not nodes:
-            return
-        with server.gui.add_folder("Structures", expand_by_default=False):
-            for name in sorted_names(nodes):
-                self._add_line(server.gui, name, nodes[name])
+        for name in sorted_names(nodes):
+            self._add_line(server.gui, name, nodes[name])
 
     def _add_line(self, gui: Any, name: str, node: Any) -> None:
         """Add box and slider of a structure."""

@@ -7,10 +7,8 @@ forces and the marks of ruptures are those of that time.
 
 import errno
 import socket
-import sys
 import threading
 from collections.abc import Sequence
-from contextlib import redirect_stdout
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -30,7 +28,7 @@ from needleforce.scene.film import (
 from needleforce.scene.force_arrow import ForceArrow
 from needleforce.scene.force_charts import draw_force_charts
 from needleforce.scene.force_plots import COLUMN, ForcePlots
-from needleforce.scene.guarded_server import PageAccess, open_server
+from needleforce.scene.guarded_server import PageAccess, open_server, stop_server
 from needleforce.scene.legend import legend_html, legend_lines
 from needleforce.scene.row_text import (
     BANNER,
@@ -211,6 +209,8 @@ class Viewer:
             self._at_tip = gui.add_checkbox("camera at the tip", False)
             self._plots = ForcePlots(gui)
         with panel.add_tab("Structures"):
+            if not self._surfaces:
+                gui.add_markdown("No labels beside the plan.")
             self.structures = StructureList(self._server, self._surfaces)
         with panel.add_tab("What is what"):
             gui.add_html(legend_html(legend_lines(plan)))
@@ -479,8 +479,7 @@ class Viewer:
 
     def stop(self) -> None:
         """Close the page."""
-        with redirect_stdout(sys.stderr):
-            self._server.stop()
+        stop_server(self._server)
 
 
 def _view_row_of(row_values: Array) -> ViewRow:

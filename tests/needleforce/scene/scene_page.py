@@ -70,6 +70,34 @@ class OpenPage:
 
         return False
 
+    def set_size(self, size):
+        """Give the page a size that the window of a browser would not take."""
+        self.call(
+            "Emulation.setDeviceMetricsOverride",
+            width=size[0],
+            height=size[1],
+            deviceScaleFactor=1,
+            mobile=False,
+        )
+
+    def click(self, element):
+        """Press the mouse in the middle of an element, given as an expression."""
+        box = json.loads(
+            self.evaluate(f"JSON.stringify(({element}).getBoundingClientRect())")
+        )
+        place = {
+            "x": box["left"] + box["width"] / 2,
+            "y": box["top"] + box["height"] / 2,
+        }
+        for kind in ("mousePressed", "mouseReleased"):
+            self.call(
+                "Input.dispatchMouseEvent",
+                type=kind,
+                button="left",
+                clickCount=1,
+                **place,
+            )
+
     def picture(self, path):
         """Write what is seen as a PNG."""
         reply = self.call("Page.captureScreenshot", format="png")

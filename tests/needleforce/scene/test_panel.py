@@ -5,7 +5,7 @@ import time
 import numpy as np
 import pytest
 
-from tests.chromium import needs_chromium
+from tests.chromium import PHONE, needs_chromium
 from tests.needleforce.scene.test_page import HOME, insertion, plan, row
 
 pytest.importorskip("viser")
@@ -14,7 +14,7 @@ from needleforce import NeedleTool, load_lwr
 from needleforce.anatomy import Grid, Volume
 from needleforce.cli.plan_file import crop_scan
 from needleforce.scene import PlanScene, Viewer
-from needleforce.scene.nodes import NeedlePose, label_shifts_m
+from needleforce.scene.nodes import NeedlePose, free_shift_m, label_shifts_m
 from needleforce.scene.scan_slices import PIXELS, TIP_ROW, ScanSlices
 from needleforce.scene.state_ring import FIELDS
 from needleforce.scene.structure_list import usual_opacity
@@ -87,6 +87,12 @@ def test_labels_keep_their_distance():
     assert label_shifts_m([]) == []
 
 
+def test_a_label_moves_inwards_past_those_that_stand():
+    assert free_shift_m(0.02, []) == 0.0
+    assert free_shift_m(0.02, [0.0, 0.05]) == 0.0
+    assert free_shift_m(0.02, [0.03, 0.022]) == pytest.approx(0.02)
+
+
 def test_what_surrounds_all_others_is_faint():
     assert usual_opacity("subcutaneous_fat") < 0.1
     assert usual_opacity("skin") < 0.1
@@ -112,7 +118,7 @@ def test_a_bright_place_stands_where_it_lies_in_each_slice():
     *_, probe = slices.draw(NeedlePose(tip_m + 0.01 * axis, axis))
 
     assert tuple(probe[middle - 25, middle]) == (255, 255, 255)
-    assert slices.draw(NeedlePose(tip_m + 0.0101 * axis, axis)) == ()
+    assert slices.draw(NeedlePose(tip_m + 0.0101 * axis, axis)) is None
 
 
 def test_a_cropped_scan_is_the_same_scan():
@@ -187,12 +193,18 @@ def test_slider_jump_opacity_and_banner_work_in_a_browser(viewer):
         assert page.wait_for(f"!{TITLE}.includes('OFF PLAN')")
         assert viewer.time.slider.value == 0.0
 
-        page.evaluate(
-            "[...document.querySelectorAll('*')].filter(e => e.children.length < 2"
-            " && e.innerText == 'Structures')[0].click()"
+        page.click(
+            "[...document.querySelectorAll('[role=tab]')]"
+            ".filter(e => e.innerText == 'Structures')[0]"
         )
-        assert page.wait_for("document.body.innerText.includes('liver')")
-        page.evaluate(KEY.format(number=1, key="Home"))
+        assert page.wait_for("document.body.innerText.includes('opacity')")
+        page.evaluate(
+            KEY.format(number=0, key="Home").replace(
+                "document.querySelectorAll('[role=slider]')",
+                "[...document.querySelectorAll('[role=slider]')]"
+                ".filter(e => e.checkVisibility())",
+            )
+        )
 
         assert wait_until(lambda: liver.opacity == 0.0)
         page.evaluate(
@@ -205,14 +217,33 @@ def test_slider_jump_opacity_and_banner_work_in_a_browser(viewer):
 
 
 @needs_chromium
-def test_the_exported_page_says_what_it_is(viewer, tmp_path):
+def test_on_a_phone_the_panel_is_folded_at_first():
     from tests.needleforce.scene.scene_page import open_page
 
-    page = viewer.export(tmp_path / "scene.html", frames=12)
-    with open_page(page.as_uri()) as opened:
-        assert opened.wait_for(f"{TITLE}.includes('not a medical device')")
-        # The film goes on to where the needle is off the plan.
-        assert opened.wait_for(f"{TITLE}.startsWith('OFF PLAN')", seconds=30.0)
+    warned = plan()._replace(warnings=("no labels beside the plan",))
+    viewer = Viewer(load_lwr(payload=NeedleTool()), warned, port=8451)
+    viewer.append(insertion())
+    viewer.open_recording()
+    above = (
+        "[...document.querySelectorAll('p')].filter(e => e.innerText.includes("
+        "'0.0 s, 0.0 mm'))[0].getBoundingClientRect().top"
+    )
+    slider = "document.querySelector('[role=slider]')"
+    try:
+        with open_page(viewer.url, PHONE) as page:
+            page.set_size(PHONE)
+            assert page.wait_for("document.body.innerText.includes('0.0 s, 0.0 mm')")
+            assert page.wait_for(
+                "document.body.innerText.includes('no labels beside the plan')"
+            )
+            assert page.evaluate(above) > 0.6 * PHONE[1]
+            assert not page.evaluate(f"{slider}?.checkVisibility() ?? false")
+
+            page.click("document.querySelector('[aria-label^=\"Expand panel\"]')")
+
+            assert page.wait_for(f"{slider}?.checkVisibility() ?? false")
+    finally:
+        viewer.stop()
 
 
 def test_a_live_page_follows_the_newest():
