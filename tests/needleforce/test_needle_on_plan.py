@@ -159,12 +159,29 @@ def test_off_the_plan_no_layer_is_named(zero):
     assert again.update(*row).deviation == session.update(*row).deviation
 
     row = ViewRow(*view_row(off_plan[-1], row[0])[: len(FIELDS)])
-    lines = "\n".join(state_lines(row, layer_names(SimpleNamespace(layers=[])), 4.0))
+    lines = "\n".join(state_lines(row, layer_names(SimpleNamespace(layers=[]))))
 
     assert row.is_off_plan
     assert "50.0 ± 0.4 mm beside the planned entry" in lines
     assert "in **" not in lines
     assert rupture_text(row._replace(plan_matched=0.0), {}).endswith(": off plan")
+
+
+def test_before_the_tare_depth_counts_from_the_planned_entry_too(zero):
+    start_m, axis = zero
+    entry_m = start_m + SURFACE_m * axis
+    path = PlannedPath.of_std(entry_m, entry_m + 0.05 * axis, 0.2e-3)
+    session = InsertionSession(RUN.robot)
+    session.follow(MATCH, path=path)
+    for k, row in samples(RUN):
+        estimate = session.update(*row)
+        if k == 200:
+            break
+
+    assert not session.tared
+    assert estimate.depth_in_tissue_m == pytest.approx(
+        estimate.deviation.depth_m, abs=2e-3
+    )
 
 
 def test_an_entry_without_a_direction_is_checked_too(zero):

@@ -330,7 +330,10 @@ def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
     assert len(text) > 100_000
 
     with open_page((tmp_path / "scene.html").as_uri()) as page:
-        assert page.wait_for("document.querySelectorAll('canvas').length > 0")
+        assert page.wait_for(
+            "document.getElementById('scene').contentDocument"
+            "?.querySelectorAll('canvas').length > 0"
+        )
 
 
 @pytest.mark.parametrize(
