@@ -7,20 +7,20 @@ voxels' centres rules out what is far: the centre of a box lies no further from 
 nearest of its points than half the box's diagonal.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 from scipy.spatial import KDTree
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, PlanError, VolumeError
+from needleforce.anatomy.outer_voxels import Ball, OuterVoxels
+from needleforce.anatomy.segmentation import Segmentation
 from needleforce.anatomy.structures import Structure
-from needleforce.anatomy.volume import Grid
 
 NEEDLE_RADIUS_m = 0.8e-3
 """Of an 18 G needle (1.27 mm) with its sheath; what is not said otherwise."""
@@ -40,6 +40,12 @@ MAX_CLEARANCE_m = 0.1
 
 ROUNDING = 1e-12
 """A slope this much smaller than the steepest is none."""
+
+ROUNDING_m = 1e-9
+"""Distances from centres that differ by less are compared box by box."""
+
+PATHS_AT_ONCE = 500
+"""Paths of which the points are held in memory at once: some 10 MB."""
 
 MIN_DISTANCE_m = 1e-9
 """Less is none: a path to a face of a box ends in it."""
@@ -107,20 +113,6 @@ class FreeSpace(NamedTuple):
         )
 
 
-class _Segmentation(Protocol):
-    """What has voxels: see `Labels`."""
-
-    @property
-    def volumes(self) -> Sequence[NDArray[np.integer]]:
-        """Label volumes, each (i, j, k)."""
-        ...
-
-    @property
-    def grid(self) -> Grid:
-        """Where the voxels lie."""
-        ...
-
-
 class VoxelBoxes:
     """The voxels of structures as boxes, and how near straight paths come to them.
 
@@ -128,8 +120,10 @@ class VoxelBoxes:
     milliseconds: keep one for many paths.
 
     Args:
-        labels: The segmentation.
+        labels: The segmentation, or the outer voxels of its structures.
         structures: Those whose voxels count.
+        within: The ball in which voxels count, or all. How near a path comes is then
+            right up to the distance between the path and the ball's surface.
 
     Attributes:
         structures: The same.
@@ -138,9 +132,15 @@ class VoxelBoxes:
         VolumeError: The axes of the grid are not orthogonal.
     """
 
-    def __init__(self, labels: _Segmentation, structures: Iterable[Structure]) -> None:
+    def __init__(
+        self,
+        labels: Segmentation | OuterVoxels,
+        structures: Iterable[Structure],
+        within: Ball | None = None,
+    ) -> None:
+        outer = labels if isinstance(labels, OuterVoxels) else OuterVoxels(labels)
         self.structures = tuple(structures)
-        grid = labels.grid
+        grid = outer.labels.grid
         spacing_m = grid.spacing_m
         directions = grid.axes_m / spacing_m
         if np.abs(directions.T @ directions - np.eye(3)).max() > ORTHOGONAL:
@@ -148,13 +148,16 @@ class VoxelBoxes:
                 "the axes of the labels' grid are not orthogonal: resample them",
                 AnatomyCode.GEOMETRY,
             )
-        self._labels = labels
+        self._labels = outer.labels
         self._origin_m = grid.origin_m
         self._directions = directions
         self._half_m = 0.5 * spacing_m
         self._half_diagonal_m = float(np.linalg.norm(self._half_m))
-        indices, self._owners = _surface_voxels(labels, self.structures)
-        self._centres_m = indices * spacing_m
+        indices = [outer.indices(item, within) for item in self.structures]
+        self._centres_m = np.concatenate([np.zeros((0, 3), np.int32), *indices]) * (
+            spacing_m
+        )
+        self._owners = np.repeat(np.arange(len(indices)), list(map(len, indices)))
 
     @cached_property
     def _tree(self) -> KDTree:
@@ -173,9 +176,30 @@ class VoxelBoxes:
             return Approach(0.0, 0.0, owner)
         if not len(self._centres_m):
             return None
-        points, step_m = self._sample(entry, target)
-        bound_m = float(self._tree.query(points)[0].min())
-        return self._exact(entry, target, points, bound_m + step_m)
+        samples = self._sample(entry[None], target[None])
+        bound_m = float(self._tree.query(samples.points_m)[0].min())
+        near = self._tree.query_ball_point(
+            samples.points_m,
+            bound_m + self._half_diagonal_m + 2.0 * float(samples.step_m[0]),
+        )
+        candidates = np.unique(np.concatenate(near).astype(int))
+        return self._nearest_of(candidates, entry, target)
+
+    def nearest_once(self, entry_m: ArrayLike, target_m: ArrayLike) -> Approach | None:
+        """Return what `nearest` does, faster for the first paths.
+
+        It passes all voxels and builds no search tree.
+        """
+        entry, target = self._along_grid(np.array([entry_m, target_m], float))
+        owner = self._structure_at(entry_m)
+        if owner is not None:
+            return Approach(0.0, 0.0, owner)
+        if not len(self._centres_m):
+            return None
+        distances_m = _distances_to_points(entry, target, self._centres_m)
+        # No box is nearer than its centre by more than half its diagonal.
+        reach_m = distances_m.min() + self._half_diagonal_m + ROUNDING_m
+        return self._nearest_of(np.flatnonzero(distances_m <= reach_m), entry, target)
 
     def nearer_than(
         self, entries_m: ArrayLike, targets_m: ArrayLike, distance_m: float
@@ -187,32 +211,55 @@ class VoxelBoxes:
             targets_m: Last points, (n, 3), or (3,) for one that all share.
             distance_m: The distance.
         """
-        entries = np.atleast_2d(np.asarray(entries_m, float))
-        targets = np.broadcast_to(np.asarray(targets_m, float), entries.shape)
-        return np.array(
-            [
-                self._is_nearer(entry_m, target_m, distance_m)
-                for entry_m, target_m in zip(entries, targets, strict=True)
-            ],
-            bool,
+        entries_m = np.atleast_2d(np.asarray(entries_m, float))
+        targets_m = np.broadcast_to(np.asarray(targets_m, float), entries_m.shape)
+        is_near = np.array(
+            [self._structure_at(entry_m) is not None for entry_m in entries_m], bool
         )
-
-    def _is_nearer(self, entry_m: Array, target_m: Array, distance_m: float) -> bool:
-        """Return whether a path comes nearer to a voxel than a distance."""
-        if self._structure_at(entry_m) is not None:
-            return True
         if not len(self._centres_m):
-            return False
-        entry, target = self._along_grid(np.array([entry_m, target_m], float))
-        points, step_m = self._sample(entry, target)
-        reach_m = distance_m + self._half_diagonal_m + step_m
-        near_m, _ = self._tree.query(points, distance_upper_bound=reach_m)
-        nearest_m = float(near_m.min())
-        if nearest_m >= reach_m:
-            return False
-        if nearest_m < distance_m:
-            return True
-        return self._exact(entry, target, points, distance_m).distance_m < distance_m
+            return is_near
+        entries = self._along_grid(entries_m)
+        targets = self._along_grid(targets_m)
+        outside = np.flatnonzero(~is_near)
+        for first in range(0, len(outside), PATHS_AT_ONCE):
+            paths = outside[first : first + PATHS_AT_ONCE]
+            is_near[paths] = self._are_nearer(
+                entries[paths], targets[paths], distance_m
+            )
+        return is_near
+
+    def _are_nearer(
+        self, entries: Array, targets: Array, distance_m: float
+    ) -> NDArray[np.bool_]:
+        """Return which paths come nearer to a voxel than a distance.
+
+        Args:
+            entries: First points, in axes of the grid, (n, 3).
+            targets: Last points, (n, 3).
+            distance_m: The distance.
+        """
+        samples = self._sample(entries, targets)
+        reaches_m = distance_m + self._half_diagonal_m + samples.step_m
+        reach_m = float(reaches_m.max())
+        low_m = self._centres_m.min(axis=0) - reach_m
+        high_m = self._centres_m.max(axis=0) + reach_m
+        is_beside = np.all(
+            (samples.points_m > low_m) & (samples.points_m < high_m), axis=1
+        )
+        distances_m = np.full(len(samples.points_m), np.inf)
+        if is_beside.any():
+            distances_m[is_beside] = self._tree.query(
+                samples.points_m[is_beside], distance_upper_bound=reach_m
+            )[0]
+        nearest_m = np.minimum.reduceat(distances_m, samples.first)
+        is_near = nearest_m < distance_m
+        # In between, the centre is too far and the box around it may be near enough.
+        for path in np.flatnonzero(~is_near & (nearest_m < reaches_m)):
+            near = self._tree.query_ball_point(samples.of(path), reaches_m[path])
+            candidates = np.unique(np.concatenate(near).astype(int))
+            nearest = self._nearest_of(candidates, entries[path], targets[path])
+            is_near[path] = nearest.distance_m < distance_m
+        return is_near
 
     def _along_grid(self, points_m: ArrayLike) -> Array:
         """Return points (n, 3) in axes along those of the grid [m]."""
@@ -229,29 +276,31 @@ class VoxelBoxes:
                 return number
         return None
 
-    def _sample(self, entry: Array, target: Array) -> tuple[Array, float]:
-        """Return points of a path, and how far it strays from the nearest of them."""
-        length_m = float(np.linalg.norm(target - entry))
-        intervals = max(int(np.ceil(length_m / (2.0 * self._half_diagonal_m))), 1)
-        fractions = np.linspace(0.0, 1.0, intervals + 1)[:, None]
-        return entry + fractions * (target - entry), 0.5 * length_m / intervals
+    def _sample(self, entries: Array, targets: Array) -> "_Samples":
+        """Return points of paths (n, 3), so close that boxes are found by them."""
+        lengths_m = np.linalg.norm(targets - entries, axis=1)
+        intervals = np.ceil(lengths_m / (2.0 * self._half_diagonal_m)).astype(int)
+        intervals = np.maximum(intervals, 1)
+        ends = np.cumsum(intervals + 1)
+        first = ends - (intervals + 1)
+        path = np.repeat(np.arange(len(entries)), intervals + 1)
+        fractions = (np.arange(ends[-1]) - first[path]) / intervals[path]
+        return _Samples(
+            entries[path] + fractions[:, None] * (targets - entries)[path],
+            first,
+            0.5 * lengths_m / intervals,
+        )
 
-    def _exact(
-        self, entry: Array, target: Array, points: Array, reach_m: float
+    def _nearest_of(
+        self, candidates: NDArray[np.intp], entry: Array, target: Array
     ) -> Approach:
-        """Return the nearest approach to the boxes that come within a distance.
+        """Return the nearest approach to the boxes of some voxels.
 
         Args:
+            candidates: Their numbers, growing.
             entry: First point of the path, in axes of the grid.
             target: Last point.
-            points: Points between them, see `_sample`.
-            reach_m: The distance.
         """
-        _, step_m = self._sample(entry, target)
-        near = self._tree.query_ball_point(
-            points, reach_m + self._half_diagonal_m + step_m
-        )
-        candidates = np.unique(np.concatenate(near).astype(int))
         if not len(candidates):
             return Approach(np.inf, np.nan, -1)
         distances_m, fractions = _distances_to_boxes(
@@ -263,16 +312,36 @@ class VoxelBoxes:
         return Approach(float(distances_m[best]), depth_m, owner)
 
 
+class _Samples(NamedTuple):
+    """Points of straight paths.
+
+    Attributes:
+        points_m: Those of a path follow each other, (m, 3).
+        first: Number of each path's first one, (n,).
+        step_m: How far a path strays from the nearest of them, (n,).
+    """
+
+    points_m: Array
+    first: NDArray[np.intp]
+    step_m: Array
+
+    def of(self, path: int) -> Array:
+        """Return the points of one path."""
+        ends = np.append(self.first[1:], len(self.points_m))
+        return self.points_m[self.first[path] : ends[path]]
+
+
 def find_clearances(
-    labels: _Segmentation,
+    labels: Segmentation | OuterVoxels,
     structures: Iterable[Structure],
     entry_m: ArrayLike,
     target_m: ArrayLike,
 ) -> list[Clearance]:
     """Return how near a path comes to structures, the nearest first."""
+    outer = labels if isinstance(labels, OuterVoxels) else OuterVoxels(labels)
     clearances: list[Clearance] = []
     for item in structures:
-        nearest = VoxelBoxes(labels, [item]).nearest(entry_m, target_m)
+        nearest = VoxelBoxes(outer, [item]).nearest_once(entry_m, target_m)
         if nearest is not None and nearest.distance_m <= MAX_CLEARANCE_m:
             clearances.append(
                 Clearance(
@@ -329,27 +398,12 @@ def require_clear_path(
         )
 
 
-def _surface_voxels(
-    labels: _Segmentation, structures: Sequence[Structure]
-) -> tuple[NDArray[np.integer], NDArray[np.intp]]:
-    """Return the outer voxels of structures, and of which structure each one is.
-
-    A path from outside meets an outer voxel, one with a face to something else, before
-    any inner one.
-
-    Returns:
-        Indices (n, 3) of the voxels, and indices (n,) of the structures.
-    """
-    indices = [np.zeros((0, 3), int)]
-    counts = []
-    for item in structures:
-        mask = labels.volumes[item.volume][item.box] == item.value
-        core: NDArray[np.bool_] = np.zeros_like(mask)
-        ndimage.binary_erosion(mask, output=core)
-        outer = np.argwhere(mask & np.logical_not(core))
-        indices.append(outer + [side.start for side in item.box])
-        counts.append(len(outer))
-    return np.concatenate(indices), np.repeat(np.arange(len(counts)), counts)
+def _distances_to_points(entry: Array, target: Array, points: Array) -> Array:
+    """Return the distances of a line segment from points (n, 3), shape (n,)."""
+    way = target - entry
+    start = points - entry
+    fractions = np.clip(start @ way / max(float(way @ way), ROUNDING), 0.0, 1.0)
+    return np.linalg.norm(start - fractions[:, None] * way, axis=1)
 
 
 def _distances_to_boxes(

@@ -9,22 +9,18 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
+from needleforce.anatomy.body import find_body
 from needleforce.anatomy.clearance import Clearance, find_clearances
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.path_layers import Layer, find_layers
+from needleforce.anatomy.resampling import resample_nearest
 from needleforce.anatomy.scan_agreement import NO_SCAN, check_against_scan
 from needleforce.anatomy.structures import Structure
-from needleforce.anatomy.surface import Surface, closed_surface
+from needleforce.anatomy.surface import Surface, closed_surface, join_voxels
 from needleforce.anatomy.volume import Grid, Volume
 
-BODY_HU = -300.0
-"""Between air and fat, in Hounsfield units."""
-
-FAT_HU = -30.0
-"""Between fat and lean tissue, in Hounsfield units."""
-
-FAT_NEIGHBOURS = 3
-"""Voxels along each axis whose median decides between fat and lean: scans are noisy."""
+SHOWN_VOXEL_m = 2e-3
+"""Voxels of surfaces that are looked at: finer ones add triangles that nobody sees."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -62,9 +58,7 @@ class Labels:
         by_name: dict[str, Structure] = {}
         for item in structures:
             if item.name in by_name:
-                raise VolumeError(
-                    f"two structures are named {item.name!r}", AnatomyCode.LABELS
-                )
+                raise _twice(item.name)
             if (box := boxes[item.volume].get(item.value)) is not None:
                 voxels = np.count_nonzero(volumes[item.volume][box] == item.value)
                 by_name[item.name] = replace(item, voxels=int(voxels), box=box)
@@ -93,44 +87,51 @@ class Labels:
     def centroid_m(self, name: str) -> Array:
         """Return the mean position of a structure's voxels in LPS, (3,)."""
         corner = [side.start for side in self[name].box]
-        return self.grid.points_m(np.argwhere(self.mask(name)).mean(axis=0) + corner)
+        mask = self.mask(name)
+        index_sums = [
+            np.arange(size) @ np.count_nonzero(mask, axis=others)
+            for size, others in zip(mask.shape, ((1, 2), (0, 2), (0, 1)), strict=True)
+        ]
+        return self.grid.points_m(
+            np.array(index_sums) / np.count_nonzero(mask) + corner
+        )
 
-    def with_body(self, scan: Volume, *, fat: bool = False) -> "Labels":
+    def with_body(
+        self,
+        scan: Volume,
+        *,
+        fat: bool = False,
+        progress: Callable[[float], None] = lambda fraction: None,
+    ) -> "Labels":
         """Add ``body``: all that is not air around the patient, found in the CT.
 
         Args:
             scan: The CT.
             fat: Add two structures in place of it, ``lean`` and ``fat``.
+            progress: Called with the fraction done.
 
         Raises:
             VolumeError: Labels that lie elsewhere than the scan shows what they name,
                 only air, or no air around.
         """
         unchecked = check_against_scan(self, scan)
-        body = _find_body(scan)
-        kinds = body.astype(np.uint8)
-        if fat:
-            median = ndimage.median_filter(scan.values, FAT_NEIGHBOURS)
-            kinds += body & (median < FAT_HU)
+        kinds = find_body(scan, fat=fat, progress=progress)
         # Each of our voxels takes the scan's nearest: grids may be flipped, cropped or
         # finer.
-        resampled = ndimage.affine_transform(
-            kinds,
-            np.linalg.solve(scan.grid.axes_m, self.grid.axes_m),
-            scan.grid.indices(self.grid.origin_m).tolist(),
-            self.grid.shape,
-            order=0,
-            mode="grid-constant",
-        )
+        volume = resample_nearest(kinds, scan.grid, self.grid)
         names = ("lean", "fat") if fat else ("body",)
-        added = [
-            Structure.named(name, value, len(self.volumes))
-            for value, name in enumerate(names, 1)
-        ]
-        labels = Labels.of(
-            [*self.volumes, resampled], self.grid, (*self.structures, *added)
+        body = Labels.of(
+            [volume],
+            self.grid,
+            [Structure.named(name, value) for value, name in enumerate(names, 1)],
         )
-        return replace(labels, unchecked=unchecked)
+        for item in body.structures:
+            if item.name in {own.name for own in self.structures}:
+                raise _twice(item.name)
+        added = [replace(item, volume=len(self.volumes)) for item in body.structures]
+        return Labels(
+            [*self.volumes, volume], self.grid, (*self.structures, *added), unchecked
+        )
 
     def checked_against(self, scan: Volume) -> "Labels":
         """Return the same labels, checked against their scan.
@@ -144,12 +145,16 @@ class Labels:
         self,
         names: Iterable[str] | None = None,
         progress: Callable[[float], None] | None = None,
+        *,
+        voxel_m: float = 0.0,
     ) -> dict[str, Surface]:
         """Return closed surfaces by name; see `closed_surface`.
 
         Args:
             names: Of the structures; None for all.
             progress: Called with the fraction done.
+            voxel_m: Voxels are joined as long as they do not become larger than this,
+                for surfaces that are only looked at (`SHOWN_VOXEL_m`).
 
         Raises:
             VolumeError: No structure with voxels has one of the names.
@@ -159,11 +164,15 @@ class Labels:
         surfaces: dict[str, Surface] = {}
         for name in chosen_names:
             structure = self[name]
+            mask = self.mask(name)
+            joined = np.maximum(voxel_m // self.grid.spacing_m, 1.0).astype(int)
+            mask = join_voxels(mask, joined)
+            corner = [side.start for side in structure.box] + 0.5 * (joined - 1)
             surfaces[name] = closed_surface(
                 name,
-                self.mask(name),
-                self.grid.points_m([side.start for side in structure.box]),
-                self.grid.axes_m,
+                mask,
+                self.grid.points_m(corner),
+                self.grid.axes_m * joined,
                 structure.colour,
             )
             if progress is not None:
@@ -227,27 +236,6 @@ class Labels:
         return find_clearances(self, chosen, entry_m, target_m)
 
 
-def _find_body(scan: Volume) -> NDArray[np.bool_]:
-    """Return which voxels of a CT belong to the largest body, its holes filled.
-
-    Raises:
-        VolumeError: There is only air, or no air around.
-    """
-    parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
-    count = ndimage.label(scan.values > BODY_HU, output=parts)
-    largest = np.bincount(parts[parts > 0], minlength=1).argmax()
-    body = (parts == largest) & (parts > 0)
-    inner = body[1:-1, 1:-1, 1:-1]
-    outer_voxels = body.size - inner.size
-    if not count or body.sum() - inner.sum() == outer_voxels:
-        raise VolumeError(
-            f"no body in a scan of {scan.values.min():g} to {scan.values.max():g}: "
-            f"expected a CT in Hounsfield units with air, below {BODY_HU:g}, around "
-            "the patient",
-            AnatomyCode.SCAN,
-        )
-    # Lungs are open at the top of a scan, so holes are filled section by section.
-    head_axis = int(np.abs(scan.grid.axes_m[2]).argmax())
-    for section in np.moveaxis(body, head_axis, 0):
-        section[:] = ndimage.binary_fill_holes(section)
-    return body
+def _twice(name: str) -> VolumeError:
+    """Return the error of two structures with one name."""
+    return VolumeError(f"two structures are named {name!r}", AnatomyCode.LABELS)

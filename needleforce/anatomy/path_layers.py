@@ -11,7 +11,7 @@ runs through one of its voxels.
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from itertools import pairwise
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -19,8 +19,7 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, VolumeError, require_deviation
 from needleforce.anatomy.obstacle_crossings import Crossing, find_crossings
-from needleforce.anatomy.structures import Structure
-from needleforce.anatomy.volume import Grid
+from needleforce.anatomy.segmentation import Segmentation
 
 UNLABELLED = "unlabelled"
 """Name of what no structure covers."""
@@ -47,25 +46,6 @@ MIN_FALL = 1e-9
 
 NORMAL_STEP_VOXELS = 0.5
 """Distance at which the votes around a boundary show its normal."""
-
-
-class Segmentation(Protocol):
-    """What a path crosses: see `Labels`."""
-
-    @property
-    def volumes(self) -> Sequence[NDArray[np.integer]]:
-        """Label volumes, each (i, j, k)."""
-        ...
-
-    @property
-    def grid(self) -> Grid:
-        """Where the voxels lie."""
-        ...
-
-    @property
-    def structures(self) -> tuple[Structure, ...]:
-        """Structures with voxels."""
-        ...
 
 
 @dataclass(frozen=True)

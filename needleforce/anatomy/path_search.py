@@ -16,12 +16,17 @@ from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy import ndimage
 
 from foundation.arrays import Array
-from needleforce.anatomy.clearance import Clearance, FreeSpace, VoxelBoxes
+from needleforce.anatomy.clearance import (
+    Clearance,
+    FreeSpace,
+    VoxelBoxes,
+    find_clearances,
+)
 from needleforce.anatomy.errors import AnatomyCode, PlanError, VolumeError
-from needleforce.anatomy.path_layers import UNLABELLED, Layer
+from needleforce.anatomy.outer_voxels import Ball, OuterVoxels
+from needleforce.anatomy.path_layers import UNLABELLED, Layer, find_layers
 
 if TYPE_CHECKING:
     from needleforce.anatomy.labels import Labels
@@ -48,6 +53,10 @@ MAX_PATHS = 10
 
 MAX_JUDGED = 400
 """Of so many rays, the shortest and steepest, the exact clearance is found."""
+
+NEAR_m = 0.03
+"""Structures that come no nearer than this to a path are looked for once more, among
+all voxels."""
 
 MAX_GAP_m = 3e-3
 """So much air the path of a found entry may begin with: skin lies between voxels."""
@@ -179,11 +188,12 @@ def find_paths(
     )
     rays = rays.chosen(is_steep)
     angles_rad = angles_rad[is_steep]
-    clear = _clear_rays(labels, avoided, rays, target, limits, rejected, progress)
+    outer = OuterVoxels(labels)
+    clear = _clear_rays(outer, avoided, rays, target, limits, rejected, progress)
     if not clear.any():
         raise PlanError(_describe_no_path(rejected), AnatomyCode.NO_PATH)
     ranked = _rank(
-        labels, avoided, rays.chosen(clear), angles_rad[clear], target, limits
+        outer, avoided, rays.chosen(clear), angles_rad[clear], target, limits
     )
     return FoundPaths(tuple(ranked), rejected)
 
@@ -218,7 +228,7 @@ def judge_path(
         )
     angles_rad = _skin_angles_rad(labels, inside, rays)
     avoided = [one for one in labels.structures if one.is_obstacle or one.is_risk]
-    return _rank(labels, avoided, rays, angles_rad, target, limits)[0]
+    return _rank(OuterVoxels(labels), avoided, rays, angles_rad, target, limits)[0]
 
 
 class LineEnds(NamedTuple):
@@ -267,16 +277,6 @@ def orient_line(labels: "Labels", ends_m: Array) -> LineEnds:
             AnatomyCode.PATH,
         )
     return LineEnds(ends_m[entry], ends_m[1 - entry])
-
-
-def deepest_point_m(labels: "Labels", name: str) -> Array:
-    """Return the point of a structure that lies farthest from its surface, (3,)."""
-    mask = np.pad(labels.mask(name), 1)
-    spacing = labels.grid.spacing_m.tolist()
-    depth: NDArray[np.floating] = np.zeros(mask.shape)
-    ndimage.distance_transform_edt(mask, sampling=spacing, distances=depth)
-    index = np.array(np.unravel_index(int(depth.argmax()), depth.shape)) - 1
-    return labels.grid.points_m(index + [side.start for side in labels[name].box])
 
 
 def _inside_body(labels: "Labels") -> NDArray[np.bool_]:
@@ -364,7 +364,7 @@ def _skin_angles_rad(labels: "Labels", inside: NDArray[np.bool_], rays: _Rays) -
 
 
 def _clear_rays(
-    labels: "Labels",
+    outer: OuterVoxels,
     avoided: Sequence["Structure"],
     rays: _Rays,
     target: Array,
@@ -375,9 +375,10 @@ def _clear_rays(
     """Return which rays keep their distance from all structures to avoid."""
     is_clear = np.ones(len(rays.lengths_m), bool)
     needed_m = limits.space.needed_m
+    within = Ball(target, limits.max_length_m + needed_m)
     for number, item in enumerate(avoided):
         if is_clear.any():
-            boxes = VoxelBoxes(labels, [item])
+            boxes = VoxelBoxes(outer, [item], within)
             entries_m = rays.entries_m[is_clear]
             is_near = boxes.nearer_than(entries_m, target, needed_m)
             rejected[f"nearer than {1e3 * needed_m:.1f} mm to {item.name}"] += int(
@@ -389,7 +390,7 @@ def _clear_rays(
 
 
 def _rank(
-    labels: "Labels",
+    outer: OuterVoxels,
     avoided: Sequence["Structure"],
     rays: _Rays,
     angles_rad: Array,
@@ -401,11 +402,7 @@ def _rank(
         rays.lengths_m / limits.max_length_m + angles_rad / limits.max_angle_rad
     )
     judged = np.argsort(geometric_cost)[:MAX_JUDGED]
-    boxes = VoxelBoxes(labels, avoided)
-    nearest = [boxes.nearest(rays.entries_m[number], target) for number in judged]
-    clearance_m = np.array(
-        [np.inf if one is None else one.distance_m for one in nearest]
-    )
+    clearance_m = _find_clearances_m(outer, avoided, rays.entries_m[judged], target)
     cost = geometric_cost[judged] + limits.space.needed_m / np.maximum(
         clearance_m, MIN_CLEARANCE_m
     )
@@ -420,23 +417,52 @@ def _rank(
         if is_new:
             angle_rad = float(angles_rad[number])
             paths.append(
-                _describe_path(labels, entry_m, target, angle_rad, float(cost[place]))
+                _describe_path(outer, entry_m, target, angle_rad, float(cost[place]))
             )
         if len(paths) == MAX_PATHS:
             break
     return paths
 
 
+def _find_clearances_m(
+    outer: OuterVoxels, avoided: Sequence["Structure"], entries_m: Array, target: Array
+) -> Array:
+    """Return how near paths come to any of the structures to avoid, (n,); inf for none.
+
+    Args:
+        outer: Voxels of the structures.
+        avoided: The structures.
+        entries_m: Where the paths begin, (n, 3).
+        target: Where they end.
+    """
+    reach_m = float(np.linalg.norm(entries_m - target, axis=1).max())
+    boxes = VoxelBoxes(outer, avoided, Ball(target, reach_m + NEAR_m))
+    nearest = [boxes.nearest(entry_m, target) for entry_m in entries_m]
+    clearances_m = np.array(
+        [np.inf if one is None else one.distance_m for one in nearest]
+    )
+    is_far = clearances_m > NEAR_m
+    if is_far.any():
+        boxes = VoxelBoxes(outer, avoided)
+        nearest = [boxes.nearest(entry_m, target) for entry_m in entries_m[is_far]]
+        clearances_m[is_far] = [
+            np.inf if one is None else one.distance_m for one in nearest
+        ]
+    return clearances_m
+
+
 def _describe_path(
-    labels: "Labels", entry_m: Array, target: Array, angle_rad: float, cost: float
+    outer: OuterVoxels, entry_m: Array, target: Array, angle_rad: float, cost: float
 ) -> SkinPath:
     """Return a path with its layers and clearances; it begins at the first tissue."""
-    layers = labels.layers_along(entry_m, target)
+    labels = outer.labels
+    layers = find_layers(labels, entry_m, target)
     if layers[0].name == UNLABELLED and layers[0].exit_m < MAX_GAP_m:
         axis = (target - entry_m) / np.linalg.norm(target - entry_m)
         entry_m = entry_m + layers[0].exit_m * axis
-        layers = labels.layers_along(entry_m, target)
-    clearances = labels.clearances(entry_m, target)
+        layers = find_layers(labels, entry_m, target)
+    judged = [one for one in labels.structures if one.is_obstacle or one.is_risk]
+    clearances = find_clearances(outer, judged, entry_m, target)
     return SkinPath(entry_m, target, angle_rad, cost, tuple(layers), tuple(clearances))
 
 

@@ -24,6 +24,7 @@ from needleforce.anatomy.label_names import read_header_names
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.mask_folder import find_masks, join_masks
 from needleforce.anatomy.renaming import is_unnamed, rename
+from needleforce.anatomy.slabs import are_whole, copy_in_order
 from needleforce.anatomy.slicer_segments import read_segments
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.volume import Grid, Volume
@@ -56,16 +57,18 @@ class _Image(NamedTuple):
     """What a file holds.
 
     Attributes:
-        arrays: One (i, j, k) per component.
+        arrays: One (i, j, k) per component, in the memory of `owner`.
         grid: Where their voxels lie.
         header: Fields of the file's header.
         is_nifti: The file is NIfTI, and not one that another was copied from.
+        owner: The image of SimpleITK.
     """
 
     arrays: list[NDArray[Any]]
     grid: Grid
     header: dict[str, str]
     is_nifti: bool
+    owner: Any
 
 
 def read_volume(path: Path | str, *, max_bytes: int = MAX_VOLUME_BYTES) -> Volume:
@@ -83,7 +86,7 @@ def read_volume(path: Path | str, *, max_bytes: int = MAX_VOLUME_BYTES) -> Volum
     image = _read_image(Path(path), max_bytes)
     if len(image.arrays) != 1:
         raise VolumeError(f"{path} has several numbers per voxel: expected a scan")
-    return Volume(image.arrays[0], image.grid)
+    return Volume(_as_scan(image.arrays[0]), image.grid)
 
 
 def read_labels(
@@ -162,19 +165,28 @@ def _read_label_file(path: Path, max_bytes: int) -> Labels:
     return Labels.of(volumes, image.grid, structures)
 
 
+def _as_scan(values: NDArray[Any]) -> NDArray[Any]:
+    """Return a copy of a scan, in 16 bits where these hold its numbers.
+
+    A file that states a slope is read as floating point numbers, four times as large.
+    """
+    limits = np.iinfo(np.int16)
+    is_narrow = values.min() >= limits.min and values.max() <= limits.max
+    kind = np.int16 if is_narrow and are_whole(values) else values.dtype
+    return copy_in_order(values, kind)
+
+
 def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
-    """Return the values of a file as labels, in as few bytes as they need."""
-    is_whole = np.issubdtype(values.dtype, np.integer)
-    labels = values if is_whole else values.astype(np.int32)
-    max_label = labels.max()
-    is_in_range = labels.min() >= 0 and max_label <= np.iinfo(np.uint16).max
-    if not is_in_range or np.any(labels != values):
+    """Return a copy of the values of a file as labels, in as few bytes as they need."""
+    max_label = values.max()
+    is_in_range = values.min() >= 0 and max_label <= np.iinfo(np.uint16).max
+    if not is_in_range or not are_whole(values):
         raise VolumeError(
             f"{path} holds {values.min():g} to {values.max():g}: expected labels",
             AnatomyCode.LABELS,
         )
     kind = np.uint8 if max_label < MAX_UINT8_LABELS else np.uint16
-    return labels.astype(kind, copy=False)
+    return copy_in_order(values, kind)
 
 
 def _require_all_named(labels: Labels) -> None:
@@ -232,7 +244,7 @@ def _read_image(path: Path, max_bytes: int) -> _Image:
             f"{path}: whether a file of this kind says how it lies, and is whole, is "
             "not known"
         )
-    return _Image(_components(image), grid, header, is_nifti)
+    return _Image(_components(image), grid, header, is_nifti, image)
 
 
 def _open_image(path: Path, max_bytes: int) -> Any:
@@ -286,9 +298,9 @@ def _require_size(path: Path, reader: Any, max_bytes: int) -> None:
 def _components(image: Any) -> list[NDArray[Any]]:
     """Return the numbers of an image, one array (i, j, k) per component.
 
-    SimpleITK gives (k, j, i), or (k, j, i, component).
+    SimpleITK gives (k, j, i), or (k, j, i, component), in the memory of the image.
     """
     import SimpleITK
 
-    values = SimpleITK.GetArrayFromImage(image).T
+    values = SimpleITK.GetArrayViewFromImage(image).T
     return [values] if values.ndim == 3 else list(values)

@@ -210,14 +210,23 @@ def _find_covers(labels: CheckedLabels) -> Iterator[_Cover]:
         structures = [item for item in labels.structures if _kind_of(item) is kind]
         if sum(item.voxels for item in structures) < MIN_VOXELS:
             continue
-        indices = np.concatenate(
-            [
-                np.argwhere(labels.mask(item.name)) + [side.start for side in item.box]
-                for item in structures
-            ]
-        )
-        step = max(len(indices) // MAX_POINTS, 1)
-        yield _Cover(kind, labels.grid.points_m(indices[::step]))
+        yield _Cover(kind, labels.grid.points_m(_spread_voxels(labels, structures)))
+
+
+def _spread_voxels(
+    labels: CheckedLabels, structures: Sequence[Structure]
+) -> NDArray[np.intp]:
+    """Return the indices (n, 3) of every so many-th voxel of structures."""
+    step = max(sum(item.voxels for item in structures) // MAX_POINTS, 1)
+    passed = 0
+    chosen: list[NDArray[np.intp]] = []
+    for item in structures:
+        mask = labels.mask(item.name)
+        voxels = np.flatnonzero(mask)
+        index = np.unravel_index(voxels[-passed % step :: step], mask.shape)
+        chosen.append(np.column_stack(index) + [side.start for side in item.box])
+        passed += len(voxels)
+    return np.concatenate(chosen)
 
 
 def _kind_of(item: Structure) -> _Kind | None:

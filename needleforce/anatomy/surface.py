@@ -7,7 +7,7 @@ All but the last line works in voxels, so that unequal spacings are smoothed ali
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain
+from itertools import chain, product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
@@ -245,6 +245,31 @@ def closed_surface(
     origin_m = (corner_m - axes_m.sum(axis=1))[:, None]
     mesh.apply_transform(np.block([[axes_m, origin_m], [np.zeros((1, 3)), 1.0]]))
     return Surface(name, np.array(mesh.vertices), mesh.faces.astype(np.int32), colour)
+
+
+def join_voxels(
+    mask: NDArray[np.bool_], joined: NDArray[np.integer]
+) -> NDArray[np.bool_]:
+    """Return a mask of larger voxels: those of which half belongs to the structure.
+
+    Of a structure so thin that no voxel does, those remain that hold most of it.
+
+    Args:
+        mask: Which voxels belong to the structure, (i, j, k).
+        joined: How many are joined along each axis, (3,).
+    """
+    if joined.prod() == 1:
+        return mask
+    sizes = np.array(mask.shape)
+    padded = np.pad(mask, [(0, rest) for rest in (-sizes % joined).tolist()])
+    counts = np.zeros(-(-sizes // joined), np.int32)
+    for corner in product(*map(range, joined.tolist())):
+        every = [
+            slice(start, None, step) for start, step in zip(corner, joined, strict=True)
+        ]
+        counts += padded[tuple(every)]
+    half = np.ceil(0.5 * joined.prod())
+    return counts >= min(half, counts.max())
 
 
 def _smooth_and_simplify(vertices: Array, triangles: NDArray[np.integer]) -> "Trimesh":

@@ -61,8 +61,9 @@ def read_case(files: CaseFiles) -> PatientCase:
         labels = read_labels(
             files.labels, files.structures, situs_inversus=files.situs_inversus
         )
-    with staged_progress("finding body, fat and lean tissue"):
-        return PatientCase(files, scan, labels.with_body(scan, fat=True))
+    with staged_progress("finding body, fat and lean tissue") as progress:
+        labels = labels.with_body(scan, fat=True, progress=progress)
+    return PatientCase(files, scan, labels)
 
 
 def read_plan_fields(place: Path) -> dict[str, Any]:

@@ -1,10 +1,12 @@
 """The page of `needleforce plan`: table, slices along and across the path, 3-D."""
 
+from collections.abc import Callable
 from importlib.util import find_spec
 from pathlib import Path
 
 import numpy as np
 
+from needleforce.anatomy.labels import SHOWN_VOXEL_m
 from needleforce.anatomy.path_search import FoundPaths, PathLimits, SkinPath
 from needleforce.cli.patient.case_files import PatientCase
 from needleforce.cli.patient.plan_slices import draw_along, draw_probe_view
@@ -43,6 +45,7 @@ def write_plan_page(
     target: str,
     limits: PathLimits,
     folder: Path,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> None:
     """Write the page of a plan, and the 3-D page where viser is installed.
 
@@ -53,6 +56,7 @@ def write_plan_page(
         target: Name of the target.
         limits: What a path may be.
         folder: Folder of the page.
+        progress: Called with the fraction done.
     """
     along = draw_along(case, path, folder / "along.png")
     across = draw_probe_view(
@@ -64,7 +68,7 @@ def write_plan_page(
     )
     in_space = "3-D view: not drawn, the extra `scene` is not installed."
     if find_spec("viser") is not None:
-        _write_scene(case, path, folder / SCENE)
+        _write_scene(case, path, folder / SCENE, progress)
         in_space = f"3-D view: open `{SCENE}` in the same folder."
     unchecked = (case.labels.unchecked,) if case.labels.unchecked else ()
     numbers = enumerate(paths.paths, 1)
@@ -118,15 +122,21 @@ def _describe_point(point_m: np.ndarray) -> str:
     return ", ".join(f"{coordinate:.1f}" for coordinate in M_TO_MM * point_m)
 
 
-def _write_scene(case: PatientCase, path: SkinPath, place: Path) -> None:
+def _write_scene(
+    case: PatientCase,
+    path: SkinPath,
+    place: Path,
+    progress: Callable[[float], None],
+) -> None:
     """Write structures and path as a 3-D page."""
     from needleforce.scene import PlanScene
     from needleforce.scene.plan_scene import export_plan
 
     labels = case.labels
     names = [name for name in large_structures(labels) if name not in HIDING]
+    surfaces = labels.surfaces(names, progress, voxel_m=SHOWN_VOXEL_m)
     scene = PlanScene(
-        surfaces=tuple(labels.surfaces(names).values()),
+        surfaces=tuple(surfaces.values()),
         layers=list(path.layers),
         entry_m=path.entry_m,
         target_m=path.target_m,

@@ -10,12 +10,12 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.anatomy import FreeSpace, Labels, require_clear_path
 from needleforce.anatomy.clearance import NEEDLE_RADIUS_m
+from needleforce.anatomy.deepest_point import deepest_point_m
 from needleforce.anatomy.markups import read_markup, write_markup
 from needleforce.anatomy.path_search import (
     FoundPaths,
     PathLimits,
     SkinPath,
-    deepest_point_m,
     find_paths,
     judge_path,
     orient_line,
@@ -147,8 +147,10 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
                 ("entry", "target"),
                 np.array([chosen.entry_m, chosen.target_m]),
             )
-            with staged_progress("drawing the page"):
-                write_plan_page(case, chosen, paths, target.name, limits, place)
+            with staged_progress("drawing the page") as progress:
+                write_plan_page(
+                    case, chosen, paths, target.name, limits, place, progress
+                )
     for name in (PLAN, PATH_MARKUP, PAGE):
         write_out(f"{folder / name}\n")
     say(

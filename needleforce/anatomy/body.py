@@ -1,0 +1,116 @@
+"""The patient's body in a CT, its fat and its lean tissue."""
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.slabs import slabs_of
+from needleforce.anatomy.volume import Volume
+
+BODY_HU = -300.0
+"""Between air and fat, in Hounsfield units."""
+
+FAT_HU = -30.0
+"""Between fat and lean tissue, in Hounsfield units."""
+
+MEDIAN_RANK = 14
+"""The median of a voxel and the 26 around it decides between fat and lean, since scans
+are noisy: it is low where so many of the 27 are."""
+
+LEAN = 1
+"""What the body's voxels hold where fat is not told apart, too."""
+
+FAT = 2
+"""What voxels of fat hold."""
+
+
+def find_body(
+    scan: Volume, *, fat: bool, progress: Callable[[float], None]
+) -> NDArray[np.uint8]:
+    """Return which voxels of a CT belong to the largest body, its holes filled.
+
+    Args:
+        scan: The CT.
+        fat: Tell fat from lean tissue.
+        progress: Called with the fraction done.
+
+    Returns:
+        0 outside of the body, `LEAN` in it, `FAT` where that is told apart, (i, j, k).
+
+    Raises:
+        VolumeError: There is only air, or no air around.
+    """
+    body = _largest_part(scan)
+    progress(0.5)
+    inner = body[1:-1, 1:-1, 1:-1]
+    body_voxels = np.count_nonzero(body)
+    fills_edge = body_voxels - np.count_nonzero(inner) == body.size - inner.size
+    if not body_voxels or fills_edge:
+        raise VolumeError(
+            f"no body in a scan of {scan.values.min():g} to {scan.values.max():g}: "
+            f"expected a CT in Hounsfield units with air, below {BODY_HU:g}, around "
+            "the patient",
+            AnatomyCode.SCAN,
+        )
+    # Lungs are open at the top of a scan, so holes are filled section by section.
+    head_axis = int(np.abs(scan.grid.axes_m[2]).argmax())
+    for section in np.moveaxis(body, head_axis, 0):
+        section[:] = _fill_holes(section)
+    progress(0.8)
+    kinds = body.view(np.uint8)  # true is `LEAN`
+    if fat:
+        for slab in slabs_of(body.shape):
+            is_fat = body[slab] & _has_low_median(scan, slab)
+            kinds[slab] += is_fat.view(np.uint8)
+    progress(1.0)
+    return kinds
+
+
+def _largest_part(scan: Volume) -> NDArray[np.bool_]:
+    """Return which voxels belong to the largest part of what is denser than air."""
+    parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
+    count = int(ndimage.label(scan.values > BODY_HU, output=parts))
+    voxels = np.zeros(count + 1, np.intp)
+    for slab in slabs_of(parts.shape):
+        voxels += np.bincount(parts[slab].ravel(), minlength=count + 1)
+    voxels[0] = -1  # the air
+    return (
+        np.asarray(parts == voxels.argmax()) if count else np.zeros(parts.shape, bool)
+    )
+
+
+def _fill_holes(section: NDArray[np.bool_]) -> NDArray[np.bool_]:
+    """Return a section of the body with what does not reach its edge filled."""
+    parts, count = ndimage.label(~section)
+    is_filled = np.ones(count + 1, bool)
+    for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
+        is_filled[edge] = False
+    is_filled[0] = True  # the body itself
+    return is_filled[parts]
+
+
+def _has_low_median(scan: Volume, slab: slice) -> NDArray[np.bool_]:
+    """Return where the median around a voxel is that of fat, in a slab of a CT.
+
+    At the edge of the scan its outermost voxels count twice.
+    """
+    start = max(slab.start - 1, 0)
+    stop = min(slab.stop + 1, scan.grid.shape[0])
+    counts = (scan.values[start:stop] < FAT_HU).view(np.uint8)
+    for axis in range(3):
+        counts = _sum_three(counts, axis)
+    return counts[slab.start - start : slab.stop - start] >= MEDIAN_RANK
+
+
+def _sum_three(counts: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:
+    """Return the sums of every number and the two beside it along an axis."""
+    before = np.moveaxis(counts, axis, 0)
+    sums = before.copy()
+    sums[1:] += before[:-1]
+    sums[:1] += before[:1]
+    sums[:-1] += before[1:]
+    sums[-1:] += before[-1:]
+    return np.moveaxis(sums, 0, axis)

@@ -1,0 +1,105 @@
+"""Labels of one grid on another one: each voxel takes the nearest one's value."""
+
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy import ndimage
+
+from foundation.arrays import Array
+from needleforce.anatomy.volume import Grid
+
+MAX_STRAY_VOXELS = 1e-6
+"""Axes are parallel where a voxel at the end of one strays by less along others."""
+
+
+class _AlongAxis(NamedTuple):
+    """Where the voxels of one axis are taken from.
+
+    Attributes:
+        axis: Of the source.
+        indices: Along it, (n,); outside of the source for those that lie outside.
+    """
+
+    axis: int
+    indices: NDArray[np.intp]
+
+
+def resample_nearest(
+    values: NDArray[np.uint8], source: Grid, target: Grid
+) -> NDArray[np.uint8]:
+    """Return values on another grid, which may be flipped, cropped or finer.
+
+    Args:
+        values: On the source grid, (i, j, k).
+        source: Their grid.
+        target: The other grid; outside of the source the result is 0.
+    """
+    matrix = np.linalg.solve(source.axes_m, target.axes_m)
+    offset = source.indices(target.origin_m)
+    if source.shape == target.shape and _is_same(matrix, offset, target):
+        return values
+    along = _parallel_axes(matrix, offset, target)
+    if along is not None:
+        return _take(values, along)
+    return np.asarray(
+        ndimage.affine_transform(
+            values,
+            matrix,
+            offset.tolist(),
+            target.shape,
+            order=0,
+            mode="grid-constant",
+        )
+    )
+
+
+def _is_same(matrix: Array, offset: Array, target: Grid) -> bool:
+    """Return whether every voxel lies at its own place."""
+    last = np.array(target.shape) - 1.0
+    stray = np.abs(matrix - np.eye(3)) @ last + np.abs(offset)
+    return bool(stray.max() < MAX_STRAY_VOXELS)
+
+
+def _parallel_axes(
+    matrix: Array, offset: Array, target: Grid
+) -> list[_AlongAxis] | None:
+    """Return where the voxels along each axis of the target come from.
+
+    Returns:
+        One item for each axis of the source; None where the axes are not parallel.
+    """
+    sizes = np.array(target.shape)
+    owner = np.abs(matrix).argmax(axis=1)  # axis of the target along each of the source
+    if sorted(owner.tolist()) != [0, 1, 2]:
+        return None
+    others = matrix.copy()
+    others[np.arange(3), owner] = 0.0
+    if (np.abs(others) @ (sizes - 1.0)).max() > MAX_STRAY_VOXELS:
+        return None
+    return [
+        _AlongAxis(
+            int(owner[axis]),
+            np.floor(
+                offset[axis]
+                + matrix[axis, owner[axis]] * np.arange(sizes[owner[axis]])
+                + 0.5
+            ).astype(np.intp),
+        )
+        for axis in range(3)
+    ]
+
+
+def _take(values: NDArray[np.uint8], along: list[_AlongAxis]) -> NDArray[np.uint8]:
+    """Return values at indices along each axis, in the order of the target's axes."""
+    taken = values
+    for axis, item in enumerate(along):
+        size = values.shape[axis]
+        is_inside = (item.indices >= 0) & (item.indices < size)
+        taken = np.take(taken, np.where(is_inside, item.indices, 0), axis=axis)
+        if not is_inside.all():
+            outside: list[slice | NDArray[np.bool_]] = [slice(None)] * 3
+            outside[axis] = ~is_inside
+            taken[tuple(outside)] = 0
+    order = np.argsort([item.axis for item in along])
+    return np.ascontiguousarray(taken.transpose(order))
