@@ -51,7 +51,7 @@ ANATOMY = (
     ),
     Benchmark(
         id=f"{GROUP}-fullsize",
-        title="time and memory of a CT of 88 million voxels; a minute and 1.5 GB",
+        title="time and memory of a CT of 88 million voxels; minutes and 2 GB",
         run=run_part,
         needs=(CT_FOLDER,),
         group=f"{GROUP} of full size",

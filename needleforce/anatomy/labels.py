@@ -19,8 +19,11 @@ from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.surface import Surface, closed_surface, join_voxels
 from needleforce.anatomy.volume import Grid, Volume
 
-SHOWN_VOXEL_m = 2e-3
+SHOWN_VOXEL_m = 3e-3
 """Voxels of surfaces that are looked at: finer ones add triangles that nobody sees."""
+
+ROUNDING = 1e-6
+"""Fraction of a voxel by which rounding may make it larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -165,7 +168,9 @@ class Labels:
         for name in chosen_names:
             structure = self[name]
             mask = self.mask(name)
-            joined = np.maximum(voxel_m // self.grid.spacing_m, 1.0).astype(int)
+            joined = np.maximum(voxel_m / self.grid.spacing_m + ROUNDING, 1.0).astype(
+                int
+            )
             mask = join_voxels(mask, joined)
             corner = [side.start for side in structure.box] + 0.5 * (joined - 1)
             surfaces[name] = closed_surface(

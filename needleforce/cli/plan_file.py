@@ -31,6 +31,7 @@ from needleforce.anatomy.clearance import (
     describe_clearance,
     too_near,
 )
+from needleforce.anatomy.labels import SHOWN_VOXEL_m
 from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, say
 from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene
@@ -430,7 +431,10 @@ def large_structures(labels: Labels) -> list[str]:
 def _large_surfaces(labels: Labels) -> Sequence[object]:
     """Return the surfaces of the structures that are shown."""
     with progress_bar("surfaces") as progress:
-        return tuple(labels.surfaces(large_structures(labels), progress).values())
+        surfaces = labels.surfaces(
+            large_structures(labels), progress, voxel_m=SHOWN_VOXEL_m
+        )
+    return tuple(surfaces.values())
 
 
 def _planned_layers(plan: _PlanFile) -> list[Layer]:
