@@ -128,7 +128,10 @@ def _write_finer_scan(source: Path, path: Path, rng: np.random.Generator) -> Non
 
     scan = read_volume(source)
     coarse_HU = scan.values.astype(np.float32)
-    fine_HU = zoom(coarse_HU, FINER, order=1, grid_mode=True, mode="nearest")
+    fine_HU: NDArray[np.float32] = np.zeros(
+        [FINER * size for size in coarse_HU.shape], np.float32
+    )
+    zoom(coarse_HU, FINER, fine_HU, order=1, grid_mode=True, mode="nearest")
     for section in fine_HU:
         section += NOISE_HU * rng.standard_normal(section.shape, np.float32)
     _write_image(np.rint(fine_HU).astype(np.int16), scan.grid, path)

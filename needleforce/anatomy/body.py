@@ -72,7 +72,8 @@ def find_body(
 def _largest_part(scan: Volume) -> NDArray[np.bool_]:
     """Return which voxels belong to the largest part of what is denser than air."""
     parts: NDArray[np.int32] = np.zeros(scan.grid.shape, np.int32)
-    count = int(ndimage.label(scan.values > BODY_HU, output=parts))
+    ndimage.label(scan.values > BODY_HU, output=parts)
+    count = int(parts.max())
     voxels = np.zeros(count + 1, np.intp)
     for slab in slabs_of(parts.shape):
         voxels += np.bincount(parts[slab].ravel(), minlength=count + 1)
@@ -84,12 +85,13 @@ def _largest_part(scan: Volume) -> NDArray[np.bool_]:
 
 def _fill_holes(section: NDArray[np.bool_]) -> NDArray[np.bool_]:
     """Return a section of the body with what does not reach its edge filled."""
-    parts, count = ndimage.label(~section)
-    is_filled = np.ones(count + 1, bool)
+    parts: NDArray[np.int32] = np.zeros(section.shape, np.int32)
+    ndimage.label(~section, output=parts)
+    is_filled = np.ones(int(parts.max()) + 1, bool)
     for edge in (parts[0], parts[-1], parts[:, 0], parts[:, -1]):
         is_filled[edge] = False
     is_filled[0] = True  # the body itself
-    return is_filled[parts]
+    return np.asarray(is_filled[parts])
 
 
 def _has_low_median(scan: Volume, slab: slice) -> NDArray[np.bool_]:

@@ -254,7 +254,7 @@ class VoxelBoxes:
         nearest_m = np.minimum.reduceat(distances_m, samples.first)
         is_near = nearest_m < distance_m
         # In between, the centre is too far and the box around it may be near enough.
-        for path in np.flatnonzero(~is_near & (nearest_m < reaches_m)):
+        for path in np.flatnonzero(~is_near & (nearest_m < reaches_m)).tolist():
             near = self._tree.query_ball_point(samples.of(path), reaches_m[path])
             candidates = np.unique(np.concatenate(near).astype(int))
             nearest = self._nearest_of(candidates, entries[path], targets[path])

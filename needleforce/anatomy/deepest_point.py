@@ -60,11 +60,11 @@ def _narrow(mask: NDArray[np.bool_], spacing_m: Array) -> _Region:
     A voxel in a block, and the voxel outside that is nearest to it in another one, lie
     no further from the centres of their blocks than half a block's diagonal.
     """
-    padding = [(0, -size % BLOCK) for size in mask.shape]
+    padding = [(0, int(-size % BLOCK)) for size in mask.shape]
     padded = np.pad(mask, padding)
     blocks = [size // BLOCK for size in padded.shape]
     shape = [length for count in blocks for length in (count, BLOCK)]
-    is_full = padded.reshape(shape).all(axis=(1, 3, 5))
+    is_full = np.asarray(padded.reshape(shape).all(axis=(1, 3, 5)))
     depth_m = _depths_m(is_full, BLOCK * spacing_m)
     diagonal_m = BLOCK * float(np.linalg.norm(spacing_m))
     deepest_m = float(depth_m.max())

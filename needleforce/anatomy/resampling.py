@@ -35,23 +35,24 @@ def resample_nearest(
         source: Their grid.
         target: The other grid; outside of the source the result is 0.
     """
-    matrix = np.linalg.solve(source.axes_m, target.axes_m)
+    matrix = np.asarray(np.linalg.solve(source.axes_m, target.axes_m), float)
     offset = source.indices(target.origin_m)
     if source.shape == target.shape and _is_same(matrix, offset, target):
         return values
     along = _parallel_axes(matrix, offset, target)
     if along is not None:
         return _take(values, along)
-    return np.asarray(
-        ndimage.affine_transform(
-            values,
-            matrix,
-            offset.tolist(),
-            target.shape,
-            order=0,
-            mode="grid-constant",
-        )
+    resampled: NDArray[np.uint8] = np.zeros(target.shape, np.uint8)
+    ndimage.affine_transform(
+        values,
+        matrix,
+        offset.tolist(),
+        target.shape,
+        resampled,
+        order=0,
+        mode="grid-constant",
     )
+    return resampled
 
 
 def _is_same(matrix: Array, offset: Array, target: Grid) -> bool:
@@ -69,25 +70,19 @@ def _parallel_axes(
     Returns:
         One item for each axis of the source; None where the axes are not parallel.
     """
-    sizes = np.array(target.shape)
-    owner = np.abs(matrix).argmax(axis=1)  # axis of the target along each of the source
-    if sorted(owner.tolist()) != [0, 1, 2]:
+    # The axis of the target along each one of the source.
+    owners: list[int] = np.abs(matrix).argmax(axis=1).tolist()
+    if sorted(owners) != [0, 1, 2]:
         return None
     others = matrix.copy()
-    others[np.arange(3), owner] = 0.0
-    if (np.abs(others) @ (sizes - 1.0)).max() > MAX_STRAY_VOXELS:
+    others[np.arange(3), owners] = 0.0
+    if (np.abs(others) @ (np.array(target.shape) - 1.0)).max() > MAX_STRAY_VOXELS:
         return None
-    return [
-        _AlongAxis(
-            int(owner[axis]),
-            np.floor(
-                offset[axis]
-                + matrix[axis, owner[axis]] * np.arange(sizes[owner[axis]])
-                + 0.5
-            ).astype(np.intp),
-        )
-        for axis in range(3)
-    ]
+    along: list[_AlongAxis] = []
+    for axis, owner in enumerate(owners):
+        places = offset[axis] + matrix[axis, owner] * np.arange(target.shape[owner])
+        along.append(_AlongAxis(owner, np.floor(places + 0.5).astype(np.intp)))
+    return along
 
 
 def _take(values: NDArray[np.uint8], along: list[_AlongAxis]) -> NDArray[np.uint8]:

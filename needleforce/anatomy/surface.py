@@ -261,7 +261,8 @@ def join_voxels(
     if joined.prod() == 1:
         return mask
     sizes = np.array(mask.shape)
-    padded = np.pad(mask, [(0, rest) for rest in (-sizes % joined).tolist()])
+    padded: NDArray[np.bool_] = np.zeros(sizes + -sizes % joined, bool)
+    padded[tuple(map(slice, mask.shape))] = mask
     counts = np.zeros(-(-sizes // joined), np.int32)
     for corner in product(*map(range, joined.tolist())):
         every = [
