@@ -60,9 +60,9 @@ def _narrow(mask: NDArray[np.bool_], spacing_m: Array) -> _Region:
     A voxel in a block, and the voxel outside that is nearest to it in another one, lie
     no further from the centres of their blocks than half a block's diagonal.
     """
-    padding = [(0, int(-size % BLOCK)) for size in mask.shape]
-    padded = np.pad(mask, padding)
-    blocks = [size // BLOCK for size in padded.shape]
+    blocks = [-(-size // BLOCK) for size in mask.shape]
+    padded: NDArray[np.bool_] = np.zeros([BLOCK * count for count in blocks], bool)
+    padded[tuple(map(slice, mask.shape))] = mask
     shape = [length for count in blocks for length in (count, BLOCK)]
     is_full = np.asarray(padded.reshape(shape).all(axis=(1, 3, 5)))
     depth_m = _depths_m(is_full, BLOCK * spacing_m)
