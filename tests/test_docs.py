@@ -373,7 +373,7 @@ def test_every_name_exists(name):
 def test_every_equation_of_the_paper_has_a_row():
     all_tables = list(tables())
 
-    assert len(all_tables) == 7
+    assert len(all_tables) == 5
 
     for header, rows in all_tables:
         assert header == COLUMNS
