@@ -128,10 +128,16 @@ def test_numbers_of_the_page_match_the_code():
 def test_summary_has_the_lines_of_the_page(capsys):
     pytest.importorskip("matplotlib")
     main(shlex.split(COMMANDS[0]))
-    shown = FORCE.split("```text\n")[1].split("```")[0].splitlines()
-    printed = capsys.readouterr().out.splitlines()
+    tutorial = ROOT / "docs" / "tutorials" / "arm-log.md"
+    forces = tutorial.read_text(encoding="utf-8").split("\n## 3. Forces\n")[1]
+    shown = forces.split("```text\n")[1].split("```")[0].splitlines()
+    printed, channels = capsys.readouterr().out.split("\n\n")
+    printed = printed.splitlines()
 
     assert [line[:13] for line in printed] == [line[:13] for line in shown]
+    assert [line.split()[0] for line in channels.splitlines()] == [
+        *("channel", "time", "q", "tau", "dq")
+    ]
 
     exact = ("robot", "rejected", "gaps", "warnings")
     chosen = [line for line in printed if line.startswith(exact)]
