@@ -8,7 +8,7 @@ import pytest
 
 from groundtruth.tissue import Rupture
 from needleforce.cli import main
-from needleforce.cli.demos import guidance, teleoperation
+from needleforce.cli.demos import guidance, remote_centre, teleoperation
 from needleforce.cli.demos.hand_driven import (
     BACK_S,
     HAND_STROKE_M,
@@ -82,7 +82,9 @@ def shown(kind, folder, capsys):
     return said
 
 
-def test_a_needle_turns_about_its_entry(tmp_path, capsys):
+def test_a_needle_turns_about_its_entry(tmp_path, capsys, monkeypatch):
+    monkeypatch.setattr(remote_centre, "CIRCLE_S", 3.0)
+    monkeypatch.setattr(remote_centre, "DURATION_S", 4.0)
     said = shown("rcm", tmp_path, capsys)
     perfect, noisy, misplaced, naive = [
         float(item) for item in re.findall(r"entry, largest error +([\d.]+) mm", said)
