@@ -182,7 +182,7 @@ def test_the_trial_of_a_priority_leaves_this_thread_as_it_was():
 def test_compile_leaves_nothing_for_a_later_start(tmp_path):
     """What is kept of other packages is taken along: compiling them takes a minute."""
     compile_everything()
-    for kept in Path(inspect_cache().folder).glob("*-*"):
+    for kept in Path(inspect_cache().folder).glob("*-*/"):
         if not kept.name.startswith("needleforce."):
             copytree(kept, tmp_path / kept.name)
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
