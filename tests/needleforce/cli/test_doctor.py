@@ -180,10 +180,10 @@ def test_the_trial_of_a_priority_leaves_this_thread_as_it_was():
 
 
 def test_compile_leaves_nothing_for_a_later_start(tmp_path):
-    """What is kept of other packages is taken along: compiling them takes a minute."""
+    """All but the checks of the sensor is kept already: it takes a minute to compile."""
     compile_everything()
     for kept in Path(inspect_cache().folder).glob("*-*/"):
-        if not kept.name.startswith("needleforce."):
+        if not kept.name.startswith("residual.checks."):
             copytree(kept, tmp_path / kept.name)
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-m", "needleforce", "doctor", "--compile", "--json"]
@@ -195,7 +195,7 @@ def test_compile_leaves_nothing_for_a_later_start(tmp_path):
     assert "compiling once, about" in done.stderr
     assert cache["kept_modules"] == cache["modules"] > 5
     assert cache["folder"] == str(tmp_path)
-    assert list(tmp_path.glob("needleforce.*"))
+    assert list(tmp_path.glob("residual.checks.*"))
 
 
 def test_nothing_is_compiled_or_written(tmp_path):
