@@ -180,7 +180,7 @@ def test_the_trial_of_a_priority_leaves_this_thread_as_it_was():
 
 
 def test_compile_leaves_nothing_for_a_later_start(tmp_path):
-    """All but the checks of the sensor is kept already: it takes a minute to compile."""
+    """All but the checks of the sensor is kept already: all takes a minute."""
     compile_everything()
     for kept in Path(inspect_cache().folder).glob("*-*/"):
         if not kept.name.startswith("residual.checks."):
