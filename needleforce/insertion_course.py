@@ -7,10 +7,19 @@ a move aside that no tissue allows ends it anywhere.
 import math
 from typing import NamedTuple
 
+from foundation.arrays import Vector
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import dot
 from identification.channel import count_depth_from
 from identification.estimate import LayerEstimate
 from needleforce.needle_channels import NEEDLE_DIAMETER_M, ChannelState, OldChannel
-from needleforce.tip_travel import TravelZero
+from needleforce.tip_travel import (
+    Needle,
+    TravelZero,
+    place_beside_line,
+    place_tip,
+    tip_speed,
+)
 
 MAX_TURN_COSINE = math.cos(math.radians(3.0))
 """Cosine of the turn in free air from which on depth counts along the new axis: its
@@ -83,6 +92,7 @@ class InsertionProgress(NamedTuple):
         )
 
 
+@compiled_inside
 def has_moved_aside(height_m: float, aside_m: float, cosine: float) -> bool:
     """Return whether the needle has moved as none does in tissue.
 
@@ -95,6 +105,40 @@ def has_moved_aside(height_m: float, aside_m: float, cosine: float) -> bool:
     return aside_m > largest_m or cosine < FAR_TURN_COSINE
 
 
+NeedleMotion = tuple[float, float, bool, bool, bool]
+"""What `follow_needle` returns: a plain tuple, which its one caller unpacks at once; a
+named one would cost it a microsecond."""
+
+
+@compiled
+def follow_needle(
+    axis: Vector, line_start: Vector, line_axis: Vector, needle: Needle, dq: Vector
+) -> NeedleMotion:
+    """Return how the needle moves, and whether it has left the line of its insertion.
+
+    Args:
+        axis: Direction of depth in base axes, length one, shape (3,).
+        line_start: Beginning of the line in the base [m], shape (3,).
+        line_axis: Direction of the line in base axes, length one, shape (3,).
+        needle: `residual.ToolKinematics.needle`.
+        dq: Joint velocities [rad/s], shape (n,).
+
+    Returns:
+        Position of the tip along the direction of depth [m]; its speed along the needle
+        [m/s]; whether the needle has turned away from the direction of depth; whether
+        it `has_moved_aside`; whether the tip is beside its channel.
+    """
+    tip = place_tip(needle)
+    place = place_beside_line(tip, line_start, line_axis)
+    return (
+        dot(axis, tip.position_m),
+        tip_speed(tip, needle, dq),
+        dot(axis, tip.direction) < MAX_TURN_COSINE,
+        has_moved_aside(place.height_m, place.aside_m, place.cosine),
+        place.aside_m > LEFT_M,
+    )
+
+
 class InsertionCourse:
     """Follows the needle through an insertion.
 
@@ -102,6 +146,7 @@ class InsertionCourse:
         line: See `InsertionProgress`.
         is_met: See `InsertionProgress`.
         channel: See `InsertionProgress`.
+        channel_state: See `InsertionProgress`.
     """
 
     def __init__(self, insertion: InsertionProgress) -> None:
@@ -113,6 +158,7 @@ class InsertionCourse:
         self.line = insertion.line
         self.is_met = insertion.is_met
         self.channel = insertion.channel
+        self.channel_state = insertion.channel_state
         self._deepest_m = insertion.deepest_m
         self._highest_m = insertion.highest_m
 
@@ -125,11 +171,6 @@ class InsertionCourse:
             deepest_m=self._deepest_m,
             highest_m=self._highest_m,
         )
-
-    @property
-    def channel_state(self) -> ChannelState:
-        """Whether it goes on in an earlier channel."""
-        return self._begin.channel_state
 
     @property
     def layers_before(self) -> tuple[LayerEstimate, ...]:

@@ -100,6 +100,9 @@ class PlanFollower:
         memory: Immutable.
         state: Result of the last evaluation; None without a plan, or before the first.
         deviation: The needle against the planned path; None without a path.
+        reported_state: The state; while the needle is off the plan one that names no
+            layer.
+        entry_depth_m: Depth of the plan's entry; None without one.
     """
 
     def __init__(
@@ -109,18 +112,9 @@ class PlanFollower:
         self._path = path
         self._entry_m = None if path is None else path.entry_m
         entry = "" if path is None else f" along {path.fingerprint}"
-        self.memory = PlanMemory("" if plan is None else plan.fingerprint + entry)
-        self.state: PlanState | None = None
         self.deviation: PlanDeviation | None = None
-
-    @property
-    def reported_state(self) -> "PlanState | None":
-        """The state; while the needle is off the plan one that names no layer."""
-        deviation = self.deviation
-        is_off_plan = deviation is not None and deviation.is_off_plan
-        if self._plan is None or self.state is None or not is_off_plan:
-            return self.state
-        return self._plan.off_plan_state()
+        fingerprint = "" if plan is None else plan.fingerprint + entry
+        self.resume(PlanMemory(fingerprint), None)
 
     def compare_with(self, tool: ToolKinematics) -> None:
         """Compare the needle, where the tool has it now, with the planned path."""
@@ -128,11 +122,7 @@ class PlanFollower:
             pose = tool.pose
             axis = pose[:3, :3].dot(tool.axis_in_tool)
             self.deviation = self._path.deviation(pose[:3, 3], axis)
-
-    @property
-    def entry_depth_m(self) -> float | None:
-        """Depth of the plan's entry; None without one."""
-        return None if self._entry_m is None else self.memory.entry_depth_m
+            self._report()
 
     def begin(
         self,
@@ -217,7 +207,17 @@ class PlanFollower:
     def resume(self, memory: PlanMemory, state: "PlanState | None") -> None:
         """Continue from ``memory`` and the state that `evaluate` makes of it."""
         self.memory = memory
-        self.state = state
+        self.state: PlanState | None = state
+        self.entry_depth_m = None if self._entry_m is None else memory.entry_depth_m
+        self._report()
+
+    def _report(self) -> None:
+        """Keep the state to report, after it or the deviation has changed."""
+        self.reported_state = self.state
+        deviation = self.deviation
+        is_off_plan = deviation is not None and deviation.is_off_plan
+        if self._plan is not None and self.state is not None and is_off_plan:
+            self.reported_state = self._plan.off_plan_state()
 
 
 def _after_events(

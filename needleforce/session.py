@@ -27,11 +27,9 @@ from identification.channel import (
     read_friction,
 )
 from needleforce.insertion_course import (
-    LEFT_M,
-    MAX_TURN_COSINE,
     InsertionCourse,
     InsertionProgress,
-    has_moved_aside,
+    follow_needle,
 )
 from needleforce.needle_channels import (
     MIN_LENGTH_M,
@@ -44,7 +42,7 @@ from needleforce.needle_channels import (
 )
 from needleforce.needle_on_plan import PlanDeviation, PlannedEntry, PlannedPath
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
-from needleforce.tip_travel import TipTravel, TravelZero, motion_beside_line
+from needleforce.tip_travel import TipTravel, TravelZero
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import (
     SensorConfig,
@@ -351,7 +349,7 @@ class InsertionSession:
             The estimate after this sample. A bad sample does not raise: the status
             reports it.
         """
-        was_taring = self.taring
+        was_taring = self._sensor.taring
         estimate = self._process(self._sensor.update(q, dq, tau, dt_s))
         if was_taring and self.tared:
             self._begin_where_tared()
@@ -369,7 +367,7 @@ class InsertionSession:
         As `update`, with the torque of the environment on the joints [Nm], shape (n,),
         in place of the measured one.
         """
-        was_taring = self.taring
+        was_taring = self._sensor.taring
         estimate = self._process(
             self._sensor.update_external_torque(q, dq, external_torque, dt_s)
         )
@@ -718,8 +716,8 @@ class InsertionSession:
         """Update depth and speed of the tip from the sample's joint signals."""
         sensor = self._sensor
         line = self._course.line
-        position_m, speed_m_s, turn_cosine, height_m, aside_m, cosine = (
-            motion_beside_line(
+        position_m, speed_m_s, self._is_turned, self._is_aside, self._is_off_line = (
+            follow_needle(
                 self.zero.axis_in_base,
                 line.start_in_base_m,
                 line.axis_in_base,
@@ -727,9 +725,6 @@ class InsertionSession:
                 sensor.velocity_rad_s,
             )
         )
-        self._is_turned = turn_cosine < MAX_TURN_COSINE
-        self._is_aside = has_moved_aside(height_m, aside_m, cosine)
-        self._is_off_line = aside_m > LEFT_M
         self._travel = self._travel.advanced(
             position_m - self._start_m,
             speed_m_s,

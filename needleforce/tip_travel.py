@@ -141,41 +141,37 @@ def tip_speed(tip: TipPlace, needle: Needle, dq: Vector) -> float:
     return speed
 
 
-MotionBesideLine = tuple[float, float, float, float, float, float]
-"""Of the tip: what `tip_motion` returns; cosine between the axis of depth and the
-needle; `height_m`, `aside_m` and `cosine` of a `LineOffset`. A plain tuple, which the
-one caller unpacks at once: a named one would cost it a microsecond."""
+class PlaceBesideLine(NamedTuple):
+    """Where a needle is beside a line that has a beginning.
+
+    Attributes:
+        height_m: From the beginning to the tip, along the line.
+        aside_m: Distance of the tip from the line.
+        cosine: Of the angle between needle and line.
+    """
+
+    height_m: float
+    aside_m: float
+    cosine: float
 
 
-@compiled
-def motion_beside_line(
-    axis: Vector, line_start: Vector, line_axis: Vector, needle: Needle, dq: Vector
-) -> MotionBesideLine:
-    """Return position and speed of the tip, and where the needle is beside a line.
+@compiled_inside
+def place_beside_line(tip: TipPlace, start: Vector, axis: Vector) -> PlaceBesideLine:
+    """Return where a needle is beside a line.
 
     Args:
-        axis: Direction of depth in base axes, length one, shape (3,).
-        line_start: Beginning of the line in the base [m], shape (3,).
-        line_axis: Direction of the line in base axes, length one, shape (3,).
-        needle: `residual.ToolKinematics.needle`.
-        dq: Joint velocities [rad/s], shape (n,).
+        tip: Of the needle.
+        start: Beginning of the line in the base [m], shape (3,).
+        axis: Direction of the line in base axes, length one, shape (3,).
     """
-    tip = place_tip(needle)
     position = tip.position_m
     height = 0.0
     for i in range(3):
-        height += line_axis[i] * (position[i] - line_start[i])
+        height += axis[i] * (position[i] - start[i])
     aside = 0.0
     for i in range(3):
-        aside += (position[i] - line_start[i] - height * line_axis[i]) ** 2
-    return (
-        dot(axis, position),
-        tip_speed(tip, needle, dq),
-        dot(axis, tip.direction),
-        height,
-        math.sqrt(aside),
-        dot(line_axis, tip.direction),
-    )
+        aside += (position[i] - start[i] - height * axis[i]) ** 2
+    return PlaceBesideLine(height, math.sqrt(aside), dot(axis, tip.direction))
 
 
 class LineOffset(NamedTuple):

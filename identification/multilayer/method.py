@@ -322,6 +322,12 @@ class MultilayerMethod:
     Attributes:
         layers: Those traversed.
         rupture_probability: Of one rupture more than the alarms have reported, now.
+        rupture_state: Where it stands with respect to a rupture.
+        events: What happened at the last sample.
+        contact_depth_m: Depth at which tissue was met first, as known now; None before.
+        is_pulled: Whether the force pulls at a needle that advances.
+        warnings: What about the tissue keeps the estimate from being what it is
+            elsewhere.
     """
 
     def __init__(self, config: MultilayerConfig) -> None:
@@ -356,38 +362,8 @@ class MultilayerMethod:
             provisional=self._provisional,
             rupture_probability=self.rupture_probability,
             layers=self.layers,
-            rupture_state=self._rupture_state,
+            rupture_state=self.rupture_state,
         )
-
-    @property
-    def contact_depth_m(self) -> float | None:
-        """Depth at which tissue was met first, as known now; None before."""
-        return self._contact_depth_m
-
-    @property
-    def is_pulled(self) -> bool:
-        """Whether the force pulls at a needle that advances."""
-        return self._pull.is_pulled
-
-    @property
-    def rupture_state(self) -> RuptureState:
-        """Where it stands with respect to a rupture."""
-        return self._rupture_state
-
-    @property
-    def events(self) -> Events:
-        """What happened at the last sample."""
-        return self._events
-
-    @property
-    def warnings(self) -> TissueWarning:
-        """What about the tissue keeps the estimate from being what it is elsewhere."""
-        warnings = TissueWarning.NONE
-        if self._is_tissue_moving:
-            warnings |= TissueWarning.TISSUE_MOVES
-        if self._hard_contact.is_hard:
-            warnings |= TissueWarning.HARD_CONTACT
-        return warnings
 
     @property
     def _is_tissue_moving(self) -> bool:
@@ -401,7 +377,7 @@ class MultilayerMethod:
         self._contact = as_record(state.contact)
         self._posterior = as_record(state.posterior)
         self._read_contact()
-        self._events = NO_EVENTS
+        self.events = NO_EVENTS
         self._levels = state.levels
         self._tissue = state.tissue
         self._speed_filter = SpeedFilter(
@@ -419,18 +395,28 @@ class MultilayerMethod:
         self._pull = state.pull
         self._tissue_pull = state.tissue_pull
         self._hard_contact = state.hard_contact
-        self._rupture_state = state.rupture_state
+        self.rupture_state = state.rupture_state
         self._ruptures = state.ruptures
         self._alarm = state.alarm
         self._provisional = state.provisional
         self.rupture_probability = state.rupture_probability
         self._keep_layers(state.layers)
+        self._summarise_faults()
 
     def _read_contact(self) -> None:
         """Keep the depth of first contact, which callers want at every sample."""
         is_met = read_field(self._posterior, "in_contact")
         depth_m = float(read_field(self._posterior, "contact_depth_m"))
-        self._contact_depth_m = depth_m if is_met else None
+        self.contact_depth_m = depth_m if is_met else None
+
+    def _summarise_faults(self) -> None:
+        """Keep what is wrong with force and tissue since the last block."""
+        self.is_pulled = self._pull.is_pulled
+        self.warnings = TissueWarning.NONE
+        if self._is_tissue_moving:
+            self.warnings |= TissueWarning.TISSUE_MOVES
+        if self._hard_contact.is_hard:
+            self.warnings |= TissueWarning.HARD_CONTACT
 
     def _keep_layers(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those traversed, with what every sample needs."""
@@ -467,7 +453,7 @@ class MultilayerMethod:
             sample.dt_s,
             sample.raw_speed_m_s,
         )
-        self._events = NO_EVENTS
+        self.events = NO_EVENTS
         if not (
             is_full
             or self._is_report_due
@@ -612,7 +598,7 @@ class MultilayerMethod:
         is_cutting = (is_advancing or not is_met) and not is_gap
         if not is_gap:
             self._watch_pull(block, sample, is_advancing=is_cutting)
-        if self.is_pulled:
+        if self._pull.is_pulled:
             self._levels = self._levels.restarted()
             self._texture = self._texture.restarted()
         elif is_cutting:
@@ -635,6 +621,7 @@ class MultilayerMethod:
             is_even = is_advancing and self._resumed < SETTLED
             self._watch_tissue(sample, is_met=is_met, is_even=is_even)
             self._tissue = self._tissue.with_block(filtered, is_met=is_met)
+        self._summarise_faults()
 
     def _learn_from(
         self,
@@ -665,7 +652,7 @@ class MultilayerMethod:
         What has pulled for long is a new zero.
         """
         store = self._memory.store
-        was_pulled = self.is_pulled
+        was_pulled = self._pull.is_pulled
         variance_N2 = (
             store.covariances[0, OFFSET, OFFSET]
             + block.noise_std_N**2
@@ -681,7 +668,7 @@ class MultilayerMethod:
             behind_mm=self._deepest_mm - block.depth_mm,
         )
         self._pull = self._pull.with_force(net_force)
-        if self.is_pulled and not was_pulled:
+        if self._pull.is_pulled and not was_pulled:
             self.doubt_ruptures(block.time_s - self._pull.peak_s + ONSET_S)
         if self._pull.is_new_zero(block.time_s):
             self.doubt_zero(self._pull.fall_N)
@@ -734,7 +721,7 @@ class MultilayerMethod:
                 force_N=block.force_N,
                 growth_N_per_m=MM_PER_M * self._hard_contact.growth_N_per_mm,
             )
-            self._events = self._events._replace(hard_contact=contact)
+            self.events = self.events._replace(hard_contact=contact)
 
     def _doubt_layers(self, time_s: float) -> None:
         """Take back that layers are final whose ruptures motion may have made."""
@@ -1048,11 +1035,11 @@ class MultilayerMethod:
         count = count_ruptures(evidence, self._ruptures, self._block)
         self.rupture_probability = min(count.more, 1.0)
         if self._is_layer_open:
-            self._rupture_state = RuptureState.FORCE_DROP_MEASURING
+            self.rupture_state = RuptureState.FORCE_DROP_MEASURING
         elif count.more > EXPECTING_PROBABILITY:
-            self._rupture_state = RuptureState.EXPECTED
+            self.rupture_state = RuptureState.EXPECTED
         else:
-            self._rupture_state = RuptureState.NO_RUPTURE
+            self.rupture_state = RuptureState.NO_RUPTURE
         if self._is_rupture(evidence, count, sample.clock_s):
             self._raise_alarm(evidence, sample, count)
             # The next sample reports again: this one has had enough to do.
@@ -1060,7 +1047,7 @@ class MultilayerMethod:
             return
         if alarm is not None and count.fewer > RETRACTING_PROBABILITY:
             self._retract(alarm, count)
-        elif alarm is not None and self._events.rupture is None:
+        elif alarm is not None and self.events.rupture is None:
             self._is_layer_due = self._is_layer_due or self._is_layer_report_due(alarm)
         self._update_provisional(evidence, sample, count)
         rupture = self._alarm
@@ -1107,7 +1094,7 @@ class MultilayerMethod:
     ) -> None:
         """Report a rupture, and with it the layer before as final."""
         layers = self.layers
-        identified_layer = self._events.identified_layer
+        identified_layer = self.events.identified_layer
         if layers and not (layers[-1].is_final or self._is_tissue_moving):
             identified_layer = replace(layers[-1], is_final=True)
             self._keep_layers((*layers[:-1], identified_layer))
@@ -1120,8 +1107,8 @@ class MultilayerMethod:
         )
         self._ruptures = int(evidence.ruptures[count.likeliest_with_more])
         self._provisional = None
-        self._rupture_state = RuptureState.DETECTED
-        self._events = Events(self._alarm, identified_layer)
+        self.rupture_state = RuptureState.DETECTED
+        self.events = Events(self._alarm, identified_layer)
         # Every beat may raise an alarm until it is known: then the window has to grow
         # across them.
         if not self._is_series or self._tissue.is_known:
@@ -1138,7 +1125,7 @@ class MultilayerMethod:
         if self._provisional is not None:
             if count.more < UNLIKELY_PROBABILITY:
                 retracted = replace(self._provisional, probability=count.more)
-                self._events = self._events._replace(provisional_retracted=retracted)
+                self.events = self.events._replace(provisional_retracted=retracted)
                 self._provisional = None
             return
         component = count.likeliest_with_more
@@ -1154,12 +1141,12 @@ class MultilayerMethod:
             count.more,
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
         )
-        self._events = self._events._replace(provisional=self._provisional)
+        self.events = self.events._replace(provisional=self._provisional)
 
     def _retract(self, alarm: Rupture, count: RuptureCount) -> None:
         """Retract an alarm: the force has come back, and no rupture was there."""
         retracted = replace(alarm, probability=1.0 - count.fewer)
-        self._events = self._events._replace(retracted=retracted)
+        self.events = self.events._replace(retracted=retracted)
         self._keep_layers(self.layers if self._is_layer_open else self.layers[:-1])
         self._ruptures = min(count.likeliest, self._ruptures - 1)
         self._alarm = None
@@ -1205,8 +1192,8 @@ class MultilayerMethod:
             if self._tissue_pull.doubt_N > 0.0:
                 layer = with_doubt(layer, self._tissue_pull.doubt_N)
             self._keep_layers((*self.layers, layer))
-            self._events = self._events._replace(identified_layer=layer)
-            self._rupture_state = RuptureState.FRICTION_IDENTIFIED
+            self.events = self.events._replace(identified_layer=layer)
+            self.rupture_state = RuptureState.FRICTION_IDENTIFIED
 
     def _revise_layers(
         self, alarm: Rupture, evidence: Evidence, variance_N2: float
@@ -1225,7 +1212,7 @@ class MultilayerMethod:
                 partial_rupture_probability=probability,
             )
             layers[-1] = replace(layers[-1], is_final=True, rupture=rupture)
-            self._events = self._events._replace(identified_layer=layers[-1])
+            self.events = self.events._replace(identified_layer=layers[-1])
         friction = friction_of_layer_before(evidence, self._ruptures, variance_N2)
         if friction is not None and len(layers) > 1:
             layers[-2] = with_friction(layers[-2], friction)

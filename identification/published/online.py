@@ -418,9 +418,13 @@ class PublishedMethod:
         layers: Layers identified so far.
         rupture_state: State of the rupture machine.
         events: What happened at the last sample.
+        is_pulled: False: the method has no zero to compare with.
+        warnings: None: the method looks neither for motion nor for hard contacts.
     """
 
     contact_depth_m = None
+    is_pulled = False
+    warnings = TissueWarning.NONE
     layers: tuple[LayerEstimate, ...]
     rupture_state: RuptureState
     events: Events
@@ -469,21 +473,11 @@ class PublishedMethod:
             layers=self.layers,
         )
 
-    @property
-    def is_pulled(self) -> bool:
-        """False: the method has no zero to compare with."""
-        return False
-
     def doubt_zero(self, std_N: float) -> None:
         """Do nothing: the method has no unknown zero of the force."""
 
     def doubt_ruptures(self, age_s: float) -> None:
         """Do nothing: the method weighs no ruptures."""
-
-    @property
-    def warnings(self) -> TissueWarning:
-        """None: the method looks neither for motion nor for hard contacts."""
-        return TissueWarning.NONE
 
     def restore(self, state: PublishedState) -> None:
         """Resume from a state, bit for bit."""

@@ -92,6 +92,9 @@ class ConsistencyMonitor:
             are none.
         warnings: Warnings of the last check.
         message: The same in words.
+        is_measuring_jump: Whether a torque has jumped just now, by how much is not
+            certain yet.
+        jumps: Number of jumps of torque sensors since the tare that were measured.
         assessment: All of this for an estimate of which nothing else is wrong.
     """
 
@@ -249,12 +252,6 @@ class ConsistencyMonitor:
         return None if course is None else course.jump_Nm2
 
     @property
-    def is_measuring_jump(self) -> bool:
-        """Whether a torque has jumped just now, by how much is not certain yet."""
-        course = self.state.course
-        return course is not None and course.is_settling
-
-    @property
     def jump_std_N(self) -> float:
         """Standard deviation of the axial force by jumps of torque sensors."""
         if self._jump_Nm2 is None:
@@ -262,12 +259,6 @@ class ConsistencyMonitor:
         gain = self._wrench.gain
         axial_per_Nm = gain.direction.dot(gain.matrix[:3])
         return math.sqrt(float(np.square(axial_per_Nm).dot(self._jump_Nm2)))
-
-    @property
-    def jumps(self) -> int:
-        """Number of jumps of torque sensors since the tare that were measured."""
-        course = self.state.course
-        return 0 if course is None else course.jumps
 
     def widen(self, covariance_Nm2: Array) -> Array:
         """Return a covariance widened by the joint torque that no wrench explains.
@@ -339,6 +330,9 @@ class ConsistencyMonitor:
 
     def _report(self, velocity_fault: str) -> None:
         """Set the attributes that report the result of a check."""
+        course = self.state.course
+        self.is_measuring_jump = course is not None and course.is_settling
+        self.jumps = 0 if course is None else course.jumps
         self.velocity_fault = velocity_fault
         self.mismatch = math.sqrt(self.state.mismatch_squared)
         self.warnings = SensorWarning(self.state.warnings)
