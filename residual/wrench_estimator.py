@@ -386,6 +386,22 @@ def smoothing_step(
 
 
 @compiled
+def widen_by_scale(covariance: Matrix, unknowns: Vector, scale_std: float) -> Array:
+    """Return the covariance of a wrench with that of an unknown scale, shape (k, k).
+
+    Args:
+        covariance: Without it, shape (k, k).
+        unknowns: The wrench, shape (k,).
+        scale_std: Standard deviation of the scale, a part of 1.
+    """
+    widened = covariance.copy()
+    for i in range(len(unknowns)):
+        for j in range(len(unknowns)):
+            widened[i, j] += (scale_std * unknowns[i]) * (scale_std * unknowns[j])
+    return widened
+
+
+@compiled
 def wrench_step(  # noqa: PLR0913 - tuples are slow to pass from Python in every tick
     residual: Vector,
     matrix: Matrix,
@@ -697,8 +713,7 @@ class WrenchEstimator:
     ) -> Array:
         """Return the covariance with that of an unknown scale, shape (k, k)."""
         unknowns = wrench if len(self._directions) > 1 else np.array([axial])
-        scaled = self.scale_std * unknowns
-        widened = covariance + np.outer(scaled, scaled)
+        widened = widen_by_scale(covariance, unknowns, self.scale_std)
         widened.setflags(write=False)
         return widened
 
