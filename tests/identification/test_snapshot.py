@@ -1,7 +1,8 @@
 """Snapshots resume bit for bit; memory stays bounded however long the insertion."""
 
 import pickle
-from dataclasses import is_dataclass, replace
+from dataclasses import fields, is_dataclass, replace
+from enum import Enum
 
 import numpy as np
 import pytest
@@ -78,6 +79,36 @@ def test_every_state_resumes_bit_for_bit(config, least, tmp_path):
     resumed.reset()
 
     assert run(resumed, samples()) == estimates
+
+
+def nudged(value):
+    """A state with every number and truth value in it changed."""
+    if isinstance(value, Enum):
+        return next(other for other in type(value) if other is not value)
+    if isinstance(value, bool):
+        return not value
+    if isinstance(value, int | float):
+        return value + 1
+    if isinstance(value, np.ndarray):
+        return value + 1.0
+    if is_dataclass(value):
+        return replace(
+            value, **{f.name: nudged(getattr(value, f.name)) for f in fields(value)}
+        )
+    if hasattr(value, "_fields"):
+        return type(value)(*map(nudged, value))
+    return tuple(map(nudged, value)) if isinstance(value, tuple) else value
+
+
+def test_all_that_a_method_remembers_is_in_the_next_snapshot(in_tissue):
+    snapshot = in_tissue[MULTILAYER].snapshot()
+    identifier = Identifier()
+    for name in snapshot.state._fields:
+        changed = copy_with(snapshot.state, name, nudged(getattr(snapshot.state, name)))
+        identifier.resume(snapshot._replace(state=changed))
+        kept = getattr(identifier.snapshot().state, name)
+
+        assert pickle.dumps(kept) == pickle.dumps(getattr(changed, name)), name
 
 
 @pytest.fixture(scope="module")

@@ -238,3 +238,19 @@ def test_the_slow_speed_filter_is_quiet_and_stops():
     assert np.sqrt(np.mean(error[200:1199] ** 2)) < 0.2 * noise[1]
     assert np.abs(filtered_speed - measured)[1200:].max() < 4.01 * noise[1]
     assert np.abs(error)[1250:].max() < 0.5 * noise[1]
+
+
+@pytest.mark.parametrize("acceleration_mm_s2", [0.3, -0.3])
+def test_the_slow_speed_filter_follows_an_even_acceleration(acceleration_mm_s2):
+    """Its state holds the acceleration: no lag of the speed is left."""
+    time_s = 0.01 * np.arange(600)
+    speed = 4.0 + acceleration_mm_s2 * time_s
+    depth = 4.0 * time_s + 0.5 * acceleration_mm_s2 * time_s**2
+    state = FIRST_SPEED_FILTER
+    for k in range(600):
+        filtered_speed, state = filter_speed(
+            state, depth[k], speed[k], 2.5e-3, 0.05, 0.01
+        )
+
+    assert filtered_speed == pytest.approx(speed[-1], abs=1e-5)
+    assert state.mean[2] == pytest.approx(acceleration_mm_s2, rel=1e-3)

@@ -186,7 +186,7 @@ REFUSED_SETTINGS = {
     "weighting": ["x"],
     "tare": ["x"],
     "insertion_axis": [(0, 0, 0), (0, 0, np.nan), (0, 1), "z", (0, True, Raises())],
-    "tool_offset_m": [(0.0, 0.0), (0.0, 0.0, 150.0)],
+    "tool_offset_m": [(0.0, 0.0), (0.0, 0.0, 150.0), (0.0, -150.0, 0.0)],
     "guard": ["no", 1],
     "smooth_momentum": [3, None],
     "torque_is_gravity_compensated": [1],

@@ -86,6 +86,24 @@ def test_texture_that_noise_can_hide_counts():
     assert noisy > 5.0 * quiet
 
 
+def test_differences_that_overlap_tell_no_more_than_one():
+    """A coarse difference takes 3.2 mm of travel. What noise can hide is known no
+    better once a second one has begun, and better after six."""
+    doubts_N = {4.2: [], 6.2: [], 25.0: []}
+    for seed in range(40):
+        rng = np.random.default_rng(seed)
+        for travel_mm, doubts in doubts_N.items():
+            texture = Texture()
+            noise_N = 0.05 * rng.standard_normal(round(travel_mm / 0.05))
+            for white_N in noise_N.tolist():
+                texture = texture.with_force(white_N, 0.05)
+            doubts.append(texture.model_error(10.0, 0.05))
+    one_N, nearly_two_N, six_N = (np.mean(doubts) for doubts in doubts_N.values())
+
+    assert nearly_two_N == pytest.approx(one_N, rel=0.1)
+    assert six_N < 0.75 * one_N
+
+
 def test_texture_before_it_is_known_is_a_part_of_the_force():
     texture = Texture()
 
