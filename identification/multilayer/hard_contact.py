@@ -90,7 +90,9 @@ class HardContactState(NamedTuple):
         """
         if self.is_hard and net_N < OVER_FRACTION * self.force_N:
             return HardContactState()
-        growth_N_per_mm = self._growth(block, net_N, bound_N_per_mm)
+        growth_N_per_mm = 0.0
+        if is_even:
+            growth_N_per_mm = self._growth(block, net_N, bound_N_per_mm)
         is_hard = growth_N_per_mm > bound_N_per_mm
         force_N = max(self.force_N, net_N) if self.is_hard or is_hard else 0.0
         here = ContactPoint(block.depth_mm, net_N, block.speed_mm_s, is_known=True)

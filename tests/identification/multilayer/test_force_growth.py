@@ -58,6 +58,15 @@ def test_friction_of_a_needle_that_becomes_faster_is_no_bone(speed_mm_s, contact
     assert found == contacts
 
 
+@pytest.mark.parametrize(("is_even", "contacts"), [(True, 1), (False, 0)])
+def test_a_force_that_grows_as_the_needle_stops_is_no_bone(is_even, contacts):
+    """A hand that stops the needle may push at it in the same moment."""
+    even, _ = pushed(HardContactState(), STEP_MM * np.arange(50), np.full(50, 0.3))
+    _, found = pushed(even, [1.0], [2.0], is_even=is_even)
+
+    assert found == contacts
+
+
 def test_friction_that_grows_after_a_rest_is_no_bone():
     even, _ = pushed(HardContactState(), STEP_MM * np.arange(50), np.full(50, 0.3))
     at_rest, _ = pushed(even, np.full(5, 1.0), np.full(5, 0.3), is_even=False)
