@@ -32,6 +32,11 @@ class ControlCode(ErrorCode):
         "The delay of the arm cannot be measured.",
         "Let the arm take commands, with nothing touching it, away from its limits.",
     )
+    TARE_STROKE = (
+        "NF-CONTROL-TARE-STROKE",
+        "The arm has not made the motion before the tare.",
+        "Let the arm take commands, in free air, with room for a stroke and a swivel.",
+    )
     EVENT_LOG = (
         "NF-CONTROL-EVENT-LOG",
         "A log of events cannot be written or read.",
