@@ -17,6 +17,10 @@ from needleforce.cli.shared_options import (
 )
 
 
+SWIVEL_DEG = 20.0
+"""Swing of the elbow during a stroke before the tare, without ``--tare-swivel``."""
+
+
 @Parameter(name="*", group=LIVE_OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class WatchOptions:
@@ -33,6 +37,11 @@ class WatchOptions:
         port: Port of that page (default: 8080); another is used if it is busy.
         tare: Tare after so many seconds of motion without contact (default: 4); if it
             is refused, again after as many.
+        tare_stroke: Move the arm and tare from that, before anything else: it draws the
+            needle back by so many mm and returns. It asks first.
+        tare_swivel: Degrees by which the elbow of an arm of seven joints swings during
+            that stroke (default: 20; 0 for none).
+        yes: Move the arm without asking.
     """
 
     plan: Annotated[Path | None, Parameter(metavar="FILE", group=LOG)] = None
@@ -46,6 +55,9 @@ class WatchOptions:
     view: Annotated[bool, Parameter(negative="")] = False
     port: Annotated[int, Parameter(metavar="N")] = 8080
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
+    tare_stroke: Annotated[float | None, Parameter(metavar="MM", group=TARE)] = None
+    tare_swivel: Annotated[float, Parameter(metavar="DEGREES", group=TARE)] = SWIVEL_DEG
+    yes: Annotated[bool, Parameter(negative="", group=TARE)] = False
 
 
 @app.command(name="live")
@@ -59,11 +71,13 @@ def live_command(
 ) -> int:
     """Watch an arm until Ctrl-C: forces, depth, ruptures, warnings.
 
-    Move the needle in free air first: the tare is taken after --tare seconds.
+    Move the needle in free air first: the tare is taken after --tare seconds. Or let
+    the arm make that stroke itself: --tare-stroke MM.
 
     needleforce live sim:stack-glove-constant --view
     """
     limit_library_threads()
+    from needleforce.cli.arms.arm_stroke import find_stroke
     from needleforce.cli.arms.arm_watch import ReferenceSensor, watch_arm
 
     sensor = None
@@ -74,6 +88,9 @@ def live_command(
         options,
         robot,
         tare_s=watch.tare,
+        stroke=find_stroke(
+            watch.tare_stroke, watch.tare_swivel, is_confirmed=watch.yes
+        ),
         plan_path=watch.plan,
         situs_inversus=watch.situs_inversus,
         reference_sensor=sensor,

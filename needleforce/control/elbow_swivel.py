@@ -37,9 +37,7 @@ class ElbowSwivel(JointTask):
         angle_rad: Turn of the joint that moves most since the start.
     """
 
-    def __init__(
-        self, tool: ToolState, gain_per_s: float = SWIVEL_GAIN_PER_S
-    ) -> None:
+    def __init__(self, tool: ToolState, gain_per_s: float = SWIVEL_GAIN_PER_S) -> None:
         require_positive({"gain_per_s": gain_per_s}, or_zero=("gain_per_s",))
         self.size = tool.q_rad.size
         self.angle_rad = 0.0

@@ -247,8 +247,8 @@ def tare_with_stroke(
     limits: Limits,
     motion: TareMotion = USUAL_MOTION,
     *,
+    robot: Robot | None = None,
     watch: "Callable[[SessionEstimate], None] | None" = None,
-    steps_per_tick: int = 1,
 ) -> None:
     """Move an arm in free air, and tare a session from that motion.
 
@@ -260,15 +260,15 @@ def tare_with_stroke(
         session: Of the same arm; what it recorded before is not used for the tare.
         limits: What the joints may do.
         motion: The stroke and the swings of the elbow.
+        robot: The model of the arm; None for `Arm.robot`.
         watch: Called with every estimate.
-        steps_per_tick: See `InsertionSession.start_tare`.
 
     Raises:
         ControlError: The arm has not moved as it should; it has been brought to rest.
         TareError: The motion looks like contact or like other torques than the model's.
         SettingError: A number of the motion that cannot be.
     """
-    stroke = TareStroke(arm.robot, limits, motion)
+    stroke = TareStroke(arm.robot if robot is None else robot, limits, motion)
     session.start_tare_recording()
     has_started_tare = False
     for sample in arm:
@@ -285,7 +285,7 @@ def tare_with_stroke(
         if stroke.state is StrokeState.FAILED:
             raise ControlError(f"no tare: {stroke.reason}", ControlCode.TARE_STROKE)
         if stroke.state is StrokeState.DONE and not has_started_tare:
-            session.start_tare(steps_per_tick=steps_per_tick)
+            session.start_tare()
             has_started_tare = True
         if has_started_tare and not session.taring:
             break

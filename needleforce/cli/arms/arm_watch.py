@@ -13,10 +13,10 @@ from needleforce.anatomy.plan_match import OFF_PLAN_LAYER
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ROBOTS,
-    open_arm,
     require_samples,
     samples_until_stopped,
 )
+from needleforce.cli.arms.arm_stroke import StrokeOptions, open_tared_arm
 from needleforce.cli.auto_tare import SessionTare
 from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import urdf_with_shapes
@@ -28,7 +28,7 @@ from needleforce.devices.rdt_status import describe_status
 from needleforce.insertion_events import describe_hard_contact
 from needleforce.needle_on_plan import describe_deviation
 from needleforce.reference_force import ReferenceForce
-from needleforce.session import InsertionSession, SessionEstimate
+from needleforce.session import SessionEstimate
 from urdf import Robot
 
 PANEL_S = 0.1
@@ -217,6 +217,7 @@ def watch_arm(
     robot: RobotOptions,
     *,
     tare_s: float,
+    stroke: StrokeOptions | None = None,
     plan_path: Path | None = None,
     situs_inversus: bool = False,
     reference_sensor: ReferenceSensor | None = None,
@@ -229,6 +230,7 @@ def watch_arm(
         options: For how long the arm is listened to.
         robot: Options that describe the robot.
         tare_s: Motion without contact before a tare [s].
+        stroke: Motion that the arm makes before, and is tared from; None for none.
         plan_path: Plan to match ruptures with, if any.
         situs_inversus: Liver and spleen of the patient are exchanged.
         reference_sensor: Force sensor to compare with, if any.
@@ -243,12 +245,14 @@ def watch_arm(
     tare = SessionTare(tare_s)
     plan = load_plan(plan_path, situs_inversus=situs_inversus)
     with (
-        open_arm(arm_name, robot, options.motor_constants) as (arm, model),
+        open_tared_arm(arm_name, robot, options.motor_constants, stroke) as tared,
         _reference_beside(reference_sensor) as reference,
-        _page_beside(arm_name, page_port, model, plan, robot) as page,
+        _page_beside(arm_name, page_port, tared.robot, plan, robot) as page,
         _panel_on_terminal() as panel,
     ):
-        session = InsertionSession(model)
+        arm = tared.arm
+        session = tared.session
+        is_zero_due = session.tared
         if plan is not None:
             session.follow(plan.match, plan.entry_in_base_m, path=plan.path)
         display = Display(arm, reference, panel)
@@ -260,9 +264,10 @@ def watch_arm(
             )
             if reference is not None:
                 reference.update(estimate.wrench)
-            is_tared_now = tare.after(session, estimate)
-            if is_tared_now and reference is not None and reference_sensor is not None:
+            is_zero_due = tare.after(session, estimate) or is_zero_due
+            if is_zero_due and reference is not None and reference_sensor is not None:
                 reference_sensor.zero(reference)
+            is_zero_due = False
             display.update(estimate)
             if page is not None:
                 page.put(estimate, sample.q_rad)

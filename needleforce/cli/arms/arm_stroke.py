@@ -1,0 +1,175 @@
+"""The stroke before a tare: `needleforce live --tare-stroke`."""
+
+import math
+import sys
+from collections.abc import Iterator
+from contextlib import contextmanager
+from typing import Any, NamedTuple
+
+from needleforce.cli.arms.arm_connection import (
+    NO_TORQUES,
+    ConnectedArm,
+    open_arm,
+)
+from needleforce.cli.shared_options import MotorConstants, RobotOptions
+from needleforce.cli.terminal import CommandCode, CommandError, say
+from needleforce.control import Limits
+from needleforce.control.arm_limits import ARM_LIMITS
+from needleforce.control.tare_stroke import TareMotion, tare_with_stroke
+from needleforce.session import InsertionSession
+from urdf import Robot
+
+LIMITS_OF_KIND = {"fri": "lwr", "fr3": "fr3", "franka": "fer", "sim": "lwr"}
+"""The preset of limits of a kind of arm; of the others the model's speeds count."""
+
+FULL_TURN_DEG = 360.0
+
+MEAN_SPEED_m_s = 0.02
+"""Mean speed of a stroke: safe in air, quick enough for all joints to slide."""
+
+MIN_LEG_S = 5.0
+"""Time of a stroke each way, at least: the elbow needs it for its swings."""
+
+MAX_ACCELERATION_rad_s2 = 5.0
+"""Highest acceleration of arms without a preset: below all limits that are known."""
+
+MAX_JERK_rad_s3 = 2500.0
+"""The same of the jerk."""
+
+
+class StrokeOptions(NamedTuple):
+    """The motion before a tare that a user asks for.
+
+    Attributes:
+        motion: The stroke and the swings of the elbow.
+        is_confirmed: Whether the arm may move without a question.
+    """
+
+    motion: TareMotion
+    is_confirmed: bool
+
+
+def find_stroke(
+    stroke_mm: float | None, swivel_deg: float, *, is_confirmed: bool
+) -> StrokeOptions | None:
+    """Return the motion that options ask for; None without a stroke.
+
+    Raises:
+        CommandError: The stroke is not positive, or the swivel negative.
+    """
+    if stroke_mm is None:
+        return None
+    if not 0.0 < stroke_mm < math.inf:
+        raise CommandError(f"--tare-stroke {stroke_mm:g}: expected millimetres above 0")
+    if not 0.0 <= swivel_deg < FULL_TURN_DEG:
+        raise CommandError(f"--tare-swivel {swivel_deg:g}: expected degrees from 0 on")
+    motion = TareMotion(
+        stroke_m=1e-3 * stroke_mm,
+        leg_s=max(1e-3 * stroke_mm / MEAN_SPEED_m_s, MIN_LEG_S),
+        swivel_rad=math.radians(swivel_deg),
+    )
+    return StrokeOptions(motion, is_confirmed)
+
+
+class TaredArm(NamedTuple):
+    """An arm, its model, and a session that the arm's motion has tared.
+
+    Attributes:
+        arm: The connection.
+        robot: The model.
+        session: Of the arm; not tared if no motion was asked for.
+    """
+
+    arm: Any
+    robot: Robot
+    session: InsertionSession
+
+
+@contextmanager
+def open_tared_arm(
+    name: str,
+    options: RobotOptions,
+    constants_Nm_A: MotorConstants | None,
+    stroke: StrokeOptions | None,
+) -> Iterator[TaredArm]:
+    """Open an arm to be listened to; before, if asked, move it and tare.
+
+    A simulated arm stays the one that has moved; any other is given back and opened
+    anew, so that its user may move it.
+
+    Args:
+        name: The arm as the command line names it.
+        options: Options that describe the robot.
+        constants_Nm_A: Torque per motor current of each joint of a UR [Nm/A].
+        stroke: The motion; None for none.
+
+    Raises:
+        CommandError: The user says no, or the arm sends no torques.
+        ControlError: The arm has not moved as it should.
+        TareError: The motion is no free motion.
+    """
+    if stroke is None:
+        with open_arm(name, options, constants_Nm_A) as connected:
+            session = InsertionSession(connected.robot)
+            yield TaredArm(connected.arm, connected.robot, session)
+        return
+    if name.startswith("ur:") and constants_Nm_A is None:
+        raise CommandError(f"{name}: {NO_TORQUES}", CommandCode.ARM)
+    if not stroke.is_confirmed:
+        _ask(name, stroke.motion)
+    with open_arm(name, options, constants_Nm_A, takes_commands=True) as connected:
+        session = _tare_by_stroke(name, connected, stroke.motion)
+        if name.partition(":")[0] == "sim":
+            yield TaredArm(connected.arm, connected.robot, session)
+            return
+    with open_arm(name, options, constants_Nm_A) as connected:
+        yield TaredArm(connected.arm, connected.robot, session)
+
+
+def _ask(name: str, motion: TareMotion) -> None:
+    """Ask whether the arm may move; raise `CommandError` unless the answer is yes."""
+    if not sys.stdin.isatty():
+        raise CommandError(
+            f"{name} would move and nobody can be asked: give --yes",
+            CommandCode.OPTION,
+        )
+    say(f"{_describe(name, motion)} The needle must be in free air, with room for the")
+    say("elbow beside the arm, and the stop button at hand.")
+    if input("Move? [y/N] ").strip().lower() not in ("y", "yes"):
+        raise CommandError("not confirmed: nothing has moved", CommandCode.OPTION)
+
+
+def _describe(name: str, motion: TareMotion) -> str:
+    """Return in words how the arm will move."""
+    text = (
+        f"{name} will draw the needle back by {1e3 * motion.stroke_m:.0f} mm and return"
+    )
+    if motion.swivel_rad and motion.swings:
+        text += (
+            f"; the elbow of an arm of seven joints will swing {motion.swings} times "
+            f"by {math.degrees(motion.swivel_rad):.0f} degrees"
+        )
+    return f"{text}, in {motion.duration_s:.0f} s."
+
+
+def _tare_by_stroke(
+    name: str, connected: ConnectedArm, motion: TareMotion
+) -> InsertionSession:
+    """Move an arm, and return a session tared from that."""
+    robot = connected.robot
+    session = InsertionSession(robot)
+    say(_describe(name, motion))
+    limits = _limits_of(name, robot)
+    tare_with_stroke(connected.arm, session, limits, motion, robot=robot)
+    say("tared")
+    return session
+
+
+def _limits_of(name: str, robot: Robot) -> Limits:
+    """Return the limits of an arm: its preset, or careful ones."""
+    preset = LIMITS_OF_KIND.get(name.partition(":")[0])
+    if preset is not None and len(ARM_LIMITS[preset].speed_rad_s) == robot.nv:
+        return Limits.of_arm(robot, preset)
+    return Limits(
+        robot, acceleration_rad_s2=MAX_ACCELERATION_rad_s2, jerk_rad_s3=MAX_JERK_rad_s3
+    )
