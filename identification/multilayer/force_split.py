@@ -397,6 +397,8 @@ def split_at_front(
     error_variance = (
         sliding.deflection * sliding.deflection * posterior.model_error_variance
     )
+    # A stop may have shown the friction better than the model's error is.
+    error_variance = min(error_variance, max(variance, 0.0))
     tip = truncate_at_zero(weighted - friction, error_variance)
     variance += weight * motion_variance + excess**2 - tip.removed_variance
     return Forces(

@@ -16,8 +16,7 @@ from needleforce.cli.shared_options import (
     RobotOptions,
 )
 
-
-SWIVEL_DEG = 20.0
+SWIVEL_DEG = 8.0
 """Swing of the elbow during a stroke before the tare, without ``--tare-swivel``."""
 
 
@@ -40,7 +39,7 @@ class WatchOptions:
         tare_stroke: Move the arm and tare from that, before anything else: it draws the
             needle back by so many mm and returns. It asks first.
         tare_swivel: Degrees by which the elbow of an arm of seven joints swings during
-            that stroke (default: 20; 0 for none).
+            that stroke (default: 8; 0 for none).
         yes: Move the arm without asking.
     """
 
@@ -77,9 +76,10 @@ def live_command(
     needleforce live sim:stack-glove-constant --view
     """
     limit_library_threads()
-    from needleforce.cli.arms.arm_stroke import find_stroke
+    from needleforce.cli.arms.arm_stroke import TareOptions, find_stroke
     from needleforce.cli.arms.arm_watch import ReferenceSensor, watch_arm
 
+    stroke = find_stroke(watch.tare_stroke, watch.tare_swivel, is_confirmed=watch.yes)
     sensor = None
     if watch.reference is not None:
         sensor = ReferenceSensor(watch.reference, watch.reference_axis)
@@ -87,10 +87,7 @@ def live_command(
         arm,
         options,
         robot,
-        tare_s=watch.tare,
-        stroke=find_stroke(
-            watch.tare_stroke, watch.tare_swivel, is_confirmed=watch.yes
-        ),
+        taring=TareOptions(watch.tare, stroke),
         plan_path=watch.plan,
         situs_inversus=watch.situs_inversus,
         reference_sensor=sensor,

@@ -9,8 +9,8 @@ Not a medical device: nothing here is claimed beyond the simulation it is measur
 
 Reading order: `ports` (what lies outside), `tasks`, `arm_limits`, `joint_limits`,
 `controller` (one tick), `lag` (its delay and gain), `priority_solver`, `state_machine`,
-`monitors`, `manager`, `event_log`, `rupture_counter`, `insertion_profile`, `guidance`,
-`handle_watch`, `passivity`, `teleoperation_sides`, `teleoperation`.
+`monitors`, `manager`, `event_log`, `rupture_counter`, `insertion_profile`,
+`elbow_swivel`, `tare_stroke`, `guidance`, `handle_watch`, `passivity`, `teleoperation_sides`, `teleoperation`.
 """
 
 from needleforce.control.arm_limits import (
@@ -38,6 +38,11 @@ from needleforce.control.joint_limits import Limits as Limits
 from needleforce.control.manager import Manager as Manager, Situation as Situation
 from needleforce.control.monitors import Beside as Beside, SafetyLimits as SafetyLimits
 from needleforce.control.state_machine import State as State
+from needleforce.control.tare_stroke import (
+    TareMotion as TareMotion,
+    TareStroke as TareStroke,
+    tare_with_stroke as tare_with_stroke,
+)
 from needleforce.control.tasks import (
     AxialSpeed as AxialSpeed,
     DecoupledMotion as DecoupledMotion,

@@ -9,7 +9,8 @@ and the elbow of a redundant arm meanwhile swings N times to one side and back:
     angle(t) = A / 2 (1 - cos(2 pi N t / 2 T))
 
 Where the elbow swings, torques and positions of the joints reverse at different places;
-that tells the hysteresis of the torque sensors from friction. See `residual.bias`.
+that tells the hysteresis of the torque sensors from friction. Friction of bearings
+depends on their speed: so the motion is slow, as the insertion is. See `residual.bias`.
 """
 
 import math
@@ -75,8 +76,8 @@ class TareMotion(NamedTuple):
     """
 
     stroke_m: float = 0.06
-    leg_s: float = 5.0
-    swivel_rad: float = math.radians(20.0)
+    leg_s: float = 10.0
+    swivel_rad: float = math.radians(8.0)
     swings: int = 5
 
     @property
@@ -270,7 +271,6 @@ def tare_with_stroke(
     """
     stroke = TareStroke(arm.robot if robot is None else robot, limits, motion)
     session.start_tare_recording()
-    has_started_tare = False
     for sample in arm:
         estimate = session.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
@@ -280,19 +280,22 @@ def tare_with_stroke(
         stroke.note_sent(command, is_accepted=is_accepted)
         if watch is not None:
             watch(estimate)
-        if stroke.is_over and command.dq_rad_s.any():
-            continue
-        if stroke.state is StrokeState.FAILED:
-            raise ControlError(f"no tare: {stroke.reason}", ControlCode.TARE_STROKE)
-        if stroke.state is StrokeState.DONE and not has_started_tare:
-            session.start_tare()
-            has_started_tare = True
-        if has_started_tare and not session.taring:
-            break
+        is_at_rest = stroke.is_over and not command.dq_rad_s.any()
+        if is_at_rest and _end_tare(stroke, session):
+            return
+    raise ControlError(
+        f"no tare: the arm's samples ended while the motion was {stroke.state}",
+        ControlCode.TARE_STROKE,
+    )
+
+
+def _end_tare(stroke: TareStroke, session: "InsertionSession") -> bool:
+    """Start a tare where the arm rests after its motion; return whether it is done."""
+    if stroke.state is StrokeState.FAILED:
+        raise ControlError(f"no tare: {stroke.reason}", ControlCode.TARE_STROKE)
+    if session.tared or session.taring:
+        return session.tared
     if session.tare_refusal is not None:
         raise session.tare_refusal
-    if not session.tared:
-        raise ControlError(
-            f"no tare: the arm's samples ended while the motion was {stroke.state}",
-            ControlCode.TARE_STROKE,
-        )
+    session.start_tare()
+    return False

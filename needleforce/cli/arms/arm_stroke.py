@@ -24,10 +24,10 @@ LIMITS_OF_KIND = {"fri": "lwr", "fr3": "fr3", "franka": "fer", "sim": "lwr"}
 
 FULL_TURN_DEG = 360.0
 
-MEAN_SPEED_m_s = 0.02
-"""Mean speed of a stroke: safe in air, quick enough for all joints to slide."""
+MEAN_SPEED_m_s = 0.01
+"""Mean speed of a stroke: slow, as an insertion is, since friction depends on it."""
 
-MIN_LEG_S = 5.0
+MIN_LEG_S = 10.0
 """Time of a stroke each way, at least: the elbow needs it for its swings."""
 
 MAX_ACCELERATION_rad_s2 = 5.0
@@ -47,6 +47,18 @@ class StrokeOptions(NamedTuple):
 
     motion: TareMotion
     is_confirmed: bool
+
+
+class TareOptions(NamedTuple):
+    """When, and from what motion, a session is tared.
+
+    Attributes:
+        after_s: Motion without contact before the tare, where the arm is not moved [s].
+        stroke: Motion that the arm makes first, and is tared from; None for none.
+    """
+
+    after_s: float
+    stroke: StrokeOptions | None
 
 
 def find_stroke(

@@ -16,7 +16,7 @@ from needleforce.cli.arms.arm_connection import (
     require_samples,
     samples_until_stopped,
 )
-from needleforce.cli.arms.arm_stroke import StrokeOptions, open_tared_arm
+from needleforce.cli.arms.arm_stroke import TareOptions, open_tared_arm
 from needleforce.cli.auto_tare import SessionTare
 from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import urdf_with_shapes
@@ -216,8 +216,7 @@ def watch_arm(
     options: ArmOptions,
     robot: RobotOptions,
     *,
-    tare_s: float,
-    stroke: StrokeOptions | None = None,
+    taring: TareOptions,
     plan_path: Path | None = None,
     situs_inversus: bool = False,
     reference_sensor: ReferenceSensor | None = None,
@@ -229,8 +228,7 @@ def watch_arm(
         arm_name: The arm as the command line names it.
         options: For how long the arm is listened to.
         robot: Options that describe the robot.
-        tare_s: Motion without contact before a tare [s].
-        stroke: Motion that the arm makes before, and is tared from; None for none.
+        taring: When, and from what motion, the session is tared.
         plan_path: Plan to match ruptures with, if any.
         situs_inversus: Liver and spleen of the patient are exchanged.
         reference_sensor: Force sensor to compare with, if any.
@@ -242,10 +240,11 @@ def watch_arm(
     Raises:
         CommandError: The arm sends nothing, or no torques.
     """
-    tare = SessionTare(tare_s)
+    tare = SessionTare(taring.after_s)
+    constants_Nm_A = options.motor_constants
     plan = load_plan(plan_path, situs_inversus=situs_inversus)
     with (
-        open_tared_arm(arm_name, robot, options.motor_constants, stroke) as tared,
+        open_tared_arm(arm_name, robot, constants_Nm_A, taring.stroke) as tared,
         _reference_beside(reference_sensor) as reference,
         _page_beside(arm_name, page_port, tared.robot, plan, robot) as page,
         _panel_on_terminal() as panel,

@@ -127,3 +127,32 @@ def test_friction_at_rest_is_that_of_weighed_draws():
 
     assert met.friction == pytest.approx(mean_N, abs=0.01)
     assert np.sqrt(met.variance) == pytest.approx(np.sqrt(variance_N2), rel=0.05)
+
+
+@pytest.mark.parametrize("model_error_N", [0.03, 0.1, 0.3])
+@pytest.mark.parametrize("at_rest_N", [0.45, 0.48, 0.5])
+def test_a_tip_without_force_has_a_deviation_that_covers_it(model_error_N, at_rest_N):
+    """All of the force is friction, and the stop shows it better than the model."""
+    posterior = ShaftPosterior(
+        in_contact=True,
+        depth_mm=20.0,
+        noise_variance=1e-6,
+        model_error_variance=model_error_N**2,
+        shaft=Friction(coulomb=0.5, viscous=0.5 / 3.0, coulomb_variance=0.01),
+        stop=NeedleStop(
+            speed_mm_s=3.0,
+            depth_mm=20.0,
+            force=1.0,
+            friction=1.0,
+            friction_variance=1e-4,
+            kept_friction=0.5,
+            kept_friction_variance=1e-3,
+            kept_tip=0.95,
+            kept_tip_variance=0.02,
+        ),
+    )
+    outputs = split_at_rest(posterior, at_rest_N)
+
+    assert outputs[TIP_STD] > 1e-3
+    assert 0.0 <= outputs[TIP] <= 2.0 * outputs[TIP_STD]
+    assert abs(outputs[SHAFT] - at_rest_N) <= 2.0 * outputs[TIP_STD]
