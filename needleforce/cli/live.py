@@ -16,8 +16,9 @@ from needleforce.cli.shared_options import (
     RobotOptions,
 )
 
-SWIVEL_DEG = 8.0
-"""Swing of the elbow during a stroke before the tare, without ``--tare-swivel``."""
+SWIVEL_DEG = 0.0
+"""Swing of the elbow during a stroke before the tare, without ``--tare-swivel``: a
+slow stroke alone gives as good a force on the simulated arms."""
 
 
 @Parameter(name="*", group=LIVE_OUTPUT)
@@ -39,7 +40,8 @@ class WatchOptions:
         tare_stroke: Move the arm and tare from that, before anything else: it draws the
             needle back by so many mm and returns. It asks first.
         tare_swivel: Degrees by which the elbow of an arm of seven joints swings during
-            that stroke (default: 8; 0 for none).
+            that stroke (default: 0; 8 is slow
+            enough).
         yes: Move the arm without asking.
     """
 

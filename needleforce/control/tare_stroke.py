@@ -69,15 +69,15 @@ class TareMotion(NamedTuple):
 
     Attributes:
         stroke_m: L, the way back along the needle, and forth again.
-        leg_s: T, time each way.
+        leg_s: T, time each way; a quick stroke meets other friction than an insertion.
         swivel_rad: A, how far the joint that moves most in a swivel of the elbow turns;
-            0 for the stroke alone.
+            0 for the stroke alone. Keep it slow: 0.14 rad with five swings in 20 s.
         swings: N, swings of the elbow in the whole motion.
     """
 
     stroke_m: float = 0.06
     leg_s: float = 10.0
-    swivel_rad: float = math.radians(8.0)
+    swivel_rad: float = 0.0
     swings: int = 5
 
     @property

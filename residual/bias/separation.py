@@ -111,6 +111,6 @@ def advise_motion(separations: Sequence[JointSeparation]) -> str:
         return ""
     return (
         f"hysteresis and friction of {', '.join(undecided)} look alike in this motion; "
-        "swing the elbow several times, slowly, by about 8 degrees during the stroke, so "
-        "that these joints' torques reverse where their positions do not"
+        "swing the elbow several times, slowly, by about 8 degrees during the stroke, "
+        "so that these joints' torques reverse where their positions do not"
     )

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ConnectedArm,
@@ -16,6 +17,7 @@ from needleforce.cli.terminal import CommandCode, CommandError, say
 from needleforce.control import Limits
 from needleforce.control.arm_limits import ARM_LIMITS
 from needleforce.control.tare_stroke import TareMotion, tare_with_stroke
+from needleforce.devices.link import LinkReport
 from needleforce.session import InsertionSession
 from urdf import Robot
 
@@ -97,6 +99,30 @@ class TaredArm(NamedTuple):
     session: InsertionSession
 
 
+class _RestingArm:
+    """A simulated arm that has moved, to be listened to like a connected one.
+
+    Args:
+        arm: The arm; it holds its place without commands.
+
+    Attributes:
+        report: Of its samples.
+    """
+
+    def __init__(self, arm: SimulatedArm) -> None:
+        self.report = LinkReport()
+        self._arm = arm
+
+    def __iter__(self) -> Iterator[ArmSample]:
+        for sample in self._arm:
+            self.report.used += 1
+            yield sample
+
+    def end(self) -> None:
+        """End the samples."""
+        self._arm.close()
+
+
 @contextmanager
 def open_tared_arm(
     name: str,
@@ -132,7 +158,8 @@ def open_tared_arm(
     with open_arm(name, options, constants_Nm_A, takes_commands=True) as connected:
         session = _tare_by_stroke(name, connected, stroke.motion)
         if name.partition(":")[0] == "sim":
-            yield TaredArm(connected.arm, connected.robot, session)
+            resting = _RestingArm(connected.arm)
+            yield TaredArm(resting, connected.robot, session)
             return
     with open_arm(name, options, constants_Nm_A) as connected:
         yield TaredArm(connected.arm, connected.robot, session)

@@ -3,9 +3,12 @@
 import pytest
 
 from needleforce.cli import main
+from needleforce.cli.arms import arm_stroke
 
 
-def test_live_moves_the_simulated_arm_and_is_tared(capsys):
+def test_live_moves_the_simulated_arm_and_is_tared(capsys, monkeypatch):
+    monkeypatch.setattr(arm_stroke, "MIN_LEG_S", 2.0)
+    monkeypatch.setattr(arm_stroke, "MEAN_SPEED_m_s", 0.02)
     options = ["--tare-stroke", "20", "--tare-swivel", "10", "--seconds", "0.5"]
     assert main(["live", "sim", "--yes", *options]) == 0
 
