@@ -40,8 +40,7 @@ class WatchOptions:
         tare_stroke: Move the arm and tare from that, before anything else: it draws the
             needle back by so many mm and returns. It asks first.
         tare_swivel: Degrees by which the elbow of an arm of seven joints swings during
-            that stroke (default: 0; 8 is slow
-            enough).
+            that stroke (default: 0; 8 is slow enough).
         yes: Move the arm without asking.
     """
 
