@@ -152,9 +152,14 @@ def displacement_jacobian(lever_m: Array) -> Array:
     Args:
         lever_m: From the pivot to the points, shape (..., 3).
     """
-    per_rotation = np.cross(lever_m[..., None, :], np.eye(3))
-    per_shift = np.broadcast_to(np.eye(3), per_rotation.shape)
-    return np.concatenate((per_rotation, per_shift), axis=-1)
+    jacobian = np.zeros((*lever_m.shape, 6))
+    jacobian[..., :, 3:] = np.eye(3)
+    for axis in range(3):
+        after = (axis + 1) % 3
+        last = (axis + 2) % 3
+        jacobian[..., after, last] = lever_m[..., axis]
+        jacobian[..., last, after] = -lever_m[..., axis]
+    return jacobian
 
 
 def rms_length(vectors: Array) -> float:

@@ -7,15 +7,15 @@ All but the last line works in voxels, so that unequal spacings are smoothed ali
 
 from dataclasses import dataclass
 from functools import cached_property
-from itertools import chain, product
+from itertools import product
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
-from scipy.spatial import KDTree
 
 from foundation.arrays import Array
+from needleforce.anatomy.triangle_tree import TriangleTree
 
 if TYPE_CHECKING:
     from trimesh import Trimesh
@@ -42,57 +42,17 @@ VOLUME_TOLERANCE = 1e-7
 MIN_SMOOTHED_VOLUME = 0.5
 """If less of the volume is left, smoothing has folded a structure of a few voxels."""
 
-PIECES = 20_000
-"""The nearest triangle is found by pieces with edges as long as those of so many
-squares on the surface."""
 
-FINEST = 250.0
-"""No piece has shorter edges than this part of the surface's extent."""
-
-SUBDIVISIONS = 30
-"""Of a triangle, at most."""
-
-_MM_PER_M = 1e3
-
-
-class _Middles(NamedTuple):
-    """Middles of the triangles that have an area.
+class NearestPositions(NamedTuple):
+    """The nearest positions on a surface.
 
     Attributes:
-        tree: Of the middles.
-        triangles: Index of the triangle of each.
+        positions_m: One for each point, (n, 3).
+        normals: Of the surface there, (n, 3).
     """
 
-    tree: KDTree
-    triangles: NDArray[np.intp]
-
-
-class _Faces(NamedTuple):
-    """The triangles of a surface.
-
-    Attributes:
-        corners_mm: Shape (m, 3, 3).
-        normals: Shape (m, 3).
-        areas_m2: Shape (m,).
-    """
-
-    corners_mm: Array
+    positions_m: Array
     normals: Array
-    areas_m2: Array
-
-
-class _Pieces(NamedTuple):
-    """Small pieces of the triangles.
-
-    Attributes:
-        tree: Of their middles.
-        triangles: Index of the triangle of each.
-        size_m: The most that a point of a piece lies from its middle.
-    """
-
-    tree: KDTree
-    triangles: NDArray[np.intp]
-    size_m: float
 
 
 @dataclass(frozen=True, eq=False)
@@ -122,73 +82,28 @@ class Surface:
         return Trimesh(self.vertices_m, self.triangles, process=False)
 
     @cached_property
-    def _middles(self) -> _Middles:
-        triangles = np.flatnonzero(self.mesh.face_normals.any(axis=1))
-        return _Middles(KDTree(self.mesh.triangles_center[triangles]), triangles)
+    def _judged(self) -> NDArray[np.intp]:
+        """Numbers of the triangles that have an area."""
+        return np.flatnonzero(self.mesh.face_normals.any(axis=1))
 
     @cached_property
-    def _faces(self) -> _Faces:
-        """The triangles; the mesh would be checked for changes at each use."""
-        return _Faces(
-            corners_mm=_MM_PER_M * self.mesh.triangles,
-            normals=np.array(self.mesh.face_normals),
-            areas_m2=np.array(self.mesh.area_faces),
-        )
+    def _normals(self) -> Array:
+        """Of the triangles; the mesh would be checked for changes at each use."""
+        return np.array(self.mesh.face_normals)
 
     @cached_property
-    def _pieces(self) -> _Pieces:
-        from trimesh.remesh import subdivide_to_size
+    def _tree(self) -> TriangleTree:
+        return TriangleTree(self.vertices_m[self.triangles[self._judged]])
 
-        edge_m = max(np.sqrt(self.mesh.area / PIECES), self.mesh.scale / FINEST)
-        triangles = self._middles.triangles
-        corners_m, faces, *origins = subdivide_to_size(
-            self.vertices_m,
-            self.triangles[triangles],
-            edge_m,
-            max_iter=SUBDIVISIONS,
-            return_index=True,
-        )
-        pieces_m = corners_m[faces]
-        middles_m = pieces_m.mean(axis=1)
-        size_m = float(np.linalg.norm(pieces_m - middles_m[:, None], axis=-1).max())
-        return _Pieces(KDTree(middles_m), triangles[origins[0]], size_m)
-
-    def nearest(self, points_m: Array) -> tuple[Array, Array]:
+    def nearest(self, points_m: Array) -> NearestPositions:
         """Return the nearest positions on the surface, and the normals there.
 
-        A position on any triangle, such as that of the piece with the nearest middle,
-        bounds the distance of the nearest one; the middle of the nearest one's piece
-        lies no further than that and the size of a piece.
-
         Args:
-            points_m: Shape (n, 3), as both results.
+            points_m: Shape (n, 3).
         """
-        pieces = self._pieces
-        every_point = np.arange(len(points_m))
-        first_piece = pieces.tree.query(points_m)[1]
-        positions_m = self._nearest_on(pieces.triangles[first_piece], points_m)
-        reach_m = np.linalg.norm(positions_m - points_m, axis=1) + pieces.size_m
-        near = pieces.tree.query_ball_point(points_m, reach_m * (1.0 + 1e-9))
-        rows = np.repeat(every_point, [len(indices) for indices in near])
-        near_pieces = np.fromiter(chain.from_iterable(near), np.intp, len(rows))
-        pairs = np.unique(rows * len(self.triangles) + pieces.triangles[near_pieces])
-        rows, triangles = np.divmod(pairs, len(self.triangles))
-        positions_m = self._nearest_on(triangles, points_m[rows])
-        distance_m = np.linalg.norm(positions_m - points_m[rows], axis=1)
-        order = np.lexsort((distance_m, rows))
-        best = order[np.searchsorted(rows, every_point)]
-        return positions_m[best], self._faces.normals[triangles[best]]
-
-    def _nearest_on(self, triangles: NDArray[np.intp], points_m: Array) -> Array:
-        """Return the nearest positions to points (n, 3), on one triangle each.
-
-        In millimetres: the tolerances of `trimesh` are absolute, and in metres as large
-        as a small triangle.
-        """
-        from trimesh.triangles import closest_point
-
-        corners_mm = self._faces.corners_mm[triangles]
-        return 1e-3 * closest_point(corners_mm, _MM_PER_M * points_m)
+        nearest = self._tree.nearest(points_m)
+        triangles = self._judged[nearest.triangles]
+        return NearestPositions(nearest.places, self._normals[triangles])
 
     def mean_normals(self, positions_m: Array, normals: Array, reach_m: float) -> Array:
         """Return means of the normals around positions on the surface, shape (n, 3).
@@ -201,18 +116,7 @@ class Surface:
             normals: There, shape (n, 3).
             reach_m: Radius around each position.
         """
-        middles = self._middles
-        faces = self._faces
-        means = normals.copy()
-        near_each = middles.tree.query_ball_point(positions_m, reach_m)
-        for k, near in enumerate(near_each):
-            triangles = middles.triangles[near]
-            near_normals = faces.normals[triangles]
-            areas_m2 = faces.areas_m2[triangles]
-            areas_m2 = areas_m2 * (near_normals @ normals[k] > 0.0)
-            if areas_m2.any():
-                means[k] = areas_m2 @ near_normals / areas_m2.sum()
-        return means
+        return self._tree.mean_normals(positions_m, normals, reach_m)
 
 
 def closed_surface(

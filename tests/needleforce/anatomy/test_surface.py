@@ -6,6 +6,7 @@ import pytest
 from benchmarks.anatomy.surface import distance_rms_m, label_ellipsoid
 from groundtruth.torso import Ellipsoid
 from needleforce.anatomy import Grid, Labels, Structure, Surface
+from needleforce.anatomy.triangle_tree import TriangleTree
 
 pytest.importorskip("skimage")
 trimesh = pytest.importorskip("trimesh")
@@ -136,6 +137,44 @@ def test_mean_normals_ignore_bumps_and_far_side():
     up = flat.mean_normals(places, np.array([[0.0, 0.0, 1.0]]), 8e-3)
 
     np.testing.assert_allclose(up, [[0.0, 0.0, 1.0]], atol=1e-9)
+
+
+def test_mean_normals_weigh_triangles_by_their_areas():
+    ball = trimesh.creation.icosphere(3, 0.05)
+    stretched = ball.vertices * [1.0, 0.6, 0.3]
+    surface = Surface("body", stretched, ball.faces)
+    mesh = surface.mesh
+    places, facets = surface.nearest(1.02 * stretched[::40])
+    means = surface.mean_normals(places, facets, 12e-3)
+    for place, normal, mean in zip(places, facets, means, strict=True):
+        counts = np.linalg.norm(mesh.triangles_center - place, axis=1) < 12e-3
+        counts &= mesh.face_normals @ normal > 0.0
+        areas = mesh.area_faces[counts]
+        expected = areas @ mesh.face_normals[counts] / areas.sum()
+
+        np.testing.assert_allclose(mean, expected, atol=1e-12)
+
+    # Farther from every middle than the reach: the normal itself.
+    np.testing.assert_array_equal(surface.mean_normals(places, facets, 1e-9), facets)
+
+
+@pytest.mark.parametrize("count", [1, 2, 5, 40])
+def test_the_nearest_of_few_triangles_is_found(count):
+    rng = np.random.default_rng(1000 + count)
+    corners = rng.normal(size=(count, 3, 3))
+    corners[-1, 2] = 0.5 * (corners[-1, 0] + corners[-1, 1]) + 1e-9  # a sliver
+    points = 2.0 * rng.normal(size=(60, 3))
+    nearest = TriangleTree(corners).nearest(points)
+    distances = np.linalg.norm(nearest.places - points, axis=1)
+    every = trimesh.triangles.closest_point(
+        np.tile(corners, (60, 1, 1)), points.repeat(count, axis=0)
+    )
+    gaps = np.linalg.norm(every - points.repeat(count, axis=0), axis=1)
+
+    np.testing.assert_allclose(
+        distances, gaps.reshape(60, count).min(axis=1), atol=1e-6
+    )
+    assert set(nearest.triangles.tolist()) <= set(range(count))
 
 
 def test_progress_reaches_one():
