@@ -20,6 +20,7 @@ from needleforce.control.joint_limits import (
     SLACK_rad_s,
     write_velocity_bounds,
 )
+from needleforce.control.loop_watch import LoopFailure, LoopWatch
 from needleforce.control.ports import ArmSample
 from needleforce.control.priority_solver import Solver, Stack, hierarchical
 from needleforce.control.setting_checks import as_vector
@@ -50,6 +51,8 @@ class CommandStatus(StrEnum):
     NEAR_SINGULAR = "near singular"  # the same, with a direction damped: it hardly acts
     BRAKING = "braking"  # no task: as slow as the limits allow
     SKIPPED = "skipped"  # sample or task invalid: braking without them
+    OSCILLATES = "oscillates"  # the loop swings by itself, see `loop_watch`
+    HELD_BACK = "held back"  # by limits, for long: tasks come no nearer to their goals
 
 
 class Command(NamedTuple):
@@ -58,12 +61,19 @@ class Command(NamedTuple):
     Attributes:
         dq_rad_s: To be sent to the arm, shape (n,).
         status: How they came about.
-        reason: Why the sample or a task was skipped; empty otherwise.
+        reason: Why the sample or a task was skipped, or the loop has failed; empty
+            otherwise.
     """
 
     dq_rad_s: Array
     status: CommandStatus
     reason: str = ""
+
+    @property
+    def loop_failure(self) -> str:
+        """How the loop has failed, for `Beside`; empty if it has not."""
+        has_failed = self.status in (CommandStatus.OSCILLATES, CommandStatus.HELD_BACK)
+        return self.reason if has_failed else ""
 
 
 class Controller:
@@ -74,17 +84,28 @@ class Controller:
         limits: What its joints may do.
         solve: Strict priority within limits; another one to compare with, not to move
             an arm.
+        stops_failed_loop: Whether the arm brakes and rests until `reset` once its loop
+            oscillates or limits hold it back for long; otherwise the command of that
+            tick says so, and the motion goes on.
+        delay_s: From command to measured motion, as `needleforce lag` prints it. A hand
+            that shakes the arm is then told from an oscillation at any gain.
 
     Attributes:
         tool: Pose and Jacobian of the tip at the last valid sample.
         last_rad_s: The velocity commanded last, shape (n,).
 
     Raises:
-        SettingError: The limits are those of another robot.
+        SettingError: The limits are those of another robot, or the delay is negative.
     """
 
     def __init__(
-        self, robot: Robot, limits: Limits, solve: Solver = hierarchical
+        self,
+        robot: Robot,
+        limits: Limits,
+        solve: Solver = hierarchical,
+        *,
+        stops_failed_loop: bool = True,
+        delay_s: float | None = None,
     ) -> None:
         compile_waiting()
         if (joints := limits.joints.speed_rad_s.size) != robot.nv:
@@ -99,6 +120,8 @@ class Controller:
         self._limit_rows = np.array(limits.joints)
         self._joints = joints
         self._solve = solve
+        self._stops_failed_loop = stops_failed_loop
+        self._watch = LoopWatch(delay_s)
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()
         self._stack = Stack((), robot.nv)
@@ -109,7 +132,7 @@ class Controller:
         """Begin from the velocity that the arm has, within its limits, or from rest.
 
         Call it when the arm has not followed: its commands were refused, or it has
-        stopped itself.
+        stopped itself; and to move on after a loop has failed.
 
         Raises:
             SettingError: The velocity is anything but n finite numbers.
@@ -121,6 +144,8 @@ class Controller:
         self.last_rad_s = np.clip(velocity_rad_s, -max_rad_s, max_rad_s)
         self._acceleration_rad_s2 = np.zeros(self._joints)
         self._position_rad: Array | None = None  # low-passed
+        self._watch.reset()
+        self._failure: LoopFailure | None = None  # that the arm stands for
 
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
         """Return the command for the coming cycle; never raise, always answer.
@@ -147,16 +172,31 @@ class Controller:
             numbers.fill(stack, self.tool)
             self._write_bounds(q_rad, numbers.bounds)
             if not stack:
+                self._watch.reset()
                 slowest_rad_s = np.clip(0.0, *numbers.bounds)
                 return self._command(slowest_rad_s, CommandStatus.BRAKING)
+            if self._failure is not None:
+                return self._stop_for(self._failure)
             velocity_rad_s, is_limited = self._solve(numbers)
+            failure = self._watch.update(
+                stack, numbers, q_rad, self.last_rad_s, dt_s, is_limited=is_limited
+            )
+            if failure is not None and self._stops_failed_loop:
+                self._failure = failure
+                return self._stop_for(failure)
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
         except Exception as error:  # whatever a sample or a stranger's task brings
             return self._brake(f"{type(error).__name__}: {error}")
-        status = CommandStatus.SATURATED if is_limited else CommandStatus.OK
-        if numbers.is_damped:
-            status = CommandStatus.NEAR_SINGULAR
-        return self._command(velocity_rad_s, status)
+        if failure is not None:
+            status = CommandStatus(failure.kind)
+            return self._command(velocity_rad_s, status, failure.reason)
+        return self._command(velocity_rad_s, self._status_of(is_limited))
+
+    def _status_of(self, is_limited: bool) -> CommandStatus:
+        """Return the status of a tick whose tasks were served."""
+        if self._stack.is_damped:
+            return CommandStatus.NEAR_SINGULAR
+        return CommandStatus.SATURATED if is_limited else CommandStatus.OK
 
     def note_sent(self, dq_rad_s: Array) -> None:
         """Begin from another velocity than the last command: the one really sent.
@@ -235,6 +275,11 @@ class Controller:
             self._stacks[key] = Stack(tasks, self._joints)
         self._tasks = list(tasks)
         self._stack = self._stacks[key]
+
+    def _stop_for(self, failure: LoopFailure) -> Command:
+        """Slow down as the bounds of this tick allow, and say why."""
+        slowest_rad_s = np.clip(0.0, *self._stack.bounds)
+        return self._command(slowest_rad_s, CommandStatus(failure.kind), failure.reason)
 
     def _brake(self, reason: str) -> Command:
         """Brake from the last command at the rate that limits allow."""

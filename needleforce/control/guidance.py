@@ -1,6 +1,8 @@
 """Manual guidance: the arm yields to a hand anywhere on it, felt by its joint residual.
 
-    T dw/dt + w = D^-1 dz(r),    v = w / c,    dz(r) = r - clip(r, -z h, z h)
+    T_u du/dt + u = D^-1 dz(r),    T dw/dt + w = u,    v = w / c
+
+    dz(r) = r - clip(r, -z h, z h)
 
 with r the residual, D a damping per joint, h = f r_max + s sigma a dead zone: a
 fraction f of the torque limit and s standard deviations. Without a hand r stays within
@@ -39,8 +41,12 @@ from residual.checks.input import MAX_PLAUSIBLE, as_float, known_limits
 from residual.checks.outliers import UNKNOWN_EFFORT_NM
 from urdf import Robot
 
-LAG_s = 0.02
+LAG_s = 0.015
 """T: shorter lets the noise of the torques through, longer makes the arm feel soft."""
+
+SMOOTHING_s = 5e-3
+"""T_u: the residual holds a part of the arm's own acceleration, a cycle late. Without
+this lag the acceleration follows it so fast that both swing at 250 Hz."""
 
 DEAD_ZONE_FRACTION = 1.6e-3
 """f. Without a hand r keeps within 0.2 h in 40 s where torques are clean, 0.4 h on
@@ -240,6 +246,7 @@ class Guidance:
     def reset(self) -> None:
         """Rest: call it when guidance begins."""
         self._velocity_rad_s = np.zeros_like(self._damping_Nms)  # w
+        self._driven_rad_s = np.zeros_like(self._damping_Nms)  # u
         self._beyond_Nm = np.zeros_like(self._damping_Nms)  # dz(r)
         self._swing = _SwingDamping(self._damping_Nms)
         self._zone = 1.0  # z
@@ -267,6 +274,7 @@ class Guidance:
             self._update_sigma(sigma_Nm, dt_s)
         zone_Nm = self._update_dead_zone(residual_Nm, dt_s)
         decay = math.exp(-dt_s / LAG_s)
+        smoothing = math.exp(-dt_s / SMOOTHING_s)
         beyond_Nm = residual_Nm - np.clip(residual_Nm, -zone_Nm, zone_Nm)
         if is_valid and np.abs(beyond_Nm).max() < MAX_PLAUSIBLE:
             self._beyond_Nm = beyond_Nm
@@ -276,9 +284,15 @@ class Guidance:
             if self._rejected_s > HOLD_s:
                 self._beyond_Nm = self._beyond_Nm * decay
         driven_rad_s = self._beyond_Nm / self._damping_Nms
-        velocity_rad_s = driven_rad_s + decay * (self._velocity_rad_s - driven_rad_s)
+        self._driven_rad_s = driven_rad_s + smoothing * (
+            self._driven_rad_s - driven_rad_s
+        )
+        velocity_rad_s = self._driven_rad_s + decay * (
+            self._velocity_rad_s - self._driven_rad_s
+        )
         if not self._beyond_Nm.any() and np.abs(velocity_rad_s).max() < REST_rad_s:
             velocity_rad_s = np.zeros_like(velocity_rad_s)
+            self._driven_rad_s = velocity_rad_s
         self._velocity_rad_s = velocity_rad_s
         if velocity_rad_s.any():
             self._swing.update(velocity_rad_s, dt_s)

@@ -83,6 +83,7 @@ class Beside(NamedTuple):
             unless it is invalid or repeated.
         sample_status: Of an `Identifier` that uses the F/T sensor, at the sample
             before; nothing of it is known to the session.
+        loop_failure: Why the controller has stopped by itself, `Command.loop_failure`.
     """
 
     accepted: bool = True
@@ -91,6 +92,7 @@ class Beside(NamedTuple):
     has_device: bool = False
     handle: MasterSample | None = None
     sample_status: SampleStatus = SampleStatus.OK
+    loop_failure: str = ""
 
 
 NOTHING = Beside()
@@ -410,6 +412,8 @@ class Monitors:
         step_s: float,
     ) -> str:
         """Return what is wrong with the last command and what the arm made of it."""
+        if beside.loop_failure:
+            return beside.loop_failure
         self._refused_s = 0.0 if beside.accepted else self._refused_s + step_s
         if self._refused_s > self._limits.refused_s:
             return f"the arm has refused commands for {1e3 * self._refused_s:.0f} ms"

@@ -4,6 +4,7 @@ import json
 import sys
 from typing import Any
 
+from foundation.jit import compile_waiting
 from needleforce.cli.arms.arm_connection import open_arm
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
@@ -44,6 +45,7 @@ def measure_arm(
     """
     if not is_confirmed:
         _ask(arm_name)
+    compile_waiting()  # an arm that is open is not to wait: a UR bears 0.1 s
     with open_arm(arm_name, options, takes_commands=True) as (arm, robot):
         probe = LagProbe(robot, Limits(robot))
         _move(arm, arm_name, probe)

@@ -163,7 +163,11 @@ def _insert_until_stopped(arm: SimulatedArm, progress: Progress) -> list[StopRow
             manager.request(step.event)
         tasks = [line, AxialSpeed(step.speed_m_s), posture]
         command = controller.update(sample, tasks)
-        beside = control.Beside(arm.send(command.dq_rad_s), command.dq_rad_s)
+        beside = control.Beside(
+            accepted=arm.send(command.dq_rad_s),
+            command_rad_s=command.dq_rad_s,
+            loop_failure=command.loop_failure,
+        )
         is_first_after = bool(rows) and rows[-1].is_inserting
         rows.append(_row_of(arm, situation, step.speed_m_s))
         if is_first_after and not rows[-1].is_inserting:

@@ -118,6 +118,8 @@ class _Fer:
         """Take what has come, then send the state of this millisecond."""
         self._take_requests()
         self._take_velocities()
+        # Where none has come it goes on as it was: one cycle is one millisecond.
+        self.moved_rad = self.moved_rad + 1e-3 * self._velocity_rad_s
         state = franka_state(number, self._settings, self)
         self._states.sendto(state, self._client)
 
@@ -172,7 +174,6 @@ class _Fer:
             velocity = np.array(values[8:15])
             self._acceleration_rad_s2 = (velocity - self._velocity_rad_s) / 1e-3
             self._velocity_rad_s = velocity
-            self.moved_rad = self.moved_rad + 1e-3 * velocity
             if values[40]:  # the motion is finished
                 self._reply(FRANKA_MOVE, self._motion, 0)
                 self._motion = 0
