@@ -33,6 +33,10 @@ LOOKS = (
 )
 """What a browser shows that does not steer."""
 
+KNOWN_VISER = ("1", "1")
+"""Version of viser, first and second number, of which is known where requests and
+messages pass; the range of the extra `scene` in pyproject.toml is the same."""
+
 _serve_lock = threading.Lock()
 """Held while viser's call of `serve` is replaced."""
 
@@ -159,6 +163,7 @@ def open_server(host: str, port: int, label: str, access: PageAccess) -> Any:
             "viser is not installed", SceneCode.LIBRARY, extra="scene"
         ) from error
 
+    _require_known(viser.__version__)
     # viser's banner is no result, and names an address without its token.
     with redirect_stdout(StringIO()), _guarded_serve(access) as calls:
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
@@ -169,14 +174,29 @@ def open_server(host: str, port: int, label: str, access: PageAccess) -> Any:
         reason = str(error)
     if reason:
         stop_server(server)
-        raise SceneError(
-            f"viser {viser.__version__} cannot be guarded: {reason}",
-            SceneCode.LIBRARY,
-            extra="scene",
-        )
+        raise _unguarded(viser.__version__, reason)
     # Otherwise any browser could ask for a tunnel to the internet.
     server.gui.configure_theme(show_logo=False, show_share_button=False)
     return server
+
+
+def _require_known(version: str) -> None:
+    """Refuse a version of viser that may pass requests elsewhere.
+
+    Raises:
+        SceneError: It is another than `KNOWN_VISER`.
+    """
+    if tuple(version.split(".")[:2]) != KNOWN_VISER:
+        raise _unguarded(version, f"only {'.'.join(KNOWN_VISER)} is known")
+
+
+def _unguarded(version: str, reason: str) -> SceneError:
+    """Return the error of a version of viser that would answer any page."""
+    return SceneError(
+        f"viser {version} cannot be guarded against foreign pages: {reason}",
+        SceneCode.LIBRARY,
+        extra="scene",
+    )
 
 
 def stop_server(server: Any) -> None:

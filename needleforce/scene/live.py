@@ -140,3 +140,6 @@ def _serve(
         count, rows = ring.since(count)
         viewer.append(rows)
         viewer.follow()
+    ring.close()
+    # viser would wait five seconds for a browser, and end in a traceback.
+    os._exit(0)

@@ -323,12 +323,15 @@ def _add_path(
     shifts_m = label_shifts_m(exits_m)
     for number, layer in enumerate(plan.layers[:-1], 1):
         next_layer = plan.layers[number]
+        text = next_layer.name.replace("_", " ")
+        if next_layer.is_obstacle:
+            text += " (obstacle)"  # not by its colour alone
         ring = add_ring(
             server,
             f"/plan/boundary {number}",
             NeedlePose(entry_m + layer.exit_m * axis, axis),
             OBSTACLE if next_layer.is_obstacle else PLANNED,
-            next_layer.name.replace("_", " "),
+            text,
         )
         ring.shift_label(shifts_m[number - 1])
 

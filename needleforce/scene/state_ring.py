@@ -261,13 +261,22 @@ class StateRing(Closing):
             How many rows were written so far, and the rows, shape (n, fields and
             joints).
         """
-        (written_count,) = _COUNT.unpack_from(self._buffer, 0)
+        written_count = self._written_count()
         first = max(count, written_count - READABLE_ROWS)
         numbers = np.frombuffer(
             self._buffer, "<f8", ROWS * self._width, offset=_COUNT.size
         )
         table = numbers.reshape(ROWS, self._width)
-        return written_count, table[np.arange(first, written_count) % ROWS].copy()
+        places = np.arange(first, written_count)
+        rows = table[places % ROWS].copy()
+        # A reader that was held up may have copied newer rows in place of old ones.
+        is_whole = places > self._written_count() - ROWS
+        return written_count, rows[is_whole]
+
+    def _written_count(self) -> int:
+        """Return how many rows were written."""
+        (count,) = _COUNT.unpack_from(self._buffer, 0)
+        return count
 
     def close(self) -> None:
         """Let go of the memory; its owner also removes it."""

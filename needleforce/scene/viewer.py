@@ -389,7 +389,7 @@ class Viewer:
         self._off_plan.position = tuple(needle.tip_m - BANNER_M * needle.axis)
         self._banner.content = ""
         if row.is_off_plan:
-            self._banner.content = f"# ⚠ {BANNER}\n\nNo layer is named from it."
+            self._banner.content = f"# ⚠ {BANNER}\n\nNo layer is named from the plan."
 
     def _draw_trail(self, index: int, row: ViewRow) -> None:
         """Draw the real path of the tip until a row, from shortly before the entry."""

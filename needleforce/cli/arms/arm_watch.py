@@ -194,6 +194,7 @@ def _open_page(
     if robot.robot is None and robot.urdf is None:
         robot = replace(robot, robot=ROBOTS.get(kind))
     scene = EMPTY if plan is None else plan.scene
+    say("opening the scene ...")
     with open_viewer(
         model, scene, urdf_path=urdf_with_shapes(robot), port=port
     ) as page:

@@ -1,6 +1,6 @@
 """Forces of a log in words, in charts, and as sections of a page."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -75,9 +75,16 @@ class ForcePage:
 
     def text(self) -> str:
         """Return the lines of the summary, and of the layers if asked for."""
-        summary = aligned(self.result.summary())
+        summary = aligned(self._summary())
         layers = "" if self.layers is None else f"\n{self.layers.text()}"
         return f"{summary}{layers}{'' if self.plan is None else self.plan.text()}"
+
+    def _summary(self) -> Iterator[tuple[str, str]]:
+        """Yield the lines of the summary, with the zero of the layers' depths."""
+        if self.layers is None:
+            return self.result.summary()
+        zero_name = self.layers.result.zero.name
+        return self.result.summary(f"depths of layers count {zero_name}")
 
     def chart(self, over: Over = "time") -> Chart:
         """Return every estimated component with its band of two standard deviations."""
@@ -140,7 +147,7 @@ class ForcePage:
             paragraphs=(f"Made by `needleforce force`: {origin}.",),
             figures=self._save_figures(folder),
         )
-        lines = tuple(self.result.summary())
+        lines = tuple(self._summary())
         caption = "What was used, done and found"
         table = plots.PageTable(caption=caption, head=("", ""), rows=lines)
         summary = plots.Section(heading="Summary", anchor="summary", tables=(table,))

@@ -147,8 +147,14 @@ class ForceResult:
             return text
         return f"{text} Not tared: it carries the errors of model and torque sensors."
 
-    def summary(self) -> Iterator[tuple[str, str]]:
-        """Yield label and text of every line: what was used, done and estimated."""
+    def summary(
+        self, depths: str = "identify and report count below first contact"
+    ) -> Iterator[tuple[str, str]]:
+        """Yield label and text of every line: what was used, done and estimated.
+
+        Args:
+            depths: From where depths of layers count, in words.
+        """
         replay = self.replay
         yield "robot", self._describe_robot()
         for warning in replay.robot.warnings:
@@ -166,10 +172,7 @@ class ForceResult:
         diagnosis = replay.sensor.diagnosis
         yield "torque", describe_torques(diagnosis, is_external=replay.is_external)
         yield "axial force", self._describe_axial_force()
-        yield (
-            "travel",
-            (f"counts {FIRST_ROW}; identify and report count below first contact"),
-        )
+        yield "travel", f"counts {FIRST_ROW}; {depths}"
         if replay.is_external:
             yield "lag", "that of the robot's own estimate"
         else:

@@ -140,5 +140,6 @@ def _write_scene(
         layers=list(path.layers),
         entry_m=path.entry_m,
         target_m=path.target_m,
+        warnings=(labels.unchecked,) if labels.unchecked else (),
     )
     export_plan(scene, place)

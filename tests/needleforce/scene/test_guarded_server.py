@@ -2,10 +2,12 @@
 
 import threading
 import time
+import tomllib
 from contextlib import contextmanager
 from functools import partial
 from http.client import HTTPConnection
 from http.server import SimpleHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
 from urllib.parse import urlsplit
 
 import numpy as np
@@ -26,6 +28,7 @@ from needleforce.scene import SceneError, Viewer, guarded_server
 from needleforce.scene.guarded_server import PageAccess, is_loopback
 from needleforce.scene.state_ring import SceneCode
 
+ROOT = Path(__file__).parents[3]
 LOOPBACK = "local" + "host"
 PROTOCOL = f"viser-v{viser_version}"
 
@@ -181,11 +184,29 @@ def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch):
     unguarded = contextmanager(lambda _access: iter(([],)))
     monkeypatch.setattr(guarded_server, "_guarded_serve", unguarded)
 
-    with pytest.raises(SceneError, match="cannot be guarded: it does not call"):
+    with pytest.raises(SceneError, match="foreign pages: it does not call"):
         Viewer(load_lwr(), port=8421)
 
     with pytest.raises(ConnectionRefusedError):
         status("http://127.0.0.1:8421")
+
+
+@pytest.mark.parametrize("version", ["1.0.30", "1.2.0", "2.0.0", "1.10.0"])
+def test_another_viser_is_refused_with_what_to_install(version, monkeypatch):
+    monkeypatch.setattr("viser.__version__", version)
+
+    with pytest.raises(SceneError, match=f"viser {version} .*: only 1.1 is") as caught:
+        Viewer(load_lwr(), port=8422)
+
+    assert "pip install 'needleforce[scene]'" in caught.value.advice
+
+
+def test_the_extra_installs_the_viser_that_is_guarded():
+    project = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+    extra = project["project"]["optional-dependencies"]["scene"]
+    first, second = map(int, guarded_server.KNOWN_VISER)
+
+    assert f"viser>={first}.{second},<{first}.{second + 1}" in extra
 
 
 @needs_chromium

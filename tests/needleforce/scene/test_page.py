@@ -134,6 +134,29 @@ def test_a_ring_returns_rows_not_yet_overwritten():
         reader.close()
 
 
+def test_rows_overwritten_while_they_are_read_are_left_out(monkeypatch):
+    with StateRing(7) as ring:
+        for k in range(ROWS // 2):
+            ring.put(row(float(k)))
+        reader = StateRing(7, ring.name)
+        read_count = reader._written_count
+
+        def held_up():
+            count = read_count()
+            if count == ROWS // 2:  # the writer goes on before the rows are copied
+                for k in range(ROWS // 2, ROWS + 100):
+                    ring.put(row(float(k)))
+            return count
+
+        monkeypatch.setattr(reader, "_written_count", held_up)
+        count, rows = reader.since(0)
+        count, later = reader.since(count)
+
+        assert np.array_equal(rows[:, 0], np.arange(101, ROWS // 2))
+        assert np.array_equal(later[:, 0], np.arange(ROWS // 2, ROWS + 100))
+        reader.close()
+
+
 def test_marks_show_ruptures_up_to_the_time_shown(viewer):
     rows = insertion()
     for chunk in np.array_split(rows, 7):
