@@ -135,7 +135,6 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
             f"{name} simulates an LWR 4+ with its needle, expected no options of the "
             "robot"
         )
-    say("simulating the insertion ...")
     from needleforce.cli.patient.simulated_patient import insert_into_patient, is_plan
 
     with progress_bar("simulating"):
