@@ -23,7 +23,7 @@ from foundation.arrays import Array
 from groundtruth.rig_arm import ArmSample
 from groundtruth.rig_contacts import distance_to_axis_m
 from needleforce.control.arm_limits import ARM_LIMITS, ArmLimits
-from needleforce.control.controller import CommandStatus, Controller
+from needleforce.control.controller import Controller
 from needleforce.control.joint_limits import Limits
 from needleforce.control.tasks import (
     Posture,
@@ -167,7 +167,7 @@ def run_cone(
             begin_ns = thread_time_ns()
             command = control.update(sample, stack)
             taken_us.append((thread_time_ns() - begin_ns) * US_PER_NS)
-            limited.append(command.status is CommandStatus.SATURATED)
+            limited.append(command.is_limited)
             command_rad_s = command.dq_rad_s
             since_s = 0.0
         commands.append(command_rad_s)

@@ -63,11 +63,15 @@ class Command(NamedTuple):
         status: How they came about.
         reason: Why the sample or a task was skipped, or the loop has failed; empty
             otherwise.
+        is_limited: Whether tasks have at least one joint at a limit.
+        is_damped: Whether tasks ask for a direction that joints hardly move.
     """
 
     dq_rad_s: Array
     status: CommandStatus
     reason: str = ""
+    is_limited: bool = False
+    is_damped: bool = False
 
     @property
     def loop_failure(self) -> str:
@@ -189,8 +193,10 @@ class Controller:
             return self._brake(f"{type(error).__name__}: {error}")
         if failure is not None:
             status = CommandStatus(failure.kind)
-            return self._command(velocity_rad_s, status, failure.reason)
-        return self._command(velocity_rad_s, self._status_of(is_limited))
+            command = self._command(velocity_rad_s, status, failure.reason)
+        else:
+            command = self._command(velocity_rad_s, self._status_of(is_limited))
+        return command._replace(is_limited=is_limited, is_damped=numbers.is_damped)
 
     def _status_of(self, is_limited: bool) -> CommandStatus:
         """Return the status of a tick whose tasks were served."""

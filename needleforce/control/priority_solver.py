@@ -10,8 +10,10 @@ one: a row counts by how far joints move for it.
 import itertools
 import math
 from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
 from foundation.jit import compiled, compiled_inside
@@ -32,13 +34,17 @@ MAX_DAMPING = 0.02
 """Damping of a direction that hardly moves its level: a rate asks joints for at most 25
 times itself."""
 
-INEFFECTIVE_MOTION = 0.1
-"""Along a direction that moves the rows by less joints are slowed to
+DETOUR_MOTION = 0.01
+"""Along a direction that moves the rows by so little, or less, joints are slowed to
 `MAX_DETOUR_rad_s`."""
 
 MAX_DETOUR_rad_s = 0.4
 """Speed of the joints together along such a direction, at most: far motion for a small
 gain, which surprises those who stand beside the arm."""
+
+INEFFECTIVE_MOTION = 0.1
+"""Along a direction that moves the rows by less a level does not make up for what the
+levels above ask for, nor joints for others that are held."""
 
 MIN_ROW_LENGTH = 1e-9
 """Shorter rows are not scaled to length one: joints hardly move what they ask for."""
@@ -61,6 +67,13 @@ BEYOND_rad_s = 1e-8
 
 MAX_CHANGES = 60
 """Changes of the set of held joints in one level; then the velocity at hand is kept."""
+
+STAND_IN_DAMPING = 0.1
+"""Damping of joints that stand in for others at a bound: of a rate that a direction
+moves by 0.01, it makes up for a hundredth."""
+
+MAX_STAND_IN_SOLUTIONS = 3
+"""So often a level is solved anew, with other joints at a bound each time."""
 
 MIN_GAIN = 1e-12
 """A joint that gains less by being released stays held: that is rounding."""
@@ -113,6 +126,23 @@ class Stack:
             self.joint_velocity = lowest.velocity_at(tool.q_rad)
 
 
+class Level(NamedTuple):
+    """A level to be solved, with rows J dq = v that damp it beside its own.
+
+    Attributes:
+        rows: J, shape (m, n).
+        rates: v, shape (m,).
+        free: N, orthonormal directions in columns, that move no row of the levels
+            above, shape (n, k).
+        unbounded: What this level and those above ask for without bounds, shape (n,).
+    """
+
+    rows: Array
+    rates: Array
+    free: Array
+    unbounded: Array
+
+
 Solver = Callable[[Stack], tuple[Array, bool]]
 """Joint velocities for a stack, in an array of their own, and whether one is at a
 limit."""
@@ -127,8 +157,8 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
 
         dq_k = dq_{k-1} + N y,  min_y |J_k N y - (v_k - J_k dq_{k-1})|,  l <= dq_k <= u
 
-    Directions that hardly move a level are damped, see `find_damping`; all others are
-    exact.
+    Directions that hardly move a level are damped, see `find_damping`, and go along
+    with the levels above, see `plan_levels`; all others are exact.
     """
     stack.is_damped = False
     velocity = stack.joint_velocity.copy()
@@ -137,61 +167,126 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
     velocities = (*stack.rates, *stack.joint_velocity)
     if not (np.isfinite(stack.rows).all() and np.isfinite(velocities).all()):
         raise SettingError("positions or goals are not finite")
+    levels, unbounded = plan_levels(stack)
     lower, upper = stack.bounds
+    if (lower < unbounded).all() and (unbounded < upper).all():
+        return unbounded, False
     # The start depends on no lower task, so that none can matter to a higher one.
     velocity = np.minimum(np.maximum(0.0, lower), upper)
-    free_directions = np.eye(velocity.size)
-    for rows, rates in [*stack.levels, (free_directions, stack.joint_velocity)]:
-        if free_directions.size:
-            length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), MIN_ROW_LENGTH)
-            scaled_rows = rows / length[:, None]
-            scaled_rates = rates / length
-            errors = scaled_rates - scaled_rows @ velocity
-            damping = find_damping(scaled_rows, errors, free_directions)
-            stack.is_damped = stack.is_damped or len(damping) > 0
-            velocity, free_directions = solve_level(
-                np.vstack((scaled_rows, damping)),
-                np.concatenate((scaled_rates, np.zeros(len(damping)))),
-                free_directions,
-                stack.bounds,
-                velocity,
-            )
+    for level in levels:
+        velocity = solve_bounded_level(level, stack.bounds, velocity)
     velocity = np.minimum(
         np.maximum(velocity, lower - SLACK_rad_s), upper + SLACK_rad_s
     )
-    room = np.minimum(velocity - lower, upper - velocity)
-    return velocity, bool(room.min() <= AT_LIMIT_rad_s)
+    return velocity, bool(find_held_joints(velocity, stack.bounds).any())
 
 
-def find_damping(rows: Array, errors: Array, free: Array) -> Array:
-    """Return rows that keep joints from moving far for a gain that is small.
+def plan_levels(stack: Stack) -> tuple[list[Level], Array]:
+    """Return levels to be solved within bounds, and the velocity without bounds, (n,).
+
+    A level can hardly make up for what those above ask for, x, where that takes far
+    motion, and goes along with it. By a left singular vector u of J N, with the
+    singular value σ, it asks for
+
+        u^T v + (1 - b) u^T J x,    b = min(σ/σ₁, 1)²    (σ₁: `INEFFECTIVE_MOTION`)
+
+    Else an error of an entry, K e, turns a needle whose tip is at a small depth d by
+    K e/d, and the loop swings: joints that are late by some time and a lever L move the
+    entry by L K e/d times that.
+    """
+    joints = stack.joint_velocity.size
+    asked = np.zeros(joints)
+    free = np.eye(joints)
+    levels = list[Level]()
+    for rows, rates in [*stack.levels, (free, stack.joint_velocity)]:
+        if not free.size:
+            break
+        length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), MIN_ROW_LENGTH)
+        rows = rows / length[:, None]
+        rates = rates / length
+        parts, motion, directions = np.linalg.svd(rows @ free)
+        parts = parts[:, : motion.size]
+        joint_directions = directions[: motion.size] @ free.T
+        compensated = np.minimum(motion / INEFFECTIVE_MOTION, 1.0) ** 2
+        asked_above = rows @ asked
+        rates = rates + parts @ ((1.0 - compensated) * (parts.T @ asked_above))
+        errors = parts.T @ (rates - asked_above)
+        damping = find_damping(motion, errors)
+        gain = np.zeros(motion.size)
+        np.divide(motion, motion**2 + damping**2, out=gain, where=motion > MIN_MOTION)
+        asked = asked + (gain * errors) @ joint_directions
+        is_damped = damping > 0.0
+        stack.is_damped = stack.is_damped or bool(is_damped.any())
+        damping_rows = damping[is_damped, None] * joint_directions[is_damped]
+        all_rows = np.vstack((rows, damping_rows))
+        all_rates = np.concatenate((rates, np.zeros(len(damping_rows))))
+        levels.append(Level(all_rows, all_rates, free, asked))
+        rank = np.count_nonzero(motion > MIN_MOTION)
+        free = np.ascontiguousarray(free @ directions[rank:].T)
+    return levels, asked
+
+
+def find_damping(motion: Array, errors: Array) -> Array:
+    """Return damping that keeps joints from moving far for a gain that is small.
 
     Along a right singular vector v of J N, with the singular value σ and the part e of
-    the errors, the level asks joints for e/σ. One more row λ (N v)ᵀ, which asks for
-    rest, makes that e σ/(σ² + λ²), with the larger of
+    the errors, a level asks joints for e/σ. One more row λ (N v)ᵀ, which asks for rest,
+    makes that e σ/(σ² + λ²), with the larger of
 
         λ = λ_max (1 - (σ/σ₀)²)      below σ₀ (`WEAK_MOTION`)
-        λ² = |e| σ/w_max - σ²        where |e|/σ exceeds w_max (`MAX_DETOUR_rad_s`)
+        λ² = |e| σ/w - σ²            where |e|/σ exceeds w
+        w = w_max max(1, σ/σ_d)²     with `MAX_DETOUR_rad_s` and `DETOUR_MOTION`
 
     (Nakamura and Hanafusa, ASME J. Dyn. Syst. 1986; Chiaverini, IEEE T-RA 1997). Both
     are zero, and the level exact, elsewhere.
 
     Args:
-        rows: J of the level, of length one each, shape (m, n).
-        errors: v - J dq of the levels above, scaled alike, shape (m,).
-        free: N, orthonormal directions in columns, shape (n, k).
+        motion: σ, shape (k,).
+        errors: e, shape (k,).
 
     Returns:
-        The rows, shape (number of damped directions, n).
+        λ, shape (k,).
     """
-    parts, motion, directions = np.linalg.svd(rows @ free, full_matrices=False)
     weakness = np.maximum(1.0 - (motion / WEAK_MOTION) ** 2, 0.0)
-    asked = np.abs(parts.T @ errors) * motion
-    excess = np.sqrt(np.maximum(asked / MAX_DETOUR_rad_s - motion**2, 0.0))
-    excess[motion >= INEFFECTIVE_MOTION] = 0.0
-    damping = np.maximum(MAX_DAMPING * weakness, excess)
-    is_damped = (damping > 0.0) & (motion > MIN_MOTION)
-    return damping[is_damped, None] * (directions[is_damped] @ free.T)
+    highest_rad_s = MAX_DETOUR_rad_s * np.maximum(motion / DETOUR_MOTION, 1.0) ** 2
+    too_fast = np.abs(errors) * motion / highest_rad_s - motion**2
+    excess = np.sqrt(np.maximum(too_fast, 0.0))
+    return np.where(motion > MIN_MOTION, np.maximum(MAX_DAMPING * weakness, excess), 0)
+
+
+def solve_bounded_level(level: Level, bounds: Array, start: Array) -> Array:
+    """Solve a level, see `solve_level`, and keep joints from standing in for others.
+
+    Where joints are held at a bound, the rest might move far to make up for them: a
+    joint about the needle, for a hub that is nearly on its axis. So rows are added that
+    ask for the motion without bounds along what is free then and hardly moves the
+    level: by v, with the singular value σ, λ (N v)ᵀ with
+
+        λ = λ_s (1 - (σ/σ₁)²)      below σ₁ (`INEFFECTIVE_MOTION`)
+    """
+    rows, rates, free, unbounded = level
+    velocity = start
+    is_held = (unbounded <= bounds[0]) | (unbounded >= bounds[1])
+    for _ in range(MAX_STAND_IN_SOLUTIONS):
+        remaining = free @ null_space(free[is_held])
+        _, motion, directions = np.linalg.svd(rows @ remaining, full_matrices=False)
+        damping = STAND_IN_DAMPING * (1.0 - (motion / INEFFECTIVE_MOTION) ** 2)
+        is_damped = (damping > 0.0) & (motion > MIN_MOTION)
+        held_back = damping[is_damped, None] * (directions[is_damped] @ remaining.T)
+        rows = np.vstack((rows, held_back))
+        rates = np.concatenate((rates, held_back @ unbounded))
+        velocity, _ = solve_level(rows, rates, free, bounds, start)
+        now_held = is_held | find_held_joints(velocity, bounds)
+        if (now_held == is_held).all():
+            break
+        is_held = now_held
+    return velocity
+
+
+def find_held_joints(velocity: Array, bounds: Array) -> NDArray[np.bool_]:
+    """Return which joints are at a bound, shape (n,)."""
+    room = np.minimum(velocity - bounds[0], bounds[1] - velocity)
+    return room <= AT_LIMIT_rad_s
 
 
 @compiled

@@ -288,11 +288,12 @@ class DecoupledMotion(TipTask):
 class RemoteCentre:
     """A fixed point, the entry, through which the needle's axis passes; two rows.
 
-        e = N^T (c - p),   J = N^T (J_v - [c - p]_x J_w),   v = K e
+        e = N^T (c - p),   J = N^T (J_v - l [a]_x J_w),   l = a^T (c - p),   v = K e
 
-    with N the tool's x and y axes, c the point: what the tool has there moves across
-    the needle towards it (after Aghakhani et al., ICRA 2013, without their unknown, its
-    place on the needle).
+    with N the tool's x and y axes, a its z axis (the needle) and c the point: the place
+    on the axis that is nearest to c moves across the needle towards it (after Aghakhani
+    et al., ICRA 2013, without their unknown l). A turn of the needle about itself moves
+    no axis, and so no row.
 
     Args:
         point_m: The point c in the base, shape (3,).
@@ -321,10 +322,12 @@ def _write_remote_centre(
     rows: WrittenMatrix,
     rates: WrittenVector,
 ) -> None:
-    """Write J = N^T (J_v - [c - p]_x J_w) and v = K N^T (c - p)."""
+    """Write J = N^T (J_v - l [a]_x J_w) and v = K N^T (c - p)."""
     lever_m = point_m - pose[:3, 3]
     across = np.ascontiguousarray(pose[:3, :2].T)
-    cross_lever = np.dot(_CROSS, lever_m).reshape(3, 3)  # w x lever, acting on w
+    axis = np.ascontiguousarray(pose[:3, 2])
+    place_m = np.dot(axis, lever_m) * axis  # on the axis, from the tip
+    cross_lever = np.dot(_CROSS, place_m).reshape(3, 3)  # w x place, acting on w
     np.dot(across, jacobian[:3] + np.dot(cross_lever, jacobian[3:]), rows)
     rates[:] = gain_per_s * np.dot(across, lever_m)
 

@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from needleforce.control import (
@@ -11,10 +12,13 @@ from needleforce.control import (
     Fixture,
     Limits,
     Posture,
+    RemoteCentre,
+    TipVelocity,
 )
 from needleforce.control.controller import CommandStatus
-from needleforce.control.priority_solver import find_damping
-from urdf import NeedleTool, load_example
+from needleforce.control.priority_solver import Stack, find_damping, hierarchical
+from needleforce.control.tasks import ToolState
+from urdf import NeedleTool, load_example, load_lwr
 
 DT_s = 1e-3
 SPEED_m_s = 5e-3
@@ -73,19 +77,112 @@ def test_the_status_says_that_a_direction_is_damped(wrist_rad, is_near):
 
 
 def test_strong_directions_are_not_damped():
-    rng = np.random.default_rng(0)
-    rows = np.linalg.qr(rng.standard_normal((7, 7)))[0][:3]
-
-    assert find_damping(rows, np.full(3, 0.1), np.eye(7)).size == 0
+    assert not find_damping(np.array([1.0, 0.3, 0.1]), np.full(3, 0.03)).any()
 
 
-def test_a_weak_direction_is_slowed_as_far_as_its_joints_would_be_too_fast():
-    direction = np.array([1.0, 0.0, 0.0])
-    rows = 0.05 * direction[None, :]
-    slow = find_damping(rows, np.array([0.01]), np.eye(3))
-    fast = find_damping(rows, np.array([0.1]), np.eye(3))
+@pytest.mark.parametrize("motion", [1e-9, 1e-4, 5e-3, 0.01])
+def test_a_weak_direction_is_slowed_as_far_as_its_joints_would_be_too_fast(motion):
+    for error in (1e-5, 1e-3, 0.1, 10.0):
+        (damping,) = find_damping(np.array([motion]), np.array([error]))
 
-    assert slow.size == 0
-    damped = np.vstack((rows, fast))
-    velocity = np.linalg.lstsq(damped, np.array([0.1, 0.0]), None)[0]
-    assert velocity @ direction == pytest.approx(0.4)
+        assert error * motion / (motion**2 + damping**2) <= 0.4 * (1.0 + 1e-9)
+
+
+def test_a_joint_that_hardly_moves_a_task_does_not_stand_in_for_others():
+    """Six joints are at their bounds; the last could go on at up to 2 rad/s."""
+    rng = np.random.default_rng(4)
+    task = SimpleNamespace(size=2, write=None)
+    for effect in (0.0, 1e-6, 1e-3, 0.01):
+        stack = Stack([task], 7)
+        stack.rows[:] = rng.standard_normal((2, 7))
+        stack.rows[:, 6] = effect * np.linalg.norm(stack.rows[:, :6], axis=1)
+        stack.rates[:] = 0.1
+        stack.bounds[:] = np.outer((-1.0, 1.0), (*[1e-3] * 6, 2.0))
+        velocity, is_limited = hierarchical(stack)
+
+        assert is_limited
+        assert abs(velocity[6]) < 0.02 + 20.0 * effect
+
+
+def test_without_other_joints_a_weak_one_moves():
+    """It is slow, and not left out."""
+    stack = Stack([SimpleNamespace(size=1, write=None)], 2)
+    stack.rows[:] = (1.0, 0.05)
+    stack.rates[:] = 0.1
+    stack.bounds[:] = np.outer((-1.0, 1.0), (1e-3, 2.0))
+
+    assert 0.1 < hierarchical(stack)[0][1] < 2.0
+
+
+def test_a_turn_about_the_needle_moves_no_row_of_its_entry():
+    """The hub is on the axis of the last joint, the entry beside the needle."""
+    robot = load_lwr(payload=NeedleTool())
+    tool = ToolState(robot)
+    tool.update(np.array([0.1, 0.6, -0.2, -1.2, 0.3, 1.3, 0.2]))
+    rows = np.zeros((2, 7))
+    entry = RemoteCentre(tool.tip_m + np.array([0.03, -0.02, 0.05]))
+    entry.write(tool, rows, np.zeros(2))
+
+    assert np.abs(rows[:, 6]).max() < 1e-12
+    assert np.abs(rows[:, :6]).max() > 0.1
+
+
+FRANKA_SERVO_Nms = np.array([450.0, 450.0, 350.0, 350.0, 200.0, 200.0, 200.0])
+"""Torque per error of velocity of a simulated Franka's joints."""
+
+
+def test_a_shallow_entry_does_not_swing_on_a_servo_that_lags():
+    """The tip draws a circle 10 mm past its entry; the arm is a mass that is driven by
+    errors of velocity, so that its joints are late by some milliseconds, each by others
+    and by what the rest does."""
+    robot = load_example("panda", without=["panda_hand"], payload=NeedleTool())
+    controller = Controller(robot, Limits.of_arm(robot, "fer"))
+    truth = ToolState(robot)
+    q = np.array([0.0, 0.0, 0.0, -1.57, 0.0, 1.57, 0.785])
+    dq = np.zeros(7)
+    truth.update(q)
+    start_m = truth.tip_m
+    axes = truth.rotation
+    entry_m = start_m - 0.01 * truth.axis
+    tip = TipVelocity((0.0, 0.0, 0.0), start_m, gain_per_s=10.0)
+    tasks = [RemoteCentre(entry_m), tip, Posture(q.copy())]
+    rows = []
+    for k in range(2000):
+        angle = 2.0 * np.pi * k * DT_s / 4.0
+        circle_m = 3.6e-3 * np.array([1.0 - np.cos(angle), np.sin(angle), 0.0])
+        tip.goal_m = start_m + axes @ circle_m
+        sample = SimpleNamespace(q_rad=q, dt_s=DT_s)
+        command = controller.update(sample, tasks)
+        mass = pin.crba(robot.model, robot.model.createData(), q)
+        mass = np.triu(mass) + np.triu(mass, 1).T
+        torque = FRANKA_SERVO_Nms * (command.dq_rad_s - dq)
+        dq = dq + np.linalg.solve(mass / DT_s + np.diag(FRANKA_SERVO_Nms), torque)
+        q = q + DT_s * dq
+        truth.update(q)
+        error_m = np.linalg.norm(np.cross(truth.axis, entry_m - truth.tip_m))
+        rows.append((error_m, abs(command.dq_rad_s[6]), command.is_limited))
+    errors_m, last_joint_rad_s, is_limited = zip(*rows, strict=True)
+
+    assert max(errors_m) < 0.2e-3
+    assert max(last_joint_rad_s) < 0.05
+    assert np.mean(is_limited) < 0.01
+
+
+def test_a_joint_at_a_limit_and_a_damped_direction_are_both_reported():
+    controller = Controller(UR5E, Limits(UR5E))
+    tool = controller.tool
+    q = np.array([0.0, -1.571, 1.571, -1.571, -1e-3, 0.0])
+    tool.update(q)
+    far = TipVelocity((0.0, 0.0, 0.0), tool.tip_m + 0.1, gain_per_s=10.0)
+    sample = SimpleNamespace(q_rad=q, dt_s=DT_s)
+    entry = RemoteCentre(tool.tip_m - 0.01 * tool.axis)
+    command = controller.update(sample, [entry, far])
+
+    assert command.status is CommandStatus.NEAR_SINGULAR
+    assert command.is_damped
+    assert command.is_limited
+
+    braking = controller.update(sample, [])
+
+    assert not braking.is_limited
+    assert not braking.is_damped
