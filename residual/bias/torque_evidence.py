@@ -67,8 +67,13 @@ COLOURED_NOISE_RATIO = 4.0
 MIN_NOISE_RATIO = 3e-4
 """Least noise of a measured torque, relative to its largest value: a resolution."""
 
-MIN_NOISE = 1e-12
-"""Least noise of a torque that is always zero."""
+MIN_NOISE_Nm = 1e-6
+"""Least noise of a torque that is always zero: finer than sensors resolve, and coarse
+enough that the sums of a motion can still be inverted."""
+
+MIN_LOAD_RATIO = 1e-6
+"""Least load that counts, as a fraction of a joint's effort limit: what no cause
+explains keeps a size where every torque is zero."""
 
 MIN_BLOCKS_OF_NOISE = 5
 """Fewest blocks for a noise from their second differences."""
@@ -145,14 +150,14 @@ class TorqueEvidence:
             columns[:, each, (5 + state) * joints + each] = friction[:, state]
         noise = _noise_of_blocks(measured, blocks.scatter_Nm2)
         per_part = len(measured) / len(parts)
-        resolution = MIN_NOISE_RATIO * np.abs(measured).max(axis=0) + MIN_NOISE
+        resolution = MIN_NOISE_RATIO * np.abs(measured).max(axis=0) + MIN_NOISE_Nm
         self.segments = MotionSegments(
             parts=tuple(parts),
             blocks=blocks,
             columns=columns,
             noise=COLOURED_NOISE_RATIO * noise / per_part + np.square(resolution),
         )
-        load = float(np.abs(measured / basis.effort_Nm).max()) + MIN_NOISE
+        load = float(np.abs(measured / basis.effort_Nm).max()) + MIN_LOAD_RATIO
         self._remaining = REMAINING_RATIO * load * basis.effort_Nm
         prior = basis.prior
         coulomb = np.tile(

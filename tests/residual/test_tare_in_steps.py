@@ -152,3 +152,17 @@ def test_a_second_start_does_nothing_and_a_new_recording_ends_a_tare():
     session.start_tare_recording()
 
     assert not session.taring
+
+
+def test_torques_that_are_all_zero_are_refused_beside_the_ticks():
+    session = InsertionSession(RUN.robot)
+    no_torque_Nm = np.zeros(RUN.robot.nv)
+    for _, (q, dq, _, dt_s) in islice(samples(RUN), TARE):
+        session.update(q, dq, no_torque_Nm, dt_s)
+    session.start_tare(steps_per_tick=200)
+    for q, dq, _, dt_s in FOLLOWING[:200]:
+        session.update(q, dq, no_torque_Nm, dt_s)
+
+    assert not session.taring
+    assert not session.tared
+    assert "has not changed" in str(session.tare_refusal)
