@@ -26,8 +26,8 @@ class SampleStatus(Enum):
     TIME_RANGE = "dt must be between 1e-12 and 1e6 s: check the unit"
     MOTION_RANGE = "depth or speed beyond any needle's: check the unit"
     NEEDLE_PULLED = (
-        "the force is far below zero while the needle advances: a fault of the sensor, "
-        "or a push at the hub"
+        "no tissue exerts this force, far below zero or changed at rest: a fault of "
+        "the sensor, or a push at the hub"
     )
 
     @property

@@ -49,7 +49,7 @@ class Method(Protocol):
 
     @property
     def is_pulled(self) -> bool:
-        """Whether the force pulls at a needle that advances."""
+        """Whether no tissue exerts the force."""
         ...
 
     @property
@@ -342,7 +342,7 @@ class Identifier:
         if events is not NO_EVENTS:
             events = move_events(events, self._removed_m)
         warnings = method.warnings
-        if method.is_pulled and TissueWarning.TISSUE_MOVES not in warnings:
+        if method.is_pulled:
             status = SampleStatus.NEEDLE_PULLED
         self._last = make_estimate(
             sample.time_s,

@@ -98,6 +98,11 @@ from identification.multilayer.noise_levels import (
     NoiseLevels,
     Texture,
 )
+from identification.multilayer.rest_force import (
+    NEVER_AT_REST,
+    HeldForce,
+    RestForce,
+)
 from identification.multilayer.shaft_posterior import (
     ShaftPosterior,
     update_posterior,
@@ -216,6 +221,28 @@ MAX_BREATHING_MM2 = 4.0
 MAX_TISSUE_SPEED_VARIANCE = 25.0
 """Variance of the tissue's own speed, at most [mm²/s²]."""
 
+OUTSIDE_MM = 2.0
+"""Way in front of the first contact from which on a needle is out of the tissue: its
+surface was pushed in, and is known that well."""
+
+FRICTION_SIGMAS = 2.0
+"""Standard deviations by which the friction that remains may be below that known."""
+
+MIN_FRICTION_FRACTION = 0.5
+"""And the part of that which remains at least: its model errs by so much."""
+
+STOPPED_S = 1.0
+"""A needle that comes to rest so soon after an alarm was stopped by it."""
+
+UNDONE_S = 3.0
+"""Time after an alarm in which a force that jumps back shows that a hand has let go."""
+
+JUMP_BACK_FRACTION = 0.5
+"""Part of the fall by which it jumps back at least."""
+
+UNDONE_FRACTION = 0.3
+"""Part of a fall whose return at rest shows that it was no rupture."""
+
 MIN_RUPTURE_SPEED_MM_S = 1e-3
 """Speed of a rupture that a layer's viscous friction refers to, at least."""
 
@@ -253,6 +280,7 @@ class MultilayerState(NamedTuple):
         resumed: How much of a rest or reversal is left in the friction, 0 to 1.
         force_std_in_air_N: Of the force's slow error before the contact.
         pull: Whether the force pulls at the needle.
+        rest_force: Whether it changes at a needle that rests.
         tissue_pull: Whether tissue that moves has pulled at the needle.
         hard_contact: What a hard contact is found by.
         ruptures: In the components that the last report followed.
@@ -279,6 +307,7 @@ class MultilayerState(NamedTuple):
     resumed: float = 0.0
     force_std_in_air_N: float = 0.0
     pull: NeedlePull = NeedlePull()
+    rest_force: RestForce = NEVER_AT_REST
     tissue_pull: TissuePull = TissuePull()
     hard_contact: HardContactState = HardContactState()
     ruptures: int = 0
@@ -325,7 +354,7 @@ class MultilayerMethod:
         rupture_state: Where it stands with respect to a rupture.
         events: What happened at the last sample.
         contact_depth_m: Depth at which tissue was met first, as known now; None before.
-        is_pulled: Whether the force pulls at a needle that advances.
+        is_pulled: Whether no tissue exerts the force, not even one that moves.
         warnings: What about the tissue keeps the estimate from being what it is
             elsewhere.
     """
@@ -355,6 +384,7 @@ class MultilayerMethod:
             resumed=self._resumed,
             force_std_in_air_N=self._force_std_in_air_N,
             pull=self._pull,
+            rest_force=self._rest_force,
             tissue_pull=self._tissue_pull,
             hard_contact=self._hard_contact,
             ruptures=self._ruptures,
@@ -393,6 +423,7 @@ class MultilayerMethod:
         self._branched_mm = state.branched_mm
         self._force_std_in_air_N = state.force_std_in_air_N
         self._pull = state.pull
+        self._rest_force = state.rest_force
         self._tissue_pull = state.tissue_pull
         self._hard_contact = state.hard_contact
         self.rupture_state = state.rupture_state
@@ -411,7 +442,7 @@ class MultilayerMethod:
 
     def _summarise_faults(self) -> None:
         """Keep what is wrong with force and tissue since the last block."""
-        self.is_pulled = self._pull.is_pulled
+        self.is_pulled = self._pull.is_foreign or self._rest_force.is_foreign
         self.warnings = TissueWarning.NONE
         if self._is_tissue_moving:
             self.warnings |= TissueWarning.TISSUE_MOVES
@@ -471,12 +502,19 @@ class MultilayerMethod:
 
     def doubt_ruptures(self, age_s: float) -> None:
         """Count no ruptures of the last time, and take them for unlikely."""
+        self._doubt_ruptures(age_s, math.inf)
+
+    def _doubt_ruptures(self, age_s: float, most: float) -> None:
+        """Do the same; at most so many ruptures remain in the components that change.
+
+        A component may count several ruptures of that time; it knows that of the last.
+        """
         mixture = self._memory.mixture
         rupture_s = read_column(mixture.history, "rupture_s")
         ruptures = read_column(mixture.assumptions, "ruptures")
         is_recent = (rupture_s > self._block.time_s - age_s) & (ruptures > 0.0)
         mixture.log_weights[is_recent] -= SMALL_RELEASE_PENALTY
-        ruptures[is_recent] -= 1.0
+        ruptures[is_recent] = np.minimum(ruptures[is_recent] - 1.0, most)
         self._is_report_due = True
 
     def _estimate(self, sample: Sample) -> Outputs:
@@ -598,7 +636,7 @@ class MultilayerMethod:
         is_cutting = (is_advancing or not is_met) and not is_gap
         if not is_gap:
             self._watch_pull(block, sample, is_advancing=is_cutting)
-        if self._pull.is_pulled:
+        if is_cutting and self._pull.is_pulled:
             self._levels = self._levels.restarted()
             self._texture = self._texture.restarted()
         elif is_cutting:
@@ -647,32 +685,122 @@ class MultilayerMethod:
         return block
 
     def _watch_pull(self, block: Block, sample: Sample, *, is_advancing: bool) -> None:
-        """Judge whether the force pulls; doubt what has seemed to rupture in its fall.
+        """Judge whether tissue exerts the force; doubt ruptures where it does not.
 
         What has pulled for long is a new zero.
         """
         store = self._memory.store
-        was_pulled = self._pull.is_pulled
+        value_N = block.force_N - float(store.means[0, OFFSET])
+        old_pull = self._pull
+        was_pulled = old_pull.is_pulled
+        self._pull = old_pull.with_force(
+            self._net_force(block, sample, value_N, is_advancing=is_advancing)
+        )
+        if self._pull.is_pulled and not was_pulled:
+            self._doubt_fall(sample, block.time_s - self._pull.peak_s + ONSET_S)
+        elif self._is_fall_undone(sample, old_pull.recent_N, value_N):
+            self._pull = self._pull._replace(is_foreign=True)
+            self._doubt_alarm(sample)
+        if self._pull.is_new_zero(block.time_s):
+            self.doubt_zero(self._pull.fall_N)
+            self._pull = self._pull.restarted()
+        if is_advancing:
+            self._rest_force = NEVER_AT_REST
+        elif read_field(self._posterior, "in_contact"):
+            self._watch_rest(block, sample, value_N)
+
+    def _is_fall_undone(self, sample: Sample, recent_N: float, value_N: float) -> bool:
+        """Return whether a force that fell below zero at the last alarm jumps back.
+
+        A rupture leaves friction, and what it has released does not come back at once.
+        """
+        alarm = self._alarm
+        if alarm is None or recent_N >= 0.0:
+            return False
+        if sample.time_s - alarm.alarm_s > UNDONE_S:
+            return False
+        zero_N = float(self._memory.store.means[0, OFFSET])
+        fall_N = alarm.force_N - zero_N - recent_N
+        return value_N - recent_N > JUMP_BACK_FRACTION * fall_N > 0.0
+
+    def _doubt_alarm(self, sample: Sample) -> None:
+        """Take the rupture of the last alarm for less likely than none."""
+        if self._alarm is not None:
+            self._doubt_fall(sample, sample.time_s - self._alarm.time_s + ONSET_S)
+
+    def _doubt_fall(self, sample: Sample, age_s: float) -> None:
+        """Take ruptures of a fall for less likely than none, that of an alarm too."""
+        alarm = self._alarm
+        is_alarm = alarm is not None and sample.time_s - alarm.time_s < age_s
+        self._doubt_ruptures(age_s, self._ruptures - is_alarm)
+
+    def _net_force(
+        self, block: Block, sample: Sample, value_N: float, *, is_advancing: bool
+    ) -> NetForce:
+        """Return the force of a block without its zero, and how it was come by."""
+        store = self._memory.store
         variance_N2 = (
             store.covariances[0, OFFSET, OFFSET]
             + block.noise_std_N**2
             + sample.force_std_N**2
             + block.motion_variance_N2
         )
-        net_force = NetForce(
-            value_N=block.force_N - float(store.means[0, OFFSET]),
+        contact_m = self.contact_depth_m
+        return NetForce(
+            value_N=value_N,
             std_N=math.sqrt(variance_N2),
             time_s=block.time_s,
             duration_s=block.duration_s,
             is_advancing=is_advancing,
             behind_mm=self._deepest_mm - block.depth_mm,
+            is_met=contact_m is not None,
+            is_outside=contact_m is not None
+            and block.depth_mm < MM_PER_M * contact_m - OUTSIDE_MM,
+            friction_N=self._least_friction_N(block),
         )
-        self._pull = self._pull.with_force(net_force)
-        if self._pull.is_pulled and not was_pulled:
-            self.doubt_ruptures(block.time_s - self._pull.peak_s + ONSET_S)
-        if self._pull.is_new_zero(block.time_s):
-            self.doubt_zero(self._pull.fall_N)
-            self._pull = NeedlePull()
+
+    def _least_friction_N(self, block: Block) -> float:
+        """Return the least friction of the layers traversed, at the present speed."""
+        store = self._memory.store
+        mean = store.means[0]
+        covariance = store.covariances[0]
+        speed = max(block.speed_mm_s, 0.0)
+        friction_N = mean[TRAVERSED_COULOMB] + speed * mean[TRAVERSED_VISCOUS]
+        variance_N2 = (
+            covariance[TRAVERSED_COULOMB, TRAVERSED_COULOMB]
+            + 2.0 * speed * covariance[TRAVERSED_COULOMB, TRAVERSED_VISCOUS]
+            + speed**2 * covariance[TRAVERSED_VISCOUS, TRAVERSED_VISCOUS]
+        )
+        std_N = math.sqrt(max(variance_N2, 0.0))
+        least_N = float(friction_N) - FRICTION_SIGMAS * std_N
+        return MIN_FRICTION_FRACTION * max(least_N, 0.0)
+
+    def _watch_rest(self, block: Block, sample: Sample, value_N: float) -> None:
+        """Judge whether the force on a needle at rest only relaxes.
+
+        The last alarm is doubted where its fall goes on at rest, or is undone there.
+        """
+        alarm = self._alarm
+        was_foreign = self._rest_force.is_foreign
+        alarm_age_s = math.inf if alarm is None else sample.time_s - alarm.alarm_s
+        self._rest_force = self._rest_force.with_force(
+            HeldForce(
+                value_N,
+                block.noise_std_N,
+                sample.force_std_N,
+                block.depth_mm,
+                block.depth_std_mm,
+                block.duration_s,
+                has_ruptured=alarm_age_s - self._rest_force.rest_s < STOPPED_S,
+            )
+        )
+        if alarm is None or was_foreign or not self._rest_force.is_foreign:
+            return
+        zero_N = block.force_N - value_N
+        fall_N = alarm.force_N - zero_N - self._rest_force.mean_N
+        is_undone = self._rest_force.change_N > UNDONE_FRACTION * fall_N > 0.0
+        if self._rest_force.falls_on or is_undone:
+            self._doubt_alarm(sample)
 
     def _fresh_travel_mm(self, block: Block) -> float:
         """Return the travel of a block beyond the deepest point so far."""
@@ -704,7 +832,9 @@ class MultilayerMethod:
             block,
             variance_N2,
             self._tissue.amplitude_mm,
-            is_sliding=is_even and block.deflection > MIN_SLIDING_DEFLECTION,
+            is_sliding=is_even
+            and block.deflection > MIN_SLIDING_DEFLECTION
+            and not self._pull.is_foreign,
         )
         if self._tissue_pull.doubt_N > doubt_N:
             self._doubt_layers(sample.time_s)

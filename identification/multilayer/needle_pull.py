@@ -1,21 +1,30 @@
-"""A force that pulls at a needle that advances: no tissue does that.
+"""A force lower than tissue can make it: a fault of the sensor, or a push at the hub.
 
-Tissue resists: it holds the needle back at the tip and along the shaft. A force far
-below zero while the needle advances is a fault of the sensor, or a hand that pushes at
-the hub. It is no rupture, and nothing is learnt from it. A force that stays there is
+Tissue resists: it holds the needle back at the tip and along the shaft. Where the
+needle advances, or rests where it has advanced to, the force is not below zero. Where
+it advances on, the friction of the layers traversed remains in it, whatever ruptures.
+Where the needle is drawn back, friction pulls by no more than tissue has pushed before.
+
+A force far below that is no rupture, and nothing is learnt from it. Tissue that moves
+with the breath overtakes the needle and pulls at it as well, but slowly, and by no more
+than its friction: such a pull is not foreign to tissue. A force that stays far below is
 taken for the sensor's new zero in the end.
 """
 
+import math
 from typing import NamedTuple
 
 PULL_SIGMAS = 3.0
-"""Standard deviations below zero from which on a force pulls."""
+"""Standard deviations below the least force of tissue from which on a force pulls."""
 
 MIN_PULL_N = 0.1
 """And at least so far below: less is a needle's inertia, or its weight."""
 
 STILL_PULLED = 0.5
 """Part of that below which a force that has pulled still does."""
+
+PULLED_NO_MORE = 0.25
+"""Part of that above which a force that was low is so no more."""
 
 BRAKING_S = 0.1
 """Time after the last advance for which a needle that brakes counts as advancing."""
@@ -38,6 +47,21 @@ MAX_PULL_S = 2.5
 """Longest pull at a steady force, as long as a push on the arm: then the zero has
 changed."""
 
+MAX_WAIT_S = 0.15
+"""Longest time for which alarms wait whether a force that is low will pull: a step is
+over sooner, with the lag of a virtual sensor."""
+
+RECENT_S = 0.05
+"""Time constant of the force that a quick fall is seen beside."""
+
+QUICK_FRACTION = 0.35
+"""Part of a fall by which the force is then lower, if the fall is quicker than
+breathing: friction takes at least 0.2 s to turn with it."""
+
+BELOW_FRICTION_S = 0.15
+"""Time for which a force must be below the friction that remains: a speed that falls,
+and the friction with it, is known late by so much."""
+
 
 class NetForce(NamedTuple):
     """Force of a block without the zero, and how it was come by.
@@ -49,6 +73,9 @@ class NetForce(NamedTuple):
         duration_s: Its length.
         is_advancing: Whether the needle advances.
         behind_mm: Way back from the deepest point.
+        is_met: Whether tissue has been met.
+        is_outside: Whether the needle has come out of the tissue.
+        friction_N: Least friction of the layers traversed, at the present speed.
     """
 
     value_N: float
@@ -57,6 +84,14 @@ class NetForce(NamedTuple):
     duration_s: float
     is_advancing: bool
     behind_mm: float
+    is_met: bool = True
+    is_outside: bool = False
+    friction_N: float = 0.0
+
+    @property
+    def limit_N(self) -> float:
+        """How far below the least force of tissue it pulls."""
+        return max(PULL_SIGMAS * self.std_N, MIN_PULL_N)
 
 
 class NeedlePull(NamedTuple):
@@ -65,7 +100,13 @@ class NeedlePull(NamedTuple):
     Attributes:
         idle_s: Time since the needle advanced last.
         is_pulled: Whether the force pulls.
-        may_pull: Whether it is so low that it may pull soon.
+        is_foreign: Whether it pulls as no tissue does, moving tissue included.
+        low_for_s: Time for which it has been so low that it may pull soon.
+        below_friction_s: Time for which it has been below the friction that remains.
+        highest_N: Highest force with which tissue has pushed.
+        friction_N: Least friction of the layers traversed, before the present fall.
+        recent_N: Mean force of late.
+        quick_N: Most by which the force was lower than that in the present fall.
         peak_N: Force before the present fall.
         peak_s: When the fall began.
         low_N: Lowest force since then.
@@ -74,7 +115,13 @@ class NeedlePull(NamedTuple):
 
     idle_s: float = BRAKING_S
     is_pulled: bool = False
-    may_pull: bool = False
+    is_foreign: bool = False
+    low_for_s: float = 0.0
+    below_friction_s: float = 0.0
+    highest_N: float = 0.0
+    friction_N: float = 0.0
+    recent_N: float = 0.0
+    quick_N: float = 0.0
     peak_N: float = 0.0
     peak_s: float = 0.0
     low_N: float = 0.0
@@ -85,32 +132,84 @@ class NeedlePull(NamedTuple):
         """How far the force has fallen."""
         return self.peak_N - self.low_N
 
+    @property
+    def may_pull(self) -> bool:
+        """Whether the force has just become so low that it may pull soon."""
+        return 0.0 < self.low_for_s <= MAX_WAIT_S
+
     def is_new_zero(self, time_s: float) -> bool:
         """Return whether the force has pulled for so long that the zero has changed."""
         return self.is_pulled and time_s - self.low_s > MAX_PULL_S
 
+    def restarted(self) -> "NeedlePull":
+        """Return the same without a pull, once the zero has changed."""
+        return NeedlePull(highest_N=self.highest_N)
+
     def with_force(self, force: NetForce) -> "NeedlePull":
         """Return the same after the force of a block."""
         idle_s = 0.0 if force.is_advancing else self.idle_s + force.duration_s
-        limit_N = max(PULL_SIGMAS * force.std_N, MIN_PULL_N)
-        may_pull = force.value_N < -STILL_PULLED * limit_N
-        may_begin = idle_s < BRAKING_S and force.behind_mm < BEGIN_BACK_MM
-        has_begun = may_begin and force.value_N < -limit_N
-        is_pulled = has_begun or (self.is_pulled and may_pull)
-        is_pulled = is_pulled and force.behind_mm < BACK_MM
-        is_over = force.value_N > self.peak_N or force.time_s - self.low_s > OVER_S
-        after = self._replace(
-            idle_s=idle_s, is_pulled=is_pulled, may_pull=may_pull and not is_over
+        after = self._replace(idle_s=idle_s)._judged(force)._with_recent(force)
+        is_push = force.is_advancing and force.is_met and not after.is_pulled
+        if is_push and force.value_N > self.highest_N:
+            after = after._replace(highest_N=force.value_N)
+        return after._with_fall(force)
+
+    def _least_force_N(self, force: NetForce) -> float:
+        """Return the least force of tissue where the needle is; -inf if unknown."""
+        back_mm = BACK_MM if self.is_pulled else BEGIN_BACK_MM
+        if force.is_outside or force.behind_mm < back_mm:
+            return 0.0
+        return -self.highest_N if self.highest_N > 0.0 else -math.inf
+
+    def _judged(self, force: NetForce) -> "NeedlePull":
+        """Return the same with a judgement on the force of a block."""
+        limit_N = force.limit_N
+        below_N = self._least_force_N(force) - force.value_N
+        is_low = (
+            below_N > (PULLED_NO_MORE if self.low_for_s else STILL_PULLED) * limit_N
         )
-        if is_over and not is_pulled:
-            return after._replace(
+        quick_N = max(self.quick_N, self.recent_N - force.value_N)
+        is_quick = quick_N > QUICK_FRACTION * (self.peak_N - force.value_N)
+        friction_N = min(self.friction_N, force.friction_N)
+        is_below_friction = force.is_advancing and force.value_N < friction_N - limit_N
+        has_fallen = is_quick or self.below_friction_s > 0.0
+        below_friction_s = (is_below_friction and has_fallen) * (
+            self.below_friction_s + force.duration_s
+        )
+        stays_below_friction = below_friction_s > BELOW_FRICTION_S
+        is_beyond = force.value_N < -self.highest_N - limit_N
+        is_new_foreign = is_beyond or force.is_outside or stays_below_friction
+        is_new_foreign = is_new_foreign or (is_quick and not self.is_pulled)
+        still = STILL_PULLED if self.is_pulled else 1.0
+        is_pulled = below_N > still * limit_N or stays_below_friction
+        return self._replace(
+            is_pulled=is_pulled,
+            is_foreign=is_pulled and (self.is_foreign or is_new_foreign),
+            low_for_s=is_low * (self.low_for_s + force.duration_s),
+            below_friction_s=below_friction_s,
+            quick_N=quick_N,
+        )
+
+    def _with_recent(self, force: NetForce) -> "NeedlePull":
+        """Return the same with the mean force of late."""
+        step_N = force.value_N - self.recent_N
+        recent_N = self.recent_N - math.expm1(-force.duration_s / RECENT_S) * step_N
+        return self._replace(recent_N=recent_N)
+
+    def _with_fall(self, force: NetForce) -> "NeedlePull":
+        """Return the same with the fall of the force followed."""
+        is_over = force.value_N > self.peak_N or force.time_s - self.low_s > OVER_S
+        if is_over and not self.is_pulled:
+            return self._replace(
+                friction_N=force.friction_N,
+                quick_N=0.0,
                 peak_N=force.value_N,
                 peak_s=force.time_s,
                 low_N=force.value_N,
                 low_s=force.time_s,
             )
         # While the force pulls only a clearly lower one counts as a further fall.
-        margin_N = STILL_PULLED * limit_N if is_pulled else 0.0
+        margin_N = STILL_PULLED * force.limit_N if self.is_pulled else 0.0
         if force.value_N < self.low_N - margin_N:
-            return after._replace(low_N=force.value_N, low_s=force.time_s)
-        return after
+            return self._replace(low_N=force.value_N, low_s=force.time_s)
+        return self

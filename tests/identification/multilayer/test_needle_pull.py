@@ -171,3 +171,102 @@ def test_a_pulled_needle_that_is_drawn_back_is_pulled_no_more(behind_mm, is_pull
 
     assert pull.is_pulled
     assert pull.with_force(back).is_pulled == is_pulled
+
+
+def block(value_N, time_s, behind_mm=0.0, *, is_advancing=True, std_N=0.03, **place):
+    return NetForce(
+        value_N, std_N, time_s, 0.01, is_advancing, behind_mm=behind_mm, **place
+    )
+
+
+def pull_after(forces_N, **after):
+    """The pull after a course of an advancing needle, and one more block."""
+    pull = NeedlePull()
+    for k, force_N in enumerate(forces_N):
+        pull = pull.with_force(block(force_N, 0.01 * k))
+    return (
+        pull.with_force(block(time_s=0.01 * len(forces_N), **after)) if after else pull
+    )
+
+
+PUSHED = [1.0] * 50
+
+
+@pytest.mark.parametrize(("force_N", "is_pulled"), [(-0.05, False), (-0.5, True)])
+def test_a_needle_at_rest_where_it_has_advanced_to_is_not_pulled_by_tissue(
+    force_N, is_pulled
+):
+    pull = pull_after(PUSHED, value_N=1.0, is_advancing=False)
+    for k in range(51, 81):
+        pull = pull.with_force(block(1.0, 0.01 * k, is_advancing=False))
+    pull = pull.with_force(block(force_N, 0.81, is_advancing=False))
+
+    assert pull.is_foreign == is_pulled
+
+
+@pytest.mark.parametrize(("force_N", "is_pulled"), [(-0.9, False), (-1.2, True)])
+def test_a_needle_drawn_back_is_pulled_by_no_more_than_tissue_has_pushed(
+    force_N, is_pulled
+):
+    pull = pull_after(PUSHED, value_N=force_N, is_advancing=False, behind_mm=5.0)
+
+    assert pull.is_foreign == is_pulled
+
+
+def test_a_needle_that_has_come_out_is_pulled_by_nothing():
+    outside = {"is_advancing": False, "behind_mm": 50.0, "is_outside": True}
+    pull = pull_after(PUSHED, value_N=-0.5, **outside)
+
+    assert pull.is_foreign
+
+
+def test_tissue_that_moves_pulls_slowly_and_a_sensor_at_fault_beyond_its_friction():
+    falling_N = np.linspace(1.0, -1.0, 60).tolist()
+    slow = pull_after([*PUSHED, *falling_N[:50]])
+    beyond = pull_after([*PUSHED, *falling_N, -1.05, -1.1, -1.2])
+
+    assert slow.is_pulled
+    assert not slow.is_foreign
+    assert beyond.is_foreign
+
+
+@pytest.mark.parametrize("friction_N", [0.0, 0.5])
+def test_a_quick_fall_below_the_friction_of_layers_traversed_is_no_rupture(friction_N):
+    pull = NeedlePull()
+    for k in range(80):
+        value_N = 1.0 if k < 50 else 0.2
+        pull = pull.with_force(block(value_N, 0.01 * k, friction_N=friction_N))
+
+    assert pull.is_foreign == (friction_N > 0.0)
+
+
+def test_alarms_wait_no_longer_than_a_step_takes():
+    """A force that stays between half the limit and the limit blocks no alarm."""
+    rng = np.random.default_rng(3)
+    pull = pull_after(PUSHED)
+    waits = []
+    for k in range(50, 250):
+        value_N = -0.07 + 0.005 * rng.normal()
+        pull = pull.with_force(block(value_N, 0.01 * k))
+        waits.append(pull.may_pull)
+
+    assert waits[0]
+    assert 0.1 < 0.01 * sum(waits) < 0.2
+    assert not any(waits[20:])
+
+
+def test_a_push_that_leaves_a_plausible_force_is_no_rupture_once_the_hand_lets_go():
+    depth_m, force_N = course()
+    k = np.arange(4_500)
+    force_N = force_N - 1.05 * ((k >= 3_500) & (k < 4_000))
+    identifier = Identifier()
+    estimates = [
+        identifier.update(float(d), SPEED_m_s, float(f), STEP_s, force_std_N=0.25)
+        for d, f in zip(depth_m[:4_200], force_N, strict=False)
+    ]
+    raised = [k for k, e in enumerate(estimates) if e.rupture is not None]
+    retracted = [k for k, e in enumerate(estimates) if e.retracted is not None]
+
+    assert 3_500 < raised[-1] < 3_550
+    assert 4_000 < retracted[-1] < 4_020
+    assert 4_000 < reported(estimates)[0] < 4_020

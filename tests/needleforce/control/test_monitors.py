@@ -35,7 +35,7 @@ BONE = HardContact(alarm_s=4.0, depth_m=32.1e-3, force_N=1.2, growth_N_per_m=900
         (
             {"sample_status": SampleStatus.NEEDLE_PULLED, "axial": -1.6},
             State.FAULTED,
-            "axial force -1.60 N: the force is far below zero",
+            "axial force -1.60 N: no tissue exerts this force",
         ),
         (
             {"warnings": SensorWarning.TORQUE_JUMP, "message": "a torque has jumped"},
