@@ -14,6 +14,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from foundation.jit import compile_waiting
+from needleforce.control.delay_prediction import DelayPrediction
 from needleforce.control.errors import ControlCode, SettingError
 from needleforce.control.joint_limits import (
     Limits,
@@ -91,11 +92,14 @@ class Controller:
         stops_failed_loop: Whether the arm brakes and rests until `reset` once its loop
             oscillates or limits hold it back for long; otherwise the command of that
             tick says so, and the motion goes on.
-        delay_s: From command to measured motion, as `needleforce lag` prints it. A hand
-            that shakes the arm is then told from an oscillation at any gain.
+        delay_s: From command to measured motion, as `needleforce lag` prints it; None
+            if it is not known. Tasks then act on where the arm will be when the command
+            does, and a hand that shakes the arm is told from an oscillation at any
+            gain.
 
     Attributes:
-        tool: Pose and Jacobian of the tip at the last valid sample.
+        tool: Pose and Jacobian of the tip at the last valid sample, ahead of it by
+            ``delay_s``.
         last_rad_s: The velocity commanded last, shape (n,).
 
     Raises:
@@ -126,6 +130,7 @@ class Controller:
         self._solve = solve
         self._stops_failed_loop = stops_failed_loop
         self._watch = LoopWatch(delay_s)
+        self._prediction = DelayPrediction(joints, delay_s or 0.0)
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()
         self._stack = Stack((), robot.nv)
@@ -148,14 +153,15 @@ class Controller:
         self.last_rad_s = np.clip(velocity_rad_s, -max_rad_s, max_rad_s)
         self._acceleration_rad_s2 = np.zeros(self._joints)
         self._position_rad: Array | None = None  # low-passed
+        self._prediction.reset()
         self._watch.reset()
         self._failure: LoopFailure | None = None  # that the arm stands for
 
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
         """Return the command for the coming cycle; never raise, always answer.
 
-        Errors of tasks are of the measured positions, and the command starts from the
-        last one: that keeps noise of measured velocities out of it, and the
+        Errors of tasks are of the measured positions, or of those predicted over the
+        delay, and the command starts from the last one: that keeps noise of measured velocities out of it, and the
         accelerations within limits.
 
         Args:
@@ -167,14 +173,17 @@ class Controller:
             dt_s = float(sample.dt_s)
             if q_rad.shape != (self._joints,) or not 0.0 < dt_s < math.inf:
                 return self._brake(f"{q_rad.size} positions, dt_s = {dt_s:g}")
+            self._prediction.note_command(self.last_rad_s, dt_s)
             if not math.isfinite(q_rad.dot(q_rad)):
                 return self._brake("positions are not finite")
             self._step_s = min(dt_s, MAX_STEP_s)
-            self.tool.update(self._filter_positions(q_rad, dt_s))
+            ahead_rad = self._prediction.find_motion_ahead()
+            predicted_rad = q_rad + ahead_rad
+            self.tool.update(self._filter_positions(predicted_rad, dt_s))
             self._select_stack(stack)
             numbers = self._stack
             numbers.fill(stack, self.tool)
-            self._write_bounds(q_rad, numbers.bounds)
+            self._write_bounds(predicted_rad, numbers.bounds)
             if not stack:
                 self._watch.reset()
                 slowest_rad_s = np.clip(0.0, *numbers.bounds)
@@ -183,7 +192,13 @@ class Controller:
                 return self._stop_for(self._failure)
             velocity_rad_s, is_limited = self._solve(numbers)
             failure = self._watch.update(
-                stack, numbers, q_rad, self.last_rad_s, dt_s, is_limited=is_limited
+                stack,
+                numbers,
+                q_rad,
+                self.last_rad_s,
+                dt_s,
+                ahead_rad=ahead_rad,
+                is_limited=is_limited,
             )
             if failure is not None and self._stops_failed_loop:
                 self._failure = failure

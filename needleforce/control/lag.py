@@ -24,6 +24,7 @@ from scipy.optimize import minimize_scalar
 
 from foundation.arrays import Array
 from needleforce.control.controller import Command, Controller
+from needleforce.control.delay_prediction import MAX_DELAY_s
 from needleforce.control.errors import ControlCode, ControlError, SettingError
 from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import ArmSample
@@ -37,9 +38,6 @@ overshoot by a twentieth at most here."""
 
 SAFE_DEVIATIONS = 2.0
 """So many deviations later than measured the delay is taken."""
-
-MAX_DELAY_s = 0.3
-"""Longer delays are not looked for: no loop of control lives with them."""
 
 MIN_DELAY_s = -0.01
 """Noise may make a delay of zero negative."""

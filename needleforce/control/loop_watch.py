@@ -298,6 +298,7 @@ class LoopWatch:
         last_rad_s: Array,
         dt_s: float,
         *,
+        ahead_rad: Array,
         is_limited: bool,
     ) -> LoopFailure | None:
         """Take in a cycle; return how the loop fails, and begin anew, or None.
@@ -307,15 +308,20 @@ class LoopWatch:
         Args:
             tasks: As they were written into the stack.
             stack: Their numbers.
-            q_rad: Joint positions, shape (n,).
+            q_rad: Measured joint positions, shape (n,).
             last_rad_s: Velocity commanded in the cycle that ends, shape (n,).
             dt_s: Its duration.
+            ahead_rad: By so much the joints of the tasks were ahead of those measured,
+                shape (n,); errors are judged without it.
             is_limited: Whether a joint is at a limit in the cycle that begins.
         """
         counts = self._counts
         if counts is None or stack is not self._stack or dt_s > MAX_STEP_s:
             counts = self._begin(stack, q_rad)
         counts.fill(tasks, stack)
+        if ahead_rad.any():
+            ahead = self._motion_along(counts, ahead_rad)
+            counts.errors += np.where(counts.has_feedback, ahead, 0.0)
         self._time_s += dt_s
         self._record(counts, q_rad, last_rad_s, dt_s, is_limited)
         failure = self._find_oscillation(counts, dt_s, is_limited)
