@@ -4,8 +4,6 @@ An arm that is sent more stops itself, a Franka with a reflex. Where a vendor pu
 no acceleration or jerk the values are ours, and say so.
 """
 
-import math
-import re
 from typing import NamedTuple
 
 from needleforce.control.errors import ControlCode, SettingError
@@ -86,20 +84,6 @@ ARM_LIMITS = {
 }
 """The presets by name."""
 
-_NAMES = {
-    "fr3": FR3,
-    "fer": FER,
-    "panda": FER,
-    "ur5e": UR5E,
-    "iiwa14": IIWA14,
-    "iiwa_14": IIWA14,
-    "lwr": LWR4PLUS,
-}
-"""Words in the name of a robot that say which arm it is."""
-
-OUR_CYCLE_s = 1e-3
-"""For arms without a preset: that of the FR3."""
-
 
 def limits_of_arm(name: str) -> ArmLimits:
     """Return the preset of an arm.
@@ -113,22 +97,3 @@ def limits_of_arm(name: str) -> ArmLimits:
             ControlCode.LIMITS,
         )
     return ARM_LIMITS[name]
-
-
-def usual_limits(robot_name: str, joint_count: int) -> ArmLimits:
-    """Return the preset of the arm that a robot's name says it is, else ours.
-
-    Ours are `OUR_ACCELERATION_rad_s2` and `OUR_JERK_rad_s3`, and no limit of speed.
-    """
-    name = robot_name.lower().replace("-", "_")
-    for word, preset in _NAMES.items():
-        is_named = re.search(rf"(?<![a-z0-9]){word}(?![a-z])", name)
-        if is_named and len(preset.speed_rad_s) == joint_count:
-            return preset
-    return ArmLimits(
-        speed_rad_s=(math.inf,) * joint_count,
-        acceleration_rad_s2=(OUR_ACCELERATION_rad_s2,) * joint_count,
-        jerk_rad_s3=(OUR_JERK_rad_s3,) * joint_count,
-        cycle_s=OUR_CYCLE_s,
-        source="ours: no preset of this arm",
-    )

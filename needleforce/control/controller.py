@@ -161,8 +161,8 @@ class Controller:
         """Return the command for the coming cycle; never raise, always answer.
 
         Errors of tasks are of the measured positions, or of those predicted over the
-        delay, and the command starts from the last one: that keeps noise of measured velocities out of it, and the
-        accelerations within limits.
+        delay, and the command starts from the last one: that keeps noise of measured
+        velocities out of it, and the accelerations within limits.
 
         Args:
             sample: What the arm reports.

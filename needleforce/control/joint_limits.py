@@ -1,6 +1,5 @@
 """Limits of the joints, and the box of joint velocities that they leave for a tick."""
 
-import math
 from typing import NamedTuple
 
 import numpy as np
@@ -8,7 +7,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Matrix, Vector, WrittenMatrix
 from foundation.jit import compiled
-from needleforce.control.arm_limits import limits_of_arm, usual_limits
+from needleforce.control.arm_limits import limits_of_arm
 from needleforce.control.errors import ControlCode, SettingError
 from needleforce.control.setting_checks import require_positive
 from urdf import Robot
@@ -51,7 +50,7 @@ class RateLimits(NamedTuple):
             last_rad_s: The velocity sent last.
             last_acceleration_rad_s2: Its change since the one before, over T.
         """
-        highest_rad_s2 = self.acceleration_rad_s2 - SLACK_rad_s / self.cycle_s
+        highest_rad_s2 = self.acceleration_rad_s2
         change_rad_s2 = self.jerk_rad_s3 * self.cycle_s
         start_rad_s2 = np.clip(
             last_acceleration_rad_s2, -highest_rad_s2, highest_rad_s2
@@ -80,24 +79,19 @@ class JointLimits(NamedTuple):
 class Limits:
     """What the joints may do, checked against the robot's own limits.
 
-    What is None is that of the arm's preset, see `ARM_LIMITS`, if the robot's name says
-    which arm it is; else the speed is the robot's, and the others are ours: 10 rad/s2,
-    5000 rad/s3 and 1 ms. Give those of your arm if its maker publishes any.
-
     Args:
         robot: Its model names positions and speeds.
-        velocity_rad_s: Slower speeds, one or one per joint.
+        velocity_rad_s: Slower speeds, one or one per joint; the robot's where None.
         acceleration_rad_s2: One or one per joint. A low one lengthens every stop.
         margin_rad: Kept from the position limits, for what moves the arm besides the
             command.
-        jerk_rad_s3: One or one per joint; `math.inf` for no limit. With a limit the
+        jerk_rad_s3: One or one per joint; None for no limit. With a limit the
             acceleration is at most the jerk times a cycle, and positions are low-passed
             at 20 Hz about what was commanded, which keeps their noise out of it.
         tip_m_s: Highest speed of the tip; None for no limit.
         cycle_s: Time between two commands, over which a jerk counts.
 
     Attributes:
-        source: Where limits that were not given come from.
         joints: The limits of every joint, the margin and `SLACK_rad_s` subtracted.
         rates: How fast the command may change, `RATE_HEADROOM` subtracted; None without
             a limit of the jerk.
@@ -111,28 +105,20 @@ class Limits:
         self,
         robot: Robot,
         velocity_rad_s: ArrayLike | None = None,
-        acceleration_rad_s2: ArrayLike | None = None,
+        acceleration_rad_s2: ArrayLike = 10.0,
         margin_rad: float = 0.02,
         *,
         jerk_rad_s3: ArrayLike | None = None,
         tip_m_s: float | None = None,
-        cycle_s: float | None = None,
+        cycle_s: float = 1e-3,
     ) -> None:
-        usual = usual_limits(robot.model.name, robot.nv)
-        if velocity_rad_s is None:
-            velocity_rad_s = np.minimum(usual.speed_rad_s, robot.velocity_limit_rad_s)
-        if acceleration_rad_s2 is None:
-            acceleration_rad_s2 = usual.acceleration_rad_s2
-        jerk_rad_s3 = usual.jerk_rad_s3 if jerk_rad_s3 is None else jerk_rad_s3
-        cycle_s = usual.cycle_s if cycle_s is None else cycle_s
         require_positive({"margin_rad": margin_rad}, or_zero=("margin_rad",))
         require_positive({"cycle_s": cycle_s})
         if tip_m_s is not None:
             require_positive({"tip_m_s": tip_m_s})
         self.tip_m_s = tip_m_s
-        self.source = usual.source
         self.rates: RateLimits | None = None
-        if not (np.ndim(jerk_rad_s3) == 0 and jerk_rad_s3 == math.inf):
+        if jerk_rad_s3 is not None:
             self.rates = _limit_rates(
                 robot.nv, acceleration_rad_s2, jerk_rad_s3, cycle_s
             )
@@ -141,7 +127,7 @@ class Limits:
             robot.nv,
             robot.position_lower_rad + margin_rad,
             robot.position_upper_rad - margin_rad,
-            velocity_rad_s,
+            robot.velocity_limit_rad_s if velocity_rad_s is None else velocity_rad_s,
             acceleration_rad_s2,
         )
         _require_usable(limits, robot, margin_rad)
@@ -171,7 +157,7 @@ class Limits:
                 f"limits of {joint_count} joints ({name}), the robot has {robot.nv}",
                 ControlCode.LIMITS,
             )
-        limits = cls(
+        return cls(
             robot,
             np.minimum(preset.speed_rad_s, robot.velocity_limit_rad_s),
             preset.acceleration_rad_s2,
@@ -179,8 +165,6 @@ class Limits:
             tip_m_s=tip_m_s,
             cycle_s=preset.cycle_s,
         )
-        limits.source = preset.source
-        return limits
 
 
 def _limit_rates(
@@ -202,8 +186,7 @@ def _limit_rates(
         ) from None
     if not (np.isfinite(jerk).all() and (jerk > 0.0).all()):
         raise SettingError(
-            f"jerk_rad_s3 is {jerk_rad_s3!r}, expected positive numbers, or inf for no "
-            "limit",
+            f"jerk_rad_s3 is {jerk_rad_s3!r}, expected positive numbers",
             ControlCode.LIMITS,
         )
     jerk = RATE_HEADROOM * jerk

@@ -189,50 +189,6 @@ def test_a_preset_needs_its_arm():
         Limits.of_arm(LWR, "ur5e")
 
 
-@pytest.mark.parametrize(
-    ("name", "preset"),
-    [
-        ("lwr4plus", "lwr"),
-        ("kuka-lwr", "lwr"),
-        ("panda", "fer"),
-        ("FR3", "fr3"),
-        ("fr3_arm", "fr3"),
-        ("iiwa14", "iiwa14"),
-        ("lbr_iiwa_14_r820", "iiwa14"),
-    ],
-)
-def test_limits_are_the_preset_of_the_arm_that_a_name_says(name, preset):
-    robot = load_lwr(payload=NeedleTool())
-    robot.model.name = name
-    usual = Limits(robot)
-    named = Limits.of_arm(robot, preset)
-
-    assert usual.source == named.source == ARM_LIMITS[preset].source
-    np.testing.assert_array_equal(usual.rates.jerk_rad_s3, named.rates.jerk_rad_s3)
-    np.testing.assert_array_equal(np.array(usual.joints), np.array(named.joints))
-
-
-@pytest.mark.parametrize("name", ["my_arm", "ur5e", "offer", "xlwr"])  # 7 joints
-def test_an_arm_without_a_preset_has_our_limits(name):
-    robot = load_lwr(payload=NeedleTool())
-    robot.model.name = name
-    limits = Limits(robot)
-
-    assert limits.source.startswith("ours")
-    assert limits.rates.jerk_rad_s3 == pytest.approx(0.98 * 5000.0)
-
-
-def test_given_limits_take_the_place_of_the_preset():
-    assert Limits(LWR, jerk_rad_s3=math.inf).rates is None
-    assert Limits(LWR, jerk_rad_s3=math.inf).joints.acceleration_rad_s2.max() == 10.0
-
-    slow = Limits(LWR, 0.5, 1.0, jerk_rad_s3=2000.0, cycle_s=2e-3)
-
-    assert slow.rates.cycle_s == 2e-3
-    assert slow.joints.acceleration_rad_s2 == pytest.approx(0.98)
-    assert slow.joints.speed_rad_s == pytest.approx(0.5)
-
-
 def test_every_preset_says_where_it_comes_from():
     for limits in ARM_LIMITS.values():
         assert limits.source

@@ -198,6 +198,30 @@ def test_a_known_delay_tells_a_hand_at_the_frequency_of_the_gain():
     assert known.status not in FAILED
 
 
+@pytest.mark.parametrize("kind", ["centre", "fixture", "motion"])
+def test_a_known_delay_bears_a_gain_that_oscillates_otherwise(kind):
+    known = close_loop(kind=kind, gain_per_s=unstable_gain(10), delay_s=0.01)
+
+    assert known.status not in FAILED
+
+
+@pytest.mark.parametrize("kind", ["centre", "fixture", "motion"])
+def test_an_oscillation_of_positions_predicted_too_far_is_seen(kind):
+    """The controller counts on twice the delay that the arm has."""
+    run = close_loop(kind=kind, gain_per_s=unstable_gain(10, 2.0), delay_s=0.02)
+
+    assert run.status == "oscillates"
+    assert run.time_s < 0.2
+
+
+@pytest.mark.parametrize("kind", ["centre", "fixture", "motion"])
+def test_an_approach_with_a_known_delay_is_honest(kind):
+    limits = Limits.of_arm(ROBOT, "lwr")
+    run = close_loop(kind=kind, step_m=0.03, limits=limits, delay_s=0.01)
+
+    assert run.status not in FAILED
+
+
 @pytest.mark.parametrize("frequency_Hz", [1.0, 5.0, 10.0])
 @pytest.mark.parametrize("is_led", [False, True])
 def test_a_goal_that_swings_is_no_oscillation(frequency_Hz, is_led):
