@@ -18,13 +18,13 @@ FAT_HU = -30.0
 
 MEDIAN_RANK = 14
 """The median of a voxel and the 26 around it decides between fat and lean, since scans
-are noisy: it is low where so many of the 27 are."""
+are noisy: it is low where at least so many of the 27 are."""
 
 LEAN = 1
-"""What the body's voxels hold where fat is not told apart, too."""
+"""Value of lean tissue, and of the whole body where fat is not separated."""
 
 FAT = 2
-"""What voxels of fat hold."""
+"""Value of fat."""
 
 
 def find_body(
@@ -38,7 +38,7 @@ def find_body(
         progress: Called with the fraction done.
 
     Returns:
-        0 outside of the body, `LEAN` in it, `FAT` where that is told apart, (i, j, k).
+        0 outside of the body, `LEAN` in it, `FAT` where it is separated, (i, j, k).
 
     Raises:
         VolumeError: There is only air, or no air around.

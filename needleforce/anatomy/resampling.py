@@ -14,11 +14,12 @@ MAX_STRAY_VOXELS = 1e-6
 
 
 class _AlongAxis(NamedTuple):
-    """Where the voxels of one axis are taken from.
+    """Which voxels along an axis of the source the target takes.
 
     Attributes:
-        axis: Of the source.
-        indices: Along it, (n,); outside of the source for those that lie outside.
+        axis: The axis of the target that runs along it.
+        indices: Along the axis of the source, one for each of the target's voxels;
+            beyond its ends where the target reaches further, (n,).
     """
 
     axis: int

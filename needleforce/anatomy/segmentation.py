@@ -1,4 +1,4 @@
-"""What of labels is read where paths are judged."""
+"""The part of labels that the search for paths reads."""
 
 from collections.abc import Sequence
 from typing import Protocol

@@ -1,4 +1,4 @@
-"""Large volumes in slabs: what a step needs beside the volume stays small."""
+"""Large volumes worked on slab by slab, so that temporary arrays stay small."""
 
 from collections.abc import Iterator, Sequence
 from typing import Any

@@ -394,7 +394,7 @@ class Monitors:
     def _check_pull(
         self, estimate: "SessionEstimate", beside: Beside, axial_N: float
     ) -> str:
-        """Return what is wrong where the force pulls at a needle that advances."""
+        """Return what is wrong where no tissue exerts the force."""
         status = (
             estimate.identification.status
             if beside.axial_N is None

@@ -69,11 +69,11 @@ MAX_CHANGES = 60
 """Changes of the set of held joints in one level; then the velocity at hand is kept."""
 
 STAND_IN_DAMPING = 0.1
-"""Damping of joints that stand in for others at a bound: of a rate that a direction
-moves by 0.01, it makes up for a hundredth."""
+"""Damping of joints that stand in for others at a bound: along a direction that moves
+the rows by 0.01 they make up for a hundredth of what is lacking."""
 
 MAX_STAND_IN_SOLUTIONS = 3
-"""So often a level is solved anew, with other joints at a bound each time."""
+"""Solutions of a level at most, each with more joints known to be at a bound."""
 
 MIN_GAIN = 1e-12
 """A joint that gains less by being released stays held: that is rounding."""

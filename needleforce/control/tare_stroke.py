@@ -40,13 +40,14 @@ MAX_STRAY_m = 5e-3
 """A tip that is so far off its course is held back, pushed, or runs away."""
 
 POSTURE_MARGIN_rad = 0.05
-"""A joint must stay so far from its limits: the swivel is judged where it begins."""
+"""A joint stays so far from its limits: the room for a swivel is only predicted from
+the posture in which it begins."""
 
 MAX_WAIT_S = 30.0
 """So long the arm may take to accept commands."""
 
 REST_S = 0.5
-"""Rest before and after the motion."""
+"""Rest before the motion, and after it."""
 
 
 class Course(NamedTuple):
@@ -92,9 +93,10 @@ class TareMotion(NamedTuple):
         leg = min(int(time_s / self.leg_s), 1)
         s = time_s / self.leg_s - leg
         sign = 1.0 if leg else -1.0
-        share = s**3 * (10.0 + s * (6.0 * s - 15.0))
+        fraction = s**3 * (10.0 + s * (6.0 * s - 15.0))
         rate = 30.0 * (s * (1.0 - s)) ** 2 / self.leg_s
-        return Course(self.stroke_m * (sign * share - leg), sign * self.stroke_m * rate)
+        position_m = self.stroke_m * (sign * fraction - leg)
+        return Course(position_m, sign * self.stroke_m * rate)
 
     def elbow_at(self, time_s: float) -> Course:
         """Return the angle of the elbow, on its positive side."""
@@ -137,7 +139,7 @@ class TareStroke:
         reason: Why it has failed; empty otherwise.
 
     Raises:
-        SettingError: A number of the motion that cannot be.
+        SettingError: A number of the motion is negative, or zero where it may not be.
     """
 
     def __init__(
@@ -192,8 +194,8 @@ class TareStroke:
         self._waited_s += dt_s
         if self._waited_s > MAX_WAIT_S:
             self._fail(
-                f"it took no command in {MAX_WAIT_S:g} s: let it take commands at its "
-                "own panel"
+                f"the arm took no command in {MAX_WAIT_S:g} s: let it take commands "
+                "at its own panel"
             )
 
     def _begin(self) -> None:
@@ -267,7 +269,7 @@ def tare_with_stroke(
     Raises:
         ControlError: The arm has not moved as it should; it has been brought to rest.
         TareError: The motion looks like contact or like other torques than the model's.
-        SettingError: A number of the motion that cannot be.
+        SettingError: A number of the motion is negative, or zero where it may not be.
     """
     stroke = TareStroke(arm.robot if robot is None else robot, limits, motion)
     session.start_tare_recording()

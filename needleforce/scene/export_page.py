@@ -5,6 +5,7 @@ around it follows the time of the frame's player.
 """
 
 import json
+import math
 from base64 import b64encode
 from collections.abc import Sequence
 from importlib.resources import files
@@ -157,7 +158,10 @@ def film_data(film: Film, charts: ForceCharts | None) -> str:
     data: dict[str, Any] = {
         "frames": [frame._asdict() for frame in film.frames],
         "ruptures": [
-            {"time_s": one.time_s, "until_s": min(one.until_s, film.frames[-1].time_s)}
+            {
+                "time_s": one.time_s,
+                "until_s": one.until_s if math.isfinite(one.until_s) else None,
+            }
             for one in film.ruptures
         ],
         "columns": STRIP_COLUMNS,

@@ -81,6 +81,11 @@ class TitleBar:
             titlebar_content=None, show_logo=False, show_share_button=False
         )
 
+    def restore(self, *, is_off_plan: bool) -> None:
+        """Show the title bar again, after `hide`."""
+        self._is_hidden = False
+        self.show(is_off_plan=is_off_plan)
+
     def _describe(self, *, is_off_plan: bool) -> str:
         """Return the same in words."""
         warnings = tuple(f"Warning: {warning}." for warning in self._warnings)

@@ -460,11 +460,13 @@ class Viewer:
         ruptures = [
             FilmRupture(mark.time_s, mark.until_s, mark.text) for mark in self.marks
         ]
+        scene = serializer.as_html()
         last = _view_row_of(self._rows[-1])
+        self._title.restore(is_off_plan=last.is_off_plan)
         charts = draw_force_charts(self._rows, last.zero_m, last.zero_name, events_s)
         words = SceneWords("needleforce", self._plan.warnings, legend_lines(self._plan))
         film = Film(pictures, ruptures, slices)
-        return write_scene_page(Path(path), serializer.as_html(), words, film, charts)
+        return write_scene_page(Path(path), scene, words, film, charts)
 
     def _film_frame(self, film_s: float, slices: list[SlicePictures]) -> FilmFrame:
         """Return what the page says of the row that is shown; add its slices."""

@@ -45,7 +45,7 @@ def measure_arm(
     """
     if not is_confirmed:
         _ask(arm_name)
-    compile_waiting()  # an arm that is open is not to wait: a UR bears 0.1 s
+    compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
     with open_arm(arm_name, options, takes_commands=True) as (arm, robot):
         probe = LagProbe(robot, Limits(robot))
         _move(arm, arm_name, probe)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any, NamedTuple
 
+from foundation.jit import compile_waiting
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
@@ -33,10 +34,10 @@ MIN_LEG_S = 10.0
 """Time of a stroke each way, at least: the elbow needs it for its swings."""
 
 MAX_ACCELERATION_rad_s2 = 5.0
-"""Highest acceleration of arms without a preset: below all limits that are known."""
+"""Highest acceleration of arms without a preset: below that of every preset."""
 
 MAX_JERK_rad_s3 = 2500.0
-"""The same of the jerk."""
+"""Highest jerk of these arms: below that of every preset."""
 
 
 class StrokeOptions(NamedTuple):
@@ -69,14 +70,17 @@ def find_stroke(
     """Return the motion that options ask for; None without a stroke.
 
     Raises:
-        CommandError: The stroke is not positive, or the swivel negative.
+        CommandError: The stroke is not positive, or the swivel is no angle from 0 to
+            less than 360 degrees.
     """
     if stroke_mm is None:
         return None
     if not 0.0 < stroke_mm < math.inf:
         raise CommandError(f"--tare-stroke {stroke_mm:g}: expected millimetres above 0")
     if not 0.0 <= swivel_deg < FULL_TURN_DEG:
-        raise CommandError(f"--tare-swivel {swivel_deg:g}: expected degrees from 0 on")
+        raise CommandError(
+            f"--tare-swivel {swivel_deg:g}: expected degrees from 0 to less than 360"
+        )
     motion = TareMotion(
         stroke_m=1e-3 * stroke_mm,
         leg_s=max(1e-3 * stroke_mm / MEAN_SPEED_m_s, MIN_LEG_S),
@@ -155,6 +159,7 @@ def open_tared_arm(
         raise CommandError(f"{name}: {NO_TORQUES}", CommandCode.ARM)
     if not stroke.is_confirmed:
         _ask(name, stroke.motion)
+    compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
     with open_arm(name, options, constants_Nm_A, takes_commands=True) as connected:
         session = _tare_by_stroke(name, connected, stroke.motion)
         if name.partition(":")[0] == "sim":

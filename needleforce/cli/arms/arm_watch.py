@@ -31,6 +31,9 @@ from needleforce.reference_force import ReferenceForce
 from needleforce.session import SessionEstimate
 from urdf import Robot
 
+ZERO_S = 0.5
+"""Time in which a sensor at 1 kHz gives all readings that make its zero."""
+
 PANEL_S = 0.1
 """Time between two pictures on a terminal [s]."""
 
@@ -183,6 +186,47 @@ class ReferenceSensor(NamedTuple):
             say(f"{self.address} had sent nothing at the tare: no reference")
 
 
+class _ReferenceZero:
+    """Zeroes a sensor beside the session at the tare.
+
+    Where the arm's own stroke has tared the session, the sensor has read nothing yet:
+    it is zeroed once it has had `ZERO_S` to do so.
+
+    Args:
+        sensor: The sensor, if any.
+        reference: Its readings, if any.
+        is_tared: Whether the session is tared already.
+    """
+
+    def __init__(
+        self,
+        sensor: ReferenceSensor | None,
+        reference: ReferenceForce | None,
+        *,
+        is_tared: bool,
+    ) -> None:
+        self._sensor = sensor
+        self._reference = reference
+        self._is_waiting = is_tared
+        self._first_s: float | None = None
+
+    def after(self, time_s: float, *, is_tared_now: bool) -> None:
+        """Zero the sensor if it is time.
+
+        Args:
+            time_s: Of the session's update.
+            is_tared_now: Whether that update has ended a tare.
+        """
+        if self._first_s is None:
+            self._first_s = time_s
+        has_waited = self._is_waiting and time_s - self._first_s >= ZERO_S
+        if not (is_tared_now or has_waited):
+            return
+        self._is_waiting = False
+        if self._sensor is not None and self._reference is not None:
+            self._sensor.zero(self._reference)
+
+
 @contextmanager
 def _open_page(
     kind: str, port: int, model: Robot, plan: LoadedPlan | None, robot: RobotOptions
@@ -252,7 +296,7 @@ def watch_arm(
     ):
         arm = tared.arm
         session = tared.session
-        is_zero_due = session.tared
+        zero = _ReferenceZero(reference_sensor, reference, is_tared=session.tared)
         if plan is not None:
             session.follow(plan.match, plan.entry_in_base_m, path=plan.path)
         display = Display(arm, reference, panel)
@@ -264,10 +308,8 @@ def watch_arm(
             )
             if reference is not None:
                 reference.update(estimate.wrench)
-            is_zero_due = tare.after(session, estimate) or is_zero_due
-            if is_zero_due and reference is not None and reference_sensor is not None:
-                reference_sensor.zero(reference)
-            is_zero_due = False
+            is_tared_now = tare.after(session, estimate)
+            zero.after(estimate.time_s, is_tared_now=is_tared_now)
             display.update(estimate)
             if page is not None:
                 page.put(estimate, sample.q_rad)

@@ -1,4 +1,4 @@
-"""A force far below zero while the needle advances is reported, and no rupture."""
+"""A force that no tissue exerts is reported, and no rupture."""
 
 import numpy as np
 import pytest

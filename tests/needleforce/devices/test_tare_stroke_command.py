@@ -1,22 +1,51 @@
 """`needleforce live --tare-stroke` on the simulated arm and an emulated KUKA."""
 
+import re
+from itertools import cycle
+
+import numpy as np
 import pytest
 
 from needleforce.cli import main
-from needleforce.cli.arms import arm_stroke
+from needleforce.cli.arms import arm_stroke, arm_watch
+
+
+class NoisySensor:
+    """A force sensor that reads the tool's weight of 3 N, and noise of 1 N."""
+
+    def __init__(self, host):
+        self.report = host
+        self.faults = 0
+        self._noise_N = cycle((1.0, -1.0))
+
+    def __enter__(self):
+        return self
+
+    def __exit__(self, *error):
+        pass
+
+    def read(self):
+        return np.array([0.0, 0.0, 3.0 + next(self._noise_N), 0.0, 0.0, 0.0])
 
 
 def test_live_moves_the_simulated_arm_and_is_tared(capsys, monkeypatch):
     monkeypatch.setattr(arm_stroke, "MIN_LEG_S", 2.0)
     monkeypatch.setattr(arm_stroke, "MEAN_SPEED_m_s", 0.02)
-    options = ["--tare-stroke", "20", "--tare-swivel", "10", "--seconds", "0.5"]
-    assert main(["live", "sim", "--yes", *options]) == 0
+    monkeypatch.setattr(arm_watch, "NetFT", NoisySensor)
+    options = ["--tare-stroke", "20", "--tare-swivel", "10", "--seconds", "1"]
+    assert main(["live", "sim", "--yes", "--reference", "ft", *options]) == 0
 
     output = capsys.readouterr()
     assert "draw the needle back by 20 mm" in output.err
     assert "5 times by 10 degrees" in output.err
     assert "  ok  force" in output.out
     assert "not tared" not in output.out
+    # The sensor's zero is the mean of many readings: its noise of 1 N is left.
+    rms_N, ticks = re.search(
+        r"rms difference (.*) N of (\d+) ticks", output.err
+    ).groups()
+    assert float(rms_N) == pytest.approx(1.0, abs=0.1)
+    assert 400 < int(ticks) < 600
 
 
 def test_an_arm_does_not_move_unasked(capsys):

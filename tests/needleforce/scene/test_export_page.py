@@ -15,8 +15,8 @@ pytest.importorskip("viser")
 from needleforce import NeedleTool, load_lwr
 from needleforce.plots import Chart, Curve, LineStyle, Panel, draw_svg
 from needleforce.scene import PlanScene, Viewer
-from needleforce.scene.export_page import slice_strips
-from needleforce.scene.film import Film, film_times_s
+from needleforce.scene.export_page import SceneWords, slice_strips, write_scene_page
+from needleforce.scene.film import Film, FilmFrame, FilmRupture, film_times_s
 from needleforce.scene.legend import legend_html, legend_lines
 from needleforce.scene.plan_scene import export_plan
 from needleforce.scene.scan_slices import SlicePictures
@@ -141,6 +141,26 @@ def test_each_rupture_has_a_picture_of_its_own():
 
     assert np.allclose(times_s, [2.0, 4.0, 6.0, 7.123, 8.0, 10.0, 12.0])
     assert film_times_s(np.array([1.0]), [], 1).tolist() == [1.0, 1.05]
+
+
+@needs_chromium
+def test_alarms_that_are_to_come_or_retracted_are_pale(tmp_path):
+    from tests.needleforce.scene.scene_page import open_page
+
+    frame = FilmFrame(0.0, 5.0, 12.0, "5.0 s", (), is_off_plan=False, slices=-1)
+    times_s = {"retracted": (1.0, 3.0), "stands": (4.0, np.inf), "later": (6.0, 7.0)}
+    ruptures = [FilmRupture(*times, name) for name, times in times_s.items()]
+    path = write_scene_page(
+        tmp_path / "scene.html",
+        "<p></p>",
+        SceneWords("needleforce", (), ()),
+        Film([frame], ruptures, ()),
+    )
+    with open_page(path.as_uri()) as opened:
+        pale = "[...document.querySelectorAll('#ruptures .unknown')]"
+        texts = opened.evaluate(f"JSON.stringify({pale}.map(l => l.innerText.trim()))")
+
+    assert json.loads(texts) == ["1.0 s: retracted", "6.0 s: later"]
 
 
 def test_pictures_of_a_plane_stand_in_rows_of_twelve():

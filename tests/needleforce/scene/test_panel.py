@@ -142,7 +142,8 @@ def test_the_title_bar_says_off_plan_and_warnings(viewer):
 
     class Gui:
         def configure_theme(self, **theme):
-            sent.append(theme["titlebar_content"]["image"]["image_alt"])
+            content = theme["titlebar_content"]
+            sent.append(content and content["image"]["image_alt"])
 
     class Server:
         gui = Gui()
@@ -150,12 +151,13 @@ def test_the_title_bar_says_off_plan_and_warnings(viewer):
     bar = TitleBar(Server(), ("no labels",))
     bar.show(is_off_plan=False)
     bar.show(is_off_plan=True)
+    bar.hide()
+    bar.show(is_off_plan=False)
+    bar.restore(is_off_plan=False)
 
-    assert sent == [
-        "Simulation and research only: not a medical device. Warning: no labels.",
-        "OFF PLAN: no layer is named. Simulation and research only: not a medical "
-        "device. Warning: no labels.",
-    ]
+    on_plan = "Simulation and research only: not a medical device. Warning: no labels."
+    off_plan = f"OFF PLAN: no layer is named. {on_plan}"
+    assert sent == [on_plan, off_plan, None, on_plan]
 
 
 KEY = (
