@@ -157,6 +157,7 @@ def test_alarms_that_are_to_come_or_retracted_are_pale(tmp_path):
         Film([frame], ruptures, ()),
     )
     with open_page(path.as_uri()) as opened:
+        assert opened.wait_for(f"{NOW} === '5.0 s'")
         pale = "[...document.querySelectorAll('#ruptures .unknown')]"
         texts = opened.evaluate(f"JSON.stringify({pale}.map(l => l.innerText.trim()))")
 
