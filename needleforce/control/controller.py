@@ -171,9 +171,9 @@ class Controller:
         try:
             q_rad = np.ascontiguousarray(sample.q_rad, np.float64)
             dt_s = float(sample.dt_s)
+            self._prediction.note_command(self.last_rad_s, dt_s)
             if q_rad.shape != (self._joints,) or not 0.0 < dt_s < math.inf:
                 return self._brake(f"{q_rad.size} positions, dt_s = {dt_s:g}")
-            self._prediction.note_command(self.last_rad_s, dt_s)
             if not math.isfinite(q_rad.dot(q_rad)):
                 return self._brake("positions are not finite")
             self._step_s = min(dt_s, MAX_STEP_s)

@@ -6,6 +6,7 @@ with the delay T from command to measured motion (Smith, Chem. Eng. Prog. 1957).
 error of T adds an error of at most that time times the speed of a joint.
 """
 
+import math
 from collections import deque
 from typing import NamedTuple
 
@@ -47,7 +48,7 @@ class DelayPrediction:
         if delay_s > MAX_DELAY_s:
             raise SettingError(
                 f"delay_s is {delay_s:g}, expected at most {MAX_DELAY_s:g} seconds",
-                ControlCode.LIMITS,
+                ControlCode.SETTING,
             )
         self._delay_s = float(delay_s)
         self._rest = _Mark(0.0, np.zeros(joints))
@@ -62,13 +63,15 @@ class DelayPrediction:
     def note_command(self, dq_rad_s: Array, dt_s: float) -> None:
         """Remember a velocity, shape (n,), that was commanded for a time until now.
 
-        Of a time beyond the delay only the end counts.
+        Of a time beyond the delay only the end counts; what is no positive number is
+        left out.
         """
-        if self._delay_s > 0.0:
+        if self._delay_s > 0.0 and 0.0 < dt_s < math.inf:
             dt_s = min(dt_s, self._delay_s)
             time_s, commanded_rad = self._marks[-1]
             mark = _Mark(time_s + dt_s, commanded_rad + dt_s * dq_rad_s)
             self._marks.append(mark)
+            self._forget_before(mark.time_s - self._delay_s)
 
     def find_motion_ahead(self) -> Array:
         """Return how far joints will move beyond what is measured now, shape (n,)."""
@@ -78,13 +81,15 @@ class DelayPrediction:
         acted_rad = self._commanded_until(newest.time_s - self._delay_s)
         return newest.commanded_rad - acted_rad
 
+    def _forget_before(self, time_s: float) -> None:
+        """Forget marks that lie before the last one at a time, or before it."""
+        while self._marks[1].time_s <= time_s and len(self._marks) > 2:
+            self._marks.popleft()
+
     def _commanded_until(self, time_s: float) -> Array:
-        """Return the motion commanded until a time, and forget what lies before it."""
-        marks = self._marks
-        while marks[1].time_s <= time_s and len(marks) > 2:
-            marks.popleft()
-        before = marks[0]
-        after = marks[1]
+        """Return the motion commanded until a time between the two oldest marks."""
+        before = self._marks[0]
+        after = self._marks[1]
         part = (time_s - before.time_s) / (after.time_s - before.time_s)
         change_rad = after.commanded_rad - before.commanded_rad
         return before.commanded_rad + min(max(part, 0.0), 1.0) * change_rad

@@ -22,7 +22,7 @@ import numpy as np
 
 from needleforce.control.controller import Command, Controller
 from needleforce.control.elbow_swivel import ElbowSwivel
-from needleforce.control.errors import ControlCode, ControlError
+from needleforce.control.errors import ControlCode, ControlError, SettingError
 from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import Arm, ArmSample
 from needleforce.control.setting_checks import require_positive
@@ -139,13 +139,20 @@ class TareStroke:
         reason: Why it has failed; empty otherwise.
 
     Raises:
-        SettingError: A number of the motion is negative, or zero where it may not be.
+        SettingError: A number of the motion is negative, zero where it may not be, or
+            not whole where it has to be.
     """
 
     def __init__(
         self, robot: Robot, limits: Limits, motion: TareMotion = USUAL_MOTION
     ) -> None:
         require_positive(motion._asdict(), or_zero=("swivel_rad", "swings"))
+        if motion.swings != int(motion.swings):
+            raise SettingError(
+                f"swings is {motion.swings:g}, expected a whole number: the elbow ends "
+                "where it began",
+                ControlCode.SETTING,
+            )
         self.state = StrokeState.WAITING
         self.reason = ""
         self._robot = robot
@@ -269,7 +276,8 @@ def tare_with_stroke(
     Raises:
         ControlError: The arm has not moved as it should; it has been brought to rest.
         TareError: The motion looks like contact or like other torques than the model's.
-        SettingError: A number of the motion is negative, or zero where it may not be.
+        SettingError: A number of the motion is negative, zero where it may not be, or
+            not whole where it has to be.
     """
     stroke = TareStroke(arm.robot if robot is None else robot, limits, motion)
     session.start_tare_recording()

@@ -51,6 +51,17 @@ def test_the_prediction_is_where_a_late_arm_gets_to(cycles_late):
     assert not prediction.find_motion_ahead().any()
 
 
+def test_commands_are_remembered_while_nobody_asks():
+    """As while the measured positions are not finite."""
+    prediction = DelayPrediction(1, 3.0 * CYCLE_s)
+    for cycle in range(1000):
+        prediction.note_command(np.array([float(cycle)]), CYCLE_s)
+
+    ahead_rad = prediction.find_motion_ahead()
+
+    assert ahead_rad == pytest.approx((997.0 + 998.0 + 999.0) * CYCLE_s)
+
+
 def test_a_long_pause_leaves_the_last_command_only():
     prediction = DelayPrediction(1, 0.01)
     prediction.note_command(np.array([0.2]), 1e300)

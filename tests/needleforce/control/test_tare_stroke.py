@@ -175,7 +175,10 @@ def test_a_swivel_without_room_names_the_joint():
     assert ROBOT.joint_names[3] in stroke.reason
 
 
-@pytest.mark.parametrize("change", [{"stroke_m": 0.0}, {"leg_s": -1.0}, {"swings": -1}])
+@pytest.mark.parametrize(
+    "change",
+    [{"stroke_m": 0.0}, {"leg_s": -1.0}, {"swings": -1}, {"swings": 2.5}],
+)
 def test_a_motion_that_cannot_be_is_refused(change):
     with pytest.raises(SettingError, match=next(iter(change))):
         TareStroke(ROBOT, Limits(ROBOT), QUICK._replace(**change))
