@@ -30,6 +30,9 @@ THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 AHEAD = 2
 """Jobs handed out at a time, per process: none waits for the one that hands out."""
 CONNECT_S = 10.0
+RESTART_S = 120.0
+"""For which a worker is waited for where a job may have ended the last one: on a busy
+machine it takes some 10 s to start another."""
 DIED = "its process died, twice"
 """What became of a job without an answer."""
 Work = TypeVar("Work")
@@ -169,6 +172,7 @@ def _on_cluster(
         lost = list[int]()
 
         def alone(index: int) -> Answer | None:
+            client.wait_for_workers(1, timeout=RESTART_S)
             with suppress(KilledWorker):
                 return client.submit(work, jobs[index], pure=False).result()
 
