@@ -25,29 +25,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import Array
+from needleforce.control.loop_history import Block, BLOCK_s, LoopHistory
 from needleforce.control.priority_solver import Stack
 from needleforce.control.setting_checks import require_positive
-from needleforce.control.swings import SwingRow, Swings
-from needleforce.control.tasks import (
-    AxialSpeed,
-    MAX_STEP_s,
-    Posture,
-    RemoteCentre,
-    Task,
-    TipTask,
-)
-
-COUNTING_m = 3e-4
-"""Smaller errors may be noise: an encoder's steps of 0.17 mrad move the tip by 0.26 mm
-from tick to tick."""
-
-COUNTING_rad = 1e-3
-"""The same for orientations and joints."""
-
-_COUNTING_SQUARED = np.array([COUNTING_m**2] * 3 + [COUNTING_rad**2] * 3)
-
-HISTORY = 1024
-"""Cycles that are kept: a second at 1 kHz, rows of four swings of the longest."""
+from needleforce.control.swings import SwingRow
+from needleforce.control.tasks import MAX_STEP_s, Task
 
 DELAYS = 17
 """Delays that are tried, from none to the duration of a swing or the longest."""
@@ -87,11 +69,9 @@ MIN_POWER = 1e-12
 CHECK_s = 5e-3
 """Time between two looks at the same row of swings."""
 
-BLOCK_s = 0.05
-"""Saturation is judged over blocks of this duration."""
-
 BLOCKS = 3
-"""So many of them in a row: it is seen 0.15 to 0.2 s after it has begun."""
+"""Saturation is judged over so many blocks of time in a row: it is seen 0.15 to 0.2 s
+after it has begun."""
 
 SATURATED_PART = 0.9
 """In this part of the time a joint is at a limit."""
@@ -133,73 +113,6 @@ class LoopFailure(NamedTuple):
     reason: str
 
 
-class _Counts:
-    """What the rows of a stack, and then the joints, ask for, in units that count.
-
-    A posture counts where it is the only task: others move it as they need.
-
-    Args:
-        stack: Its numbers of rows m and of joints n.
-
-    Attributes:
-        errors: Shape (m + n,); zero without feedback.
-        asked_per_s: Rates v, the same shape.
-        fed_back_per_s: Of these the part K e, the same shape.
-        has_feedback: Whether there is an error, the same shape.
-        scale: One over what counts, shape (m,); zero of unknown tasks.
-    """
-
-    def __init__(self, stack: Stack) -> None:
-        self._row_count = stack.rates.size
-        size = self._row_count + stack.joint_velocity.size
-        self.errors = np.zeros(size)
-        self.asked_per_s = np.zeros(size)
-        self.fed_back_per_s = np.zeros(size)
-        self.has_feedback = np.zeros(size, dtype=bool)
-        self.scale = np.zeros(self._row_count)
-
-    def fill(self, tasks: Sequence[Task], stack: Stack) -> None:
-        """Take in the tasks of a cycle, as they were written into the stack."""
-        self.errors[:] = 0.0
-        self.asked_per_s[:] = 0.0
-        self.fed_back_per_s[:] = 0.0
-        self.has_feedback[:] = False
-        self.scale[:] = 0.0
-        start = 0
-        for task in tasks:
-            end = start + task.size
-            if isinstance(task, TipTask):
-                self._fill_tip_task(task, stack.rates[start:end], start)
-            elif isinstance(task, RemoteCentre):
-                self.scale[start:end] = 1.0 / COUNTING_m
-                fed_back_per_s = stack.rates[start:end] / COUNTING_m
-                self._fill_errors(start, fed_back_per_s, task.gain_per_s)
-            elif isinstance(task, AxialSpeed):
-                self.scale[start:end] = 1.0 / COUNTING_m
-            elif isinstance(task, Posture) and self._row_count == 0:
-                fed_back_per_s = stack.joint_velocity / COUNTING_rad
-                self.asked_per_s[:] = fed_back_per_s
-                self._fill_errors(start, fed_back_per_s, task.gain_per_s)
-            start = end
-        self.asked_per_s[: self._row_count] = stack.rates * self.scale
-
-    def _fill_tip_task(self, task: TipTask, rates: Array, start: int) -> None:
-        """Take in a task of the tip, from a row on."""
-        scale = 1.0 / np.sqrt(task.selection**2 @ _COUNTING_SQUARED)
-        self.scale[start : start + task.size] = scale
-        self._fill_errors(start, (rates - task.rate) * scale, task.gain_per_s)
-
-    def _fill_errors(
-        self, start: int, fed_back_per_s: Array, gain_per_s: float
-    ) -> None:
-        """Take in rates of feedback, from a row on."""
-        end = start + fed_back_per_s.size
-        self.fed_back_per_s[start:end] = fed_back_per_s
-        if gain_per_s > 0.0:
-            self.errors[start:end] = fed_back_per_s / gain_per_s
-            self.has_feedback[start:end] = True
-
-
 def _without(basis: Array, signals: Array) -> Array:
     """Return signals less their straight parts, both in columns."""
     return signals - basis @ (basis.T @ signals)
@@ -221,22 +134,35 @@ def _left_by(errors: Array, commanded: Array) -> float:
     return float((excited * excited).sum())
 
 
-class _Block(NamedTuple):
-    """What happened in `BLOCK_s`, in counts; arrays of shape (m + n,).
+def _of_same_task(history: LoopHistory, row: int) -> NDArray[np.bool_]:
+    """Return which of the rows with feedback belong to the task of a row."""
+    ends = np.cumsum(history.task_sizes)
+    task = np.searchsorted(ends, row, side="right")
+    return np.searchsorted(ends, history.rows_with_feedback, side="right") == task
 
-    Attributes:
-        asked: Motion that rates asked for.
-        path: The same, forth and back added.
-        led: Motion commanded.
-        moved: Motion measured.
-        is_limited: Whether a joint was at a limit nearly all the time.
-    """
 
-    asked: Array
-    path: Array
-    led: Array
-    moved: Array
-    is_limited: bool
+def _stands(blocks: Sequence[Block], task_sizes: Sequence[int]) -> bool:
+    """Return whether the most important task that asks for motion gets none."""
+    asked = np.sum([block.asked for block in blocks], axis=0)
+    path = np.sum([block.path for block in blocks], axis=0)
+    led = np.sum([block.led for block in blocks], axis=0)
+    moved = np.sum([block.moved for block in blocks], axis=0)
+    end = 0
+    for size in task_sizes:
+        rows = slice(end, end + size)
+        end += size
+        distance = float(np.linalg.norm(asked[rows]))
+        if distance > ASKED:
+            is_steady = distance > STEADY_PART * float(np.linalg.norm(path[rows]))
+            served = float(led[rows] @ asked[rows]) / distance
+            progress = float(np.linalg.norm(moved[rows]))
+            is_still = all(
+                float(np.linalg.norm(block.moved[rows])) < PROGRESS for block in blocks
+            )
+            is_cut = served < SERVED_PART * distance
+            is_held = progress < min(PROGRESS, PROGRESS_PART * distance)
+            return is_steady and is_cut and is_still and is_held
+    return False
 
 
 class LoopWatch:
@@ -258,37 +184,15 @@ class LoopWatch:
 
     def reset(self) -> None:
         """Forget what was seen."""
-        self._counts: _Counts | None = None
+        self._history: LoopHistory | None = None
 
-    def _begin(self, stack: Stack, q_rad: Array) -> _Counts:
+    def _begin(self, stack: Stack, q_rad: Array) -> LoopHistory:
         """Begin with another stack."""
-        counts = _Counts(stack)
-        size = counts.errors.size
-        self._stack = stack
-        self._counts = counts
-        self._swings: Swings | None = None
-        self._times_s = np.zeros(HISTORY)
-        self._errors = np.zeros((HISTORY, size))
-        self._sums = np.zeros((HISTORY, 3 * size))  # of motions in counts, see below
-        self._sum = np.zeros(3 * size)
-        self._motions = np.zeros(3 * size)  # in the cycle that ends
-        self._was_limited = False
-        self._last_q_rad = q_rad
-        self._cycle = -1
-        self._time_s = 0.0
+        history = LoopHistory(stack, q_rad)
+        self._history = history
         self._next_check_s = 0.0
-        self._blocks = deque[_Block](maxlen=BLOCKS)
-        self._begin_block(q_rad)
-        return counts
-
-    def _begin_block(self, q_rad: Array) -> None:
-        """Begin the next block of time."""
-        self._block_asked = np.zeros(self._errors.shape[1])
-        self._block_path = np.zeros(self._errors.shape[1])
-        self._block_led_rad = np.zeros_like(q_rad)
-        self._block_start_rad = q_rad.copy()
-        self._block_s = 0.0
-        self._limited_s = 0.0
+        self._blocks = deque[Block](maxlen=BLOCKS)
+        return history
 
     def update(
         self,
@@ -315,93 +219,57 @@ class LoopWatch:
                 shape (n,); errors are judged without it.
             is_limited: Whether a joint is at a limit in the cycle that begins.
         """
-        counts = self._counts
-        if counts is None or stack is not self._stack or dt_s > MAX_STEP_s:
-            counts = self._begin(stack, q_rad)
-        counts.fill(tasks, stack)
-        if ahead_rad.any():
-            ahead = self._motion_along(counts, ahead_rad)
-            counts.errors += np.where(counts.has_feedback, ahead, 0.0)
-        self._time_s += dt_s
-        self._record(counts, q_rad, last_rad_s, dt_s, is_limited)
-        failure = self._find_oscillation(counts, dt_s, is_limited)
-        if failure is None:
-            self._block_led_rad += dt_s * last_rad_s
-            failure = self._find_saturation(counts, q_rad, dt_s, is_limited)
+        history = self._history
+        if history is None or stack is not history.stack or dt_s > MAX_STEP_s:
+            history = self._begin(stack, q_rad)
+        row, is_block_over = history.add(
+            tasks, q_rad, last_rad_s, ahead_rad, dt_s, is_limited
+        )
+        failure = None
+        if row >= 0:
+            failure = self._find_oscillation(history, row, dt_s)
+        if is_block_over and failure is None:
+            failure = self._find_saturation(history)
         if failure is not None:
             self.reset()
         return failure
 
     def _find_oscillation(
-        self, counts: _Counts, dt_s: float, is_limited: bool
+        self, history: LoopHistory, row: int, dt_s: float
     ) -> LoopFailure | None:
-        """Return what swings by itself, None if nothing does."""
-        if self._swings is None:
-            self._swings = Swings(counts.errors)
-        row = self._swings.update(counts.errors, dt_s, is_limited=is_limited)
-        if row is None or self._time_s < self._next_check_s:
+        """Return how a row swings by itself, None if it does not."""
+        time_s = history.time_s
+        if time_s < self._next_check_s:
             return None
-        self._next_check_s = self._time_s + CHECK_s
-        if not self._swings_by_itself(row, counts):
+        self._next_check_s = time_s + CHECK_s
+        swings = history.read_swings(row, dt_s)
+        if not self._swings_by_itself(swings, history):
             return None
         return LoopFailure(
             FailureKind.OSCILLATES,
-            f"the loop oscillates at {0.5 / row.swing_s:.0f} Hz: its gain is too high "
-            "for the delay of the arm. Lower gain_per_s of the tasks, then reset() the "
-            "controller",
+            f"the loop oscillates at {0.5 / swings.swing_s:.0f} Hz: its gain is too "
+            "high for the delay of the arm. Lower gain_per_s of the tasks, then "
+            "reset() the controller",
         )
 
-    def _record(
-        self,
-        counts: _Counts,
-        q_rad: Array,
-        last_rad_s: Array,
-        dt_s: float,
-        is_limited: bool,
-    ) -> None:
-        """Add a cycle to the history."""
-        size = counts.errors.size
-        motions = self._motions
-        motions *= dt_s
-        if self._was_limited:
-            commanded = dt_s * self._motion_along(counts, last_rad_s)
-            motions[:size] = commanded - motions[size : 2 * size]
-        motions[2 * size :] = self._motion_along(counts, q_rad - self._last_q_rad)
-        self._sum = self._sum + motions
-        motions[:size] = counts.fed_back_per_s
-        motions[size : 2 * size] = counts.asked_per_s - counts.fed_back_per_s
-        self._was_limited = is_limited
-        self._last_q_rad = q_rad
-        self._cycle += 1
-        index = self._cycle % HISTORY
-        self._times_s[index] = self._time_s
-        self._errors[index] = counts.errors
-        self._sums[index] = self._sum
-
-    def _motion_along(self, counts: _Counts, joints: Array) -> Array:
-        """Return the motion of joints along the rows, and their own, in counts."""
-        rows = self._stack.rows @ joints
-        return np.concatenate((rows * counts.scale, joints / COUNTING_rad))
-
-    def _swings_by_itself(self, row: SwingRow, counts: _Counts) -> bool:
+    def _swings_by_itself(self, row: SwingRow, history: LoopHistory) -> bool:
         """Return whether swings are explained by what was commanded for their sake."""
-        count = min(self._cycle + 1, HISTORY)
-        kept = np.arange(self._cycle + 1 - count, self._cycle + 1) % HISTORY
-        times_s = self._times_s[kept]
-        is_seen = times_s >= self._time_s - row.row_s
+        cycles = history.read_cycles()
+        times_s = cycles.times_s
+        is_seen = times_s >= history.time_s - row.row_s
         seen_s = times_s[is_seen]
-        rows = np.flatnonzero(counts.has_feedback)
-        errors = self._errors[kept][is_seen][:, rows]
-        changes = np.ptp(errors[:, self._same_task(row.error, rows)], axis=0)
+        errors = cycles.errors[is_seen]
+        same_task = _of_same_task(history, row.error)
+        if not same_task.any():
+            return False
+        changes = np.ptp(errors[:, same_task], axis=0)
         is_largest = row.extent > LARGEST_PART * float(changes.max())
         if seen_s.size < MIN_CYCLES or not is_largest:
             return False
         straight = np.column_stack((np.ones(seen_s.size), seen_s - seen_s.mean()))
         basis, _ = np.linalg.qr(straight)
-        sums = self._sums[kept]
-        fed_back, wanted, moved = (part[:, rows] for part in np.split(sums, 3, axis=1))
-        goals = _without(basis, errors + moved[is_seen])
-        wanted = _without(basis, wanted[is_seen])
+        goals = _without(basis, errors + cycles.moved[is_seen])
+        wanted = _without(basis, cycles.wanted[is_seen])
         errors = _without(basis, errors)
         power = float((errors * errors).sum())
         asked = max((goals * goals).sum(), (wanted * wanted).sum())
@@ -409,38 +277,21 @@ class LoopWatch:
             return False
         longest_s = min(row.swing_s, self._max_delay_s)
         left = [
-            _left_by(errors, _without(basis, _delayed(fed_back, times_s, late_s)))
+            _left_by(
+                errors, _without(basis, _delayed(cycles.fed_back, times_s, late_s))
+            )
             for late_s in seen_s - np.linspace(0.0, longest_s, DELAYS)[:, None]
         ]
         return min(left) < MAX_EXCITED_PART**2 * power
 
-    def _same_task(self, row: int, rows: NDArray[np.intp]) -> NDArray[np.bool_]:
-        """Return which of some rows belong to the task of a row."""
-        ends = np.cumsum([rates.size for _, rates in self._stack.levels], dtype=np.intp)
-        of_rows = np.searchsorted(ends, rows, side="right")
-        return of_rows == np.searchsorted(ends, row, side="right")
-
-    def _find_saturation(
-        self, counts: _Counts, q_rad: Array, dt_s: float, is_limited: bool
-    ) -> LoopFailure | None:
-        """Return what limits hold back, None if nothing is."""
-        self._block_asked += dt_s * counts.asked_per_s
-        self._block_path += dt_s * np.abs(counts.asked_per_s)
-        self._block_s += dt_s
-        self._limited_s += dt_s * is_limited
-        if self._block_s < BLOCK_s:
+    def _find_saturation(self, history: LoopHistory) -> LoopFailure | None:
+        """Return what limits hold back at the end of a block, None if nothing is."""
+        blocks = self._blocks
+        blocks.append(history.end_block())
+        is_saturated = all(block.limited_part > SATURATED_PART for block in blocks)
+        if len(blocks) < BLOCKS or not is_saturated:
             return None
-        block = _Block(
-            self._block_asked,
-            self._block_path,
-            self._motion_along(counts, self._block_led_rad),
-            self._motion_along(counts, q_rad - self._block_start_rad),
-            self._limited_s > SATURATED_PART * self._block_s,
-        )
-        self._blocks.append(block)
-        self._begin_block(q_rad)
-        is_saturated = all(block.is_limited for block in self._blocks)
-        if len(self._blocks) < BLOCKS or not is_saturated or not self._stands():
+        if not _stands(blocks, history.task_sizes):
             return None
         return LoopFailure(
             FailureKind.HELD_BACK,
@@ -448,28 +299,3 @@ class LoopWatch:
             "no nearer to its goal. Ask for goals within reach, then reset() the "
             "controller",
         )
-
-    def _stands(self) -> bool:
-        """Return whether the most important task that asks for motion gets none."""
-        asked = np.sum([block.asked for block in self._blocks], axis=0)
-        path = np.sum([block.path for block in self._blocks], axis=0)
-        led = np.sum([block.led for block in self._blocks], axis=0)
-        moved = np.sum([block.moved for block in self._blocks], axis=0)
-        end = 0
-        sizes = [rates.size for _, rates in self._stack.levels]
-        for size in [*sizes, self._stack.joint_velocity.size]:
-            rows = slice(end, end + size)
-            end += size
-            distance = float(np.linalg.norm(asked[rows]))
-            if distance > ASKED:
-                is_steady = distance > STEADY_PART * float(np.linalg.norm(path[rows]))
-                served = float(led[rows] @ asked[rows]) / distance
-                progress = float(np.linalg.norm(moved[rows]))
-                is_still = all(
-                    float(np.linalg.norm(block.moved[rows])) < PROGRESS
-                    for block in self._blocks
-                )
-                is_cut = served < SERVED_PART * distance
-                is_held = progress < min(PROGRESS, PROGRESS_PART * distance)
-                return is_steady and is_cut and is_still and is_held
-        return False

@@ -4,8 +4,8 @@ from dataclasses import dataclass
 from typing import NamedTuple
 
 from foundation.arrays import Vector
-from foundation.jit import compiled, compiled_inside
-from foundation.records import read_element, record_array
+from foundation.jit import compiled_inside
+from foundation.records import read_element
 
 GROWN_SWINGS = 3
 """Swings in a row, each clearly larger than the one before, that may be an oscillation;
@@ -91,36 +91,14 @@ class SwingRow(NamedTuple):
     extent: float
 
 
-class Swings:
-    """Follows the swings of several errors.
-
-    Args:
-        errors: The first ones, shape (k,).
-    """
-
-    def __init__(self, errors: Vector) -> None:
-        self._swings = record_array(Swing, errors.size)
-        begin_swings(self._swings, errors)
-
-    def update(
-        self, errors: Vector, dt_s: float, *, is_limited: bool
-    ) -> SwingRow | None:
-        """Take in errors; return a row that may be an oscillation, or None.
-
-        Args:
-            errors: Shape (k,).
-            dt_s: Since the last call.
-            is_limited: Whether a joint is at a limit.
-        """
-        index = advance_swings(self._swings, errors, dt_s, is_limited)
-        if index < 0:
-            return None
-        swing = read_element(Swing, self._swings, index)
-        extent = abs(swing.extreme - swing.start)
-        return SwingRow(index, max(swing.last_s, dt_s), swing.row_s, extent)
+def read_row(swings: list[Swing], error: int, dt_s: float) -> SwingRow:
+    """Return the row of swings of an error, after a cycle of some duration."""
+    swing = read_element(Swing, swings, error)
+    extent = abs(swing.extreme - swing.start)
+    return SwingRow(error, max(swing.last_s, dt_s), swing.row_s, extent)
 
 
-@compiled
+@compiled_inside
 def begin_swings(swings: list[Swing], errors: Vector) -> None:
     """Begin at errors, shape (k,)."""
     for k in range(errors.size):
@@ -128,7 +106,7 @@ def begin_swings(swings: list[Swing], errors: Vector) -> None:
         swings[k].extreme = errors[k]
 
 
-@compiled
+@compiled_inside
 def advance_swings(
     swings: list[Swing], errors: Vector, dt_s: float, is_limited: bool
 ) -> int:
