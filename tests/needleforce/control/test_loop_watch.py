@@ -78,6 +78,7 @@ class Loop(NamedTuple):
         follows: Part of a command that the arm carries out.
         delay_s: That the controller knows of.
         stops: Whether the controller stops when its loop fails.
+        overwrites: Whether positions come in one array that is overwritten.
     """
 
     kind: str = "fixture"
@@ -92,6 +93,7 @@ class Loop(NamedTuple):
     follows: float = 1.0
     delay_s: float | None = None
     stops: bool = True
+    overwrites: bool = False
 
 
 def close_loop(**changes):
@@ -111,11 +113,15 @@ def close_loop(**changes):
     line = deque([commanded_rad] * (loop.late_cycles + 1), loop.late_cycles + 1)
     tip_m = []
     commands_rad_s = []
+    array_rad = HOME_rad.copy()
     for tick in range(round(loop.seconds / DT_s)):
         line.append(commanded_rad)
         q_rad = line[0] + 1e-5 * rng.standard_normal(7) + loop.hand(tick * DT_s)
         if loop.resolution_rad:
             q_rad = loop.resolution_rad * np.round(q_rad / loop.resolution_rad)
+        if loop.overwrites:
+            array_rad[:] = q_rad
+            q_rad = array_rad
         loop.prepare(tasks, tick * DT_s)
         sample = SimpleNamespace(q_rad=q_rad, dq_rad_s=None, tau_Nm=None, dt_s=DT_s)
         command = controller.update(sample, tasks)
@@ -155,6 +161,34 @@ def test_an_oscillation_of_joints_is_seen():
     run = close_loop(kind="posture", gain_per_s=unstable_gain(10), step_m=0.02)
 
     assert run.status == "oscillates"
+
+
+def test_positions_may_come_in_an_array_that_is_overwritten():
+    run = close_loop(gain_per_s=unstable_gain(10), overwrites=True)
+
+    assert run.status == "oscillates"
+
+
+def test_tasks_may_be_made_anew_in_every_cycle():
+    def prepare(tasks, _):
+        goal = tasks[0]
+        tasks[0] = Fixture(goal.goal_m, goal.rotation, goal.gain_per_s)
+
+    kept = close_loop(gain_per_s=unstable_gain(10))
+    remade = close_loop(gain_per_s=unstable_gain(10), prepare=prepare)
+
+    assert remade.status == "oscillates"
+    assert remade.time_s == kept.time_s
+
+
+def test_swings_that_end_with_their_gain_are_no_oscillation():
+    def prepare(tasks, time_s):
+        if time_s > 0.08:
+            tasks[0].gain_per_s = 0.0
+
+    run = close_loop(gain_per_s=unstable_gain(10), prepare=prepare)
+
+    assert run.status not in FAILED
 
 
 @pytest.mark.parametrize("kind", ["centre", "fixture", "motion"])
