@@ -49,8 +49,14 @@ HISTORY = 1024
 BLOCK_s = 0.05
 """Saturation is judged over blocks of this duration."""
 
-FED_BACK, WANTED, MOVED = range(3)
-"""Places of the sums of motion: for the errors' sake, at wanted rates, and measured."""
+FED_BACK = 0
+"""Place among the sums of motion: motion for the errors' sake."""
+
+WANTED = 1
+"""Motion at wanted rates."""
+
+MOVED = 2
+"""Motion measured."""
 
 
 @dataclass
