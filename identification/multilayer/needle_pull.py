@@ -18,13 +18,15 @@ PULL_SIGMAS = 3.0
 """Standard deviations below the least force of tissue from which on a force pulls."""
 
 MIN_PULL_N = 0.1
-"""And at least so far below: less is a needle's inertia, or its weight."""
+"""Least distance below it from which on a force pulls: less is a needle's inertia, or
+its weight."""
 
 STILL_PULLED = 0.5
-"""Part of that below which a force that has pulled still does."""
+"""A pull lasts while the force is below the least one of tissue by more than this
+fraction of that distance; a force that is as low may pull soon."""
 
-PULLED_NO_MORE = 0.25
-"""Part of that above which a force that was low is so no more."""
+STILL_LOW = 0.25
+"""A force that may pull soon does so while it is below by more than this fraction."""
 
 BRAKING_S = 0.1
 """Time after the last advance for which a needle that brakes counts as advancing."""
@@ -33,9 +35,9 @@ BACK_MM = 0.1
 """Way back from the deepest point up to which a needle that is pulled still is."""
 
 BEGIN_BACK_MM = 0.03
-"""The same where a pull begins: a tenth of the way over which friction turns, so that a
-needle that is drawn back, and held by the tissue, is not taken for one that is pulled.
-"""
+"""Way back up to which a pull may begin: a tenth of the way over which friction turns,
+so that a needle that is drawn back, and held by the tissue, is not taken for one that
+is pulled."""
 
 OVER_S = 0.3
 """A fall is over if the force has not been lower for so long."""
@@ -90,7 +92,7 @@ class NetForce(NamedTuple):
 
     @property
     def limit_N(self) -> float:
-        """How far below the least force of tissue it pulls."""
+        """Distance below the least force of tissue from which on a force pulls."""
         return max(PULL_SIGMAS * self.std_N, MIN_PULL_N)
 
 
@@ -165,27 +167,27 @@ class NeedlePull(NamedTuple):
         """Return the same with a judgement on the force of a block."""
         limit_N = force.limit_N
         below_N = self._least_force_N(force) - force.value_N
-        is_low = (
-            below_N > (PULLED_NO_MORE if self.low_for_s else STILL_PULLED) * limit_N
-        )
+        low_fraction = STILL_LOW if self.low_for_s else STILL_PULLED
+        is_low = below_N > low_fraction * limit_N
+        low_for_s = self.low_for_s + force.duration_s if is_low else 0.0
         quick_N = max(self.quick_N, self.recent_N - force.value_N)
         is_quick = quick_N > QUICK_FRACTION * (self.peak_N - force.value_N)
         friction_N = min(self.friction_N, force.friction_N)
         is_below_friction = force.is_advancing and force.value_N < friction_N - limit_N
         has_fallen = is_quick or self.below_friction_s > 0.0
-        below_friction_s = (is_below_friction and has_fallen) * (
-            self.below_friction_s + force.duration_s
-        )
+        below_friction_s = 0.0
+        if is_below_friction and has_fallen:
+            below_friction_s = self.below_friction_s + force.duration_s
         stays_below_friction = below_friction_s > BELOW_FRICTION_S
         is_beyond = force.value_N < -self.highest_N - limit_N
         is_new_foreign = is_beyond or force.is_outside or stays_below_friction
         is_new_foreign = is_new_foreign or (is_quick and not self.is_pulled)
-        still = STILL_PULLED if self.is_pulled else 1.0
-        is_pulled = below_N > still * limit_N or stays_below_friction
+        pull_fraction = STILL_PULLED if self.is_pulled else 1.0
+        is_pulled = below_N > pull_fraction * limit_N or stays_below_friction
         return self._replace(
             is_pulled=is_pulled,
             is_foreign=is_pulled and (self.is_foreign or is_new_foreign),
-            low_for_s=is_low * (self.low_for_s + force.duration_s),
+            low_for_s=low_for_s,
             below_friction_s=below_friction_s,
             quick_N=quick_N,
         )

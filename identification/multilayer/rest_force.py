@@ -15,7 +15,7 @@ REST_MM = 0.02
 that over which friction turns."""
 
 DEPTH_SIGMAS = 3.0
-"""Standard deviations of the depth that count as its noise there."""
+"""Standard deviations of the depth's noise by which a needle may seem to move."""
 
 SETTLED_S = 0.3
 """Time at rest after which a force has settled: a soft arm swings until then."""
@@ -28,15 +28,15 @@ MIN_CHANGE_N = 0.3
 """Least quick change, twice the least rupture seen in real liver."""
 
 CHANGE_SIGMAS = 6.0
-"""And in standard deviations of the noise."""
+"""Least quick change in standard deviations of the force's noise."""
 
 CHANGE_FRACTION = 0.4
-"""And as a part of the force: over the travel that is still rest friction turns by less
-when the needle is drawn back."""
+"""Least quick change as a fraction of the force: when the needle is drawn back,
+friction turns by less over the travel that is still rest."""
 
-STD_SIGMAS = 3.0
-"""And in standard deviations of the force's slow error, which holds what an arm adds
-that begins to move."""
+SLOW_SIGMAS = 3.0
+"""Least quick change in standard deviations of the force's slow error, which holds what
+an arm adds that begins to move."""
 
 MIN_WAIT_S = 0.1
 """Time for which a change lasts at least: an arm that begins to move has the needle out
@@ -52,10 +52,10 @@ RELAXATION_S = 1.5
 """Shortest time constant with which tissue relaxes: liver takes 8.5 s."""
 
 MIN_FALL_N = 0.2
-"""Fall beyond that which is none of tissue, at least."""
+"""Least fall below what relaxation leaves that is none of tissue."""
 
 FALLING_S = 2.0
-"""Time after the stop in which a force may fall on."""
+"""Time after the force has settled in which a fall after a rupture is looked for."""
 
 
 class HeldForce(NamedTuple):
@@ -146,7 +146,7 @@ class RestForce(NamedTuple):
         """Return the same while a force is other than usual: is it the arm's motion?"""
         wait_s = self.wait_s + force.duration_s
         change_N = force.value_N - self.mean_N
-        is_clear = abs(change_N) > STD_SIGMAS * force.slow_std_N
+        is_clear = abs(change_N) > SLOW_SIGMAS * force.slow_std_N
         if wait_s > MIN_WAIT_S and is_clear:
             return self._replace(change_N=change_N, changed_s=0.0, wait_s=0.0)
         if wait_s > MAX_WAIT_S:

@@ -7,7 +7,7 @@ voxels' centres rules out what is far: the centre of a box lies no further from 
 nearest of its points than half the box's diagonal.
 """
 
-from collections.abc import Iterable
+from collections.abc import Callable, Iterable
 from dataclasses import dataclass
 from functools import cached_property
 from typing import NamedTuple
@@ -51,6 +51,9 @@ MIN_DISTANCE_m = 1e-9
 """Less is none: a path to a face of a box ends in it."""
 
 MM_PER_M = 1e3
+
+Search = Callable[[Array, Array], NDArray[np.intp]]
+"""Finds voxels that may be the nearest to a path, given its ends along the grid."""
 
 
 @dataclass(frozen=True)
@@ -170,36 +173,43 @@ class VoxelBoxes:
             entry_m: First point of the path, (3,) in LPS.
             target_m: Last point, (3,).
         """
-        entry, target = self._along_grid(np.array([entry_m, target_m], float))
-        owner = self._structure_at(entry_m)
-        if owner is not None:
-            return Approach(0.0, 0.0, owner)
-        if not len(self._centres_m):
-            return None
+        return self._find_approach(entry_m, target_m, self._search_tree)
+
+    def _search_tree(self, entry: Array, target: Array) -> NDArray[np.intp]:
+        """Return which voxels may be the nearest to a path, by the search tree."""
         samples = self._sample(entry[None], target[None])
         bound_m = float(self._tree.query(samples.points_m)[0].min())
         near = self._tree.query_ball_point(
             samples.points_m,
             bound_m + self._half_diagonal_m + 2.0 * float(samples.step_m[0]),
         )
-        candidates = np.unique(np.concatenate(near).astype(int))
-        return self._nearest_of(candidates, entry, target)
+        return np.unique(np.concatenate(near).astype(np.intp))
 
     def nearest_once(self, entry_m: ArrayLike, target_m: ArrayLike) -> Approach | None:
         """Return what `nearest` does, faster for the first paths.
 
         It passes all voxels and builds no search tree.
         """
-        entry, target = self._along_grid(np.array([entry_m, target_m], float))
+        return self._find_approach(entry_m, target_m, self._search_all)
+
+    def _search_all(self, entry: Array, target: Array) -> NDArray[np.intp]:
+        """Return which voxels may be the nearest to a path, by passing all."""
+        distances_m = _distances_to_points(entry, target, self._centres_m)
+        # No box is nearer than its centre by more than half its diagonal.
+        reach_m = distances_m.min() + self._half_diagonal_m + ROUNDING_m
+        return np.flatnonzero(distances_m <= reach_m)
+
+    def _find_approach(
+        self, entry_m: ArrayLike, target_m: ArrayLike, search: Search
+    ) -> Approach | None:
+        """Return where a path comes nearest to a voxel that a search offers."""
         owner = self._structure_at(entry_m)
         if owner is not None:
             return Approach(0.0, 0.0, owner)
         if not len(self._centres_m):
             return None
-        distances_m = _distances_to_points(entry, target, self._centres_m)
-        # No box is nearer than its centre by more than half its diagonal.
-        reach_m = distances_m.min() + self._half_diagonal_m + ROUNDING_m
-        return self._nearest_of(np.flatnonzero(distances_m <= reach_m), entry, target)
+        entry, target = self._along_grid(np.array([entry_m, target_m], float))
+        return self._nearest_of(search(entry, target), entry, target)
 
     def nearer_than(
         self, entries_m: ArrayLike, targets_m: ArrayLike, distance_m: float

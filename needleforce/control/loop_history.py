@@ -39,24 +39,25 @@ COUNTING_m = 3e-4
 from tick to tick."""
 
 COUNTING_rad = 1e-3
-"""The same for orientations and joints."""
+"""Smaller errors of orientations and joints may be noise."""
 
 _COUNTING_SQUARED = np.array([COUNTING_m**2] * 3 + [COUNTING_rad**2] * 3)
 
 HISTORY = 1024
-"""Cycles that are kept: a second at 1 kHz, rows of four swings of the longest."""
+"""Cycles that are kept: of a row of swings that lasts longer, a second at 1 kHz, the
+end is judged."""
 
 BLOCK_s = 0.05
 """Saturation is judged over blocks of this duration."""
 
 FED_BACK = 0
-"""Place among the sums of motion: motion for the errors' sake."""
+"""Place among the sums of motion of that for the errors' sake."""
 
 WANTED = 1
-"""Motion at wanted rates."""
+"""Place among them of the motion at wanted rates."""
 
 MOVED = 2
-"""Motion measured."""
+"""Place among them of the measured motion."""
 
 
 @dataclass
@@ -146,14 +147,14 @@ class Block(NamedTuple):
         path: The same, forth and back added.
         led: Motion commanded.
         moved: Motion measured.
-        limited_part: Part of the time with a joint at a limit.
+        limited_fraction: Fraction of the time with a joint at a limit.
     """
 
     asked: Array
     path: Array
     led: Array
     moved: Array
-    limited_part: float
+    limited_fraction: float
 
 
 class Seen(NamedTuple):

@@ -39,59 +39,61 @@ MAX_DELAY_s = 0.045
 omega = K, more and more, looks like a loop with the delay pi / 2K."""
 
 DELAY_FACTOR = 1.5
-"""The same in terms of a delay that is known, which may be off by a half."""
+"""Where the arm's delay is known, delays of up to this multiple of it are tried, and
+`DELAY_MARGIN_s` more: it may be off by a half."""
 
 DELAY_MARGIN_s = 5e-3
-"""And by so much: a measured delay of zero is one of a few cycles."""
+"""Added to that multiple: a delay measured as zero is one of a few cycles."""
 
 MIN_FOLLOWED = 0.8
-"""An arm follows by this part of its commands at least: a soft servo makes 0.7 of quick
-ones."""
+"""Least fraction of its commands by which an arm is taken to follow: a soft servo makes
+0.7 of quick ones."""
 
 MAX_FOLLOWED = 1.1
-"""And by this at most."""
+"""Largest fraction of its commands by which an arm is taken to follow."""
 
-MAX_EXCITED_PART = 0.15
-"""Where what commands leave unexplained is a smaller part of the error, the loop swings
+MAX_EXCITED_FRACTION = 0.15
+"""Where commands leave a smaller fraction of the error unexplained, the loop swings
 by itself: 0.01 to 0.1 where it does, on servos with a lag of 15 ms, too. A hand that
 shakes the arm leaves 0.3 and more, but at frequencies near the gain."""
 
 MIN_CYCLES = 6
 """A straight line, a factor and a delay are fitted to so many cycles at least."""
 
-LARGEST_PART = 0.7
-"""The swing is larger than this part of what other errors of the task change by
-meanwhile: those of an approach at the limits swing, too."""
+LARGEST_FRACTION = 0.7
+"""The swing is larger than this fraction of the change of every other error of its
+task: errors of an approach at the limits swing, too, beside one that shrinks."""
 
 MIN_POWER = 1e-12
 """Keeps the factor finite where nothing was commanded."""
 
 CHECK_s = 5e-3
-"""Time between two looks at the same row of swings."""
+"""Time between two checks of the same row of swings."""
 
 BLOCKS = 3
 """Saturation is judged over so many blocks of time in a row: it is seen 0.15 to 0.2 s
 after it has begun."""
 
-SATURATED_PART = 0.9
-"""In this part of the time a joint is at a limit."""
+SATURATED_FRACTION = 0.9
+"""A loop is saturated in a block if a joint is at a limit in this fraction of it."""
 
 ASKED = 2.0
-"""A task asks for motion where it asks for more, in counts: noise asks for less."""
+"""A task asks for motion if it asks for more counts in these blocks: noise asks for
+less."""
 
-STEADY_PART = 0.8
-"""And where what it asks adds up to this part of its path: an error that swings is no
-goal out of reach."""
+STEADY_FRACTION = 0.8
+"""It asks steadily if what it asks for adds up to this fraction of its path: an error
+that swings is no goal out of reach."""
 
-SERVED_PART = 0.5
-"""And where limits leave less than this part of it in the commands: against a hand that
-shakes the arm they leave most."""
+SERVED_FRACTION = 0.5
+"""Limits cut it if they leave less than this fraction of it in the commands: of a hand
+that shakes the arm they leave most."""
 
 PROGRESS = 1.0
-"""A loop that comes further, in counts, is not held back."""
+"""A task that comes further, in counts, is not held back."""
 
-PROGRESS_PART = 0.1
-"""Nor is one that comes further than this part of what is asked."""
+PROGRESS_FRACTION = 0.1
+"""Nor is a task that comes further than this fraction of what it asks for."""
 
 
 class FailureKind(StrEnum):
@@ -113,35 +115,35 @@ class LoopFailure(NamedTuple):
     reason: str
 
 
-def _without(basis: Array, signals: Array) -> Array:
-    """Return signals less their straight parts, both in columns."""
+def _remove_trend(basis: Array, signals: Array) -> Array:
+    """Return signals, in columns, less their parts along a basis of straight lines."""
     return signals - basis @ (basis.T @ signals)
 
 
-def _delayed(signals: Array, times_s: Array, at_s: Array) -> Array:
-    """Return signals, in columns, at other times."""
+def _interpolate(signals: Array, times_s: Array, at_s: Array) -> Array:
+    """Return signals, in columns, between their samples, at other times."""
     place = np.interp(at_s, times_s, np.arange(times_s.size))
     before = np.minimum(place.astype(np.intp), times_s.size - 2)
     part = (place - before)[:, None]
     return (1.0 - part) * signals[before] + part * signals[before + 1]
 
 
-def _left_by(errors: Array, commanded: Array) -> float:
-    """Return the power of errors that a part of what was commanded leaves over."""
+def _find_unexplained_power(errors: Array, commanded: Array) -> float:
+    """Return the power of errors that motion commanded for them leaves unexplained."""
     power = max(float((commanded * commanded).sum()), MIN_POWER)
     followed = -float((commanded * errors).sum()) / power
     excited = errors + min(max(followed, MIN_FOLLOWED), MAX_FOLLOWED) * commanded
     return float((excited * excited).sum())
 
 
-def _of_same_task(history: LoopHistory, row: int) -> NDArray[np.bool_]:
+def _find_rows_of_task(history: LoopHistory, row: int) -> NDArray[np.bool_]:
     """Return which of the rows with feedback belong to the task of a row."""
     ends = np.cumsum(history.task_sizes)
     task = np.searchsorted(ends, row, side="right")
     return np.searchsorted(ends, history.rows_with_feedback, side="right") == task
 
 
-def _stands(blocks: Sequence[Block], task_sizes: Sequence[int]) -> bool:
+def _is_held_back(blocks: Sequence[Block], task_sizes: Sequence[int]) -> bool:
     """Return whether the most important task that asks for motion gets none."""
     asked = np.sum([block.asked for block in blocks], axis=0)
     path = np.sum([block.path for block in blocks], axis=0)
@@ -153,14 +155,14 @@ def _stands(blocks: Sequence[Block], task_sizes: Sequence[int]) -> bool:
         end += size
         distance = float(np.linalg.norm(asked[rows]))
         if distance > ASKED:
-            is_steady = distance > STEADY_PART * float(np.linalg.norm(path[rows]))
+            is_steady = distance > STEADY_FRACTION * float(np.linalg.norm(path[rows]))
             served = float(led[rows] @ asked[rows]) / distance
             progress = float(np.linalg.norm(moved[rows]))
             is_still = all(
                 float(np.linalg.norm(block.moved[rows])) < PROGRESS for block in blocks
             )
-            is_cut = served < SERVED_PART * distance
-            is_held = progress < min(PROGRESS, PROGRESS_PART * distance)
+            is_cut = served < SERVED_FRACTION * distance
+            is_held = progress < min(PROGRESS, PROGRESS_FRACTION * distance)
             return is_steady and is_cut and is_still and is_held
     return False
 
@@ -259,39 +261,42 @@ class LoopWatch:
         is_seen = times_s >= history.time_s - row.row_s
         seen_s = times_s[is_seen]
         errors = cycles.errors[is_seen]
-        same_task = _of_same_task(history, row.error)
+        same_task = _find_rows_of_task(history, row.error)
         if not same_task.any():
             return False
         changes = np.ptp(errors[:, same_task], axis=0)
-        is_largest = row.extent > LARGEST_PART * float(changes.max())
+        is_largest = row.extent > LARGEST_FRACTION * float(changes.max())
         if seen_s.size < MIN_CYCLES or not is_largest:
             return False
         straight = np.column_stack((np.ones(seen_s.size), seen_s - seen_s.mean()))
         basis, _ = np.linalg.qr(straight)
-        goals = _without(basis, errors + cycles.moved[is_seen])
-        wanted = _without(basis, cycles.wanted[is_seen])
-        errors = _without(basis, errors)
+        goals = _remove_trend(basis, errors + cycles.moved[is_seen])
+        wanted = _remove_trend(basis, cycles.wanted[is_seen])
+        errors = _remove_trend(basis, errors)
         power = float((errors * errors).sum())
         asked = max((goals * goals).sum(), (wanted * wanted).sum())
-        if asked > MAX_EXCITED_PART**2 * power:
+        if asked > MAX_EXCITED_FRACTION**2 * power:
             return False
         longest_s = min(row.swing_s, self._max_delay_s)
         left = [
-            _left_by(
-                errors, _without(basis, _delayed(cycles.fed_back, times_s, late_s))
+            _find_unexplained_power(
+                errors,
+                _remove_trend(basis, _interpolate(cycles.fed_back, times_s, late_s)),
             )
             for late_s in seen_s - np.linspace(0.0, longest_s, DELAYS)[:, None]
         ]
-        return min(left) < MAX_EXCITED_PART**2 * power
+        return min(left) < MAX_EXCITED_FRACTION**2 * power
 
     def _find_saturation(self, history: LoopHistory) -> LoopFailure | None:
         """Return what limits hold back at the end of a block, None if nothing is."""
         blocks = self._blocks
         blocks.append(history.end_block())
-        is_saturated = all(block.limited_part > SATURATED_PART for block in blocks)
+        is_saturated = all(
+            block.limited_fraction > SATURATED_FRACTION for block in blocks
+        )
         if len(blocks) < BLOCKS or not is_saturated:
             return None
-        if not _stands(blocks, history.task_sizes):
+        if not _is_held_back(blocks, history.task_sizes):
             return None
         return LoopFailure(
             FailureKind.HELD_BACK,

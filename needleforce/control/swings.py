@@ -7,7 +7,7 @@ from foundation.arrays import Vector
 from foundation.jit import compiled_inside
 from foundation.records import read_element
 
-GROWN_SWINGS = 3
+CLEARLY_GROWN_SWINGS = 3
 """Swings in a row, each clearly larger than the one before, that may be an oscillation;
 the last one may still go on."""
 
@@ -16,16 +16,18 @@ CLEAR_GROWTH = 1.25
 1.7."""
 
 HELD_SWINGS = 3
-"""The same where limits hold all swings but the first: safe loops leave their limits as
-they come to their goal."""
+"""Swings in a row that may be an oscillation if limits hold all but the first and none
+is clearly smaller than the one before: safe loops leave their limits as they come to
+their goal."""
 
 LEVEL = 0.85
-"""A swing that limits hold is as large as the one before if it has this part of it."""
+"""A swing that limits hold is clearly smaller than the one before if it has less than
+this fraction of its extent."""
 
-LIMITED_PART = 0.5
-"""In this part of its time a joint is at a limit in a swing that limits hold."""
+LIMITED_FRACTION = 0.5
+"""Limits hold a swing if a joint is at a limit in this fraction of its time."""
 
-SWINGS = 5
+GROWING_SWINGS = 5
 """Swings in a row that grow a little, and may be an oscillation."""
 
 GROWTH = 1.05
@@ -138,7 +140,7 @@ def turn_swing(swing: Swing, error: float, dt_s: float) -> None:
     """End a swing, and begin the next one at its extreme."""
     extent = abs(swing.extreme - swing.start)
     since_s = swing.going_s + swing.turned_s
-    is_held = swing.limited_s > LIMITED_PART * since_s
+    is_held = swing.limited_s > LIMITED_FRACTION * since_s
     if continues_row(swing, dt_s):
         swing.alike += 1
         swing.held += int(is_held)
@@ -167,12 +169,12 @@ def may_oscillate(swing: Swing, dt_s: float) -> bool:
         return False
     extent = abs(swing.extreme - swing.start)
     since_s = swing.going_s + swing.turned_s
-    is_held = swing.limited_s > LIMITED_PART * since_s
+    is_held = swing.limited_s > LIMITED_FRACTION * since_s
     is_grown = extent > CLEAR_GROWTH * swing.last_extent
     return (
-        swing.alike + 1 >= SWINGS
+        swing.alike + 1 >= GROWING_SWINGS
         or swing.held + int(is_held) >= HELD_SWINGS
-        or (is_grown and swing.grown + 1 >= GROWN_SWINGS)
+        or (is_grown and swing.grown + 1 >= CLEARLY_GROWN_SWINGS)
     )
 
 
@@ -180,7 +182,7 @@ def may_oscillate(swing: Swing, dt_s: float) -> bool:
 def continues_row(swing: Swing, dt_s: float) -> bool:
     """Return whether the swing that goes on is like the one before, or larger."""
     since_s = swing.going_s + swing.turned_s
-    is_held = swing.limited_s > LIMITED_PART * since_s
+    is_held = swing.limited_s > LIMITED_FRACTION * since_s
     longest_s = max(swing.going_s, swing.last_s)
     has_settled = swing.turned_s > longest_s + dt_s
     uneven_s = abs(swing.going_s - swing.last_s)
