@@ -177,9 +177,9 @@ class Controller:
             if not math.isfinite(q_rad.dot(q_rad)):
                 return self._brake("positions are not finite")
             self._step_s = min(dt_s, MAX_STEP_s)
-            ahead_rad = self._prediction.find_motion_ahead()
-            predicted_rad = q_rad + ahead_rad
-            self.tool.update(self._filter_positions(predicted_rad, dt_s))
+            predicted_rad = q_rad + self._prediction.find_motion_ahead()
+            position_rad = self._filter_positions(predicted_rad, dt_s)
+            self.tool.update(position_rad)
             self._select_stack(stack)
             numbers = self._stack
             numbers.fill(stack, self.tool)
@@ -197,7 +197,7 @@ class Controller:
                 q_rad,
                 self.last_rad_s,
                 dt_s,
-                ahead_rad=ahead_rad,
+                ahead_rad=position_rad - q_rad,
                 is_limited=is_limited,
             )
             if failure is not None and self._stops_failed_loop:

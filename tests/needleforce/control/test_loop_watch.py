@@ -157,6 +157,23 @@ def test_a_gain_too_high_for_the_delay_is_an_oscillation(kind, late_cycles, late
     assert run.time_s < latest_s + 2.0 * DT_s * late_cycles  # the first quarter swing
 
 
+@pytest.mark.parametrize("late_cycles", [15, 40])
+@pytest.mark.parametrize("kind", ["centre", "fixture", "motion"])
+def test_an_oscillation_of_filtered_positions_is_seen(kind, late_cycles):
+    """With a limited jerk tasks act on low-passed positions, late or early by 8 ms."""
+    run = close_loop(
+        kind=kind,
+        gain_per_s=unstable_gain(late_cycles),
+        late_cycles=late_cycles,
+        step_m=3e-3,
+        limits=Limits.of_arm(ROBOT, "lwr"),
+        seconds=1.5,
+    )
+
+    assert run.status == "oscillates"
+    assert run.time_s < 0.32
+
+
 def test_an_oscillation_of_joints_is_seen():
     run = close_loop(kind="posture", gain_per_s=unstable_gain(10), step_m=0.02)
 
