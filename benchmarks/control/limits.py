@@ -2,10 +2,10 @@
 
 The needle goes in 10 mm past a remote centre, tilts by 20 degrees in two seconds (half
 a second where *quick*) and goes round on that cone. Positions carry noise of 1e-5 rad;
-commands act at once or after 10 ms, and one cycle in a hundred is lost, which repeats
-the command before. The arm integrates what reaches it: no dynamics, so that what is
-counted is the controller's. Limits are those of `ARM_LIMITS`, errors those of true
-positions.
+commands act at once or after 10 ms, which the controller knows where *known*, and one
+cycle in a hundred is lost, which repeats the command before. The arm integrates what
+reaches it: no dynamics, so that what is counted is the controller's. Limits are those
+of `ARM_LIMITS`, errors those of true positions.
 """
 
 import math
@@ -51,7 +51,6 @@ LOST = 0.01
 """Fraction of the cycles that are lost."""
 ROUNDING = 1e-6
 """A limit is passed by more than this part of it: differences of doubles round."""
-DELAYS_ms = (0, 10)
 MILLI = 1e3
 US_PER_NS = 1e-3
 
@@ -102,14 +101,51 @@ ARMS = {
     ),
     "iiwa14": Arm(_load_iiwa, _KUKA_POSTURE_rad),
 }
-QUICK = "quick"
-_PACES = ("", f" {QUICK}")
-CASES = tuple(
-    f"{arm} {delay_ms}ms{pace}"
-    for arm in ARMS
-    for delay_ms in DELAYS_ms
-    for pace in _PACES
-)
+
+
+class Case(NamedTuple):
+    """A minute of an arm.
+
+    Attributes:
+        arm: A name of `ARMS`.
+        delay_ms: From command to motion.
+        is_quick: Whether the needle tilts in `QUICK_TILT_s`.
+        is_known: Whether the controller knows the delay.
+    """
+
+    arm: str
+    delay_ms: int = 0
+    is_quick: bool = False
+    is_known: bool = False
+
+    @property
+    def name(self) -> str:
+        """As results name it."""
+        quick = " quick" if self.is_quick else ""
+        known = " known" if self.is_known else ""
+        return f"{self.arm} {self.delay_ms}ms{quick}{known}"
+
+    @property
+    def tilt_s(self) -> float:
+        """Time of the tilt."""
+        return QUICK_TILT_s if self.is_quick else TILT_s
+
+
+LATE_ms = 10
+"""A delay as networks and soft servos have it."""
+
+
+def _list_cases() -> Iterator[Case]:
+    """Yield every case."""
+    for arm in ARMS:
+        for delay_ms in (0, LATE_ms):
+            for is_quick in (False, True):
+                yield Case(arm, delay_ms, is_quick)
+        yield Case(arm, LATE_ms, is_quick=True, is_known=True)
+
+
+_CASES = {case.name: case for case in _list_cases()}
+CASES = tuple(_CASES)
 
 
 @dataclass(frozen=True)
@@ -133,25 +169,54 @@ class ConeRun:
     is_limited: NDArray[np.bool_]
 
 
-def run_cone(
-    name: str, delay_ms: int, tilt_s: float, rng: np.random.Generator
-) -> ConeRun:
-    """Move an arm onto the cone in some time, and round it for `DURATION_s`."""
-    arm = ARMS[name]
+class Cone:
+    """The cone that the needle goes round, and the tasks that lead it.
+
+    Args:
+        tool: The needle, as it begins.
+        posture_rad: Joint positions that the arm keeps near to, shape (n,).
+
+    Attributes:
+        entry_m: Its apex, shape (3,).
+        tasks: The entry first, then the tip, then the posture.
+    """
+
+    def __init__(self, tool: ToolState, posture_rad: Array) -> None:
+        self._axes = tool.rotation
+        self.entry_m = tool.tip_m - DEPTH_m * tool.axis
+        self._tip = TipVelocity((0.0, 0.0, 0.0), tool.tip_m, TIP_GAIN_per_s)
+        self.tasks = (RemoteCentre(self.entry_m), self._tip, Posture(posture_rad))
+
+    def move_goal(self, t_s: float, tilt_s: float) -> None:
+        """Set the goal of the tip at a time, with the time of the tilt."""
+        grown = min(t_s / tilt_s, 1.0)
+        tilt_rad = TILT_rad * grown**2 * (3.0 - 2.0 * grown)
+        angle_rad = 2.0 * math.pi * t_s / PERIOD_s
+        across = math.sin(tilt_rad)
+        direction = np.array(
+            (
+                across * math.cos(angle_rad),
+                across * math.sin(angle_rad),
+                math.cos(tilt_rad),
+            )
+        )
+        self._tip.goal_m = self.entry_m + DEPTH_m * self._axes @ direction
+
+
+def run_cone(case: Case, rng: np.random.Generator) -> ConeRun:
+    """Move an arm onto the cone, and round it for `DURATION_s`."""
+    arm = ARMS[case.arm]
     robot = arm.load()
-    cycle_s = ARM_LIMITS[name].cycle_s
-    control = Controller(robot, Limits.of_arm(robot, name))
+    cycle_s = ARM_LIMITS[case.arm].cycle_s
+    delay_s = case.delay_ms / MILLI
+    limits = Limits.of_arm(robot, case.arm)
+    control = Controller(robot, limits, delay_s=delay_s if case.is_known else None)
     truth = ToolState(robot)
     q_rad = np.array(arm.posture_rad)
     truth.update(q_rad)
-    home_m = truth.tip_m
-    axes = truth.rotation
-    entry_m = home_m - DEPTH_m * axes[:, 2]
-    tip = TipVelocity((0.0, 0.0, 0.0), home_m, TIP_GAIN_per_s)
-    stack = (RemoteCentre(entry_m), tip, Posture(q_rad.copy()))
+    cone = Cone(truth, q_rad)
     command_rad_s = np.zeros(robot.nv)
-    waiting = deque([command_rad_s] * round(delay_ms / MILLI / cycle_s))
-    no_torque_Nm = np.zeros(robot.nv)
+    waiting = deque([command_rad_s] * round(delay_s / cycle_s))
     since_s = 0.0
     positions = list[Array]()
     commands = list[Array]()
@@ -159,13 +224,13 @@ def run_cone(
     taken_us = list[float]()
     limited = list[bool]()
     for cycle in range(round(DURATION_s / cycle_s)):
-        tip.goal_m = entry_m + DEPTH_m * axes @ _point_on_cone(cycle * cycle_s, tilt_s)
+        cone.move_goal(cycle * cycle_s, case.tilt_s)
         since_s += cycle_s
         if rng.random() >= LOST:
             measured_rad = q_rad + NOISE_rad * rng.standard_normal(robot.nv)
-            sample = ArmSample(since_s, measured_rad, None, no_torque_Nm)
+            sample = ArmSample(since_s, measured_rad, None, np.zeros(robot.nv))
             begin_ns = thread_time_ns()
-            command = control.update(sample, stack)
+            command = control.update(sample, cone.tasks)
             taken_us.append((thread_time_ns() - begin_ns) * US_PER_NS)
             limited.append(command.is_limited)
             command_rad_s = command.dq_rad_s
@@ -175,7 +240,7 @@ def run_cone(
         q_rad = q_rad + cycle_s * waiting.popleft()
         truth.update(q_rad)
         positions.append(q_rad)
-        errors_m.append(distance_to_axis_m(entry_m, truth.tip_m, truth.axis))
+        errors_m.append(distance_to_axis_m(cone.entry_m, truth.tip_m, truth.axis))
     return ConeRun(
         robot,
         np.array(positions),
@@ -183,17 +248,6 @@ def run_cone(
         np.array(errors_m),
         np.array(taken_us),
         np.array(limited),
-    )
-
-
-def _point_on_cone(t_s: float, tilt_s: float) -> Array:
-    """Return the needle's direction at a time, in the axes that it began with."""
-    grown = min(t_s / tilt_s, 1.0)
-    tilt_rad = TILT_rad * grown**2 * (3.0 - 2.0 * grown)
-    angle_rad = 2.0 * math.pi * t_s / PERIOD_s
-    across = math.sin(tilt_rad)
-    return np.array(
-        (across * math.cos(angle_rad), across * math.sin(angle_rad), math.cos(tilt_rad))
     )
 
 
@@ -221,11 +275,9 @@ def count_excess(run: ConeRun, preset: ArmLimits) -> dict[str, int]:
 def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
     """Yield the numbers of an arm at a delay; no plant plays a part."""
     del plant
-    name, delay, *pace = case.split()
-    tilt_s = QUICK_TILT_s if pace else TILT_s
-    rng = np.random.default_rng(seed)
-    run = run_cone(name, int(delay.removesuffix("ms")), tilt_s, rng)
-    for limit, count in count_excess(run, ARM_LIMITS[name]).items():
+    minute = _CASES[case]
+    run = run_cone(minute, np.random.default_rng(seed))
+    for limit, count in count_excess(run, ARM_LIMITS[minute.arm]).items():
         yield our_measurement(f"ticks_above_{limit}_limit", count)
     yield our_measurement("rcm_error_max_mm", MILLI * run.errors_m.max())
     yield our_measurement("rcm_error_rms_mm", MILLI * np.sqrt(np.mean(run.errors_m**2)))

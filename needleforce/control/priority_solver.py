@@ -17,7 +17,12 @@ from numpy.typing import NDArray
 
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
 from foundation.jit import compiled, compiled_inside
-from foundation.linear_algebra import dot
+from foundation.linear_algebra import (
+    dot,
+    multiply,
+    multiply_transposed,
+    multiply_vector,
+)
 from needleforce.control.errors import SettingError
 from needleforce.control.joint_limits import SLACK_rad_s
 from needleforce.control.tasks import JointTask, Task, ToolState
@@ -137,10 +142,24 @@ class Level(NamedTuple):
         unbounded: What this level and those above ask for without bounds, shape (n,).
     """
 
-    rows: Array
-    rates: Array
+    rows: Matrix
+    rates: Vector
+    free: Matrix
+    unbounded: Vector
+
+
+class PlannedLevel(NamedTuple):
+    """A level, and what it leaves to those below.
+
+    Attributes:
+        level: To be solved within bounds.
+        free: N of the levels below, shape (n, k).
+        is_damped: Whether a direction is damped that joints hardly move.
+    """
+
+    level: Level
     free: Array
-    unbounded: Array
+    is_damped: bool
 
 
 Solver = Callable[[Stack], tuple[Array, bool]]
@@ -184,15 +203,7 @@ def hierarchical(stack: Stack) -> tuple[Array, bool]:
 def plan_levels(stack: Stack) -> tuple[list[Level], Array]:
     """Return levels to be solved within bounds, and the velocity without bounds, (n,).
 
-    A level can hardly make up for what those above ask for, x, where that takes far
-    motion, and goes along with it. By a left singular vector u of J N, with the
-    singular value σ, it asks for
-
-        u^T v + (1 - b) u^T J x,    b = min(σ/σ₁, 1)²    (σ₁: `INEFFECTIVE_MOTION`)
-
-    Else an error of an entry, K e, turns a needle whose tip is at a small depth d by
-    K e/d, and the loop swings: joints that are late by some time and a lever L move the
-    entry by L K e/d times that.
+    See `plan_level`.
     """
     joints = stack.joint_velocity.size
     asked = np.zeros(joints)
@@ -201,32 +212,99 @@ def plan_levels(stack: Stack) -> tuple[list[Level], Array]:
     for rows, rates in [*stack.levels, (free, stack.joint_velocity)]:
         if not free.size:
             break
-        length = np.maximum(np.sqrt((rows * rows).sum(axis=1)), MIN_ROW_LENGTH)
-        rows = rows / length[:, None]
-        rates = rates / length
-        parts, motion, directions = np.linalg.svd(rows @ free)
-        parts = parts[:, : motion.size]
-        joint_directions = directions[: motion.size] @ free.T
-        compensated = np.minimum(motion / INEFFECTIVE_MOTION, 1.0) ** 2
-        asked_above = rows @ asked
-        rates = rates + parts @ ((1.0 - compensated) * (parts.T @ asked_above))
-        errors = parts.T @ (rates - asked_above)
-        damping = find_damping(motion, errors)
-        gain = np.zeros(motion.size)
-        np.divide(motion, motion**2 + damping**2, out=gain, where=motion > MIN_MOTION)
-        asked = asked + (gain * errors) @ joint_directions
-        is_damped = damping > 0.0
-        stack.is_damped = stack.is_damped or bool(is_damped.any())
-        damping_rows = damping[is_damped, None] * joint_directions[is_damped]
-        all_rows = np.vstack((rows, damping_rows))
-        all_rates = np.concatenate((rates, np.zeros(len(damping_rows))))
-        levels.append(Level(all_rows, all_rates, free, asked))
-        rank = np.count_nonzero(motion > MIN_MOTION)
-        free = np.ascontiguousarray(free @ directions[rank:].T)
+        planned = plan_level(rows, rates, free, asked)
+        levels.append(planned.level)
+        asked = planned.level.unbounded
+        free = planned.free
+        stack.is_damped = stack.is_damped or planned.is_damped
     return levels, asked
 
 
-def find_damping(motion: Array, errors: Array) -> Array:
+@compiled
+def plan_level(
+    rows: Matrix, rates: Vector, free: Matrix, asked: Vector
+) -> PlannedLevel:
+    """Return a level to be solved within bounds, and what it leaves to those below.
+
+    It can hardly make up for what the levels above ask for, x, where that takes far
+    motion, and goes along with it. By a left singular vector u of J N, with the
+    singular value σ, it asks for
+
+        u^T v + (1 - b) u^T J x,    b = min(σ/σ₁, 1)²    (σ₁: `INEFFECTIVE_MOTION`)
+
+    Else an error of an entry, K e, turns a needle whose tip is at a small depth d by
+    K e/d, and the loop swings: joints that are late by some time and a lever L move the
+    entry by L K e/d times that. What joints hardly move is damped, see `find_damping`.
+
+    Args:
+        rows: J, shape (m, n).
+        rates: v, shape (m,).
+        free: N, orthonormal directions in columns, that move no row of the levels
+            above, shape (n, k), k > 0.
+        asked: x, shape (n,).
+    """
+    unit_rows, unit_rates = scale_to_unit_length(rows, rates)
+    asked_above = multiply_vector(unit_rows, asked)
+    left_vectors, motions, right_vectors = np.linalg.svd(multiply(unit_rows, free))
+    parts = np.ascontiguousarray(left_vectors.T)
+    directions = multiply_transposed(np.ascontiguousarray(right_vectors), free)
+    velocity = asked.copy()
+    dampings = np.zeros(motions.size)
+    rank = 0
+    for i in range(motions.size):
+        motion = motions[i]
+        compensated = min(motion / INEFFECTIVE_MOTION, 1.0) ** 2
+        above = dot(parts[i], asked_above)
+        error = dot(parts[i], unit_rates) - compensated * above
+        # Parts are orthonormal: what is added along one changes no error of another.
+        for k in range(rates.size):
+            unit_rates[k] += (1.0 - compensated) * above * parts[i, k]
+        if motion > MIN_MOTION:
+            rank += 1
+            dampings[i] = find_damping(motion, error)
+            step_rad_s = motion / (motion**2 + dampings[i] ** 2) * error
+            for k in range(velocity.size):
+                velocity[k] += step_rad_s * directions[i, k]
+    damping_rows = multiply_rows(directions, dampings)
+    rest = np.zeros(len(damping_rows))
+    level = Level(
+        np.vstack((unit_rows, damping_rows)),
+        np.concatenate((unit_rates, rest)),
+        free,
+        velocity,
+    )
+    free_below = np.ascontiguousarray(directions[rank:].T)
+    return PlannedLevel(level, free_below, rest.size > 0)
+
+
+@compiled_inside
+def scale_to_unit_length(rows: Matrix, rates: Vector) -> tuple[Array, Array]:
+    """Return rows of length one each, and the rates that go with them, copies."""
+    unit_rows = rows.copy()
+    unit_rates = rates.copy()
+    for i in range(rates.size):
+        length = max(math.sqrt(dot(rows[i], rows[i])), MIN_ROW_LENGTH)
+        unit_rates[i] /= length
+        for k in range(rows.shape[1]):
+            unit_rows[i, k] /= length
+    return unit_rows, unit_rates
+
+
+@compiled_inside
+def multiply_rows(rows: Matrix, factors: Vector) -> Array:
+    """Return the first rows times a factor each; rows without a positive one go."""
+    products = np.empty((factors.size, rows.shape[1]))
+    size = 0
+    for i in range(factors.size):
+        if factors[i] > 0.0:
+            for k in range(rows.shape[1]):
+                products[size, k] = factors[i] * rows[i, k]
+            size += 1
+    return products[:size]
+
+
+@compiled_inside
+def find_damping(motion: float, error: float) -> float:
     """Return damping that keeps joints from moving far for a gain that is small.
 
     Along a right singular vector v of J N, with the singular value σ and the part e of
@@ -241,20 +319,20 @@ def find_damping(motion: Array, errors: Array) -> Array:
     are zero, and the level exact, elsewhere.
 
     Args:
-        motion: σ, shape (k,).
-        errors: e, shape (k,).
+        motion: σ, positive.
+        error: e.
 
     Returns:
-        λ, shape (k,).
+        λ.
     """
-    weakness = np.maximum(1.0 - (motion / WEAK_MOTION) ** 2, 0.0)
-    highest_rad_s = MAX_DETOUR_rad_s * np.maximum(motion / DETOUR_MOTION, 1.0) ** 2
-    too_fast = np.abs(errors) * motion / highest_rad_s - motion**2
-    excess = np.sqrt(np.maximum(too_fast, 0.0))
-    return np.where(motion > MIN_MOTION, np.maximum(MAX_DAMPING * weakness, excess), 0)
+    weakness = max(1.0 - (motion / WEAK_MOTION) ** 2, 0.0)
+    highest_rad_s = MAX_DETOUR_rad_s * max(motion / DETOUR_MOTION, 1.0) ** 2
+    too_fast = abs(error) * motion / highest_rad_s - motion**2
+    return max(MAX_DAMPING * weakness, math.sqrt(max(too_fast, 0.0)))
 
 
-def solve_bounded_level(level: Level, bounds: Array, start: Array) -> Array:
+@compiled
+def solve_bounded_level(level: Level, bounds: Matrix, start: Vector) -> Array:
     """Solve a level, see `solve_level`, and keep joints from standing in for others.
 
     Where joints are held at a bound, the rest might move far to make up for them: a
@@ -263,24 +341,64 @@ def solve_bounded_level(level: Level, bounds: Array, start: Array) -> Array:
     level: by v, with the singular value σ, λ (N v)ᵀ with
 
         λ = λ_s (1 - (σ/σ₁)²)      below σ₁ (`INEFFECTIVE_MOTION`)
+
+    Args:
+        level: As `plan_level` returns it.
+        bounds: l and u, shape (2, n).
+        start: Velocity of the levels above, within bounds, shape (n,).
+
+    Returns:
+        The velocity of the level, shape (n,).
     """
-    rows, rates, free, unbounded = level
-    velocity = start
-    is_held = (unbounded <= bounds[0]) | (unbounded >= bounds[1])
+    rows = level.rows.copy()
+    rates = level.rates.copy()
+    velocity = start.copy()
+    held = np.zeros(start.size)
+    for k in range(start.size):
+        asked = level.unbounded[k]
+        if asked <= bounds[0, k] or asked >= bounds[1, k]:
+            held[k] = 1.0
     for _ in range(MAX_STAND_IN_SOLUTIONS):
-        remaining = free @ null_space(free[is_held])
-        _, motion, directions = np.linalg.svd(rows @ remaining, full_matrices=False)
-        damping = STAND_IN_DAMPING * (1.0 - (motion / INEFFECTIVE_MOTION) ** 2)
-        is_damped = (damping > 0.0) & (motion > MIN_MOTION)
-        held_back = damping[is_damped, None] * (directions[is_damped] @ remaining.T)
+        held_back = find_stand_ins(rows, level.free, held)
         rows = np.vstack((rows, held_back))
-        rates = np.concatenate((rates, held_back @ unbounded))
-        velocity, _ = solve_level(rows, rates, free, bounds, start)
-        now_held = is_held | find_held_joints(velocity, bounds)
-        if (now_held == is_held).all():
+        rates = np.concatenate((rates, multiply_vector(held_back, level.unbounded)))
+        velocity, _ = solve_level(rows, rates, level.free, bounds, start)
+        is_news = False
+        for k in range(start.size):
+            room = min(velocity[k] - bounds[0, k], bounds[1, k] - velocity[k])
+            if room <= AT_LIMIT_rad_s and held[k] == 0.0:
+                held[k] = 1.0
+                is_news = True
+        if not is_news:
             break
-        is_held = now_held
     return velocity
+
+
+@compiled_inside
+def find_stand_ins(rows: Matrix, free: Matrix, held: Vector) -> Array:
+    """Return rows that hold back joints which would stand in for those at a bound.
+
+    See `solve_bounded_level`.
+
+    Args:
+        rows: Of the level, shape (m, n).
+        free: N, shape (n, k).
+        held: 1 for a joint at a bound, 0 for others, shape (n,).
+
+    Returns:
+        λ (N v)ᵀ of each direction v that hardly moves the level, shape (r, n).
+    """
+    remaining = multiply(free, null_space(free[held != 0.0]))
+    if not remaining.shape[1]:
+        return np.zeros((0, len(free)))
+    _, motions, right_vectors = np.linalg.svd(multiply(rows, remaining), False)
+    directions = multiply_transposed(np.ascontiguousarray(right_vectors), remaining)
+    dampings = np.zeros(motions.size)
+    for i in range(motions.size):
+        if motions[i] > MIN_MOTION:
+            weakness = 1.0 - (motions[i] / INEFFECTIVE_MOTION) ** 2
+            dampings[i] = STAND_IN_DAMPING * weakness
+    return multiply_rows(directions, dampings)
 
 
 def find_held_joints(velocity: Array, bounds: Array) -> NDArray[np.bool_]:
