@@ -103,7 +103,7 @@ ARMS = {
 }
 
 
-class Case(NamedTuple):
+class ConeCase(NamedTuple):
     """A minute of an arm.
 
     Attributes:
@@ -135,13 +135,13 @@ LATE_ms = 10
 """A delay as networks and soft servos have it."""
 
 
-def _list_cases() -> Iterator[Case]:
+def _list_cases() -> Iterator[ConeCase]:
     """Yield every case."""
     for arm in ARMS:
         for delay_ms in (0, LATE_ms):
             for is_quick in (False, True):
-                yield Case(arm, delay_ms, is_quick)
-        yield Case(arm, LATE_ms, is_quick=True, is_known=True)
+                yield ConeCase(arm, delay_ms, is_quick)
+        yield ConeCase(arm, LATE_ms, is_quick=True, is_known=True)
 
 
 _CASES = {case.name: case for case in _list_cases()}
@@ -203,7 +203,7 @@ class Cone:
         self._tip.goal_m = self.entry_m + DEPTH_m * self._axes @ direction
 
 
-def run_cone(case: Case, rng: np.random.Generator) -> ConeRun:
+def run_cone(case: ConeCase, rng: np.random.Generator) -> ConeRun:
     """Move an arm onto the cone, and round it for `DURATION_s`."""
     arm = ARMS[case.arm]
     robot = arm.load()
@@ -275,9 +275,9 @@ def count_excess(run: ConeRun, preset: ArmLimits) -> dict[str, int]:
 def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
     """Yield the numbers of an arm at a delay; no plant plays a part."""
     del plant
-    minute = _CASES[case]
-    run = run_cone(minute, np.random.default_rng(seed))
-    for limit, count in count_excess(run, ARM_LIMITS[minute.arm]).items():
+    cone_case = _CASES[case]
+    run = run_cone(cone_case, np.random.default_rng(seed))
+    for limit, count in count_excess(run, ARM_LIMITS[cone_case.arm]).items():
         yield our_measurement(f"ticks_above_{limit}_limit", count)
     yield our_measurement("rcm_error_max_mm", MILLI * run.errors_m.max())
     yield our_measurement("rcm_error_rms_mm", MILLI * np.sqrt(np.mean(run.errors_m**2)))
