@@ -30,12 +30,20 @@ from identification import (
     MultilayerConfig,
     PublishedConfig,
     Replay,
+    SampleStatus,
+    TissueWarning,
     replay,
 )
-from needleforce import InsertionSession
+from needleforce import InsertionSession, SessionEstimate
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import PUBLISHED as PUBLISHED_SENSOR
-from residual import FrictionModel, MomentumObserver, SensorConfig, TareError
+from residual import (
+    FrictionModel,
+    MomentumObserver,
+    SensorConfig,
+    SensorWarning,
+    TareError,
+)
 from residual.momentum_observer import Alignment
 from urdf import LWR_GEAR_RATIO, Robot
 
@@ -86,6 +94,30 @@ friction error on the 50 % gel is 125 %, through this low-pass 11 %. Ours has th
 inside and is given the raw speed."""
 
 
+class Warned(NamedTuple):
+    """What a session warned of after its tare.
+
+    Attributes:
+        sensor: Warnings of the virtual sensor.
+        tissue: Warnings about the tissue.
+        is_pulled: Whether the force was said to pull at the needle.
+    """
+
+    sensor: SensorWarning = SensorWarning.NONE
+    tissue: TissueWarning = TissueWarning.NONE
+    is_pulled: bool = False
+
+    def with_estimate(self, estimate: SessionEstimate) -> "Warned":
+        """Return the same after the estimate of a tick."""
+        identification = estimate.identification
+        is_pulled = identification.status is SampleStatus.NEEDLE_PULLED
+        return Warned(
+            self.sensor | estimate.warnings,
+            self.tissue | identification.warnings,
+            self.is_pulled or is_pulled,
+        )
+
+
 class SessionRun(NamedTuple):
     """What an `InsertionSession` made of n samples of an arm.
 
@@ -96,6 +128,7 @@ class SessionRun(NamedTuple):
         result: Of the identification, from the tare on.
         was_refused: The tare, which was then done with ``ignore_contact``.
         unsmoothed_N: The force that was identified, shape (n,).
+        warned: What it warned of.
     """
 
     reading: ForceReading
@@ -104,6 +137,7 @@ class SessionRun(NamedTuple):
     result: Replay
     was_refused: bool
     unsmoothed_N: Array
+    warned: Warned
 
 
 def run_session(
@@ -139,6 +173,7 @@ def run_session(
     tare = int(np.searchsorted(signals.t_s, tare_s))
     estimates: list[Estimate] = []
     was_refused = False
+    warned = Warned()
     for k, sample in enumerate(signals.samples()):
         if k % REPORT_EVERY == 0:
             progress(k / len(signals.t_s))
@@ -154,13 +189,16 @@ def run_session(
         series[:, k] = *estimate.wrench[:2], *motion, force_N
         if k >= tare:
             estimates.append(estimate.identification)
+            warned = warned.with_estimate(estimate)
     reading = ForceReading(
         source="virtual", method=method, axial_N=series[0], std_N=series[1]
     )
     t_s = signals.t_s[tare:]
     layers = session.layers
     result = Replay(t_s=t_s, estimates=tuple(estimates), layers=layers, hints=())
-    return SessionRun(reading, series[2], series[3], result, was_refused, series[4])
+    return SessionRun(
+        reading, series[2], series[3], result, was_refused, series[4], warned
+    )
 
 
 OBSERVER_GAINS_per_s = (5.0, 10.0, 20.0, 40.0, 70.0)

@@ -13,6 +13,7 @@ from benchmarks.insertion.methods import (
     ForceReading,
     Identified,
     SessionRun,
+    Warned,
     best_gain,
     ft_force,
     identify,
@@ -31,11 +32,12 @@ from benchmarks.jobs import Drawing, Job, JobResult, Progress, progress_part
 from benchmarks.report.force_plots import force_figures
 from benchmarks.report.identification_figures import draw_identification
 from benchmarks.report.published_figures import ENHANCED_FIGURES
-from benchmarks.results import Measurement, Method
+from benchmarks.results import Measurement, Method, our_measurement
 from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simulate
 from groundtruth.plant_model import MINI45
 from groundtruth.scenarios import DRAWN
-from identification import PUBLISHED_KV
+from identification import PUBLISHED_KV, TissueWarning
+from residual import SensorWarning
 
 NEEDLE = "needle"
 """The plant of a simulation without an arm."""
@@ -179,7 +181,24 @@ def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
         Measurement("virtual", method, "tare_refused", float(item.was_refused))
         for method, item in case.sessions.items()
     ]
-    return residual_metrics(case.run, case.signals) + forces + refused
+    warned = [
+        item
+        for method, session in case.sessions.items()
+        if method == "ours"
+        for item in false_warnings(session.warned)
+    ]
+    return residual_metrics(case.run, case.signals) + forces + refused + warned
+
+
+def false_warnings(warned: Warned) -> list[Measurement]:
+    """Return what a session warned of; in simulated insertions nothing of it is so."""
+    raised = {
+        "torque_jump_warned": SensorWarning.TORQUE_JUMP in warned.sensor,
+        "needle_pull_warned": warned.is_pulled,
+        "moving_tissue_warned": TissueWarning.TISSUE_MOVES in warned.tissue,
+        "hard_contact_warned": TissueWarning.HARD_CONTACT in warned.tissue,
+    }
+    return [our_measurement(name, is_raised) for name, is_raised in raised.items()]
 
 
 def session_signal(

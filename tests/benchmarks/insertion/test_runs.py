@@ -112,7 +112,7 @@ def test_equal_runs_give_equal_numbers_of_every_source():
         for name in ("rmse_N", "bias_N", "lag_ms", "coverage_2sigma"):
             assert np.isfinite(numbers[source, method, f"wrench_{name}"])
 
-    assert len(numbers) == 18
+    assert len(numbers) == 22
 
 
 def test_without_tissue_only_the_virtual_sensor_is_judged():
@@ -126,6 +126,10 @@ def test_without_tissue_only_the_virtual_sensor_is_judged():
         "wrench_bias_N",
         "wrench_coverage_2sigma",
         "tare_refused",
+        "torque_jump_warned",
+        "needle_pull_warned",
+        "moving_tissue_warned",
+        "hard_contact_warned",
     }
 
     assert {metric for _, _, metric in values(case)} == numbers
