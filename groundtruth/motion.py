@@ -54,6 +54,7 @@ TURNING_REST_S = 2.0
 LAST_REST_S = 0.5
 # Time in which a constant-speed stroke reaches its speed: under 1 mm of travel.
 RAMP_S = 0.5
+TREMOR_FADE_S = 1.0
 MAX_RAMP_FRACTION = 0.5
 TOLERANCE = 1e-9  # seconds and metres within which two strokes meet
 
@@ -160,6 +161,46 @@ def _cruise_course(time: Array, ramp: float) -> tuple[Array, Array]:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
+class Tremor:
+    """The trembling of a hand that holds the needle: a sine along its axis.
+
+    It fades in within a second from the end of the tare stroke, and out within the
+    second before the withdrawal.
+
+    Attributes:
+        amplitude_m: Its amplitude.
+        frequency_hz: Its frequency.
+    """
+
+    amplitude_m: float
+    frequency_hz: float
+
+    def __post_init__(self) -> None:
+        require_positive(MotionError, self, "amplitude_m frequency_hz")
+
+    def evaluate(self, t_s: Array, start_s: float, end_s: float) -> StrokeMotion:
+        """Return the position [m] and speed [m/s] that it adds at any times.
+
+        Args:
+            t_s: Times.
+            start_s: When it begins to fade in.
+            end_s: When it has faded out.
+        """
+        rate_rad_s = 2.0 * np.pi * self.frequency_hz
+        inside_s = np.minimum(t_s - start_s, end_s - t_s)
+        grown = np.clip(inside_s / TREMOR_FADE_S, 0.0, 1.0)
+        is_fading = (grown > 0.0) & (grown < 1.0)
+        is_growing = t_s - start_s < end_s - t_s
+        growth_per_s = is_fading * np.where(is_growing, 1.0, -1.0) / TREMOR_FADE_S
+        wave = np.sin(rate_rad_s * t_s)
+        wave_per_s = rate_rad_s * np.cos(rate_rad_s * t_s)
+        return StrokeMotion(
+            position_m=self.amplitude_m * grown * wave,
+            speed_m_s=self.amplitude_m * (grown * wave_per_s + growth_per_s * wave),
+        )
+
+
+@dataclass(frozen=True, slots=True, kw_only=True)
 class Motion:
     """Position of the needle tip along the insertion axis over time.
 
@@ -172,6 +213,7 @@ class Motion:
         insertion_end_s: Time at which the needle is at its deepest and rests.
         withdrawal_start_s: Time at which the withdrawal begins.
         withdrawal_end_s: Time at which the needle is back above the surface.
+        tremor: Of the hand that holds the needle; None for a steady one.
     """
 
     strokes: tuple[Stroke, ...]
@@ -179,6 +221,7 @@ class Motion:
     insertion_end_s: float
     withdrawal_start_s: float
     withdrawal_end_s: float
+    tremor: Tremor | None = None
 
     def __post_init__(self) -> None:
         if not self.strokes:
@@ -235,6 +278,10 @@ class Motion:
             motion = self.strokes[i].evaluate(t[inside])
             position_m[inside] = motion.position_m
             speed_m_s[inside] = motion.speed_m_s
+        if self.tremor is not None:
+            swing = self.tremor.evaluate(t, self.tare_end_s, self.withdrawal_start_s)
+            position_m = position_m + swing.position_m
+            speed_m_s = speed_m_s + swing.speed_m_s
         return StrokeMotion(position_m[()], speed_m_s[()])  # a number for a number
 
 

@@ -15,7 +15,7 @@ import msgspec
 import numpy as np
 
 from groundtruth import PLANT_MODELS, Motion, PlantModel, Scenario
-from groundtruth.motion import Move, protocol
+from groundtruth.motion import Move, Tremor, protocol
 from groundtruth.scenarios import ElbowPush, LateralForce, TissueMotion, Wave
 from groundtruth.variations import TissueVariation, random_variation
 
@@ -25,6 +25,13 @@ Range = tuple[float, float]
 
 class _Wave(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One wave of the tissue's motion."""
+
+    amplitude_m: Range
+    frequency_hz: Range
+
+
+class _Tremor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Trembling of the hand that holds the needle."""
 
     amplitude_m: Range
     frequency_hz: Range
@@ -74,6 +81,7 @@ class Perturbation(
         tare_stroke_m: zero: at rest.
         speed_m_s: Constant speed of the insertion.
         steps: Pieces of the insertion.
+        tremor: Of the hand that holds the needle.
         waves: Motion of the tissue.
         tissue: Numbers of a `TissueVariation`, of every layer.
         own_laws: A random variation for every layer.
@@ -91,6 +99,7 @@ class Perturbation(
     tare_stroke_m: Range | None = None
     speed_m_s: Range | None = None
     steps: _Steps | None = None
+    tremor: _Tremor | None = None
     waves: tuple[_Wave, ...] = ()
     tissue: dict[str, Range] = {}
     own_laws: bool = False
@@ -123,6 +132,13 @@ class Perturbation(
             or self.tare_stroke_m is not None
         ):
             scenario = replace(scenario, motion=self._motion(scenario.motion, rng))
+        if self.tremor is not None:
+            tremor = Tremor(
+                amplitude_m=drawn(self.tremor.amplitude_m, rng),
+                frequency_hz=drawn(self.tremor.frequency_hz, rng),
+            )
+            trembling = replace(scenario.motion, tremor=tremor)
+            scenario = replace(scenario, motion=trembling)
         if self.waves:
             scenario = replace(scenario, tissue_motion=_tissue_motion(self.waves, rng))
         if self.tissue:
@@ -271,6 +287,8 @@ ARM_ONLY = frozenset(
 """Of these the needle without an arm feels nothing."""
 FT_ONLY = frozenset((*GROUPS["F/T"], "depth-only"))
 """Of these the virtual force feels nothing."""
+UNMIXED = ("plants", "unmixed")
+"""Groups of which `mixed` draws nothing."""
 MIXED = "mixed"
 MIXED_COUNT = 3
 PERTURBED = "robustness-"
@@ -288,7 +306,7 @@ def perturbed(
     rng = np.random.default_rng([seed, crc32(f"{name} {scenario.id}".encode())])
     names = (name,)
     if name == MIXED:
-        groups = [list(group) for kind, group in GROUPS.items() if kind != "plants"]
+        groups = [list(group) for kind, group in GROUPS.items() if kind not in UNMIXED]
         chosen = sorted(rng.choice(len(groups), MIXED_COUNT, replace=False).tolist())
         names = tuple(groups[k][int(rng.integers(len(groups[k])))] for k in chosen)
     world = World(scenario=scenario)

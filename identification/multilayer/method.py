@@ -590,6 +590,8 @@ class MultilayerMethod:
     def _find_motion(self, since_reset_s: float) -> None:
         """Do a unit of the search for the tissue's motion."""
         old_tissue = self._tissue
+        if not old_tissue.is_due(since_reset_s):
+            return  # a rupture, or the way out of the tissue, has ended its window
         self._tissue = old_tissue.worked(since_reset_s)
         if self._tissue.fit is not old_tissue.fit:
             # The needle stays where it is in the tissue that is now known to be

@@ -1,6 +1,7 @@
 """Motions, the catalogue and the random stacks: the paper's values, and needle-only
 runs."""
 
+from dataclasses import replace
 from itertools import pairwise, product
 
 import numpy as np
@@ -13,6 +14,7 @@ from groundtruth.motion import (
     TARE_STROKE_M,
     Motion,
     Stroke,
+    Tremor,
     constant_motion,
     sinusoidal_motion,
 )
@@ -21,6 +23,25 @@ from groundtruth.plant_model import MINI45, ForceNoise
 CONSTANT = constant_motion(speed_m_s=2.3e-3, depth_m=45e-3, standoff_m=5e-3)
 SINE = sinusoidal_motion(stroke_m=70e-3, frequency_hz=0.016, standoff_m=20e-3)
 FREE = SCENARIOS["free-motion"].motion
+
+
+def test_a_tremor_swings_between_tare_and_withdrawal():
+    tremor = Tremor(amplitude_m=0.1e-3, frequency_hz=8.0)
+    motion = replace(CONSTANT, tremor=tremor)
+    t = np.linspace(-1.0, motion.duration_s + 1.0, 20_001)
+    h = 1e-6
+    rate = (motion.position_m(t + h) - motion.position_m(t - h)) / (2.0 * h)
+    swing_m = motion.position_m(t) - CONSTANT.position_m(t)
+    is_outside = (t <= motion.tare_end_s) | (t >= motion.withdrawal_start_s)
+
+    assert motion.speed_m_s(t) == pytest.approx(rate, abs=1e-6)
+    assert not swing_m[is_outside].any()
+    assert swing_m.max() == pytest.approx(0.1e-3, rel=1e-3)
+
+
+def test_a_tremor_without_size_is_refused():
+    with pytest.raises(MotionError, match="amplitude_m"):
+        Tremor(amplitude_m=0.0, frequency_hz=8.0)
 
 
 @pytest.mark.parametrize("motion", [CONSTANT, SINE, FREE])

@@ -1,51 +1,20 @@
 """The tremor of a hand: ruptures are found although the needle swings."""
 
-import math
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
-import numpy as np
 import pytest
 
 from groundtruth import insert_needle, scenario
-from groundtruth.motion import Motion, constant_motion
+from groundtruth.motion import Tremor, constant_motion
 from identification import Identifier
-
-TREMOR_BEGINS_S = 0.2
-"""After the tare."""
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class TremblingMotion(Motion):
-    """A motion with a sinusoidal tremor of some mm and Hz, faded in within a second."""
-
-    tremor_m: float = 0.0
-    tremor_hz: float = 9.0
-
-    def _fade(self, t_s):
-        begin_s = self.tare_end_s + TREMOR_BEGINS_S
-        return np.clip(np.asarray(t_s, float) - begin_s, 0.0, 1.0)
-
-    def position_m(self, t_s):
-        wave = np.sin(2.0 * math.pi * self.tremor_hz * np.asarray(t_s, float))
-        swing_m = self.tremor_m * self._fade(t_s) * wave
-        return Motion.position_m(self, t_s) + swing_m
-
-    def speed_m_s(self, t_s):
-        rate = 2.0 * math.pi * self.tremor_hz
-        t_s = np.asarray(t_s, float)
-        fade = self._fade(t_s)
-        is_fading = (fade > 0.0) & (fade < 1.0)
-        change = rate * fade * np.cos(rate * t_s) + is_fading * np.sin(rate * t_s)
-        return Motion.speed_m_s(self, t_s) + self.tremor_m * change
 
 
 def insert_trembling(tremor_m, speed_m_s=3e-3):
     """Ruptures reported and true of an insertion into a gel, and blocks of swings."""
-    even = constant_motion(speed_m_s=speed_m_s, depth_m=36e-3, standoff_m=5e-3)
-    names = even.__dataclass_fields__
-    motion = TremblingMotion(
-        **{name: getattr(even, name) for name in names}, tremor_m=tremor_m
-    )
+    motion = constant_motion(speed_m_s=speed_m_s, depth_m=36e-3, standoff_m=5e-3)
+    if tremor_m > 0.0:
+        tremor = Tremor(amplitude_m=tremor_m, frequency_hz=9.0)
+        motion = replace(motion, tremor=tremor)
     chosen = replace(scenario("gel-25-constant"), motion=motion)
     run = insert_needle(chosen, seed=4, rate_hz=500.0)
     rows = (run.t_s > run.tare_end_s) & (run.t_s < motion.withdrawal_start_s)

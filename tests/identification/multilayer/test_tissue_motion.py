@@ -8,7 +8,8 @@ import pytest
 
 from groundtruth import insert_needle, scenario
 from groundtruth.scenarios import TissueMotion as TrueMotion
-from identification import Identifier
+from groundtruth.scenarios import Wave
+from identification import Identifier, SampleStatus, replay
 from identification.multilayer.block import Block
 from identification.multilayer.motion_fit import Fit, displacement, turned
 from identification.multilayer.motion_search import MotionSearch
@@ -197,3 +198,16 @@ def test_an_insertion_resumes_in_moving_tissue():
 
     for row in rows[11_000:]:
         assert second.update(*row, 1e-3) == first.update(*row, 1e-3)
+
+
+def test_tissue_that_draws_back_beyond_the_tip_ends_the_search_for_its_motion():
+    """The window of the search empties while a part of its work is still due."""
+    waves = (Wave(10.4e-3, 0.2212, 3.795), Wave(3.754e-3, 0.4424, 1.3926))
+    breathing = replace(
+        scenario("gel-25-constant"), tissue_motion=TrueMotion(waves=waves)
+    )
+    run = insert_needle(breathing, seed=105, rate_hz=250.0)
+    result = replay(run.t_s, run.depth_m, run.force_N, run.speed_m_s)
+
+    assert len(result.estimates) == run.t_s.size
+    assert result.estimates[-1].status is SampleStatus.OK
