@@ -209,6 +209,7 @@ class SessionSnapshot(NamedTuple):
         speed_lag_s: Setting of the session.
         unused_s: Time of valid samples that were not used for identification.
         jumps: Number of jumps of torque sensors that the identifier knows of.
+        jump_std_N: Standard deviation of the force by these.
         time_s: See `SessionEstimate`.
         checkpoints: States of the identification to rewind to.
         insertion: Course of this insertion.
@@ -223,6 +224,7 @@ class SessionSnapshot(NamedTuple):
     speed_lag_s: float
     unused_s: float
     jumps: int
+    jump_std_N: float
     time_s: float
     checkpoints: Checkpoints
     insertion: InsertionProgress
@@ -556,6 +558,7 @@ class InsertionSession:
             speed_lag_s=self._speed_lag_s,
             unused_s=self._unused_s,
             jumps=self._jumps,
+            jump_std_N=self._jump_std_N,
             time_s=self._time_s,
             checkpoints=self._checkpoints,
             insertion=self._course.insertion,
@@ -585,6 +588,7 @@ class InsertionSession:
         self._travel = snapshot.travel
         self._unused_s = snapshot.unused_s
         self._jumps = snapshot.jumps
+        self._jump_std_N = snapshot.jump_std_N
         self._time_s = snapshot.time_s
         self._checkpoints = snapshot.checkpoints
         self._course.begin(snapshot.insertion)
@@ -802,6 +806,7 @@ class InsertionSession:
         self._course.begin(insertion)
         self._identifier.reset()
         self._jumps = self._sensor.jumps
+        self._jump_std_N = self._sensor.jump_std_N
         self._forget_checkpoints()
         self._plan.begin(*self.zero)
 
@@ -937,10 +942,16 @@ class InsertionSession:
         self._plan.begin(*self.zero)
 
     def _doubt_zero_after_jump(self) -> None:
-        """Let the identifier doubt the force's zero, once after a jump of a torque."""
+        """Let the identifier doubt the force's zero, once after a jump of a torque.
+
+        And once more when the torque is back, by as much as it was doubted before.
+        """
         if self._jumps != self._sensor.jumps:
+            old_std_N = self._jump_std_N
             self._jumps = self._sensor.jumps
-            self._identifier.doubt_zero(self._sensor.jump_std_N, JUMP_SEEN_S)
+            self._jump_std_N = self._sensor.jump_std_N
+            doubted_N = max(old_std_N, self._jump_std_N)
+            self._identifier.doubt_zero(doubted_N, JUMP_SEEN_S)
 
     def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
         """Return the identifier's estimate after this sample.

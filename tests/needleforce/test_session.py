@@ -394,6 +394,22 @@ def test_a_rupture_around_an_elbow_push_is_found(first, count, late):
     assert abs(session.layers[0].friction_N / layer.friction_N - 1.0) < 0.15
 
 
+@pytest.mark.parametrize(("joint", "step_Nm"), [(1, 0.3), (3, -0.3), (5, 0.3)])
+def test_a_torque_that_jumps_back_makes_no_rupture(joint, step_Nm):
+    """As a hand that leans on the elbow for a while and lets go."""
+    session, rows = resumed_after(INSIDE, 9_000)
+    jumped = [
+        (q, dq, tau + step_Nm * np.eye(7)[joint] * (500 <= k < 2_000), dt_s)
+        for k, (q, dq, tau, dt_s) in enumerate(rows)
+    ]
+    estimates = [session.update(*row) for row in jumped]
+    (alarm,) = ruptures(estimates)
+    onset = int(np.searchsorted(RUN.signals.t_s, RUN.truth.ruptures[0].onset_s))
+
+    assert onset < alarm + INSIDE + 1 < onset + 300
+    assert all(e.identification.retracted is None for e in estimates)
+
+
 @pytest.mark.parametrize(("joint", "step_Nm"), [(3, 0.3), (5, -0.3)])
 def test_a_torque_sensor_that_jumps_makes_no_rupture_and_hides_none(joint, step_Nm):
     session, rows = resumed_after(INSIDE, 9_000)
