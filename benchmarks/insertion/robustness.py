@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from benchmarks.insertion.as_run import identify_as_run
 from benchmarks.insertion.methods import METHODS, Identified, identify
-from benchmarks.insertion.metrics import event_metrics
+from benchmarks.insertion.metrics import coverage_metrics, event_metrics
 from benchmarks.insertion.perturbations import (
     FT_ONLY,
     GROUPS,
@@ -125,9 +125,10 @@ def run_robustness(job: Job, progress: Progress) -> JobResult:
 def _events(
     identified: list[Identified], truth: InsertionTruth
 ) -> Iterator[Measurement]:
-    """Yield the numbers of ruptures and friction of every method."""
+    """Yield the numbers of ruptures, friction and coverage of every method."""
     for item in identified:
-        for metric, value in event_metrics(item, truth).items():
+        values = event_metrics(item, truth) | coverage_metrics(item, truth)
+        for metric, value in values.items():
             yield Measurement(item.source, item.method, metric, value)
 
 
