@@ -1,4 +1,4 @@
-"""A row of the page in words; behind ± stand two standard deviations."""
+"""A row of the page in words; behind ± stands the standard deviation, as elsewhere."""
 
 import math
 from collections.abc import Iterator, Mapping
@@ -60,7 +60,7 @@ def headline(row: ViewRow) -> str:
     """Return time, depth and tip force of a row in a line."""
     return (
         f"{row.time_s:.1f} s, {_depth_text(row)}; tip force {row.tip_N:.2f} "
-        f"± {2.0 * row.tip_std_N:.2f} N"
+        f"± {row.tip_std_N:.2f} N"
     )
 
 
@@ -78,9 +78,9 @@ def state_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
     """
     doubt = "" if row.is_good else " (not tared, or doubtful)"
     yield (f"**{row.time_s:.1f} s** at {_depth_text(row)}, layer {row.layer:.0f}")
-    yield f"force {row.force_N:.2f} ± {2.0 * row.force_std_N:.2f} N{doubt}"
+    yield f"force {row.force_N:.2f} ± {row.force_std_N:.2f} N{doubt}"
     yield (
-        f"**tip force {row.tip_N:.2f} ± {2.0 * row.tip_std_N:.2f} N**, "
+        f"**tip force {row.tip_N:.2f} ± {row.tip_std_N:.2f} N**, "
         f"shaft friction {row.friction_N:.2f} N"
     )
     if not math.isnan(row.aside_entry_m):
@@ -93,14 +93,14 @@ def aside_text(row: ViewRow) -> str:
     """Return how far the needle is beside the planned path, and turned."""
     text = (
         f"needle {M_TO_MM * row.aside_entry_m:.1f} ± "
-        f"{2.0 * M_TO_MM * row.aside_entry_std_m:.1f} mm beside the planned entry, tip "
-        f"{M_TO_MM * row.aside_tip_m:.1f} ± {2.0 * M_TO_MM * row.aside_tip_std_m:.1f} "
+        f"{M_TO_MM * row.aside_entry_std_m:.1f} mm beside the planned entry, tip "
+        f"{M_TO_MM * row.aside_tip_m:.1f} ± {M_TO_MM * row.aside_tip_std_m:.1f} "
         "mm beside the planned path"
     )
     if row.aside_angle_std_rad < math.pi:
         text += (
             f", turned by {math.degrees(row.aside_angle_rad):.1f} ± "
-            f"{math.degrees(2.0 * row.aside_angle_std_rad):.1f}°"
+            f"{math.degrees(row.aside_angle_std_rad):.1f}°"
         )
     return text
 
@@ -112,10 +112,10 @@ def _plan_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
     next_name = next_layer_name(row, names)
     if next_name:
         next_mm = M_TO_MM * (row.plan_next_m - row.zero_m)
-        next_band_mm = 2.0 * M_TO_MM * row.plan_next_std_m
-        place += f", {next_name} at {next_mm:.1f} ± {next_band_mm:.1f} mm"
+        next_std_mm = M_TO_MM * row.plan_next_std_m
+        place += f", {next_name} at {next_mm:.1f} ± {next_std_mm:.1f} mm"
 
     yield place
     offset_mm = M_TO_MM * row.plan_offset_m
-    offset_band_mm = 2.0 * M_TO_MM * row.plan_offset_std_m
-    yield f"all lies {offset_mm:+.1f} ± {offset_band_mm:.1f} mm deeper than planned"
+    offset_std_mm = M_TO_MM * row.plan_offset_std_m
+    yield f"all lies {offset_mm:+.1f} ± {offset_std_mm:.1f} mm deeper than planned"
