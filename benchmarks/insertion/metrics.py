@@ -178,8 +178,10 @@ def coverage_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
     where the needle never rests, or where the method states no deviation.
     """
     inside = truth.is_insertion[identified.start :]
-    is_advancing = truth.speed_m_s[identified.start :] > ADVANCING_m_s
-    parts = {"moving": inside & is_advancing, "at_rest": inside & ~is_advancing}
+    speed_m_s = truth.speed_m_s[identified.start :]
+    is_advancing = speed_m_s > ADVANCING_m_s
+    is_at_rest = np.abs(speed_m_s) <= ADVANCING_m_s
+    parts = {"moving": inside & is_advancing, "at_rest": inside & is_at_rest}
     quantities = {
         "tip": ("tip_force", truth.tip_N),
         "shaft": ("shaft_friction", truth.axial_N - truth.tip_N),
