@@ -205,7 +205,8 @@ class Motion:
     """Position of the needle tip along the insertion axis over time.
 
     Zero is the undeformed surface of the tissue; negative is above it, in free air.
-    Before the first stroke and after the last the needle rests.
+    Before the first stroke and after the last the needle rests. A tremor is added to
+    the strokes; what is said of them is said without it.
 
     Attributes:
         strokes: Contiguous in time and position.
@@ -247,7 +248,7 @@ class Motion:
 
     @property
     def deepest_m(self) -> float:
-        """Largest depth that is reached."""
+        """Largest depth that is reached, without the tremor."""
         return max(stroke.end_m for stroke in self.strokes)
 
     def position_m(self, t_s: ArrayLike) -> Array:

@@ -209,7 +209,8 @@ class SessionSnapshot(NamedTuple):
         speed_lag_s: Setting of the session.
         unused_s: Time of valid samples that were not used for identification.
         jumps: Number of jumps of torque sensors that the identifier knows of.
-        jump_std_N: Standard deviation of the force by these.
+        jump_std_N: Standard deviation of the axial force due to these jumps; 0 without
+            one.
         time_s: See `SessionEstimate`.
         checkpoints: States of the identification to rewind to.
         insertion: Course of this insertion.
@@ -944,7 +945,7 @@ class InsertionSession:
     def _doubt_zero_after_jump(self) -> None:
         """Let the identifier doubt the force's zero, once after a jump of a torque.
 
-        And once more when the torque is back, by as much as it was doubted before.
+        When the torque returns it is doubted again, by as much as before.
         """
         if self._jumps != self._sensor.jumps:
             old_std_N = self._jump_std_N
@@ -1090,6 +1091,7 @@ def _check_numbers(snapshot: SessionSnapshot) -> None:
     quantities = (
         *snapshot.travel,
         snapshot.unused_s,
+        snapshot.jump_std_N,
         snapshot.time_s,
         insertion.deepest_m,
         insertion.highest_m,

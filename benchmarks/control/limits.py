@@ -52,8 +52,8 @@ LOST = 0.01
 ROUNDING = 1e-6
 """A limit is passed by more than this part of it: differences of doubles round."""
 MIN_TIMED = 10
-"""The time of a tick at a limit is told from so many of them at least: the first of
-all is slow."""
+"""Fewest ticks at a limit, and away from one, for which the ratio of their times is
+reported: the first tick is slow."""
 MILLI = 1e3
 US_PER_NS = 1e-3
 
@@ -107,7 +107,7 @@ ARMS = {
 
 
 class ConeCase(NamedTuple):
-    """A minute of an arm.
+    """One minute of motion: which arm, which delay, which tilt.
 
     Attributes:
         arm: A name of `ARMS`.

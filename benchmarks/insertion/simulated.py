@@ -181,17 +181,13 @@ def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
         Measurement("virtual", method, "tare_refused", float(item.was_refused))
         for method, item in case.sessions.items()
     ]
-    warned = [
-        item
-        for method, session in case.sessions.items()
-        if method == "ours"
-        for item in false_warnings(session.warned)
-    ]
+    session = case.sessions.get("ours")
+    warned = [] if session is None else measure_warnings(session.warned)
     return residual_metrics(case.run, case.signals) + forces + refused + warned
 
 
-def false_warnings(warned: Warned) -> list[Measurement]:
-    """Return what a session warned of; in simulated insertions nothing of it is so."""
+def measure_warnings(warned: Warned) -> list[Measurement]:
+    """Return what a session warned of: falsely, but for some perturbed worlds."""
     raised = {
         "torque_jump_warned": SensorWarning.TORQUE_JUMP in warned.sensor,
         "needle_pull_warned": warned.is_pulled,

@@ -128,7 +128,7 @@ class Stack:
         for task, (rows, rates) in zip(tasks, self.levels, strict=False):
             task.write(tool, rows, rates)
         if tasks and isinstance(lowest := tasks[-1], JointTask):
-            self.joint_velocity = lowest.velocity_at(tool.q_rad)
+            self.joint_velocity[:] = lowest.velocity_at(tool.q_rad)
 
 
 class Level(NamedTuple):
@@ -254,27 +254,27 @@ def plan_level(
     for i in range(motions.size):
         motion = motions[i]
         compensated = min(motion / INEFFECTIVE_MOTION, 1.0) ** 2
-        above = dot(parts[i], asked_above)
-        error = dot(parts[i], unit_rates) - compensated * above
+        asked_part = dot(parts[i], asked_above)
+        error = dot(parts[i], unit_rates) - compensated * asked_part
         # Parts are orthonormal: what is added along one changes no error of another.
         for k in range(rates.size):
-            unit_rates[k] += (1.0 - compensated) * above * parts[i, k]
+            unit_rates[k] += (1.0 - compensated) * asked_part * parts[i, k]
         if motion > MIN_MOTION:
             rank += 1
             dampings[i] = find_damping(motion, error)
             step_rad_s = motion / (motion**2 + dampings[i] ** 2) * error
             for k in range(velocity.size):
                 velocity[k] += step_rad_s * directions[i, k]
-    damping_rows = multiply_rows(directions, dampings)
-    rest = np.zeros(len(damping_rows))
+    damping_rows = scale_positive_rows(directions, dampings)
+    damping_rates = np.zeros(len(damping_rows))
     level = Level(
         np.vstack((unit_rows, damping_rows)),
-        np.concatenate((unit_rates, rest)),
+        np.concatenate((unit_rates, damping_rates)),
         free,
         velocity,
     )
     free_below = np.ascontiguousarray(directions[rank:].T)
-    return PlannedLevel(level, free_below, rest.size > 0)
+    return PlannedLevel(level, free_below, damping_rates.size > 0)
 
 
 @compiled_inside
@@ -291,8 +291,8 @@ def scale_to_unit_length(rows: Matrix, rates: Vector) -> tuple[Array, Array]:
 
 
 @compiled_inside
-def multiply_rows(rows: Matrix, factors: Vector) -> Array:
-    """Return the first rows times a factor each; rows without a positive one go."""
+def scale_positive_rows(rows: Matrix, factors: Vector) -> Array:
+    """Scale each row by its factor, and drop rows whose factor is not positive."""
     products = np.empty((factors.size, rows.shape[1]))
     size = 0
     for i in range(factors.size):
@@ -363,13 +363,13 @@ def solve_bounded_level(level: Level, bounds: Matrix, start: Vector) -> Array:
         rows = np.vstack((rows, held_back))
         rates = np.concatenate((rates, multiply_vector(held_back, level.unbounded)))
         velocity, _ = solve_level(rows, rates, level.free, bounds, start)
-        is_news = False
+        has_new_held = False
         for k in range(start.size):
             room = min(velocity[k] - bounds[0, k], bounds[1, k] - velocity[k])
             if room <= AT_LIMIT_rad_s and held[k] == 0.0:
                 held[k] = 1.0
-                is_news = True
-        if not is_news:
+                has_new_held = True
+        if not has_new_held:
             break
     return velocity
 
@@ -398,7 +398,7 @@ def find_stand_ins(rows: Matrix, free: Matrix, held: Vector) -> Array:
         if motions[i] > MIN_MOTION:
             weakness = 1.0 - (motions[i] / INEFFECTIVE_MOTION) ** 2
             dampings[i] = STAND_IN_DAMPING * weakness
-    return multiply_rows(directions, dampings)
+    return scale_positive_rows(directions, dampings)
 
 
 def find_held_joints(velocity: Array, bounds: Array) -> NDArray[np.bool_]:

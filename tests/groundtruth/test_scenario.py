@@ -38,6 +38,10 @@ def test_a_tremor_swings_between_tare_and_withdrawal():
     assert not swing_m[is_outside].any()
     assert swing_m.max() == pytest.approx(0.1e-3, rel=1e-3)
 
+    second = np.linspace(20.0, 21.0, 4_000, endpoint=False)
+    swing_m = motion.position_m(second) - CONSTANT.position_m(second)
+    assert np.count_nonzero(np.diff(np.sign(swing_m)) > 0) == 8
+
 
 def test_a_tremor_without_size_is_refused():
     with pytest.raises(MotionError, match="amplitude_m"):

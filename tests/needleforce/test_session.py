@@ -1,6 +1,8 @@
 """The whole chain in one object: what it estimates, and what it uses for
 identification."""
 
+import math
+
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -408,6 +410,26 @@ def test_a_torque_that_jumps_back_makes_no_rupture(joint, step_Nm):
 
     assert onset < alarm + INSIDE + 1 < onset + 300
     assert all(e.identification.retracted is None for e in estimates)
+
+
+def test_a_session_restored_during_a_jump_knows_of_it():
+    session, rows = resumed_after(INSIDE, 9_000)
+    jumped = [
+        (q, dq, tau - 0.3 * np.eye(7)[3] * (500 <= k < 2_000), dt_s)
+        for k, (q, dq, tau, dt_s) in enumerate(rows)
+    ]
+    for row in jumped[:1_900]:
+        session.update(*row)
+    snapshot = session.snapshot()
+    restored, _ = resumed_after(INSIDE, 1)
+    restored.restore(snapshot)
+    (alarm,) = ruptures([restored.update(*row) for row in jumped[1_900:]])
+
+    assert snapshot.jump_std_N > 0.1
+    assert 3_000 < alarm < 5_000
+
+    with pytest.raises(InsertionError, match="snapshot"):
+        restored.restore(snapshot._replace(jump_std_N=math.nan))
 
 
 @pytest.mark.parametrize(("joint", "step_Nm"), [(3, 0.3), (5, -0.3)])

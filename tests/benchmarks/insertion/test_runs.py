@@ -11,14 +11,26 @@ from hypothesis import strategies as st
 
 from benchmarks import DataError
 from benchmarks.catalogue import BENCHMARKS, Request, make_plan
-from benchmarks.insertion.methods import ForceReading, force_lag_s, wrench_metrics
+from benchmarks.insertion.methods import (
+    ForceReading,
+    Warned,
+    force_lag_s,
+    wrench_metrics,
+)
 from benchmarks.insertion.signals import ForceTruth
-from benchmarks.insertion.simulated import read_sensors, run_needle, simulated_metrics
+from benchmarks.insertion.simulated import (
+    measure_warnings,
+    read_sensors,
+    run_needle,
+    simulated_metrics,
+)
 from benchmarks.jobs import Job
 from benchmarks.report.frames import frame_of
 from benchmarks.report.published_figures import NEEDED
 from benchmarks.report.tables import TABLES, build_table
 from groundtruth import SCENARIOS, simulate
+from identification import TissueWarning
+from residual import SensorWarning
 from tests.benchmarks.benchmark_cases import gel_slice, silent
 
 SHORT = gel_slice()
@@ -133,6 +145,18 @@ def test_without_tissue_only_the_virtual_sensor_is_judged():
     }
 
     assert {metric for _, _, metric in values(case)} == numbers
+
+
+def test_warnings_are_measured_one_by_one():
+    warned = Warned(SensorWarning.TORQUE_JUMP, TissueWarning.HARD_CONTACT, True)
+    measured = {item.metric: item.value for item in measure_warnings(warned)}
+
+    assert measured == {
+        "torque_jump_warned": 1.0,
+        "needle_pull_warned": 1.0,
+        "moving_tissue_warned": 0.0,
+        "hard_contact_warned": 1.0,
+    }
 
 
 @pytest.fixture

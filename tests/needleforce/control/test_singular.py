@@ -17,7 +17,7 @@ from needleforce.control import (
 )
 from needleforce.control.controller import CommandStatus
 from needleforce.control.priority_solver import Stack, find_damping, hierarchical
-from needleforce.control.tasks import ToolState
+from needleforce.control.tasks import JointTask, ToolState
 from urdf import NeedleTool, load_example, load_lwr
 
 DT_s = 1e-3
@@ -103,6 +103,28 @@ def test_a_joint_that_hardly_moves_a_task_does_not_stand_in_for_others():
 
         assert is_limited
         assert abs(velocity[6]) < 0.02 + 20.0 * effect
+
+
+def test_joint_velocities_may_be_a_column_of_a_table():
+    """Of levels solved one by one, too: the first row depends on the second."""
+
+    class FromTable(JointTask):
+        size = 3
+
+        def velocity_at(self, q_rad):
+            return np.full((3, 2), 0.1)[:, 0]
+
+    def write(tool, rows, rates):
+        rows[:] = ((1.0, 0.0, 0.0), (1.0, 0.01, 0.0))
+        rates[:] = 0.0
+
+    tasks = [SimpleNamespace(size=2, write=write), FromTable()]
+    stack = Stack(tasks, 3)
+    stack.bounds[:] = np.outer((-1.0, 1.0), np.ones(3))
+    stack.fill(tasks, SimpleNamespace(q_rad=np.zeros(3)))
+    velocity, _ = hierarchical(stack)
+
+    assert velocity[2] == pytest.approx(0.1)
 
 
 def test_without_other_joints_a_weak_one_moves():
