@@ -36,7 +36,7 @@ def insert_trembling(tremor_m, speed_m_s=3e-3):
     return ruptures, run.truth.ruptures[0].onset_s, swings
 
 
-@pytest.mark.parametrize("tremor_m", [0.05e-3, 0.12e-3])
+@pytest.mark.parametrize("tremor_m", [0.022e-3, 0.05e-3, 0.12e-3])
 def test_a_rupture_is_found_by_a_needle_that_trembles(tremor_m):
     [rupture], onset_s, swings = insert_trembling(tremor_m)
 
