@@ -7,6 +7,7 @@ of the ``dt_s`` since the reset. Every depth counts from the zero of the caller'
 from the same zero, so that a travel in tissue is a difference of the two.
 """
 
+import math
 from dataclasses import dataclass
 from enum import Enum, IntFlag
 from typing import NamedTuple
@@ -314,6 +315,54 @@ Outputs = tuple[
 """What a method calculates at every sample: the fields of an `Estimate` from
 ``in_contact`` to the events. A plain tuple, since compiled code that returns a named
 one costs a microsecond; `make_estimate` names its values."""
+
+
+def widen_forces(outputs: Outputs, std_N: float) -> Outputs:
+    """Return outputs with another deviation in those of their forces.
+
+    Args:
+        outputs: What a method calculates at a sample.
+        std_N: Standard deviation that tip force, shaft friction and enhanced force have
+            besides their own.
+    """
+    (
+        in_contact,
+        layer,
+        enhanced_N,
+        enhanced_std_N,
+        tip_N,
+        tip_std_N,
+        shaft_N,
+        shaft_std_N,
+        predicted_N,
+        stiffness,
+        stiffness_std,
+        stiffness_identified,
+        friction,
+        friction_std,
+        friction_identified,
+        cumulative_friction,
+        cumulative_friction_std,
+    ) = outputs
+    return (
+        in_contact,
+        layer,
+        enhanced_N,
+        math.hypot(enhanced_std_N or 0.0, std_N),
+        tip_N,
+        math.hypot(tip_std_N or 0.0, std_N),
+        shaft_N,
+        math.hypot(shaft_std_N or 0.0, std_N),
+        predicted_N,
+        stiffness,
+        stiffness_std,
+        stiffness_identified,
+        friction,
+        friction_std,
+        friction_identified,
+        cumulative_friction,
+        cumulative_friction_std,
+    )
 
 
 def make_estimate(

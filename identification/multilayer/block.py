@@ -26,6 +26,7 @@ class Block(NamedTuple):
         speed_std_mm_s: Standard deviation of the speed's noise.
         motion_variance_N2: Variance of the force where the arm accelerates.
         is_swing: Whether the block is a whole swing of the needle.
+        swing_std_N: Standard deviation of the force within that swing; 0 without one.
     """
 
     time_s: float = 0.0
@@ -45,3 +46,4 @@ class Block(NamedTuple):
     speed_std_mm_s: float = 0.0
     motion_variance_N2: float = 0.0
     is_swing: bool = False
+    swing_std_N: float = 0.0

@@ -33,6 +33,7 @@ from identification.estimate import (
     RuptureState,
     Sample,
     TissueWarning,
+    widen_forces,
 )
 from identification.multilayer.block import Block
 from identification.multilayer.decisions import (
@@ -530,10 +531,15 @@ class MultilayerMethod:
         return self._with_doubt(outputs)
 
     def _with_doubt(self, outputs: Outputs) -> Outputs:
-        """Return outputs with what moving tissue leaves in doubt."""
-        if self._tissue_pull.doubt_N == 0.0:
-            return outputs
-        return self._tissue_pull.widen(outputs)
+        """Return outputs with what moving tissue and a swing leave in doubt.
+
+        In a swing tip force and friction go up and down about their means.
+        """
+        if self._tissue_pull.doubt_N > 0.0:
+            outputs = self._tissue_pull.widen(outputs)
+        if self._block.swing_std_N > 0.0:
+            outputs = widen_forces(outputs, self._block.swing_std_N)
+        return outputs
 
     def _seen_by_tissue(self, sample: Sample) -> Sample:
         """Return a sample as the tissue, which moves, meets the needle."""
@@ -879,6 +885,8 @@ class MultilayerMethod:
         forgotten = math.exp(
             -duration_s / USUAL_S - abs(speed_mm_s) * duration_s / USUAL_MM
         )
+        mean_N = contact.force_N_s / duration_s
+        square_N2 = contact.force_squared_N2_s / duration_s
         is_swing = swing.is_swinging and duration_s > 2.0 * MIN_HALF_S
         usual_speed_mm_s = max(last.usual_speed_mm_s * forgotten, speed_mm_s)
         if is_swing:
@@ -895,7 +903,7 @@ class MultilayerMethod:
             depth_mm=MM_PER_M * contact.depth_m_s / duration_s,
             speed_mm_s=speed_mm_s,
             deflection=contact.deflection_s / duration_s,
-            force_N=contact.force_N_s / duration_s,
+            force_N=mean_N,
             unfiltered_depth_mm=MM_PER_M * contact.unfiltered_depth_m_s / duration_s,
             # A filter that leaves so much noise in both is as slow as their ratio.
             speed_lag_s=speed_lag(depth_std_mm, speed_std_mm_s),
@@ -908,6 +916,7 @@ class MultilayerMethod:
                 0.0 if is_swing else contact.motion_variance_N2_s / duration_s
             ),
             is_swing=is_swing,
+            swing_std_N=math.sqrt(max(square_N2 - mean_N**2, 0.0)) if is_swing else 0.0,
         )
 
     def _is_advancing(self, block: Block) -> bool:
@@ -1305,7 +1314,7 @@ class MultilayerMethod:
         # What the force's slow error grew by since the air is in the friction, and the
         # force model's.
         grown_N2 = max(force_std_N**2 - self._force_std_in_air_N**2, 0.0)
-        doubt_N = self._tissue_pull.doubt_N
+        doubt_N = math.hypot(self._tissue_pull.doubt_N, self._block.swing_std_N)
         variance_N2 = grown_N2 + self._block.model_error_N**2 + doubt_N**2
         if self._is_layer_open:
             self._report_new_layer(alarm, evidence, variance_N2)

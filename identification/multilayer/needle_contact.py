@@ -87,6 +87,7 @@ class NeedleContact:
         travel_m: Integral of the speed.
         deflection_s: Integral of the presliding deflection.
         force_N_s: Integral of the force.
+        force_squared_N2_s: Integral of its square.
         unfiltered_depth_m_s: Integral of the unfiltered depth.
         motion_variance_N2_s: Integral of the variance of the force by motion.
         swing: Of the needle.
@@ -106,6 +107,7 @@ class NeedleContact:
     travel_m: float = 0.0
     deflection_s: float = 0.0
     force_N_s: float = 0.0
+    force_squared_N2_s: float = 0.0
     unfiltered_depth_m_s: float = 0.0
     motion_variance_N2_s: float = 0.0
     swing: NeedleSwing = field(default_factory=NeedleSwing)
@@ -242,6 +244,7 @@ def fill_block(
     contact.travel_m += dt_s * sample.speed_m_s
     contact.deflection_s += dt_s * contact.deflection
     contact.force_N_s += dt_s * sample.force_N
+    contact.force_squared_N2_s += dt_s * sample.force_N * sample.force_N
     contact.unfiltered_depth_m_s += dt_s * sample.unfiltered_depth_m
     contact.motion_variance_N2_s += dt_s * contact.motion_variance_N2
     if contact.swing.is_swinging:
@@ -273,6 +276,7 @@ def begin_block(contacts: list[NeedleContact]) -> None:
     contact.travel_m = 0.0
     contact.deflection_s = 0.0
     contact.force_N_s = 0.0
+    contact.force_squared_N2_s = 0.0
     contact.unfiltered_depth_m_s = 0.0
     contact.motion_variance_N2_s = 0.0
 

@@ -10,7 +10,7 @@ both ways.
 import math
 from typing import NamedTuple
 
-from identification.estimate import Outputs
+from identification.estimate import Outputs, widen_forces
 from identification.multilayer.block import Block
 
 PULL_SIGMAS = 3.0
@@ -131,16 +131,16 @@ class TissuePull(NamedTuple):
             _,
             cumulative_friction,
             cumulative_friction_std,
-        ) = outputs
+        ) = widen_forces(outputs, self.doubt_N)
         return (
             in_contact,
             layer,
             enhanced_N,
-            math.hypot(enhanced_std_N or 0.0, self.doubt_N),
+            enhanced_std_N,
             tip_N,
-            math.hypot(tip_std_N or 0.0, self.doubt_N),
+            tip_std_N,
             shaft_N,
-            math.hypot(shaft_std_N or 0.0, self.doubt_N),
+            shaft_std_N,
             predicted_N,
             stiffness,
             stiffness_std,
