@@ -162,7 +162,7 @@ def test_off_the_plan_no_layer_is_named(zero):
     lines = "\n".join(state_lines(row, layer_names(SimpleNamespace(layers=[]))))
 
     assert row.is_off_plan
-    assert "50.0 ± 0.4 mm beside the planned entry" in lines
+    assert "50.0 ± 0.2 mm beside the planned entry" in lines
     assert "in **" not in lines
     assert rupture_text(row._replace(plan_matched=0.0), {}).endswith(": off plan")
 

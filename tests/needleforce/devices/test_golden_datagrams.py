@@ -221,14 +221,16 @@ def test_foreign_datagrams_do_not_hold_a_reading_up():
         # What a reading may discard, by count: time depends on the machine.
         deadline_s = time.monotonic() + 10.0
         readings = 0
-        while readings < 20 and time.monotonic() < deadline_s:
+        report = box.link.report
+        while (readings < 20 or not report.foreign) and time.monotonic() < deadline_s:
             box.link.read()
             readings += 1
+            report = box.link.report
 
         is_over.set()
         for thread in flooding:
             thread.join()
 
-        assert readings == 20
+        assert readings >= 20
         assert box.link.report.foreign > 0
         assert box.link.report.used == 0
