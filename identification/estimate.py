@@ -317,13 +317,17 @@ Outputs = tuple[
 one costs a microsecond; `make_estimate` names its values."""
 
 
-def widen_forces(outputs: Outputs, std_N: float) -> Outputs:
-    """Return outputs with another deviation in those of their forces.
+def widen_forces(
+    outputs: Outputs, std_N: float, *, keeps_identified: bool = True
+) -> Outputs:
+    """Add a standard deviation to those of tip force, shaft friction, enhanced force.
+
+    The variances add up.
 
     Args:
         outputs: What a method calculates at a sample.
-        std_N: Standard deviation that tip force, shaft friction and enhanced force have
-            besides their own.
+        std_N: The standard deviation that is added.
+        keeps_identified: Whether stiffness and friction that are identified remain so.
     """
     (
         in_contact,
@@ -356,10 +360,10 @@ def widen_forces(outputs: Outputs, std_N: float) -> Outputs:
         predicted_N,
         stiffness,
         stiffness_std,
-        stiffness_identified,
+        stiffness_identified and keeps_identified,
         friction,
         friction_std,
-        friction_identified,
+        friction_identified and keeps_identified,
         cumulative_friction,
         cumulative_friction_std,
     )

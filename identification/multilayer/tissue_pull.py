@@ -113,41 +113,4 @@ class TissuePull(NamedTuple):
 
         Neither stiffness nor friction then counts as identified.
         """
-        (
-            in_contact,
-            layer,
-            enhanced_N,
-            enhanced_std_N,
-            tip_N,
-            tip_std_N,
-            shaft_N,
-            shaft_std_N,
-            predicted_N,
-            stiffness,
-            stiffness_std,
-            _,
-            friction,
-            friction_std,
-            _,
-            cumulative_friction,
-            cumulative_friction_std,
-        ) = widen_forces(outputs, self.doubt_N)
-        return (
-            in_contact,
-            layer,
-            enhanced_N,
-            enhanced_std_N,
-            tip_N,
-            tip_std_N,
-            shaft_N,
-            shaft_std_N,
-            predicted_N,
-            stiffness,
-            stiffness_std,
-            False,
-            friction,
-            friction_std,
-            False,
-            cumulative_friction,
-            cumulative_friction_std,
-        )
+        return widen_forces(outputs, self.doubt_N, keeps_identified=False)
