@@ -38,10 +38,9 @@ SECOND_DIFFERENCE = 6.0
 MIN_TURNS = 3
 """Turns in a row, each within half a swing, that show a swing."""
 
-SLOW_FRACTION = 0.8
-"""In a swing the needle becomes slower than this part of its mean speed, or reverses.
-The force of smaller ones is that of an even needle; that of larger ones looks like
-noise, which hides ruptures, since speeds are known late."""
+STOP_FRACTION = 0.3
+"""In a swing the needle becomes slower than this part of its mean speed, or reverses:
+else the force shows its speed, and no average is wanted."""
 
 STEADY_S = 1.0
 """Time without such a slow part after which the swing is over."""
@@ -62,7 +61,7 @@ class NeedleSwing:
         turns: Turns in a row that lie within half a swing of each other.
         slowest_m_s: Least speed since the last turn at the front.
         fastest_m_s: Highest speed since then.
-        steady_s: Time since a swing in which the needle became slow.
+        steady_s: Time since a swing in which the needle nearly stopped.
         is_swinging: Whether the needle swings.
     """
 
@@ -89,8 +88,8 @@ def turn_swing(swing: NeedleSwing, speed_m_s: float) -> None:
     swing.is_fast = not swing.is_fast
     if swing.is_fast:
         return
-    slow_m_s = SLOW_FRACTION * swing.mean_m_s
-    if swing.slowest_m_s < slow_m_s < swing.fastest_m_s:
+    stop_m_s = STOP_FRACTION * swing.mean_m_s
+    if swing.slowest_m_s < stop_m_s < swing.fastest_m_s:
         swing.steady_s = 0.0
     is_steady = swing.steady_s > 0.0
     swing.slowest_m_s = speed_m_s
