@@ -78,6 +78,7 @@ class LearnedNoise:
         value_before: The one before.
         dt_s: Time between the two, 0 while there are none.
         min_variance: Least variance of late; learnt of means only.
+        has_value: Whether there is a last value: before the first one there is none.
     """
 
     variance: float = 0.0
@@ -86,6 +87,7 @@ class LearnedNoise:
     value_before: float = 0.0
     dt_s: float = 0.0
     min_variance: float = 0.0
+    has_value: bool = False
 
 
 @dataclass(slots=True)
@@ -174,7 +176,8 @@ def learn_noise(noise: LearnedNoise, value: float, dt_s: float, floor: float) ->
         noise.variance = max(variance, floor)
     noise.value = value
     noise.value_before = middle
-    noise.dt_s = dt_s
+    noise.dt_s = dt_s if noise.has_value else 0.0
+    noise.has_value = True
 
 
 @compiled_inside
@@ -359,7 +362,10 @@ def filter_travel(
     learn_noise(state.noises[DEPTH], depth_m, dt_s, MIN_DEPTH_VARIANCE_M2)
     variance = white_variance(state.noises[DEPTH], state.noises[DEPTH_MEANS], dt_s)
     variance = max(variance, MIN_DEPTH_VARIANCE_M2)
-    if state.depth_variance == 0.0 or dt_s > gap_s:
+    # Three samples teach the first noise. A filter that began without would take its
+    # first samples for exact.
+    is_noise_known = state.noises[DEPTH].count > 0.0
+    if state.depth_variance == 0.0 or dt_s > gap_s or not is_noise_known:
         start_travel(state, depth_m, speed_m_s if is_speed_measured else 0.0, variance)
     else:
         predict_travel(state, dt_s, acceleration_density(state, gain))

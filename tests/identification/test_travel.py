@@ -254,3 +254,18 @@ def test_the_slow_speed_filter_follows_an_even_acceleration(acceleration_mm_s2):
 
     assert filtered_speed == pytest.approx(speed[-1], abs=1e-5)
     assert state.mean[2] == pytest.approx(acceleration_mm_s2, rel=1e-3)
+
+
+@pytest.mark.parametrize("shift_m", [-0.105, 0.3])
+@pytest.mark.parametrize("noise_m", [0.0, 1.4e-5])
+def test_the_zero_of_depth_changes_nothing(shift_m, noise_m):
+    moved = motion()
+    unknown = np.full(len(moved.t_s), math.nan)
+    noise = np.random.default_rng(2).standard_normal(len(moved.t_s))
+    depth_m = moved.depth_m + noise_m * noise
+    before = filtered(moved.t_s, depth_m, unknown)
+    after = filtered(moved.t_s, depth_m + shift_m, unknown)
+
+    assert np.abs(after.depth_m - shift_m - before.depth_m).max() < 1e-7
+    # Rounding of depths so far from zero is noise, of which exact ones have none.
+    assert np.abs(after.speed_m_s - before.speed_m_s).max() < 5e-5

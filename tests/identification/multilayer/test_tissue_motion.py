@@ -185,7 +185,7 @@ def test_work_never_fails(force_N, speed_mm_s):
 def test_an_insertion_resumes_in_moving_tissue():
     motion = TrueMotion(waves=HEART)
     chosen = replace(scenario("gel-25-constant", 0), tissue_motion=motion)
-    run = insert_needle(chosen, seed=5)
+    run = insert_needle(chosen, seed=7)
     columns = np.column_stack((run.depth_m, run.speed_m_s, run.force_N))
     rows = columns[13_000:26_000].tolist()
     first = Identifier()
