@@ -19,9 +19,11 @@ from identification.multilayer.force_model import (
     AIR,
     CUTTING_ON_SHAFT,
     CUTTING_ON_SHAFT_STD,
+    FRICTION_LAST,
     HELD,
     LAYER_COULOMB,
     LAYER_VISCOUS,
+    MEMBRANE,
     OFFSET,
     STIFFENING,
     STIFFNESS,
@@ -155,16 +157,48 @@ class ShaftMixture(NamedTuple):
 
 
 @compiled_inside
+def has_open_section(
+    assumption: Assumptions, was_partial: float, reported: int
+) -> bool:
+    """Return whether a component's last section belongs to no reported layer.
+
+    It ended at a rupture that is not reported, or where a membrane was met under the
+    layer. A partial rupture leaves the layer's friction with the layer.
+    """
+    if assumption.ruptures > reported:
+        return was_partial == 0.0
+    return assumption.medium == MEMBRANE and assumption.holds_force > 0.0
+
+
+@compiled_inside
+def traversed_rows(
+    rows: WrittenMatrix, assumption: Assumptions, was_partial: float, reported: int
+) -> None:
+    """Map a component's unknowns to the friction of the layers reported.
+
+    A component that knows of a rupture, or of a membrane under the layer, before it is
+    reported has the friction of its last section among that of the layers traversed:
+    for whoever reads the force that layer still goes on. Before the first rupture no
+    layer is traversed.
+    """
+    if reported == 0:
+        return
+    rows[AT_TRAVERSED_COULOMB, TRAVERSED_COULOMB] = 1.0
+    rows[AT_TRAVERSED_VISCOUS, TRAVERSED_VISCOUS] = 1.0
+    if has_open_section(assumption, was_partial, reported):
+        rows[AT_TRAVERSED_COULOMB, FRICTION_LAST] = -1.0
+
+
+@compiled_inside
 def shaft_rows(assumption: Assumptions, depth_mm: float, met: float) -> WrittenMatrix:
     """Return the map of a component's unknowns to the quantities, shape (8, 20).
 
-    `met` is 1 where it has met tissue, else 0.
+    Those of the layers traversed are left to `traversed_rows`. `met` is 1 where it has
+    met tissue, else 0.
     """
     rows = np.zeros((QUANTITIES, UNKNOWNS))
     length = max(depth_mm - assumption.layer_start_mm, 0.0)
     rows[AT_OFFSET, OFFSET] = 1.0
-    rows[AT_TRAVERSED_COULOMB, TRAVERSED_COULOMB] = met
-    rows[AT_TRAVERSED_VISCOUS, TRAVERSED_VISCOUS] = met
     rows[AT_SHAFT_COULOMB, TRAVERSED_COULOMB] = met
     rows[AT_SHAFT_VISCOUS, TRAVERSED_VISCOUS] = met
     rows[AT_SHAFT_COULOMB, LAYER_COULOMB] = met * length
@@ -288,7 +322,7 @@ def add_spread(
 
 @compiled_inside
 def mix_components(
-    mixture: Mixture, trusted: Vector, weights: Vector, block: Block
+    mixture: Mixture, trusted: Vector, weights: Vector, block: Block, reported: int
 ) -> ShaftMixture:
     """Mix what the components say of the shaft, the least likely left out.
 
@@ -297,6 +331,7 @@ def mix_components(
         trusted: Weights for the means, shape (n,).
         weights: Weights for the covariance around those means, shape (n,).
         block: Place of the tip.
+        reported: Ruptures reported so far.
     """
     used = leave_out_unlikely(trusted, weights)
     count = len(weights)
@@ -315,6 +350,9 @@ def mix_components(
         if has_met:
             met_probability += used.means[k]
         rows = shaft_rows(assumption, block.depth_mm, 1.0 if has_met else 0.0)
+        if has_met:
+            was_partial = mixture.history[k].was_partial
+            traversed_rows(rows, assumption, was_partial, reported)
         for a in range(QUANTITIES):
             values[k, a] = dot(rows[a], mixture.means[k])
             mean[a] += used.means[k] * values[k, a]
@@ -414,7 +452,7 @@ def update_posterior(
     trusted = trust_components(evidence, block, reported)
     if add_up(trusted) <= MIN_TRUSTED_PROBABILITY:
         trusted = evidence.weights
-    shaft = mix_components(evidence.mixture, trusted, evidence.weights, block)
+    shaft = mix_components(evidence.mixture, trusted, evidence.weights, block, reported)
     is_met = shaft.met_probability > MET_PROBABILITY
     posterior.in_contact = is_met
     posterior.layer = traversed + 1 if is_met else 0
@@ -435,6 +473,7 @@ def update_posterior(
     # texture shows.
     model_error_variance = shaft.met_probability * block.model_error_N**2
     posterior.model_error_variance = model_error_variance
-    posterior.traversed.coulomb_variance += model_error_variance
+    if reported > 0:  # before, none of the force is subtracted
+        posterior.traversed.coulomb_variance += model_error_variance
     posterior.shaft.coulomb_variance += model_error_variance
     update_stop(posterior, block)

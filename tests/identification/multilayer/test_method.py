@@ -454,3 +454,30 @@ def test_stiffness_of_a_membrane_met_in_air_is_reported(stiffness_N_per_m, seed)
 def test_a_provisional_alarm_cannot_ask_for_more_than_an_alarm():
     with pytest.raises(InvalidConfigError, match="provisional_probability"):
         MultilayerConfig(alarm_probability=0.9, provisional_probability=0.95)
+
+
+@pytest.mark.parametrize("zero_m", [-0.105, 0.0, 1.0])
+def test_the_first_layer_is_split_alike_wherever_depth_has_its_zero(zero_m):
+    truth = insert_needle("gel-25-constant", seed=1000, rate_hz=250.0)
+    result = replay(truth.t_s, truth.depth_m + zero_m, truth.force_N)
+    contact_s = truth.truth.contact_s
+    rupture_s = truth.truth.ruptures[0].onset_s
+    is_first_layer = (truth.t_s > contact_s) & (truth.t_s < rupture_s)
+    tip_N = np.array([estimate.tip_force_N for estimate in result.estimates])
+    std_N = np.array([estimate.tip_force_std_N for estimate in result.estimates])
+    error_N = np.abs(tip_N - truth.truth.tip_N)[is_first_layer]
+
+    assert np.mean(error_N < 2.0 * std_N[is_first_layer]) > 0.95
+    assert error_N.max() < 0.1
+
+
+def test_nothing_is_subtracted_before_the_first_rupture_is_reported():
+    """A glove is met under the first gel: its friction is known before the rupture."""
+    truth = insert_needle("stack-glove-constant", seed=0, rate_hz=250.0)
+    result = replay(truth.t_s, truth.depth_m, truth.force_N)
+    first_s = result.layers[0].rupture.alarm_s
+    before = truth.t_s < first_s - 0.01
+    enhanced_N = np.array([each.enhanced_force_N for each in result.estimates])
+    difference_N = (enhanced_N - truth.force_N)[before]
+
+    assert np.abs(difference_N).max() < 0.02  # the zero of the force is learnt
