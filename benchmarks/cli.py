@@ -341,6 +341,28 @@ def show_results(
     new_console().print(table.rich())
 
 
+@app.command(name="figures")
+def publish_figures(*files: Annotated[Path, Parameter(required=True)]) -> None:
+    """Fill the tables of README.md and docs/reference/results.md.
+
+    They show one campaign of one commit. Of a scenario on a plant that several files
+    hold, the last one counts.
+
+    Args:
+        files: Results from run --json, all of one commit without changes.
+    """
+    from benchmarks.report.figures import fill_figures, write_figures
+    from benchmarks.results import read_commit, read_merged
+
+    commits = {read_commit(path) or "unknown" for path in files}
+    if len(commits) > 1 or commits & {"unknown"} or "-dirty" in "".join(commits):
+        raise ResultsError(
+            f"the files are of commit {', '.join(sorted(commits))}; expected one, "
+            "without changed files: run the campaign on a clean clone"
+        )
+    write_figures(fill_figures(read_merged(files), commits.pop()))
+
+
 @app.command(name="speed")
 def time_updates(
     soak: bool = False,

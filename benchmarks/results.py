@@ -10,6 +10,7 @@ which nothing is judged.
 
 import csv
 import math
+import subprocess
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 from sys import intern
@@ -22,14 +23,31 @@ from benchmarks import ResultsError, UnknownMetricError
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals. Studies without
 a force name here what was measured, such as a scan or a fault."""
-Method = Literal["published", "published-as-run", "published-best-K", "ours", "guess"]
-"""Whose method: as published, or ours. What does not depend on it stands under
-``ours``; ``guess`` is a rule of thumb that an identification worth having must beat.
+Method = Literal[
+    "published-one-setting",
+    "published-as-authors-ran",
+    "published-best-gain",
+    "published",
+    "rule-of-thumb",
+    "ours",
+]
+"""Whose method. What does not depend on it stands under ``ours``.
 
-``published`` has one setting and the measured speed, as ours. ``published-as-run`` is
-it as its authors ran it: commanded speed, σ₁ chosen for each recording;
-``published-best-K`` is that with the gain of the observer that suits the recording
-best, where theirs is 5/s."""
+``published-one-setting`` is the method of Ferro et al. with one setting and the
+measured speed, as ours; ``published-as-authors-ran`` has commanded speed and σ₁ chosen
+for each recording; ``published-best-gain`` is that with the gain of the observer that
+suits the recording best, where theirs is 5/s. ``published`` is a published method of
+control. ``rule-of-thumb`` is what an identification worth having must beat."""
+
+METHOD_NAMES: Mapping[str, str] = {
+    "published-one-setting": "published, one setting",
+    "published-as-authors-ran": "published, as its authors ran it",
+    "published-best-gain": "published, best gain",
+    "published": "published",
+    "rule-of-thumb": "rule of thumb (0.7 of the force)",
+    "ours": "needleforce",
+}
+"""Methods as people read them."""
 
 
 class RowKey(NamedTuple):
@@ -95,14 +113,37 @@ SIGNIFICANT_DIGITS = 6
 """More would only record rounding."""
 
 
-def to_json(rows: Iterable[Row], runs: Runs = None) -> bytes:
-    """Return rows and how many each run has as JSON.
+def to_json(rows: Iterable[Row], runs: Runs = None, commit: str = "") -> bytes:
+    """Return rows, how many each run has and their commit as JSON.
 
     Equal runs give equal bytes; what is not finite becomes null.
     """
     lines = b",\n  ".join(map(_line, rows))
-    counts = b"" if runs is None else b', "runs": %b' % msgspec.json.encode(runs)
-    return b'{"schema": 1, "rows": [\n  %b\n]%b}\n' % (lines, counts)
+    more = b"" if runs is None else b', "runs": %b' % msgspec.json.encode(runs)
+    more += b', "commit": %b' % msgspec.json.encode(commit) if commit else b""
+    return b'{"schema": 1, "rows": [\n  %b\n]%b}\n' % (lines, more)
+
+
+def find_commit() -> str:
+    """Return the commit of this project, empty where it is no clone.
+
+    Of a clone in which files are changed it ends with ``-dirty``.
+    """
+    folder = Path(__file__).resolve().parents[1]
+    command = [
+        "git",
+        "-C",
+        str(folder),
+        "describe",
+        "--always",
+        "--dirty",
+        "--abbrev=8",
+    ]
+    try:
+        answer = subprocess.run(command, capture_output=True, text=True, check=True)
+    except (OSError, subprocess.CalledProcessError):
+        return ""
+    return answer.stdout.strip()
 
 
 def _line(row: Row) -> bytes:
@@ -111,7 +152,9 @@ def _line(row: Row) -> bytes:
     return msgspec.json.encode(msgspec.structs.replace(row, value=value))
 
 
-def write_results(path: str | Path, rows: Iterable[Row], runs: Runs = None) -> None:
+def write_results(
+    path: str | Path, rows: Iterable[Row], runs: Runs = None, commit: str = ""
+) -> None:
     """Write rows to a file, whole or not at all.
 
     Raises `ResultsError` where that cannot be.
@@ -120,7 +163,7 @@ def write_results(path: str | Path, rows: Iterable[Row], runs: Runs = None) -> N
     from needleforce.plots.drawing import write_file
 
     try:
-        write_file(path, to_json(rows, runs))
+        write_file(path, to_json(rows, runs, commit))
     except FiguresError as error:
         raise ResultsError(str(error)) from error
 
@@ -136,6 +179,7 @@ class _File(msgspec.Struct):
 
     schema: Literal[1]
     rows: list[msgspec.Raw]
+    commit: str = ""
 
 
 _decode_line = msgspec.json.Decoder(_Line).decode
@@ -171,6 +215,18 @@ def _row(line: _Line) -> Row:
     return Row(
         seed=line.seed, value=math.nan if line.value is None else line.value, **texts
     )
+
+
+def read_commit(path: str | Path) -> str:
+    """Return the commit of the code that gave a file of results; empty if unknown.
+
+    Raises:
+        ResultsError: The file cannot be read, or is not one of results.
+    """
+    try:
+        return msgspec.json.decode(Path(path).read_bytes(), type=_File).commit
+    except (OSError, msgspec.DecodeError) as error:
+        raise ResultsError(f"cannot read {path}: {error}") from error
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:

@@ -223,14 +223,14 @@ def judged_values(target: Target, by_kind: RowsByKind) -> dict[RowKey, float]:
     """
     values: dict[RowKey, float] = {}
     kind = (target.metric, target.plant, target.source)
-    published_rows = by_kind.get((*kind, "published"), {})
+    published_rows = by_kind.get((*kind, "published-one-setting"), {})
     for key, row in by_kind.get((*kind, target.method), {}).items():
         if not target.applies_to(row.scenario):
             continue
         if not target.of_published:
             values[key] = row.value
             continue
-        published = published_rows.get(key._replace(method="published"))
+        published = published_rows.get(key._replace(method="published-one-setting"))
         if published is not None and published.value != 0.0:
             values[key] = row.value / published.value
         elif published is not None or not target.where_reported:

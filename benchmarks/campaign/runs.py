@@ -16,7 +16,7 @@ from benchmarks import BenchmarkCode, ResultsError
 from benchmarks.campaign.workers import DIED, Workers, answers
 from benchmarks.catalogue import run_job
 from benchmarks.jobs import Job, Outcome
-from benchmarks.results import read_results, write_results
+from benchmarks.results import find_commit, read_results, write_results
 
 JobProgress = Callable[[int, float], None]
 """Takes the index of a job and the fraction of it that is done, 0 to 1."""
@@ -123,6 +123,7 @@ def _kept(
         yield lambda: None
         return
     due_s = perf_counter() + MIN_PAUSE_S
+    commit = find_commit()
 
     def write() -> None:
         nonlocal due_s
@@ -131,7 +132,8 @@ def _kept(
             outcomes[index] for index in sorted(outcomes) if outcomes[index].rows
         ]
         runs = {str(outcome.job): len(outcome.rows) for outcome in finished}
-        write_results(path, (row for outcome in finished for row in outcome.rows), runs)
+        rows = (row for outcome in finished for row in outcome.rows)
+        write_results(path, rows, runs, commit)
         pause_s = PAUSE_RATIO * (perf_counter() - begun_s)
         due_s = perf_counter() + max(MIN_PAUSE_S, pause_s)
 

@@ -20,7 +20,7 @@ def identify_as_run(
     signal: NeedleSignal,
     truth: InsertionTruth,
     commanded_m_s: NDArray[np.float64],
-    method: Method = "published-as-run",
+    method: Method = "published-as-authors-ran",
     config: PublishedConfig = PUBLISHED,
 ) -> Identified:
     """Run the published method as its authors did: commanded speed and the best σ₁.

@@ -49,12 +49,12 @@ from urdf import LWR_GEAR_RATIO, Robot
 
 METHODS: Mapping[Method, SensorConfig] = {
     "ours": DEFAULT_SENSOR,
-    "published": PUBLISHED_SENSOR,
+    "published-one-setting": PUBLISHED_SENSOR,
 }
 """Settings of the virtual sensor, by the name they are reported under."""
 IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = {
     "ours": MULTILAYER,
-    "published": PUBLISHED,
+    "published-one-setting": PUBLISHED,
 }
 """Settings of the identification; one configuration each for every run."""
 
@@ -162,7 +162,7 @@ def run_session(
         contact_m: Depth of first contact since the tare, which the published method
             assumes known.
     """
-    is_published = method == "published"
+    is_published = method == "published-one-setting"
     config = (
         replace(PUBLISHED, contact_depth_m=contact_m) if is_published else MULTILAYER
     )
@@ -227,7 +227,7 @@ def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceRea
             axial_N[k] = filtered = filtered + gain * (value - filtered)
         tried.append((float(np.mean((axial_N - truth.axial_N)[judged] ** 2)), axial_N))
     return replace(
-        reading, method="published-best-K", axial_N=min(tried, key=lambda f: f[0])[1]
+        reading, method="published-best-gain", axial_N=min(tried, key=lambda f: f[0])[1]
     )
 
 

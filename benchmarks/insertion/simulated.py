@@ -159,7 +159,7 @@ def read_sensors(
             session_progress,
             contact_m=contact_m,
         )
-    published = sessions.get("published")
+    published = sessions.get("published-one-setting")
     return SimulatedCase(
         run=run,
         signals=signals,
@@ -230,9 +230,9 @@ def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
     on_ft.append(identify_as_run(on_ft[0].signal, truth, commanded_m_s))
     if case.best_gain is not None:
         on_virtual.append(identify_as_run(on_virtual[-1].signal, truth, commanded_m_s))
-        signal = session_signal(case, "published", case.best_gain)
+        signal = session_signal(case, "published-one-setting", case.best_gain)
         on_virtual.append(
-            identify_as_run(signal, truth, commanded_m_s, "published-best-K")
+            identify_as_run(signal, truth, commanded_m_s, "published-best-gain")
         )
     return [on_ft, on_virtual]
 

@@ -88,7 +88,10 @@ class RunFigures:
 STYLES: dict[tuple[str, str], tuple[str, LineStyle]] = {
     ("ft", "ours"): ("F/T sensor", palette.OTHER_SENSOR),
     ("virtual", "ours"): ("virtual sensor, ours", palette.OURS),
-    ("virtual", "published"): ("virtual sensor, published", palette.PUBLISHED),
+    ("virtual", "published-one-setting"): (
+        "virtual sensor, published",
+        palette.PUBLISHED,
+    ),
 }
 """By source and method, in the order of drawing: dashed lines lie on continuous
 ones."""

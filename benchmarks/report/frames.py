@@ -29,8 +29,8 @@ def frame_of(rows: Iterable[Row]) -> Frame:
     columns = {name: [getattr(row, name) for row in rows] for name in NAMES}
     frame = pd.DataFrame(columns, dtype=None if rows else object)
     ours = {"metric": FORCE_ERROR, "source": "virtual", "method": "ours"}
-    published = ours | {"method": "published"}
-    best_gain = ours | {"method": "published-best-K"}
+    published = ours | {"method": "published-one-setting"}
+    best_gain = ours | {"method": "published-best-gain"}
     online = {"metric": CUMULATIVE.format("online")}
     offline = {"metric": CUMULATIVE.format("offline")}
     change = ratio_of(frame, "online_change", online, offline)

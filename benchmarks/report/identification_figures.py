@@ -77,8 +77,8 @@ def draw_identification(
         is_ft = source == "ft"
         compared = Compared(
             ours=by_method["ours"],
-            tuned=by_method["published-as-run"],
-            published=by_method["published"],
+            tuned=by_method["published-as-authors-ran"],
+            published=by_method["published-one-setting"],
             kelvin_voigt=kelvin_voigt if figure and is_ft else None,
             ft=None if is_ft else identified.ft,
             on_ft=None if is_ft else on_ft,

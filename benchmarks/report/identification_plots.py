@@ -24,8 +24,8 @@ MIN_RUPTURE_PT = 4.0
 SENSORS = {"ft": "F/T sensor", "virtual": "virtual sensor"}
 WHOSE = {
     "ours": (palette.OURS, "ours"),
-    "published": (palette.PUBLISHED, "published"),
-    "published-as-run": (palette.PUBLISHED, "published"),
+    "published-one-setting": (palette.PUBLISHED, "published, one setting"),
+    "published-as-authors-ran": (palette.PUBLISHED, "published, as its authors ran it"),
 }
 
 

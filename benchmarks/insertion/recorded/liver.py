@@ -370,7 +370,7 @@ def rupture_values(insertions: Sequence[LiverEstimates]) -> Iterator[tuple[str, 
         yield "ruptures_at_drops", at_a_drop / ruptures
 
 
-GUESSED_FRICTION = 0.7
+THUMB_FRACTION = 0.7
 """The rule of thumb: this fraction of the insertion force is friction."""
 
 
@@ -383,8 +383,8 @@ def run_liver_real(job: Job, progress: Progress) -> JobResult:
     """
     data = job.recordings
     by_method: dict[Method, list[LiverEstimates]] = {
-        "guess": [],
-        "published": [],
+        "rule-of-thumb": [],
+        "published-one-setting": [],
         "ours": [],
     }
     for index in range(len(NUMBERS)):
@@ -396,17 +396,15 @@ def run_liver_real(job: Job, progress: Progress) -> JobResult:
         force = whole.force_N[inside]
         course = whole.t_s[forward], whole.depth_m[forward], whole.force_N[forward]
         reference = liver_reference(whole, depth, force)
-        guess = tuple(
-            GUESSED_FRICTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm
-        )
-        by_method["guess"].append(LiverEstimates(reference, guess))
+        thumb = tuple(THUMB_FRACTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
+        by_method["rule-of-thumb"].append(LiverEstimates(reference, thumb))
         for method in IDENTIFIERS:
             by_method[method].append(liver_estimates(*course, method, reference))
     measurements: list[Measurement] = []
     for method, estimates in by_method.items():
         values = [
             *friction_values(estimates),
-            *(rupture_values(estimates) if method != "guess" else ()),
+            *(rupture_values(estimates) if method != "rule-of-thumb" else ()),
         ]
         measurements += [
             Measurement("ft", method, name, value) for name, value in values
