@@ -73,6 +73,7 @@ def listed(names):
     return f"{len(names)} files:\n" + "\n".join(sorted(names))
 
 
+@pytest.mark.slow
 def test_one_update_of_the_chain_passes_few_files():
     run = short_run()
     session = InsertionSession(run.robot)
@@ -124,6 +125,7 @@ def files_of_a_row(log, out):
     return {name for name in map(file_of, setup & between) if name}
 
 
+@pytest.mark.slow
 def test_a_csv_row_passes_few_files(lwr, tmp_path):
     write_insertion(tmp_path / "log.csv", lwr, seconds=15.0, contact_s=14.0)
     files = files_of_a_row(tmp_path / "log.csv", tmp_path / "out.csv")
@@ -182,11 +184,13 @@ def longest_chain(graph):
     return max((chain(name, ()) for name in graph), key=len, default=())
 
 
+@pytest.mark.slow
 def test_import_chains_are_short_without_circles():
     longest = longest_chain({name: imports_of(name) for name in modules()})
     assert len(longest) <= MAX_CHAIN, f"{len(longest)}: {' -> '.join(longest)}"
 
 
+@pytest.mark.slow
 def test_imports_inside_functions_make_no_circle():
     assert longest_chain({name: imports_of(name, ever=True) for name in modules(ALL)})
 

@@ -1,7 +1,6 @@
 """README and docs say what there is: examples run, commands exist, links lead
 somewhere."""
 
-import ast
 import inspect
 import io
 import re
@@ -17,11 +16,8 @@ import pinocchio as pin
 import pytest
 
 import urdf
-from foundation.state import STATE_FORMAT, STATE_VERSION
 from needleforce import InsertionSession
-from residual import SensorWarning, Status, TareError
-from residual.config import DEFAULT
-from residual.velocity_filter import VelocityEstimator
+from residual import TareError
 from tests.insertion_run import simulated
 from tests.residual.residual_signals import pose_of
 from tests.source_files import project_files
@@ -95,13 +91,7 @@ def examples(text):
     return re.findall(r"^```python\n(.*?)^```$", text, re.DOTALL | re.MULTILINE)
 
 
-def marked_command(name):
-    """The block that `.ci/run` takes from under a mark."""
-    pattern = rf"^<!-- command: {name} -->\n```sh\n(.*?)^```$"
-    (command,) = re.findall(pattern, README, re.DOTALL | re.MULTILINE)
-    return command.strip()
-
-
+@pytest.mark.slow
 def test_the_readmes_example_finds_the_layers(monkeypatch):
     monkeypatch.setattr("groundtruth.simulate", simulated)
     (code,) = examples(README)
@@ -149,13 +139,12 @@ def test_the_example_of_matching_prints_what_its_page_says():
     assert [line for line in lines if f"`{line}`" not in text] == []
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", SAYS)
 def test_an_example_runs_prints_its_result_and_draws_it(name, capsys, monkeypatch):
     assert sorted(path.stem for path in ROOT.glob("examples/*.py")) == sorted(SAYS)
 
     example = ROOT / "examples" / f"{name}.py"
-
-    assert len(example.read_text(encoding="utf-8").splitlines()) < 50
 
     monkeypatch.setattr("groundtruth.simulate", simulated)
     shown = []
@@ -167,47 +156,6 @@ def test_an_example_runs_prints_its_result_and_draws_it(name, capsys, monkeypatc
 
     assert re.match(SAYS[name], capsys.readouterr().out)
     assert len(shown) == 1
-
-
-def test_the_readme_is_short():
-    assert len(README.split()) <= 900
-
-    (code,) = examples(README)
-    statements = [
-        node for node in ast.walk(ast.parse(code)) if isinstance(node, ast.stmt)
-    ]
-
-    assert len(statements) <= 12
-
-
-def test_the_readme_stands_alone_on_a_package_index():
-    targets = re.findall(r"\]\(([^)]*)\)|(?:src|href)=\"([^\"]*)", README)
-
-    assert [name for name in sum(targets, ()) if name and "://" not in name] == []
-
-
-def test_the_two_commands_install_and_run():
-    assert marked_command("run") == 'pip install ".[demo]" && needleforce demo'
-
-    command = 'pip install ".[test]" && python -m pytest -n logical --dist worksteal'
-
-    assert marked_command("test") == command
-
-
-def test_every_package_has_a_row():
-    packages = {path.parent.name for path in ROOT.glob("*/__init__.py")} - {"tests"}
-    table = CONTRIBUTING.split("| package | what it does | imports |")[1]
-    table = table.split("\n\n")[0]
-
-    assert set(re.findall(r"^\| \[`(\w+)`\]", table, re.MULTILINE)) == packages
-
-
-def test_the_lags_it_states_are_those_delivered():
-    assert f"lags by {1e3 / DEFAULT.gain_per_s:.0f} ms" in README
-
-    delay_s = VelocityEstimator(7, DEFAULT.velocity_bandwidth_per_s).delay_s
-
-    assert f"{1e3 * delay_s:.0f} ms more where velocity is estimated" in README
 
 
 @pytest.mark.parametrize("page", PAGES, ids=lambda page: page.name)
@@ -239,24 +187,6 @@ def test_the_examples_of_a_task_run(page, tmp_path, monkeypatch):
 
         if "session" in names:
             assert isinstance(names["session"], InsertionSession)
-
-
-@pytest.mark.parametrize(
-    "member", [*Status, *(warning for warning in SensorWarning if warning)]
-)
-def test_every_status_and_warning_has_a_row(member):
-    assert f"| `{member.name}` |" in LOOP
-
-
-def test_every_call_the_loop_lists_exists():
-    calls = re.findall(r"^\| `(\w+)\(", LOOP, re.MULTILINE)
-
-    assert {"update", "tare", "begin_insertion"} <= set(calls)
-    assert [name for name in calls if not hasattr(InsertionSession, name)] == []
-
-
-def test_the_format_of_snapshots_is_the_one_written():
-    assert f'"format": "{STATE_FORMAT}", "version": {STATE_VERSION}' in SNAPSHOTS
 
 
 # docs/how-to/your-robot.md runs as it stands, and what it measures is what it hung
@@ -318,15 +248,10 @@ def test_a_hung_weight_reads_as_its_weight(names, force, weight_N, tolerance_N):
     )
 
 
+@pytest.mark.slow
 def test_a_stream_without_gravity_needs_the_option(names):
     with pytest.raises(TareError, match="torque_is_gravity_compensated=True"):
         names["weigh"](names["arm"], names["compensated"], names["three"])
-
-
-def test_names_and_links_of_the_page_exist(names):
-    for name in re.findall(r"names: ([\w, ]+) \|", PANDA)[0].split(", "):
-        assert urdf.load_example(name).nv >= 6
-    assert callable(urdf.identify_payload_static)
 
 
 NOTATION = (ROOT / "docs" / "reference" / "notation.md").read_text(encoding="utf-8")
@@ -335,17 +260,6 @@ NAMES = sorted(
     set(re.findall(rf"`((?:{'|'.join(PACKAGES)})\.[\w.]+(?:\(\w+\))?)`", NOTATION))
 )
 COLUMNS = ["symbol", "name in the code", "unit", "shape", "equation"]
-
-
-def tables():
-    """Header and rows of every table with a column of code names."""
-    for block in re.findall(r"(?:^\|.*\n)+", NOTATION, re.MULTILINE):
-        header, _, *rows = [
-            [cell.strip() for cell in line.split("|")[1:-1]]
-            for line in block.splitlines()
-        ]
-        if "name in the code" in header:
-            yield header, rows
 
 
 def resolve(path):
@@ -368,20 +282,3 @@ def test_every_name_exists(name):
 
     if argument:
         assert argument.rstrip(")") in inspect.signature(value).parameters
-
-
-def test_every_equation_of_the_paper_has_a_row():
-    all_tables = list(tables())
-
-    assert len(all_tables) == 5
-
-    for header, rows in all_tables:
-        assert header == COLUMNS
-        for row in rows:
-            assert len(row) == len(COLUMNS), row
-            assert set(re.findall(r"`([^`]*)`", row[1])) <= set(NAMES), row
-            assert row[0]
-            assert row[1].startswith("`")
-    equations = " ".join(row[-1] for _, rows in all_tables for row in rows)
-
-    assert [number for number in range(2, 14) if f"({number})" not in equations] == []

@@ -70,6 +70,7 @@ def test_the_page_on_installing_lists_every_extra():
         assert adds.startswith(EXTRAS[name])
 
 
+@pytest.mark.slow
 def test_each_module_that_the_product_imports_is_of_the_core_or_of_an_extra():
     known = CORE_MODULES | BROUGHT_BY_CYCLOPTS | set(EXTRA_OF_MODULE)
     unknown = {
@@ -90,6 +91,7 @@ def test_the_extra_of_a_module_brings_it():
         assert name in required(extra), module
 
 
+@pytest.mark.slow
 def test_the_core_loads_none_of_the_heavy_packages(tmp_path):
     code = (
         "import sys, needleforce, needleforce.cli, needleforce.control\n"

@@ -15,7 +15,6 @@ from needleforce.cli import main
 from needleforce.cli.plan_file import read_plan
 
 TUTORIALS = Path(__file__).parents[1] / "docs" / "tutorials"
-MAX_WORDS = 900
 ANSWERS = r"^```sh\n(needleforce .*?)\n```$(?:\n\n^```text\n(.*?)^```$)?"
 NUMBER = r"-?\d+(?:\.\d+)?"
 SHORT_ROWS = 20_000
@@ -68,11 +67,7 @@ def is_like(shown, printed):
     )
 
 
-@pytest.mark.parametrize("path", sorted(TUTORIALS.glob("*.md")), ids=lambda p: p.stem)
-def test_a_tutorial_is_short(path):
-    assert len(path.read_text(encoding="utf-8").split()) <= MAX_WORDS
-
-
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["csv", "arm-log"])
 def test_the_commands_of_a_recording_print_what_is_shown(
     name, tmp_path, monkeypatch, capsys
@@ -93,6 +88,7 @@ def test_the_commands_of_a_recording_print_what_is_shown(
             assert any(is_like(start, line) for line in lines), shown
 
 
+@pytest.mark.slow
 def test_the_truth_of_the_csv_is_the_one_shown(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     arguments, _ = commands("csv")[0]
@@ -112,6 +108,7 @@ def free_port():
         return link.getsockname()[1]
 
 
+@pytest.mark.slow
 def test_the_emulated_arm_is_watched_by_the_program(tmp_path, monkeypatch):
     controller, watch = programs("live-arm")
     port = str(free_port())

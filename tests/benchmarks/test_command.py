@@ -47,6 +47,7 @@ def run(*arguments):
     return main(["run", "--workers", "1", *arguments])
 
 
+@pytest.mark.slow
 def test_a_run_fails_for_missed_targets_when_strict(
     capsys,
 ):
@@ -83,6 +84,7 @@ def test_tables_begin_with_the_answer_and_show_targets_only_if_asked(capsys):
     assert re.sub("in . s", "", strict) == re.sub("in . s", "", plain)
 
 
+@pytest.mark.slow
 def test_a_report_is_named_last_and_begins_with_the_answer(tmp_path, capsys):
     pytest.importorskip("matplotlib")
     folder = tmp_path / "report"
@@ -211,6 +213,7 @@ def test_compare_fails_on_what_is_worse_or_lost(tmp_path, monkeypatch, capsys):
         assert said in "".join(capsys.readouterr())
 
 
+@pytest.mark.slow
 def test_outcomes_stand_in_the_order_of_jobs():
     jobs = [Job(benchmark=f"none-{k}", plant="degraded") for k in range(3)]
     progress = {}

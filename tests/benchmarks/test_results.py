@@ -112,6 +112,7 @@ def table_of(name, rows):
     return build_table(TABLES[name], frame_of(rows))
 
 
+@pytest.mark.slow
 def test_every_metric_is_shown_in_its_table_only():
     rows = {
         k: make_row(metric=k.name, unit=k.unit, plant="needle")

@@ -216,6 +216,7 @@ def start(folder):
     )
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_two_first_uses_at_once_share_a_folder_and_say_so_once_each(tmp_path):
     for name in ("first", "second"):
@@ -322,6 +323,7 @@ def chain_numbers(joint_rows, needle_rows):
     return np.array(found)
 
 
+@pytest.mark.slow
 @needs_compiler
 def test_the_chain_gives_the_same_numbers_without_the_compiler(tmp_path):
     path = str(tmp_path / "a")

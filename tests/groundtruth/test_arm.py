@@ -156,6 +156,7 @@ def test_joint_speed_is_the_derivative_of_position():
     assert np.abs(np.diff(motion.q_rad, axis=0)).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_controller_follows_fast_motion_or_reports_it_lost():
     bodies = lwr_bodies(NeedleTool(), DEGRADED, np.random.default_rng(0))
     plant = plant_in(Tissue(()), bodies)

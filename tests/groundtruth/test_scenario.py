@@ -230,6 +230,7 @@ def test_free_motion_reads_the_stated_noise(runs):
     assert steps == pytest.approx(np.round(steps), abs=1e-9)
 
 
+@pytest.mark.slow
 def test_seeds_change_the_noise_only():
     first, again, other = (insert_needle("gel-25-constant", seed=s) for s in (3, 3, 4))
 
@@ -244,6 +245,7 @@ def test_seeds_change_the_noise_only():
     assert not run.truth.axial_N.flags.writeable
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["liver-constant", "abdomen-sinusoidal"])
 def test_the_rate_changes_the_sampling_not_the_force(name):
     coarse = insert_needle(name, noise=ForceNoise())
@@ -287,6 +289,7 @@ def test_unusable_settings_are_refused_by_name():
         ForceNoise(white_std_N=-1.0)
 
 
+@pytest.mark.slow
 def test_drawn_stacks_are_physical_and_rupture_everywhere():
     assert {len(stack.layers) for stack in DRAWN} == {1, 2, 3, 4}
     assert {stack.motion.strokes[4].profile for stack in DRAWN} == {"cruise", "cosine"}

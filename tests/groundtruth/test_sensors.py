@@ -72,6 +72,7 @@ def test_clean_torque_has_stated_white_noise_and_bias():
     assert (start.max(axis=0) > 0.0).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant_model", [FRI, DEGRADED], ids=["fri", "degraded"])
 def test_torque_noise_has_the_stated_spread_behind_an_8_Hz_filter(plant_model):
     names = ("torque_noise_std_Nm", "torque_noise_correlation_s")
@@ -94,6 +95,7 @@ def test_torque_noise_has_the_stated_spread_behind_an_8_Hz_filter(plant_model):
     assert low == pytest.approx(4.0 * plant_model.torque_noise_correlation_s, rel=0.1)
 
 
+@pytest.mark.slow
 def test_torque_drift_has_the_stated_spread():
     wide = replace(
         IDEAL, torque_random_walk_std_per_sqrt_min=3e-5, size_spread=FRI.size_spread
@@ -232,6 +234,7 @@ def pushed(friction, push_Nm, inertia, seconds):
     return np.array(angles)
 
 
+@pytest.mark.slow
 def test_a_resting_joint_holds_up_to_the_peak():
     for fraction in (0.5, 0.95, 1.4):
         angles = pushed(bearings(), fraction * LEVEL_Nm, inertia=1.0, seconds=20.0)

@@ -88,6 +88,7 @@ def test_residual_is_ideal_filter_on_ideal_arm_only(runs, monkeypatch):
     assert np.isnan([free.truth.contact_s, free.truth.withdrawn_s]).all()
 
 
+@pytest.mark.slow
 def test_bearing_friction_looks_like_an_external_torque(
     monkeypatch,
 ):
@@ -151,6 +152,7 @@ def test_needle_follows_its_motion_and_truth_adds_up(runs, name):
         np.testing.assert_allclose(reading, truth.axial_N, atol=0.01)
 
 
+@pytest.mark.slow
 def test_equal_arguments_give_equal_runs(runs):
     progress: list[float] = []
     run = runs["degraded"]
@@ -199,6 +201,7 @@ def test_plant_models_give_what_they_promise(runs):
         assert all(link == other for other in others)
 
 
+@pytest.mark.slow
 def test_unknown_names_and_lost_motions_are_refused():
     with pytest.raises(ScenarioError, match="no-such"):
         simulate("no-such")

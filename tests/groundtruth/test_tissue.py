@@ -121,6 +121,7 @@ def test_bristle_step_is_bounded_and_exact(bristle, travel, dt, length, fraction
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("percent", TABLE_I_N)
 def test_tip_force_is_released_and_withdrawal_is_friction(
     percent,
@@ -173,6 +174,7 @@ def test_reinsertion_meets_friction_only_until_the_deepest_point():
     assert (np.abs(np.diff(tip)) < 0.02).all()
 
 
+@pytest.mark.slow
 def test_rest_relaxes_the_force_and_travel_restores():
     layer = BOVINE_LIVER
     law = Tissue((layer,))

@@ -107,6 +107,7 @@ def test_friction_follows_powers_of_length_and_speed():
     assert power.sliding_N_per_m(1e-9) < 1e-3 * slid
 
 
+@pytest.mark.slow
 def test_random_tissue_is_random_stack_with_drawn_laws():
     rough = "gel-70-constant+texture-20mN"
 

@@ -37,6 +37,7 @@ def columns():
     return Columns(run.t_s[rows], depth_m, run.force_N[rows], run.speed_m_s[rows])
 
 
+@pytest.mark.slow
 def test_a_replay_is_a_loop_over_update(columns):
     t_s, depth_m, force_N, speed_m_s = columns
     result = replay(*columns)
@@ -56,6 +57,7 @@ def test_a_replay_is_a_loop_over_update(columns):
     assert result.layers == identifier.layers
 
 
+@pytest.mark.slow
 @settings(max_examples=2)
 @given(st.lists(st.integers(HEAD_ROWS, 3000), max_size=6), st.booleans())
 def test_pieces_give_what_the_whole_gives(columns, cuts, has_speed):
@@ -110,6 +112,7 @@ def test_wrong_speed_sign_and_still_depth_get_hints(columns):
         assert check.hints()[-1].code is code
 
 
+@pytest.mark.slow
 def test_repeated_rows_change_no_layer(columns):
     t_s, depth_m, force_N, _ = columns
     once = replay(t_s, depth_m, force_N)
@@ -118,6 +121,7 @@ def test_repeated_rows_change_no_layer(columns):
     assert twice.layers == once.layers
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_speed", [True, False])
 def test_late_rows_and_clock_steps_hide_no_event(columns, has_speed):
     t_s, depth_m, force_N, speed_m_s = columns
@@ -145,6 +149,7 @@ def test_late_rows_and_clock_steps_hide_no_event(columns, has_speed):
     assert len(clean.layers) == len(late.layers) == len(set_back.layers) == 1
 
 
+@pytest.mark.slow
 def test_a_bad_stamp_spoils_its_own_row_only(columns):
     t_s, depth_m, force_N, speed_m_s = columns
     t_s = t_s.copy()

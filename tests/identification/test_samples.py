@@ -131,6 +131,7 @@ def test_an_absurd_interval_leaves_every_number_finite(config, dt_s):
     assert estimate.time_s == pytest.approx(0.1)
 
 
+@pytest.mark.slow
 def test_events_are_on_the_clock_of_the_caller():
     summed = Identifier()
     absolute = Identifier()
@@ -162,6 +163,7 @@ def test_a_sample_without_a_usable_time_is_rejected(time_s):
     assert identifier.update(0.0, 0.0, 0.0, 1e-3, np.float32(8.0)).time_s == 8.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 def test_events_count_depth_from_the_callers_zero(config):
     config = replace(config, contact_depth_m=3e-3) if config is PUBLISHED else config

@@ -27,6 +27,7 @@ def run(identifier, rows):
     return [identifier.update(*row) for row in rows]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
 def test_memory_is_bounded(config):
     rng = np.random.default_rng(6)
@@ -41,6 +42,7 @@ def test_memory_is_bounded(config):
     assert max(sizes) < max(2 * sizes[2], 4096 * 7 * 10)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
 def test_every_state_resumes_bit_for_bit(config, least, tmp_path):
     """Each seventh one, and from a file each fifth one that is taken while work is

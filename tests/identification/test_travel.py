@@ -81,6 +81,7 @@ def filtered(t_s, depth_m, speed_m_s):
     return Filtered(*np.array(travels).T, math.sqrt(state.noises[DEPTH].variance))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", ["none", "measured", "estimated"])
 @pytest.mark.parametrize("noise_m", [1.4e-5, 1.2e-4])
 @pytest.mark.parametrize(
@@ -108,6 +109,7 @@ def test_noise_is_learned_and_its_rest_is_stated(given, noise_m, rate_hz, jitter
     assert std_m_s < 1.5e-4
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("given", ["none", "measured", "estimated"])
 def test_a_needle_that_stops_or_turns_is_followed(given):
     rng = np.random.default_rng(2)
@@ -156,6 +158,7 @@ def test_smooth_noise_of_an_encoder_is_learned(step_m):
     assert 0.3 < np.std(error_m_s) / travel.speed_std_m_s[steady].mean() < 3.0
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("lost_s", [0.0, 0.01, 0.3])
 @pytest.mark.parametrize("rate_hz", [1000.0, 200.0])
 def test_a_swing_is_no_noise(rate_hz, lost_s):
@@ -205,6 +208,7 @@ def test_the_configured_gap_is_that_of_the_filter(gap_s, restarts):
     assert speed_m_s == (0.0 if restarts else pytest.approx(3e-3, rel=0.01))
 
 
+@pytest.mark.slow
 def test_nobody_need_measure_the_speed():
     rng = np.random.default_rng(4)
     identifier = Identifier()

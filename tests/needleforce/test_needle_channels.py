@@ -82,6 +82,7 @@ def true_ruptures(trip, thickness_m, first=0):
     return [advancing(trip, first, thickness_m, math.inf)[0]]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("where", ["turned", "aside", "below"])
 def test_a_tare_elsewhere_needs_no_call(where):
     layer = gel(25)
@@ -157,6 +158,7 @@ def twice():
     return Twice(trip, tare, second, *run(trip, tare))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_call", [False, True])
 def test_an_old_channel_has_friction_and_no_tip_force_until_its_end(twice, with_call):
     trip, tare, second, session, estimates = twice
@@ -182,6 +184,7 @@ def test_an_old_channel_has_friction_and_no_tip_force_until_its_end(twice, with_
     assert len(session.layers) == 1
 
 
+@pytest.mark.slow
 def test_two_millimetres_beside_a_channel_tissue_is_fresh():
     trip = Trip((gel(25),), np.random.default_rng(3))
     trip.advance(-IN_AIR_M, 0.02)
@@ -206,6 +209,7 @@ def test_two_millimetres_beside_a_channel_tissue_is_fresh():
     assert len(session.layers) == 1
 
 
+@pytest.mark.slow
 def test_layers_stay_until_the_next_contact():
     trip = Trip((gel(25),), np.random.default_rng(4))
     trip.advance(-IN_AIR_M, 0.02)
@@ -276,6 +280,7 @@ def test_tissue_that_has_moved_contradicts_the_channel(moved):
     assert len(session.layers) == 1
 
 
+@pytest.mark.slow
 def test_channels_that_are_forgotten_are_fresh_tissue(moved):
     trip, tare, second, *_ = moved
     session, _ = run(moved.until(second), tare)
@@ -291,6 +296,7 @@ def test_channels_that_are_forgotten_are_fresh_tissue(moved):
     assert np.abs(tip_N - true_tip_N)[fresh].mean() < 0.25
 
 
+@pytest.mark.slow
 def test_begin_insertion_in_tissue_moves_only_the_zero_of_depth(twice):
     trip, tare, second, _, estimates = twice
     in_tissue = advancing(trip, tare, 0.015, 0.02)[0]
@@ -307,6 +313,7 @@ def test_begin_insertion_in_tissue_moves_only_the_zero_of_depth(twice):
         assert one.depth_in_tissue_m == pytest.approx(inside_m, abs=1e-6)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("second_s", [1.0, 5.0])
 def test_a_resumed_session_knows_its_channels(twice, tmp_path, second_s):
     trip, tare, second, whole, estimates = twice

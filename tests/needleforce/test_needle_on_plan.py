@@ -131,6 +131,7 @@ def zero():
     return stopped_after(TARE).zero
 
 
+@pytest.mark.slow
 def test_off_the_plan_no_layer_is_named(zero):
     start_m, axis = zero
     side = np.cross(axis, [0.0, 1.0, 0.0])
@@ -184,6 +185,7 @@ def test_before_the_tare_depth_counts_from_the_planned_entry_too(zero):
     )
 
 
+@pytest.mark.slow
 def test_an_entry_without_a_direction_is_checked_too(zero):
     start_m, axis = zero
     side = np.cross(axis, [0.0, 1.0, 0.0])
@@ -196,6 +198,7 @@ def test_an_entry_without_a_direction_is_checked_too(zero):
     assert far[-1].plan.name == "off plan"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("state", "is_told", "is_stopped"),
     [

@@ -56,6 +56,7 @@ def test_the_chain_finds_force_depth_and_layer(whole):
     assert session.lag_s == pytest.approx(1.0 / DEFAULT.gain_per_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_depth_and_speed_equal_the_offline_kinematics(whole, with_velocity):
     end = TARE + 4000
@@ -83,6 +84,7 @@ def test_depth_and_speed_equal_the_offline_kinematics(whole, with_velocity):
     np.testing.assert_allclose(depth, truth, atol=1e-4)
 
 
+@pytest.mark.slow
 def test_only_valid_tared_forces_are_used():
     session = InsertionSession(RUN.robot)
     lost = range(TARE + 100, TARE + 500)
@@ -112,6 +114,7 @@ def test_only_valid_tared_forces_are_used():
     assert estimate.time_s == pytest.approx(k * 1e-3, abs=2e-3)
 
 
+@pytest.mark.slow
 def test_refused_tares_and_new_insertions_keep_the_tare():
     session, (first, second) = resumed_after(TARE + 12_000, 2)
     deep = session.update(*first)
@@ -145,6 +148,7 @@ def test_refused_tares_and_new_insertions_keep_the_tare():
         session.tare()
 
 
+@pytest.mark.slow
 def test_external_torque_gives_force_and_speed():
     sent = RUN.signals
     truth = RUN.truth
@@ -165,6 +169,7 @@ def test_external_torque_gives_force_and_speed():
         assert estimate.speed_m_s == pytest.approx(truth.speed_m_s[end], abs=3e-4)
 
 
+@pytest.mark.slow
 def test_speed_lag_smooths_over_the_true_time(whole):
     lost, other = (InsertionSession(RUN.robot, speed_lag_s=0.02) for _ in range(2))
     moving = slice(TARE + 4001, TARE + 6001)
@@ -231,6 +236,7 @@ def test_a_clock_that_was_set_takes_no_time(dt_s):
     assert passed_s == pytest.approx(rows[51][3])
 
 
+@pytest.mark.slow
 def test_a_force_rejected_by_identifier_is_unused():
     config = MultilayerConfig(check=CheckConfig(force_limit_N=1.0))
     session = InsertionSession(RUN.robot, identifier_config=config)
@@ -270,6 +276,7 @@ def pushed(rows, force_in_base_N, first, count, joint=None):
         yield q, dq, tau, dt_s
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("first", [100, 112])
 def test_a_lateral_push_is_no_axial_force(first):
     session, rows = resumed_after(INSIDE, 400)
@@ -316,6 +323,7 @@ def test_a_push_on_the_elbow_raises_no_rupture(first):
     assert all(e.status is Status.OK for e in estimates)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (0.7, 1.0))]
 )
@@ -342,6 +350,7 @@ def test_a_small_push_shows_in_torque_changes(count, seconds):
     assert lasts[-1] == (count == 4_500)
 
 
+@pytest.mark.slow
 def test_a_push_rewinds_to_before_it_began():
     session, rows = resumed_after(INSIDE, 900)
     still, _ = resumed_after(INSIDE, 900)
@@ -379,6 +388,7 @@ def test_a_push_beginning_in_unused_ticks_rewinds_once():
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "count", "late"),
     [(-5_700, 200, 10), (-100, 300, 900), (-50, 1_500, 2_150), (-400, 1_200, 1_500)],
@@ -396,6 +406,7 @@ def test_a_rupture_around_an_elbow_push_is_found(first, count, late):
     assert abs(session.layers[0].friction_N / layer.friction_N - 1.0) < 0.15
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("joint", "step_Nm"), [(1, 0.3), (3, -0.3), (5, 0.3)])
 def test_a_torque_that_jumps_back_makes_no_rupture(joint, step_Nm):
     """As a hand that leans on the elbow for a while and lets go."""
@@ -412,6 +423,7 @@ def test_a_torque_that_jumps_back_makes_no_rupture(joint, step_Nm):
     assert all(e.identification.retracted is None for e in estimates)
 
 
+@pytest.mark.slow
 def test_a_session_restored_during_a_jump_knows_of_it():
     session, rows = resumed_after(INSIDE, 9_000)
     jumped = [
@@ -432,6 +444,7 @@ def test_a_session_restored_during_a_jump_knows_of_it():
         restored.restore(snapshot._replace(jump_std_N=math.nan))
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("joint", "step_Nm"), [(3, 0.3), (5, -0.3)])
 def test_a_torque_sensor_that_jumps_makes_no_rupture_and_hides_none(joint, step_Nm):
     session, rows = resumed_after(INSIDE, 9_000)

@@ -76,6 +76,7 @@ def run_through(session, last, folder, *, with_velocity):
     raise AssertionError
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize("config", CONFIGS)
 def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
@@ -96,6 +97,7 @@ def test_a_resumed_session_goes_on_bit_for_bit(config, with_velocity, tmp_path):
             assert same(other.update(*feed[k][1]), estimates[k]), (cut, k)
 
 
+@pytest.mark.slow
 def test_a_sensor_alone_is_stored_too(tmp_path):
     whole, (row,) = resumed_after(IN_TISSUE, 1)
     stored, other = (VirtualForceSensor(short_run().robot) for _ in range(2))
@@ -225,6 +227,7 @@ def test_files_that_are_no_snapshots_say_so(tmp_path):
         read_snapshot(tmp_path / "missing")
 
 
+@pytest.mark.slow
 def test_one_changed_byte_is_noticed(tmp_path):
     path, _, _ = written(tmp_path)
     content = bytearray(path.read_bytes())
@@ -274,6 +277,7 @@ def with_change(plain, path, value):
     return changed
 
 
+@pytest.mark.slow
 @given(st.data())
 @settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 def test_a_changed_field_is_refused_or_harmless(tmp_path, data):

@@ -115,6 +115,7 @@ def test_a_folder_of_data_hides_a_package_of_a_development_install(tmp_path):
     assert f"{tmp_path / 'urdf'} hides the package 'urdf'" in done.stderr
 
 
+@pytest.mark.slow
 def test_a_folder_of_data_that_hides_nothing_is_no_obstacle(tmp_path):
     (tmp_path / "urdf").mkdir()
     code = "import needleforce, urdf; print(urdf.__file__)"

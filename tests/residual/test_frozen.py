@@ -163,6 +163,7 @@ def spikes(estimates):
     return [k for k, e in enumerate(estimates) if SensorWarning.SPIKE in e.warnings]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize("noise_rad", [0.0, 1e-4])
 @pytest.mark.parametrize("samples", MILLISECONDS)

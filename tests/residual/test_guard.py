@@ -125,6 +125,7 @@ def test_a_saturated_torque_is_held_back(lwr, slowly):
     assert abs(feed(sensor, rows[300:700])[-1].axial) < 0.1
 
 
+@pytest.mark.slow
 def test_a_joint_at_its_limit_is_reported(lwr):
     middle = MIDDLE.copy()
     middle[5] = lwr.position_upper_rad[5] - 0.05
@@ -178,6 +179,7 @@ def test_no_valid_sample_is_held_back(lwr, kind, with_velocity):
     assert held_back(lwr, motion, has_velocity=with_velocity) == 0
 
 
+@pytest.mark.slow
 def test_a_coarse_encoder_step_is_no_spike(lwr):
     rng = np.random.default_rng(0)
     step = 3.5e-4

@@ -246,6 +246,7 @@ WRONG = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("preset", [DEFAULT, PUBLISHED])
 @pytest.mark.parametrize("kind", WRONG)
 def test_a_refused_tare_names_the_likely_torques(lwr, kind, preset):
@@ -263,6 +264,7 @@ def test_a_refused_tare_names_the_likely_torques(lwr, kind, preset):
 OTHERS = np.arange(7) != 3
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("bend", "words"),
     [
@@ -287,6 +289,7 @@ def test_a_refused_tare_asks_for_units_and_signals(lwr, bend, words):
         sensor.tare()
 
 
+@pytest.mark.slow
 def test_a_tare_without_data_says_what_was_rejected(lwr):
     sensor = VirtualForceSensor(lwr)
     q, dq, tau = signals(lwr, 1.0)
@@ -297,6 +300,7 @@ def test_a_tare_without_data_says_what_was_rejected(lwr):
         sensor.tare()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("in_model", "on_arm", "words"),
     [
@@ -329,6 +333,7 @@ def test_measured_torque_given_as_external_torque_is_named(lwr):
         sensor.tare()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_torque_without_gravity_gives_the_same_force(lwr, with_velocity):
     config = replace(DEFAULT, torque_is_gravity_compensated=True)

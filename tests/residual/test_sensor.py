@@ -30,6 +30,7 @@ def push(robot, sensor, force, *, with_velocity=True):
     return feed(sensor, rows_of(q, dq if with_velocity else None, tau - BIAS))[-1]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_force_is_read_through_a_sensor_bias(lwr, with_velocity):
     sensor = tared_sensor(
@@ -156,6 +157,7 @@ def test_a_clock_that_goes_back_is_waited_for(lwr):
     assert sensor.update(q[7], dq[7], tau[7], 1e-3).status is not Status.REJECTED
 
 
+@pytest.mark.slow
 def test_tare_in_contact_is_refused_unless_ignored(lwr):
     sensor = VirtualForceSensor(lwr)
     twin = VirtualForceSensor(lwr)
@@ -215,6 +217,7 @@ def force_noise(robot, config, amplitude):
     return np.std(forces_N[200:])
 
 
+@pytest.mark.slow
 def test_smoothed_momentum_is_quiet_and_follows_acceleration(lwr):
     smoothed = replace(DEFAULT, force_bandwidth_per_s=None)
     plain = replace(smoothed, smooth_momentum=False)
@@ -237,6 +240,7 @@ def worst_force_in_quick_free_motion(robot, config):
     return np.abs(forces_N[500:]).max()
 
 
+@pytest.mark.slow
 def test_hand_settings_read_less_force_in_quick_motion(lwr):
     default = worst_force_in_quick_free_motion(lwr, DEFAULT)
     assert worst_force_in_quick_free_motion(lwr, HAND_DRIVEN) < 0.5 * default

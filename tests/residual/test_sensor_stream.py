@@ -19,6 +19,7 @@ from tests.residual.guarded_sensor import feed, rows_of, signals, tared, tared_s
 from tests.residual.residual_signals import BIAS, external_torque_of, swing
 
 
+@pytest.mark.slow
 def test_a_second_tare_needs_new_motion(lwr):
     sensor = tared_sensor(lwr)
 
@@ -201,6 +202,7 @@ def run(robot, stamps_s, *, with_velocity=True):
     return estimates
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("with_velocity", [True, False])
 def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity):
     ticks = np.arange(3000)

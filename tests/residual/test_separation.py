@@ -30,6 +30,7 @@ def tared_after(count):
     return copy.deepcopy(_tared_after(count))
 
 
+@pytest.mark.slow
 def test_a_stroke_tells_more_than_a_rest():
     rest = tared_after(AT_REST).tare_separation
     stroke = tared_after(tare_index(RUN)).tare_separation

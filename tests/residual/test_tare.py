@@ -132,6 +132,7 @@ def test_fit_extrapolates_better_than_a_constant(lwr, basis, seed):
     assert ours < 0.5 * paper
 
 
+@pytest.mark.slow
 def test_stated_covariance_is_believable(lwr, basis):
     scores = []
     for seed in range(20):
@@ -368,6 +369,7 @@ class Arm:
         return np.array(found).T
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(("factor", "most_N"), [(1.0, 0.05), (3.0, 0.1)])
 @pytest.mark.parametrize("seed", [0, 1])
 def test_friction_is_learnt_from_strokes_both_ways(lwr, factor, most_N, seed):
@@ -381,6 +383,7 @@ def test_friction_is_learnt_from_strokes_both_ways(lwr, factor, most_N, seed):
     assert np.mean(np.abs(error) < 2.0 * std) > 0.85
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("since_s", [5.0, 11.0])
 @pytest.mark.parametrize("seed", [2, 3])
 def test_contact_is_refused_in_spite_of_friction(lwr, since_s, seed):

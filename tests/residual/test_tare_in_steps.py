@@ -49,6 +49,7 @@ def same(one, other):
     return all(map(np.array_equal, one, other))
 
 
+@pytest.mark.slow
 def test_a_tare_in_steps_is_the_same_bit_for_bit():
     at_once = moved()
     at_once.tare()
@@ -104,6 +105,7 @@ def test_a_session_that_is_taring_goes_on_bit_for_bit(how, tmp_path):
     assert same(tare_of(session), tare_of(other))
 
 
+@pytest.mark.slow
 def test_a_refused_tare_in_steps_says_why_and_changes_nothing():
     session = moved()
     q_rad = FOLLOWING[0][0]
@@ -154,6 +156,7 @@ def test_a_second_start_does_nothing_and_a_new_recording_ends_a_tare():
     assert not session.taring
 
 
+@pytest.mark.slow
 def test_torques_that_are_all_zero_are_refused_beside_the_ticks():
     session = InsertionSession(RUN.robot)
     no_torque_Nm = np.zeros(RUN.robot.nv)

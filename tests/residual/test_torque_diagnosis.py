@@ -63,6 +63,7 @@ REFUSED = {
 }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", REFUSED)
 def test_torques_of_another_kind_are_named_with_what_corrects_them(lwr, kind):
     bend, code, place, value = REFUSED[kind]
@@ -75,6 +76,7 @@ def test_torques_of_another_kind_are_named_with_what_corrects_them(lwr, kind):
     assert caught.value.places.get(place, "").startswith(value)
 
 
+@pytest.mark.slow
 def test_the_advised_factor_makes_the_tare_pass(lwr):
     sensor = sensor_after(lwr, lambda tau, _: 0.3 * tau)
     with pytest.raises(TareError) as caught:
@@ -87,6 +89,7 @@ def test_the_advised_factor_makes_the_tare_pass(lwr):
     assert cured.diagnosis.scale == pytest.approx(1.0, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_fraction_of_gravity_is_not_taken_for_torque_without_gravity(lwr):
     config = SensorConfig(torque_is_gravity_compensated=True)
     sensor = sensor_after(lwr, lambda tau, _: 0.01 * tau, config)
@@ -97,6 +100,7 @@ def test_a_fraction_of_gravity_is_not_taken_for_torque_without_gravity(lwr):
     assert caught.value.code.name == "TORQUE_SCALE"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("factor", [0.8, 1.25])
 def test_a_factor_near_one_is_named_and_widens_the_force(lwr, factor):
     sensor = sensor_after(lwr, lambda tau, _: factor * tau, amplitude=0.05)
@@ -136,6 +140,7 @@ def test_what_a_motion_cannot_show_is_said(lwr):
     )
 
 
+@pytest.mark.slow
 def test_an_absurd_payload_is_not_named(lwr):
     sensor = sensor_after(lwr, lambda tau, _: -tau)
     with pytest.raises(TareError) as caught:
@@ -145,6 +150,7 @@ def test_an_absurd_payload_is_not_named(lwr):
     assert rated_payload_kg(lwr) == 7.0
 
 
+@pytest.mark.slow
 def test_a_forgotten_payload_is_named_with_its_mass(lwr):
     hand = Payload(
         mass_kg=1.5, com_m=np.array([0.0, 0.0, 0.1]), inertia_kg_m2=np.zeros((3, 3))
@@ -165,6 +171,7 @@ def test_a_forgotten_payload_is_named_with_its_mass(lwr):
     assert payload.cause.places["payload"].startswith("mass_kg = 1.")
 
 
+@pytest.mark.slow
 def test_an_arm_on_the_ceiling_is_named(lwr):
     q = np.tile(MIDDLE, (750, 1))
     rng = np.random.default_rng(2)
@@ -186,6 +193,7 @@ def test_gravity_twice_in_the_torque_is_not_named_a_factor_that_hides_forces(lwr
     assert not caught.value.diagnosis.findings
 
 
+@pytest.mark.slow
 def test_a_scale_and_a_payload_at_once_are_named_together(lwr):
     hand = Payload(
         mass_kg=1.0, com_m=np.array([0.0, 0.0, 0.05]), inertia_kg_m2=np.zeros((3, 3))
@@ -200,6 +208,7 @@ def test_a_scale_and_a_payload_at_once_are_named_together(lwr):
     assert first.hypothesis.scale == pytest.approx(0.5, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_sign_that_does_not_show_is_not_named_beside_gravity_that_is_added_twice(lwr):
     config = SensorConfig(torque_is_gravity_compensated=True)
     sensor = sensor_after(lwr, lambda tau, _: tau, config)
@@ -209,6 +218,7 @@ def test_a_sign_that_does_not_show_is_not_named_beside_gravity_that_is_added_twi
     assert kinds == ["gravity"]
 
 
+@pytest.mark.slow
 def test_an_upright_arm_is_not_said_to_hang_where_a_wall_was_told(lwr):
     q, dq, tau = motion(lwr)
     on_wall = load_example("lwr4plus", payload=lwr.payload, gravity_m_s2=(9.81, 0, 0))

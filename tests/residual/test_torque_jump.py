@@ -59,6 +59,7 @@ def test_a_jump_leaves_the_gain_as_it_is(lwr):
     assert error_N.std() < 0.05 * abs(error_N.mean())  # the arm moves on
 
 
+@pytest.mark.slow
 def test_a_torque_that_comes_back_ends_the_warning(lwr):
     sensor, rows = tared(lwr, more=4.0)
     estimates = feed(sensor, with_step(rows, 3, 0.5, 300, 2_000))

@@ -264,6 +264,7 @@ def test_right_or_missing_velocities_are_not_reported(lwr):
     assert sensor.snapshot().monitor.match is None
 
 
+@pytest.mark.slow
 def test_free_motion_recorded_anew_is_judged_anew(lwr):
     sensor = VirtualForceSensor(lwr)
 
@@ -288,6 +289,7 @@ def test_free_motion_recorded_anew_is_judged_anew(lwr):
     )
 
 
+@pytest.mark.slow
 def test_external_torque_has_its_velocities_checked(lwr):
     sensor = VirtualForceSensor(lwr)
     rows = rows_of(lwr, factor=-1.0)

@@ -51,6 +51,7 @@ def test_parameters_are_pinocchios_and_complete(payload):
     assert again.inertia_kg_m2 == pytest.approx(payload.inertia_kg_m2, abs=1e-12)
 
 
+@pytest.mark.slow
 @given(payloads(), payloads(), rotations, vectors)
 def test_bodies_add_and_moving_is_linear(one, other, rotation, shift):
     moved = one.moved(rotation, shift)

@@ -28,6 +28,7 @@ def answered(tmp_path, workers):
     return dict(answer_list)
 
 
+@pytest.mark.slow
 def test_a_killed_process_takes_no_other_job(tmp_path):
     """The job it died of is done once more."""
     assert answered(tmp_path, Workers(workers=2)) == ANSWERS
@@ -115,6 +116,7 @@ def jobs_done(monkeypatch):
     return seeds_done
 
 
+@pytest.mark.slow
 def test_an_interrupted_run_goes_on_without_repeating(jobs_done, tmp_path, capsys):
     path, whole = (str(tmp_path / name) for name in ("a.json", "b.json"))
     asked = ["run", "--seeds", "6", "--workers", "1", "--json"]
@@ -199,6 +201,7 @@ def test_a_run_with_missing_rows_is_repeated(
     assert "is not a file of results" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_an_absent_cluster_is_one_line(jobs_done, monkeypatch, capsys):
     pytest.importorskip("distributed")
     monkeypatch.setattr(workers, "CONNECT_S", 0.5)

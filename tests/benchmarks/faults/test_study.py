@@ -41,6 +41,7 @@ def test_every_kind_of_fault_is_documented():
         assert any(word in name for name in names), word
 
 
+@pytest.mark.slow
 def test_every_fault_is_recovered_from_as_documented(results):
     page = documented()
     for result in results:

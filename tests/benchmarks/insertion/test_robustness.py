@@ -61,6 +61,7 @@ def test_every_size_has_a_source_mixtures_three_groups():
     assert len({name for names in drawn for name in names}) > 25
 
 
+@pytest.mark.slow
 def test_truth_is_relative_to_the_moving_tissue():
     still_signal, still_truth = perturbed_needle("none", BRIEF, 3)
     moved_signal, moved_truth = perturbed_needle("breathing", BRIEF, 3)
@@ -77,6 +78,7 @@ def test_truth_is_relative_to_the_moving_tissue():
     assert onset_m == pytest.approx(rupture.onset_m, abs=5e-5)
 
 
+@pytest.mark.slow
 def test_force_sensor_robustness_needs_no_arm():
     assert FT_ONLY.isdisjoint(ARM_ONLY)
 

@@ -38,6 +38,7 @@ BRIEF = gel_slice(25, thickness_m=8e-3, speed_m_s=15e-3)
 TOUCHLESS = replace(BRIEF, layers=())
 
 
+@pytest.mark.slow
 def test_a_needle_alone_gives_both_methods_and_charts(tmp_path):
     job = Job(benchmark="short", plant="needle", drawings=tmp_path)
     result = run_needle(job, SHORT, silent, is_drawn=False)
@@ -95,6 +96,7 @@ def values(case):
     }
 
 
+@pytest.mark.slow
 def test_the_ideal_arm_gives_true_force_and_lags():
     case = case_of("ideal")
     numbers = values(case)
@@ -114,6 +116,7 @@ def test_the_ideal_arm_gives_true_force_and_lags():
     assert numbers["virtual", "ours", "wrench_rmse_N"] < 0.2 * force
 
 
+@pytest.mark.slow
 def test_equal_runs_give_equal_numbers_of_every_source():
     case = case_of("degraded")
     numbers = values(case)
@@ -131,6 +134,7 @@ def test_equal_runs_give_equal_numbers_of_every_source():
     assert len(numbers) == 22
 
 
+@pytest.mark.slow
 def test_without_tissue_only_the_virtual_sensor_is_judged():
     case = case_of("clean", TOUCHLESS)
 
@@ -284,6 +288,7 @@ def measured(axial, true, **kw):
     }
 
 
+@pytest.mark.slow
 @given(delay=st.floats(-0.05, 0.5), offset=st.floats(-1.0, 1.0))
 def test_a_delay_is_found_whatever_the_offset(delay, offset):
     lag_s = force_lag_s(T, np.interp(T - delay, T, saw(T)) + offset, saw(T))

@@ -40,6 +40,7 @@ def pushed(robot, samples=600):
     return JointSignals(t_s=t, q_rad=q, dq_rad_s=dq, tau_Nm=np.array(tau)), force_N
 
 
+@pytest.mark.slow
 def test_both_libraries_see_the_same_robot():
     try:
         library = kdl_library()

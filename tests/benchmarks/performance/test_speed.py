@@ -96,6 +96,7 @@ def test_speed_and_memory_of_a_long_recording_count():
         assert stream.times_real == pytest.approx(100.0 / cpu_s)
 
 
+@pytest.mark.slow
 def test_stream_times_both_commands_and_refuses_short_recordings(capsys, tmp_path):
     assert main(["stream", "--seconds", "20", "--folder", str(tmp_path)]) == 0
 

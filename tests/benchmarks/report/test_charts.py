@@ -17,6 +17,9 @@ from benchmarks.report.identification_figures import draw_identification
 from groundtruth import insert_needle
 from tests.benchmarks.benchmark_cases import gel_slice
 
+pytestmark = pytest.mark.slow
+
+
 pytest.importorskip("matplotlib")
 
 T = np.linspace(0.0, 20.0, 4001)

@@ -55,6 +55,7 @@ def rows(plant="clean", scenarios=GELS, seeds=(0,)):
     return all_rows
 
 
+@pytest.mark.slow
 def test_all_runs_give_all_figures(dot, tmp_path):
     figures = [item for item in PUBLISHED_FIGURES if item.number not in ("10", "I")]
     drawn = [
@@ -109,6 +110,7 @@ def test_table_one_has_published_numbers_beside_ours(dot):
     assert points["ours, F/T, constant"].y[1] == 105.0
 
 
+@pytest.mark.slow
 def test_the_command_writes_page_drawings_and_numbers(tmp_path, capsys):
     folder = tmp_path / "deep" / "report"
     written = tmp_path / "a.json"

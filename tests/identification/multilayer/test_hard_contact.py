@@ -61,6 +61,7 @@ def contacts(stiffness_N_per_m, speed_m_s=3e-3, **settings):
     return [item.hard_contact for item in estimates if item.hard_contact], estimates
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("stiffness_N_per_m", "speed_m_s"), [(8e3, 1.5e-3), (40e3, 5e-3)]
 )
@@ -74,6 +75,7 @@ def test_bone_is_one_event_soon_after_the_contact(stiffness_N_per_m, speed_m_s):
     assert estimates[-1].hard_contact is None
 
 
+@pytest.mark.slow
 def test_soft_tissue_is_no_hard_contact():
     found, estimates = contacts(1500.0)
 

@@ -145,6 +145,7 @@ def assert_both_found(identifier, estimates, *, within=0.2):
         assert error_N < 3.0 * layer.friction_std_N + 0.03 * friction_N
 
 
+@pytest.mark.slow
 def test_a_provisional_alarm_comes_before_the_one_that_confirms_it():
     _, estimates = run(straight())
 
@@ -174,6 +175,7 @@ def test_an_alarm_is_raised_from_a_probability_of_98_percent_on(
     assert len(values_of(estimates, "rupture")) == alarms
 
 
+@pytest.mark.slow
 def test_a_provisional_alarm_is_confirmed_or_retracted_but_not_both():
     config = MultilayerConfig(provisional_probability=0.5)
     _, estimates = run(straight(seed=1), Identifier(config))
@@ -192,6 +194,7 @@ def test_a_provisional_alarm_is_confirmed_or_retracted_but_not_both():
     assert not is_open
 
 
+@pytest.mark.slow
 def test_two_layers_and_their_friction_are_found():
     identifier, estimates = run(straight())
 
@@ -207,6 +210,7 @@ def test_two_layers_and_their_friction_are_found():
     assert 0.0 < first.alarm_s - first.time_s < 0.06
 
 
+@pytest.mark.slow
 def test_each_layer_is_reported_provisionally_and_finally():
     _, estimates = run(straight())
     reports = [
@@ -220,6 +224,7 @@ def test_each_layer_is_reported_provisionally_and_finally():
     ]
 
 
+@pytest.mark.slow
 def test_behind_the_layers_only_friction_remains():
     _, estimates = run(straight())
     last = estimates[-1]
@@ -229,6 +234,7 @@ def test_behind_the_layers_only_friction_remains():
     assert last.layer == 3
 
 
+@pytest.mark.slow
 def test_jitter_of_the_speed_says_nothing_of_friction():
     run = insert_needle("gel-70-sinusoidal", seed=1, rate_hz=100.0)
     jitter = np.random.default_rng(1).standard_normal((2, len(run.t_s)))
@@ -242,6 +248,7 @@ def test_jitter_of_the_speed_says_nothing_of_friction():
     assert rms(enhanced_N[is_behind]) < 0.06
 
 
+@pytest.mark.slow
 def test_friction_at_changing_speed_is_no_texture():
     """The speed sways from 1 to 7 mm/s, and the friction with it by up to a newton."""
     stds_N = []
@@ -273,12 +280,14 @@ def pushed_tip_N(force_std_N, faster_m_s):
     return estimate.tip_force_N - estimates[-1].tip_force_N
 
 
+@pytest.mark.slow
 def test_an_uncertain_force_counts_less_during_acceleration():
     assert pushed_tip_N(force_std_N=0.0, faster_m_s=0.2) > 0.5
     assert pushed_tip_N(force_std_N=1.0, faster_m_s=0.0) > 0.5
     assert abs(pushed_tip_N(force_std_N=1.0, faster_m_s=0.2)) < 0.1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_forces_are_within_their_deviations(seed):
     rows = straight(seed)
@@ -292,6 +301,7 @@ def test_forces_are_within_their_deviations(seed):
         assert np.mean(np.abs(force_N - truth_N) < 2.0 * std_N + 5e-3) > 0.9
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1, 2])
 def test_friction_is_well_known_before_braking(seed):
     """One speed does not show how much of the friction stays at rest."""
@@ -301,6 +311,7 @@ def test_friction_is_well_known_before_braking(seed):
     assert estimate.shaft_friction_std_N < 0.1 * estimate.shaft_friction_N
 
 
+@pytest.mark.slow
 def test_the_tissue_may_beat():
     rows = straight(3, motion_m=lambda t_s: 0.2e-3 * np.sin(2.0 * np.pi * 1.2 * t_s))
     identifier, estimates = run(rows)
@@ -310,6 +321,7 @@ def test_the_tissue_may_beat():
     assert len(identifier.layers) == 2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_speed", [True, False])
 def test_noise_of_the_position_hides_no_ruptures(has_speed):
     # Without the stop at the end, which a speed estimated from such depths shows late.
@@ -320,6 +332,7 @@ def test_noise_of_the_position_hides_no_ruptures(has_speed):
     assert_both_found(*run(rows), within=0.3)
 
 
+@pytest.mark.slow
 def test_rests_and_reversals_are_no_ruptures():
     inwards = [(12e-3, 3.0), (0.0, 1.5), (6e-3, 1.5), (0.0, 1.0)]
     back_and_on = [(-3e-3, 0.75), (3e-3, 0.75), (28e-3, 7.0)]
@@ -416,6 +429,7 @@ def test_the_configured_gap_is_that_of_the_method(gap_s, is_gap):
     assert state.levels.differences.steps == (0.0 if is_gap else steps + 1.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("rate_hz", [1000, 50, 20])
 def test_noise_of_the_force_is_known_at_any_rate(rate_hz):
     stride = 1000 // rate_hz

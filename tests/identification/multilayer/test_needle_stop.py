@@ -94,6 +94,7 @@ def test_what_a_stop_has_shown_is_expected_at_the_next():
     assert stop.kept_friction_variance < 0.05
 
 
+@pytest.mark.slow
 def test_coulomb_friction_stays_on_the_shaft_at_a_stop():
     """Coulomb friction of 20 N/m and a constant tip force, stopped at 40 mm."""
     t_s = np.arange(0.0, 20.0, 1e-3)

@@ -71,6 +71,7 @@ def test_a_rupture_is_found_by_a_needle_that_trembles(tremor_m):
     assert insertion.covered > 0.85
 
 
+@pytest.mark.slow
 def test_a_steady_needle_does_not_swing():
     insertion = insert_trembling(0.0)
     [rupture] = insertion.ruptures

@@ -69,6 +69,7 @@ def test_turned_beats_are_the_same_motion():
     assert np.allclose(displacement(fit.beats, times_s - 1.7)[0], place_mm)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("waves", "hz"), [(HEART, 1.3), (BREATH, 0.28), (HEART + BREATH, 0.28)]
 )
@@ -100,6 +101,7 @@ def test_ruptures_are_found_in_tissue_that_moves(waves, hz):
     assert 0.0 < near_s[0] < 0.2
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["gel-25-constant", "abdomen-sinusoidal"])
 def test_tissue_at_rest_stays_at_rest(name):
     motions = insertion((), name).motions
@@ -182,6 +184,7 @@ def test_work_never_fails(force_N, speed_mm_s):
         assert np.isfinite(motion.motion_at(time_s)).all()
 
 
+@pytest.mark.slow
 def test_an_insertion_resumes_in_moving_tissue():
     motion = TrueMotion(waves=HEART)
     chosen = replace(scenario("gel-25-constant", 0), tissue_motion=motion)
@@ -200,6 +203,7 @@ def test_an_insertion_resumes_in_moving_tissue():
         assert second.update(*row, 1e-3) == first.update(*row, 1e-3)
 
 
+@pytest.mark.slow
 def test_tissue_that_draws_back_beyond_the_tip_ends_the_search_for_its_motion():
     """The window of the search empties while a part of its work is still due."""
     waves = (Wave(10.4e-3, 0.2212, 3.795), Wave(3.754e-3, 0.4424, 1.3926))

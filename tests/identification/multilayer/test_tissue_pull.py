@@ -38,6 +38,7 @@ def breathing(breath_m, hz, speed_m_s, seed):
     return identifier, estimates, frictions_N
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("breath_m", "hz", "speed_m_s", "seed"),
     [(7e-3, 0.25, 2e-3, 2), (15e-3, 0.22, 3e-3, 7)],

@@ -197,6 +197,7 @@ def run(z, f, config=PUBLISHED, speed_m_s=SPEED):
     return identifier, [identifier.update(*row, DT_S) for row in rows]
 
 
+@pytest.mark.slow
 def test_finds_ruptures_and_friction_of_its_own_model():
     z, f = ml_insertion()
     identifier, estimates = run(z, f)
@@ -264,6 +265,7 @@ def test_a_noiseless_layer_is_identified_exactly(swing_m_s, stiffness):
     assert layer.stiffness_N_per_m == pytest.approx(stiffness, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_the_alarming_sample_is_never_in_the_rerun():
     for more in range(26):  # a window has 25 samples
         layers = [(5e-3 + more * SPEED * DT_S, 60.0, 9000.0)]

@@ -46,6 +46,7 @@ class Case:
         return Labels.of([chosen], grid or self.grid, self.structures)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("seed", [1000, 1001, 1002])
 def test_right_labels_pass_and_say_what_was_checked(seed):
     case = Case(seed)

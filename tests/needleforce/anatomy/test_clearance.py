@@ -54,6 +54,7 @@ def brute_distance_m(labels, name, entry_m, target_m):
     return float(np.linalg.norm(np.maximum(gaps_m, 0.0), axis=-1).min())
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("slices_m", [1e-3, 3e-3, 10e-3])
 def test_no_path_through_a_voxel_of_a_thin_rib_is_reported_clear(slices_m):
     rng = np.random.default_rng(1000)

@@ -8,6 +8,9 @@ import pytest
 from needleforce.cli import main
 from needleforce.cli.demos import abdomen_insertion, abdomen_plan
 
+pytestmark = pytest.mark.slow
+
+
 pytest.importorskip("skimage")
 
 

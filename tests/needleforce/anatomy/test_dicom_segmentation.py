@@ -31,6 +31,7 @@ SEGMENTS = [
 ]
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "overlap"), [("BINARY", False), ("BINARY", True), ("LABELMAP", False)]
 )

@@ -35,6 +35,7 @@ def test_a_landmark_that_is_off_is_named():
     assert named >= 90
 
 
+@pytest.mark.slow
 def test_good_landmarks_are_seldom_doubted():
     rng = np.random.default_rng(1001)
     doubted = 0
@@ -153,6 +154,7 @@ def test_points_of_slicer_are_read_in_either_frame(frame, sign, tmp_path):
     assert np.allclose(markup.points_m, [[sign * 0.01, sign * 0.02, 0.03]])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("offset_m", "count"), [(0.0, 4), (3e-3, 4), (3e-3, 6), (5e-3, 5), (10e-3, 6)]
 )

@@ -49,6 +49,7 @@ def touched(points, rng, std=0.5e-3):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("count", "is_known"), [(3, True), (4, True), (4, False), (6, False)]
 )
@@ -217,6 +218,7 @@ def test_touches_that_cannot_register_are_refused():
         fit_surface(surface, wild, good)
 
 
+@pytest.mark.slow
 def test_touches_after_the_patient_has_moved_are_refused():
     rng = np.random.default_rng(5)
     mesh = organ()

@@ -9,6 +9,9 @@ from needleforce.cli import main
 from needleforce.recordings import write_table
 from tests.needleforce.cli.residual_command_log import insertion
 
+pytestmark = pytest.mark.slow
+
+
 TARE = ["--tare", "0:2.5"]
 
 

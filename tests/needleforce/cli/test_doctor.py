@@ -115,6 +115,7 @@ def test_an_extra_counts_what_it_contains():
     assert "simpleitk" in states["patient"]
 
 
+@pytest.mark.slow
 def test_sizes_are_those_of_files_and_an_extra_adds_to_the_core():
     sizes = {size.name: size for size in installed_sizes()}
 
@@ -179,6 +180,7 @@ def test_the_trial_of_a_priority_leaves_this_thread_as_it_was():
     assert os.sched_getscheduler(0) == before
 
 
+@pytest.mark.slow
 def test_compile_leaves_nothing_for_a_later_start(tmp_path):
     """All but the checks of the sensor is kept already: all takes a minute."""
     compile_everything()
@@ -198,6 +200,7 @@ def test_compile_leaves_nothing_for_a_later_start(tmp_path):
     assert list(tmp_path.glob("residual.checks.*"))
 
 
+@pytest.mark.slow
 def test_nothing_is_compiled_or_written(tmp_path):
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
     done = subprocess.run(

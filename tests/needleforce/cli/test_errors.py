@@ -164,6 +164,7 @@ USAGE = {
 EMPTY = [["force", ""], ["report", "good.csv", ""], ["force", "good.csv", "--report="]]
 
 
+@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize(
     ("argv", "message"),
@@ -240,6 +241,7 @@ def test_stamps_in_another_unit_are_named(lwr, tmp_path, capsys):
     assert re.search("^error .* --time time:ns$", printed, re.MULTILINE)
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes on Linux")
 def test_undecodable_file_name_is_drawn_and_printed(folder, tmp_path, capsys):
     name = tmp_path / os.fsdecode(b"log-\xff-$\\frac{$.csv")

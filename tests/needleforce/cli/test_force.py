@@ -43,6 +43,7 @@ def run(tmp_path, capsys):
     return run
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "options",
     [
@@ -72,6 +73,7 @@ def test_axial_force_matches_truth_within_its_std(log, run, options):
     assert np.abs(columns["axial_N"][free]).max() < 0.1
 
 
+@pytest.mark.slow
 def test_published_method_and_missing_velocity_find_the_force(log, run, lwr):
     columns, printed = run(log, *TARE, "--published")
 
@@ -87,6 +89,7 @@ def test_published_method_and_missing_velocity_find_the_force(log, run, lwr):
     assert "velocity estimated" in printed
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("mode", "components"), [("axial", 3), ("point", 6), ("full", 12)]
 )
@@ -115,6 +118,7 @@ def test_columns_name_units_and_travel_is_true(log, run, lwr, mode, components):
     assert columns["travel_m"][[0, -1]] == pytest.approx([0.0, travel], abs=1e-12)
 
 
+@pytest.mark.slow
 def test_automatic_tare_is_chosen_and_reported(log, run):
     columns, printed = run(log)
     (line,) = [line for line in printed.splitlines() if line.startswith("tare")]
@@ -131,6 +135,7 @@ def test_automatic_tare_is_chosen_and_reported(log, run):
     assert "tare         none" in printed
 
 
+@pytest.mark.slow
 def test_tare_counts_from_the_first_stamp(run, lwr):
     late = insertion(lwr, start_s=1000.0)
     relative, _ = run(late, "--tare", "+0:+2.5")
@@ -145,6 +150,7 @@ def test_tare_counts_from_the_first_stamp(run, lwr):
     assert "  0 to 2.5 s of the log" in run(insertion(lwr), "--tare", "-100:2.5")[1]
 
 
+@pytest.mark.slow
 def test_bad_rows_are_counted_and_harm_no_others(run, lwr):
     columns = insertion(lwr)
     columns["q_rad"][2000:2010, 2] = np.nan
@@ -186,6 +192,7 @@ def test_gaps_are_not_decided_by_rounding(run, lwr, step_s, gaps):
     assert gaps in run({"t_s": np.arange(400) * step_s, **thinned}, "--no-tare")[1]
 
 
+@pytest.mark.slow
 def test_warnings_beyond_the_std_are_reported(run, lwr):
     columns = insertion(lwr)
     columns["tau_Nm"][3500, 2] += 80.0
@@ -202,6 +209,7 @@ def test_warnings_beyond_the_std_are_reported(run, lwr):
     assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("row", [100, 2000, 3000])
 def test_a_bad_stamp_costs_its_row_only(run, lwr, row):
     columns = insertion(lwr)
@@ -215,6 +223,7 @@ def test_a_bad_stamp_costs_its_row_only(run, lwr, row):
     assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
+@pytest.mark.slow
 def test_the_tare_window_is_reported_as_it_was_used(run, lwr):
     columns = insertion(lwr)
     columns["t_s"][1500:] += 3600.0
@@ -223,6 +232,7 @@ def test_the_tare_window_is_reported_as_it_was_used(run, lwr):
     assert "tare         0 to 1.499 s of the log (of 0 to 2.5 s;" in printed
 
 
+@pytest.mark.slow
 def test_clock_set_back_costs_few_rows_only(run, lwr):
     columns = insertion(lwr)
     columns["t_s"][2600:] -= columns["t_s"][2600]
@@ -238,6 +248,7 @@ def test_clock_set_back_costs_few_rows_only(run, lwr):
     assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
+@pytest.mark.slow
 def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsys):
     columns = insertion(lwr)
     columns["dq_rad_s"] = np.degrees(columns["dq_rad_s"])
@@ -265,6 +276,7 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
     assert (forces["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joint", "value", "fault"),
     [
@@ -294,6 +306,7 @@ def test_velocities_not_sent_are_named_with_the_option_that_works(
         assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
+@pytest.mark.slow
 def test_velocities_lost_later_are_counted_with_advice(run, lwr):
     columns = insertion(lwr)
     columns["dq_rad_s"][3000:, 0] = np.nan
@@ -325,6 +338,7 @@ def test_refused_tare_advises_options_and_no_code(log, capsys, options, advice):
     assert (advice in said, "update()" in said) == (True, False), said
 
 
+@pytest.mark.slow
 def test_option_cures_torque_without_gravity_or_negated(run, lwr, tmp_path, capsys):
     columns = insertion(lwr)
     gravity = gravity_of(lwr, columns["q_rad"])
@@ -344,6 +358,7 @@ def test_option_cures_torque_without_gravity_or_negated(run, lwr, tmp_path, caps
         np.testing.assert_allclose(forces["axial_N"], expected["axial_N"], atol=0.02)
 
 
+@pytest.mark.slow
 def test_urdf_with_locks_or_missing_link_gives_forces(lwr, run, tmp_path):
     urdf = tmp_path / "arm.urdf"
     urdf.write_text(SMALL_ARM)
@@ -371,6 +386,7 @@ def test_urdf_with_locks_or_missing_link_gives_forces(lwr, run, tmp_path):
     assert "6 joints, payload 0 kg" in run(six, "--robot", "ur10e", "--no-tare")[1]
 
 
+@pytest.mark.slow
 def test_missing_payload_reads_as_its_weight(log, run, tmp_path):
     light = tmp_path / "light.toml"
     light.write_text("[needle]\nsensor_mass_kg = 0.0\n")
@@ -387,6 +403,7 @@ def test_missing_payload_reads_as_its_weight(log, run, tmp_path):
     assert "payload 0.068 kg" in printed_lacking
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("options", "suffix"),
     [
@@ -415,6 +432,7 @@ def test_figure_is_written_for_every_mode(run, lwr, tmp_path, options, suffix):
     assert len(content) > 5_000
 
 
+@pytest.mark.slow
 def test_log_without_valid_row_has_figures(lwr, tmp_path, capsys):
     columns = insertion(lwr, seconds=0.1)
     columns["q_rad"][:, 0] = np.nan

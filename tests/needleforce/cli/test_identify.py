@@ -60,6 +60,7 @@ def identify(needle, tmp_path, capsys):
     return run
 
 
+@pytest.mark.slow
 def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path):
     png = tmp_path / "o.png"
     pdf = tmp_path / "depth.pdf"
@@ -83,6 +84,7 @@ def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path
     assert pdf.read_bytes().startswith(b"%PDF")
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "start_s"),
     [("multilayer", 1.7e9), ("published", 100.0), ("published-kv", 0.0)],
@@ -94,6 +96,7 @@ def test_alarm_is_on_the_logs_clock(needle, identify, method, start_s):
     )
 
 
+@pytest.mark.slow
 def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
     force_N = needle["force_N"]
     *_, said = identify("--report", str(tmp_path / "page"), force_N=-force_N)
@@ -114,6 +117,7 @@ def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
     assert "rejected" not in identify("--force", "force:mN", **in_mN)[2]
 
 
+@pytest.mark.slow
 def test_forces_beyond_the_assumed_unit_are_refused(needle, tmp_path, capsys):
     log = tmp_path / "log.csv"
     columns = {name: needle[name] for name in ("t_s", "depth_m")}
@@ -125,6 +129,7 @@ def test_forces_beyond_the_assumed_unit_are_refused(needle, tmp_path, capsys):
     assert "force    force in mN (mapping)" in capsys.readouterr().out
 
 
+@pytest.mark.slow
 def test_a_testing_machines_export_gives_its_units(needle, tmp_path, capsys):
     log = tmp_path / "Specimen_RawData_1.csv"
     rows = zip(
@@ -155,6 +160,7 @@ def test_a_testing_machines_export_gives_its_units(needle, tmp_path, capsys):
     assert "as in --depth Extension:mm\n" in error
 
 
+@pytest.mark.slow
 def test_clock_set_back_hides_no_layer(needle, identify):
     whole_s = needle["t_s"]
     t_s = needle["t_s"].copy()
@@ -181,6 +187,7 @@ def test_codes_match_sensor_and_session():
     assert sum(WORTHLESS.values()) == session.UNUSABLE
 
 
+@pytest.mark.slow
 def test_marked_rows_are_counted_and_ignored(needle, identify):
     count = len(needle["t_s"])
     status, warnings = np.zeros((2, count))
@@ -225,6 +232,7 @@ def insertion(tmp_path_factory):
     return folder
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("name", ["a/log", "layers"])
 def test_figure_never_replaces_a_chart_of_the_report(insertion, capsys, name):
     charts = sorted((insertion / name).glob("*.svg"))
@@ -247,6 +255,7 @@ def test_figure_never_replaces_a_chart_of_the_report(insertion, capsys, name):
         )
 
 
+@pytest.mark.slow
 def test_report_shows_forces_and_their_layers(insertion):
     page, alone = (
         (insertion / name / "index.html").read_text(encoding="utf-8")
@@ -310,6 +319,7 @@ def test_report_shows_forces_and_their_layers(insertion):
         assert f"<!-- {text} -->" in (insertion / "layers" / "layers.svg").read_text()
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_pages_open_on_a_phone(insertion):
     for page in (insertion / name / "index.html" for name in ("a/log", "layers")):

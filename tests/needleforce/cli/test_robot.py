@@ -69,6 +69,7 @@ def test_joints_that_the_log_lacks_are_locked_at_once(arm, tmp_path, capsys):
     assert "arm, 2 joints" in out
 
 
+@pytest.mark.slow
 def test_joints_that_the_log_names_are_kept_in_the_order_of_the_robot(
     arm, tmp_path, capsys
 ):
@@ -110,6 +111,7 @@ def test_a_joint_before_the_tool_that_the_log_lacks_is_named(arm, tmp_path, caps
         assert "are locked at 0: shoulder; --lock JOINT=POSITION" in text
 
 
+@pytest.mark.slow
 def test_a_mapping_names_the_joints_of_a_log_without_names(arm, tmp_path, capsys):
     robot = robot_of(arm)
     log = write_insertion(tmp_path / "log.npz", robot)
@@ -156,6 +158,7 @@ def test_fewer_columns_are_the_joints_nearest_to_the_tool(arm, tmp_path, capsys)
     assert "are locked at 0: shoulder; --lock JOINT=POSITION" in printed.err
 
 
+@pytest.mark.slow
 def test_a_report_takes_the_options_and_shows_what_is_odd(arm, tmp_path, capsys):
     wrist = '<inertia ixx="1e-3" ixy="0" ixz="0" iyy="2e-3" iyz="0" izz="0.01"/>'
     text = arm.read_text()
@@ -178,6 +181,7 @@ def test_a_report_takes_the_options_and_shows_what_is_odd(arm, tmp_path, capsys)
     assert "Warning: " in page
 
 
+@pytest.mark.slow
 def test_inertia_is_accepted_with_a_warning_in_every_result(arm, tmp_path, capsys):
     robot = robot_of(arm)
     log = write_insertion(tmp_path / "log.npz", robot)

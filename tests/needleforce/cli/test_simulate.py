@@ -42,6 +42,7 @@ def quick(run, monkeypatch, tmp_path):
     return asked
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap"])
 def test_every_format_passes_both_commands_without_options(quick, capsys, suffix, run):
     assert main(["simulate", ID, "-o", f"x{suffix}"]) == 0
@@ -75,6 +76,7 @@ def test_every_format_passes_both_commands_without_options(quick, capsys, suffix
     assert len(channels.splitlines()) == 7
 
 
+@pytest.mark.slow
 def test_recording_holds_the_robots_signals_alone(quick, run):
     assert main(["simulate", ID, "-o", "x.mcap"]) == 0
 
@@ -120,6 +122,7 @@ def test_ground_truth_has_its_own_file(quick, run):
     np.testing.assert_array_equal(log["force_N"], run.truth.axial_N)
 
 
+@pytest.mark.slow
 def test_a_needle_without_an_arm_is_depth_and_force(tmp_path, monkeypatch, capsys):
     monkeypatch.chdir(tmp_path)
     outputs = ["-o", "needle.csv", "--truth", "truth.csv"]

@@ -82,6 +82,7 @@ def piped(name, data):
     return subprocess.run(argv, input=data, capture_output=True, check=False)
 
 
+@pytest.mark.slow
 def test_pipes_give_the_bytes_of_the_file(case, tmp_path):
     name, path, expected = case
     process = piped(name, path.read_bytes())
@@ -97,6 +98,7 @@ def test_pipes_give_the_bytes_of_the_file(case, tmp_path):
     np.testing.assert_array_equal(written_s, logged_s)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
 def test_output_never_replaces_its_own_standard_input(logs, tmp_path, suffix):
     log = tmp_path / f"log.{suffix}"
@@ -115,6 +117,7 @@ def test_output_never_replaces_its_own_standard_input(logs, tmp_path, suffix):
     assert process.stderr.decode().startswith(f"error NF-RECORDING-OUTPUT: {message}")
 
 
+@pytest.mark.slow
 def test_bag_may_grow_or_come_piped(logs, tmp_path):
     log, expected, out = (
         tmp_path / file for file in ("log.mcap", "expected.csv", "out.csv")
@@ -141,6 +144,7 @@ def test_bag_may_grow_or_come_piped(logs, tmp_path):
     assert out.read_bytes() == expected.read_bytes()
 
 
+@pytest.mark.slow
 def test_growing_file_gives_rows_at_once(logs, tmp_path):
     log = logs / "force.csv"
     growing = tmp_path / "growing.csv"
@@ -166,6 +170,7 @@ def test_growing_file_gives_rows_at_once(logs, tmp_path):
     assert out.read_bytes() == expected
 
 
+@pytest.mark.slow
 def test_following_ends_by_itself_when_nothing_comes(case, tmp_path, capsys):
     name, path, expected = case
     out = tmp_path / "out.csv"
@@ -198,6 +203,7 @@ def interrupted(monkeypatch):
         monkeypatch.setattr(kind, "run", run)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("interrupted")
 @pytest.mark.parametrize("suffix", ["csv", "npz"])
 @pytest.mark.parametrize("name", ["force", "identify"])
@@ -230,6 +236,7 @@ def test_ctrl_c_keeps_rows_and_names_replaced_table(
     assert replaced in capsys.readouterr().err
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("kind", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)]
 )
@@ -258,6 +265,7 @@ def test_signal_before_any_log_ends_the_command(
         assert "it is empty" in refusal(argv, capsys)
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_waiting_for_a_pipes_reader(tmp_path):
     os.mkfifo(tmp_path / "pipe")
     with stop_request() as is_asked:
@@ -285,6 +293,7 @@ def test_sigterm_counts_whatever_error_a_library_raises(capsys):
     assert capsys.readouterr().err == "terminated\n"
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["csv", "mcap"])
 def test_sigterm_leaves_only_the_older_table(logs, tmp_path, suffix):
     out = tmp_path / f"out.{suffix}"
@@ -311,6 +320,7 @@ def test_sigterm_leaves_only_the_older_table(logs, tmp_path, suffix):
     assert len(read_table(out).columns["t_s"]) == 2
 
 
+@pytest.mark.slow
 def test_failing_log_leaves_older_table_or_streamed_rows(lwr, tmp_path, capsys):
     early = write_insertion(tmp_path / "early.csv", lwr, contact_s=1.0)
     out = tmp_path / "out.csv"
@@ -328,6 +338,7 @@ def test_failing_log_leaves_older_table_or_streamed_rows(lwr, tmp_path, capsys):
     assert columns["force_status"].min() == 1
 
 
+@pytest.mark.slow
 def test_vanished_reader_ends_the_command_quietly(case):
     name, path, _ = case
     with start(name, path, "-o", "-") as process:
@@ -342,6 +353,7 @@ def test_vanished_reader_ends_the_command_quietly(case):
     )
 
 
+@pytest.mark.slow
 @pytest.mark.skipif(
     not Path("/dev/full").exists(), reason="the system has no /dev/full"
 )

@@ -116,6 +116,7 @@ def test_unwritable_characters_become_escapes(monkeypatch):
     assert stream.buffer.getvalue() == b"0.3\\xb10.1 \\udcff\n"
 
 
+@pytest.mark.slow
 def test_help_and_version_answer_without_the_estimators(capsys):
     assert main(["--help"]) == 0
 
@@ -132,6 +133,7 @@ def test_help_and_version_answer_without_the_estimators(capsys):
     assert "START:END" in process.stdout
 
 
+@pytest.mark.slow
 def test_packages_forward_to_the_command_shells_complete_it():
     for package in ("residual", "identification", "groundtruth"):
         argv = [sys.executable, "-m", package, "--help"]
@@ -252,6 +254,7 @@ def test_printed_mapping_holds_the_options(run, capsys):
     assert "no column 'nothing'" in capsys.readouterr().err
 
 
+@pytest.mark.slow
 def test_mapping_is_printed_edited_and_read_back(run, lwr):
     columns = insertion(lwr)
     table = {name: columns[name] for name in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")}
@@ -284,6 +287,7 @@ def test_mapping_is_printed_edited_and_read_back(run, lwr):
     assert content["depth"]["columns"] == "travel_m"
 
 
+@pytest.mark.slow
 def test_the_payload_may_stand_in_the_mapping(run, lwr):
     write_table(
         "log.npz", {name: insertion(lwr)[name] for name in ("t_s", "q_rad", "tau_Nm")}
@@ -337,6 +341,7 @@ def test_progress_bar_needs_a_terminal(monkeypatch, is_terminal):
     assert "other.csv" not in stream.getvalue()
 
 
+@pytest.mark.slow
 def test_progress_bar_leaves_the_result_unchanged(tmp_path, monkeypatch, capsys):
     path = tmp_path / "log.csv"
     write_table(path, LONG_COLUMNS)

@@ -154,6 +154,7 @@ def test_the_tip_keeps_its_limit_of_speed():
     assert speeds_m_s[-1] == pytest.approx(0.02, rel=1e-3)
 
 
+@pytest.mark.slow
 def test_a_joint_stops_before_its_end():
     """With limited jerk no position limit is passed, whatever drives towards it."""
     robot, home_rad = ARMS["lwr"]

@@ -1,5 +1,7 @@
 """Constraints in closed loop, shortened."""
 
+import pytest
+
 from benchmarks.control import constraints as control_constraints
 from benchmarks.control.constraints import CASES, measure
 from benchmarks.targets import TARGETS
@@ -19,6 +21,7 @@ def limits(case):
     }
 
 
+@pytest.mark.slow
 def test_constraints_hold_their_targets(monkeypatch):
     """On shorter paths the constraints meet their targets."""
     monkeypatch.setattr(control_constraints, "PERIOD_s", 2.0)
@@ -33,6 +36,7 @@ def test_constraints_hold_their_targets(monkeypatch):
     assert numbers("fixture S")["no_fixture_error_max_mm"] > 10.0
 
 
+@pytest.mark.slow
 def test_published_recursion_loses_the_insertion_to_posture(monkeypatch):
     """The published recursion loses the insertion to the posture below."""
     monkeypatch.setattr(control_constraints, "INSERTION_m", 0.02)
@@ -42,6 +46,7 @@ def test_published_recursion_loses_the_insertion_to_posture(monkeypatch):
     assert published_mm < 2.0 < 18.0 < ours_mm
 
 
+@pytest.mark.slow
 def test_kinematic_error_shows_where_shared_kinematics_hide_it():
     shared = numbers("decoupled S")["turn_tip_error_mm_per_rad"]
     displaced = numbers("decoupled_kinematic S")["turn_tip_error_mm_per_rad"]

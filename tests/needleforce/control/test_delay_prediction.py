@@ -95,6 +95,7 @@ def turn_about_entry(delay_s, delay_cycles, gain_per_s=30.0):
     return np.array(errors_m), np.array(tilts_rad)
 
 
+@pytest.mark.slow
 def test_a_known_delay_costs_the_entry_nothing():
     late_m, _ = turn_about_entry(None, 20)
     predicted_m, tilts_rad = turn_about_entry(0.02, 20)

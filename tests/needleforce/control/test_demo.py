@@ -82,6 +82,7 @@ def shown(kind, folder, capsys):
     return said
 
 
+@pytest.mark.slow
 def test_a_needle_turns_about_its_entry(tmp_path, capsys, monkeypatch):
     monkeypatch.setattr(remote_centre, "CIRCLE_S", 3.0)
     monkeypatch.setattr(remote_centre, "DURATION_S", 4.0)
@@ -95,6 +96,7 @@ def test_a_needle_turns_about_its_entry(tmp_path, capsys, monkeypatch):
     assert f"within {misplaced:.2f} mm" in " ".join(said.split())
 
 
+@pytest.mark.slow
 def test_an_arm_yields_and_rests_when_released(tmp_path, capsys, monkeypatch):
     """An arm yields to a push and rests when let go."""
     for name, value in (("PUSH_S", 4.5), ("GUIDED_S", 8.5)):
@@ -110,6 +112,7 @@ def test_an_arm_yields_and_rests_when_released(tmp_path, capsys, monkeypatch):
     assert f"until the hand pushes with {breakaway_N:.2f} N" in said
 
 
+@pytest.mark.slow
 def test_a_needle_stops_by_itself_behind_a_rupture(tmp_path, capsys):
     said = shown("autonomous", tmp_path, capsys)
 
@@ -124,6 +127,7 @@ def test_a_needle_stops_by_itself_behind_a_rupture(tmp_path, capsys):
     assert overshoot_mm == pytest.approx(5e-3 * delay_ms, abs=0.05)
 
 
+@pytest.mark.slow
 def test_a_hand_feels_a_rupture_more_with_compensation(tmp_path, capsys, monkeypatch):
     plan = HandPlan(needle_speed_m_s=4e-3, needle_travel_m=45e-3, scale=0.4)
     monkeypatch.setattr(teleoperation, "HandPlan", lambda **_: plan)

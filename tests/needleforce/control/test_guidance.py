@@ -85,6 +85,7 @@ def test_a_damping_that_cannot_work_is_refused(damping):
         Guidance(ROBOT, damping)
 
 
+@pytest.mark.slow
 def test_stiff_hands_do_not_swing_late_arms():
     """A stiff hand does not swing an arm whose torques come late."""
     arm = GuidedArm("S", "fri", 1)
@@ -99,6 +100,7 @@ def test_stiff_hands_do_not_swing_late_arms():
     assert max(apart_m[-500:]) < 3e-3
 
 
+@pytest.mark.slow
 def test_a_stiff_arm_does_not_answer_its_own_acceleration():
     """Led at 120 mm/s it moves smoothly: no torque steps that count as spikes."""
     arm = GuidedArm("S", "clean", 1)
@@ -153,6 +155,7 @@ def test_impossible_torques_and_rejected_sigma_are_skipped():
     )
 
 
+@pytest.mark.slow
 def test_an_unknown_torque_limit_leaves_a_dead_zone():
     """Without a known torque limit the dead zone is still above the noise."""
     robot = SimpleNamespace(nv=1, effort_limit_Nm=np.zeros(1))

@@ -79,6 +79,7 @@ def test_rates_are_errors_at_gain_one(index):
     assert np.abs(rates).max() > 1e-4
 
 
+@pytest.mark.slow
 def test_leaks_and_hostile_ticks_stay_within_targets(monkeypatch):
     """Leaks into higher tasks and hostile ticks stay within their targets."""
     monkeypatch.setattr(control_priority, "STACKS", 60)
@@ -245,6 +246,7 @@ def test_bad_input_is_skipped_and_changes_nothing():
     assert control.tool.tip_m.tolist() == tip_m.tolist()
 
 
+@pytest.mark.slow
 def test_control_cost_is_relative_to_bare_calls(monkeypatch):
     monkeypatch.setattr(control_speed, "SECONDS", 1.0)
     monkeypatch.setattr(control_speed, "WARM_TICKS", 300)

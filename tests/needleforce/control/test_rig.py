@@ -82,6 +82,7 @@ def test_a_hand_loads_joints_by_its_jacobian(servo, at, joint):
     np.testing.assert_allclose(held.ft_wrench, free.ft_wrench, atol=0.02)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("plant", [CLEAN, FRI])
 def test_free_strokes_are_a_tare(plant):
     rig = SimulatedArm(plant=plant, seed=8)

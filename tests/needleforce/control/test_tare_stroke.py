@@ -184,6 +184,7 @@ def test_a_motion_that_cannot_be_is_refused(change):
         TareStroke(ROBOT, Limits(ROBOT), QUICK._replace(**change))
 
 
+@pytest.mark.slow
 def test_one_call_moves_the_arm_and_tares():
     arm = SimulatedArm(plant="clean", seed=3, duration_s=20.0)
     session = InsertionSession(arm.robot)
@@ -209,6 +210,7 @@ def test_one_call_moves_the_arm_and_tares():
     assert estimate.wrench.axial_std < 0.5
 
 
+@pytest.mark.slow
 def test_a_motion_that_is_refused_raises_and_tares_nothing():
     arm = IdealArm(ROBOT, HOME_rad)  # reports no torques, though gravity acts
     session = InsertionSession(ROBOT)

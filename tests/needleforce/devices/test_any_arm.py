@@ -14,6 +14,9 @@ from needleforce.devices.sunrise_emulator import SunriseSettings, emulate_sunris
 from tests.needleforce.devices.franka_sim_process import emulate_fr3
 from urdf import NeedleTool, load_lwr, load_urdf
 
+pytestmark = pytest.mark.slow
+
+
 PROGRAM = (Path(__file__).parents[3] / "examples" / "any_arm.py").read_text(
     encoding="utf-8"
 )

@@ -65,6 +65,7 @@ def send_from(host, counts, arm):
             box.sendto(measurement(count=count), arm.address)
 
 
+@pytest.mark.slow
 def test_the_first_controller_is_kept_after_an_outage():
     first, second = TWO_HOSTS
     arm = FriArm("0.0.0.0", 0, wait_s=0.05, give_up_s=0.5)
@@ -89,6 +90,7 @@ def test_the_first_controller_is_kept_after_an_outage():
         assert next(iter(arm)).missed > 0
 
 
+@pytest.mark.slow
 def test_an_address_of_this_machine_is_listened_on(capsys, tmp_path):
     path = tmp_path / "x.csv"
     host, peer = TWO_HOSTS
@@ -124,6 +126,7 @@ def test_an_address_of_this_machine_is_listened_on(capsys, tmp_path):
     assert path.exists()
 
 
+@pytest.mark.slow
 def test_silence_on_loopback_says_who_can_reach_it(monkeypatch, capsys, tmp_path):
     def impatient(**settings):
         return FriArm(**settings, give_up_s=0.2)

@@ -28,12 +28,14 @@ def controller(cycles):
     )
 
 
+@pytest.mark.slow
 def test_an_emulator_may_end_slower_than_it_starts(monkeypatch):
     with controller(1500) as emulator:
         monkeypatch.setattr(emulators, "START_S", 0.1)
         assert emulator.counts()["cycles"] == 1500
 
 
+@pytest.mark.slow
 def test_stopping_an_ended_emulator_returns_its_counts():
     with controller(10) as emulator:
         for process in multiprocessing.active_children():

@@ -24,6 +24,7 @@ def fr3():
         yield HOST
 
 
+@pytest.mark.slow
 def test_an_fr3_is_read_without_being_commanded(fr3):
     with connect_arm(f"fr3:{fr3}") as arm:
         readings = list(islice(arm, 200))
@@ -38,6 +39,7 @@ def test_an_fr3_is_read_without_being_commanded(fr3):
     assert np.abs(last.q_rad - readings[0].q_rad).max() < 1e-3
 
 
+@pytest.mark.slow
 def test_an_fr3_is_driven_and_rests_when_its_program_ends(fr3):
     wish_rad_s = np.array([0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.3])
     with connect_arm(f"fr3:{fr3}", takes_commands=True) as arm:
@@ -61,6 +63,7 @@ def test_an_fr3_is_driven_and_rests_when_its_program_ends(fr3):
     assert np.ptp(places_rad) < 2e-3
 
 
+@pytest.mark.slow
 def test_an_fr3_describes_itself_to_the_command_line(fr3, tmp_path, capsys):
     path = tmp_path / "fr3.csv"
 
@@ -113,6 +116,7 @@ def test_nobody_at_the_address_is_no_version():
         Fr3Arm.read_urdf("127.0.0.8")
 
 
+@pytest.mark.slow
 def test_an_fr3_that_stops_while_commanded_says_so():
     pytest.importorskip("pylibfranka")
     pytest.importorskip("franky_sim")

@@ -33,6 +33,7 @@ def test_the_simulated_arm_is_as_late_as_its_line(capsys):
     assert 100.0 < result["safe_gain_per_s"] < result["unstable_gain_per_s"]
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("_quick")
 def test_an_emulated_kuka_is_as_late_as_it_was_made(capsys):
     with socket.socket(socket.AF_INET, socket.SOCK_DGRAM) as free:

@@ -84,6 +84,7 @@ def measurement(**values):
     return packet.tobytes()
 
 
+@pytest.mark.slow
 def test_every_lwr_cycle_is_answered_and_passed_on():
     run = fri_run(1000)
 
@@ -98,6 +99,7 @@ def test_every_lwr_cycle_is_answered_and_passed_on():
     assert reading.dq_rad_s is None
 
 
+@pytest.mark.slow
 def test_invalid_packets_are_dropped_missed_ones_counted():
     faults = WireFaults(
         lost=0.02, late=0.02, repeated=0.02, truncated=0.02, garbage=0.05
@@ -120,6 +122,7 @@ def test_invalid_packets_are_dropped_missed_ones_counted():
     assert sum(reading.missed for reading in run.readings) == report.missed
 
 
+@pytest.mark.slow
 def test_readings_after_an_outage_include_its_duration():
     run = fri_run(2500, WireFaults(silent=((0.3, 2.3),)), give_up_s=4.0)
     gap = max(run.readings, key=lambda reading: reading.dt_s)
@@ -130,6 +133,7 @@ def test_readings_after_an_outage_include_its_duration():
     assert len(run.readings) == pytest.approx(500, abs=10)
 
 
+@pytest.mark.slow
 def test_commands_need_command_mode_and_good_connection():
     faults = WireFaults(bad_quality=((0.6, 0.8),))
     run = fri_run(1000, faults, send=np.full(7, 0.1), command_from_s=0.2)
@@ -147,6 +151,7 @@ def test_commands_need_command_mode_and_good_connection():
     assert np.allclose(moved_rad, 0.1 * np.count_nonzero(accepted) * 1e-3, rtol=0.1)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("command", ["record", "live"])
 def test_a_silent_arm_is_reported(command, tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(
@@ -262,6 +267,7 @@ def test_what_is_no_measurement_is_refused(data):
     assert fri.read_measurement(data) is None
 
 
+@pytest.mark.slow
 def test_random_datagrams_do_no_harm():
     rng = np.random.default_rng(1)
 
@@ -335,6 +341,7 @@ def test_a_closed_force_sensor_reads_nothing():
     ft.close()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("buffered", [False, True])
 def test_every_force_record_comes_in_newtons(buffered):
     settings = RdtSettings(wrench=WRENCH, scale=(500_000.0, 2e6))
@@ -364,6 +371,7 @@ def test_every_force_record_comes_in_newtons(buffered):
     assert np.allclose(wrenches, WRENCH[np.arange(len(wrenches)) % 5000], atol=2e-6)
 
 
+@pytest.mark.slow
 def test_lost_force_records_are_counted():
     faults = WireFaults(lost=0.01, truncated=0.01, repeated=0.01, garbage=0.1)
     max_N = np.abs(WRENCH).max() + 1e-6
@@ -479,6 +487,7 @@ def test_repeated_and_late_buffered_datagrams_are_unused():
     assert (late.used, late.stale, late.missed) == (120, 40, 40)
 
 
+@pytest.mark.slow
 def test_a_haptic_device_moves_and_is_felt():
     pytest.importorskip("websockets")
     from needleforce.devices import HaplyMaster

@@ -22,6 +22,8 @@ from needleforce.devices import ArmReading, FriArm
 from needleforce.recordings import FileAccessError, read_log
 from tests.needleforce.devices.test_links import PATIENCE_S, ROWS, measurement
 
+pytestmark = pytest.mark.slow
+
 
 @pytest.mark.parametrize("number", [signal.SIGINT, signal.SIGTERM, signal.SIGHUP])
 @pytest.mark.parametrize("sends", [False, True])

@@ -145,6 +145,7 @@ def iiwa_run(version, *, drive, faults=None, cycles=500):
         return readings, arm, emulator.counts()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("version", [1, 2])
 def test_an_iiwa_is_read_and_driven(version):
     wish_rad_s = np.array([0.2, 0.0, -0.1, 0.0, 0.0, 0.0, 0.3])
@@ -167,6 +168,7 @@ def test_an_iiwa_is_read_and_driven(version):
     assert counts["moved_rad"] == pytest.approx(wish_rad_s * 429 * 2e-3, abs=1e-9)
 
 
+@pytest.mark.slow
 def test_an_iiwa_without_commands_brakes_to_rest():
     places = []
 
@@ -186,6 +188,7 @@ def test_an_iiwa_without_commands_brakes_to_rest():
     assert counts["refused"] == 0
 
 
+@pytest.mark.slow
 def test_lost_and_garbled_messages_are_counted():
     faults = WireFaults(lost=0.02, truncated=0.02, repeated=0.05, garbage=0.05)
     readings, arm, _ = iiwa_run(1, drive=lambda *_: None, faults=faults, cycles=600)
@@ -221,6 +224,7 @@ def test_a_controller_of_another_kind_is_named(kind, stranger, words):
     assert words in arm.hint
 
 
+@pytest.mark.slow
 def test_the_command_line_records_an_iiwa(tmp_path, capsys):
     path = tmp_path / "iiwa.csv"
     with IiwaArm(port=0) as arm:

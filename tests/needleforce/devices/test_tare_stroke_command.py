@@ -28,6 +28,7 @@ class NoisySensor:
         return np.array([0.0, 0.0, 3.0 + next(self._noise_N), 0.0, 0.0, 0.0])
 
 
+@pytest.mark.slow
 def test_live_moves_the_simulated_arm_and_is_tared(capsys, monkeypatch):
     monkeypatch.setattr(arm_stroke, "MIN_LEG_S", 2.0)
     monkeypatch.setattr(arm_stroke, "MEAN_SPEED_m_s", 0.02)

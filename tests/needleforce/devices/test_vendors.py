@@ -50,6 +50,7 @@ def _alone(tmp_path_factory):
         yield
 
 
+@pytest.mark.slow
 def test_a_franka_arm_is_read_bit_for_bit():
     pytest.importorskip("panda_py")
     settings = rows(7, 1000.0)
@@ -80,6 +81,7 @@ def test_a_franka_arm_is_read_bit_for_bit():
     assert not arm.send(np.zeros(7))
 
 
+@pytest.mark.slow
 def test_a_franka_arm_is_driven_also_while_its_program_is_busy():
     pytest.importorskip("panda_py")
     still = np.zeros((1, 7))
@@ -104,6 +106,7 @@ def test_a_franka_arm_is_driven_also_while_its_program_is_busy():
     assert not arm.send(wish_rad_s)
 
 
+@pytest.mark.slow
 def test_currents_of_a_ur_arm_become_torques():
     pytest.importorskip("rtde_receive")
     settings = rows(6, 500.0)
@@ -132,6 +135,7 @@ def still_ur():
     return ArmSettings(q_rad=STILL, dq_rad_s=STILL, effort=STILL, rate_hz=500.0)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("ends", ["error", "silence"])
 def test_a_ur_arm_is_driven_and_stopped_on_every_way_out(ends):
     pytest.importorskip("rtde_control")
@@ -166,6 +170,7 @@ def test_a_ur_arm_is_driven_and_stopped_on_every_way_out(ends):
         assert np.abs(rest_rad_s).max() == 0.0
 
 
+@pytest.mark.slow
 def test_a_ur_arm_stops_by_itself_when_its_program_hangs():
     pytest.importorskip("rtde_control")
     with (
@@ -187,6 +192,7 @@ def test_a_ur_arm_stops_by_itself_when_its_program_hangs():
     assert caught.value.code.label == "NF-DEVICE-STOPPED"
 
 
+@pytest.mark.slow
 def test_a_ur_controller_that_does_not_fit_names_its_software(monkeypatch):
     pytest.importorskip("rtde_receive")
 
@@ -204,6 +210,7 @@ def test_a_ur_controller_that_does_not_fit_names_its_software(monkeypatch):
     assert "ur_rtde 1.6" in str(caught.value)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("has_constants", [True, False])
 def test_a_ur_recording_has_currents_and_known_torques(has_constants, tmp_path, capsys):
     pytest.importorskip("rtde_receive")

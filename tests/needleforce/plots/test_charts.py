@@ -102,6 +102,7 @@ def test_a_legend_ends_within_the_figure(name):
     assert len(figure.legends) == 1
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("suffix", "start"), [("svg", b"<?xml"), ("png", b"\x89PNG"), ("PDF", b"%PDF")]
 )
@@ -115,6 +116,7 @@ def test_format_follows_name_and_equal_charts_equal_bytes(tmp_path, suffix, star
     assert paths[0].read_bytes() == paths[1].read_bytes()
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     "name", [r"$\frac{$.csv", "a\udcff\x01 -- <b>&.csv", "针.csv", "^_{}.csv"]
 )
@@ -133,6 +135,7 @@ def test_any_file_name_can_stand_in_a_title(tmp_path, name, suffix, recwarn):
         assert readable in words(path) or "--" in name
 
 
+@pytest.mark.slow
 def test_long_curve_keeps_peaks_in_small_file(tmp_path):
     noise = np.random.default_rng(0).normal(size=1_000_000)
     path = save_figure(chart(curve(noise)), tmp_path / "a.svg")

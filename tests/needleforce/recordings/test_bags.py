@@ -79,6 +79,7 @@ def test_a_topic_is_read_by_its_own_definition(tmp_path):
     }
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("is_split_by_topic", [False, True])
 def test_a_bag_split_into_files_is_one_log(tmp_path, is_split_by_topic):
     rows = [
@@ -204,6 +205,7 @@ def test_robot_or_mapping_chooses_among_fitting_topics(tmp_path):
     assert "dq_rad_s" in log
 
 
+@pytest.mark.slow
 @given(data=st.binary(min_size=0, max_size=200))
 def test_noise_is_refused_or_gives_numbers(data):
     decoder = TopicDecoder(BagTopic("/j", "sensor_msgs/msg/JointState", "cdr"))

@@ -39,6 +39,7 @@ def write_matlab(path):
     scipy.io.savemat(path, COLUMNS)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("name", "write"),
     [

@@ -113,6 +113,7 @@ def test_unread_journal_of_a_killed_recorder_is_reported(tmp_path):
     assert "sqlite3 bag.db3 'PRAGMA wal_checkpoint'" in bag.faults[0]
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     kind=st.sampled_from(tuple(KINDS)),

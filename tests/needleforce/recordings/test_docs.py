@@ -5,16 +5,10 @@ import doctest
 import re
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from needleforce import recordings
 from needleforce.recordings import CHANNELS, ColumnMapping, read_log
-from needleforce.recordings.bags.message_types import standard_types
-from needleforce.recordings.bags.written_topics import bag_topics
-from needleforce.recordings.csv_file import CSV_SUFFIXES
 from needleforce.recordings.mapping import parse_column_spec
-from needleforce.recordings.table import HEAD_ROWS, TableLabels
 
 DOCS = Path(__file__).parents[3] / "docs"
 PAGES = [DOCS / "reference" / "recordings.md", DOCS / "how-to" / "bags.md"]
@@ -57,54 +51,3 @@ def test_the_pages_options_equal_its_mapping():
     assert log["force_N"].tolist() == [2.5, 2.5]
     assert log["depth_m"].tolist() == [0.09, 0.09]
     assert log.t_s[0] == 0.001
-
-
-def test_the_pages_names_and_units_are_complete():
-    rows = re.findall(
-        r"^\| `(\w+)` \| `(\w+)` \| (.*?) \| (.*?) \|$", TEXT, re.MULTILINE
-    )
-    written = {
-        name: (
-            key,
-            tuple(re.findall("`(.*?)`", names)),
-            tuple(re.findall("`(.*?)`", units)),
-        )
-        for name, key, names, units in rows
-    }
-
-    assert written == {
-        name: (channel.key, channel.spellings, tuple(channel.units))
-        for name, channel in CHANNELS.items()
-    }
-
-
-def test_every_suffix_and_error_named_is_the_codes():
-    formats = TEXT.split("## Formats")[1].split("\n\n")[1]
-    suffixes = set(re.findall(r"`(\.[\w.]+)`", formats))
-
-    assert suffixes == {*CSV_SUFFIXES, ".npz", ".parquet"}
-
-    for name in set(re.findall(r"`(\w+Error)`", TEXT + BAGS)):
-        assert issubclass(getattr(recordings, name), recordings.RecordingError)
-
-    assert f"decided from the first {HEAD_ROWS} rows" in TEXT
-
-
-def test_the_table_of_topics_is_the_codes():
-    rows = np.zeros(1)
-    columns = {
-        "t_s": rows,
-        **dict.fromkeys(("q_rad", "dq_rad_s", "tau_Nm"), np.zeros((1, 7))),
-        **dict.fromkeys(("ft_force_N", "ft_torque_Nm"), np.zeros((1, 3))),
-        **{f"force_{xyz}_in_base_N": rows for xyz in "xyz"},
-        **{f"torque_{xyz}_in_base_Nm": rows for xyz in "xyz"},
-        "axial_N": rows,
-    }
-    table = BAGS.split("## What is written")[1].split("## When")[0]
-    for name, kind, _ in bag_topics(columns, TableLabels(), [0]):
-        (row,) = [line for line in table.splitlines() if f"| `{name}`" in line]
-        assert f"`{kind.replace('/msg', '')}`" in row
-
-    for kind in re.findall(r"`(\w+_msgs/\w+)`", BAGS):
-        package, name = kind.split("/")
-        assert f"{package}/msg/{name}" in standard_types().types

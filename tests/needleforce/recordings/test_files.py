@@ -142,6 +142,7 @@ def test_nul_bytes_cost_only_the_line_before(read, tail):
     assert table.warnings == (f"{loss}; what follows line 3 is lost",)
 
 
+@pytest.mark.slow
 def test_compressed_files_read_alike_until_a_cut(read):
     noise = np.random.default_rng(0).normal(size=40_000).tolist()
     text = "t,f\n" + "".join(f"{i},{f!r}\n" for i, f in enumerate(noise))

@@ -32,6 +32,7 @@ from tests.needleforce.recordings.bag_samples import (
 )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("kind", ["plain", "zstd", "without chunks"])
 @pytest.mark.parametrize("count", [3, 41])
 def test_growing_and_finished_bags_give_the_same(tmp_path, kind, count):
@@ -78,6 +79,7 @@ def test_rows_come_while_the_recorder_still_writes(tmp_path):
     assert rows == 3000
 
 
+@pytest.mark.slow
 def test_only_an_idle_end_reports_an_unfinished_file(
     tmp_path,
 ):
@@ -169,6 +171,7 @@ def arm_and_force(count, late_ns=0, force_ends=None):
     return sorted(rows, key=lambda row: row[1])
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("late_s", [0.0, 0.3, 0.9])
 def test_topics_that_reach_the_recorder_late_lose_nothing(tmp_path, late_s):
     data = without_chunks(

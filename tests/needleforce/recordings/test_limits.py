@@ -79,6 +79,7 @@ def test_a_chunk_unpacking_beyond_the_limit_is_refused(tmp_path, compression, de
         read_table(path, max_bytes=SMALL)
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("lines", "seconds", "max_bytes", "message"),
     [

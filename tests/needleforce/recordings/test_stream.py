@@ -55,6 +55,7 @@ def assert_all_the_same(other, log):
     assert set(other.warnings) == set(log.warnings)
 
 
+@pytest.mark.slow
 @settings(max_examples=30)
 @given(
     st.integers(1, 3000),
@@ -93,6 +94,7 @@ def test_a_line_that_never_ends_is_refused():
         list(csv_tables([b"x" * (1 << 20)] * 20, "log"))
 
 
+@pytest.mark.slow
 def test_a_growing_file_is_followed_by_whole_lines(tmp_path):
     text = text_of(600).encode()
     path = tmp_path / "log.csv"
@@ -142,6 +144,7 @@ COLUMNS |= {
 }  # for none in the first rows
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize("suffix", ["csv", "csv.gz", "npz", "parquet", "mcap"])
 @pytest.mark.parametrize("size", [3000, 1 << 20])
 def test_a_pipe_gives_what_the_file_gives(tmp_path, suffix, size):

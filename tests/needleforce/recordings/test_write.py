@@ -27,6 +27,7 @@ from tests.needleforce.recordings.bag_samples import START_NS
 T_S = np.arange(3) / 1000.0
 
 
+@pytest.mark.slow
 @settings(max_examples=60)
 @given(
     values=arrays(np.float64, st.tuples(st.integers(2, 20), st.integers(1, 3))),

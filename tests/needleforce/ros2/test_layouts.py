@@ -90,6 +90,7 @@ def test_foxglove_shows_topics_of_the_node(published):
     assert {"/needleforce/wrench", "/needleforce/tip_force"} <= set(topics)
 
 
+@pytest.mark.slow
 def test_foxglove_shows_topics_of_the_bags(tmp_path, monkeypatch):
     reader = pytest.importorskip("mcap.reader")
     monkeypatch.setattr("needleforce.cli.logs.simulated_log.simulate", _begin_run)

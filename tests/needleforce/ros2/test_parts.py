@@ -177,6 +177,7 @@ def test_a_parameter_that_cannot_be_is_refused_with_a_sentence(values, text):
         settings_from_values(values)
 
 
+@pytest.mark.slow
 def test_a_tare_runs_beside_the_updates_and_a_second_one_records_first():
     session = InsertionSession(short_run().robot)
     run = TareRun(recording_s=1.0)
@@ -223,6 +224,7 @@ def health(session, reader, estimate, **changes):
     ).report("needleforce")
 
 
+@pytest.mark.slow
 def test_layers_and_events_have_names_and_units():
     session = InsertionSession(short_run().robot)
     estimates = insert(session)

@@ -51,6 +51,7 @@ def page(tmp_path_factory):
     return path
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_the_page_shows_film_ct_forces_and_what_it_is(page):
     from tests.needleforce.scene.scene_page import open_page
@@ -73,6 +74,7 @@ def test_the_page_shows_film_ct_forces_and_what_it_is(page):
         assert opened.errors == []
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_jumps_move_film_and_page_and_off_plan_is_announced(page):
     from tests.needleforce.scene.scene_page import open_page
@@ -102,6 +104,7 @@ def test_jumps_move_film_and_page_and_off_plan_is_announced(page):
         assert opened.evaluate(place) != before
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_on_a_phone_all_but_the_scene_is_folded(page):
     from tests.needleforce.scene.scene_page import open_page

@@ -209,6 +209,7 @@ def test_the_extra_installs_the_viser_that_is_guarded():
     assert f"viser>={first}.{second},<{first}.{second + 1}" in extra
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_the_first_browser_steers_the_second_looks(viewer):
     from tests.needleforce.scene.scene_page import open_page
@@ -238,6 +239,7 @@ def test_the_first_browser_steers_the_second_looks(viewer):
         assert viewer.time.slider.value != before
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_a_page_of_another_server_gets_no_connection(viewer, tmp_path):
     from tests.needleforce.scene.scene_page import open_page

@@ -272,6 +272,7 @@ def test_a_row_holds_the_estimate_and_its_plan():
     ]
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
     from tests.needleforce.scene.scene_page import open_page
@@ -295,6 +296,7 @@ def test_the_page_shows_the_insertion_in_a_browser(viewer, tmp_path):
         assert page.errors == []
 
 
+@pytest.mark.slow
 def test_a_loop_hands_rows_to_a_page_process():
     robot = load_lwr(payload=NeedleTool())
     wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
@@ -321,6 +323,7 @@ def test_a_loop_hands_rows_to_a_page_process():
         time.sleep(0.2)
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
     from needleforce.cli.logs.simulated_log import signal_table
@@ -359,6 +362,7 @@ def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
         )
 
 
+@pytest.mark.slow
 @pytest.mark.parametrize(
     ("joints", "torque", "options", "code", "why"),
     [
@@ -453,6 +457,7 @@ def test_viewed_joints_are_found_by_name(tmp_path):
     assert np.array_equal(rows, reordered_rows, equal_nan=True)
 
 
+@pytest.mark.slow
 def test_an_arm_is_watched_with_its_scene(monkeypatch, capsys):
     monkeypatch.setattr(
         "needleforce.cli.arms.arm_connection.simulate", lambda *_, **__: short_run()
@@ -490,6 +495,7 @@ def test_an_unreadable_plan_is_reported(tmp_path, capsys):
     assert said.startswith("error NF-COMMAND-PLAN: ")
 
 
+@pytest.mark.slow
 def test_joints_the_robot_lacks_stay_locked():
     page = Viewer(
         load_example("panda"), port=8281, urdf_path=Path(example_robot_path("panda"))
@@ -562,6 +568,7 @@ def test_a_failing_export_leaves_the_older_page(viewer, tmp_path, monkeypatch):
     assert [path.read_text() for path in tmp_path.iterdir()] == ["old"]
 
 
+@pytest.mark.slow
 def test_a_page_that_cannot_open_is_reported():
     robot = load_lwr()
 
@@ -604,6 +611,7 @@ def tick(time_s, force_N=1.0, rupture=None):
     )
 
 
+@pytest.mark.slow
 def test_slicer_is_updated_when_time_restarts(monkeypatch):
     pytest.importorskip("pyigtl")
     sent = []
@@ -628,6 +636,7 @@ def test_slicer_is_updated_when_time_restarts(monkeypatch):
                 SlicerOutput(port)
 
 
+@pytest.mark.slow
 def test_3d_slicer_gets_pose_force_and_ruptures():
     pytest.importorskip("pyigtl")
     port = 18977

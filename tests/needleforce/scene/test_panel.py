@@ -63,6 +63,7 @@ def test_a_recording_opens_at_its_start(viewer):
     assert not viewer.time.live.visible
 
 
+@pytest.mark.slow
 def test_a_recording_plays_faster_if_asked(viewer):
     viewer.time.speed.value = "8"
     begin_s = time.monotonic()
@@ -172,6 +173,7 @@ CLICK = (
 TITLE = "document.images[0].alt"
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_slider_jump_opacity_and_banner_work_in_a_browser(viewer):
     from tests.needleforce.scene.scene_page import open_page
@@ -218,6 +220,7 @@ def test_slider_jump_opacity_and_banner_work_in_a_browser(viewer):
         assert page.errors == []
 
 
+@pytest.mark.slow
 @needs_chromium
 def test_on_a_phone_the_panel_is_folded_at_first():
     from tests.needleforce.scene.scene_page import open_page
