@@ -1,6 +1,11 @@
-"""The application `needleforce`, and the groups of options in its help."""
+"""The application `needleforce`, and the groups of commands and options in its help."""
 
 from cyclopts import App, Group, Parameter
+
+LOGS = Group("A log: force, layers, pages", sort_key=1)
+ARMS = Group("An arm", sort_key=2)
+PATIENT = Group("A patient: from a CT to a registered plan", sort_key=3)
+MACHINE = Group("This machine", sort_key=4)
 
 LOG = Group("Log", sort_key=1)
 OUTPUT = Group(
@@ -23,7 +28,9 @@ COLUMNS = Group(
 app = App(
     name="needleforce",
     help="Needle-tip force from a robot's joint torques, and the layers that the "
-    "needle passes.",
+    "needle passes.\n\nBegin with `needleforce demo` (a simulated insertion), "
+    "`needleforce force LOG` (an arm's log) or `needleforce identify LOG` (depth and "
+    "force).",
     default_parameter=Parameter(negative=(), show_default=False),
     help_format="markdown",
     version_flags=["--version"],

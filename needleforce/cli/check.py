@@ -4,7 +4,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import OUTPUT, app
+from needleforce.cli.application import LOGS, OUTPUT, app
 from needleforce.cli.shared_options import (
     JointColumns,
     RobotOptions,
@@ -13,7 +13,7 @@ from needleforce.cli.shared_options import (
 )
 
 
-@app.command(name="check")
+@app.command(name="check", group=LOGS)
 def check_command(
     log: Source,
     /,

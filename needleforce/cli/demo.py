@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import LIVE_OUTPUT, LOG, app
+from needleforce.cli.application import LIVE_OUTPUT, LOG, MACHINE, app
 from needleforce.cli.terminal import CommandError, require_modules, say
 
 ANNOUNCEMENT = (
@@ -43,7 +43,7 @@ class DemoOptions:
     seed: Annotated[int, Parameter(metavar="N", group=LOG)] = 0
 
 
-@app.command(name="demo")
+@app.command(name="demo", group=MACHINE)
 def demo_command(
     kind: Annotated[
         Literal["insertion", "guidance", "teleop", "autonomous", "rcm", "abdomen"],

@@ -4,11 +4,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import LIVE_OUTPUT, app
+from needleforce.cli.application import LIVE_OUTPUT, MACHINE, app
 from needleforce.cli.terminal import write_out
 
 
-@app.command(name="doctor")
+@app.command(name="doctor", group=MACHINE)
 def doctor_command(
     *,
     compile: Annotated[

@@ -1,6 +1,6 @@
 """The command `needleforce force`."""
 
-from needleforce.cli.application import app
+from needleforce.cli.application import LOGS, app
 from needleforce.cli.shared_options import (
     JointColumns,
     Output,
@@ -10,7 +10,7 @@ from needleforce.cli.shared_options import (
 )
 
 
-@app.command(name="force")
+@app.command(name="force", group=LOGS)
 def force_command(
     log: Source,
     /,

@@ -1,6 +1,6 @@
 """The command `needleforce identify`."""
 
-from needleforce.cli.application import app
+from needleforce.cli.application import LOGS, app
 from needleforce.cli.shared_options import (
     DepthColumns,
     IdentificationOptions,
@@ -9,7 +9,7 @@ from needleforce.cli.shared_options import (
 )
 
 
-@app.command(name="identify")
+@app.command(name="identify", group=LOGS)
 def identify_command(
     log: Source,
     /,

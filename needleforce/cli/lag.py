@@ -4,12 +4,12 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import LIVE_OUTPUT, app
+from needleforce.cli.application import ARMS, LIVE_OUTPUT, app
 from needleforce.cli.loop_threads import limit_library_threads
 from needleforce.cli.shared_options import MovedArmName, RobotOptions
 
 
-@app.command(name="lag")
+@app.command(name="lag", group=ARMS)
 def lag_command(
     arm: MovedArmName,
     /,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import LIVE_OUTPUT, LOG, TARE, app
+from needleforce.cli.application import ARMS, LIVE_OUTPUT, LOG, TARE, app
 from needleforce.cli.loop_threads import limit_library_threads
 from needleforce.cli.shared_options import (
     TARE_S,
@@ -60,7 +60,7 @@ class WatchOptions:
     yes: Annotated[bool, Parameter(negative="", group=TARE)] = False
 
 
-@app.command(name="live")
+@app.command(name="live", group=ARMS)
 def live_command(
     arm: ArmName,
     /,

@@ -6,13 +6,13 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from needleforce.cli.application import LIVE_OUTPUT, app
+from needleforce.cli.application import LIVE_OUTPUT, PATIENT, app
 
-PATIENT = Group("Patient", sort_key=1)
+CT = Group("Patient", sort_key=1)
 LIMITS = Group("Limits of the path", sort_key=3)
 
 
-@Parameter(name="*", group=PATIENT)
+@Parameter(name="*", group=CT)
 @dataclass(frozen=True, kw_only=True)
 class CaseOptions:
     """The patient, and where the needle shall go.
@@ -60,7 +60,7 @@ class LimitOptions:
     choose: Annotated[int, Parameter(metavar="N")] = 1
 
 
-@app.command(name="plan")
+@app.command(name="plan", group=PATIENT)
 def plan_command(
     *,
     case: CaseOptions,

@@ -5,12 +5,12 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import LIVE_OUTPUT, app
+from needleforce.cli.application import ARMS, LIVE_OUTPUT, app
 from needleforce.cli.loop_threads import limit_library_threads
 from needleforce.cli.shared_options import ArmName, ArmOptions, RobotOptions
 
 
-@app.command(name="record")
+@app.command(name="record", group=ARMS)
 def record_command(
     arm: ArmName,
     /,

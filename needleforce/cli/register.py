@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Group, Parameter
 
-from needleforce.cli.application import LIVE_OUTPUT, LOG, app
+from needleforce.cli.application import LIVE_OUTPUT, LOG, PATIENT, app
 from needleforce.cli.terminal import CommandError
 
 REGISTRATION = Group("Registration", sort_key=2)
@@ -48,7 +48,7 @@ class RegisterOptions:
     negate_xy: Annotated[bool, Parameter(negative="")] = False
 
 
-@app.command(name="register")
+@app.command(name="register", group=PATIENT)
 def register_command(
     *,
     plan: Annotated[

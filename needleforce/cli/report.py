@@ -5,7 +5,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import LOG, app
+from needleforce.cli.application import LOG, LOGS, app
 from needleforce.cli.shared_options import (
     AllColumns,
     IdentificationOptions,
@@ -17,7 +17,7 @@ from needleforce.cli.shared_options import (
 from needleforce.cli.terminal import CommandError
 
 
-@app.command(name="report")
+@app.command(name="report", group=LOGS)
 def report_command(
     log: Source,
     folder: Annotated[

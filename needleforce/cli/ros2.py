@@ -4,11 +4,11 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import LOG, app
+from needleforce.cli.application import ARMS, LOG, app
 from needleforce.cli.shared_options import RobotOptions
 
 
-@app.command(name="ros2")
+@app.command(name="ros2", group=ARMS)
 def ros2_command(
     *ros_arguments: Annotated[
         str,

@@ -6,7 +6,7 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import OUTPUT, app
+from needleforce.cli.application import LOGS, OUTPUT, app
 from needleforce.cli.terminal import CommandError, require_modules
 
 
@@ -34,7 +34,7 @@ class SimulationOptions:
     list: bool = False
 
 
-@app.command(name="simulate")
+@app.command(name="simulate", group=LOGS)
 def simulate_command(
     scenario: Annotated[
         str | None,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Group, Parameter
 
-from needleforce.cli.application import LIVE_OUTPUT, app
+from needleforce.cli.application import LIVE_OUTPUT, PATIENT, app
 from needleforce.cli.shared_options import ArmName, ArmOptions, RobotOptions
 
 TOUCHES = Group("Touches", sort_key=2)
@@ -30,7 +30,7 @@ class TouchOptions:
     contact: Annotated[float, Parameter(metavar="N")] = 0.5
 
 
-@app.command(name="touch")
+@app.command(name="touch", group=PATIENT)
 def touch_command(
     arm: ArmName,
     /,

@@ -6,7 +6,7 @@ from typing import Annotated
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import LIVE_OUTPUT, LOG, TARE, app
+from needleforce.cli.application import LIVE_OUTPUT, LOG, LOGS, TARE, app
 from needleforce.cli.shared_options import TARE_S, RobotOptions
 
 
@@ -46,7 +46,7 @@ class ViewOptions:
     port: Annotated[int, Parameter(metavar="N", group=LIVE_OUTPUT)] = 8080
 
 
-@app.command(name="view")
+@app.command(name="view", group=LOGS)
 def view_command(
     recording: Annotated[Path, Parameter(name="RECORDING", group=LOG)],
     /,

@@ -263,7 +263,7 @@ def describe_zero(zero: DepthZero) -> str:
     if zero.name == LOG_ZERO:
         return f"Depths count {LOG_ZERO}."
     return (
-        f"Depths are {zero.name}, {1e3 * zero.depth_m:.1f} mm from the log's own zero."
+        f"Depths are {zero.name}, {1e3 * zero.depth_m:z.1f} mm from the log's own zero."
     )
 
 
