@@ -1,9 +1,9 @@
 """Where compiled code is kept on disk.
 
-It is kept in folders whose names are hashes of the sources it depends on: a module's
-own file and all files of this project that this file imports, directly or through
-others. A change in any of them makes a new folder, so compiled code may call functions
-and use constants of other files.
+It is kept in folders whose names are hashes of the code it depends on: a module's own
+file and all files of this project that this file imports, directly or through others. A
+change in any of them makes a new folder, so compiled code may call functions and use
+constants of other files. A comment, a docstring or a moved line changes nothing.
 
 The folders lie below ``NUMBA_CACHE_DIR`` where the user has set that, else beside this
 file, else in the user's own cache folder. One that is warm is used also where it cannot
@@ -17,8 +17,10 @@ import sys
 from collections.abc import Callable, Iterator
 from functools import cache
 from importlib import import_module
+from importlib.machinery import SourceFileLoader
 from pathlib import Path
 from shutil import rmtree
+from types import CodeType
 from typing import Any, NamedTuple
 
 numba: Any = import_module("numba")  # its annotations do not describe its own use
@@ -113,8 +115,32 @@ def hash_sources(file: Path) -> str:
     """Return 16 hexadecimal digits that change with a file or any that it imports."""
     digest = hashlib.sha256(f"{sys.version_info[:2]} {numba.__version__}".encode())
     for path in sorted(_imported_files(file)):
-        digest.update(path.read_bytes())
+        digest.update(_hash_code(path))
     return digest.hexdigest()[:16]
+
+
+@cache
+def _hash_code(path: Path) -> bytes:
+    """Return a hash of what Python makes of a file, without lines and docstrings.
+
+    Python keeps that beside the file, so reading it costs as little as an import.
+    """
+    code = SourceFileLoader(path.stem, str(path)).get_code(path.stem)
+    digest = hashlib.sha256()
+    waiting: list[Any] = [code]
+    while waiting:
+        value = waiting.pop()
+        if isinstance(value, CodeType):
+            digest.update(value.co_code)
+            names = (value.co_name, value.co_names, value.co_varnames)
+            digest.update(repr((*names, value.co_argcount)).encode())
+            waiting += value.co_consts
+        elif isinstance(value, frozenset):  # its order differs between processes
+            digest.update(repr(sorted(map(repr, value))).encode())
+        elif not (isinstance(value, str) and re.search(r"\s", value)):
+            # Strings with blanks are docstrings and messages: compiled code has none.
+            digest.update(repr(value).encode())
+    return digest.digest()
 
 
 def _imported_files(file: Path) -> set[Path]:
@@ -149,15 +175,13 @@ def _direct_imports(file: Path) -> frozenset[Path]:
 class _FolderLocator(caching._CacheLocator):
     """Tells the compiler the folder of a function's module."""
 
-    def __init__(self, folder: Path, line: int) -> None:
+    def __init__(self, folder: Path) -> None:
         self._folder = folder
-        self._line = line
 
     @classmethod
     def from_function(cls, function: Callable[..., Any], file: str) -> Any:
         folder = cache_folder(function.__module__, file)
-        line = function.__code__.co_firstlineno
-        return None if folder is None else cls(folder, line)
+        return None if folder is None else cls(folder)
 
     def ensure_cache_path(self) -> None:
         self._folder.mkdir(parents=True, exist_ok=True)
@@ -169,7 +193,7 @@ class _FolderLocator(caching._CacheLocator):
         return self._folder.name
 
     def get_disambiguator(self) -> str:
-        return str(self._line)
+        return ""  # the file's name has the function's qualified name
 
 
 class _FolderCacheImpl(caching.CompileResultCacheImpl):

@@ -3,15 +3,18 @@
 import os
 import subprocess
 import sys
+from collections import Counter
 from collections.abc import Iterable, Sequence
 from pathlib import Path
+from threading import Event, Thread
+from time import monotonic
 from typing import Any, NamedTuple
 
-SECONDS_PER_FUNCTION = 0.3
-"""Processor time that a function takes to compile, on average."""
+MIN_ANNOUNCED = 4
+"""Functions from which on their compiling is announced: about a second."""
 
-MIN_ANNOUNCED_S = 1.0
-"""Shorter times are not announced."""
+MIN_MEASURED = 0.1
+"""Part of the work from which on its time tells that of the rest."""
 
 MIN_SHARED = 20
 """Functions from which on a second process is worth its start."""
@@ -85,7 +88,7 @@ def compile_cold(cold: Sequence[Entry], *, is_kept: bool) -> None:
         cold: The functions.
         is_kept: Whether there is a folder to keep them in.
     """
-    progress = _Progress(len(cold), is_kept=is_kept)
+    progress = _Progress(cold, is_kept=is_kept)
     # An interpreter inside another program cannot run a second process of ours.
     is_shared = (
         len(cold) >= MIN_SHARED
@@ -99,7 +102,6 @@ def compile_cold(cold: Sequence[Entry], *, is_kept: bool) -> None:
         for entry in cold:
             if entry.module not in helper_modules:
                 entry.compile()
-                progress.show_next()
         if helper is not None:
             helper.wait()
     finally:
@@ -110,8 +112,7 @@ def compile_cold(cold: Sequence[Entry], *, is_kept: bool) -> None:
 
 def choose_modules(entries: Iterable[Entry]) -> set[str]:
     """Choose modules that hold about half of the work, by the size of their sources."""
-    files = {entry.module: entry.file for entry in entries}
-    sizes = {module: file.stat().st_size for module, file in files.items()}
+    sizes = source_sizes(entries)
     own_size = 0.0
     helper_size = HELPER_START * sum(sizes.values())
     helper_modules: set[str] = set()
@@ -122,6 +123,12 @@ def choose_modules(entries: Iterable[Entry]) -> set[str]:
         else:
             own_size += sizes[module]
     return helper_modules
+
+
+def source_sizes(entries: Iterable[Entry]) -> dict[str, int]:
+    """Return the size of the source of each module that functions stand in."""
+    files = {entry.module: entry.file for entry in entries}
+    return {module: file.stat().st_size for module, file in files.items()}
 
 
 def _start_helper(modules: Iterable[str]) -> subprocess.Popen[bytes] | None:
@@ -139,35 +146,64 @@ def _start_helper(modules: Iterable[str]) -> subprocess.Popen[bytes] | None:
 
 
 class _Progress:
-    """Says on stderr that something is compiled, and on a terminal how far it is."""
+    """Says on stderr what is compiled, how much of it is done, and how long it takes.
 
-    def __init__(self, count: int, *, is_kept: bool) -> None:
-        seconds = SECONDS_PER_FUNCTION * count
-        self._done = 0
-        self._count = count
-        self._is_announced = seconds >= MIN_ANNOUNCED_S
-        self._text = f"needleforce: compiling once, about {seconds:.0f} s"
+    A thread of its own writes, also while one long function is compiled or a second
+    process is waited for: every second into one line of a terminal, every ten seconds
+    elsewhere.
+    """
+
+    def __init__(self, cold: Sequence[Entry], *, is_kept: bool) -> None:
+        self._cold = cold
+        self._start_s = monotonic()
+        self._text = "needleforce: compiling once"
         if not is_kept:
             self._text = (
-                f"needleforce: compiling, about {seconds:.0f} s at every start: no "
-                "folder can be written; name one in NUMBA_CACHE_DIR"
+                "needleforce: compiling at every start: no folder can be written; name "
+                "one in NUMBA_CACHE_DIR"
             )
+        # A module's source stands for its work, shared by its functions.
+        sizes = source_sizes(cold)
+        counts = Counter(entry.module for entry in cold)
+        self._weights = [sizes[entry.module] / counts[entry.module] for entry in cold]
         self._is_terminal = bool(getattr(sys.stderr, "isatty", bool)())
-        self._write("" if self._is_terminal else "\n")
-
-    def show_next(self) -> None:
-        """Count one more function."""
-        self._done += 1
-        if self._is_terminal:
-            self._write(f": {self._done} of {self._count} functions")
+        self._ended = Event()
+        self._is_announced = len(cold) >= MIN_ANNOUNCED
+        self._thread = Thread(target=self._show, daemon=True)
+        if self._is_announced:
+            self._write("" if self._is_terminal else "\n")
+            self._thread.start()
 
     def finish(self) -> None:
         """End the line."""
-        if self._is_terminal:
-            self._write(": done\n")
+        self._ended.set()
+        if self._is_announced:
+            self._thread.join()
+            if self._is_terminal:
+                self._write(f": done in {monotonic() - self._start_s:.0f} s\n")
+
+    def _show(self) -> None:
+        period_s = 1.0 if self._is_terminal else 10.0
+        end = "" if self._is_terminal else "\n"
+        while not self._ended.wait(period_s):
+            self._write(f": {self._describe()}{end}")
+
+    def _describe(self) -> str:
+        """Say how much is done and, from what that took, how long the rest takes."""
+        done = sum(
+            weight
+            for entry, weight in zip(self._cold, self._weights, strict=True)
+            if not entry.is_cold
+        )
+        fraction = done / sum(self._weights)
+        elapsed_s = monotonic() - self._start_s
+        if fraction < MIN_MEASURED:
+            return f"{elapsed_s:.0f} s so far"
+        left_s = elapsed_s * (1.0 - fraction) / fraction
+        return f"{fraction:.0%}, about {left_s:.0f} s left"
 
     def _write(self, end: str) -> None:
-        if self._is_announced and sys.stderr is not None:
+        if sys.stderr is not None:
             start = "\r\033[K" if self._is_terminal else ""
             sys.stderr.write(f"{start}{self._text}{end}")
             sys.stderr.flush()

@@ -194,7 +194,7 @@ def test_compile_leaves_nothing_for_a_later_start(tmp_path):
     )
     cache = json.loads(done.stdout)["cache"]
 
-    assert "compiling once, about" in done.stderr
+    assert "needleforce: compiling once\n" in done.stderr
     assert cache["kept_modules"] == cache["modules"] > 5
     assert cache["folder"] == str(tmp_path)
     assert list(tmp_path.glob("residual.checks.*"))
