@@ -68,11 +68,14 @@ class IiwaArm(ControllerLink):
         quality: Of the connection, of the latest reading.
         version: Of the interface, 1 or 2; 0 before the first message.
         stamp_s: Of the latest reading, on the controller's clock.
+        preset: Name of its limits, see `needleforce.control.Limits.of_arm`.
 
     Raises:
         LinkError: The address cannot be bound, or the peer's name is unknown.
         DeviceSettingError: A port or a time that cannot work.
     """
+
+    preset = "iiwa14"
 
     def __init__(
         self,
@@ -175,6 +178,7 @@ class IiwaArm(ControllerLink):
             external_Nm=message.external_Nm,
             missed=cycles - 1,
             accepts_commands=self._is_ready(),
+            is_real=True,
         )
 
     def _add_period(self, message: Monitoring) -> Monitoring:

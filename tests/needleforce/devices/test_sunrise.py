@@ -258,7 +258,7 @@ def iiwa():
 
 
 def highest_rates(places_rad):
-    """Return the highest speed [rad/s] and acceleration [rad/s2] that were commanded."""
+    """Return the highest speed [rad/s] and acceleration [rad/s2] commanded."""
     speeds_rad_s = np.diff(places_rad) / CYCLE_s
     return np.abs(speeds_rad_s).max(), np.abs(np.diff(speeds_rad_s)).max() / CYCLE_s
 
