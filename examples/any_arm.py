@@ -19,7 +19,8 @@ SPEED_m_s = 0.03  # at most
 # arm = connect_arm("fr3:ADDRESS", robot=load_urdf("fr3.urdf"), takes_commands=True)
 arm = SimulatedArm(plant="clean", duration_s=8.0)
 session = InsertionSession(arm.robot)
-controller = control.Controller(arm.robot, control.Limits(arm.robot))
+limits = control.Limits.of_arm(arm.robot, arm.preset)
+controller = control.Controller(arm.robot, limits)
 stroke = control.AxialSpeed(0.0)
 tasks = []
 moved_s = rested_s = 0.0

@@ -17,7 +17,8 @@ PUSH_s = TARE_s + 0.5
 PUSH_N = 4.0
 hand = HandOnArm(at="hub", force_N=lambda t_s: (PUSH_N * (t_s > PUSH_s), 0.0, 0.0))
 arm = SimulatedArm(plant="clean", contacts=[hand], duration_s=TARE_s + 1.5)
-controller = control.Controller(arm.robot, control.Limits(arm.robot))
+limits = control.Limits.of_arm(arm.robot, arm.preset)
+controller = control.Controller(arm.robot, limits)
 controller.tool.update(arm.home_rad)
 line = control.Fixture.here(controller.tool)
 guidance = control.Guidance(arm.robot)

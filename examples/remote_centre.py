@@ -17,7 +17,8 @@ TURN_s = 2.0  # time for one turn
 
 trocar = Trocar(behind_tip_m=ENTRY_m)
 arm = SimulatedArm(plant="clean", contacts=[trocar], duration_s=TURN_s + 0.5)
-controller = control.Controller(arm.robot, control.Limits(arm.robot))
+limits = control.Limits.of_arm(arm.robot, arm.preset)
+controller = control.Controller(arm.robot, limits)
 tool = controller.tool
 tool.update(next(arm).q_rad)
 start_m = tool.tip_m

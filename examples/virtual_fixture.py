@@ -17,7 +17,8 @@ JOYSTICK_m_s = (0.01, 0.005, -0.02)  # aside, and down along the needle
 def drive(with_fixture):
     """Return the path of the tip, shape (3, n) [mm]."""
     arm = SimulatedArm(plant="clean", duration_s=2.0)
-    controller = control.Controller(arm.robot, control.Limits(arm.robot))
+    limits = control.Limits.of_arm(arm.robot, arm.preset)
+    controller = control.Controller(arm.robot, limits)
     controller.tool.update(arm.home_rad)
     fixture = control.Fixture.here(controller.tool)
     joystick = control.TipVelocity(JOYSTICK_m_s)

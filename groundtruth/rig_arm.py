@@ -262,7 +262,10 @@ class SimulatedArm:
         tool: The needle as its user knows it.
         home_rad: Where it starts, needle straight down, shape (7,).
         contacts: What touches it besides the tissue.
+        preset: Name of its limits for a controller.
     """
+
+    preset = "lwr"
 
     def __init__(
         self,

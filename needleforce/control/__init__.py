@@ -1,6 +1,6 @@
 """Moving the needle: tasks in priority, guidance, teleoperation, autonomy, the manager.
 
-    control = Controller(robot, Limits(robot))
+    control = Controller(robot, Limits.of_arm(robot, arm.preset))
     for sample in arm:
         stack = [RemoteCentre(trocar_m), TipVelocity(wish_m_s)]
         arm.send(control.update(sample, stack).dq_rad_s)

@@ -96,6 +96,8 @@ class Controller:
             if it is not known. Tasks then act on where the arm will be when the command
             does, and a hand that shakes the arm is told from an oscillation at any
             gain.
+        allow_unlimited_jerk: Whether a real arm may be moved with limits that have none
+            of the jerk. It may then stop itself, a Franka with a reflex.
 
     Attributes:
         tool: Pose and Jacobian of the tip at the last valid sample, ahead of it by
@@ -114,6 +116,7 @@ class Controller:
         *,
         stops_failed_loop: bool = True,
         delay_s: float | None = None,
+        allow_unlimited_jerk: bool = False,
     ) -> None:
         compile_waiting()
         if (joints := limits.joints.speed_rad_s.size) != robot.nv:
@@ -129,6 +132,7 @@ class Controller:
         self._joints = joints
         self._solve = solve
         self._stops_failed_loop = stops_failed_loop
+        self._needs_simulation = limits.rates is None and not allow_unlimited_jerk
         self._watch = LoopWatch(delay_s)
         self._prediction = DelayPrediction(joints, delay_s or 0.0)
         self._stacks: dict[tuple[int, ...], Stack] = {}
@@ -158,7 +162,7 @@ class Controller:
         self._failure: LoopFailure | None = None  # that the arm stands for
 
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
-        """Return the command for the coming cycle; never raise, always answer.
+        """Return the command for the coming cycle; always answer, whatever the sample.
 
         Errors of tasks are of the measured positions, or of those predicted over the
         delay, and the command starts from the last one: that keeps noise of measured
@@ -167,7 +171,12 @@ class Controller:
         Args:
             sample: What the arm reports.
             stack: Tasks, the most important first; with none the arm brakes and rests.
+
+        Raises:
+            SettingError: The sample is of a real arm, the limits have none of the jerk,
+                and that was not allowed: nothing has moved yet.
         """
+        self._require_jerk_limit(sample)
         try:
             q_rad = np.ascontiguousarray(sample.q_rad, np.float64)
             dt_s = float(sample.dt_s)
@@ -218,6 +227,18 @@ class Controller:
         if self._stack.is_damped:
             return CommandStatus.NEAR_SINGULAR
         return CommandStatus.SATURATED if is_limited else CommandStatus.OK
+
+    def _require_jerk_limit(self, sample: ArmSample) -> None:
+        """Refuse to move a real arm without a limit of the jerk, see `update`."""
+        if not (self._needs_simulation and getattr(sample, "is_real", False)):
+            return
+        raise SettingError(
+            "this arm is real and the controller's limits have none of the jerk: "
+            "expected Limits.of_arm(robot, arm.preset) or Limits(robot, "
+            "jerk_rad_s3=...); Controller(..., allow_unlimited_jerk=True) moves it all "
+            "the same",
+            ControlCode.LIMITS,
+        )
 
     def note_sent(self, dq_rad_s: Array) -> None:
         """Begin from another velocity than the last command: the one really sent.

@@ -130,7 +130,9 @@ class Teleoperation:
         force_scale: Force at the hand per force at the needle.
         shown: Force at the tip; ``enhanced``, less friction of layers traversed;
             ``raw``, measured.
-        speed_limit_m_s: Largest speed of the needle.
+        speed_limit_m_s: Largest speed of the needle. What a quicker hand is ahead by
+            more than the needle covers in 40 ms, or 2 mm, is dropped, and the hand is
+            damped: the needle stands when the hand stands.
         force_lag_s: Lag of the session's observer, one over its gain; a later force is
             damped more.
         max_force_N: Largest force at the hand; it takes 10 ms to grow that large.
@@ -182,7 +184,9 @@ class Teleoperation:
         self._shown: Shown = shown
         self._axis = direction / np.linalg.norm(direction)
         self._lines = None if lines is None else Lines(*lines)
-        self.device = DeviceSide(motion_scale, force_lag_s, max_force_N)
+        self.device = DeviceSide(
+            motion_scale, speed_limit_m_s, force_lag_s, max_force_N
+        )
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
         self._watch = HandleWatch()

@@ -30,7 +30,8 @@ MIN_DAMPING_Ns_m = 15.0
 """Least damping of quick motion, whatever the scale."""
 
 STEADY_s = 0.3
-"""Motion that lasts longer is steady: it is not damped."""
+"""Motion that lasts longer is steady: it is not damped, as far as the needle follows
+it."""
 
 SPEED_LAG_s = 0.01
 """Low-pass on the speed of the handle, which comes from its encoder's steps."""
@@ -62,6 +63,13 @@ changed its place for so long does, whatever speed it reports."""
 
 CATCH_UP_PER_s = 10.0
 """Rate at which the needle makes up for travel that it could not follow."""
+
+MAX_BACKLOG_s = 0.04
+"""Travel that the needle's largest speed does not make up for in so long is dropped:
+when the hand stands the needle has at most this left, 0.8 mm at 20 mm/s."""
+
+MAX_BACKLOG_m = 2e-3
+"""The same, whatever the largest speed is."""
 
 NEEDLE_ALLOWANCE_J = 10e-3
 """What the hand may owe the needle, see `NeedlePort`: a delayed force is shown too low
@@ -137,6 +145,7 @@ class DeviceSide:
 
     Args:
         motion_scale: See `Teleoperation`.
+        speed_limit_m_s: Of the needle, see `Teleoperation`.
         force_lag_s: See `Teleoperation`.
         max_force_N: See `Teleoperation`.
 
@@ -149,6 +158,7 @@ class DeviceSide:
     def __init__(
         self,
         motion_scale: float,
+        speed_limit_m_s: float,
         force_lag_s: float = USUAL_FORCE_LAG_s,
         max_force_N: float = MAX_FORCE_N,
     ) -> None:
@@ -156,6 +166,7 @@ class DeviceSide:
         damping_Ns_m = DAMPING_Ns_m + MAX_STIFFNESS_N_per_m * late_s
         self._damping_Ns_m = max(MIN_DAMPING_Ns_m, damping_Ns_m * motion_scale)
         self._scale = motion_scale
+        self._max_followed_m_s = speed_limit_m_s / motion_scale  # of the handle
         self.port = HandPort(max_force_N)
         self.position_m: float | None = None
         self.force_N = 0.0
@@ -213,7 +224,7 @@ class DeviceSide:
         # A handle that moves changes its place; one that only says so repeats an old
         # sample.
         speed_m_s = 0.0 if self._still_s > MAX_SILENCE_s else handle.speed_m_s
-        damping_N = self._damp_quick_motion(speed_m_s, dt_s)
+        damping_N = self._damp_motion(speed_m_s, dt_s, is_coupled=handle.is_coupled)
         known_N, incoming_J = news or (0.0, 0.0)
         self.force_N = self.port.update(
             known_N * self._coupling + damping_N,
@@ -245,10 +256,13 @@ class DeviceSide:
         if self.position_m is not None:
             self.release(self._speed_m_s * self._since_s)
 
-    def _damp_quick_motion(self, speed_m_s: float, dt_s: float) -> float:
+    def _damp_motion(self, speed_m_s: float, dt_s: float, *, is_coupled: bool) -> float:
         """Return the force that damps what is not steady in the hand's motion.
 
-        The damping grows where that motion swings. A light device that is read seldom
+        Steady motion is damped, too, where it is faster than a coupled needle may
+        follow: the hand feels that travel is dropped.
+
+        The damping grows where the motion swings. A light device that is read seldom
         would be thrown back by more than its mass over twice the time between samples.
         """
         self._speed_m_s += (speed_m_s - self._speed_m_s) * dt_s / (SPEED_LAG_s + dt_s)
@@ -262,11 +276,19 @@ class DeviceSide:
             min(MAX_DAMPING_Ns_m, HANDLE_kg / (2.0 * self._gap_s)), lowest_Ns_m
         )
         damping_Ns_m = lowest_Ns_m + swing_fraction * (highest_Ns_m - lowest_Ns_m)
-        return damping_Ns_m * quick_m_s
+        if not is_coupled:
+            return damping_Ns_m * quick_m_s
+        max_m_s = self._max_followed_m_s
+        followed_m_s = min(max(self._steady_m_s, -max_m_s), max_m_s)
+        return damping_Ns_m * (self._speed_m_s - followed_m_s)
 
 
 class NeedleSide:
     """The end at the robot: follows the hand within a speed limit, sends the force.
+
+    Travel of the hand that is too quick for the needle is dropped: it goes on for no
+    longer than `MAX_BACKLOG_s` would take. Both ports count what hand and needle really
+    do, so passivity does not depend on what is dropped.
 
     Energy at the hand is that at the needle times force scale / motion scale.
 
@@ -334,4 +356,8 @@ class NeedleSide:
         if is_silent:
             return 0.0
         behind_m = self.start_m + news.travel_m - depth_m
-        return news.speed_m_s + CATCH_UP_PER_s * behind_m
+        # What the hand is ahead by beyond this is dropped: its zero moves with it.
+        max_m = min(MAX_BACKLOG_s * self._limit_m_s, MAX_BACKLOG_m)
+        dropped_m = behind_m - min(max(behind_m, -max_m), max_m)
+        self.start_m -= dropped_m
+        return news.speed_m_s + CATCH_UP_PER_s * (behind_m - dropped_m)

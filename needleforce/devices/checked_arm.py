@@ -81,6 +81,7 @@ class CheckedArm(Link):
             external_Nm=signals.external_Nm,
             missed=missed,
             accepts_commands=accepts_commands,
+            is_real=True,
         )
 
     def _is_valid(self, values: ArrayLike) -> bool:

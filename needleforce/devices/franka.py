@@ -175,10 +175,15 @@ class Fr3Arm(_FrankaArm):
         takes_commands: Whether it shall move; otherwise it is only listened to.
         robot: The model of the arm, kept for those who need both.
 
+    Attributes:
+        preset: Name of its limits, see `needleforce.control.Limits.of_arm`.
+
     Raises:
         MissingClientError: pylibfranka is not installed.
         LinkError: The arm does not answer, or speaks another version.
     """
+
+    preset = "fr3"
 
     def __init__(
         self, host: str = LOOPBACK, *, takes_commands: bool = False, robot: Any = None
@@ -277,10 +282,15 @@ class FrankaArm(_FrankaArm):
         takes_commands: Whether it shall move; otherwise it is only listened to.
         robot: The model of the arm, kept for those who need both.
 
+    Attributes:
+        preset: Name of its limits, see `needleforce.control.Limits.of_arm`.
+
     Raises:
         MissingClientError: panda-python is not installed.
         LinkError: The arm does not answer, or speaks another version.
     """
+
+    preset = "fer"
 
     def __init__(
         self, host: str = LOOPBACK, *, takes_commands: bool = False, robot: Any = None

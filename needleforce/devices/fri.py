@@ -191,11 +191,14 @@ class FriArm(ControllerLink):
         quality: Of the connection, of the latest reading.
         robot: The model of the arm.
         joints: How many there are.
+        preset: Name of its limits, see `needleforce.control.Limits.of_arm`.
 
     Raises:
         LinkError: The address cannot be bound, or the peer's name is unknown.
         DeviceSettingError: A port or a time that cannot work.
     """
+
+    preset = "lwr"
 
     def __init__(
         self,
@@ -282,6 +285,7 @@ class FriArm(ControllerLink):
             external_Nm=measurement["external_Nm"].astype(float),
             missed=cycles - 1,
             accepts_commands=self._takes_commands(),
+            is_real=True,
         )
 
     def _answer_measurement(self, measurement: np.void) -> None:

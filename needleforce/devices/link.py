@@ -29,6 +29,8 @@ class ArmReading(NamedTuple):
         missed: Cycles since the previous reading that brought nothing valid.
         accepts_commands: Whether the arm would move now.
         current_A: Motor currents of an arm without torque sensors, shape (n,), or None.
+        is_real: Whether commands would move an arm, not a simulation: a controller then
+            needs limits of the jerk. An emulator counts as the arm that it stands for.
     """
 
     dt_s: float
@@ -39,6 +41,7 @@ class ArmReading(NamedTuple):
     missed: int
     accepts_commands: bool
     current_A: Array | None = None
+    is_real: bool = False
 
 
 class MasterReading(NamedTuple):

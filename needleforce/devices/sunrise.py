@@ -18,6 +18,7 @@ from needleforce.devices.link import ArmReading
 from needleforce.devices.sunrise_messages import (
     COMMAND_KIND,
     JOINTS,
+    MAX_PERIOD_MS,
     MONITORING_KIND,
     CommandMode,
     Header,
@@ -37,14 +38,20 @@ PORT = 30200
 COUNTS = 1 << 32
 """Counters of messages go round after so many."""
 
+MAX_START_rad_s = 0.05
+"""After an interruption the first command that is taken is at most this: a program that
+has not seen that it was refused would go on at full speed. 10 rad/s2 for 5 ms."""
+
 
 class IiwaArm(ControllerLink):
     """The arm at the end of the interface.
 
     While the controller's program monitors, answers only keep the connection. Where it
     lets positions be commanded, with a good connection and no safety stop, velocities
-    given to `send` are integrated and added to the position of that program. The
-    interface transmits no velocity: readings have ``dq_rad_s=None``.
+    given to `send` are integrated and added to the position of that program. Where it
+    does not any more, the arm is braked and keeps its place, and commands are taken
+    again from rest only. The interface transmits no velocity: readings have
+    ``dq_rad_s=None``.
 
     Args:
         host: Address of this machine to which the controller sends.
@@ -61,11 +68,14 @@ class IiwaArm(ControllerLink):
         quality: Of the connection, of the latest reading.
         version: Of the interface, 1 or 2; 0 before the first message.
         stamp_s: Of the latest reading, on the controller's clock.
+        preset: Name of its limits, see `needleforce.control.Limits.of_arm`.
 
     Raises:
         LinkError: The address cannot be bound, or the peer's name is unknown.
         DeviceSettingError: A port or a time that cannot work.
     """
+
+    preset = "iiwa14"
 
     def __init__(
         self,
@@ -92,7 +102,10 @@ class IiwaArm(ControllerLink):
         self.version = 0
         self.stamp_s = 0.0
         self._message: Monitoring | None = None  # the latest
-        self._hold: VelocityHold | None = None  # while commands are taken
+        self._last_without_period: Monitoring | None = None
+        self._period_s: float | None = None  # of such messages
+        self._hold: VelocityHold | None = None  # while positions are commanded
+        self._is_interrupted = False  # until a command starts from rest
         self._offset_rad = np.zeros(JOINTS)  # that is added to the program's position
         self._answer_count = 0
         self._unanswered = 0  # messages since the latest answer
@@ -107,17 +120,35 @@ class IiwaArm(ControllerLink):
 
         Returns:
             False where the arm takes no commands, and for numbers that are not finite.
+            After an interruption also for a velocity above `MAX_START_rad_s`: begin
+            anew from rest, with `Controller.reset`.
         """
         velocity_rad_s = usable_velocity(dq_rad_s, JOINTS)
-        if velocity_rad_s is None or self._hold is None:
+        if velocity_rad_s is None or self._hold is None or not self._is_ready():
+            return False
+        if self._is_interrupted and np.abs(velocity_rad_s).max() > MAX_START_rad_s:
             return False
 
+        self._is_interrupted = False
         self._hold.command(velocity_rad_s)
         return True
+
+    def _is_ready(self) -> bool:
+        """Return whether the arm would move now; not while it brakes."""
+        if self._hold is None or not _takes_commands(self._message):
+            return False
+        return not self._is_interrupted or self._hold.is_at_rest
 
     def _lose_controller(self) -> None:
         """Note that the controller is silent."""
         self.session = Session.IDLE
+        self._last_without_period = None
+        self._period_s = None
+        self._end_commanding()
+
+    def _end_commanding(self) -> None:
+        """Note that the controller takes no positions any more."""
+        self._is_interrupted = self._is_interrupted or self._hold is not None
         self._hold = None
 
     def _process(self, data: bytes) -> ArmReading | None:
@@ -126,6 +157,11 @@ class IiwaArm(ControllerLink):
         if message is None:
             self.report.malformed += 1
             self.hint = self.hint or describe_stranger(data)
+            return None
+
+        message = self._add_period(message)
+        if message.period_s == 0.0:
+            self.hint = self.hint or "messages have told neither period nor time so far"
             return None
 
         cycles = self._count_cycles(message.header.number, message.period_s)
@@ -141,21 +177,50 @@ class IiwaArm(ControllerLink):
             tau_Nm=message.torque_Nm,
             external_Nm=message.external_Nm,
             missed=cycles - 1,
-            accepts_commands=self._hold is not None,
+            accepts_commands=self._is_ready(),
+            is_real=True,
         )
 
+    def _add_period(self, message: Monitoring) -> Monitoring:
+        """Return a message with its period, which some controllers do not send.
+
+        It is then found from the stamps, in whole milliseconds as it is set there; zero
+        before the second message.
+        """
+        if message.period_s > 0.0:
+            return message
+        last = self._last_without_period
+        self._last_without_period = message
+        if last is not None and self._period_s is None:
+            cycles = (message.header.number - last.header.number) % COUNTS
+            period_ms = round(1e3 * (message.stamp_s - last.stamp_s) / max(cycles, 1))
+            if 0 < period_ms <= MAX_PERIOD_MS:
+                self._period_s = 1e-3 * period_ms
+        return message._replace(period_s=self._period_s or 0.0)
+
     def _take_state(self, message: Monitoring) -> None:
-        """Take over the state of the interface; begin or end taking commands."""
+        """Take over the state of the interface; begin or end commanding positions.
+
+        While the session lasts the place of the arm is kept, whether or not commands
+        are taken. A session that has waited begins where its program is; one that is
+        found running, where the arm is.
+        """
+        has_waited = self.session is Session.COMMANDING_WAIT
         self._message = message
         self.session = message.session
         self.quality = message.quality
         self.version = 2 if message.commanded_rad is None else 1
         self.stamp_s = message.stamp_s
-        if not _takes_commands(message):
-            self._hold = None
-        elif self._hold is None:
+        if message.session is not Session.COMMANDING_ACTIVE:
+            self._end_commanding()
+            return
+        if self._hold is None and message.interpolated_rad is not None:
             self._hold = VelocityHold(JOINTS, message.period_s)
-            self._offset_rad = np.zeros(JOINTS)
+            away_rad = message.position_rad - message.interpolated_rad
+            self._offset_rad = np.zeros(JOINTS) if has_waited else away_rad
+        if self._hold is not None and not _takes_commands(message):
+            self._hold.brake()
+            self._is_interrupted = True
 
     def _answer_message(self, message: Monitoring) -> None:
         """Send the command of this cycle, when the controller wants one."""
@@ -189,10 +254,11 @@ class IiwaArm(ControllerLink):
         return message.interpolated_rad + self._offset_rad
 
 
-def _takes_commands(message: Monitoring) -> bool:
-    """Return whether the arm would move now."""
+def _takes_commands(message: Monitoring | None) -> bool:
+    """Return whether the controller lets positions be commanded now."""
     return (
-        message.session is Session.COMMANDING_ACTIVE
+        message is not None
+        and message.session is Session.COMMANDING_ACTIVE
         and message.quality >= Quality.GOOD
         and message.command_mode is CommandMode.POSITION
         and message.safety_stop == 0

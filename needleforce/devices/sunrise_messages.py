@@ -82,7 +82,7 @@ class Monitoring(NamedTuple):
         header: Kind and numbers.
         session: State of the interface.
         quality: Of the connection.
-        period_s: Of these messages.
+        period_s: Of these messages; zero where the controller does not say it.
         answer_cycles: The controller wants an answer every so many messages.
         safety_stop: Zero in normal operation.
         command_mode: What may be commanded.
@@ -242,7 +242,7 @@ def _are_possible(numbers: list[int]) -> bool:
     return (
         session in Session.__members__.values()
         and quality in Quality.__members__.values()
-        and 0 < period_ms <= MAX_PERIOD_MS
+        and 0 <= period_ms <= MAX_PERIOD_MS
         and mode in CommandMode.__members__.values()
     )
 
@@ -298,7 +298,8 @@ def write_monitoring(message: Monitoring) -> bytes:
     stamp = write_number(1, seconds) + write_number(2, nanoseconds)
     monitor += write_message(15, stamp)
     connection = write_number(1, message.session) + write_number(2, message.quality)
-    connection += write_number(3, round(message.period_s / MS_TO_S))
+    if message.period_s > 0.0:
+        connection += write_number(3, round(message.period_s / MS_TO_S))
     connection += write_number(4, message.answer_cycles)
     program = write_number(10, message.command_mode)
     if message.interpolated_rad is not None:

@@ -42,12 +42,18 @@ class UrArm(CheckedArm):
         rate_hz: How often the arm sends.
         robot: The model of the arm, kept for those who need both.
 
+    Attributes:
+        preset: Name of its limits, see `needleforce.control.Limits.of_arm`: those of a
+            UR5e, and the speeds of the model where they are lower.
+
     Raises:
         MissingClientError: ur_rtde is not installed.
         LinkError: The arm does not answer, or takes no commands.
         DeviceSettingError: Constants that are not six positive numbers, or no positive
             rate.
     """
+
+    preset = "ur5e"
 
     def __init__(
         self,

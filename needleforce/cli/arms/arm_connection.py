@@ -21,6 +21,7 @@ from needleforce.cli.terminal import (
     say,
     stop_request,
 )
+from needleforce.control import ARM_LIMITS, Limits
 from needleforce.devices import (
     ArmReading,
     DeviceSettingError,
@@ -46,6 +47,12 @@ MOVED_NAMES = "or sim"
 
 SIMULATED_SCENARIO = "stack-glove-constant"
 """What ``sim`` simulates without a scenario."""
+
+MAX_ACCELERATION_rad_s2 = 5.0
+"""Highest acceleration of arms without a preset: below that of every preset."""
+
+MAX_JERK_rad_s3 = 2500.0
+"""Highest jerk of these arms: below that of every preset."""
 
 NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
@@ -204,6 +211,17 @@ def _kind_of(name: str, other_names: str) -> str:
         return parse_arm_name(name).kind
     except DeviceSettingError as error:
         raise CommandError(f"{error}, {other_names}") from error
+
+
+def limits_of(connected: ConnectedArm) -> Limits:
+    """Return the limits of an arm: its preset, or careful ones where that has none."""
+    robot = connected.robot
+    preset = getattr(connected.arm, "preset", None)
+    if preset is not None and len(ARM_LIMITS[preset].speed_rad_s) == robot.nv:
+        return Limits.of_arm(robot, preset)
+    return Limits(
+        robot, acceleration_rad_s2=MAX_ACCELERATION_rad_s2, jerk_rad_s3=MAX_JERK_rad_s3
+    )
 
 
 def samples_until_stopped(

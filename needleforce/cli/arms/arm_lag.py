@@ -5,10 +5,9 @@ import sys
 from typing import Any
 
 from foundation.jit import compile_waiting
-from needleforce.cli.arms.arm_connection import open_arm
+from needleforce.cli.arms.arm_connection import limits_of, open_arm
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
-from needleforce.control import Limits
 from needleforce.control.lag import (
     Delay,
     LagProbe,
@@ -46,8 +45,9 @@ def measure_arm(
     if not is_confirmed:
         _ask(arm_name)
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
-    with open_arm(arm_name, options, takes_commands=True) as (arm, robot):
-        probe = LagProbe(robot, Limits(robot))
+    with open_arm(arm_name, options, takes_commands=True) as connected:
+        arm, robot = connected
+        probe = LagProbe(robot, limits_of(connected))
         _move(arm, arm_name, probe)
         delays = probe.measure()
     slowest = max(delays, key=lambda delay: delay.delay_s + delay.std_s)

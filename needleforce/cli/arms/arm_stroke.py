@@ -11,19 +11,15 @@ from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ConnectedArm,
+    limits_of,
     open_arm,
 )
 from needleforce.cli.shared_options import MotorConstants, RobotOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say
-from needleforce.control import Limits
-from needleforce.control.arm_limits import ARM_LIMITS
 from needleforce.control.tare_stroke import TareMotion, tare_with_stroke
 from needleforce.devices.link import LinkReport
 from needleforce.session import InsertionSession
 from urdf import Robot
-
-LIMITS_OF_KIND = {"fri": "lwr", "fr3": "fr3", "franka": "fer", "sim": "lwr"}
-"""The preset of limits of a kind of arm; of the others the model's speeds count."""
 
 FULL_TURN_DEG = 360.0
 
@@ -32,12 +28,6 @@ MEAN_SPEED_m_s = 0.01
 
 MIN_LEG_S = 10.0
 """Time of a stroke each way, at least: the elbow needs it for its swings."""
-
-MAX_ACCELERATION_rad_s2 = 5.0
-"""Highest acceleration of arms without a preset: below that of every preset."""
-
-MAX_JERK_rad_s3 = 2500.0
-"""Highest jerk of these arms: below that of every preset."""
 
 
 class StrokeOptions(NamedTuple):
@@ -203,17 +193,6 @@ def _tare_by_stroke(
     robot = connected.robot
     session = InsertionSession(robot)
     say(_describe(name, motion))
-    limits = _limits_of(name, robot)
-    tare_with_stroke(connected.arm, session, limits, motion, robot=robot)
+    tare_with_stroke(connected.arm, session, limits_of(connected), motion, robot=robot)
     say("tared")
     return session
-
-
-def _limits_of(name: str, robot: Robot) -> Limits:
-    """Return the limits of an arm: its preset, or careful ones."""
-    preset = LIMITS_OF_KIND.get(name.partition(":")[0])
-    if preset is not None and len(ARM_LIMITS[preset].speed_rad_s) == robot.nv:
-        return Limits.of_arm(robot, preset)
-    return Limits(
-        robot, acceleration_rad_s2=MAX_ACCELERATION_rad_s2, jerk_rad_s3=MAX_JERK_rad_s3
-    )

@@ -148,7 +148,7 @@ def _insert_until_stopped(arm: SimulatedArm, progress: Progress) -> list[StopRow
     manager = control.Manager(InsertionSession(arm.robot), limits)
     plan = control.InsertionPlan(speed_m_s=SPEED_M_S, depth_m=MAX_DEPTH_M, layer=LAYER)
     profile = control.InsertionProfile(plan)
-    controller = Controller(arm.robot, Limits(arm.robot))
+    controller = Controller(arm.robot, Limits.of_arm(arm.robot, arm.preset))
     controller.tool.update(arm.home_rad)
     line = Fixture.here(controller.tool, GAIN_PER_S)
     posture = Posture(arm.home_rad)

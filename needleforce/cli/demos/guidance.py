@@ -82,7 +82,7 @@ class _GuidedArm:
         self._sensor = VirtualForceSensor(
             arm.robot, SensorConfig(smooth_momentum=False)
         )
-        self._controller = Controller(arm.robot, Limits(arm.robot))
+        self._controller = Controller(arm.robot, Limits.of_arm(arm.robot, arm.preset))
         self._controller.tool.update(arm.home_rad)
         self._guidance = control.Guidance(arm.robot)
         self._shaft = Fixture.here(self._controller.tool, GAIN_PER_S)

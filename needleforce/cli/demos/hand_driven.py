@@ -218,7 +218,7 @@ class _HandLoop:
         self._teleoperation = teleoperation
         self._session = InsertionSession(arm.robot, sensor)
         self._stroke = _TareStroke(self._session)
-        self._controller = Controller(arm.robot, Limits(arm.robot))
+        self._controller = Controller(arm.robot, Limits.of_arm(arm.robot, arm.preset))
         self._controller.tool.update(arm.home_rad)
         self._shaft = Fixture.here(self._controller.tool)
         self._posture = Posture(arm.home_rad)

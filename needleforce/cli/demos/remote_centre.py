@@ -167,7 +167,7 @@ def draw_circle(case: CircleCase) -> CircleRun:
     """Let an arm draw the circle."""
     trocar = Trocar(behind_tip_m=ENTRY_M)
     arm = SimulatedArm(None, case.plant, contacts=[trocar], duration_s=DURATION_S)
-    controller = Controller(arm.robot, Limits(arm.robot))
+    controller = Controller(arm.robot, Limits.of_arm(arm.robot, arm.preset))
     tool = controller.tool
     still = [next(arm).q_rad for _ in range(round(SETTLE_S * TICKS_PER_S))]
     tool.update(np.mean(still[len(still) // 2 :], axis=0))

@@ -1,6 +1,7 @@
 """Teleoperation of one-dimensional plants: passive at the hand, faithful in position
 and force."""
 
+from collections import deque
 from types import SimpleNamespace
 
 import numpy as np
@@ -148,6 +149,72 @@ def test_a_lagging_needle_stands_when_declutched():
         depth += speed * DT
 
     assert depth == pytest.approx(0.01, abs=1e-4)  # at 20 mm/s
+
+
+def quick_hand(t_s, travel_m, seconds):
+    """Return position and speed of a hand that reaches out smoothly, and stands."""
+    part = min(max(t_s / seconds, 0.0), 1.0)
+    position_m = travel_m * part**3 * (10.0 - 15.0 * part + 6.0 * part**2)
+    speed_m_s = travel_m / seconds * 30.0 * part**2 * (1.0 - part) ** 2
+    return position_m, speed_m_s
+
+
+def hand_that_stops_dead(t_s, travel_m, seconds):
+    """Return position and speed of a hand that hits something."""
+    speed_m_s = travel_m / seconds
+    return speed_m_s * min(t_s, seconds), speed_m_s * (t_s < seconds)
+
+
+@pytest.mark.parametrize("hand", [quick_hand, hand_that_stops_dead])
+@pytest.mark.parametrize("stiffness_N_per_m", [0.0, 300.0])
+@pytest.mark.parametrize("speed_limit_m_s", [0.005, 0.02, 0.1])
+@pytest.mark.parametrize("scale", [0.4, 1.0])
+@pytest.mark.parametrize(("travel_m", "seconds"), [(0.06, 0.3), (0.1, 0.5)])
+def test_the_needle_stands_when_a_quick_hand_stands(
+    travel_m, seconds, scale, speed_limit_m_s, stiffness_N_per_m, hand
+):
+    """An arm that is 5 ms late moves by 2.5 mm more, for 0.15 s, at most."""
+    tele = Teleoperation(motion_scale=scale, speed_limit_m_s=speed_limit_m_s)
+    commands_m_s = deque([0.0] * 5)
+    depths_m = []
+    forces_N = []
+    depth_m = speed_m_s = 0.0
+    for k in range(round((seconds + 1.5) / DT)):
+        place_m, hand_m_s = hand(k * DT, travel_m, seconds)
+        sample = handle((0.0, 0.0, place_m), (0.0, 0.0, hand_m_s))
+        spring_N = stiffness_N_per_m * max(depth_m - SURFACE_M, 0.0)
+        move = tele.update(sample, estimate(spring_N, None, depth_m, speed_m_s), DT)
+        commands_m_s.append(move.speed_m_s)
+        speed_m_s = commands_m_s.popleft()
+        depth_m += DT * speed_m_s
+        depths_m.append(depth_m)
+        forces_N.append(abs(move.force_N[2]))
+    after_m = np.array(depths_m[round(seconds / DT) :])
+    moving = np.flatnonzero(np.abs(np.diff(after_m)) > 2e-3 * DT)
+
+    assert np.abs(after_m - after_m[0]).max() <= 2.5e-3
+    assert moving.size == 0 or DT * moving[-1] <= 0.15
+    assert max(forces_N) <= 5.0
+    assert np.diff(forces_N).max() <= 0.5 + 1e-9
+
+
+def steady_force_N(hand_m_s, *, clutch=True):
+    """Return the force on a hand that has moved steadily in free air for 2 s."""
+    tele = Teleoperation(motion_scale=0.4)
+    depth_m = 0.0
+    for k in range(2000):
+        sample = handle((0.0, 0.0, hand_m_s * k * DT), (0.0, 0.0, hand_m_s), clutch)
+        move = tele.update(sample, estimate(0.0, depth_m=depth_m), DT)
+        depth_m += DT * move.speed_m_s
+    return move.force_N[2]
+
+
+def test_a_hand_feels_that_the_needle_cannot_follow():
+    """At 20 mm/s and a scale of 0.4 the needle follows a hand of 50 mm/s."""
+    assert steady_force_N(0.045) == pytest.approx(0.0, abs=0.01)
+    assert steady_force_N(0.1) == pytest.approx(-1.0, abs=0.05)
+    assert steady_force_N(-0.1) == pytest.approx(1.0, abs=0.05)
+    assert steady_force_N(0.1, clutch=False) == pytest.approx(0.0, abs=0.01)
 
 
 @pytest.mark.parametrize("every", [1, 2, 5])
@@ -330,7 +397,7 @@ def test_after_a_reset_the_needle_stays():
             tele.reset()
         speeds_m_s[is_reset] = tele.update(place, estimate(depth_m=0.0), DT).speed_m_s
 
-    assert speeds_m_s[False] == pytest.approx(0.02)
+    assert speeds_m_s[False] > 0.01
     assert speeds_m_s[True] == 0.0
 
 

@@ -7,7 +7,17 @@ import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-from needleforce.devices import Fr3Arm, FriArm, IiwaArm, connect_arm
+from groundtruth.rig_arm import SimulatedArm
+from needleforce.control import Controller, Limits, Posture, SettingError
+from needleforce.control.arm_limits import ARM_LIMITS
+from needleforce.devices import (
+    Fr3Arm,
+    FrankaArm,
+    FriArm,
+    IiwaArm,
+    UrArm,
+    connect_arm,
+)
 from needleforce.devices.emulators import Emulator
 from needleforce.devices.fri_emulator import FriSettings, emulate_fri
 from needleforce.devices.sunrise_emulator import SunriseSettings, emulate_sunrise
@@ -87,3 +97,78 @@ def test_the_program_strokes_an_arm_that_sends_to_this_machine(kind, monkeypatch
         moved_rad = counts["commanded_rad"] - posture[0]
 
     assert 1e-3 < np.abs(moved_rad).max() < 0.1
+
+
+EXAMPLES = sorted((Path(__file__).parents[3] / "examples").glob("*.py"))
+DEMOS = sorted((Path(__file__).parents[3] / "needleforce" / "cli").rglob("*.py"))
+PAGES = sorted((Path(__file__).parents[3] / "docs").rglob("*.md"))
+
+
+def test_every_program_that_moves_an_arm_limits_the_jerk():
+    """Whoever copies a loop copies its limits; lists of tasks alone name none."""
+    named = 0
+    for path in (*EXAMPLES, *DEMOS, *PAGES):
+        text = path.read_text(encoding="utf-8")
+        unlimited = re.findall(r"Controller\([\w.]+, (?:control\.)?Limits\(", text)
+        named += len(re.findall(r"Limits\.of_arm\(", text))
+
+        assert not unlimited, path
+
+    assert named >= 12
+
+
+@pytest.mark.parametrize("arm", [Fr3Arm, FrankaArm, FriArm, IiwaArm, UrArm])
+def test_every_arm_names_its_limits(arm):
+    names = {
+        Fr3Arm: "fr3",
+        FrankaArm: "fer",
+        FriArm: "lwr",
+        IiwaArm: "iiwa14",
+        UrArm: "ur5e",
+    }
+
+    assert arm.preset == names[arm]
+    assert arm.preset in ARM_LIMITS
+
+
+@pytest.mark.parametrize("kind", ["fri", "iiwa"])
+def test_an_arm_without_a_limit_of_the_jerk_is_refused(kind):
+    """Before anything has moved, with what to do; by name it is allowed."""
+    robot = load_lwr(payload=NeedleTool())
+    arm_type = {"fri": FriArm, "iiwa": IiwaArm}[kind]
+    arm = arm_type(port=0, robot=robot, give_up_s=1.0)
+    settings_type = {"fri": FriSettings, "iiwa": SunriseSettings}[kind]
+    settings = settings_type(
+        port=arm.address.port,
+        q_rad=np.array([[0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0]]),
+        tau_Nm=np.zeros((1, 7)),
+        period_s=2e-3,
+        cycles=50,
+        extra_wait_s=20.0,
+    )
+    work = {"fri": emulate_fri, "iiwa": emulate_sunrise}[kind]
+    with Emulator(work, settings) as controller, arm:
+        reading = next(iter(arm))
+        arm.close()
+        controller.counts()
+    tasks = [Posture(reading.q_rad)]
+    refused = Controller(robot, Limits(robot))
+
+    with pytest.raises(SettingError, match=r"Limits\.of_arm\(robot, arm\.preset\)"):
+        refused.update(reading, tasks)
+
+    assert not refused.last_rad_s.any()
+
+    for allowed in (
+        Controller(robot, Limits(robot), allow_unlimited_jerk=True),
+        Controller(robot, Limits(robot, jerk_rad_s3=2000.0)),
+        Controller(robot, Limits.of_arm(robot, "lwr")),
+    ):
+        assert allowed.update(reading, tasks).status == "ok"
+
+
+def test_a_simulated_arm_needs_no_limit_of_the_jerk():
+    arm = SimulatedArm(plant="clean", duration_s=0.1)
+    controller = Controller(arm.robot, Limits(arm.robot))
+
+    assert controller.update(next(arm), [Posture(arm.home_rad)]).reason == ""

@@ -13,7 +13,17 @@ from needleforce.devices import FriArm, IiwaArm
 from needleforce.devices.emulators import Emulator, WireFaults
 from needleforce.devices.protobuf_wire import read_doubles, read_fields, write_message
 from needleforce.devices.sunrise_emulator import SunriseSettings, emulate_sunrise
-from needleforce.devices.sunrise_messages import read_command, read_monitoring
+from needleforce.devices.sunrise_messages import (
+    MONITORING_KIND,
+    CommandMode,
+    Header,
+    Monitoring,
+    Quality,
+    Session,
+    read_command,
+    read_monitoring,
+    write_monitoring,
+)
 from tests.needleforce.devices.test_links import PATIENCE_S, measurement
 
 GOLDEN_1 = bytes.fromhex(
@@ -79,6 +89,7 @@ def test_a_golden_message_is_read_and_answered(data, commanded_rad):
     arm = IiwaArm(port=0, wait_s=0.05, give_up_s=1.0)
     with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
         box.settimeout(10.0)
+        arm.session = Session.COMMANDING_WAIT  # of a message before
         box.sendto(data, arm.address)
         reading = next(iter(arm))
 
@@ -186,6 +197,164 @@ def test_an_iiwa_without_commands_brakes_to_rest():
     assert np.ptp(moved_rad[-50:]) < 1e-12
     assert moved_rad[-1] > 0.03
     assert counts["refused"] == 0
+
+
+CYCLE_s = 2e-3
+
+
+class Conversation:
+    """A controller that sends one message after the other, and reads the answers."""
+
+    def __init__(self, arm, box, *, tells_period=True):
+        box.settimeout(10.0)
+        self._arm = arm
+        self._box = box
+        self._readings = iter(arm)
+        self._period_s = CYCLE_s if tells_period else 0.0
+        self._count = 0
+        self.places_rad = []  # commanded to the first joint
+
+    def say(self, session=Session.COMMANDING_ACTIVE, place_rad=0.0, **changes):
+        """Send a message of an arm that stands there; return its reading."""
+        self.send(session, place_rad, **changes)
+        reading = next(self._readings)
+        answer = read_command(self._box.recv(2048))
+        self.places_rad.append(answer.position_rad[0])
+        return reading
+
+    def send(self, session, place_rad=0.0, **changes):
+        """Send a message, and wait for nothing."""
+        self._count += 1
+        message = Monitoring(
+            header=Header(MONITORING_KIND, self._count, 0),
+            session=session,
+            quality=Quality.EXCELLENT,
+            period_s=self._period_s,
+            answer_cycles=1,
+            safety_stop=0,
+            command_mode=CommandMode.POSITION,
+            stamp_s=self._count * CYCLE_s,
+            position_rad=np.full(7, place_rad),
+            torque_Nm=np.zeros(7),
+            external_Nm=np.zeros(7),
+            commanded_rad=None,
+            interpolated_rad=np.zeros(7),
+        )
+        data = write_monitoring(message._replace(**changes))
+        self._box.sendto(data, self._arm.address)
+
+    def drive(self, cycles, speed_rad_s):
+        """Let the arm be driven; return how many commands it took."""
+        taken = 0
+        for _ in range(cycles):
+            self.say()
+            taken += self._arm.send([speed_rad_s] + [0.0] * 6)
+        return taken
+
+
+@pytest.fixture
+def iiwa():
+    arm = IiwaArm(port=0, wait_s=5.0, give_up_s=10.0)
+    with arm, socket.socket(type=socket.SOCK_DGRAM) as box:
+        yield arm, box
+
+
+def highest_rates(places_rad):
+    """Return the highest speed [rad/s] and acceleration [rad/s2] commanded."""
+    speeds_rad_s = np.diff(places_rad) / CYCLE_s
+    return np.abs(speeds_rad_s).max(), np.abs(np.diff(speeds_rad_s)).max() / CYCLE_s
+
+
+@pytest.mark.parametrize(
+    "interruption",
+    [
+        {"quality": Quality.FAIR},
+        {"safety_stop": 1},
+        {"command_mode": CommandMode.NONE},
+    ],
+)
+def test_an_interruption_moves_nothing_and_is_resumed_from_rest(iiwa, interruption):
+    """The arm brakes from 0.3 rad/s at 5 rad/s2 and keeps its place, and a program
+    that has seen nothing does not drive it."""
+    arm, box = iiwa
+    controller = Conversation(arm, box)
+    for _ in range(30):
+        controller.say(Session.COMMANDING_WAIT)
+    for k in range(300):
+        controller.drive(1, min(k / 100.0, 1.0) * 0.3)
+    start_rad = controller.places_rad[-1]
+    controller.places_rad = controller.places_rad[-3:]
+
+    assert start_rad > 0.1
+    assert not controller.say(**interruption).accepts_commands
+    assert not arm.send([0.3] + [0.0] * 6)
+    assert controller.drive(200, 0.3) == 0
+
+    speed_rad_s, acceleration_rad_s2 = highest_rates(controller.places_rad)
+
+    assert speed_rad_s <= 0.3 + 1e-9
+    assert acceleration_rad_s2 <= 5.0 + 1e-6
+    assert start_rad <= controller.places_rad[-1] <= start_rad + 0.012
+    assert np.ptp(controller.places_rad[-100:]) == 0.0
+
+    rest_rad = controller.places_rad[-1]
+    controller.places_rad = []
+    taken = sum(controller.drive(1, min(k / 100.0, 1.0) * 0.3) for k in range(200))
+
+    assert taken == 200
+    assert controller.places_rad[0] == rest_rad
+    assert controller.places_rad[-1] == pytest.approx(rest_rad + 0.0894, abs=1e-3)
+
+
+def test_an_interruption_at_rest_moves_nothing(iiwa):
+    arm, box = iiwa
+    controller = Conversation(arm, box)
+    controller.say(Session.COMMANDING_WAIT)
+    controller.drive(100, 0.2)
+    controller.drive(50, 0.0)
+    place_rad = controller.places_rad[-1]
+    for interruption in ({"quality": Quality.POOR}, {"safety_stop": 2}):
+        controller.say(**interruption)
+        controller.drive(20, 0.0)
+
+    assert place_rad == pytest.approx(0.04, abs=1e-3)
+    assert controller.places_rad[-42:] == [place_rad] * 42
+
+
+def test_a_session_that_is_found_running_begins_where_the_arm_is(iiwa):
+    """The place that an earlier program has added to is not given up at once."""
+    arm, box = iiwa
+    controller = Conversation(arm, box)
+    for _ in range(5):
+        controller.say(place_rad=0.25)
+
+    assert controller.places_rad == [0.25] * 5
+
+
+def test_after_a_new_session_commands_start_from_rest(iiwa):
+    arm, box = iiwa
+    controller = Conversation(arm, box)
+    controller.say(Session.COMMANDING_WAIT)
+    controller.drive(100, 0.3)
+    controller.say(Session.COMMANDING_WAIT)
+
+    assert controller.drive(50, 0.3) == 0
+    assert controller.places_rad[-50:] == [0.0] * 50
+    assert controller.drive(50, 0.02) == 50
+
+
+def test_a_period_that_is_not_told_is_found_from_the_stamps(iiwa):
+    """The first message only starts the clock: velocities need the true period."""
+    arm, box = iiwa
+    controller = Conversation(arm, box, tells_period=False)
+    controller.send(Session.COMMANDING_WAIT)
+
+    assert controller.say(Session.COMMANDING_WAIT).dt_s == 2e-3
+
+    controller.drive(101, 0.3)
+
+    assert controller.places_rad[-1] == pytest.approx(0.06, abs=1e-9)
+    assert arm.report.malformed == 0
 
 
 @pytest.mark.slow
