@@ -12,7 +12,10 @@ from typing import BinaryIO
 
 @contextmanager
 def whole_file(
-    path: str | os.PathLike[str], *, is_in_place: bool = False
+    path: str | os.PathLike[str],
+    *,
+    is_in_place: bool = False,
+    overwrites: bool = True,
 ) -> Iterator[BinaryIO]:
     """Open a file that replaces an older one when the block ends without an error.
 
@@ -22,15 +25,18 @@ def whole_file(
 
     Args:
         path: The file.
-        is_in_place: Write into the older file itself.
+        is_in_place: Write into the file itself.
+        overwrites: Whether an older file may be written into; what is written beside it
+            always replaces it.
 
     Raises:
-        OSError: The file cannot be written.
+        OSError: The file cannot be written, or is there and shall stay.
     """
     target = Path(os.path.realpath(path))
-    stays = is_in_place or (target.exists() and not target.is_file())
-    if stays:
-        stream = _open_pipe(target) if target.is_fifo() else target.open("wb")
+    is_special = target.exists() and not target.is_file()
+    if is_in_place or is_special:
+        mode = "wb" if overwrites or is_special else "xb"
+        stream = _open_pipe(target) if target.is_fifo() else target.open(mode)
         with _closed_quietly(stream):
             yield stream
             stream.flush()

@@ -66,6 +66,7 @@ COMMAND_ADVICE: dict[str, str] = {
     "weight, with a warning",
     "NF-SIMULATION-SCENARIO": "needleforce simulate --list prints the scenarios",
     "NF-SIMULATION-PLANT-MODEL": "Give one of these names to --plant",
+    "NF-RECORDING-EXISTS": "Give another name, or replace the file with --overwrite",
     "NF-RECORDING-SIZE": "Read a part of the recording",
     "NF-RECORDING-COLUMN": "Name it with {option}, or under {channel} in the file of "
     "--mapping; --print-config prints such a file",

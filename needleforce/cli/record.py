@@ -24,6 +24,10 @@ def record_command(
             help="Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag.",
         ),
     ],
+    overwrite: Annotated[
+        bool,
+        Parameter(negative="", group=LIVE_OUTPUT, help="Replace a file that is there."),
+    ] = False,
     options: ArmOptions = ArmOptions(),
     robot: RobotOptions = RobotOptions(),
 ) -> int:
@@ -34,4 +38,4 @@ def record_command(
     limit_library_threads()
     from needleforce.cli.arms.arm_recording import record_signals
 
-    return record_signals(arm, output, options, robot)
+    return record_signals(arm, output, options, robot, overwrites=overwrite)

@@ -22,6 +22,7 @@ class SimulationOptions:
         plant: Plant model: how good arm and sensors are (default: clean); or needle, a
             needle on a linear stage with its force sensor, without an arm.
         seed: Seed of everything that is drawn at random (default: 0).
+        overwrite: Replace files that are there.
         list: Print the scenarios and stop.
     """
 
@@ -31,6 +32,7 @@ class SimulationOptions:
     truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
     plant: Literal["ideal", "clean", "fri", "degraded", "needle"] = "clean"
     seed: Annotated[int, Parameter(metavar="N")] = 0
+    overwrite: Annotated[bool, Parameter(negative="")] = False
     list: bool = False
 
 
@@ -80,7 +82,10 @@ def simulate_command(
                 "seed 0, leave --seed out"
             )
         return simulated_log.write_patient_simulation(
-            Path(scenario), options.output, options.truth
+            Path(scenario),
+            options.output,
+            options.truth,
+            overwrites=options.overwrite,
         )
     return simulated_log.write_simulation(
         scenario,
@@ -88,6 +93,7 @@ def simulate_command(
         seed=options.seed,
         recording=options.output,
         truth=options.truth,
+        overwrites=options.overwrite,
     )
 
 

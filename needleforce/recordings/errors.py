@@ -54,6 +54,11 @@ class RecordingCode(ErrorCode):
         "An output would replace the log or another output, or its folder is missing.",
         "Give each output a place of its own, in a folder that exists.",
     )
+    EXISTS = (
+        "NF-RECORDING-EXISTS",
+        "A file of that name is there, and would be lost.",
+        "Give another name, or set `overwrites`.",
+    )
     FORMAT = (
         "NF-RECORDING-FORMAT",
         "Nothing usable could be read from the file.",

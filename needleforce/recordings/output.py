@@ -103,6 +103,7 @@ def open_table(
     path: str | Path,
     *,
     is_live: bool = False,
+    overwrites: bool = True,
     labels: Callable[[], TableLabels] = TableLabels,
 ) -> Iterator[OpenTable]:
     """Open a table for writing; the file is not touched before there are rows.
@@ -112,6 +113,7 @@ def open_table(
         is_live: Whether rows are written to the file itself as they come, and stay
             there whatever happens; otherwise the file is replaced when all rows are
             written, or not at all. What cannot grow (npz) is always written at the end.
+        overwrites: Whether a file that is there may be replaced.
         labels: Gives what formats that have room for it say beside the numbers; asked
             with the first rows.
 
@@ -128,8 +130,10 @@ def open_table(
     else:
         name = str(path)
         writer = _find_writer(Path(path))
+        if not overwrites:
+            _require_new(Path(path))
         is_growing = is_live and name.lower().endswith(_GROWING_SUFFIXES)
-        file = whole_file(path, is_in_place=is_growing)
+        file = whole_file(path, is_in_place=is_growing, overwrites=overwrites)
 
     with ExitStack() as files:
 
@@ -192,15 +196,22 @@ def write_log(path: str | Path, log: Log) -> None:
     write_table(path, columns, labels=TableLabels(start_ns=log.start_ns))
 
 
-def check_writable(path: str | Path) -> None:
+def check_writable(path: str | Path, *, overwrites: bool = True) -> None:
     """Check before the work that a table can be written to a place.
 
+    Args:
+        path: As of `open_table`.
+        overwrites: Whether a file that is there may be replaced.
+
     Raises:
-        FileAccessError: The suffix is not known, or no file can stand there.
+        FileAccessError: The suffix is not known, no file can stand there, or one is
+            there that shall stay.
     """
     if str(path) != STANDARD_STREAM:
         _find_writer(Path(path))
         require_place(Path(path))
+        if not overwrites:
+            _require_new(Path(path))
 
 
 def require_place(path: Path) -> None:
@@ -216,6 +227,17 @@ def require_place(path: Path) -> None:
             raise FileAccessError(
                 f"cannot write {path}: it is a folder", RecordingCode.OUTPUT
             )
+
+
+def _require_new(path: Path) -> None:
+    """Check that no file is at a path; a pipe or a device may be.
+
+    Raises:
+        FileAccessError: There is one, which would be lost.
+    """
+    with file_errors(path, "write"):
+        if path.is_file():
+            raise FileAccessError(f"{path} exists", RecordingCode.EXISTS)
 
 
 def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> None:

@@ -6,6 +6,7 @@ around it follows the time of the frame's player.
 
 import json
 import math
+import secrets
 from base64 import b64encode
 from collections.abc import Sequence
 from importlib.resources import files
@@ -21,6 +22,7 @@ from needleforce.plots import DrawnChart, require_matplotlib
 from needleforce.scene.film import Film
 from needleforce.scene.force_charts import ForceCharts
 from needleforce.scene.legend import LegendLine
+from needleforce.scene.page_policy import page_policy, with_nonce
 from needleforce.scene.row_text import BANNER
 from needleforce.scene.scan_slices import TITLES
 from needleforce.scene.state_ring import SceneCode, SceneError
@@ -33,6 +35,9 @@ STRIP_COLUMNS = 12
 
 JPEG_QUALITY = 80
 """Per cent; a picture of the CT then takes some 4 kB."""
+
+NONCE_BYTES = 16
+"""Of randomness in what marks the page's own scripts."""
 
 PURPOSE = "an exported scene"
 
@@ -107,11 +112,14 @@ def write_scene_page(
     template = environment.from_string(
         files("needleforce.scene").joinpath(TEMPLATE).read_text(encoding="utf-8")
     )
+    nonce = secrets.token_urlsafe(NONCE_BYTES)
     text = template.render(
+        nonce=nonce,
+        policy=page_policy(nonce),
         banner=BANNER,
         note=NOTE,
         words=words,
-        scene=scene,
+        scene=with_nonce(scene, nonce),
         strips=() if film is None else slice_strips(film),
         charts=charts,
         ruptures=() if film is None else film.ruptures,

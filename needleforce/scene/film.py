@@ -91,7 +91,7 @@ def film_frame(
     Args:
         row: The row.
         film_s: From the start of the film.
-        lines: State in words, with words between asterisks.
+        lines: State in words.
         slices: Number of the pictures of the CT.
     """
     return FilmFrame(
@@ -99,7 +99,7 @@ def film_frame(
         time_s=row.time_s,
         depth_mm=M_TO_MM * (row.depth_m - row.zero_m),
         headline=headline(row),
-        lines=tuple(line.replace("**", "") for line in lines),
+        lines=tuple(lines),
         is_off_plan=row.is_off_plan,
         slices=slices,
     )

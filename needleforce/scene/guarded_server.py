@@ -15,9 +15,12 @@ from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, redirect_stdout, suppress
 from http import HTTPStatus
 from io import StringIO
+from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
+from needleforce.scene.page_policy import VISERS_LOADER, page_policy, with_nonce
+from needleforce.scene.page_text import text_html
 from needleforce.scene.state_ring import SceneCode, SceneError
 
 LOOPBACK_NAMES = frozenset(("local" + "host", "127.0.0.1", "::1"))
@@ -28,7 +31,7 @@ TOKEN_BYTES = 16
 """Of randomness in a token."""
 
 LOOKS = (
-    "**You look.** Another browser opened this page first and steers it; when it "
+    "You look. Another browser opened this page first and steers it; when it "
     "leaves, this one does."
 )
 """What a browser shows that does not steer."""
@@ -164,8 +167,12 @@ def open_server(host: str, port: int, label: str, access: PageAccess) -> Any:
         ) from error
 
     _require_known(viser.__version__)
+    build = Path(viser.__file__).parent / "client" / "build"
+    page = (build / "index.html").read_text(encoding="utf-8")
+    if VISERS_LOADER not in page:
+        raise _unguarded(viser.__version__, f"its page has no {VISERS_LOADER}")
     # viser's banner is no result, and names an address without its token.
-    with redirect_stdout(StringIO()), _guarded_serve(access) as calls:
+    with redirect_stdout(StringIO()), _guarded_serve(access, page) as calls:
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)
     reason = "" if calls else "it does not call websockets' serve"
     try:
@@ -206,7 +213,7 @@ def stop_server(server: Any) -> None:
 
 
 @contextmanager
-def _guarded_serve(access: PageAccess) -> Iterator[list[bool]]:
+def _guarded_serve(access: PageAccess, page: str) -> Iterator[list[bool]]:
     """Replace the call by which viser opens its port, which has no setting for this.
 
     Yields:
@@ -220,7 +227,7 @@ def _guarded_serve(access: PageAccess) -> Iterator[list[bool]]:
     def guarded_serve(*arguments: Any, **settings: Any) -> Any:
         answer = settings.get("process_request")
         if getattr(answer, "__module__", "").startswith("viser"):
-            settings["process_request"] = _guarded(answer, access)
+            settings["process_request"] = _guarded(answer, access, page)
             calls.append(True)
         return serve(*arguments, **settings)
 
@@ -232,15 +239,33 @@ def _guarded_serve(access: PageAccess) -> Iterator[list[bool]]:
             websocket_server.serve = serve
 
 
-def _guarded(answer: Any, access: PageAccess) -> Callable[[Any, Any], Any]:
-    """Return viser's answer to a request, for those whom an access admits."""
+def _guarded(answer: Any, access: PageAccess, page: str) -> Callable[[Any, Any], Any]:
+    """Return viser's answer to a request, for those whom an access admits.
+
+    Args:
+        answer: Of viser.
+        access: Who may open the page.
+        page: viser's page; it is sent with its policy.
+    """
 
     def answer_admitted(connection: Any, request: Any) -> Any:
         refusal = access.refusal(request.path, request.headers)
         if refusal:
             return connection.respond(HTTPStatus.FORBIDDEN, f"{refusal}\n")
         response = answer(connection, request)
-        if response is not None and access.token:
+        if response is None:
+            return None
+        if response.headers.get("Content-Type", "").startswith("text/html"):
+            nonce = secrets.token_urlsafe(TOKEN_BYTES)
+            response.body = with_nonce(page, nonce).encode()
+            for name in ("Content-Encoding", "Content-Length"):
+                response.headers.pop(name)
+            response.headers["Content-Length"] = str(len(response.body))
+            # Not every browser counts the page's own websocket as 'self'.
+            host = request.headers["Host"]
+            policy = page_policy(nonce, "'self'", f"ws://{host}")
+            response.headers["Content-Security-Policy"] = policy
+        if access.token:
             cookie = f"{access.cookie_name}={access.token}"
             response.headers["Set-Cookie"] = f"{cookie}; HttpOnly; SameSite=Strict"
         return response
@@ -302,7 +327,7 @@ class Steering:
     def _greet(self, browser: Any) -> None:
         """Tell a browser that does not steer."""
         if browser.client_id != self.driver:
-            notice = browser.gui.add_markdown(LOOKS, order=-1.0)
+            notice = browser.gui.add_html(text_html(LOOKS), order=-1.0)
             self._notices[browser.client_id] = notice
 
     def _pass_on(self, browser: Any) -> None:

@@ -77,10 +77,10 @@ def state_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
         names: Of the planned layers, by number.
     """
     doubt = "" if row.is_good else " (not tared, or doubtful)"
-    yield (f"**{row.time_s:.1f} s** at {_depth_text(row)}, layer {row.layer:.0f}")
+    yield (f"{row.time_s:.1f} s at {_depth_text(row)}, layer {row.layer:.0f}")
     yield f"force {row.force_N:.2f} ± {row.force_std_N:.2f} N{doubt}"
     yield (
-        f"**tip force {row.tip_N:.2f} ± {row.tip_std_N:.2f} N**, "
+        f"tip force {row.tip_N:.2f} ± {row.tip_std_N:.2f} N, "
         f"shaft friction {row.friction_N:.2f} N"
     )
     if not math.isnan(row.aside_entry_m):
@@ -108,7 +108,7 @@ def aside_text(row: ViewRow) -> str:
 def _plan_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
     """Yield in which planned layer the needle is, and how far the plan is off."""
     name = names.get(row.plan_layer, "")
-    place = f"in **{name}** ({100.0 * row.plan_probability:.0f} %)"
+    place = f"in {name} ({100.0 * row.plan_probability:.0f} %)"
     next_name = next_layer_name(row, names)
     if next_name:
         next_mm = M_TO_MM * (row.plan_next_m - row.zero_m)

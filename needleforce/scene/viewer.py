@@ -30,6 +30,7 @@ from needleforce.scene.force_charts import draw_force_charts
 from needleforce.scene.force_plots import COLUMN, ForcePlots
 from needleforce.scene.guarded_server import PageAccess, open_server, stop_server
 from needleforce.scene.legend import legend_html, legend_lines
+from needleforce.scene.page_text import text_html
 from needleforce.scene.row_text import (
     BANNER,
     headline,
@@ -194,23 +195,22 @@ class Viewer:
         """
         gui = self._server.gui
         self._title = TitleBar(self._server, plan.warnings)
-        self._banner = gui.add_markdown("")
-        for warning in plan.warnings:
-            gui.add_markdown(f"Warning: {warning}")
-        self._headline = gui.add_markdown("waiting for the first sample")
+        self._banner = gui.add_html("")
+        gui.add_html(text_html(*(f"Warning: {warning}" for warning in plan.warnings)))
+        self._headline = gui.add_html(text_html("waiting for the first sample"))
         panel = gui.add_panel()
         with panel.add_tab("Insertion"):
-            gui.add_markdown(f"**needleforce** – {NOTE}")
-            self._text = gui.add_markdown("")
-            gui.add_markdown(f"Bar: tip force; full at {FULL_BAR_N:g} N.")
+            gui.add_html(text_html(f"needleforce – {NOTE}"))
+            self._text = gui.add_html("")
+            gui.add_html(text_html(f"Bar: tip force; full at {FULL_BAR_N:g} N."))
             self._bar = gui.add_progress_bar(0.0, color="violet")
-            self._events = gui.add_markdown("")
+            self._events = gui.add_html("")
             self.time = TimePanel(gui, self.show)
             self._at_tip = gui.add_checkbox("camera at the tip", False)
             self._plots = ForcePlots(gui)
         with panel.add_tab("Structures"):
             if not self._surfaces:
-                gui.add_markdown("No labels beside the plan.")
+                gui.add_html(text_html("No labels beside the plan."))
             self.structures = StructureList(self._server, self._surfaces)
         with panel.add_tab("What is what"):
             gui.add_html(legend_html(legend_lines(plan)))
@@ -329,9 +329,8 @@ class Viewer:
             if self.time.live.value:
                 self.time.slider.value = round(row.time_s, 2)
 
-            self._headline.content = headline(row)
-            lines = state_lines(row, self._names)
-            self._text.content = "\n\n".join(lines)
+            self._headline.content = text_html(headline(row))
+            self._text.content = text_html(*state_lines(row, self._names))
             percent = 100.0 * row.tip_N / FULL_BAR_N
             self._bar.value = float(np.clip(percent, 0.0, 100.0))
             self._plots.draw(self._rows[: index + 1], row.zero_m)
@@ -355,9 +354,9 @@ class Viewer:
             is_known = mark.is_known_at(row.time_s)
             mark.ring.set_visible(is_known)
             if is_known:
-                texts.append(f"- {mark.text}")
+                texts.append(f"• {mark.text}")
 
-        self._events.content = "\n".join(texts)
+        self._events.content = text_html(*texts)
 
     def _draw_expected(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
         """Show where the next boundary is expected, if one is."""
@@ -389,7 +388,9 @@ class Viewer:
         self._off_plan.position = tuple(needle.tip_m - BANNER_M * needle.axis)
         self._banner.content = ""
         if row.is_off_plan:
-            self._banner.content = f"# ⚠ {BANNER}\n\nNo layer is named from the plan."
+            self._banner.content = text_html(
+                f"⚠ {BANNER}: no layer is named from the plan."
+            )
 
     def _draw_trail(self, index: int, row: ViewRow) -> None:
         """Draw the real path of the tip until a row, from shortly before the entry."""

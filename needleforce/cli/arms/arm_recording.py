@@ -14,12 +14,18 @@ from needleforce.cli.arms.arm_connection import (
 from needleforce.cli.arms.recorder import Recorder
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import say
+from needleforce.recordings.output import check_writable
 from needleforce.recordings.table import TableLabels
 from urdf import Robot
 
 
 def record_signals(
-    arm_name: str, output: Path, options: ArmOptions, robot: RobotOptions
+    arm_name: str,
+    output: Path,
+    options: ArmOptions,
+    robot: RobotOptions,
+    *,
+    overwrites: bool,
 ) -> int:
     """Write the joint signals of an arm into a file as they come.
 
@@ -28,15 +34,20 @@ def record_signals(
         output: The recording.
         options: For how long the arm is listened to.
         robot: Options that describe the robot.
+        overwrites: Whether an older recording is replaced.
 
     Returns:
         The exit code.
     """
+    check_writable(output, overwrites=overwrites)  # before the arm is waited for
     has_torque = True
     with (
         open_arm(arm_name, robot, options.motor_constants) as (arm, model),
         Recorder(
-            output, model.joint_names, _labels_of_arm(arm_name, model, robot)
+            output,
+            model.joint_names,
+            _labels_of_arm(arm_name, model, robot),
+            overwrites=overwrites,
         ) as recorder,
     ):
         for sample in samples_until_stopped(arm, options):

@@ -52,13 +52,14 @@ class Recorder:
         path: The recording.
         joint_names: Names of the joints, in the order of the signals.
         labels: What else a bag carries; by default nothing.
+        overwrites: Whether a file that is there is replaced.
 
     Attributes:
         rows: Samples that were put into it.
         time_s: Time stamp of the latest sample [s]; the first has 0.
 
     Raises:
-        needleforce.recordings.FileAccessError: The file cannot be written.
+        needleforce.recordings.FileAccessError: The file cannot be written, or is there.
     """
 
     def __init__(
@@ -66,8 +67,10 @@ class Recorder:
         path: Path,
         joint_names: tuple[str, ...],
         labels: TableLabels = NO_LABELS,
+        *,
+        overwrites: bool = False,
     ) -> None:
-        check_writable(path)
+        check_writable(path, overwrites=overwrites)
         self.rows = 0
         self.time_s = 0.0
         self._chunk: list[tuple[float, ArmReading]] = []
@@ -76,7 +79,13 @@ class Recorder:
         self._writers_rows, self._rows_pipe = context.Pipe(duplex=False)
         self._answers, self._writers_answers = context.Pipe(duplex=False)
         written = replace(labels, joint_names=joint_names)
-        arguments = (self._writers_rows, self._writers_answers, path, written)
+        arguments = (
+            self._writers_rows,
+            self._writers_answers,
+            path,
+            written,
+            overwrites,
+        )
         self._process = context.Process(target=_write, args=arguments)
         self._waiting: Chunks = SimpleQueue()
         self._sender = threading.Thread(
@@ -190,7 +199,11 @@ def _received(rows: Connection) -> Iterator[dict[str, Any]]:
 
 
 def _write(
-    rows: Connection, answers: Connection, path: Path, labels: TableLabels
+    rows: Connection,
+    answers: Connection,
+    path: Path,
+    labels: TableLabels,
+    overwrites: bool,
 ) -> None:
     """Write rows until the other end of their pipe is closed; runs in its own process.
 
@@ -200,7 +213,9 @@ def _write(
     leave_real_time()
     failure: Exception | None = None
     try:
-        with open_table(path, is_live=True, labels=lambda: labels) as table:
+        with open_table(
+            path, is_live=True, overwrites=overwrites, labels=lambda: labels
+        ) as table:
             answers.send(None)
             for columns in _received(rows):
                 table.append(columns)

@@ -42,6 +42,7 @@ def write_simulation(
     seed: int,
     recording: Path | None,
     truth: Path | None,
+    overwrites: bool = False,
 ) -> int:
     """Simulate a scenario, write recording and ground truth, and print a summary.
 
@@ -51,6 +52,7 @@ def write_simulation(
         seed: Seed of everything that is drawn at random.
         recording: File of the measured signals, if any.
         truth: File of the ground truth, if any.
+        overwrites: Whether files that are there are replaced.
 
     Returns:
         The exit code.
@@ -60,7 +62,8 @@ def write_simulation(
     """
     outputs = {"-o": recording, "--truth": truth}
     paths = {option: path for option, path in outputs.items() if path is not None}
-    chosen = _check_simulation(scenario, seed, paths)
+    chosen = _check_simulation(scenario, seed)
+    _check_places(paths, overwrites=overwrites)
     if plant == NEEDLE:
         return _write_needle_simulation(chosen, seed, recording, truth)
     with progress_bar(f"simulating {chosen.id}"):
@@ -70,7 +73,11 @@ def write_simulation(
 
 
 def write_patient_simulation(
-    plan: Path, recording: Path | None, truth: Path | None
+    plan: Path,
+    recording: Path | None,
+    truth: Path | None,
+    *,
+    overwrites: bool = False,
 ) -> int:
     """Simulate the insertion of a plan, write its files, and print a summary.
 
@@ -78,15 +85,14 @@ def write_patient_simulation(
         plan: The plan's file.
         recording: File of the measured signals, if any.
         truth: File of the ground truth, if any.
+        overwrites: Whether files that are there are replaced.
 
     Returns:
         The exit code.
     """
     outputs = {"-o": recording, "--truth": truth}
     paths = {option: path for option, path in outputs.items() if path is not None}
-    if not paths:
-        raise CommandError(NOTHING_TO_WRITE)
-    _check_places(paths)
+    _check_places(paths, overwrites=overwrites)
     with progress_bar("simulating"):
         run = insert_into_patient(plan)
     _write_run(run, recording, truth)
@@ -123,26 +129,22 @@ def _write_needle_simulation(
     return 0
 
 
-def _check_simulation(
-    scenario: str | None, seed: int, paths: Mapping[str, Path]
-) -> Scenario:
-    """Return the scenario of that name, once it and its files are known to work."""
-    if not paths:
-        raise CommandError(NOTHING_TO_WRITE)
+def _check_simulation(scenario: str | None, seed: int) -> Scenario:
+    """Return the scenario of that name."""
     if scenario is None:
         raise CommandError("no scenario is named; --list prints the scenarios")
     if seed < 0:
         raise CommandError(f"--seed {seed}: expected a whole number from 0 up")
-    chosen = scenario_named(scenario, seed)
-    _check_places(paths)
-    return chosen
+    return scenario_named(scenario, seed)
 
 
-def _check_places(paths: Mapping[str, Path]) -> None:
-    """Refuse files that cannot be written."""
+def _check_places(paths: Mapping[str, Path], *, overwrites: bool) -> None:
+    """Refuse files that cannot be written, or are there; and none at all."""
+    if not paths:
+        raise CommandError(NOTHING_TO_WRITE)
     check_outputs(paths)
     for path in paths.values():
-        check_writable(path)
+        check_writable(path, overwrites=overwrites)
 
 
 def signal_table(run: Run) -> dict[str, NDArray]:

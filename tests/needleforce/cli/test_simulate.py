@@ -154,7 +154,8 @@ def test_options_reach_the_simulation(quick):
         "stack-constant --plant degraded --seed 5",
         "random-stack --plant ideal",
     ):
-        assert main(["simulate", *text.split(), "-o", "x.npz"]) == 0
+        name = f"{text.split()[0]}.npz"
+        assert main(["simulate", *text.split(), "-o", name]) == 0
     assert quick == [("stack-constant", "degraded", 5), ("random-stack", "ideal", 0)]
 
 
@@ -195,3 +196,16 @@ def test_missing_mujoco_is_named_with_its_package(capsys, monkeypatch, tmp_path)
     assert message.startswith("error NF-SIMULATION-LIBRARY: the simulated arm needs")
     assert "mujoco" in message
     assert "pip install" in message
+
+
+@pytest.mark.parametrize("option", ["-o", "--truth"])
+def test_a_file_that_is_there_is_replaced_only_if_asked(quick, option, capsys):
+    Path("x.csv").write_text("measured once")
+
+    assert main(["simulate", ID, option, "x.csv"]) == 2
+    assert "x.csv exists" in capsys.readouterr().err
+    assert quick == []
+    assert Path("x.csv").read_text() == "measured once"
+
+    assert main(["simulate", ID, option, "x.csv", "--overwrite"]) == 0
+    assert len(read_log("x.csv")) > 1000

@@ -152,3 +152,43 @@ def test_a_killed_recording_leaves_rows_but_no_process(tmp_path):
     assert answered == 200
     assert processes_of(process.pid) == []
     assert len(read_log(path)) >= 150  # less than a chunk is lost
+
+
+@pytest.mark.parametrize("suffix", [".csv", ".npz", ".parquet", ".mcap"])
+def test_an_older_recording_is_refused_before_the_arm_is_waited_for(
+    tmp_path, capsys, suffix
+):
+    path = tmp_path / f"x{suffix}"
+    path.write_text("measured once")
+
+    assert main(["record", "fri:0", "-o", str(path), "--seconds", "30"]) == 2
+    assert path.read_text() == "measured once"
+
+    said = capsys.readouterr().err
+
+    assert f"{path} exists" in said
+    assert "--overwrite" in said
+
+
+def test_an_older_recording_is_overwritten_if_asked(tmp_path):
+    path = tmp_path / "x.csv"
+    path.write_text("measured once")
+    with Recorder(path, ("a",) * 7, overwrites=True) as recorder:
+        recorder.put(SAMPLE)
+        recorder.put(SAMPLE)
+
+    assert len(read_log(path)) == 2
+
+
+def test_a_file_that_turns_up_before_the_first_sample_stays(tmp_path):
+    path = tmp_path / "x.csv"
+    recorder = Recorder(path, ("a",) * 7)
+
+    def samples():
+        path.write_text("of another program")
+        yield from [SAMPLE] * 100
+
+    with pytest.raises(FileAccessError, match="exists"), recorder:
+        collections.deque(map(recorder.put, samples()))
+
+    assert path.read_text() == "of another program"

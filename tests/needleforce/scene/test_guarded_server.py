@@ -181,7 +181,7 @@ def test_further_hosts_may_be_addresses():
 
 
 def test_a_viser_that_cannot_be_guarded_is_not_served(monkeypatch):
-    unguarded = contextmanager(lambda _access: iter(([],)))
+    unguarded = contextmanager(lambda *_: iter(([],)))
     monkeypatch.setattr(guarded_server, "_guarded_serve", unguarded)
 
     with pytest.raises(SceneError, match="foreign pages: it does not call"):

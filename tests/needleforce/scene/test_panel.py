@@ -59,7 +59,7 @@ def test_a_recording_opens_at_its_start(viewer):
     viewer.follow()
 
     assert viewer.time.slider.value == 0.0
-    assert "**0.0 s**" in viewer._text.content
+    assert "0.0 s at" in viewer._text.content
     assert not viewer.time.live.visible
 
 
