@@ -3,7 +3,7 @@
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
 from time import perf_counter_ns, thread_time_ns
-from typing import Any, NamedTuple, TypeVar
+from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -31,7 +31,6 @@ from urdf import Robot
 
 Update = Callable[[int], object]
 """Processes the sample of that index."""
-Measured = TypeVar("Measured")
 BLOCK = 200
 """Updates of one subject before the next has its turn: short enough that whatever slows
 the machine down slows all of them."""
@@ -97,17 +96,19 @@ def time_side_by_side(
     }
 
 
-def block_times(
+def processor_times(
     subjects: Mapping[str, Update], first: int, last: int
 ) -> dict[str, Array]:
     """Let subjects take turns as in `time_side_by_side`.
 
-    Returns the processor time of each block of a subject, per update [us], shape
-    (blocks,). It has no tails that other processes make, so that its mean counts.
+    Returns processor times, on which other processes do not count: a mean needs them.
+    Each holds a reading of that clock, about 1 us.
     """
     return {
         name: np.array(blocks)
-        for name, blocks in take_turns(subjects, first, last, time_block).items()
+        for name, blocks in take_turns(
+            subjects, first, last, time_each_on_processor
+        ).items()
     }
 
 
@@ -115,33 +116,32 @@ def take_turns(
     subjects: Mapping[str, Update],
     first: int,
     last: int,
-    measure: Callable[[Update, range], Measured],
-) -> dict[str, list[Measured]]:
+    measure: Callable[[Update, range], list[float]],
+) -> dict[str, list[list[float]]]:
     """Let subjects take turns, block by block; return what is measured of each."""
     for update in subjects.values():
         measure(update, range(first))
-    measured: dict[str, list[Measured]] = {name: [] for name in subjects}
+    measured: dict[str, list[list[float]]] = {name: [] for name in subjects}
     for start in range(first, last - BLOCK + 1, BLOCK):
         for name, update in subjects.items():
             measured[name].append(measure(update, range(start, start + BLOCK)))
     return measured
 
 
-def time_block(update: Update, indices: range) -> float:
-    """Processor time of all updates together, per update [us]."""
-    begin_ns = thread_time_ns()
-    for k in indices:
-        update(k)
-    return (thread_time_ns() - begin_ns) / NS_PER_US / max(len(indices), 1)
+def time_each_on_processor(update: Update, indices: Iterable[int]) -> list[float]:
+    """Processor time of every update [us]."""
+    return time_each(update, indices, thread_time_ns)
 
 
-def time_each(update: Update, indices: Iterable[int]) -> list[float]:
+def time_each(
+    update: Update, indices: Iterable[int], clock: Callable[[], int] = perf_counter_ns
+) -> list[float]:
     """Time of every update [us]."""
     taken_us = []
     for k in indices:
-        begin_ns = perf_counter_ns()
+        begin_ns = clock()
         update(k)
-        taken_us.append((perf_counter_ns() - begin_ns) / NS_PER_US)
+        taken_us.append((clock() - begin_ns) / NS_PER_US)
     return taken_us
 
 

@@ -1,5 +1,7 @@
 """Cost of updates, soak, long recordings."""
 
+from time import sleep
+
 import numpy as np
 import pytest
 
@@ -67,15 +69,18 @@ def test_limits_of_a_tick_are_those_agreed():
     assert limits["chain"] == 4.3
     assert limits["chain, published identifier"] == 3.7
     assert speed.MEAN_TICK_RATIO == 2.0
-    assert control_speed.RATIO == (8.0 if speed.COMPILER else 25.0)
+    assert (8.0 if speed.COMPILER else 25.0) == control_speed.RATIO
 
 
-def test_blocks_are_timed_by_turns_without_those_that_warm_up(monkeypatch):
+def test_subjects_take_turns_and_what_warms_them_up_does_not_count():
     asked = []
-    monkeypatch.setattr(
-        speed, "time_block", lambda update, ks: asked.append((update(0), ks)) or 2.5
-    )
-    times = speed.block_times({"a": lambda k: "a", "b": lambda k: "b"}, 3, 450)
+
+    def measure(update, ks):
+        asked.append((update(0), ks))
+        return [2.5]
+
+    subjects = {"a": lambda k: "a", "b": lambda k: "b"}
+    times = speed.take_turns(subjects, 3, 450, measure)
 
     assert asked == [
         ("a", range(3)),
@@ -85,7 +90,13 @@ def test_blocks_are_timed_by_turns_without_those_that_warm_up(monkeypatch):
         ("a", range(203, 403)),
         ("b", range(203, 403)),
     ]
-    assert times["a"].tolist() == [2.5, 2.5]
+    assert times["a"] == [[2.5], [2.5]]
+
+
+def test_processor_time_does_not_count_what_others_take():
+    times = speed.processor_times({"sleeps": lambda k: sleep(1e-3)}, 0, 200)
+
+    assert np.median(times["sleeps"]) < 500.0
 
 
 def soaked(**changes):
