@@ -1,7 +1,8 @@
 """Estimators against ground truth, on simulated insertions and on real recordings.
 
 Reading order: `catalogue` (what can be run), `jobs` (a piece of work and its result),
-`results` (rows, metrics, their file), `targets` (what the numbers should be). Then the
+`results` (rows, metrics, their file), `targets` (what the numbers should be),
+`headline` (the figures that may not become worse). Then the
 rooms: `insertion` (force and identification against ground truth), `control` (the
 needle in closed loop), `anatomy` (CT, registration, paths), `faults` (what broken
 signals do), `performance` (what an update costs), `campaign` (who does the jobs, and
@@ -37,6 +38,11 @@ class BenchmarkCode(ErrorCode):
         "NF-BENCHMARK-RESULTS",
         "A file of results cannot be read, written or compared.",
         "Give a file that run --json wrote, or a place that can be written to",
+    )
+    HEADLINE = (
+        "NF-BENCHMARK-HEADLINE",
+        "The file of headline figures cannot be read.",
+        "Write it anew: python -m benchmarks headline --write",
     )
     RESUME = (
         "NF-BENCHMARK-RESUME",

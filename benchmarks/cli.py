@@ -21,12 +21,13 @@ from cyclopts.validators import Number
 
 from benchmarks import BenchmarkCode, BenchmarkError, ResultsError
 from benchmarks.campaign.workers import Workers
-from needleforce.cli.terminal import progress_bar, run_command
+from needleforce.cli.terminal import progress_bar, run_command, say
 
 if TYPE_CHECKING:
     from rich.console import Console
 
     from benchmarks.catalogue import Plan
+    from benchmarks.headline import FigureChange, HeadlineFile
     from benchmarks.jobs import Outcome
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
@@ -264,13 +265,18 @@ def print_outcomes(
         console.print(f"{answer(rows)}\n{READING_AID}\n".lstrip())
     for table in tables:
         console.print(table.rich())
+    print_failures(console, outcomes)
+    if skipped:
+        reason = f"Skipped for want of recordings (--data DIR or {DATA_VARIABLE})"
+        console.print(f"{reason}: {', '.join(skipped)}", style="yellow")
+
+
+def print_failures(console: "Console", outcomes: Sequence["Outcome"]) -> None:
+    """Print why jobs failed."""
     for outcome in outcomes:
         if outcome.failure is not None:
             line = f"failed: {outcome.job}: {outcome.failure}"
             console.print(line, style="red", markup=False)
-    if skipped:
-        reason = f"Skipped for want of recordings (--data DIR or {DATA_VARIABLE})"
-        console.print(f"{reason}: {', '.join(skipped)}", style="yellow")
 
 
 @app.command
@@ -299,6 +305,85 @@ def compare(old: Path, new: Path) -> int:
         ", ".join(f"{counts[change]} {change}" for change in Change if counts[change])
     )
     return FAILURE if any(item.is_failure for item in comparisons) else 0
+
+
+@app.command(name="headline")
+def keep_headline(
+    write: bool = False, file: Path | None = None, workers: Workers = _WORKERS
+) -> int:
+    """Measure the figures that may not become worse, and compare them with their file.
+
+    Takes three minutes on two cores; nothing else should run meanwhile, or the ratios
+    of time mean nothing. Insertions into gels and a stack (seed 1000) on the plants
+    clean and fri, then time beside Pinocchio's calls and, where g++ and
+    liborocos-kdl-dev are installed, beside orocos KDL.
+
+    Exits with 1 where a figure is missing, or worse by more than the tolerance that the
+    file states.
+
+    Args:
+        write: Write the file instead; needs KDL.
+        file: Instead of benchmarks/headline.json.
+        workers: Who does the insertions; the times are measured here.
+    """
+    from benchmarks import headline
+    from benchmarks.performance.kdl_peer import KdlAbsentError, kdl_library
+    from benchmarks.report.tables import new_console
+
+    path = headline.HEADLINE_FILE if file is None else file
+    # Before minutes of work: whether there is a file to compare with.
+    old = None if write else headline.read_headline(path)
+    kdl = None
+    try:
+        kdl = kdl_library()
+    except KdlAbsentError as error:
+        if write:
+            raise
+        say(f"skipped: {error}")
+    console = new_console()
+    outcomes = run_plan(headline.plan_insertions(), workers, _OUTPUT, console)
+    print_failures(console, outcomes)
+    figures = headline.insertion_figures(
+        row for outcome in outcomes for row in outcome.rows
+    )
+    with progress_bar("timing") as update:
+        figures += headline.measure_times(update, kdl)
+    measured = headline.describe_code(figures)
+    absent = () if kdl is not None else (headline.OF_KDL,)
+    changes = headline.compare_figures(old.figures if old else (), figures, absent)
+    console.print(headline.headline_table(changes).rich())
+    if old is None:
+        headline.write_headline(path, measured)
+        console.print(f"Written: {path}", soft_wrap=True)
+        return FAILURE if any(figure.value is None for figure in figures) else 0
+    print_changes(console, old, measured, changes)
+    return FAILURE if any(item.is_failure for item in changes) else 0
+
+
+def print_changes(
+    console: "Console",
+    old: "HeadlineFile",
+    measured: "HeadlineFile",
+    changes: Sequence["FigureChange"],
+) -> None:
+    """Print which figures changed, the failures last, and what else is not the same."""
+    from benchmarks.targets import Change
+
+    for name, version in measured.versions.items():
+        if old.versions.get(name) != version:
+            before = old.versions.get(name, "unknown")
+            console.print(f"The file was measured with {name} {before}, now {version}")
+    changed = [item for item in changes if item.change is not Change.SAME]
+    for item in sorted(changed, key=lambda item: item.is_failure):
+        style = "red" if item.is_failure else "green"
+        console.print(str(item), style=style, markup=False, soft_wrap=True)
+    counts = Counter(item.change for item in changes)
+    summary = ", ".join(
+        f"{counts[change]} {change}" for change in Change if counts[change]
+    )
+    console.print(f"Against {old.commit}: {summary}")
+    if counts[Change.BETTER] or counts[Change.NEW]:
+        console.print("Keep what is better: python -m benchmarks headline --write")
 
 
 @app.command(name="results")

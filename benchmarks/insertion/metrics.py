@@ -58,6 +58,7 @@ def measure_identification(
     """
     values = event_metrics(item, truth) | enhanced_metrics(item, truth)
     values |= coverage_metrics(item, truth)
+    values |= before_rupture_metrics(item, truth)
     # Table I: one layer that ruptures, and no membrane.
     if [rupture.layer for rupture in truth.ruptures] == [1]:
         values |= table_one(item, truth)
@@ -105,6 +106,7 @@ def rupture_metrics(matching: Matching, truth: InsertionTruth) -> dict[str, floa
             truth.depth_m[alarm.sample] - rupture.onset_m for rupture, alarm in hard
         ]
         values["rupture_delay_ms"] = 1e3 * float(np.median(delay))
+        values["rupture_delay_worst_ms"] = 1e3 * max(delay)
         values["rupture_timing_error_ms"] = 1e3 * float(np.median(timing))
         values["detection_depth_error_mm"] = 1e3 * float(np.median(travel))
     return values
@@ -172,10 +174,12 @@ def enhanced_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
 
 
 def coverage_metrics(identified: Identified, truth: InsertionTruth) -> dict[str, float]:
-    """Return how often tip force and shaft friction lie within two deviations.
+    """Return whether the deviations of tip force and shaft friction are right.
 
-    From first contact to the deepest point, moving and at rest apart; there is no entry
-    where the needle never rests, or where the method states no deviation.
+    How often each lies within twice its deviation, and the rms deviation over the rms
+    error: a deviation that is too wide covers everything. From first contact to the
+    deepest point, moving and at rest apart; there is no entry where the needle never
+    rests, or where the method states no deviation.
     """
     inside = truth.is_insertion[identified.start :]
     speed_m_s = truth.speed_m_s[identified.start :]
@@ -197,7 +201,51 @@ def coverage_metrics(identified: Identified, truth: InsertionTruth) -> dict[str,
                 is_covered = np.abs(error_N) <= 2.0 * std_N
                 covered = float(np.mean(is_covered[judged]))
                 values[f"{quantity}_coverage_{part}_2sigma"] = covered
+                ratio = _rms(std_N[judged]) / _rms(error_N[judged])
+                values[f"{quantity}_std_ratio_{part}"] = ratio
     return values
+
+
+def _rms(values: Array) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+BEFORE_RUPTURE_s = 1.0
+"""Long enough for a needle at 2 mm/s to have pressed the tissue in visibly."""
+
+FALL_s = 0.3
+"""Within which a hand feels a fall of the force as a puncture."""
+
+
+def before_rupture_metrics(
+    identified: Identified, truth: InsertionTruth
+) -> dict[str, float]:
+    """Measure the enhanced force in the last second before each visible rupture.
+
+    Its rms error over all of them, and its largest fall within `FALL_s` while the truth
+    rises: a puncture that a hand would feel and that is none. There are no entries
+    without a visible rupture.
+    """
+    t_s = truth.t_s[identified.start :]
+    enhanced_N = identified.series("enhanced_force_N")
+    true_N = truth.enhanced_N[identified.start :]
+    errors_N: list[Array] = []
+    fall_N = 0.0
+    for rupture in filter(is_visible, truth.ruptures):
+        begin, end = np.searchsorted(
+            t_s, (rupture.onset_s - BEFORE_RUPTURE_s, rupture.onset_s)
+        )
+        errors_N.append((enhanced_N - true_N)[begin:end])
+        earlier = np.searchsorted(t_s, t_s[begin:end] - FALL_s)
+        is_rising = true_N[begin:end] > true_N[earlier]
+        falls_N = (enhanced_N[earlier] - enhanced_N[begin:end])[is_rising]
+        fall_N = max(fall_N, falls_N.max(initial=0.0))
+    if not errors_N:
+        return {}
+    return {
+        "enhanced_before_rupture_rmse_N": _rms(np.concatenate(errors_N)),
+        "enhanced_false_fall_N": float(fall_N),
+    }
 
 
 def beyond_last_exit(truth: InsertionTruth) -> NDArray[np.bool_]:

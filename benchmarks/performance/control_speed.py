@@ -8,6 +8,7 @@ machine; tails are of processor time, on which other processes do not count.
 import math
 from collections.abc import Callable, Sequence
 from time import thread_time_ns
+from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -24,11 +25,19 @@ from benchmarks.report.tables import ResultTable, met_mark
 from foundation.jit import COMPILER
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce import InsertionSession
-from needleforce.control import Controller, Limits, Posture, RemoteCentre, TipVelocity
+from needleforce.control import (
+    Controller,
+    Limits,
+    Posture,
+    RemoteCentre,
+    Task,
+    TipVelocity,
+)
 from residual import DEFAULT
 
 BARE = "Jacobian and placement"
 CONTROL = "control"
+FOLLOWING = "control, no remote centre"
 SATURATED = "control, limits bind"
 SESSION = "session"
 TOGETHER = "session and control"
@@ -45,9 +54,14 @@ RADIUS_M = 0.02
 
 
 class _Loop:
-    """Controller and tasks of one arm; the tip goes round once in a period."""
+    """Controller and tasks of one arm; the tip goes round once in a period.
 
-    def __init__(self, arm: SimulatedArm, period_s: float) -> None:
+    Its axis passes through a remote centre, unless it only follows with the tip.
+    """
+
+    def __init__(
+        self, arm: SimulatedArm, period_s: float, *, has_centre: bool = True
+    ) -> None:
         self.control = Controller(arm.robot, Limits(arm.robot))
         tool = self.control.tool
         tool.update(arm.home_rad)
@@ -55,7 +69,8 @@ class _Loop:
         self._rate = 2.0 * math.pi / period_s
         self._tip = TipVelocity((0.0, 0.0, 0.0), self._start_m, gain_per_s=10.0)
         centre = RemoteCentre(tool.tip_m - BEHIND_TIP_M * tool.axis)
-        self._stack = [centre, self._tip, Posture(arm.home_rad)]
+        self._stack: list[Task] = [centre] if has_centre else []
+        self._stack += [self._tip, Posture(arm.home_rad)]
         self._goals = [self._goal(1e-3 * k) for k in range(round(1e3 * SECONDS) + 1)]
 
     def _goal(self, t_s: float) -> NDArray[np.float64]:
@@ -71,10 +86,26 @@ class _Loop:
         return self.control.update(sample, self._stack).dq_rad_s
 
 
-def _recorded(
-    period_s: float, progress: Callable[[float], None]
-) -> tuple[_Loop, list[ArmSample]]:
-    """Return a new loop, and samples of an arm that has gone round."""
+class Recorded(NamedTuple):
+    """Samples of an arm whose tip has gone round.
+
+    Attributes:
+        period_s: In which it went round once.
+        samples: One per cycle.
+    """
+
+    period_s: float
+    samples: list[ArmSample]
+
+    def command_again(self, *, has_centre: bool = True) -> Update:
+        """Return what gives a new loop sample k."""
+        arm = SimulatedArm(plant="clean", duration_s=SECONDS)
+        loop = _Loop(arm, self.period_s, has_centre=has_centre)
+        return lambda k: loop.command(self.samples[k], k)
+
+
+def record(period_s: float, progress: Callable[[float], None]) -> Recorded:
+    """Let an arm go round once in a period."""
     arm = SimulatedArm(plant="clean", duration_s=SECONDS)
     loop = _Loop(arm, period_s)
     samples = []
@@ -82,7 +113,7 @@ def _recorded(
         samples.append(sample)
         arm.send(loop.command(sample, k))
         progress(arm.time_s / SECONDS)
-    return _Loop(arm, period_s), samples
+    return Recorded(period_s, samples)
 
 
 def _tail_us(update: Update, indices: Sequence[int]) -> float:
@@ -95,30 +126,47 @@ def _tail_us(update: Update, indices: Sequence[int]) -> float:
     return float(np.percentile(taken_us, 99.9))
 
 
-def _subjects(progress: Callable[[float], None]) -> dict[str, Update]:
-    """Return what is timed, by name."""
-    loop, samples = _recorded(SECONDS, lambda part: progress(0.4 * part))
-    hasty, pressed = _recorded(0.5, lambda part: progress(0.4 + 0.4 * part))
+def record_both(progress: Callable[[float], None]) -> tuple[Recorded, Recorded]:
+    """Return samples at leisure, and some so fast that limits bind."""
+    at_leisure = record(SECONDS, lambda part: progress(0.5 * part))
+    hasty = record(0.5, lambda part: progress(0.5 + 0.5 * part))
+    return at_leisure, hasty
+
+
+def make_control(at_leisure: Recorded, hasty: Recorded) -> dict[str, Update]:
+    """Return new loops, after their bare calls."""
     robot = SimulatedArm(plant="clean", duration_s=1.0).robot
     model = robot.model
     data = robot.create_data()
     frame = robot.tool_frame_id
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    session, beside = (InsertionSession(robot, on_lwr(DEFAULT)) for _ in range(2))
+    samples = at_leisure.samples
 
     def bare(k: int) -> None:
         pin.computeFrameJacobian(model, data, samples[k].q_rad, frame, axes)
         pin.updateFramePlacement(model, data, frame)
 
+    return {
+        BARE: bare,
+        CONTROL: at_leisure.command_again(),
+        FOLLOWING: at_leisure.command_again(has_centre=False),
+        SATURATED: hasty.command_again(),
+    }
+
+
+def _make_sessions(at_leisure: Recorded) -> dict[str, Update]:
+    """Return a session, alone and with control."""
+    robot = SimulatedArm(plant="clean", duration_s=1.0).robot
+    session, beside = (InsertionSession(robot, on_lwr(DEFAULT)) for _ in range(2))
+    command = at_leisure.command_again()
+    samples = at_leisure.samples
+
     def together(k: int) -> None:
         dt_s, q, dq, tau = samples[k]
         beside.update(q, dq, tau, dt_s)
-        loop.command(samples[k], k)
+        command(k)
 
     return {
-        BARE: bare,
-        CONTROL: lambda k: loop.command(samples[k], k),
-        SATURATED: lambda k: hasty.command(pressed[k], k),
         SESSION: lambda k: session.update(*samples[k][1:], samples[k].dt_s),
         TOGETHER: together,
     }
@@ -128,7 +176,8 @@ def control_speed_report(
     progress: Callable[[float], None],
 ) -> tuple[list[ResultTable], bool]:
     """Return the table, and whether all targets are met."""
-    subjects = _subjects(progress)
+    at_leisure, hasty = record_both(lambda part: progress(0.8 * part))
+    subjects = make_control(at_leisure, hasty) | _make_sessions(at_leisure)
     times = time_side_by_side(subjects, WARM_TICKS, round(1e3 * SECONDS))
     again = range(WARM_TICKS, round(1e3 * SECONDS))
     tails = {name: _tail_us(update, again) for name, update in subjects.items()}

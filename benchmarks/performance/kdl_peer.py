@@ -42,9 +42,9 @@ SENSOR = "ours, virtual sensor"
 TARED = ", mean residual before contact taken off"
 TARE_s = 0.5
 """Of that mean: the published tare."""
-TIME_RATIO = 0.6
+TIME_RATIOS = {OURS: 0.6, SENSOR: 1.07}
 ERROR_RATIO = 0.05
-"""Most time of `OURS` and most error of `SENSOR`, relative to `KDL`."""
+"""Most time, and most error of `SENSOR`, relative to `KDL`."""
 PACKAGES = "g++ and Debian's liborocos-kdl-dev"
 
 
@@ -246,7 +246,7 @@ def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
 
 
 def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
-    """Return the table, and whether both targets are met.
+    """Return the table, and whether all targets are met.
 
     Without KDL that is said, and there is no table.
     """
@@ -270,7 +270,7 @@ def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
 def _report(
     errors: list[Error], times: dict[str, Array]
 ) -> tuple[list[ResultTable], bool]:
-    """Return the table, and whether both targets are met."""
+    """Return the table, and whether all targets are met."""
     medians_N = {
         name: float(np.median([error[name] for error in errors])) for name in errors[0]
     }
@@ -280,13 +280,12 @@ def _report(
         error_cells = ("", "")
         time_cells = ("", "", "")
         target_cells = ("", "")
+        keeps: dict[str, bool] = {}
         if name in medians_N:
             error_ratio = medians_N[name] / medians_N[KDL]
             error_cells = (f"{medians_N[name]:.3f}", f"{error_ratio:.3f}")
             if name == SENSOR:
-                is_met &= error_ratio <= ERROR_RATIO
-                mark = met_mark(error_ratio <= ERROR_RATIO)
-                target_cells = (f"error ≤ {ERROR_RATIO:g}", mark)
+                keeps[f"error ≤ {ERROR_RATIO:g}"] = error_ratio <= ERROR_RATIO
         if name in times:
             time_ratio = cost_ratio(times[name], times[KDL])
             time_cells = (
@@ -294,12 +293,12 @@ def _report(
                 f"{np.mean(times[name]):.1f}",
                 f"{time_ratio:.2f}",
             )
-            if name == OURS:
-                is_met &= time_ratio <= TIME_RATIO
-                target_cells = (
-                    f"time ≤ {TIME_RATIO:g}",
-                    met_mark(time_ratio <= TIME_RATIO),
-                )
+            if name in TIME_RATIOS:
+                limit = TIME_RATIOS[name]
+                keeps[f"time ≤ {limit:g}"] = time_ratio <= limit
+        if keeps:
+            target_cells = (", ".join(keeps), met_mark(all(keeps.values())))
+            is_met &= all(keeps.values())
         lines.append((name, *error_cells, *time_cells, *target_cells))
     table = ResultTable(
         title="Beside orocos KDL's ChainExternalWrenchEstimator",

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Mapping
 from dataclasses import dataclass, replace
-from time import perf_counter_ns
+from time import perf_counter_ns, thread_time_ns
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -17,11 +17,12 @@ from benchmarks.targets import (
     ESTIMATED_VELOCITY_COST_RATIO,
     MEAN_TICK_RATIO,
     OBSERVER_COST_RATIOS,
+    PUBLISHED_CHAIN_COST_RATIOS,
     SENSOR_COST_RATIOS,
 )
 from foundation.arrays import Array
 from foundation.jit import COMPILER
-from groundtruth import simulate
+from groundtruth import Run, simulate
 from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedConfig
 from needleforce import InsertionSession
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
@@ -68,7 +69,7 @@ SUBJECTS: Mapping[str, Subject] = {
     SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
     CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
     CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
-    PUBLISHED_CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
+    PUBLISHED_CHAIN: Subject(BARE_SENSOR, *PUBLISHED_CHAIN_COST_RATIOS),
     PUBLISHED_CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
 }
 
@@ -89,22 +90,58 @@ def time_side_by_side(
     Returns the time of each update of a subject [us], shape (blocks, BLOCK). Updates
     before `first` are not counted: caches fill, filters settle.
     """
+    return {
+        name: np.array(blocks)
+        for name, blocks in take_turns(subjects, first, last, time_each).items()
+    }
+
+
+def processor_times(
+    subjects: Mapping[str, Update], first: int, last: int
+) -> dict[str, Array]:
+    """Let subjects take turns as in `time_side_by_side`.
+
+    Returns processor times, on which other processes do not count: a mean needs them.
+    Each holds a reading of that clock, about 1 us.
+    """
+    return {
+        name: np.array(blocks)
+        for name, blocks in take_turns(
+            subjects, first, last, time_each_on_processor
+        ).items()
+    }
+
+
+def take_turns(
+    subjects: Mapping[str, Update],
+    first: int,
+    last: int,
+    measure: Callable[[Update, range], list[float]],
+) -> dict[str, list[list[float]]]:
+    """Let subjects take turns, block by block; return what is measured of each."""
     for update in subjects.values():
-        time_each(update, range(first))
-    times: dict[str, list[list[float]]] = {name: [] for name in subjects}
+        measure(update, range(first))
+    measured: dict[str, list[list[float]]] = {name: [] for name in subjects}
     for start in range(first, last - BLOCK + 1, BLOCK):
         for name, update in subjects.items():
-            times[name].append(time_each(update, range(start, start + BLOCK)))
-    return {name: np.array(blocks) for name, blocks in times.items()}
+            measured[name].append(measure(update, range(start, start + BLOCK)))
+    return measured
 
 
-def time_each(update: Update, indices: Iterable[int]) -> list[float]:
+def time_each_on_processor(update: Update, indices: Iterable[int]) -> list[float]:
+    """Processor time of every update [us]."""
+    return time_each(update, indices, thread_time_ns)
+
+
+def time_each(
+    update: Update, indices: Iterable[int], clock: Callable[[], int] = perf_counter_ns
+) -> list[float]:
     """Time of every update [us]."""
     taken_us = []
     for k in indices:
-        begin_ns = perf_counter_ns()
+        begin_ns = clock()
         update(k)
-        taken_us.append((perf_counter_ns() - begin_ns) / NS_PER_US)
+        taken_us.append((clock() - begin_ns) / NS_PER_US)
     return taken_us
 
 
@@ -161,23 +198,9 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
     run = simulate(SCENARIO, PLANT, 0, progress)
     signals = JointSignals.of_run(run)
     blind = replace(signals, dq_rad_s=None)
-    tare = int(np.searchsorted(signals.t_s, run.tare_end_s))
-    chains = {
-        name + how: ChainUpdate(run.robot, sent, tare, config)
-        for name, config in ((CHAIN, MULTILAYER), (PUBLISHED_CHAIN, PUBLISHED))
-        for how, sent in (("", signals), (ESTIMATED, blind))
-    }
-    observer = MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold")
-    sensor = VirtualForceSensor(run.robot, on_lwr(DEFAULT))
-    subjects = {
-        BARE_OBSERVER: _bare_observer(run.robot, signals),
-        OBSERVER: fed(observer, signals),
-        BARE_SENSOR: bare_sensor(run.robot, signals),
-        SENSOR: fed(sensor, signals, tare),
-        **chains,
-    }
-    # The first counted update comes after that of the tare.
-    first = tare + 1
+    first = first_counted(run, signals)
+    chains = make_chains(run, {"": signals, ESTIMATED: blind})
+    subjects = make_estimators(run, signals) | chains
     times = time_side_by_side(subjects, first, len(signals.t_s))
     return SpeedReport(
         times=times,
@@ -189,6 +212,34 @@ def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
         },
         tare=time_tare(run),
     )
+
+
+def first_counted(run: Run, signals: JointSignals) -> int:
+    """Return the index of the first update that counts: after that of the tare."""
+    return int(np.searchsorted(signals.t_s, run.tare_end_s)) + 1
+
+
+def make_estimators(run: Run, signals: JointSignals) -> dict[str, Update]:
+    """Return new observer and sensor, each after its bare calls."""
+    observer = MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold")
+    sensor = VirtualForceSensor(run.robot, on_lwr(DEFAULT))
+    return {
+        BARE_OBSERVER: _bare_observer(run.robot, signals),
+        OBSERVER: fed(observer, signals),
+        BARE_SENSOR: bare_sensor(run.robot, signals),
+        SENSOR: fed(sensor, signals, first_counted(run, signals) - 1),
+    }
+
+
+def make_chains(run: Run, sent: Mapping[str, JointSignals]) -> dict[str, ChainUpdate]:
+    """Return new chains with both identifiers; the keys of `sent` end their names."""
+    return {
+        name + how: ChainUpdate(
+            run.robot, signals, first_counted(run, signals) - 1, config
+        )
+        for name, config in ((CHAIN, MULTILAYER), (PUBLISHED_CHAIN, PUBLISHED))
+        for how, signals in sent.items()
+    }
 
 
 def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
