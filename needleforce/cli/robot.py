@@ -24,7 +24,7 @@ from needleforce.cli.shared_options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say
 from needleforce.cli.toml_tables import NOTHING, convert_table
 from needleforce.recordings import load_mapping
-from needleforce.recordings.mapping import read_toml
+from needleforce.recordings.channels import read_toml
 from residual import (
     DEFAULT,
     PUBLISHED,

@@ -5,7 +5,7 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import (
     NamedValues,
     detect_columns,
@@ -53,7 +53,7 @@ class ChannelRequest:
                 )
 
         named = (*self.required, *self.optional)
-        known = tuple(name for name in CHANNELS if name != "time")
+        known = tuple(name for name in self.mapping.knowledge.channels if name != "time")
         return tuple(name for name in named or known if name not in left_out)
 
     def columns(self, table: Table) -> frozenset[str] | None:
@@ -75,7 +75,7 @@ class ChannelRequest:
         for name in dict.fromkeys((*names, *requested)):
             spec = self.mapping.channels.get(name)
             if spec is not None:
-                columns = self.find_columns(table, CHANNELS[name])
+                columns = self.find_columns(table, self.mapping.knowledge.channels[name])
             else:
                 columns = self._detect(table, name, needed)
 
@@ -131,11 +131,11 @@ class ChannelRequest:
         the one whose elements are the robot's joints.
         """
         try:
-            return self.find_columns(table, CHANNELS[name])
+            return self.find_columns(table, self.mapping.knowledge.channels[name])
         except ColumnError:
             nearby = self._columns_nearby(table, chosen)
             if nearby:
-                columns = detect_columns(Table(columns=nearby), CHANNELS[name])
+                columns = detect_columns(Table(columns=nearby), self.mapping.knowledge.channels[name])
                 if columns:
                     return columns
 

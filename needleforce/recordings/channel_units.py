@@ -12,7 +12,6 @@ from needleforce.recordings.column_names import parse_column_name, written_unit
 from needleforce.recordings.errors import RecordingCode, UnitError
 from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.table import Table
-from needleforce.recordings.units import find_unit
 
 _ROS_VECTOR = re.compile(r"/(?:force|torque)_xyz(?:\[\d\])?$")
 """Columns of a bag whose messages define their unit, as those of joint states do."""
@@ -205,7 +204,7 @@ def _statements(table: Table, channel: Channel, name: str) -> list[_Statement]:
 
     stated = table.units.get(name)
     if stated is not None:
-        row_unit = find_unit(stated.text, channel.units)
+        row_unit = channel.units.find(stated.text)
         statements.append(
             _Statement(stated.text, row_unit, UnitOrigin.ROW, stated.line_number)
         )

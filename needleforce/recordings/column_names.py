@@ -5,31 +5,17 @@ up to them would take all memory.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from itertools import islice
 from typing import NamedTuple
 
 import numpy as np
 
-from needleforce.recordings.channels import (
-    UNSMOOTHED,
-    UNSMOOTHED_STD,
-    Channel,
-    normalised_name,
-)
+from needleforce.recordings.channels import Channel, Knowledge, normalised_name
 from needleforce.recordings.errors import ColumnError, RecordingCode
 from needleforce.recordings.table import Table
-from needleforce.recordings.units import Units, find_unit
-
-MAX_UNIT_PARTS = 3
-"""The longest unit in a name has so many parts: `mm_per_s`."""
-
-MAX_LISTED_NUMBERS = 5
-"""A message lists so many of the numbers that are missing in a family."""
-
-MAX_COMPARED_NAMES = 1000
-"""So many names are compared with one that was not found."""
+from needleforce.recordings.units import Units
 
 _BRACKETED_UNIT = re.compile(
     r"^(?P<stem>.*\S)\s*[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]$"
@@ -108,11 +94,11 @@ def split_unit(name: str, units: Units) -> tuple[str, str | None]:
         The name without its unit, and the unit; None without one.
     """
     match = _BRACKETED_UNIT.match(name)
-    if match and (unit := find_unit(match["unit"], units)):
+    if match and (unit := units.find(match["unit"])):
         return match["stem"], unit
 
     for head, tail in _possible_units(name):
-        if unit := find_unit(tail, units):
+        if unit := units.find(tail):
             return re.sub(r"[\s,:]+(?:in)?[\s,:]*$", "", head), unit
 
     return name, None
@@ -128,7 +114,7 @@ def _possible_units(name: str) -> Iterator[tuple[str, str]]:
             yield name[: match.start()], name[match.end() :]
 
     for separator in ("_", " "):
-        for part_count in range(MAX_UNIT_PARTS, 0, -1):
+        for part_count in (3, 2, 1):  # the longest is mm_per_s
             head, *tail = name.rsplit(separator, part_count)
             if len(tail) == part_count and head.strip():
                 yield head, separator.join(tail)
@@ -231,7 +217,7 @@ def _in_order(
     """
     ordered = sorted(numbered)
     missing = (n for n in range(ordered[0], ordered[-1]) if n not in numbered)
-    if listed := list(islice(missing, MAX_LISTED_NUMBERS)):
+    if listed := list(islice(missing, 5)):
         raise ColumnError(
             f"{pattern!r}: found the numbers {ordered[0]} to {ordered[-1]}, but not "
             f"{', '.join(map(str, listed))}"
@@ -265,7 +251,7 @@ def _hint(names: list[str], pattern: str) -> str:
 
     bracketed = rf"{re.escape(pattern)}\s*[\[(]\D"
     with_unit = [name for name in names if re.match(bracketed, name)]
-    close = with_unit or get_close_matches(pattern, names[:MAX_COMPARED_NAMES], n=1)
+    close = with_unit or get_close_matches(pattern, names[:1000], n=1)
     return f" Did you mean {close[0]!r}?" if close else ""
 
 
@@ -314,7 +300,7 @@ def _only_candidate(
     if channel.per_joint:
         candidates = _joint_candidates(table, parsed)
     else:
-        candidates = _single_candidates(table, parsed)
+        candidates = _single_candidates(table, parsed, channel)
 
     if len(candidates) > 1:
         raise ColumnError(
@@ -329,7 +315,7 @@ def _only_candidate(
 def states_other_unit(table: Table, name: str, channel: Channel) -> str | None:
     """Return the unit that the row of units states, if it is none of the channel's."""
     stated = table.units.get(name)
-    if stated is None or find_unit(stated.text, channel.units) is not None:
+    if stated is None or channel.units.find(stated.text) is not None:
         return None
 
     return stated.text
@@ -373,17 +359,23 @@ def _joint_candidates(
 
 
 def _single_candidates(
-    table: Table, parsed: Mapping[str, ColumnName]
+    table: Table, parsed: Mapping[str, ColumnName], channel: Channel
 ) -> dict[str, list[NamedValues]]:
-    """Return columns of one value a row; those without a number come first."""
+    """Return columns of one value a row; without a number first, preferred ones only."""
     fitting = [name for name in parsed if table.columns[name].shape[1:] in ((), (1,))]
     plain = [name for name in fitting if parsed[name].number is None]
     fitting = plain or fitting
-    # `needleforce force` writes a smoothed force, too; whoever filters further wants
-    # the one that is not late.
-    unsmoothed = [
-        name for name in fitting if parsed[name].stem in (UNSMOOTHED, UNSMOOTHED_STD)
-    ]
+    preferred = [name for name in fitting if parsed[name].stem in channel.preferred]
     return {
-        name: [NamedValues(name, table.columns[name])] for name in unsmoothed or fitting
+        name: [NamedValues(name, table.columns[name])] for name in preferred or fitting
     }
+
+
+def known_names(cells: Iterable[str], knowledge: Knowledge) -> int:
+    """Return how many cells of a line name a channel."""
+    return sum(
+        parse_column_name(cell, channel.units).stem
+        in (*channel.spellings, *channel.machine_words)
+        for cell in cells
+        for channel in knowledge.channels.values()
+    )

@@ -13,11 +13,11 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from needleforce.recordings.channels import CHANNELS
+from needleforce.recordings.channels import KNOWLEDGE
 from needleforce.recordings.column_names import parse_column_name
 from needleforce.recordings.errors import FormatError
 from needleforce.recordings.table import StatedUnit
-from needleforce.recordings.units import is_row_of_units, is_unit, unit_in_brackets
+from needleforce.recordings.units import unit_in_brackets
 from needleforce.recordings.written_numbers import (
     Commas,
     is_number,
@@ -283,7 +283,7 @@ def _with_header(
             if place != names_place
         }
         units_place = next(
-            (place for place, cells in cells_of.items() if is_row_of_units(cells)), None
+            (place for place, cells in cells_of.items() if KNOWLEDGE.is_row_of_units(cells)), None
         )
 
     if units_place is not None:
@@ -380,7 +380,7 @@ def _known_names(line: NumberedRow, delimiter: str) -> int:
         parse_column_name(cell, channel.units).stem
         in (*channel.spellings, *channel.machine_words)
         for cell in split_line(line.text, delimiter)
-        for channel in CHANNELS.values()
+        for channel in KNOWLEDGE.channels.values()
     )
 
 
@@ -393,11 +393,11 @@ def _are_units(
     """
     line = lines[texts[-1]]
     cells = split_line(line.text, delimiter)
-    if is_row_of_units(cells):
+    if KNOWLEDGE.is_row_of_units(cells):
         return True
 
     filled = [cell for cell in cells if cell.strip()]
-    known = sum(is_unit(unit_in_brackets(cell) or cell) for cell in filled)
+    known = sum(KNOWLEDGE.is_unit(unit_in_brackets(cell) or cell) for cell in filled)
     names_above = _known_names(lines[texts[-2]], delimiter)
     return 2 * known >= len(filled) and bool(
         names_above and not _known_names(line, delimiter)
@@ -533,7 +533,7 @@ def _nameless_start(
         header = headers[-1]
         units: dict[str, StatedUnit] = {}
         unit_cells = split_line(header.text, delimiter)
-        if len(headers) > 1 and is_row_of_units(unit_cells):
+        if len(headers) > 1 and KNOWLEDGE.is_row_of_units(unit_cells):
             header = headers[-2]
 
         names, warnings = _unique_names(header, delimiter, width, [line])

@@ -3,7 +3,6 @@
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 from math import prod
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -31,34 +30,6 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.mapping import LEFT_OUT, ColumnSpec
 from needleforce.recordings.table import Table
 
-
-class PlausibleSize(NamedTuple):
-    """The largest value of a channel that is plausible for a robot or a needle.
-
-    Attributes:
-        limit: In SI units.
-        unit: In which a file is likely to be whose values are larger.
-        reason: Why larger values are not plausible.
-    """
-
-    limit: float
-    unit: str
-    reason: str
-
-
-_PLAUSIBLE_SIZES = {
-    "t_s": PlausibleSize(0.5, "ms", "a force log has more than two rows a second"),
-    "q_rad": PlausibleSize(4.0 * np.pi, "deg", "no joint turns more than two turns"),
-    "dq_rad_s": PlausibleSize(30.0, "deg/s", "no arm that leads a needle is as fast"),
-    "tau_Nm": PlausibleSize(2000.0, "mNm", "no arm that leads a needle is as strong"),
-    "tau_ext_Nm": PlausibleSize(
-        2000.0, "mNm", "no arm that leads a needle is as strong"
-    ),
-    "depth_m": PlausibleSize(1.0, "mm", "no needle is longer than a metre"),
-    "speed_m_s": PlausibleSize(1.0, "mm/s", "no needle is led as fast"),
-    "force_N": PlausibleSize(200.0, "mN", "such a force buckles any needle"),
-}
-_ANY_SIZE = PlausibleSize(np.inf, "", "")
 
 MAX_LARGE_FRACTION = 0.05
 """If more of the rows are larger than is plausible, an assumed unit is contradicted;
@@ -160,11 +131,11 @@ class Signal:
         if t_s.size > 1 and self._is_unsure:
             self.size = float(np.median(np.abs(np.diff(t_s))))
             self.finite_count = 1
-            self.large_count = int(self.size > _PLAUSIBLE_SIZES["t_s"].limit)
+            self.large_count = int(self.size > _limit(self.channel))
 
     def _update_size(self, values: Array, is_finite: NDArray[np.bool_]) -> None:
         """Update the size by further values, and count the rows that are too large."""
-        limit = _PLAUSIBLE_SIZES.get(self.channel.key, _ANY_SIZE).limit
+        limit = _limit(self.channel)
         sizes = np.where(is_finite, np.abs(values), 0.0).reshape(len(values), -1)
         largest = sizes.max(axis=1, initial=0.0)
         self.size = max(self.size, float(largest.max(initial=0.0)))
@@ -217,7 +188,9 @@ class Signal:
 
     def _describe_size(self) -> str:
         """Return what is odd about the size of the values, in words."""
-        limit, _, reason = _PLAUSIBLE_SIZES[self.channel.key]
+        at_most = self.channel.at_most
+        limit = _limit(self.channel)
+        reason = "" if at_most is None else at_most.reason
         unit = self.channel.si_unit
         names = describe_columns(self.columns)
         is_time = self.channel.key == "t_s"
@@ -229,7 +202,8 @@ class Signal:
 
     def _likely_unit(self) -> str:
         """Return the unit in which the file is likely to be."""
-        unit = _PLAUSIBLE_SIZES[self.channel.key].unit
+        at_most = self.channel.at_most
+        unit = self.channel.si_unit if at_most is None else at_most.unit
         return _unit_of_step(self.size, unit) if self.channel.key == "t_s" else unit
 
 
@@ -267,6 +241,11 @@ class VelocityWatch:
             f"seems not to be sent; leave it out with --dq {LEFT_OUT}, or with "
             f'dq = "{LEFT_OUT}" in the mapping, and it is estimated from q',
         )
+
+
+def _limit(channel: Channel) -> float:
+    """Return the largest value of a channel that is plausible, in SI units."""
+    return np.inf if channel.at_most is None else channel.at_most.value
 
 
 def _unit_of_step(step: float, default: str) -> str:

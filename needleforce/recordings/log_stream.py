@@ -10,7 +10,7 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.channel_units import ChannelUnit, advice_places
-from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import columns_in_other_units
 from needleforce.recordings.errors import (
     MAX_BYTES,
@@ -102,6 +102,7 @@ class LogStream:
             sorted_within_s = mapping.sort_within_s
 
         has_stamps = mapping.rate_hz is None
+        self._channels = mapping.knowledge.channels
         self._order = StampOrder(sorted_within_s) if has_stamps else None
         self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
@@ -201,9 +202,9 @@ class LogStream:
     def _find_time(self, table: Table) -> Signal:
         """Find the column of time stamps; `ColumnError` if there is none."""
         spec = self._request.mapping.channels.get("time")
-        time = find_signal(table, CHANNELS["time"], spec)
+        time = find_signal(table, self._channels["time"], spec)
         if time is None and not table.has_header:
-            raise _no_header([CHANNELS["time"]], table, self._request)
+            raise _no_header([self._channels["time"]], table, self._request)
         if time is None:
             raise ColumnError(
                 "no time column found. "
@@ -218,7 +219,7 @@ class LogStream:
         missing: list[Channel] = []
         by_joint: list[str] = []
         for name in self._requested_names():
-            channel = CHANNELS[name]
+            channel = self._channels[name]
             signal = find_signal(
                 table, channel, self._spec_of(table, channel, by_joint)
             )
@@ -277,7 +278,7 @@ class LogStream:
             MappingError: The request names one that does not exist, or the mapping
                 leaves out one that is required.
         """
-        known = tuple(name for name in CHANNELS if name != "time")
+        known = tuple(name for name in self._channels if name != "time")
         for name in (*self._request.required, *self._request.optional):
             if name not in known:
                 raise MappingError(
@@ -464,7 +465,7 @@ def _no_header(
     missing: list[Channel], table: Table, request: ChannelRequest
 ) -> ColumnError:
     """Return the error for required channels of a file whose columns have no names."""
-    time = CHANNELS["time"]
+    time = request.mapping.knowledge.channels["time"]
     named = [time, *(channel for channel in missing if channel is not time)]
     joint_count = max(len(request.mapping.joints or request.joints), 1)
     options: list[str] = []

@@ -10,7 +10,7 @@ from needleforce.recordings.bags.tables import learn_topics
 from needleforce.recordings.bags.topics import Bag
 from needleforce.recordings.channel_request import ChannelRequest, channel_columns
 from needleforce.recordings.channel_units import units_of_columns
-from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.channels import Channel
 from needleforce.recordings.errors import ColumnError, UnitError, readable_path
 from needleforce.recordings.follow import STANDARD_STREAM, FollowOptions
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
@@ -149,7 +149,7 @@ def mapping_text(
             continue
 
         spec = known.channels.get(name)
-        lines += [*_channel_lines(table, CHANNELS[name], spec, used), ""]
+        lines += [*_channel_lines(table, known.knowledge.channels[name], spec, used), ""]
 
     unused = [name for name in table.columns if name not in used]
     if unused:

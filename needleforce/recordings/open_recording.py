@@ -11,7 +11,7 @@ from needleforce.recordings.bags.messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bags.tables import bag_tables
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.columnar import read_npz, read_parquet
-from needleforce.recordings.conversions import conversion_of
+from needleforce.recordings.channels import KNOWLEDGE
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
     MAX_BYTES,
@@ -243,7 +243,7 @@ def _binary_tables(
         yield read_parquet(path, max_bytes)
     else:
         with file_errors(path):
-            conversion = conversion_of(path)
+            conversion = KNOWLEDGE.conversion_of(path)
 
         if conversion:
             raise FileAccessError(

@@ -24,7 +24,6 @@ from needleforce.recordings.column_names import (
 )
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.mapping_suggestion import suggest_mapping
-from needleforce.recordings.units import find_unit
 from tests.needleforce.recordings.bag_samples import insertion_rows, mapped, write_bag
 
 JOINTS = ("q", "dq", "tau")
@@ -52,7 +51,7 @@ def detected(table, channel):
     ],
 )
 def test_units_are_known_in_their_usual_spellings(written, channel, unit):
-    assert find_unit(written, CHANNELS[channel].units) == unit
+    assert CHANNELS[channel].units.find(written) == unit
 
 
 @pytest.mark.parametrize(
