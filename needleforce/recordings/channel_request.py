@@ -1,5 +1,6 @@
 """Which channels are read of a recording, and which of its columns they are."""
 
+from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field
 
@@ -38,6 +39,11 @@ class ChannelRequest:
     joints: tuple[str, ...] = ()
 
     @property
+    def channels(self) -> Mapping[str, Channel]:
+        """Every channel by its name."""
+        return self.mapping.knowledge.channels
+
+    @property
     def requested(self) -> tuple[str, ...]:
         """The channels that are looked for: required ones first, none left out.
 
@@ -53,7 +59,9 @@ class ChannelRequest:
                 )
 
         named = (*self.required, *self.optional)
-        known = tuple(name for name in self.mapping.knowledge.channels if name != "time")
+        known = tuple(
+            name for name in self.mapping.knowledge.channels if name != "time"
+        )
         return tuple(name for name in named or known if name not in left_out)
 
     def columns(self, table: Table) -> frozenset[str] | None:
@@ -75,7 +83,7 @@ class ChannelRequest:
         for name in dict.fromkeys((*names, *requested)):
             spec = self.mapping.channels.get(name)
             if spec is not None:
-                columns = self.find_columns(table, self.mapping.knowledge.channels[name])
+                columns = self.find_columns(table, self.channels[name])
             else:
                 columns = self._detect(table, name, needed)
 
@@ -131,11 +139,11 @@ class ChannelRequest:
         the one whose elements are the robot's joints.
         """
         try:
-            return self.find_columns(table, self.mapping.knowledge.channels[name])
+            return self.find_columns(table, self.channels[name])
         except ColumnError:
             nearby = self._columns_nearby(table, chosen)
             if nearby:
-                columns = detect_columns(Table(columns=nearby), self.mapping.knowledge.channels[name])
+                columns = detect_columns(Table(columns=nearby), self.channels[name])
                 if columns:
                     return columns
 

@@ -6,7 +6,7 @@ It stands in `layouts.toml`; files of the same form add to it, see `load_knowled
 import re
 import tomllib
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -338,15 +338,18 @@ def load_knowledge(*paths: str | Path) -> Knowledge:
         MappingError: One is not TOML, or has an entry that is not valid.
     """
     content = tomllib.loads(_OWN_FILE.read_text("utf-8"))
+    knowledge = msgspec.convert(content, Knowledge)
     for path in paths:
         try:
             content = _merged(content, read_toml(path, "layout"))
             knowledge = msgspec.convert(content, Knowledge)
             _require_sound(knowledge)
-        except (FormatError, msgspec.ValidationError) as error:
+        except FormatError as error:
+            raise MappingError(str(error)) from error
+        except (MappingError, msgspec.ValidationError) as error:
             raise MappingError(f"{path}: {error}") from error
 
-    return msgspec.convert(content, Knowledge) if not paths else knowledge
+    return knowledge
 
 
 def _merged(old: Any, new: Any) -> Any:
@@ -371,7 +374,7 @@ def _require_sound(knowledge: Knowledge) -> None:
     for quantity, entries in knowledge.units.items():
         for name, entry in entries.items():
             is_factor = [isinstance(part, float | int) for part in entry]
-            if is_factor != [True] + [False] * (len(entry) - 1) or not 0 < entry[0]:
+            if is_factor != [True] + [False] * (len(entry) - 1) or not entry[0] > 0:
                 raise MappingError(
                     f"units.{quantity}.{name} = {entry!r:.60}: expected the factor to "
                     "SI, then other spellings"

@@ -361,7 +361,7 @@ def _joint_candidates(
 def _single_candidates(
     table: Table, parsed: Mapping[str, ColumnName], channel: Channel
 ) -> dict[str, list[NamedValues]]:
-    """Return columns of one value a row; without a number first, preferred ones only."""
+    """Return columns of one value a row: preferred ones, those without a number."""
     fitting = [name for name in parsed if table.columns[name].shape[1:] in ((), (1,))]
     plain = [name for name in fitting if parsed[name].number is None]
     fitting = plain or fitting

@@ -30,7 +30,6 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.mapping import LEFT_OUT, ColumnSpec
 from needleforce.recordings.table import Table
 
-
 MAX_LARGE_FRACTION = 0.05
 """If more of the rows are larger than is plausible, an assumed unit is contradicted;
 fewer may be spikes."""

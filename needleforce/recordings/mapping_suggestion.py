@@ -149,7 +149,10 @@ def mapping_text(
             continue
 
         spec = known.channels.get(name)
-        lines += [*_channel_lines(table, known.knowledge.channels[name], spec, used), ""]
+        lines += [
+            *_channel_lines(table, known.knowledge.channels[name], spec, used),
+            "",
+        ]
 
     unused = [name for name in table.columns if name not in used]
     if unused:

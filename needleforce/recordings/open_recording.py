@@ -10,8 +10,8 @@ import numpy as np
 from needleforce.recordings.bags.messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bags.tables import bag_tables
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.columnar import read_npz, read_parquet
 from needleforce.recordings.channels import KNOWLEDGE
+from needleforce.recordings.columnar import read_npz, read_parquet
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
     MAX_BYTES,
@@ -167,7 +167,8 @@ def stream_tables(
 
         return
 
-    tables = csv_tables(blocks, name, options, max_bytes)
+    knowledge = KNOWLEDGE if request is None else request.mapping.knowledge
+    tables = csv_tables(blocks, name, options, max_bytes, knowledge)
     yield from _put_joints_in_order(tables, request)
 
 

@@ -73,6 +73,7 @@ class Table:
         units: By name of a column: what a row of units says of it.
         has_header: Whether the columns have names in the file; without, they are called
             `column_1`, `column_2`, ...
+        layout: Name of the layout that the text has, by its first line; empty for none.
     """
 
     columns: TableColumns
@@ -84,6 +85,7 @@ class Table:
     tool_mass: ToolMass | None = None
     units: Mapping[str, StatedUnit] = field(default_factory=dict)
     has_header: bool = True
+    layout: str = ""
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns.
