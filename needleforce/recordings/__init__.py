@@ -30,6 +30,7 @@ from needleforce.recordings.log_stream import LogStream as LogStream
 from needleforce.recordings.mapping import (
     ColumnMapping as ColumnMapping,
     ColumnSpec as ColumnSpec,
+    load_layouts as load_layouts,
     load_mapping as load_mapping,
 )
 from needleforce.recordings.open_recording import (

@@ -1,12 +1,12 @@
 """Which channels are read of a recording, and which of its columns they are."""
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
-from needleforce.recordings.channels import Channel
+from needleforce.recordings.channels import Channel, Layout
 from needleforce.recordings.column_names import (
     NamedValues,
     detect_columns,
@@ -15,7 +15,12 @@ from needleforce.recordings.column_names import (
 )
 from needleforce.recordings.errors import ColumnError, MappingError, RecordingCode
 from needleforce.recordings.joint_names import match_columns, match_joints
-from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
+from needleforce.recordings.mapping import (
+    LEFT_OUT,
+    ColumnMapping,
+    ColumnSpec,
+    mapping_of_layout,
+)
 from needleforce.recordings.table import Table
 
 
@@ -75,6 +80,10 @@ class ChannelRequest:
         Raises:
             ColumnError: A mapped channel was not found, or is ambiguous.
         """
+        request = self.with_layout(table)
+        if request is not self:
+            return request.columns(table)
+
         requested = self.requested
         # Mapped channels first: the topics they choose decide where others would be
         # ambiguous.
@@ -93,6 +102,48 @@ class ChannelRequest:
             needed |= {_name_in_table(table, column.name) for column in columns}
 
         return frozenset(needed)
+
+    def find_layout(self, table: Table) -> Layout | None:
+        """Return the first layout that a table has; None if none is known."""
+        return next(
+            (
+                layout
+                for layout in self.mapping.knowledge.layouts
+                if layout.name == table.layout
+                or (layout.columns and _has_columns(table, layout.columns))
+            ),
+            None,
+        )
+
+    def with_layout(self, table: Table) -> "ChannelRequest":
+        """Return the request with what the layout of a table says; the mapping wins.
+
+        Of the layout's channels those are taken that the table has.
+        """
+        layout = self.find_layout(table)
+        if layout is None:
+            return self
+
+        known = mapping_of_layout(layout, self.mapping.knowledge)
+        channels = {
+            name: spec
+            for name, spec in known.channels.items()
+            if spec.columns == LEFT_OUT or _has_columns(table, spec.patterns)
+        }
+        channels |= self.mapping.channels
+        rate_hz = self.mapping.rate_hz
+        if rate_hz is not None:
+            channels.pop("time", None)
+        elif "time" not in self.mapping.channels:
+            rate_hz = known.rate_hz
+
+        mapping = replace(
+            self.mapping,
+            channels=channels,
+            rate_hz=rate_hz,
+            joints=self.mapping.joints or known.joints,
+        )
+        return self if mapping == self.mapping else replace(self, mapping=mapping)
 
     def find_columns(self, table: Table, channel: Channel) -> list[NamedValues]:
         """Return a channel's columns: mapped ones, usual names, or those of the joints.
@@ -166,6 +217,14 @@ class ChannelRequest:
             for name, joint_names in table.joint_names.items()
             if match_joints(joint_names, joints)
         }
+
+
+def _has_columns(table: Table, patterns: Iterable[str]) -> bool:
+    """Return whether a table has columns for all of some patterns."""
+    try:
+        return all(find_columns(table, pattern) for pattern in patterns)
+    except ColumnError:
+        return False
 
 
 def _name_in_table(table: Table, name: str) -> str:

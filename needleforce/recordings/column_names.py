@@ -268,7 +268,7 @@ def detect_columns(table: Table, channel: Channel) -> list[NamedValues]:
         ColumnError: Several would fit, or a joint's column is missing.
     """
     fitting = {
-        name: parse_column_name(name, channel.units)
+        name: parse_column_name(_known_form(table, name), channel.units)
         for name in table.columns
         if states_other_unit(table, name, channel) is None
     }
@@ -287,6 +287,12 @@ def detect_columns(table: Table, channel: Channel) -> list[NamedValues]:
             return _only_candidate(table, channel, parsed)
 
     return []
+
+
+def _known_form(table: Table, name: str) -> str:
+    """Return a name without what it says in brackets of how its times are written."""
+    is_clock = name in table.seconds
+    return re.sub(r"(?<=\S)\s*\([^()]*\)$", "", name.strip()) if is_clock else name
 
 
 def _only_candidate(

@@ -31,7 +31,12 @@ from needleforce.recordings.log_signal import (
     require_equal_sizes,
 )
 from needleforce.recordings.mapping import ColumnSpec
-from needleforce.recordings.stamp_order import SORTED_WITHIN_S, Rows, StampOrder
+from needleforce.recordings.stamp_order import (
+    SORTED_WITHIN_S,
+    Rows,
+    StampOrder,
+    spread_rounded,
+)
 from needleforce.recordings.table import HEAD_ROWS, Table, ToolMass, tool_mass_in
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
@@ -101,9 +106,8 @@ class LogStream:
         if mapping.sort_within_s is not None:
             sorted_within_s = mapping.sort_within_s
 
-        has_stamps = mapping.rate_hz is None
         self._channels = mapping.knowledge.channels
-        self._order = StampOrder(sorted_within_s) if has_stamps else None
+        self._order = StampOrder(sorted_within_s)
         self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
@@ -113,7 +117,7 @@ class LogStream:
     @property
     def bad_stamp_count(self) -> int:
         """How many rows were left out so far because their time stamp is bad."""
-        return 0 if self._order is None else self._order.bad_count
+        return self._order.bad_count
 
     def take_warnings(self) -> tuple[str, ...]:
         """Return what was wrong with the recording since the last call."""
@@ -130,19 +134,23 @@ class LogStream:
         self._report(head.warnings)
         self.start_ns = head.start_ns
         self.tool_mass = head.tool_mass or tool_mass_in(head)
+        self._request = self._request.with_layout(head)
+        layout = self._request.find_layout(head)
+        if layout is not None and layout.note:
+            self._report([f"{layout.name}: {layout.note}"])
+
         self._find_channels(head)
-        if self._request.mapping.rate_hz is None:
+        has_stamps = self._request.mapping.rate_hz is None
+        if has_stamps:
             self._signals = {"t_s": self._find_time(head), **self._signals}
 
         self.units = tuple(signal.channel_unit for signal in self._signals.values())
-        for table in chain([head], self._tables):
-            self._report(table.warnings)
-            if len(table) or table is head:
-                yield from self._read_chunk(table)
+        parts = self._watched_parts(chain([head], self._tables))
+        if has_stamps:
+            parts = self._in_order(parts)
 
-        if self._order is not None:
-            yield from self._chunks(self._order.finish())
-            self._report(self._order.take_warnings())
+        for part in parts:
+            yield self._chunk(part)
 
         self._report_end()
 
@@ -287,22 +295,28 @@ class LogStream:
 
         return self._request.requested
 
-    def _read_chunk(self, table: Table) -> Iterator[LogChunk]:
-        """Yield rows that are ready once those of a table were read."""
-        values = {key: signal.read(table) for key, signal in self._signals.items()}
-        row_count = len(next(iter(values.values())))
-        values["t_s"] = self._time_s(table, values, row_count)
-        if not self._row_count:
-            require_equal_sizes(values, self._signals)
+    def _watched_parts(self, tables: Iterable[Table]) -> Iterator[Rows]:
+        """Yield the rows of tables that have a time stamp, some at a time."""
+        for table in tables:
+            self._report(table.warnings)
+            if not len(table) and self._row_count:
+                continue
 
-        values[ROW] = np.arange(
-            self._row_count + 1.0, self._row_count + 1.0 + row_count
-        )
-        self._row_count += row_count
-        for start in range(0, row_count, MAX_CHUNK_ROWS):
-            end = start + MAX_CHUNK_ROWS
-            part = {key: array[start:end] for key, array in values.items()}
-            yield from self._in_order(self._watched(part))
+            values = {key: signal.read(table) for key, signal in self._signals.items()}
+            row_count = len(next(iter(values.values())))
+            values["t_s"] = self._time_s(table, values, row_count)
+            if not self._row_count:
+                require_equal_sizes(values, self._signals)
+
+            first = self._row_count + 1.0
+            values[ROW] = np.arange(first, first + row_count)
+            self._row_count += row_count
+            for start in range(0, row_count, MAX_CHUNK_ROWS):
+                end = start + MAX_CHUNK_ROWS
+                part = {key: array[start:end] for key, array in values.items()}
+                watched = self._watched(part)
+                if len(watched["t_s"]):
+                    yield watched
 
     def _watched(self, values: Rows) -> Rows:
         """Return the rows that have a time stamp; note what is odd in channels."""
@@ -333,30 +347,26 @@ class LogStream:
 
         return values
 
-    def _in_order(self, values: Rows) -> Iterator[LogChunk]:
+    def _in_order(self, parts: Iterable[Rows]) -> Iterator[Rows]:
         """Yield the rows whose place in time is known, once further rows were read."""
-        if self._order is None:
-            yield from self._chunks([values] if len(values["t_s"]) else [])
-            return
+        for part in spread_rounded(parts, lambda warning: self._report([warning])):
+            ready = self._order.add(part)
+            self._report(self._order.take_warnings())
+            yield from ready
 
-        if len(values["t_s"]):
-            yield from self._chunks(self._order.add(values))
-
+        yield from self._order.finish()
         self._report(self._order.take_warnings())
 
-    def _chunks(self, parts: Iterable[Rows]) -> Iterator[LogChunk]:
-        """Yield rows in the order of time as chunks of the log."""
-        for part in parts:
-            rows = part.pop(ROW)
-            t_s = part.pop("t_s")
-            time = self._signals.get("t_s")
-            if time is not None:
-                time.watch(t_s, rows)
-                self._report(time.report_implausible())
+    def _chunk(self, part: Rows) -> LogChunk:
+        """Return rows in the order of time as a chunk of the log."""
+        rows = part.pop(ROW)
+        t_s = part.pop("t_s")
+        time = self._signals.get("t_s")
+        if time is not None:
+            time.watch(t_s, rows)
+            self._report(time.report_implausible())
 
-            yield LogChunk(
-                t_s=t_s, dt_s=self._row_clock.update(t_s, rows), channels=part
-            )
+        return LogChunk(t_s=t_s, dt_s=self._row_clock.update(t_s, rows), channels=part)
 
     def _time_s(
         self, table: Table, values: Mapping[str, Array], row_count: int

@@ -54,7 +54,9 @@ def suggest_mapping(
         lines += _bag_lines(bag)
         lines += _reference_lines(bag, table, names, joints, known)
     else:
-        table = next(stream_tables(source, FollowOptions()))
+        tables = stream_tables(source, FollowOptions(), knowledge=known.knowledge)
+        table = next(tables)
+        known = ChannelRequest(known).with_layout(table).mapping
         is_time_needed = known.rate_hz is None
 
     if payload:

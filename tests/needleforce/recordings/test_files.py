@@ -278,8 +278,10 @@ def test_types_of_other_writers_become_numbers(path):
     table = read_table(path)
 
     np.testing.assert_array_equal(table.columns["flag"], [1.0, np.nan, 0.0, 1.0])
+    np.testing.assert_array_equal(
+        table.columns["q"], [[1.0, 2.0], [np.nan, np.nan], [5.0, 6.0], [7.0, 8.0]]
+    )
     assert table.warnings == (
-        "column 'q' holds list<element: int32>, no numbers, and was left out",
         "column 'name' holds string, no numbers, and was left out",
     )
 
