@@ -44,8 +44,8 @@ def read_table(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Table:
 
     Args:
         path: a file ending in `.csv`, `.tsv` or `.txt` (also with `.gz`), `.dat`,
-            `.asc` or `.lvm`; in `.npz`, `.parquet` or `.feather`; or a ROS bag: a file ending in
-            `.mcap`, `.db3` or `.bag`, or a folder of them.
+            `.asc` or `.lvm`; in `.npz`, `.parquet` or `.feather`; or a ROS bag: a file
+            ending in `.mcap`, `.db3` or `.bag`, or a folder of them.
         max_bytes: the most memory that the content of the file may take.
 
     Raises:

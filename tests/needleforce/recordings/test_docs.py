@@ -82,7 +82,7 @@ def test_every_suffix_and_error_named_is_the_codes():
     formats = TEXT.split("## Formats")[1].split("\n\n")[1]
     suffixes = set(re.findall(r"`(\.[\w.]+)`", formats))
 
-    assert suffixes == {*CSV_SUFFIXES, ".npz", ".parquet"}
+    assert suffixes == {*CSV_SUFFIXES, ".npz", ".parquet", ".feather"}
 
     for name in set(re.findall(r"`(\w+Error)`", TEXT + BAGS)):
         assert issubclass(getattr(recordings, name), recordings.RecordingError)
