@@ -373,8 +373,8 @@ def _require_sound(knowledge: Knowledge) -> None:
     """
     for quantity, entries in knowledge.units.items():
         for name, entry in entries.items():
-            is_factor = [isinstance(part, float | int) for part in entry]
-            if is_factor != [True] + [False] * (len(entry) - 1) or not entry[0] > 0:
+            factors = [part for part in entry if isinstance(part, float)]
+            if not factors or factors != entry[:1] or factors[0] <= 0.0:
                 raise MappingError(
                     f"units.{quantity}.{name} = {entry!r:.60}: expected the factor to "
                     "SI, then other spellings"

@@ -1,14 +1,12 @@
 """A channel in a table: its columns, its conversion to SI, and what is odd in it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import prod
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import Array
-from needleforce.recordings.channel_request import channel_columns
 from needleforce.recordings.channel_units import (
     ChannelUnit,
     ColumnUnit,
@@ -18,7 +16,6 @@ from needleforce.recordings.channel_units import (
     units_of_columns,
 )
 from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import NamedValues, find_columns
 from needleforce.recordings.errors import (
     ColumnError,
     FaultCounts,
@@ -94,11 +91,7 @@ class Signal:
 
     def read(self, table: Table) -> Array:
         """Return the values of a table in SI units, shape (n,) or (n, joints)."""
-        columns = [
-            column.values
-            for name in self.columns
-            for column in find_columns(table, name)
-        ]
+        columns = [table.values(name) for name in self.columns]
         values = np.column_stack(columns) * self.factors
         return values if self.channel.per_joint else values[:, 0]
 
@@ -255,66 +248,43 @@ def _unit_of_step(step: float, default: str) -> str:
     return "us" if step >= MIN_STEP_US else default
 
 
-def find_signal(
-    table: Table, channel: Channel, spec: ColumnSpec | None
-) -> Signal | None:
-    """Find a channel in a table.
-
-    Its unit is that of `units_of_columns`.
+def make_signal(
+    table: Table, channel: Channel, columns: Sequence[str], spec: ColumnSpec | None
+) -> Signal:
+    """Return the signal of a channel; its units are those of `units_of_columns`.
 
     Args:
         table: With rows or without.
-        channel: What is looked for.
-        spec: Which columns it is; None to find them by their usual names.
-
-    Returns:
-        The channel's signal; None if no name looks like it.
+        channel: The channel.
+        columns: Names of its columns, at least one.
+        spec: How they were chosen; None if by their names.
 
     Raises:
-        ColumnError: The columns are not there, ambiguous, or too many.
+        ColumnError: There are too many columns.
         LogError: They differ in length.
         MappingError: There are more or fewer scale factors than columns.
         UnitError: See `units_of_columns`.
     """
-    columns = channel_columns(table, channel, spec)
-    if not columns:
-        return None
-
-    spec = spec or ColumnSpec(columns=channel.name)
-    widths = _widths(channel, columns)
+    widths = [table.width(name) for name in columns]
     width = sum(widths)
-    scales = np.atleast_1d(np.array(spec.scale, dtype=np.float64))
+    listed = ", ".join(columns)
+    if width != 1 and not channel.per_joint:
+        raise ColumnError(f"{channel.name} is one column, but {listed} gives {width}")
+    if len({len(table.values(name)) for name in columns}) > 1:
+        raise LogError(f"{channel.name}: the columns {listed} differ in length")
+
+    scale = 1.0 if spec is None else spec.scale
+    scales = np.atleast_1d(np.array(scale, dtype=np.float64))
     if scales.size not in (1, width):
         raise MappingError(
             f"{channel.name}: {scales.size} scale factors for {width} columns, "
             f"expected one or {width}"
         )
 
-    names = tuple(column.name for column in columns)
-    units = units_of_columns(table, channel, names, spec)
+    units = units_of_columns(table, channel, columns, spec)
     si_factors = np.array([channel.units[column.unit] for column in units])
     factors = np.repeat(si_factors, widths) * scales
-    return Signal(channel, names, units, factors, spec.scale)
-
-
-def _widths(channel: Channel, columns: list[NamedValues]) -> list[int]:
-    """Return how many values a row has in each column of a channel.
-
-    Raises:
-        ColumnError: Several, for a channel of one value.
-        LogError: The columns differ in length.
-    """
-    widths = [prod(column.values.shape[1:]) for column in columns]
-    names = ", ".join(column.name for column in columns)
-    if sum(widths) != 1 and not channel.per_joint:
-        raise ColumnError(
-            f"{channel.name} is one column, but {names} gives {sum(widths)}"
-        )
-
-    if len({len(column.values) for column in columns}) > 1:
-        raise LogError(f"{channel.name}: the columns {names} differ in length")
-
-    return widths
+    return Signal(channel, tuple(columns), units, factors, scale)
 
 
 def require_equal_sizes(

@@ -17,7 +17,6 @@ from needleforce.recordings.errors import (
     ColumnError,
     FaultCounts,
     LogError,
-    MappingError,
     RecordingCode,
     RecordingError,
     UnitError,
@@ -27,10 +26,9 @@ from needleforce.recordings.log import Log
 from needleforce.recordings.log_signal import (
     Signal,
     VelocityWatch,
-    find_signal,
+    make_signal,
     require_equal_sizes,
 )
-from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.stamp_order import (
     SORTED_WITHIN_S,
     Rows,
@@ -209,91 +207,65 @@ class LogStream:
 
     def _find_time(self, table: Table) -> Signal:
         """Find the column of time stamps; `ColumnError` if there is none."""
-        spec = self._request.mapping.channels.get("time")
-        time = find_signal(table, self._channels["time"], spec)
-        if time is None and not table.has_header:
-            raise _no_header([self._channels["time"]], table, self._request)
-        if time is None:
-            raise ColumnError(
-                "no time column found. "
-                f"Columns are: {table.describe()}{table.left_out()}",
-                RecordingCode.TIME_COLUMN,
-            )
+        time = self._channels["time"]
+        columns = self._request.find(table, time)
+        if columns:
+            spec = self._request.mapping.channels.get("time")
+            return make_signal(table, time, columns, spec)
+        if not table.has_header:
+            raise _no_header([time], table, self._request)
 
-        return time
+        raise ColumnError(
+            f"no time column found. Columns are: {table.describe()}{table.left_out()}",
+            RecordingCode.TIME_COLUMN,
+        )
 
     def _find_channels(self, table: Table) -> None:
         """Decide from the first table which columns are read."""
+        request = self._request
         missing: list[Channel] = []
         by_joint: list[str] = []
-        for name in self._requested_names():
+        for name in request.requested:
             channel = self._channels[name]
-            signal = find_signal(
-                table, channel, self._spec_of(table, channel, by_joint)
-            )
-            is_required = name in self._request.required
-            if signal is None:
-                if is_required:
-                    missing.append(channel)
+            columns = request.find(table, channel)
+            if columns and columns == request.find_by_joints(table, channel):
+                by_joint.append(f"{name}: {columns[0]}, ...")
+            if columns:
+                self._add_signal(table, channel, columns)
+            elif name in request.required:
+                missing.append(channel)
 
-                continue
-
-            is_named = is_required or name in self._request.mapping.channels
-            head = signal.read(table)[:HEAD_ROWS]
-            if not is_required:
-                _require_all_joints(channel, head)
-            if is_named or np.isfinite(head).any():
-                self._signals[channel.key] = signal
-            else:
-                self._report(
-                    (
-                        f"{name}: its columns hold no finite value in the first rows "
-                        "and were left out",
-                    )
-                )
-
-        _require_names(self._request.mapping.joint_pattern, table, by_joint)
-        self._report(_describe_joint_columns(by_joint))
+        _require_names(request.mapping.joint_pattern, table, by_joint)
+        if by_joint:
+            listed = "; ".join(by_joint)
+            self._report([f"columns found by the names of the joints: {listed}"])
         if missing:
-            raise _not_found(missing, table, self._request)
-
+            raise _not_found(missing, table, request)
         if not self._signals:
             raise ColumnError(
                 f"no channel was recognised. Columns are: {table.describe()}"
             )
 
-    def _spec_of(
-        self, table: Table, channel: Channel, by_joint: list[str]
-    ) -> ColumnSpec | None:
-        """Return which columns a channel is: as mapped, or named after the joints.
+    def _add_signal(
+        self, table: Table, channel: Channel, columns: Sequence[str]
+    ) -> None:
+        """Read a channel from some columns, unless it may lack and has no values."""
+        spec = self._request.mapping.channels.get(channel.name)
+        is_required = channel.name in self._request.required
+        signal = make_signal(table, channel, columns, spec)
+        head = signal.read(table)[:HEAD_ROWS]
+        if not is_required:
+            _require_all_joints(channel, head)
+        if is_required or spec is not None or np.isfinite(head).any():
+            self._signals[channel.key] = signal
+            return
 
-        Args:
-            table: The first table.
-            channel: The channel.
-            by_joint: Gets a note if columns are named after the robot's joints.
-        """
-        names = self._request.joint_columns(table, channel)
-        if not names:
-            return self._request.mapping.channels.get(channel.name)
-
-        by_joint.append(f"{channel.name}: {names[0]}, ...")
-        return ColumnSpec(columns=names)
-
-    def _requested_names(self) -> tuple[str, ...]:
-        """Return the channels that are looked for, apart from time.
-
-        Raises:
-            MappingError: The request names one that does not exist, or the mapping
-                leaves out one that is required.
-        """
-        known = tuple(name for name in self._channels if name != "time")
-        for name in (*self._request.required, *self._request.optional):
-            if name not in known:
-                raise MappingError(
-                    f"unknown channel {name!r}; channels are: {', '.join(known)}"
-                )
-
-        return self._request.requested
+        self._report(
+            [
+                f"{channel.name}: its columns hold no finite value in the first rows "
+                "and were left out"
+            ]
+        )
 
     def _watched_parts(self, tables: Iterable[Table]) -> Iterator[Rows]:
         """Yield the rows of tables that have a time stamp, some at a time."""
@@ -396,14 +368,6 @@ class LogStream:
             return to_seconds(stamps, self._clock_start_ns)
 
         return column_s - self._clock_start_ns / NS_PER_S
-
-
-def _describe_joint_columns(by_joint: Sequence[str]) -> list[str]:
-    """Return a note on the columns that joints' names found; none without any."""
-    if not by_joint:
-        return []
-
-    return [f"columns found by the names of the joints: {'; '.join(by_joint)}"]
 
 
 def _require_names(pattern: str, table: Table, by_joint: Sequence[str]) -> None:

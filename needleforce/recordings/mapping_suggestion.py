@@ -8,7 +8,7 @@ from pathlib import Path
 from needleforce.recordings.bags.messages import is_bag
 from needleforce.recordings.bags.tables import learn_topics
 from needleforce.recordings.bags.topics import Bag
-from needleforce.recordings.channel_request import ChannelRequest, channel_columns
+from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.channel_units import units_of_columns
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.errors import ColumnError, UnitError, readable_path
@@ -150,11 +150,8 @@ def mapping_text(
             ]
             continue
 
-        spec = known.channels.get(name)
-        lines += [
-            *_channel_lines(table, known.knowledge.channels[name], spec, used),
-            "",
-        ]
+        channel = known.knowledge.channels[name]
+        lines += [*_channel_lines(table, channel, known, used), ""]
 
     unused = [name for name in table.columns if name not in used]
     if unused:
@@ -170,23 +167,24 @@ def mapping_text(
 
 
 def _channel_lines(
-    table: Table, channel: Channel, spec: ColumnSpec | None, used: set[str]
+    table: Table, channel: Channel, known: ColumnMapping, used: set[str]
 ) -> list[str]:
     """Return a channel as a table of TOML, and add its columns to the used ones.
 
     Where it is not known which columns it is, all stands in comments, with the reason.
     """
+    spec = known.channels.get(channel.name)
     reason = f"not found; {channel.meaning}"
     try:
-        columns = channel_columns(table, channel, spec)
+        names = ChannelRequest(known).find(table, channel)
     except ColumnError as error:
         if spec is not None:
             raise
 
-        columns = []
+        names = []
         reason = " ".join(str(error).split(";")[0].split())
 
-    if not columns:
+    if not names:
         return [
             comment_line(reason),
             f"# [{channel.name}]",
@@ -194,7 +192,6 @@ def _channel_lines(
             f'# unit = "{channel.si_unit}"',
         ]
 
-    names = [column.name for column in columns]
     used |= set(names)
     joint_note = ", or one for each joint" if channel.per_joint else ""
     return [

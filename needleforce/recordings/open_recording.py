@@ -29,7 +29,7 @@ from needleforce.recordings.follow import (
     byte_blocks,
     head_of,
 )
-from needleforce.recordings.joint_order import order_joints
+from needleforce.recordings.joint_names import order_joints
 from needleforce.recordings.log import Log
 from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.mapping import ColumnMapping, load_layouts
@@ -202,7 +202,7 @@ def _put_joints_in_order(
         joint_names = dict(table.joint_names)
         notes: list[str] = []
         for name, joints in table.joint_names.items():
-            order = order_joints(name, joints, request)
+            order = order_joints(name, joints, request.mapping, request.joints)
             places = [joints.index(joint) for joint in order.joints]
             columns[name] = columns[name][:, places]
             joint_names[name] = order.joints

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import prod
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -111,6 +112,18 @@ class Table:
     def __len__(self) -> int:
         """Return the number of rows of the longest column."""
         return max(map(len, self.columns.values()))
+
+    def values(self, name: str) -> np.ndarray:
+        """Return a column, or an element of one such as `wrench[2]`."""
+        if name in self.columns:
+            return self.columns[name]
+
+        head, _, index = name.removesuffix("]").rpartition("[")
+        return self.columns[head][:, int(index)]
+
+    def width(self, name: str) -> int:
+        """Return how many values a row has in a column, or an element of one."""
+        return prod(self.values(name).shape[1:])
 
     def describe(self, limit: int = MAX_LISTED_COLUMNS) -> str:
         """Return column names for a message, two-dimensional ones with their width."""

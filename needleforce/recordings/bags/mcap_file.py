@@ -164,9 +164,7 @@ class McapReader:
             name=channel.topic,
             kind=schema.name if schema is not None else "",
             encoding=channel.message_encoding,
-            definition=schema.data.decode(errors="replace")
-            if schema and is_ros
-            else "",
+            definition=definition,
         )
 
     def _read_chunk(self, chunk: Any, missing: int) -> Iterator[RawMessage]:

@@ -13,9 +13,9 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.channels import KNOWLEDGE
 from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.table import StatedUnit
-from needleforce.recordings.channels import KNOWLEDGE
 
 T_S = np.arange(3.0) / 100.0
 ONES = np.ones(3)
