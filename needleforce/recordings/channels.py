@@ -7,8 +7,6 @@ import re
 import tomllib
 import unicodedata
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
-from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -52,17 +50,15 @@ class PlausibleSize(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     reason: str
 
 
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One quantity of a log.
+class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One quantity of a log, as `layouts.toml` has it.
 
     Attributes:
-        name: How mappings and options call it, such as `q`.
-        key: In a `Log`, with the SI unit, such as `q_rad`.
+        key: Its name in a `Log`, with the SI unit, such as `q_rad`.
         units: That may stand in a file, with factors to SI.
-        per_joint: One column per joint (2-D) rather than one value (1-D).
-        spellings: Usual column names, without unit and number and in lower case.
         meaning: One phrase for help texts.
+        spellings: Usual column names, without unit and number and in lower case.
+        per_joint: One column per joint (2-D) rather than one value (1-D).
         machine_words: What testing machines and other languages call it; these count
             where no column has a usual name.
         words_with_unit: Names that say it only beside one of its units, as
@@ -70,19 +66,29 @@ class Channel:
         preferred: Names that come before the others where a file has several.
         at_most: What is plausible; None where anything is.
         usual_unit: The unit that an example in an advice has.
+        name: How mappings and options call it, such as `q`.
     """
 
-    name: str
     key: str
-    units: Units
-    per_joint: bool
-    spellings: tuple[str, ...]
+    units: Units = msgspec.field(name="quantity")
     meaning: str
-    machine_words: tuple[str, ...]
-    words_with_unit: tuple[str, ...]
-    preferred: tuple[str, ...]
-    at_most: PlausibleSize | None
-    usual_unit: str
+    spellings: tuple[str, ...] = msgspec.field(name="names")
+    per_joint: bool = False
+    machine_words: tuple[str, ...] = msgspec.field(name="words", default=())
+    words_with_unit: tuple[str, ...] = msgspec.field(name="with_unit", default=())
+    preferred: tuple[str, ...] = msgspec.field(name="prefer", default=())
+    at_most: PlausibleSize | None = None
+    usual_unit: str = ""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        """Write names as those of columns are compared."""
+        for field in ("spellings", "machine_words", "words_with_unit", "preferred"):
+            names = tuple(map(normalised_name, getattr(self, field)))
+            msgspec.structs.force_setattr(self, field, names)
+
+        if not self.usual_unit:
+            msgspec.structs.force_setattr(self, "usual_unit", self.si_unit)
 
     @property
     def places(self) -> dict[str, str]:
@@ -134,14 +140,9 @@ class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         """Raise `ValueError` if there is no condition, or a pattern is none."""
         if not (self.columns or self.first_line):
             raise ValueError(f"layout {self.name!r} needs columns or a first_line")
-        for pattern in (
-            self.first_line,
-            self.table_after,
-            self.units_line,
-            self.step_line,
-        ):
+        for pattern in (self.first_line, self.table_after, self.units_line):
             try:
-                re.compile(pattern)
+                re.compile(pattern + self.step_line)
             except re.error as error:
                 raise ValueError(f"{pattern!r} is no pattern: {error}") from error
 
@@ -164,30 +165,15 @@ class _OtherUnits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     letters: tuple[str, ...]
 
 
-class _ChannelEntry(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """A channel as the file has it."""
-
-    key: str
-    quantity: str
-    meaning: str
-    names: tuple[str, ...]
-    per_joint: bool = False
-    words: tuple[str, ...] = ()
-    with_unit: tuple[str, ...] = ()
-    prefer: tuple[str, ...] = ()
-    at_most: PlausibleSize | None = None
-    usual_unit: str = ""
-
-
-class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=True):
+class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The content of `layouts.toml`, with that of a user's files.
 
     Attributes:
         encodings: Tried where a text is not UTF.
         delimiters: Between cells.
-        units: By quantity and name: the factor to SI, then other spellings.
+        quantities: The units of each.
         other_units: Units of which no channel is made.
-        channel_entries: By name.
+        channels: By the name that mappings use.
         joints: How text names joints.
         conversions: By suffix: what makes a readable file of one that is not read.
         layouts: The first that fits is taken.
@@ -195,52 +181,12 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True, dict=Tr
 
     encodings: tuple[str, ...]
     delimiters: tuple[str, ...]
-    units: dict[str, dict[str, list[float | str]]]
+    quantities: dict[str, Units] = msgspec.field(name="units")
     other_units: _OtherUnits
-    channel_entries: dict[str, _ChannelEntry] = msgspec.field(name="channels")
+    channels: dict[str, Channel]
     joints: JointRules
     conversions: dict[str, str]
     layouts: tuple[Layout, ...]
-
-    @cached_property
-    def quantities(self) -> dict[str, Units]:
-        """The units of each quantity."""
-        words = {
-            str(spelling).lower(): name
-            for entries in self.units.values()
-            for name, (_, *spellings) in entries.items()
-            for spelling in spellings
-        }
-        case_matters = self.other_units.case_matters
-        return {
-            quantity: Units(entries, case_matters, words)
-            for quantity, entries in self.units.items()
-        }
-
-    @cached_property
-    def channels(self) -> dict[str, Channel]:
-        """Every channel by the name that mappings use."""
-        return {
-            name: self._channel(name, entry)
-            for name, entry in self.channel_entries.items()
-        }
-
-    def _channel(self, name: str, entry: _ChannelEntry) -> Channel:
-        """Return a channel from its entry."""
-        units = self.quantities[entry.quantity]
-        return Channel(
-            name=name,
-            key=entry.key,
-            units=units,
-            per_joint=entry.per_joint,
-            spellings=tuple(map(normalised_name, entry.names)),
-            meaning=entry.meaning,
-            machine_words=tuple(map(normalised_name, entry.words)),
-            words_with_unit=tuple(map(normalised_name, entry.with_unit)),
-            preferred=tuple(map(normalised_name, entry.prefer)),
-            at_most=entry.at_most,
-            usual_unit=entry.usual_unit or units.si,
-        )
 
     def is_unit(self, text: str) -> bool:
         """Return whether a text is a unit, of a channel or of anything else."""
@@ -338,18 +284,42 @@ def load_knowledge(*paths: str | Path) -> Knowledge:
         MappingError: One is not TOML, or has an entry that is not valid.
     """
     content = tomllib.loads(_OWN_FILE.read_text("utf-8"))
-    knowledge = msgspec.convert(content, Knowledge)
+    knowledge = _convert(content)
     for path in paths:
         try:
             content = _merged(content, read_toml(path, "layout"))
-            knowledge = msgspec.convert(content, Knowledge)
-            _require_sound(knowledge)
+            knowledge = _convert(content)
         except FormatError as error:
             raise MappingError(str(error)) from error
-        except (MappingError, msgspec.ValidationError) as error:
+        except msgspec.ValidationError as error:
             raise MappingError(f"{path}: {error}") from error
 
     return knowledge
+
+
+def _convert(content: Mapping[str, Any]) -> Knowledge:
+    """Return the content of `layouts.toml`; `ValidationError` if it is not valid."""
+    entries = content["units"]
+    words = {
+        str(spelling).lower(): name
+        for units in entries.values()
+        for name, entry in units.items()
+        for spelling in entry[1:]
+    }
+    case_matters = content["other_units"]["case_matters"]
+
+    def units_of(kind: type, entry: Any) -> Any:
+        if not isinstance(entry, str):
+            return Units(entry, case_matters, words)
+        if entry not in entries:
+            listed = ", ".join(entries)
+            raise ValueError(f"quantity {entry!r} is none of {listed}")
+
+        return Units(entries[entry], case_matters, words)
+
+    channels = content["channels"].items()
+    named = {name: {**channel, "name": name} for name, channel in channels}
+    return msgspec.convert({**content, "channels": named}, Knowledge, dec_hook=units_of)
 
 
 def _merged(old: Any, new: Any) -> Any:
@@ -363,29 +333,6 @@ def _merged(old: Any, new: Any) -> Any:
         return [*new, *(old[1:] if has_factor else old)]
 
     return new
-
-
-def _require_sound(knowledge: Knowledge) -> None:
-    """Check what types do not show.
-
-    Raises:
-        MappingError: A unit has no factor, or a channel an unknown quantity.
-    """
-    for quantity, entries in knowledge.units.items():
-        for name, entry in entries.items():
-            factors = [part for part in entry if isinstance(part, float)]
-            if not factors or factors != entry[:1] or factors[0] <= 0.0:
-                raise MappingError(
-                    f"units.{quantity}.{name} = {entry!r:.60}: expected the factor to "
-                    "SI, then other spellings"
-                )
-
-    for name, channel in knowledge.channel_entries.items():
-        if channel.quantity not in knowledge.units:
-            raise MappingError(
-                f"channels.{name}: quantity {channel.quantity!r} is none of "
-                f"{', '.join(knowledge.units)}"
-            )
 
 
 _OWN_FILE = Path(__file__).with_name("layouts.toml")

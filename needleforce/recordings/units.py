@@ -18,6 +18,9 @@ class Units(dict[str, float]):
             other units of them.
         words: Spellings of all quantities, in lower case, with what they mean: they may
             be parts of a quotient.
+
+    Raises:
+        ValueError: An entry does not begin with a factor.
     """
 
     def __init__(
@@ -26,6 +29,15 @@ class Units(dict[str, float]):
         case_matters: Sequence[str],
         words: Mapping[str, str],
     ) -> None:
+        for name, entry in entries.items():
+            factor = entry[0] if entry else ""
+            are_texts = all(isinstance(text, str) for text in entry[1:])
+            if isinstance(factor, str) or factor <= 0.0 or not are_texts:
+                raise ValueError(
+                    f"{name} = {entry!r:.60}: expected the factor to SI, then other "
+                    "spellings"
+                )
+
         super().__init__({name: float(entry[0]) for name, entry in entries.items()})
         self._case_matters = frozenset(case_matters)
         self._words = words
