@@ -26,6 +26,7 @@ from needleforce.recordings.table import HEAD_ROWS, START_KEY, Table, TableColum
 from needleforce.recordings.text_lines import TextLines
 from needleforce.recordings.text_table import (
     COMMENT,
+    WHITE_SPACE,
     NumberedLine,
     TableStart,
     find_table,
@@ -100,6 +101,10 @@ class _Rows:
         Raises:
             FormatError: No row of these, or no column, can be read.
         """
+        at_once = self._read_at_once(lines)
+        if at_once is not None:
+            return group_columns(at_once, self.joint_groups)
+
         numbers, rows = self._split(lines)
         names = self.start.names
         columns_of_cells = list(zip(*rows, strict=True)) or [()] * len(names)
@@ -116,8 +121,36 @@ class _Rows:
             elif name not in self.omitted:
                 columns[name] = self._read_numbers(name, cells, numbers)
 
+        for values in columns.values():
+            values.setflags(write=False)
+
         self._is_chosen = True
         return group_columns(columns, self.joint_groups)
+
+    def _read_at_once(self, lines: Sequence[NumberedLine]) -> TableColumns | None:
+        """Return the columns of rows if every cell is a number, else None.
+
+        This takes half the time of reading column by column.
+        """
+        if not self._is_chosen or self.omitted or self._clocks or self._lists:
+            return None
+
+        texts = [text for _, text in lines]
+        delimiter = self.start.delimiter
+        try:
+            values = np.loadtxt(
+                texts,
+                delimiter=None if delimiter == WHITE_SPACE else delimiter,
+                comments=None,
+                ndmin=2,
+            )
+        except ValueError:
+            return None
+
+        if values.shape[1] != len(self.start.names) or exceed_float64(values):
+            return None
+
+        return dict(zip(self.start.names, values.T.copy(), strict=True))
 
     @property
     def clocks(self) -> frozenset[str]:

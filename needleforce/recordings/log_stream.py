@@ -166,9 +166,12 @@ class LogStream:
             size += sum(array.nbytes for array in values.values())
             require_size(size, max_bytes, "what is read of it")
 
-        channels = {
-            key: np.concatenate([values[key] for values in chunks]) for key in chunks[0]
-        }
+        channels: dict[str, Array] = {}
+        for key in list(chunks[0]):
+            # Taken from the chunks, so that no channel is held twice for long.
+            channels[key] = np.concatenate([values.pop(key) for values in chunks])
+            channels[key].setflags(write=False)
+
         t_s = channels.pop("t_s")
         return Log(
             t_s=t_s,

@@ -204,7 +204,7 @@ class TableLabels:
 
 
 def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.ndarray:
-    """Return a contiguous read-only copy as float64.
+    """Return a contiguous read-only copy as float64, or what is one already.
 
     Args:
         name: Of the values, for the message.
@@ -216,6 +216,10 @@ def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.nda
     """
     try:
         array = np.asarray(values)
+        is_frozen = array.base is None and not array.flags.writeable
+        if is_frozen and array.dtype == np.float64 and array.flags.c_contiguous:
+            return array
+
         is_whole = array.dtype.kind in "iu" and array.ndim == 1
         is_int64 = is_exact and is_whole and exceed_float64(array)
         copy = np.array(array, dtype=np.int64 if is_int64 else np.float64, order="C")
