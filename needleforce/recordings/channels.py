@@ -157,6 +157,18 @@ class JointRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     not_measured: tuple[str, ...]
 
 
+class MessageLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the fields of a type of messages are; `/` leads to fields of fields.
+
+    Attributes:
+        channels: Fields by channel.
+        masses: Fields of the mass on the flange: of all, then of its parts.
+    """
+
+    channels: dict[str, str] = {}
+    masses: tuple[str, ...] = ()
+
+
 class _OtherUnits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """Units of which no channel is made."""
 
@@ -175,6 +187,7 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         other_units: Units of which no channel is made.
         channels: By the name that mappings use.
         joints: How text names joints.
+        messages: By their type, those of bags whose fields are channels.
         conversions: By suffix: what makes a readable file of one that is not read.
         layouts: The first that fits is taken.
     """
@@ -185,6 +198,7 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     other_units: _OtherUnits
     channels: dict[str, Channel]
     joints: JointRules
+    messages: dict[str, MessageLayout]
     conversions: dict[str, str]
     layouts: tuple[Layout, ...]
 
