@@ -23,8 +23,7 @@ from needleforce.cli.kept_joints import (
 from needleforce.cli.shared_options import RobotOptions, SensorOptions
 from needleforce.cli.terminal import CommandCode, CommandError, say
 from needleforce.cli.toml_tables import NOTHING, convert_table
-from needleforce.recordings import load_mapping
-from needleforce.recordings.mapping import read_toml
+from needleforce.recordings.channels import read_toml
 from residual import (
     DEFAULT,
     PUBLISHED,
@@ -210,7 +209,7 @@ def payload_from_options(
     value: Any = options.payload
     where = "--payload"
     if value is None and mapping is not None:
-        value = load_mapping(mapping).payload
+        value = read_toml(mapping, "mapping").get("payload")
         where = f"{mapping}: [payload]"
     if value is None:
         value = NEEDLE if _is_lwr(options) else NOTHING

@@ -38,13 +38,16 @@ class Columns:
         sort_within: Sort rows that come so much later than newer ones (default: 1 s for
             a file, 0 for rows used as they come).
         mapping: TOML file that says all this.
-        print_config: Print such a file for this log, to be edited, and stop.
+        layout: TOML file with names of columns, units and layouts to know beside ours;
+            several, by giving it again.
+        print_config: Print a mapping of this log, to be edited, and stop.
     """
 
     time: Annotated[str | None, _COLUMN] = None
     rate: Annotated[float | None, Parameter(metavar="HZ")] = None
     sort_within: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
+    layout: Annotated[tuple[str, ...], Parameter(metavar="FILE")] = ()
     print_config: bool = False
 
 

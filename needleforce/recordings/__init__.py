@@ -1,16 +1,18 @@
 """Logs in and out: which column is which channel, and in which unit.
 
-`read_log` turns a file (CSV, npz, Parquet, ROS bag) into a `Log` in SI units;
+`read_log` turns a file (CSV, npz, Parquet, Feather, ROS bag) into a `Log` in SI units;
 `write_table` and `write_log` write results. A `ColumnMapping`, from a small TOML file
 or the command line, says which columns to use where their names do not. Row by row,
 whatever the length: `stream_tables` and `LogStream` in, `open_table` out.
 
-Reading order: `open_recording`, `table` (what a file holds), `time_stamps`, `units`,
-`channels` (usual names), `column_names`, `mapping`, `channel_request`, `log`,
-`channel_units`, `log_signal`, `log_stream`, `mapping_suggestion`. The formats: `follow`
-(bytes as they come), `text_lines`, `csv_header` (where a table begins), `csv_file`,
-`columnar` (npz, Parquet), `bags` (ROS 2), `conversions` (what is not read). Writing:
-`output`, `writers`.
+What is known of names, units and layouts is data: `layouts.toml`.
+
+Reading order: `open_recording`, `table` (what a file holds), `channels` (what is known)
+and `units`, `column_names`, `joint_names`, `mapping`, `channel_request`,
+`channel_units`, `log_signal`, `stamp_order` and `time_stamps`, `log_stream`, `log`,
+`mapping_suggestion`. The formats: `follow` (bytes as they come), `text_lines`,
+`text_table` (where a table begins), `written_numbers`, `exported_joints`, `csv_file`;
+`columnar` (npz, Parquet, Feather); `bags`. Writing: `output`, `writers`.
 """
 
 from needleforce.recordings.channel_request import ChannelRequest as ChannelRequest
@@ -30,6 +32,7 @@ from needleforce.recordings.log_stream import LogStream as LogStream
 from needleforce.recordings.mapping import (
     ColumnMapping as ColumnMapping,
     ColumnSpec as ColumnSpec,
+    load_layouts as load_layouts,
     load_mapping as load_mapping,
 )
 from needleforce.recordings.open_recording import (

@@ -12,7 +12,6 @@ from needleforce.recordings.column_names import parse_column_name, written_unit
 from needleforce.recordings.errors import RecordingCode, UnitError
 from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.table import Table
-from needleforce.recordings.units import find_unit
 
 _ROS_VECTOR = re.compile(r"/(?:force|torque)_xyz(?:\[\d\])?$")
 """Columns of a bag whose messages define their unit, as those of joint states do."""
@@ -135,62 +134,45 @@ def units_of_columns(
         UnitError: The file contradicts itself or the specification, or states a unit
             that is none of the channel's.
     """
-    return tuple(
-        _unit_of_column(table, channel, name, columns, spec) for name in columns
-    )
+    spec = spec or ColumnSpec(columns=channel.name)
+    units: list[ColumnUnit] = []
+    for name in columns:
+        is_typed = name in table.joint_names or _ROS_VECTOR.search(name) is not None
+        if name in table.seconds or (is_typed and spec.unit is None):
+            units.append(ColumnUnit(name, channel.si_unit, UnitOrigin.FORMAT))
+            continue
+
+        statements = _statements(table, channel, name)
+        others = [statement for statement in statements if statement.unit is None]
+        if others and spec.scale != 1.0:
+            unit = spec.unit or channel.si_unit
+            units.append(ColumnUnit(name, unit, UnitOrigin.MAPPING))
+            continue
+
+        fault, advised = _contradiction(channel, name, statements, spec.unit)
+        if fault:
+            raise UnitError(
+                f"{channel.name}: {fault}",
+                RecordingCode.UNIT,
+                **advice_places(channel, columns, advised),
+            )
+
+        units.append(_stated_unit(channel, name, statements, spec.unit))
+
+    return tuple(units)
 
 
-def _unit_of_column(
-    table: Table,
-    channel: Channel,
-    name: str,
-    columns: Sequence[str],
-    spec: ColumnSpec | None,
+def _stated_unit(
+    channel: Channel, name: str, statements: Sequence[_Statement], asked: str | None
 ) -> ColumnUnit:
-    """Return the unit of one column, see `units_of_columns`."""
-    asked = spec.unit if spec is not None else None
-    is_typed = name in table.joint_names or _ROS_VECTOR.search(name) is not None
-    if name in table.seconds or (is_typed and asked is None):
-        return ColumnUnit(name, channel.si_unit, UnitOrigin.FORMAT)
-
-    statements = _statements(table, channel, name)
-    others = [statement for statement in statements if statement.unit is None]
-    if others and spec is not None and spec.scale != 1.0:
-        return ColumnUnit(name, asked or channel.si_unit, UnitOrigin.MAPPING)
-    if others:
-        raise _other_unit(channel, columns, name, others[0])
-
-    _require_agreement(channel, columns, name, statements, asked)
+    """Return the unit of a column of which nothing contradicts anything."""
     if asked is not None:
         return ColumnUnit(name, asked, UnitOrigin.MAPPING)
-    if statements:
-        said = statements[0]
-        unit = said.unit or channel.si_unit
-        return ColumnUnit(name, unit, said.origin, said.line_number)
+    if not statements:
+        return ColumnUnit(name, channel.si_unit, UnitOrigin.ASSUMED)
 
-    return ColumnUnit(name, channel.si_unit, UnitOrigin.ASSUMED)
-
-
-def _require_agreement(
-    channel: Channel,
-    columns: Sequence[str],
-    name: str,
-    statements: Sequence[_Statement],
-    asked: str | None,
-) -> None:
-    """Raise `UnitError` if the file contradicts itself or the mapping.
-
-    The mapping decides between two units of the file.
-    """
-    units = {statement.unit for statement in statements}
-    if asked is not None and len(units) > 1 and asked in units:
-        return
-
-    for statement in statements:
-        if asked is not None and statement.unit != asked:
-            raise _contradiction(channel, columns, name, statement, asked)
-        if statement.unit != statements[0].unit:
-            raise _disagreement(channel, columns, name, statements)
+    said = statements[0]
+    return ColumnUnit(name, said.unit or channel.si_unit, said.origin, said.line_number)
 
 
 def _statements(table: Table, channel: Channel, name: str) -> list[_Statement]:
@@ -205,7 +187,7 @@ def _statements(table: Table, channel: Channel, name: str) -> list[_Statement]:
 
     stated = table.units.get(name)
     if stated is not None:
-        row_unit = find_unit(stated.text, channel.units)
+        row_unit = channel.units.find(stated.text)
         statements.append(
             _Statement(stated.text, row_unit, UnitOrigin.ROW, stated.line_number)
         )
@@ -213,54 +195,40 @@ def _statements(table: Table, channel: Channel, name: str) -> list[_Statement]:
     return statements
 
 
-def _other_unit(
-    channel: Channel, columns: Sequence[str], name: str, statement: _Statement
-) -> UnitError:
-    """Return the error for a unit that is none of the channel's."""
-    return UnitError(
-        f"{channel.name}: {statement.place} says that column {name!r} is in "
-        f"{statement.text!r}, which is no known unit of {channel.name}; expected one "
-        f"of {', '.join(channel.units)}",
-        RecordingCode.UNIT,
-        **advice_places(channel, columns, f"{channel.si_unit}:FACTOR"),
-    )
-
-
-def _disagreement(
-    channel: Channel,
-    columns: Sequence[str],
-    name: str,
-    statements: Sequence[_Statement],
-) -> UnitError:
-    """Return the error for a name and a row of units that say different units."""
-    said = " and ".join(
-        f"{statement.place} says {statement.text}" for statement in statements
-    )
-    return UnitError(
-        f"{channel.name}: of column {name!r} {said}; the mapping may "
-        "decide between them",
-        RecordingCode.UNIT,
-        **advice_places(channel, columns, "UNIT"),
-    )
-
-
 def _contradiction(
-    channel: Channel,
-    columns: Sequence[str],
-    name: str,
-    statement: _Statement,
-    asked: str,
-) -> UnitError:
-    """Return the error for a mapping that says another unit than the file."""
-    stated = statement.unit or channel.si_unit
+    channel: Channel, name: str, statements: Sequence[_Statement], asked: str | None
+) -> tuple[str, str]:
+    """Return what contradicts what, and the unit that an advice names; or nothing.
+
+    The mapping decides between two units of the file.
+
+    Args:
+        channel: The channel.
+        name: Of the column.
+        statements: What the file says.
+        asked: The unit of the mapping; None without.
+    """
+    units = {statement.unit for statement in statements}
+    for statement in statements:
+        if statement.unit is None:
+            return (
+                f"{statement.place} says that column {name!r} is in "
+                f"{statement.text!r}, which is no known unit of {channel.name}; "
+                f"expected one of {', '.join(channel.units)}"
+            ), f"{channel.si_unit}:FACTOR"
+
+    if asked is None and len(units) > 1:
+        said = " and ".join(f"{each.place} says {each.text}" for each in statements)
+        return f"of column {name!r} {said}; the mapping may decide between them", "UNIT"
+    if asked is None or not units or asked in units:
+        return "", ""
+
+    stated = statements[0].unit or channel.si_unit
     factor = channel.units[asked] / channel.units[stated]
-    return UnitError(
-        f"{channel.name}: the mapping says {asked} for column {name!r}, and "
-        f"{statement.place} says {stated}; if the file is wrong, give its unit and the "
-        f"factor {factor:.6g}",
-        RecordingCode.UNIT,
-        **advice_places(channel, columns, stated),
-    )
+    return (
+        f"the mapping says {asked} for column {name!r}, and {statements[0].place} says "
+        f"{stated}; if the file is wrong, give its unit and the factor {factor:.6g}"
+    ), stated
 
 
 def advice_places(

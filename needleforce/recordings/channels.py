@@ -1,24 +1,25 @@
-"""The channels of a log: their names, their units, and their usual column names.
+"""What is known of a log before it is read: channels, units and layouts.
 
-Names of columns are compared in lower case, with `_` for spaces and hyphens, and
-without accents.
+It stands in `layouts.toml`; files of the same form add to it, see `load_knowledge`.
 """
 
 import re
+import tomllib
 import unicodedata
-from dataclasses import dataclass
+from collections.abc import Iterable, Mapping
+from pathlib import Path
+from typing import Any
 
-from needleforce.recordings.units import (
-    ANGLE,
-    ANGULAR_SPEED,
-    CODE,
-    FORCE,
-    LENGTH,
-    SPEED,
-    TIME,
-    TORQUE,
-    Units,
+import msgspec
+
+from needleforce.recordings.errors import (
+    FileAccessError,
+    FormatError,
+    MappingError,
+    file_errors,
+    readable_path,
 )
+from needleforce.recordings.units import Units, unit_in_brackets
 
 FORCE_STATUS = ("ok", "not tared", "initializing", "rejected")
 """What 0, 1, 2, ... of the column `force_status` mean; only the first is a usable
@@ -34,38 +35,60 @@ WORTHLESS = {
 }
 """Bits of the column `force_warnings` that make a force worthless to an identifier."""
 
-UNSMOOTHED = "axial_unsmoothed"
-"""The column of the force that `needleforce force` has not smoothed or delayed."""
 
-UNSMOOTHED_STD = "axial_unsmoothed_std"
-"""The column of its standard deviation, without the error of the torques' scale."""
-
-
-@dataclass(frozen=True, slots=True)
-class Channel:
-    """One quantity of a log.
+class PlausibleSize(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The largest value of a channel that is plausible for a robot or a needle.
 
     Attributes:
-        name: How mappings and options call it, such as `q`.
-        key: In a `Log`, with the SI unit, such as `q_rad`.
+        value: In SI units; of time the largest median step.
+        unit: In which a file is likely to be whose values are larger.
+        reason: Why larger values are not plausible.
+    """
+
+    value: float
+    unit: str
+    reason: str
+
+
+class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """One quantity of a log, as `layouts.toml` has it.
+
+    Attributes:
+        key: Its name in a `Log`, with the SI unit, such as `q_rad`.
         units: That may stand in a file, with factors to SI.
-        per_joint: One column per joint (2-D) rather than one value (1-D).
-        spellings: Usual column names, without unit and number and in lower case.
         meaning: One phrase for help texts.
+        spellings: Usual column names, without unit and number and in lower case.
+        per_joint: One column per joint (2-D) rather than one value (1-D).
         machine_words: What testing machines and other languages call it; these count
             where no column has a usual name.
         words_with_unit: Names that say it only beside one of its units, as
             `Position (mm)` does; these count last.
+        preferred: Names that come before the others where a file has several.
+        at_most: What is plausible; None where anything is.
+        usual_unit: The unit that an example in an advice has.
+        name: How mappings and options call it, such as `q`.
     """
 
-    name: str
     key: str
-    units: Units
-    per_joint: bool
-    spellings: tuple[str, ...]
+    units: Units = msgspec.field(name="quantity")
     meaning: str
-    machine_words: tuple[str, ...] = ()
-    words_with_unit: tuple[str, ...] = ()
+    spellings: tuple[str, ...] = msgspec.field(name="names")
+    per_joint: bool = False
+    machine_words: tuple[str, ...] = msgspec.field(name="words", default=())
+    words_with_unit: tuple[str, ...] = msgspec.field(name="with_unit", default=())
+    preferred: tuple[str, ...] = msgspec.field(name="prefer", default=())
+    at_most: PlausibleSize | None = None
+    usual_unit: str = ""
+    name: str = ""
+
+    def __post_init__(self) -> None:
+        """Write names as those of columns are compared."""
+        for field in ("spellings", "machine_words", "words_with_unit", "preferred"):
+            names = tuple(map(normalised_name, getattr(self, field)))
+            msgspec.structs.force_setattr(self, field, names)
+
+        if not self.usual_unit:
+            msgspec.structs.force_setattr(self, "usual_unit", self.si_unit)
 
     @property
     def places(self) -> dict[str, str]:
@@ -81,16 +104,143 @@ class Channel:
     @property
     def si_unit(self) -> str:
         """The SI unit of this channel."""
-        return next(iter(self.units))
-
-    @property
-    def usual_unit(self) -> str:
-        """The unit that an example in an advice has."""
-        return _USUAL_UNITS.get(self.name, self.si_unit)
+        return self.units.si
 
 
-_USUAL_UNITS = {"depth": "mm", "speed": "mm/s"}
-"""Units in which laboratories write what they do not write in SI units."""
+class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """A form of files, and what its columns are: a mapping with a condition.
+
+    Attributes:
+        name: For messages.
+        columns: Names and patterns that must all be there.
+        first_line: Pattern that the first line of the text fits.
+        channels: Columns by channel, as in a mapping.
+        rate_hz: Samples/s of files without time stamps.
+        joints: Names of the robot's joints, as in a mapping.
+        note: What else a user should hear.
+        table_after: Pattern of the last line above the table.
+        units_line: Pattern of the line above the header that has the columns' units.
+        step_line: Pattern of the line that has the time from row to row.
+        first_unit: Unit of the first column.
+    """
+
+    name: str
+    columns: tuple[str, ...] = ()
+    first_line: str = ""
+    channels: dict[str, Any] = {}
+    rate_hz: float | None = None
+    joints: str | tuple[str, ...] = ()
+    note: str = ""
+    table_after: str = ""
+    units_line: str = ""
+    step_line: str = ""
+    first_unit: str = ""
+
+    def __post_init__(self) -> None:
+        """Raise `ValueError` if there is no condition, or a pattern is none."""
+        if not (self.columns or self.first_line):
+            raise ValueError(f"layout {self.name!r} needs columns or a first_line")
+        for pattern in (self.first_line, self.table_after, self.units_line):
+            try:
+                re.compile(pattern + self.step_line)
+            except re.error as error:
+                raise ValueError(f"{pattern!r} is no pattern: {error}") from error
+
+
+class JointRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """How text names joints: patterns of columns, fields, and what is not measured."""
+
+    by_path: str
+    by_number: str
+    by_list: str
+    fields: tuple[str, ...]
+    not_measured: tuple[str, ...]
+
+
+class MessageLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """What the fields of a type of messages are; `/` leads to fields of fields.
+
+    Attributes:
+        channels: Fields by channel.
+        masses: Fields of the mass on the flange: of all, then of its parts.
+    """
+
+    channels: dict[str, str] = {}
+    masses: tuple[str, ...] = ()
+
+
+class _OtherUnits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """Units of which no channel is made."""
+
+    case_matters: tuple[str, ...]
+    words: tuple[str, ...]
+    letters: tuple[str, ...]
+
+
+class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
+    """The content of `layouts.toml`, with that of a user's files.
+
+    Attributes:
+        encodings: Tried where a text is not UTF.
+        delimiters: Between cells.
+        quantities: The units of each.
+        other_units: Units of which no channel is made.
+        channels: By the name that mappings use.
+        joints: How text names joints.
+        messages: By their type, those of bags whose fields are channels.
+        conversions: By suffix: what makes a readable file of one that is not read.
+        layouts: The first that fits is taken.
+    """
+
+    encodings: tuple[str, ...]
+    delimiters: tuple[str, ...]
+    quantities: dict[str, Units] = msgspec.field(name="units")
+    other_units: _OtherUnits
+    channels: dict[str, Channel]
+    joints: JointRules
+    messages: dict[str, MessageLayout]
+    conversions: dict[str, str]
+    layouts: tuple[Layout, ...]
+
+    def is_unit(self, text: str) -> bool:
+        """Return whether a text is a unit, of a channel or of anything else."""
+        unit = text.strip()
+        others = self.other_units
+        is_other = unit in others.letters or unit.lower() in others.words
+        quantities = self.quantities.items()
+        return is_other or any(
+            units.find(text) for name, units in quantities if name != "code"
+        )
+
+    def is_row_of_units(self, cells: Iterable[str]) -> bool:
+        """Return whether a row holds units: `(s),(mm),(kN)` or `s;mm;kN`.
+
+        Every cell is empty, in brackets or a unit, and at least one is a known unit.
+        """
+        filled = [cell.strip() for cell in cells if cell.strip()]
+        bracketed = [unit_in_brackets(cell) for cell in filled]
+        are_known = [
+            self.is_unit(unit or cell)
+            for cell, unit in zip(filled, bracketed, strict=True)
+        ]
+        are_units = (
+            is_known or unit is not None
+            for is_known, unit in zip(are_known, bracketed, strict=True)
+        )
+        return any(are_known) and all(are_units)
+
+    def conversion_of(self, path: Path) -> str:
+        """Return what makes a readable file of another; empty if nothing is known."""
+        suffix = path.suffix.lower()
+        if suffix == ".mat" and path.is_file():
+            with path.open("rb") as file:
+                suffix += file.read(10).decode("ascii", "replace")[6:]
+
+        usual = self.conversions.get(suffix.partition(" ")[0], "")
+        line = self.conversions.get(suffix, usual)
+        command = line.format(name=path.name, stem=path.stem)
+        is_program = command.startswith("python ")
+        return f"run in its folder: {command}" if is_program else command
 
 
 def normalised_name(name: str) -> str:
@@ -104,136 +254,105 @@ def normalised_name(name: str) -> str:
     return re.sub(r"[\s\-_]+", "_", letters.lower()).strip("_:.%")
 
 
-def _words(text: str) -> tuple[str, ...]:
-    """Return the names in a text, as `normalised_name` writes them."""
-    return tuple(map(normalised_name, text.split()))
+def read_toml(path: str | Path, subject: str) -> dict[str, Any]:
+    """Return the content of a TOML file, at least one key.
+
+    Args:
+        path: Of the file.
+        subject: What it is, for messages.
+
+    Raises:
+        FileAccessError: It cannot be read.
+        FormatError: It is not TOML, is empty, or is longer than 4 MiB.
+    """
+    max_bytes = 1 << 22  # no mapping is longer; a file named by mistake may be
+    try:
+        with file_errors(path), readable_path(path).open("rb") as stream:
+            data = stream.read(max_bytes + 1)
+    except FileAccessError as error:
+        message = str(error).replace("cannot read", f"cannot read the {subject}")
+        raise error.reworded(message) from error
+
+    if len(data) > max_bytes:
+        raise FormatError(f"the {subject} {path} is longer than {max_bytes} bytes")
+
+    try:
+        content = tomllib.loads(data.decode())
+    except (ValueError, RecursionError) as error:
+        raise FormatError(f"the {subject} {path} is not valid TOML: {error}") from error
+
+    if not content:
+        raise FormatError(f"the {subject} {path} is empty")
+
+    return content
 
 
-def _joint_channel(
-    name: str, key: str, units: Units, spellings: str, meaning: str, **more: str
-) -> Channel:
-    """Return a channel of one column per joint; its spellings are words."""
-    names = {field: _words(text) for field, text in more.items()}
-    return Channel(name, key, units, True, tuple(spellings.split()), meaning, **names)
+def load_knowledge(*paths: str | Path) -> Knowledge:
+    """Return what is known of logs, with what further files of the same form add.
+
+    Args:
+        paths: TOML files; of two that say different things the later one counts.
+
+    Raises:
+        FileAccessError: One cannot be read.
+        MappingError: One is not TOML, or has an entry that is not valid.
+    """
+    content = tomllib.loads(_OWN_FILE.read_text("utf-8"))
+    knowledge = _convert(content)
+    for path in paths:
+        try:
+            content = _merged(content, read_toml(path, "layout"))
+            knowledge = _convert(content)
+        except FormatError as error:
+            raise MappingError(str(error)) from error
+        except msgspec.ValidationError as error:
+            raise MappingError(f"{path}: {error}") from error
+
+    return knowledge
 
 
-def _single_channel(
-    name: str, key: str, units: Units, spellings: str, meaning: str, **more: str
-) -> Channel:
-    """Return a channel of one column; its spellings are words."""
-    names = {field: _words(text) for field, text in more.items()}
-    return Channel(name, key, units, False, tuple(spellings.split()), meaning, **names)
+def _convert(content: Mapping[str, Any]) -> Knowledge:
+    """Return the content of `layouts.toml`; `ValidationError` if it is not valid."""
+    entries = content["units"]
+    words = {
+        str(spelling).lower(): name
+        for units in entries.values()
+        for name, entry in units.items()
+        for spelling in entry[1:]
+    }
+    case_matters = content["other_units"]["case_matters"]
+
+    def units_of(kind: type, entry: Any) -> Any:
+        if not isinstance(entry, str):
+            return Units(entry, case_matters, words)
+        if entry not in entries:
+            listed = ", ".join(entries)
+            raise ValueError(f"quantity {entry!r} is none of {listed}")
+
+        return Units(entries[entry], case_matters, words)
+
+    channels = content["channels"].items()
+    named = {name: {**channel, "name": name} for name, channel in channels}
+    return msgspec.convert({**content, "channels": named}, Knowledge, dec_hook=units_of)
 
 
-_ALL_CHANNELS = (
-    _single_channel(
-        "time",
-        "t_s",
-        TIME,
-        "t time timestamp time_stamp stamp",
-        "time stamp",
-        machine_words="elapsed_time running_time test_time time_elapsed total_time "
-        "x_value zeit prüfzeit pruefzeit testzeit messzeit temps tempo tiempo zaman "
-        "時間 経過時間 试验时间",
-    ),
-    _joint_channel(
-        "q",
-        "q_rad",
-        ANGLE,
-        "q position pos joint_position joint_positions actual_q",
-        "joint positions",
-        machine_words="joint_angle joint_angles actual_joint_position "
-        "actual_joint_positions measured_joint_position measured_joint_positions "
-        "joint_pos",
-    ),
-    _joint_channel(
-        "dq",
-        "dq_rad_s",
-        ANGULAR_SPEED,
-        "dq qd qdot q_dot velocity vel joint_velocity joint_velocities actual_qd",
-        "joint velocities",
-        machine_words="joint_speed joint_speeds actual_joint_velocity "
-        "actual_joint_velocities measured_joint_velocity measured_joint_velocities "
-        "joint_vel",
-    ),
-    _joint_channel(
-        "tau",
-        "tau_Nm",
-        TORQUE,
-        "tau tau_j effort torque joint_torque joint_torques",
-        "measured joint torques",
-        machine_words="joint_effort joint_efforts actual_joint_torque "
-        "actual_joint_torques measured_torque measured_torques measured_joint_torque "
-        "measured_joint_torques",
-    ),
-    _joint_channel(
-        "tau_ext",
-        "tau_ext_Nm",
-        TORQUE,
-        "tau_ext tau_external tau_ext_hat tau_ext_hat_filtered external_torque "
-        "external_torques external_joint_torque external_joint_torques",
-        "external joint torques as the robot estimates them",
-    ),
-    _single_channel(
-        "depth",
-        "depth_m",
-        LENGTH,
-        "depth z insertion_depth travel",
-        "depth of the needle tip",
-        machine_words="displacement disp axial_displacement compressive_displacement "
-        "crosshead crosshead_displacement crosshead_position crosshead_travel "
-        "crosshead_extension extension compressive_extension tensile_extension "
-        "primary_extension stroke distance penetration penetration_depth indentation "
-        "needle_displacement needle_depth tip_depth insertion_distance "
-        "grip_separation standard_travel standardweg traverse traversenweg verfahrweg "
-        "weg hub eindringtiefe einstichtiefe déplacement course allongement corsa "
-        "spostamento desplazamiento carrera uzama ストローク 変位 位移",
-        words_with_unit="position pos needle_position axial_position height s x",
-    ),
-    _single_channel(
-        "speed",
-        "speed_m_s",
-        SPEED,
-        "speed v insertion_speed",
-        "rate of depth",
-        words_with_unit="velocity vel crosshead_speed geschwindigkeit vitesse velocità "
-        "velocidad",
-    ),
-    _single_channel(
-        "force",
-        "force_N",
-        FORCE,
-        f"force f fz f_z force_z axial {UNSMOOTHED} axial_force insertion_force",
-        "axial force, positive when tissue pushes back",
-        machine_words="load axial_load compressive_load compression_load tensile_load "
-        "load_cell loadcell needle_force normal_force measured_force standard_force "
-        "test_force compressive_force standardkraft kraft axialkraft prüfkraft "
-        "pruefkraft druckkraft zugkraft last charge forza carico fuerza carga kuvvet "
-        "yük 試験力 荷重 载荷",
-        words_with_unit="reading",
-    ),
-    _single_channel(
-        "force_std",
-        "force_std_N",
-        FORCE,
-        f"force_std axial_std {UNSMOOTHED_STD}",
-        "standard deviation of the force",
-    ),
-    _single_channel(
-        "force_status",
-        "force_status",
-        CODE,
-        "force_status",
-        "whether the force can be used, as `needleforce force` writes it",
-    ),
-    _single_channel(
-        "force_warnings",
-        "force_warnings",
-        CODE,
-        "force_warnings",
-        "what may be wrong with the force, as `needleforce force` writes it",
-    ),
-)
+def _merged(old: Any, new: Any) -> Any:
+    """Return old content with new content added; new texts come before old ones."""
+    if isinstance(old, dict) and isinstance(new, dict):
+        common = {key: _merged(old[key], new[key]) for key in old.keys() & new.keys()}
+        return old | new | common
+    if isinstance(old, list) and isinstance(new, list):
+        # A unit has one factor, at the beginning.
+        has_factor = bool(new) and isinstance(new[0], int | float)
+        return [*new, *(old[1:] if has_factor else old)]
 
-CHANNELS = {channel.name: channel for channel in _ALL_CHANNELS}
+    return new
+
+
+_OWN_FILE = Path(__file__).with_name("layouts.toml")
+
+KNOWLEDGE = load_knowledge()
+"""What is known without a user's files."""
+
+CHANNELS: Mapping[str, Channel] = KNOWLEDGE.channels
 """Every channel by the name that mappings use."""

@@ -5,31 +5,15 @@ up to them would take all memory.
 """
 
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from difflib import get_close_matches
 from itertools import islice
 from typing import NamedTuple
 
-import numpy as np
-
-from needleforce.recordings.channels import (
-    UNSMOOTHED,
-    UNSMOOTHED_STD,
-    Channel,
-    normalised_name,
-)
+from needleforce.recordings.channels import Channel, Knowledge, normalised_name
 from needleforce.recordings.errors import ColumnError, RecordingCode
 from needleforce.recordings.table import Table
-from needleforce.recordings.units import Units, find_unit
-
-MAX_UNIT_PARTS = 3
-"""The longest unit in a name has so many parts: `mm_per_s`."""
-
-MAX_LISTED_NUMBERS = 5
-"""A message lists so many of the numbers that are missing in a family."""
-
-MAX_COMPARED_NAMES = 1000
-"""So many names are compared with one that was not found."""
+from needleforce.recordings.units import Units
 
 _BRACKETED_UNIT = re.compile(
     r"^(?P<stem>.*\S)\s*[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]$"
@@ -42,8 +26,6 @@ _NUMBER_FIRST = re.compile(
     r"(?P<stem>[^\d\W].*)$",
     re.IGNORECASE,
 )
-_RANGE = re.compile(r"\{(?P<first>\d{1,9})\.\.(?P<last>\d{1,9})\}")
-_ELEMENT = re.compile(r"^(?P<name>.+)\[(?P<index>\d{1,9})\]$")
 
 
 class ColumnName(NamedTuple):
@@ -62,18 +44,6 @@ class ColumnName(NamedTuple):
     unit: str | None
 
 
-class NamedValues(NamedTuple):
-    """A column of a table.
-
-    Attributes:
-        name: Of the column, or of an element of it such as `wrench[2]`.
-        values: In the file's unit, shape (n,) or (n, k).
-    """
-
-    name: str
-    values: np.ndarray
-
-
 def parse_column_name(name: str, units: Units) -> ColumnName:
     """Split a column name into its parts.
 
@@ -89,8 +59,7 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
         number = int(match["number"])
         start, end = match.span("number")
         family = name.replace(stem, f"{stem[:start]}#{stem[end:]}", 1)
-        stem = match["stem"]
-        stem = stem.rsplit(".", 1)[-1]
+        stem = match["stem"].rsplit(".", 1)[-1]
         if unit is None:
             stem, unit = split_unit(stem, units)
     elif match := _NUMBER_FIRST.match(stem.rsplit("/", 1)[-1]):
@@ -102,17 +71,13 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
 
 
 def split_unit(name: str, units: Units) -> tuple[str, str | None]:
-    """Split a unit off the end of a name, as in `z [mm]`, `z/mm` or `speed_mm_s`.
-
-    Returns:
-        The name without its unit, and the unit; None without one.
-    """
+    """Split a unit, if there is one, off the end of a name such as `speed_mm_s`."""
     match = _BRACKETED_UNIT.match(name)
-    if match and (unit := find_unit(match["unit"], units)):
+    if match and (unit := units.find(match["unit"])):
         return match["stem"], unit
 
     for head, tail in _possible_units(name):
-        if unit := find_unit(tail, units):
+        if unit := units.find(tail):
             return re.sub(r"[\s,:]+(?:in)?[\s,:]*$", "", head), unit
 
     return name, None
@@ -128,7 +93,7 @@ def _possible_units(name: str) -> Iterator[tuple[str, str]]:
             yield name[: match.start()], name[match.end() :]
 
     for separator in ("_", " "):
-        for part_count in range(MAX_UNIT_PARTS, 0, -1):
+        for part_count in (3, 2, 1):  # the longest is mm_per_s
             head, *tail = name.rsplit(separator, part_count)
             if len(tail) == part_count and head.strip():
                 yield head, separator.join(tail)
@@ -143,8 +108,18 @@ def written_unit(name: str) -> str | None:
     return None if match is None or match["unit"].isdigit() else match["unit"].strip()
 
 
-def find_columns(table: Table, pattern: str) -> list[NamedValues]:
-    """Return the columns that a name or pattern stands for.
+def known_names(cells: Iterable[str], knowledge: Knowledge) -> int:
+    """Return how many cells of a line name a channel."""
+    return sum(
+        parse_column_name(cell, channel.units).stem
+        in (*channel.spellings, *channel.machine_words)
+        for cell in cells
+        for channel in knowledge.channels.values()
+    )
+
+
+def find_columns(table: Table, pattern: str) -> list[str]:
+    """Return the names of the columns that a name or pattern stands for.
 
     In this order: a column of exactly that name; `q{1..7}`, the numbers from 1 to 7;
     `q_*`, all columns with a number in that place; `wrench[2]`, one column (from 0) of
@@ -155,55 +130,43 @@ def find_columns(table: Table, pattern: str) -> list[NamedValues]:
         ColumnError: There is no such column, or a number is missing in a family.
     """
     if pattern in table.columns:
-        return [NamedValues(pattern, table.columns[pattern])]
-    if match := _RANGE.search(pattern):
-        return _find_range(table, pattern, match)
+        return [pattern]
+    if match := re.search(r"\{(\d{1,9})\.\.(\d{1,9})\}", pattern):
+        first, last = match.groups()
+        step = 1 if int(first) <= int(last) else -1
+        width = len(first) if first.startswith("0") else 0
+        # One at a time: the first that is not there ends the search, however long the
+        # range is.
+        columns: list[str] = []
+        for number in range(int(first), int(last) + step, step):
+            numbered = f"{number:0{width}d}".join(pattern.split(match[0], 1))
+            columns += find_columns(table, numbered)
+
+        return columns
 
     escaped = re.escape(pattern)
     if "*" in pattern:
         return _find_numbered(table, pattern, escaped.replace(r"\*", r"(\d{1,9})", 1))
-    if match := _ELEMENT.match(pattern):
-        return [_find_element(table, pattern, match)]
+    if match := re.match(r"^(.+)\[(\d{1,9})\]$", pattern):
+        _require_element(table, pattern, match[1], int(match[2]))
+        return [pattern]
 
     return _find_numbered(table, pattern, rf"{escaped}[_. ]?\[?(\d{{1,9}})\]?")
 
 
-def _find_range(table: Table, pattern: str, match: re.Match[str]) -> list[NamedValues]:
-    """Return the columns of a pattern such as `q{1..7}`, in its order."""
-    first = match["first"]
-    end = match["last"]
-    step = 1 if int(first) <= int(end) else -1
-    width = len(first) if first.startswith("0") else 0
-    head = pattern[: match.start()]
-    tail = pattern[match.end() :]
-
-    columns: list[NamedValues] = []
-    # One at a time: the first that is not there ends the search, however long the range
-    # is.
-    for number in range(int(first), int(end) + step, step):
-        columns += find_columns(table, f"{head}{number:0{width}d}{tail}")
-
-    return columns
-
-
-def _find_element(table: Table, pattern: str, match: re.Match[str]) -> NamedValues:
-    """Return one column of a two-dimensional one, named as in `wrench[2]`."""
-    name = match["name"]
-    index = int(match["index"])
+def _require_element(table: Table, pattern: str, name: str, index: int) -> None:
+    """Raise `ColumnError` unless a column has two dimensions and so many elements."""
     values = table.columns.get(name)
     if values is None or values.ndim != 2:
         raise _not_found(table, pattern)
-
     if index >= values.shape[1]:
         raise ColumnError(
             f"{pattern!r}: column {name!r} has the elements [0] to "
             f"[{values.shape[1] - 1}]"
         )
 
-    return NamedValues(pattern, values[:, index])
 
-
-def _find_numbered(table: Table, pattern: str, expression: str) -> list[NamedValues]:
+def _find_numbered(table: Table, pattern: str, expression: str) -> list[str]:
     """Return columns whose names match an expression, by the number that it captures.
 
     Raises:
@@ -218,12 +181,10 @@ def _find_numbered(table: Table, pattern: str, expression: str) -> list[NamedVal
     if not numbered:
         raise _not_found(table, pattern)
 
-    return _in_order(table, numbered, pattern)
+    return _in_order(numbered, pattern)
 
 
-def _in_order(
-    table: Table, numbered: Mapping[int, str], pattern: str
-) -> list[NamedValues]:
+def _in_order(numbered: Mapping[int, str], pattern: str) -> list[str]:
     """Return a family of columns in the order of their numbers.
 
     Raises:
@@ -231,14 +192,13 @@ def _in_order(
     """
     ordered = sorted(numbered)
     missing = (n for n in range(ordered[0], ordered[-1]) if n not in numbered)
-    if listed := list(islice(missing, MAX_LISTED_NUMBERS)):
+    if listed := list(islice(missing, 5)):
         raise ColumnError(
             f"{pattern!r}: found the numbers {ordered[0]} to {ordered[-1]}, but not "
             f"{', '.join(map(str, listed))}"
         )
 
-    names = [numbered[number] for number in ordered]
-    return [NamedValues(name, table.columns[name]) for name in names]
+    return [numbered[number] for number in ordered]
 
 
 def _not_found(table: Table, pattern: str) -> ColumnError:
@@ -265,24 +225,24 @@ def _hint(names: list[str], pattern: str) -> str:
 
     bracketed = rf"{re.escape(pattern)}\s*[\[(]\D"
     with_unit = [name for name in names if re.match(bracketed, name)]
-    close = with_unit or get_close_matches(pattern, names[:MAX_COMPARED_NAMES], n=1)
+    close = with_unit or get_close_matches(pattern, names[:1000], n=1)
     return f" Did you mean {close[0]!r}?" if close else ""
 
 
-def detect_columns(table: Table, channel: Channel) -> list[NamedValues]:
+def detect_columns(table: Table, channel: Channel) -> list[str]:
     """Return the columns whose names say that they are this channel, in joint order.
 
     Usual names come before the words of testing machines, and these before names that
     say it only beside a unit. A column whose unit is none of the channel's is left out.
 
     Returns:
-        The columns; none if no name says so.
+        Their names; none if no name says so.
 
     Raises:
         ColumnError: Several would fit, or a joint's column is missing.
     """
     fitting = {
-        name: parse_column_name(name, channel.units)
+        name: parse_column_name(_bare_name(table, name), channel.units)
         for name in table.columns
         if states_other_unit(table, name, channel) is None
     }
@@ -303,33 +263,58 @@ def detect_columns(table: Table, channel: Channel) -> list[NamedValues]:
     return []
 
 
+def _bare_name(table: Table, name: str) -> str:
+    """Return a name without what it says in brackets of how its times are written."""
+    is_clock = name in table.seconds
+    return re.sub(r"(?<=\S)\s*\([^()]*\)$", "", name.strip()) if is_clock else name
+
+
 def _only_candidate(
     table: Table, channel: Channel, parsed: Mapping[str, ColumnName]
-) -> list[NamedValues]:
+) -> list[str]:
     """Return the columns of a channel among those whose names say that they are it.
+
+    They are one array, or a family of numbered columns; for a channel of one value a
+    preferred column, or one without a number.
 
     Raises:
         ColumnError: Several would fit, or a joint's column is missing.
     """
-    if channel.per_joint:
-        candidates = _joint_candidates(table, parsed)
-    else:
-        candidates = _single_candidates(table, parsed)
+    families: dict[str, dict[int, str]] = {}
+    candidates: dict[str, list[str]] = {}
+    for name, parts in parsed.items():
+        width = table.width(name)
+        is_numbered = parts.number is not None and table.columns[name].ndim == 1
+        if channel.per_joint and is_numbered:
+            families.setdefault(parts.family, {})[parts.number or 0] = name
+        elif channel.per_joint or width == 1:
+            candidates[name] = [name]
 
+    candidates |= {name: _in_order(each, name) for name, each in families.items()}
+    if not channel.per_joint:
+        plain = [name for name in candidates if parsed[name].number is None]
+        candidates = {name: [name] for name in plain} or candidates
+        best = [name for name in candidates if parsed[name].stem in channel.preferred]
+        candidates = {name: [name] for name in best} or candidates
     if len(candidates) > 1:
-        raise ColumnError(
-            f"{channel.name}: several columns would fit ({', '.join(candidates)})",
-            RecordingCode.COLUMN,
-            **channel.places,
-        )
+        raise several_fit(channel, candidates)
 
     return next(iter(candidates.values()), [])
+
+
+def several_fit(channel: Channel, names: Iterable[str]) -> ColumnError:
+    """Return the error for a channel that several columns would fit."""
+    return ColumnError(
+        f"{channel.name}: several columns would fit ({', '.join(names)})",
+        RecordingCode.COLUMN,
+        **channel.places,
+    )
 
 
 def states_other_unit(table: Table, name: str, channel: Channel) -> str | None:
     """Return the unit that the row of units states, if it is none of the channel's."""
     stated = table.units.get(name)
-    if stated is None or find_unit(stated.text, channel.units) is not None:
+    if stated is None or channel.units.find(stated.text) is not None:
         return None
 
     return stated.text
@@ -351,39 +336,3 @@ def columns_in_other_units(table: Table, channel: Channel) -> dict[str, str]:
             columns[name] = unit
 
     return columns
-
-
-def _joint_candidates(
-    table: Table, parsed: Mapping[str, ColumnName]
-) -> dict[str, list[NamedValues]]:
-    """Return arrays of all joints by name, then families of numbered columns."""
-    candidates: dict[str, list[NamedValues]] = {}
-    families: dict[str, dict[int, str]] = {}
-    for name, parts in parsed.items():
-        values = table.columns[name]
-        if parts.number is not None and values.ndim == 1:
-            families.setdefault(parts.family, {})[parts.number] = name
-        else:
-            candidates[name] = [NamedValues(name, values)]
-
-    for family, numbered in families.items():
-        candidates[family] = _in_order(table, numbered, family)
-
-    return candidates
-
-
-def _single_candidates(
-    table: Table, parsed: Mapping[str, ColumnName]
-) -> dict[str, list[NamedValues]]:
-    """Return columns of one value a row; those without a number come first."""
-    fitting = [name for name in parsed if table.columns[name].shape[1:] in ((), (1,))]
-    plain = [name for name in fitting if parsed[name].number is None]
-    fitting = plain or fitting
-    # `needleforce force` writes a smoothed force, too; whoever filters further wants
-    # the one that is not late.
-    unsmoothed = [
-        name for name in fitting if parsed[name].stem in (UNSMOOTHED, UNSMOOTHED_STD)
-    ]
-    return {
-        name: [NamedValues(name, table.columns[name])] for name in unsmoothed or fitting
-    }

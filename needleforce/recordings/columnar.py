@@ -1,16 +1,15 @@
-"""npz and Parquet: files that hold one column after the other.
+"""npz, Parquet and Feather: files that hold one column after the other.
 
-Both are held in memory as a whole; pickled objects are never loaded.
+They are held in memory as a whole; pickled objects are never loaded.
 """
 
 import zipfile
 from collections import Counter
 from math import prod
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import IO, Any
 
 import numpy as np
-from numpy.typing import NDArray
 
 from needleforce.recordings.errors import (
     FormatError,
@@ -25,6 +24,9 @@ from needleforce.recordings.time_stamps import (
     start_of_clock,
     to_seconds,
 )
+
+ARROW_SUFFIXES = (".parquet", ".feather")
+"""Of files that pyarrow reads."""
 
 BYTES_PER_NUMBER = 8
 """Of a number in memory, as float64 or int64."""
@@ -102,28 +104,32 @@ def _npy_size(stream: IO[bytes]) -> int:
     return prod(shape) * max(dtype.itemsize, BYTES_PER_NUMBER)
 
 
-def read_parquet(path: Path, max_bytes: int) -> Table:
-    """Read the columns of numbers and of time stamps of a Parquet file.
+def read_arrow(path: Path, max_bytes: int) -> Table:
+    """Read the columns of numbers, lists and time stamps of a Parquet or Feather file.
 
-    Empty cells are NaN; time stamps are seconds, without loss. Columns of anything else
-    are left out, with a warning.
+    Empty cells are NaN; time stamps are seconds, without loss; lists of one length are
+    a column of two dimensions. Columns of anything else are left out, with a warning.
 
     Raises:
         RecordingError: As `read_table` does.
     """
-    parquet = optional_library("pyarrow.parquet", "Parquet files")
-    arrow = optional_library("pyarrow", "Parquet files")
+    is_parquet = path.suffix.lower() == ".parquet"
+    kind = "Parquet" if is_parquet else "Feather"
+    arrow = optional_library("pyarrow", f"{kind} files")
+    module = "pyarrow.parquet" if is_parquet else "pyarrow.feather"
+    library = optional_library(module, f"{kind} files")
     try:
-        with parquet.ParquetFile(path, page_checksum_verification=True) as file:
+        if not is_parquet:
+            require_size(path.stat().st_size, max_bytes, f"{path}: what it holds")
+            content = library.read_table(path, use_threads=False)
+            require_size(content.nbytes, max_bytes, f"{path}: what it holds")
+            return _arrow_table(path, content, content.schema.metadata, arrow)
+
+        with library.ParquetFile(path, page_checksum_verification=True) as file:
             size = _parquet_size(file.metadata)
             require_size(size, max_bytes, f"{path}: what it holds")
-            name_counts = Counter(file.schema_arrow.names)
-            if twice := [name for name, count in name_counts.items() if count > 1]:
-                raise FormatError(
-                    f"{path} has more than one column {twice[0]!r}; rename the others"
-                )
-
-            return _parquet_table(path, file, arrow)
+            content = file.read(use_threads=False)
+            return _arrow_table(path, content, file.schema_arrow.metadata, arrow)
     except (arrow.ArrowException, UnicodeDecodeError, OSError) as error:
         # Arrow's own failures come as OSError too, but have no number.
         if getattr(error, "errno", None) is not None:
@@ -131,9 +137,9 @@ def read_parquet(path: Path, max_bytes: int) -> Table:
                 raise
 
         raise FormatError(
-            f"{path} is not a Parquet file, or it is damaged or cut short: a Parquet "
-            "file ends with its table of contents, so that nothing can be read without "
-            f"its end ({error})",
+            f"{path} is not a {kind} file, or it is damaged or cut short: such a file "
+            "ends with its table of contents, so that nothing can be read without its "
+            f"end ({error})",
             RecordingCode.CUT,
         ) from error
 
@@ -151,29 +157,66 @@ def _parquet_size(metadata: Any) -> int:
     return max(BYTES_PER_NUMBER * number_count, packed_size)
 
 
-class _Stamps(NamedTuple):
-    """Time stamps of a Parquet column: whole nanoseconds, and which are not empty."""
+def _arrow_table(
+    path: Path, content: Any, metadata: dict[bytes, bytes] | None, arrow: Any
+) -> Table:
+    """Return the columns of a table of pyarrow, those that hold numbers."""
+    for name, count in Counter(content.column_names).items():
+        if count > 1:
+            raise FormatError(
+                f"{path} has more than one column {name!r}; rename the others"
+            )
 
-    stamps_ns: NDArray[np.int64]
-    is_known: NDArray[np.bool_]
+    columns: dict[str, np.ndarray] = {}
+    warnings: list[str] = []
+    seconds: set[str] = set()
+    start_ns = int((metadata or {}).get(START_KEY.encode(), 0))
+    for name in content.column_names if content.num_rows else ():
+        cells = content.column(name).combine_chunks()
+        try:
+            if arrow.types.is_timestamp(cells.type):
+                zone = cells.type.tz
+                stamps = cells.cast(arrow.timestamp("ns", zone)).cast(arrow.int64())
+                is_known = cells.is_valid().to_numpy(zero_copy_only=False)
+                stamps_ns = stamps.fill_null(0).to_numpy(zero_copy_only=False)
+                if is_known.any():
+                    first_ns = first_valid_stamp(stamps_ns[is_known])
+                    start_ns = start_ns or start_of_clock(first_ns)
 
+                seconds_s = to_seconds(stamps_ns, start_ns)
+                columns[name] = np.where(is_known, seconds_s, np.nan)
+                seconds.add(name)
+            else:
+                columns[name] = _read_numbers(cells, arrow)
+        except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError, TypeError):
+            warnings.append(
+                f"column {name!r} holds {cells.type}, no numbers, and was left out"
+            )
 
-def _read_stamps(cells: Any, arrow: Any) -> _Stamps:
-    """Return a column of time stamps, of any unit, in nanoseconds."""
-    zone = cells.type.tz
-    nanoseconds = cells.cast(arrow.timestamp("ns", zone)).cast(arrow.int64())
-    is_known = cells.is_valid().to_numpy(zero_copy_only=False)
-    stamps_ns = nanoseconds.fill_null(0).to_numpy(zero_copy_only=False)
-    return _Stamps(stamps_ns, is_known)
+    if not columns:
+        left_out = "".join(f" ({warning})" for warning in warnings)
+        raise FormatError(
+            f"{path} holds {content.num_rows} rows without numbers{left_out}"
+        )
+
+    return Table(
+        columns=columns,
+        warnings=tuple(warnings),
+        start_ns=start_ns,
+        seconds=frozenset(seconds),
+    )
 
 
 def _read_numbers(cells: Any, arrow: Any) -> np.ndarray:
-    """Return a column of numbers, empty cells as NaN.
+    """Return a column of numbers, empty cells as NaN, or of lists of these.
 
     Raises:
-        TypeError, ArrowInvalid, ArrowNotImplementedError: It holds no numbers.
+        TypeError, ArrowInvalid, ArrowNotImplementedError: It holds none.
     """
     types = arrow.types
+    is_list = (types.is_list, types.is_large_list, types.is_fixed_size_list)
+    if any(is_kind(cells.type) for is_kind in is_list):
+        return _read_lists(cells, arrow)
     if types.is_string(cells.type) or types.is_large_string(cells.type):
         raise TypeError("text, which a cast would read as numbers")
     if not types.is_integer(cells.type) or cells.null_count:
@@ -183,41 +226,17 @@ def _read_numbers(cells: Any, arrow: Any) -> np.ndarray:
     return cells.to_numpy(zero_copy_only=False)
 
 
-def _parquet_table(path: Path, file: Any, arrow: Any) -> Table:
-    """Return the columns of an open Parquet file as a table."""
-    columns: dict[str, np.ndarray] = {}
-    warnings: list[str] = []
-    seconds: set[str] = set()
-    metadata = file.schema_arrow.metadata or {}
-    start_ns = int(metadata.get(START_KEY.encode(), 0))
-    for name in file.schema_arrow.names if file.metadata.num_rows else ():
-        cells = file.read(columns=[name]).column(0).combine_chunks()
-        if arrow.types.is_timestamp(cells.type):
-            stamps_ns, is_known = _read_stamps(cells, arrow)
-            if is_known.any():
-                first_ns = first_valid_stamp(stamps_ns[is_known])
-                start_ns = start_ns or start_of_clock(first_ns)
+def _read_lists(cells: Any, arrow: Any) -> np.ndarray:
+    """Return a column of lists, shape (n, k); those of another length are NaN.
 
-            columns[name] = np.where(is_known, to_seconds(stamps_ns, start_ns), np.nan)
-            seconds.add(name)
-            continue
-
-        try:
-            columns[name] = _read_numbers(cells, arrow)
-        except (arrow.ArrowInvalid, arrow.ArrowNotImplementedError, TypeError):
-            warnings.append(
-                f"column {name!r} holds {cells.type}, no numbers, and was left out"
-            )
-
-    if not columns:
-        left_out = "".join(f" ({warning})" for warning in warnings)
-        raise FormatError(
-            f"{path} holds {file.metadata.num_rows} rows without numbers{left_out}"
-        )
-
-    return Table(
-        columns=columns,
-        warnings=tuple(warnings),
-        start_ns=start_ns,
-        seconds=frozenset(seconds),
-    )
+    Raises:
+        TypeError, ArrowInvalid, ArrowNotImplementedError: They hold no numbers.
+    """
+    compute = optional_library("pyarrow.compute", "Parquet files")
+    lengths = compute.list_value_length(cells).fill_null(-1).to_numpy()
+    width = int(np.bincount(lengths[lengths > 0], minlength=2).argmax())
+    is_usual = lengths == width
+    numbers = compute.list_flatten(cells.filter(arrow.array(is_usual)))
+    rows = np.full((len(lengths), width), np.nan)
+    rows[is_usual] = _read_numbers(numbers, arrow).reshape(-1, width)
+    return rows

@@ -1,24 +1,17 @@
 """CSV and its kin, plain or compressed with gzip: read whole or as it comes."""
 
 import re
-from collections import deque
-from collections.abc import Iterable, Iterator, Sequence
+from collections import Counter, deque
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
+from dataclasses import replace
 from math import nan
 
 import numpy as np
 
-from needleforce.recordings.csv_header import (
-    COMMENT,
-    WHITE_SPACE,
-    NumberedRow,
-    TableStart,
-    find_table,
-    split_line,
-)
+from needleforce.recordings.channels import KNOWLEDGE, Knowledge
 from needleforce.recordings.errors import (
     MAX_BYTES,
-    FaultCount,
     FaultCounts,
     FormatError,
     require_size,
@@ -29,14 +22,32 @@ from needleforce.recordings.exported_joints import (
     group_columns,
 )
 from needleforce.recordings.follow import FollowOptions
-from needleforce.recordings.table import HEAD_ROWS, START_KEY, StatedUnit, Table
+from needleforce.recordings.table import HEAD_ROWS, START_KEY, Table, TableColumns
 from needleforce.recordings.text_lines import TextLines
-from needleforce.recordings.time_stamps import exceed_float64
+from needleforce.recordings.text_table import (
+    COMMENT,
+    WHITE_SPACE,
+    NumberedLine,
+    TableStart,
+    find_table,
+    split_line,
+)
+from needleforce.recordings.time_stamps import (
+    exceed_float64,
+    first_valid_stamp,
+    start_of_clock,
+    to_seconds,
+)
 from needleforce.recordings.written_numbers import (
-    Commas,
+    UNKNOWN_NS,
+    is_list,
+    is_number,
+    list_numbers,
     meaning_of_commas,
+    read_clock_ns,
+    read_clocks_ns,
+    read_lists,
     read_number,
-    read_with_commas,
 )
 
 CSV_SUFFIXES = (
@@ -51,121 +62,303 @@ CSV_SUFFIXES = (
     ".lvm",
 )
 
-ROW_BYTES = 100
-"""Memory that Python adds to the text of a row."""
-
-MAX_LINES_WITHOUT_ROW = 1_000_000
-"""A megabyte of gzip can hold a thousand million line ends, which take minutes to
-look at."""
-
-LINES_LOOKED_AT = (HEAD_ROWS + 1, HEAD_ROWS + 50, 400, 800, 1600, 3200, 5000)
-"""After so many lines, blank ones and comments aside, the table is looked for; the last
-time it must be there."""
-
-NAMING_COMMENTS = 2
-"""So many comments above the first row may hold its names and units."""
-
-_START_COMMENT = re.compile(rf"{COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$")
 _NUL = "\0"
 
 
-class _CsvRows:
-    """Sorts lines into what stands above the table, comments and rows.
+class _Rows:
+    """Reads the rows of a table, column by column.
 
-    Lines starting with `#` are comments. Where the table begins is decided from the
-    first rows, see `find_table`. Rows with another number of cells than the header are
-    left out, and so are columns without any number in the first rows read; which these
-    are does not depend on how the lines come.
+    What a column holds is decided from the first rows that are read: numbers, times,
+    lists of numbers; or text, and it is left out. Rows with another number of cells
+    than the header are left out.
 
     Attributes:
-        names: Of the columns, unique; one without a name is `column_N`. None before the
-            table has been found.
-        units: What a row of units says, by name of the column.
-        waiting: Rows that wait to be read; before the table has been found all lines.
-        omitted: Which columns are left out, by their place, and why.
+        start: How the table begins.
         faults: What is wrong with rows and cells.
-        joint_groups: Columns that hold joints by name, once the first rows were read.
+        omitted: Why columns are left out, by name.
+        joint_groups: Columns that hold joints by name.
     """
 
-    def __init__(self) -> None:
-        self.names: tuple[str, ...] = ()
-        self.units: dict[str, StatedUnit] = {}
-        self.waiting: list[NumberedRow] = []
-        self.omitted: dict[int, str] = {}
+    def __init__(
+        self, start: TableStart, head: Sequence[NumberedLine], knowledge: Knowledge
+    ) -> None:
+        self.start = start
         self.faults = FaultCounts()
+        self.omitted: dict[str, str] = {}
         self.joint_groups: list[JointGroup] = []
-        self._delimiter = ","
-        self._commas = Commas.UNKNOWN
-        self._comments: deque[NumberedRow] = deque(maxlen=NAMING_COMMENTS)
-        self._header_warnings: tuple[str, ...] = ()
-        self._has_header = False
-        self._looks = 0
+        self._knowledge = knowledge
+        self._commas = meaning_of_commas(
+            cell for line in head for cell in split_line(line.text, start.delimiter)
+        )
+        self._clocks: dict[str, int | None] = {}  # with their latest time
+        self._lists: dict[str, int] = {}  # with their width
+        self._is_chosen = False
+        self.start_ns = 0
+
+    def read(self, lines: Sequence[NumberedLine]) -> TableColumns:
+        """Return the columns of rows; the first ones decide what each holds.
+
+        Raises:
+            FormatError: No row of these, or no column, can be read.
+        """
+        at_once = self._read_at_once(lines)
+        if at_once is not None:
+            return group_columns(at_once, self.joint_groups)
+
+        numbers, rows = self._split(lines)
+        names = self.start.names
+        columns_of_cells = list(zip(*rows, strict=True)) or [()] * len(names)
+        cells_of = dict(zip(names, columns_of_cells, strict=True))
+        if not self._is_chosen:
+            self._choose(cells_of, numbers)
+
+        columns: dict[str, np.ndarray] = {}
+        for name, cells in cells_of.items():
+            if name in self._clocks:
+                columns[name] = self._read_clocks(name, cells, numbers)
+            elif name in self._lists:
+                columns[name] = read_lists(cells, self._lists[name])
+            elif name not in self.omitted:
+                columns[name] = self._read_numbers(name, cells, numbers)
+
+        for values in columns.values():
+            values.setflags(write=False)
+
+        self._is_chosen = True
+        return group_columns(columns, self.joint_groups)
+
+    def _read_at_once(self, lines: Sequence[NumberedLine]) -> TableColumns | None:
+        """Return the columns of rows if every cell is a number, else None.
+
+        This takes half the time of reading column by column.
+        """
+        if not self._is_chosen or self.omitted or self._clocks or self._lists:
+            return None
+
+        texts = [text for _, text in lines]
+        delimiter = self.start.delimiter
+        try:
+            values = np.loadtxt(
+                texts,
+                delimiter=None if delimiter == WHITE_SPACE else delimiter,
+                comments=None,
+                ndmin=2,
+            )
+        except ValueError:
+            return None
+
+        if values.shape[1] != len(self.start.names) or exceed_float64(values):
+            return None
+
+        return dict(zip(self.start.names, values.T.copy(), strict=True))
+
+    @property
+    def clocks(self) -> frozenset[str]:
+        """Names of the columns of times, which are read in seconds."""
+        return frozenset(self._clocks)
+
+    def _split(
+        self, lines: Sequence[NumberedLine]
+    ) -> tuple[list[int], list[list[str]]]:
+        """Return the numbers and the cells of rows that have the header's cells."""
+        width = len(self.start.names)
+        numbers: list[int] = []
+        rows: list[list[str]] = []
+        for number, text in lines:
+            cells = split_line(text, self.start.delimiter)
+            while len(cells) > width and not cells[-1].strip():
+                cells.pop()
+
+            if _NUL in text:
+                self.faults.note("rows with NUL bytes, left out", f"line {number}")
+            elif len(cells) != width:
+                self.faults.note(
+                    f"rows without the header's {width} cells, left out",
+                    f"line {number} with {len(cells)}",
+                )
+            else:
+                numbers.append(number)
+                rows.append(cells)
+
+        return numbers, rows
+
+    def _choose(
+        self, cells_of: Mapping[str, Sequence[str]], numbers: list[int]
+    ) -> None:
+        """Decide from the first rows what each column holds."""
+        if not numbers:
+            fault, (_, first) = next(iter(self.faults.items()))
+            raise FormatError(f"no row can be read: {fault} (first: {first})")
+
+        for name, cells in cells_of.items():
+            if any(map(is_number, cells)):
+                continue
+
+            filled = [cell for cell in cells if cell.strip()]
+            if filled and all(read_clock_ns(cell) is not None for cell in filled):
+                self._clocks[name] = None
+            elif filled and all(map(is_list, filled)):
+                widths = Counter(len(list_numbers(cell)) for cell in filled)
+                self._lists[name] = widths.most_common(1)[0][0]
+            else:
+                reason = "is empty"
+                if filled:
+                    line = numbers[cells.index(filled[0])]
+                    reason = f"holds text (line {line}, {filled[0].strip()[:40]!r})"
+
+                self.omitted[name] = f"column {name!r} {reason} and was left out"
+
+        if len(self.omitted) == len(cells_of):
+            reasons = "; ".join(self.omitted.values())
+            raise FormatError(f"no column holds a number: {reasons[:500]}")
+
+        texts = {name: cells_of[name][0].strip() for name in self.omitted}
+        kept = [name for name in cells_of if name not in self.omitted]
+        self.joint_groups = find_joint_groups(kept, texts, self._knowledge.joints)
+
+    def notes(self) -> list[str]:
+        """Return why columns are left out, but those that name joints."""
+        used = {name for group in self.joint_groups for name in group.sources}
+        return [text for name, text in self.omitted.items() if name not in used]
+
+    def _read_clocks(
+        self, name: str, cells: Sequence[str], numbers: Sequence[int]
+    ) -> np.ndarray:
+        """Return a column of times in seconds, NaN where there is none."""
+        stamps_ns = read_clocks_ns(cells, self._clocks[name])
+        is_known = stamps_ns != UNKNOWN_NS
+        for row in np.flatnonzero(~is_known).tolist():
+            self._note_cell(name, cells[row], numbers[row])
+
+        if is_known.any():
+            if self._clocks[name] is None:
+                first_ns = first_valid_stamp(stamps_ns[is_known])
+                self.start_ns = self.start_ns or start_of_clock(first_ns)
+
+            self._clocks[name] = int(stamps_ns[is_known][-1])
+
+        return np.where(is_known, to_seconds(stamps_ns, self.start_ns), nan)
+
+    def _read_numbers(
+        self, name: str, cells: Sequence[str], numbers: Sequence[int]
+    ) -> np.ndarray:
+        """Return a column of numbers, NaN where there is none; count what is odd."""
+        try:
+            if "_" in "".join(cells):
+                raise ValueError  # 1_0 is 10 for Python, and damage in a file
+
+            values = np.fromiter(map(float, cells), np.float64, len(cells))
+        except ValueError:
+            found = [
+                self._number(name, cell, line)
+                for cell, line in zip(cells, numbers, strict=True)
+            ]
+            return np.array(found, dtype=np.float64)
+
+        if exceed_float64(values):
+            with suppress(ValueError, OverflowError):  # some are no whole numbers
+                return np.array([int(cell) for cell in cells], dtype=np.int64)
+
+        return values
+
+    def _number(self, name: str, cell: str, line: int) -> float:
+        """Return the number in a cell, NaN if there is none; count what is odd."""
+        value = read_number(cell, self._commas)
+        if value is None:
+            self._note_cell(name, cell, line)
+            return nan
+        if "," in cell:
+            self.faults.note(self._commas.value, f"line {line}")
+
+        return value
+
+    def _note_cell(self, name: str, cell: str, line: int) -> None:
+        """Count a cell of text where there should be a number."""
+        if text := cell.strip():
+            self.faults.note(
+                f"column {name!r}: cells that are not numbers, read as NaN",
+                f"line {line}, {text[:40]!r}",
+            )
+
+
+class _CsvText:
+    """Sorts lines into what stands above the table, comments and rows.
+
+    Lines starting with `#` are comments. Whatever the pieces in which lines come, the
+    table is looked for after the same numbers of them.
+
+    Attributes:
+        rows: The reader of the table; None before it has been found.
+        waiting: Rows that wait to be read; before the table has been found all lines.
+    """
+
+    def __init__(self, knowledge: Knowledge) -> None:
+        self.rows: _Rows | None = None
+        self.waiting: list[NumberedLine] = []
+        self.start_ns = 0
+        self._knowledge = knowledge
+        # Two comments above the first row may hold its names and units.
+        self._comments: deque[NumberedLine] = deque(maxlen=2)
+        # After so many lines the table is looked for; the last time it must be there.
+        self._looks = [HEAD_ROWS + 1, HEAD_ROWS + 50, 400, 800, 1600, 3200, 5000]
         self._line_count = 0
         self._latest_row_line = 0
-        self._start_ns = 0
-        self._is_chosen = False  # which columns are left out
-        self._has_number: set[int] = set()
 
     def add(self, lines: Sequence[str]) -> None:
         """Add whole lines.
 
         Raises:
-            FormatError: There is no table in very many lines, or no row has come for
-                very many.
+            FormatError: No row has come for very many lines.
         """
-        for line_number, line in enumerate(lines, self._line_count + 1):
+        for number, line in enumerate(lines, self._line_count + 1):
             if _is_row(line):
-                self.waiting.append(NumberedRow(line_number, line))
+                self.waiting.append(NumberedLine(number, line))
             elif not self.waiting and line.strip():
-                self._comments.append(NumberedRow(line_number, line))
-                if match := _START_COMMENT.match(line):
-                    self._start_ns = int(match[1])
+                self._comments.append(NumberedLine(number, line))
+                if match := re.match(
+                    rf"{COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$", line
+                ):
+                    self.start_ns = int(match[1])
 
         self._line_count += len(lines)
         if self.waiting:
-            self._latest_row_line = self.waiting[-1].line_number
+            self._latest_row_line = self.waiting[-1].number
 
-        if self._line_count - self._latest_row_line > MAX_LINES_WITHOUT_ROW:
+        # A megabyte of gzip can hold a thousand million line ends.
+        max_count = 1_000_000
+        if self._line_count - self._latest_row_line > max_count:
             raise FormatError(
-                f"{MAX_LINES_WITHOUT_ROW} lines after line {self._latest_row_line} are "
-                "blank or comments; it is damaged, or no table"
+                f"{max_count} lines after line {self._latest_row_line} are blank or "
+                "comments; it is damaged, or no table"
             )
 
     def find_head(self) -> bool:
         """Return whether the table has been found, and its first rows have come.
 
-        Whatever the pieces in which lines come, the same numbers of them are looked at.
-
         Raises:
             FormatError: In very many lines there is no table.
         """
-        while not self.names and len(self.waiting) >= LINES_LOOKED_AT[self._looks]:
-            lines = self.waiting[: LINES_LOOKED_AT[self._looks]]
-            self._looks += 1
-            if self._looks == len(LINES_LOOKED_AT):
-                self._begin(find_table(lines, self._comments))
+        while self.rows is None and len(self.waiting) >= self._looks[0]:
+            lines = self.waiting[: self._looks.pop(0)]
+            if not self._looks:
+                self._begin(lines)
                 break
 
             with suppress(FormatError):
-                start = find_table(lines, self._comments)
-                if start.row_count >= HEAD_ROWS:
-                    self._begin(start)
+                self._begin(lines, HEAD_ROWS)
 
-        return bool(self.names) and len(self.waiting) >= HEAD_ROWS
+        return self.rows is not None and len(self.waiting) >= HEAD_ROWS
 
-    def _begin(self, start: TableStart) -> None:
-        """Take the names of a table that was found; what stands above it goes."""
-        self.names = start.names
-        self.units = start.units
-        self._delimiter = start.delimiter
-        self._has_header = bool(start.header_line)
-        self._header_warnings = start.warnings
-        self.waiting = self.waiting[start.first_row :]
-        self._commas = meaning_of_commas(
-            cell
-            for row in self.waiting[:HEAD_ROWS]
-            for cell in split_line(row.text, self._delimiter)
-        )
+    def _begin(self, lines: Sequence[NumberedLine], min_rows: int = 0) -> None:
+        """Find the table in the first lines; what stands above it goes.
+
+        It is not taken if so few of its rows are there that it may be another one.
+        """
+        start = find_table(lines, self._comments, self._knowledge)
+        if start.row_count >= min_rows:
+            self.waiting = self.waiting[start.first_row :]
+            self.rows = _Rows(start, self.waiting[:HEAD_ROWS], self._knowledge)
+            self.rows.start_ns = self.start_ns
 
     def end(self, tail: str, *, is_growing: bool) -> None:
         """Add what stands behind the last line end.
@@ -176,197 +369,53 @@ class _CsvRows:
         Raises:
             FormatError: There is no table.
         """
-        if not self.names:
+        if self.rows is None:
             with suppress(FormatError):
-                self._begin(find_table(self.waiting, self._comments))
+                self._begin(self.waiting)
 
-        if self.names and _is_row(tail):
-            cell_count = len(split_line(tail, self._delimiter))
-            if cell_count < len(self.names) or is_growing:
-                self.faults.note(
+        if self.rows is not None and _is_row(tail):
+            start = self.rows.start
+            cell_count = len(split_line(tail, start.delimiter))
+            if cell_count < len(start.names) or is_growing:
+                self.rows.faults.note(
                     f"line {self._line_count + 1}, the last, is cut short "
-                    f"({cell_count} of {len(self.names)} cells) and was left out",
+                    f"({cell_count} of {len(start.names)} cells) and was left out",
                     "",
                 )
                 tail = ""
 
         self.add([tail])
-        if not self.names:
-            self._begin(find_table(self.waiting, self._comments))
+        if self.rows is None:
+            self._begin(self.waiting)
 
-    def _split_row(self, line: str) -> list[str]:
-        """Split a row into cells, without empty ones behind the header's."""
-        cells = split_line(line, self._delimiter)
-        while len(cells) > len(self.names) and not cells[-1].strip():
-            cells.pop()
-
-        return cells
-
-    def read_waiting(self) -> Table:
-        """Return waiting rows as a table, at first `HEAD_ROWS` of them.
-
-        The first ones say which columns are left out.
-        """
-        rows = self.waiting if self._is_chosen else self.waiting[:HEAD_ROWS]
-        values = self._read_fast(rows)
-        if values is None:
-            values = self._read_by_cell(rows)
-            if not self._is_chosen:
-                self._choose_columns(len(values))
-        if not self._is_chosen:
-            self._group_joints(rows)
-
-        warnings: tuple[str, ...] = ()
-        if not self._is_chosen:
-            used = {name for group in self.joint_groups for name in group.sources}
-            left_out = (
-                reason
-                for i, reason in self.omitted.items()
-                if self.names[i] not in used
-            )
-            warnings = (*self._header_warnings, *left_out)
-
-        self._is_chosen = True
-
-        columns: dict[str, np.ndarray] = {
-            name: values[:, i]
-            for i, name in enumerate(self.names)
-            if i not in self.omitted
-        }
-        self._restore_large_integers(columns, rows)
-        self.waiting = self.waiting[len(rows) :]
-        if self.joint_groups:
-            columns = group_columns(columns, self.joint_groups)
-
+    def read_head(self) -> Table:
+        """Return the first rows as a table that says what is known of its columns."""
+        rows = self.rows
+        assert rows is not None
+        start = rows.start
+        columns = rows.read(self._taken(HEAD_ROWS))
         return Table(
             columns=columns,
-            joint_names={group.column: group.joints for group in self.joint_groups},
-            start_ns=self._start_ns,
-            warnings=warnings,
-            units=self.units,
-            has_header=self._has_header,
+            joint_names={group.column: group.joints for group in rows.joint_groups},
+            start_ns=rows.start_ns,
+            seconds=rows.clocks,
+            warnings=(*start.warnings, *rows.notes()),
+            units=start.units,
+            has_header=start.has_header,
+            layout=start.layout,
         )
 
-    def _read_fast(self, rows: list[NumberedRow]) -> np.ndarray | None:
-        """Return the numbers in rows, shape (n, k), if all cells hold numbers."""
-        lines = [row.text for row in rows]
-        comma_count = 0
-        if self._delimiter != "," and self._commas is Commas.DECIMAL:
-            comma_count = sum(line.count(",") for line in lines)
-            lines = [line.replace(",", ".") for line in lines]
+    def read_waiting(self, head: Table) -> Table:
+        """Return the rows that wait as a table like the first."""
+        assert self.rows is not None
+        columns = self.rows.read(self._taken(len(self.waiting)))
+        return replace(head, columns=columns, warnings=())
 
-        delimiter = None if self._delimiter == WHITE_SPACE else self._delimiter
-        quote = '"' if lines and '"' in lines[0] else None
-        try:
-            values = np.loadtxt(
-                lines, delimiter=delimiter, comments=None, ndmin=2, quotechar=quote
-            )
-        except ValueError:
-            return None
-
-        if values.shape[1] != len(self.names):
-            return None
-
-        if comma_count:
-            first = next(row.line_number for row in rows if "," in row.text)
-            self.faults.note(self._commas.value, f"line {first}", comma_count)
-
-        return values
-
-    def _read_by_cell(self, rows: list[NumberedRow]) -> np.ndarray:
-        """Return the numbers in rows, shape (n, k), and note what is wrong."""
-        width = len(self.names)
-        numbers = []
-        for line_number, line in rows:
-            if _NUL in line:
-                place = f"line {line_number}"
-                self.faults.note("rows with NUL bytes, left out", place)
-                continue
-
-            cells = self._split_row(line)
-            if len(cells) == width:
-                numbers.append(self._read_cells(line_number, cells))
-            else:
-                self.faults.note(
-                    f"rows without the header's {width} cells, left out",
-                    f"line {line_number} with {len(cells)}",
-                )
-
-        return np.array(numbers, dtype=np.float64).reshape(-1, width)
-
-    def _restore_large_integers(
-        self, columns: dict[str, np.ndarray], rows: list[NumberedRow]
-    ) -> None:
-        """Read whole numbers that float64 would round once more, as int64."""
-        for name, values in list(columns.items()):
-            if not exceed_float64(values):
-                continue
-
-            place = self.names.index(name)
-            all_cells = (self._split_row(row.text) for row in rows)
-            texts = [
-                cells[place]
-                for row, cells in zip(rows, all_cells, strict=True)
-                if len(cells) == len(self.names) and _NUL not in row.text
-            ]
-            with suppress(ValueError, OverflowError):  # some are no whole numbers
-                columns[name] = np.array([int(text) for text in texts], dtype=np.int64)
-
-    def _read_cells(self, line_number: int, cells: list[str]) -> list[float]:
-        """Return the numbers in a row's cells; what is none is NaN.
-
-        Text is noted as a fault.
-        """
-        values = []
-        for i, text in enumerate(cells):
-            cell = text.strip()
-            value = read_number(cell)
-            if value is None and "," in cell:
-                value = read_with_commas(cell, self._commas)
-                if value is not None:
-                    self.faults.note(self._commas.value, f"line {line_number}")
-
-            if value is not None:
-                self._has_number.add(i)
-            elif cell and i not in self.omitted:
-                place = f"line {line_number}, {cell[:40]!r}"
-                self.faults.note(self._not_numbers(i), place)
-
-            values.append(nan if value is None else value)
-
-        return values
-
-    def _not_numbers(self, column: int) -> str:
-        """Return the kind of fault that a column has cells of text."""
-        return f"column {self.names[column]!r}: cells that are not numbers, read as NaN"
-
-    def _group_joints(self, rows: list[NumberedRow]) -> None:
-        """Find the columns that hold joints by name, from the first rows."""
-        all_cells = [self._split_row(row.text) for row in rows[:1]]
-        texts = {
-            self.names[i]: cells[i].strip()
-            for cells in all_cells
-            for i in self.omitted
-            if i < len(cells)
-        }
-        kept = [name for i, name in enumerate(self.names) if i not in self.omitted]
-        self.joint_groups = find_joint_groups(kept, texts)
-
-    def _choose_columns(self, row_count: int) -> None:
-        """Decide from the first rows which columns are left out."""
-        width = len(self.names)
-        if not row_count:
-            fault, (_, first) = next(iter(self.faults.items()))
-            raise FormatError(f"no row can be read: {fault} (first: {first})")
-
-        for i in sorted(set(range(width)) - self._has_number):
-            text = self.faults.pop(self._not_numbers(i), FaultCount(0, "")).first
-            reason = f"holds text ({text})" if text else "is empty"
-            self.omitted[i] = f"column {self.names[i]!r} {reason} and was left out"
-
-        if len(self.omitted) == width:
-            reasons = "; ".join(self.omitted.values())
-            raise FormatError(f"no column holds a number: {reasons[:500]}")
+    def _taken(self, count: int) -> list[NumberedLine]:
+        """Remove and return the first rows that wait."""
+        taken = self.waiting[:count]
+        self.waiting = self.waiting[count:]
+        return taken
 
 
 def _is_row(line: str) -> bool:
@@ -379,6 +428,7 @@ def csv_tables(
     name: str,
     options: FollowOptions | None = None,
     max_bytes: int = MAX_BYTES,
+    knowledge: Knowledge = KNOWLEDGE,
 ) -> Iterator[Table]:
     """Read CSV text in blocks as it comes: a header row, then rows of numbers.
 
@@ -388,6 +438,7 @@ def csv_tables(
         options: A source that grows may end in the middle of a line that is being
             written.
         max_bytes: The most memory that rows may take before they are read.
+        knowledge: Names, units and layouts that are known.
 
     Yields:
         Tables of consecutive rows with equal columns, the first of `HEAD_ROWS` rows if
@@ -397,34 +448,40 @@ def csv_tables(
     Raises:
         FormatError: It is no such text, or has too long lines.
     """
-    lines = TextLines(blocks)
-    rows = _CsvRows()
+    lines = TextLines(blocks, knowledge)
+    text = _CsvText(knowledge)
     options = options or FollowOptions()
-    is_first = True
+    head: Table | None = None
+    row_bytes = 100  # that Python adds to the text of a row
     read_bytes = 0
     try:
         for batch in lines:
-            rows.add(batch)
-            while rows.find_head() if is_first else rows.waiting:
-                yield rows.read_waiting()
-                is_first = False
+            text.add(batch)
+            if head is None and text.find_head():
+                head = text.read_head()
+                yield head
+                read_bytes = lines.size
+            if head is not None and text.waiting:
+                yield text.read_waiting(head)
                 read_bytes = lines.size
 
-            waiting_bytes = lines.size - read_bytes + ROW_BYTES * len(rows.waiting)
+            waiting_bytes = lines.size - read_bytes + row_bytes * len(text.waiting)
             require_size(waiting_bytes, max_bytes, "its text")
 
         if options.should_stop():
             lines.forgive_end()
 
-        rows.end(lines.tail, is_growing=options.follow)
-        if rows.waiting or is_first:
-            yield rows.read_waiting()
+        text.end(lines.tail, is_growing=options.follow)
+        if head is None:
+            head = text.read_head()
+            yield head
+        if text.waiting:
+            yield text.read_waiting(head)
     except FormatError as error:
         losses = "".join(f" ({warning})" for warning in lines.warnings)
         raise error.reworded(f"{name}: {error}{losses}") from error
 
-    names = [name for i, name in enumerate(rows.names) if i not in rows.omitted]
-    no_rows = group_columns(dict.fromkeys(names, np.empty(0)), rows.joint_groups)
-    warnings = (*lines.warnings, *rows.faults.lines())
-    joint_names = {group.column: group.joints for group in rows.joint_groups}
-    yield Table(columns=no_rows, warnings=warnings, joint_names=joint_names)
+    assert text.rows is not None
+    no_rows = {column: values[:0] for column, values in head.columns.items()}
+    warnings = (*lines.warnings, *text.rows.faults.lines())
+    yield replace(head, columns=no_rows, warnings=warnings)

@@ -41,6 +41,7 @@ BINARY = {
     b"SQLi": ".db3",
     b"PK\x03\x04": ".npz",
     b"PAR1": ".parquet",
+    b"ARRO": ".feather",
 }
 """How files begin that are no text, and their suffixes."""
 

@@ -7,26 +7,14 @@ robot's description says `panda_joint1`.
 import re
 from collections.abc import Collection, Iterator, Sequence
 from fnmatch import fnmatchcase
-from itertools import takewhile
+from os.path import commonprefix
 from typing import NamedTuple
 
-from needleforce.recordings.channels import Channel
+from needleforce.recordings.channels import Channel, JointRules
 from needleforce.recordings.errors import ColumnError, RecordingCode
-
-MAX_NAMES = 2000
-"""So many names are searched for joints."""
+from needleforce.recordings.mapping import ColumnMapping
 
 _SEPARATOR = re.compile(r"[^A-Za-z0-9]")
-_NOT_MEASURED = {
-    "desired",
-    "command",
-    "commanded",
-    "cmd",
-    "target",
-    "goal",
-    "reference",
-}
-_EXTERNAL = {"ext", "external"}
 
 
 class JointMatch(NamedTuple):
@@ -49,14 +37,14 @@ def match_joints(found: Collection[str], joints: Sequence[str]) -> list[JointMat
     common.
 
     Args:
-        found: Names in the recording.
+        found: Names in the recording; of more than 2000 none is searched for.
         joints: The robot's joints, in its order.
 
     Returns:
         One match; none if not all joints are there; several for several arms.
     """
     known = set(found)
-    if not joints or len(known) > MAX_NAMES:
+    if not joints or len(known) > 2000:
         return []
     if set(joints) <= known:
         return [JointMatch(tuple(joints), "*")]
@@ -83,8 +71,9 @@ def _matches_of(known: set[str], names: Sequence[str]) -> Iterator[JointMatch]:
 
 def _shortened(joints: Sequence[str]) -> Iterator[tuple[str, ...]]:
     """Yield the joints' names, and shorter ones that still tell them apart."""
-    prefix = _common_start(joints)
-    suffix = _common_start([name[::-1] for name in joints])[::-1]
+    # Characters are meant, not parts of a path.
+    prefix = commonprefix(list(joints))  # noqa: RUF071
+    suffix = commonprefix([name[::-1] for name in joints])[::-1]  # noqa: RUF071
     starts = [0, *(place.end() for place in _SEPARATOR.finditer(prefix))]
     ends = [0, *(len(suffix) - place.start() for place in _SEPARATOR.finditer(suffix))]
     for start in starts:
@@ -98,22 +87,8 @@ def _shortened(joints: Sequence[str]) -> Iterator[tuple[str, ...]]:
             yield tuple(re.sub(r"(?<=[A-Za-z])(?=\d)", "_", name) for name in names)
 
 
-def _common_start(names: Sequence[str]) -> str:
-    """Return the characters with which all names begin."""
-    columns = zip(*names, strict=False)
-    equal = takewhile(lambda characters: len(set(characters)) == 1, columns)
-    return "".join(characters[0] for characters in equal)
-
-
-def _distinctive_pattern(matches: list[JointMatch]) -> str:
-    """Return the part of the first pattern in which it differs from the others."""
-    prefix, _, suffix = matches[0].pattern.partition("*")
-    prefixes = {match.pattern.partition("*")[0] for match in matches}
-    return f"{prefix}*" if len(prefixes) > 1 else f"*{suffix}"
-
-
 def choose_match(
-    matches: list[JointMatch], pattern: str, where: str
+    matches: Sequence[JointMatch], pattern: str, where: str
 ) -> JointMatch | None:
     """Return the match that a pattern fits; None if there is none at all.
 
@@ -136,35 +111,16 @@ def choose_match(
     listed = " and ".join(
         f"{match.pattern} ({match.names[0]}, ...)" for match in matches
     )
+    prefix, _, suffix = matches[0].pattern.partition("*")
+    prefixes = {match.pattern.partition("*")[0] for match in matches}
     raise ColumnError(
         f"{where}: the robot's joints may be {listed}; expected one of them",
         RecordingCode.ARMS,
-        pattern=_distinctive_pattern(matches),
+        pattern=f"{prefix}*" if len(prefixes) > 1 else f"*{suffix}",
     )
 
 
-def match_columns(
-    found: Collection[str], channel: Channel, joints: Sequence[str], pattern: str
-) -> tuple[str, ...]:
-    """Return columns that have the names of the joints and of a channel in theirs.
-
-    Args:
-        found: Names of columns, without units.
-        channel: The channel that is looked for.
-        joints: The robot's joints, in its order.
-        pattern: See `choose_match`.
-
-    Returns:
-        The names, in the robot's order; none if there are no such columns.
-    """
-    matches = [
-        match for match in match_joints(found, joints) if _names_channel(match, channel)
-    ]
-    chosen = choose_match(matches, pattern, channel.name)
-    return () if chosen is None else chosen.names
-
-
-def _names_channel(match: JointMatch, channel: Channel) -> bool:
+def names_channel(match: JointMatch, channel: Channel, rules: JointRules) -> bool:
     """Return whether what stands around the joints' names says which channel it is."""
     words = [word for word in _SEPARATOR.split(match.pattern.lower()) if word]
     runs = {
@@ -172,7 +128,63 @@ def _names_channel(match: JointMatch, channel: Channel) -> bool:
         for start in range(len(words))
         for end in range(start + 1, len(words) + 1)
     }
-    is_other = not _NOT_MEASURED.isdisjoint(words) or (
-        channel.name != "tau_ext" and not _EXTERNAL.isdisjoint(words)
-    )
+    is_external = channel.name != "tau_ext" and bool({"ext", "external"} & {*words})
+    is_other = is_external or not set(rules.not_measured).isdisjoint(words)
     return not is_other and not runs.isdisjoint(channel.spellings)
+
+
+class JointOrder(NamedTuple):
+    """In which order the joints of a column, or of a topic, are read.
+
+    Attributes:
+        joints: Their names, in order.
+        notes: What was assumed, one sentence each.
+    """
+
+    joints: tuple[str, ...]
+    notes: tuple[str, ...] = ()
+
+
+def order_joints(
+    name: str, joints: Sequence[str], mapping: ColumnMapping, robot: Sequence[str]
+) -> JointOrder:
+    """Return the order of joints: the mapping's, the robot's, or the recording's.
+
+    Args:
+        name: Of the topic or column, for messages.
+        joints: That the recording names, in its order; none if it names none.
+        mapping: In which order the robot has them, or which pattern they fit.
+        robot: The robot's joints, where the mapping does not say.
+
+    Raises:
+        ColumnError: The recording lacks a joint of the mapping, or has joints of
+            several arms that would fit.
+    """
+    recorded = JointOrder(tuple(joints))
+    missing = [joint for joint in mapping.joint_order if joint not in joints]
+    if joints and missing:
+        raise ColumnError(
+            f"joints of the mapping that {name} does not have: "
+            f"{', '.join(missing)}; it has: {', '.join(joints)}"
+        )
+
+    order = tuple(mapping.joint_order or robot)
+    if not joints or not order:
+        return recorded
+
+    matches = match_joints(joints, order)
+    chosen = choose_match(matches, mapping.joint_pattern, name)
+    if chosen is None:
+        return recorded._replace(
+            notes=(
+                f"{name} has the joints {', '.join(joints)}, the robot "
+                f"{', '.join(order)}; the order of the recording was kept, name "
+                "another one with joints in the mapping",
+            )
+        )
+
+    note = (
+        f"{name}: the joints {chosen.names[0]}, ... ({chosen.pattern}) were taken for "
+        f"the robot's {order[0]}, ..."
+    )
+    return JointOrder(chosen.names, () if chosen.names == order else (note,))

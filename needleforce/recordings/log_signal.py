@@ -1,15 +1,12 @@
 """A channel in a table: its columns, its conversion to SI, and what is odd in it."""
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
-from math import prod
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import Array
-from needleforce.recordings.channel_request import channel_columns
 from needleforce.recordings.channel_units import (
     ChannelUnit,
     ColumnUnit,
@@ -19,7 +16,6 @@ from needleforce.recordings.channel_units import (
     units_of_columns,
 )
 from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import NamedValues, find_columns
 from needleforce.recordings.errors import (
     ColumnError,
     FaultCounts,
@@ -30,35 +26,6 @@ from needleforce.recordings.errors import (
 )
 from needleforce.recordings.mapping import LEFT_OUT, ColumnSpec
 from needleforce.recordings.table import Table
-
-
-class PlausibleSize(NamedTuple):
-    """The largest value of a channel that is plausible for a robot or a needle.
-
-    Attributes:
-        limit: In SI units.
-        unit: In which a file is likely to be whose values are larger.
-        reason: Why larger values are not plausible.
-    """
-
-    limit: float
-    unit: str
-    reason: str
-
-
-_PLAUSIBLE_SIZES = {
-    "t_s": PlausibleSize(0.5, "ms", "a force log has more than two rows a second"),
-    "q_rad": PlausibleSize(4.0 * np.pi, "deg", "no joint turns more than two turns"),
-    "dq_rad_s": PlausibleSize(30.0, "deg/s", "no arm that leads a needle is as fast"),
-    "tau_Nm": PlausibleSize(2000.0, "mNm", "no arm that leads a needle is as strong"),
-    "tau_ext_Nm": PlausibleSize(
-        2000.0, "mNm", "no arm that leads a needle is as strong"
-    ),
-    "depth_m": PlausibleSize(1.0, "mm", "no needle is longer than a metre"),
-    "speed_m_s": PlausibleSize(1.0, "mm/s", "no needle is led as fast"),
-    "force_N": PlausibleSize(200.0, "mN", "such a force buckles any needle"),
-}
-_ANY_SIZE = PlausibleSize(np.inf, "", "")
 
 MAX_LARGE_FRACTION = 0.05
 """If more of the rows are larger than is plausible, an assumed unit is contradicted;
@@ -124,11 +91,7 @@ class Signal:
 
     def read(self, table: Table) -> Array:
         """Return the values of a table in SI units, shape (n,) or (n, joints)."""
-        columns = [
-            column.values
-            for name in self.columns
-            for column in find_columns(table, name)
-        ]
+        columns = [table.values(name) for name in self.columns]
         values = np.column_stack(columns) * self.factors
         return values if self.channel.per_joint else values[:, 0]
 
@@ -160,11 +123,11 @@ class Signal:
         if t_s.size > 1 and self._is_unsure:
             self.size = float(np.median(np.abs(np.diff(t_s))))
             self.finite_count = 1
-            self.large_count = int(self.size > _PLAUSIBLE_SIZES["t_s"].limit)
+            self.large_count = int(self.size > _limit(self.channel))
 
     def _update_size(self, values: Array, is_finite: NDArray[np.bool_]) -> None:
         """Update the size by further values, and count the rows that are too large."""
-        limit = _PLAUSIBLE_SIZES.get(self.channel.key, _ANY_SIZE).limit
+        limit = _limit(self.channel)
         sizes = np.where(is_finite, np.abs(values), 0.0).reshape(len(values), -1)
         largest = sizes.max(axis=1, initial=0.0)
         self.size = max(self.size, float(largest.max(initial=0.0)))
@@ -217,7 +180,9 @@ class Signal:
 
     def _describe_size(self) -> str:
         """Return what is odd about the size of the values, in words."""
-        limit, _, reason = _PLAUSIBLE_SIZES[self.channel.key]
+        at_most = self.channel.at_most
+        limit = _limit(self.channel)
+        reason = "" if at_most is None else at_most.reason
         unit = self.channel.si_unit
         names = describe_columns(self.columns)
         is_time = self.channel.key == "t_s"
@@ -229,7 +194,8 @@ class Signal:
 
     def _likely_unit(self) -> str:
         """Return the unit in which the file is likely to be."""
-        unit = _PLAUSIBLE_SIZES[self.channel.key].unit
+        at_most = self.channel.at_most
+        unit = self.channel.si_unit if at_most is None else at_most.unit
         return _unit_of_step(self.size, unit) if self.channel.key == "t_s" else unit
 
 
@@ -269,6 +235,11 @@ class VelocityWatch:
         )
 
 
+def _limit(channel: Channel) -> float:
+    """Return the largest value of a channel that is plausible, in SI units."""
+    return np.inf if channel.at_most is None else channel.at_most.value
+
+
 def _unit_of_step(step: float, default: str) -> str:
     """Return the unit of time in which a log's median step is likely to be."""
     if step >= MIN_STEP_NS:
@@ -277,66 +248,43 @@ def _unit_of_step(step: float, default: str) -> str:
     return "us" if step >= MIN_STEP_US else default
 
 
-def find_signal(
-    table: Table, channel: Channel, spec: ColumnSpec | None
-) -> Signal | None:
-    """Find a channel in a table.
-
-    Its unit is that of `units_of_columns`.
+def make_signal(
+    table: Table, channel: Channel, columns: Sequence[str], spec: ColumnSpec | None
+) -> Signal:
+    """Return the signal of a channel; its units are those of `units_of_columns`.
 
     Args:
         table: With rows or without.
-        channel: What is looked for.
-        spec: Which columns it is; None to find them by their usual names.
-
-    Returns:
-        The channel's signal; None if no name looks like it.
+        channel: The channel.
+        columns: Names of its columns, at least one.
+        spec: How they were chosen; None if by their names.
 
     Raises:
-        ColumnError: The columns are not there, ambiguous, or too many.
+        ColumnError: There are too many columns.
         LogError: They differ in length.
         MappingError: There are more or fewer scale factors than columns.
         UnitError: See `units_of_columns`.
     """
-    columns = channel_columns(table, channel, spec)
-    if not columns:
-        return None
-
-    spec = spec or ColumnSpec(columns=channel.name)
-    widths = _widths(channel, columns)
+    widths = [table.width(name) for name in columns]
     width = sum(widths)
-    scales = np.atleast_1d(np.array(spec.scale, dtype=np.float64))
+    listed = ", ".join(columns)
+    if width != 1 and not channel.per_joint:
+        raise ColumnError(f"{channel.name} is one column, but {listed} gives {width}")
+    if len({len(table.values(name)) for name in columns}) > 1:
+        raise LogError(f"{channel.name}: the columns {listed} differ in length")
+
+    scale = 1.0 if spec is None else spec.scale
+    scales = np.atleast_1d(np.array(scale, dtype=np.float64))
     if scales.size not in (1, width):
         raise MappingError(
             f"{channel.name}: {scales.size} scale factors for {width} columns, "
             f"expected one or {width}"
         )
 
-    names = tuple(column.name for column in columns)
-    units = units_of_columns(table, channel, names, spec)
+    units = units_of_columns(table, channel, columns, spec)
     si_factors = np.array([channel.units[column.unit] for column in units])
     factors = np.repeat(si_factors, widths) * scales
-    return Signal(channel, names, units, factors, spec.scale)
-
-
-def _widths(channel: Channel, columns: list[NamedValues]) -> list[int]:
-    """Return how many values a row has in each column of a channel.
-
-    Raises:
-        ColumnError: Several, for a channel of one value.
-        LogError: The columns differ in length.
-    """
-    widths = [prod(column.values.shape[1:]) for column in columns]
-    names = ", ".join(column.name for column in columns)
-    if sum(widths) != 1 and not channel.per_joint:
-        raise ColumnError(
-            f"{channel.name} is one column, but {names} gives {sum(widths)}"
-        )
-
-    if len({len(column.values) for column in columns}) > 1:
-        raise LogError(f"{channel.name}: the columns {names} differ in length")
-
-    return widths
+    return Signal(channel, tuple(columns), units, factors, scale)
 
 
 def require_equal_sizes(

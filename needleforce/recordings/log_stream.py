@@ -10,14 +10,13 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.channel_units import ChannelUnit, advice_places
-from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import columns_in_other_units
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
     FaultCounts,
     LogError,
-    MappingError,
     RecordingCode,
     RecordingError,
     UnitError,
@@ -27,11 +26,15 @@ from needleforce.recordings.log import Log
 from needleforce.recordings.log_signal import (
     Signal,
     VelocityWatch,
-    find_signal,
+    make_signal,
     require_equal_sizes,
 )
-from needleforce.recordings.mapping import ColumnSpec
-from needleforce.recordings.stamp_order import SORTED_WITHIN_S, Rows, StampOrder
+from needleforce.recordings.stamp_order import (
+    SORTED_WITHIN_S,
+    Rows,
+    StampOrder,
+    spread_rounded,
+)
 from needleforce.recordings.table import HEAD_ROWS, Table, ToolMass, tool_mass_in
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
@@ -101,8 +104,8 @@ class LogStream:
         if mapping.sort_within_s is not None:
             sorted_within_s = mapping.sort_within_s
 
-        has_stamps = mapping.rate_hz is None
-        self._order = StampOrder(sorted_within_s) if has_stamps else None
+        self._channels = mapping.knowledge.channels
+        self._order = StampOrder(sorted_within_s)
         self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
@@ -112,7 +115,7 @@ class LogStream:
     @property
     def bad_stamp_count(self) -> int:
         """How many rows were left out so far because their time stamp is bad."""
-        return 0 if self._order is None else self._order.bad_count
+        return self._order.bad_count
 
     def take_warnings(self) -> tuple[str, ...]:
         """Return what was wrong with the recording since the last call."""
@@ -129,19 +132,23 @@ class LogStream:
         self._report(head.warnings)
         self.start_ns = head.start_ns
         self.tool_mass = head.tool_mass or tool_mass_in(head)
+        self._request = self._request.with_layout(head)
+        layout = self._request.find_layout(head)
+        if layout is not None and layout.note:
+            self._report([f"{layout.name}: {layout.note}"])
+
         self._find_channels(head)
-        if self._request.mapping.rate_hz is None:
+        has_stamps = self._request.mapping.rate_hz is None
+        if has_stamps:
             self._signals = {"t_s": self._find_time(head), **self._signals}
 
         self.units = tuple(signal.channel_unit for signal in self._signals.values())
-        for table in chain([head], self._tables):
-            self._report(table.warnings)
-            if len(table) or table is head:
-                yield from self._read_chunk(table)
+        parts = self._watched_parts(chain([head], self._tables))
+        if has_stamps:
+            parts = self._in_order(parts)
 
-        if self._order is not None:
-            yield from self._chunks(self._order.finish())
-            self._report(self._order.take_warnings())
+        for part in parts:
+            yield self._chunk(part)
 
         self._report_end()
 
@@ -159,9 +166,12 @@ class LogStream:
             size += sum(array.nbytes for array in values.values())
             require_size(size, max_bytes, "what is read of it")
 
-        channels = {
-            key: np.concatenate([values[key] for values in chunks]) for key in chunks[0]
-        }
+        channels: dict[str, Array] = {}
+        for key in list(chunks[0]):
+            # Taken from the chunks, so that no channel is held twice for long.
+            channels[key] = np.concatenate([values.pop(key) for values in chunks])
+            channels[key].setflags(write=False)
+
         t_s = channels.pop("t_s")
         return Log(
             t_s=t_s,
@@ -200,108 +210,88 @@ class LogStream:
 
     def _find_time(self, table: Table) -> Signal:
         """Find the column of time stamps; `ColumnError` if there is none."""
-        spec = self._request.mapping.channels.get("time")
-        time = find_signal(table, CHANNELS["time"], spec)
-        if time is None and not table.has_header:
-            raise _no_header([CHANNELS["time"]], table, self._request)
-        if time is None:
-            raise ColumnError(
-                "no time column found. "
-                f"Columns are: {table.describe()}{table.left_out()}",
-                RecordingCode.TIME_COLUMN,
-            )
+        time = self._channels["time"]
+        columns = self._request.find(table, time)
+        if columns:
+            spec = self._request.mapping.channels.get("time")
+            return make_signal(table, time, columns, spec)
+        if not table.has_header:
+            raise _no_header([time], table, self._request)
 
-        return time
+        raise ColumnError(
+            f"no time column found. Columns are: {table.describe()}{table.left_out()}",
+            RecordingCode.TIME_COLUMN,
+        )
 
     def _find_channels(self, table: Table) -> None:
         """Decide from the first table which columns are read."""
+        request = self._request
         missing: list[Channel] = []
         by_joint: list[str] = []
-        for name in self._requested_names():
-            channel = CHANNELS[name]
-            signal = find_signal(
-                table, channel, self._spec_of(table, channel, by_joint)
-            )
-            is_required = name in self._request.required
-            if signal is None:
-                if is_required:
-                    missing.append(channel)
+        for name in request.requested:
+            channel = self._channels[name]
+            columns = request.find(table, channel)
+            if columns and columns == request.find_by_joints(table, channel):
+                by_joint.append(f"{name}: {columns[0]}, ...")
+            if columns:
+                self._add_signal(table, channel, columns)
+            elif name in request.required:
+                missing.append(channel)
 
-                continue
-
-            is_named = is_required or name in self._request.mapping.channels
-            head = signal.read(table)[:HEAD_ROWS]
-            if not is_required:
-                _require_all_joints(channel, head)
-            if is_named or np.isfinite(head).any():
-                self._signals[channel.key] = signal
-            else:
-                self._report(
-                    (
-                        f"{name}: its columns hold no finite value in the first rows "
-                        "and were left out",
-                    )
-                )
-
-        _require_names(self._request.mapping.joint_pattern, table, by_joint)
-        self._report(_describe_joint_columns(by_joint))
+        _require_names(request.mapping.joint_pattern, table, by_joint)
+        if by_joint:
+            listed = "; ".join(by_joint)
+            self._report([f"columns found by the names of the joints: {listed}"])
         if missing:
-            raise _not_found(missing, table, self._request)
-
+            raise _not_found(missing, table, request)
         if not self._signals:
             raise ColumnError(
                 f"no channel was recognised. Columns are: {table.describe()}"
             )
 
-    def _spec_of(
-        self, table: Table, channel: Channel, by_joint: list[str]
-    ) -> ColumnSpec | None:
-        """Return which columns a channel is: as mapped, or named after the joints.
+    def _add_signal(
+        self, table: Table, channel: Channel, columns: Sequence[str]
+    ) -> None:
+        """Read a channel from some columns, unless it may lack and has no values."""
+        spec = self._request.mapping.channels.get(channel.name)
+        is_required = channel.name in self._request.required
+        signal = make_signal(table, channel, columns, spec)
+        head = signal.read(table)[:HEAD_ROWS]
+        if not is_required:
+            _require_all_joints(channel, head)
+        if is_required or spec is not None or np.isfinite(head).any():
+            self._signals[channel.key] = signal
+            return
 
-        Args:
-            table: The first table.
-            channel: The channel.
-            by_joint: Gets a note if columns are named after the robot's joints.
-        """
-        names = self._request.joint_columns(table, channel)
-        if not names:
-            return self._request.mapping.channels.get(channel.name)
-
-        by_joint.append(f"{channel.name}: {names[0]}, ...")
-        return ColumnSpec(columns=names)
-
-    def _requested_names(self) -> tuple[str, ...]:
-        """Return the channels that are looked for, apart from time.
-
-        Raises:
-            MappingError: The request names one that does not exist, or the mapping
-                leaves out one that is required.
-        """
-        known = tuple(name for name in CHANNELS if name != "time")
-        for name in (*self._request.required, *self._request.optional):
-            if name not in known:
-                raise MappingError(
-                    f"unknown channel {name!r}; channels are: {', '.join(known)}"
-                )
-
-        return self._request.requested
-
-    def _read_chunk(self, table: Table) -> Iterator[LogChunk]:
-        """Yield rows that are ready once those of a table were read."""
-        values = {key: signal.read(table) for key, signal in self._signals.items()}
-        row_count = len(next(iter(values.values())))
-        values["t_s"] = self._time_s(table, values, row_count)
-        if not self._row_count:
-            require_equal_sizes(values, self._signals)
-
-        values[ROW] = np.arange(
-            self._row_count + 1.0, self._row_count + 1.0 + row_count
+        self._report(
+            [
+                f"{channel.name}: its columns hold no finite value in the first rows "
+                "and were left out"
+            ]
         )
-        self._row_count += row_count
-        for start in range(0, row_count, MAX_CHUNK_ROWS):
-            end = start + MAX_CHUNK_ROWS
-            part = {key: array[start:end] for key, array in values.items()}
-            yield from self._in_order(self._watched(part))
+
+    def _watched_parts(self, tables: Iterable[Table]) -> Iterator[Rows]:
+        """Yield the rows of tables that have a time stamp, some at a time."""
+        for table in tables:
+            self._report(table.warnings)
+            if not len(table) and self._row_count:
+                continue
+
+            values = {key: signal.read(table) for key, signal in self._signals.items()}
+            row_count = len(next(iter(values.values())))
+            values["t_s"] = self._time_s(table, values, row_count)
+            if not self._row_count:
+                require_equal_sizes(values, self._signals)
+
+            first = self._row_count + 1.0
+            values[ROW] = np.arange(first, first + row_count)
+            self._row_count += row_count
+            for start in range(0, row_count, MAX_CHUNK_ROWS):
+                end = start + MAX_CHUNK_ROWS
+                part = {key: array[start:end] for key, array in values.items()}
+                watched = self._watched(part)
+                if len(watched["t_s"]):
+                    yield watched
 
     def _watched(self, values: Rows) -> Rows:
         """Return the rows that have a time stamp; note what is odd in channels."""
@@ -332,30 +322,26 @@ class LogStream:
 
         return values
 
-    def _in_order(self, values: Rows) -> Iterator[LogChunk]:
+    def _in_order(self, parts: Iterable[Rows]) -> Iterator[Rows]:
         """Yield the rows whose place in time is known, once further rows were read."""
-        if self._order is None:
-            yield from self._chunks([values] if len(values["t_s"]) else [])
-            return
+        for part in spread_rounded(parts, lambda warning: self._report([warning])):
+            ready = self._order.add(part)
+            self._report(self._order.take_warnings())
+            yield from ready
 
-        if len(values["t_s"]):
-            yield from self._chunks(self._order.add(values))
-
+        yield from self._order.finish()
         self._report(self._order.take_warnings())
 
-    def _chunks(self, parts: Iterable[Rows]) -> Iterator[LogChunk]:
-        """Yield rows in the order of time as chunks of the log."""
-        for part in parts:
-            rows = part.pop(ROW)
-            t_s = part.pop("t_s")
-            time = self._signals.get("t_s")
-            if time is not None:
-                time.watch(t_s, rows)
-                self._report(time.report_implausible())
+    def _chunk(self, part: Rows) -> LogChunk:
+        """Return rows in the order of time as a chunk of the log."""
+        rows = part.pop(ROW)
+        t_s = part.pop("t_s")
+        time = self._signals.get("t_s")
+        if time is not None:
+            time.watch(t_s, rows)
+            self._report(time.report_implausible())
 
-            yield LogChunk(
-                t_s=t_s, dt_s=self._row_clock.update(t_s, rows), channels=part
-            )
+        return LogChunk(t_s=t_s, dt_s=self._row_clock.update(t_s, rows), channels=part)
 
     def _time_s(
         self, table: Table, values: Mapping[str, Array], row_count: int
@@ -385,14 +371,6 @@ class LogStream:
             return to_seconds(stamps, self._clock_start_ns)
 
         return column_s - self._clock_start_ns / NS_PER_S
-
-
-def _describe_joint_columns(by_joint: Sequence[str]) -> list[str]:
-    """Return a note on the columns that joints' names found; none without any."""
-    if not by_joint:
-        return []
-
-    return [f"columns found by the names of the joints: {'; '.join(by_joint)}"]
 
 
 def _require_names(pattern: str, table: Table, by_joint: Sequence[str]) -> None:
@@ -464,7 +442,7 @@ def _no_header(
     missing: list[Channel], table: Table, request: ChannelRequest
 ) -> ColumnError:
     """Return the error for required channels of a file whose columns have no names."""
-    time = CHANNELS["time"]
+    time = request.mapping.knowledge.channels["time"]
     named = [time, *(channel for channel in missing if channel is not time)]
     joint_count = max(len(request.mapping.joints or request.joints), 1)
     options: list[str] = []

@@ -1,42 +1,29 @@
 """Which columns of a file are which channels: mappings in code, in TOML, as options."""
 
 import sys
-import tomllib
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 from types import MappingProxyType
-from typing import Any
+from typing import Any, TypeVar
 
 import msgspec
 
-from needleforce.recordings.channels import CHANNELS, Channel
-from needleforce.recordings.errors import (
-    FileAccessError,
-    FormatError,
-    MappingError,
-    file_errors,
-    readable_path,
+from needleforce.recordings.channels import (
+    KNOWLEDGE,
+    Channel,
+    Knowledge,
+    Layout,
+    load_knowledge,
+    read_toml,
 )
-from needleforce.recordings.units import find_unit
+from needleforce.recordings.errors import FormatError, MappingError
 
-MAX_SORT_WITHIN_S = 3600.0
-"""In a wider window too many rows would have to be held to be sorted."""
-
-MAX_TOML_BYTES = 1 << 22
-"""No mapping is longer; a file named by mistake may be."""
+_Kind = TypeVar("_Kind")
 
 LEFT_OUT = "none"
 """Stands in place of a channel's columns if the channel is not to be read."""
-
-_TOP_KEYS = frozenset(
-    {"rate_hz", "joints", "reference_topic", "sort_within_s", "payload"}
-)
-"""What a mapping in TOML may have beside channels."""
-
-_CHANNEL_KEYS = frozenset({"columns", "unit", "scale"})
-"""What a channel in TOML may have."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -88,6 +75,13 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
     Raises:
         MappingError: No column is named, or the scale is zero or not finite.
     """
+    spec = _split_suffix(text, channel)
+    columns = tuple(name.strip() for name in spec.patterns[0].split(","))
+    return replace(spec, columns=columns[0] if len(columns) == 1 else columns)
+
+
+def _split_suffix(text: str, channel: Channel) -> ColumnSpec:
+    """Return `NAMES[:UNIT][:SCALE]` in parts, with the names as they stand."""
     names = text
     unit = None
     scale: float | tuple[float, ...] = 1.0
@@ -99,13 +93,10 @@ def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
             names = head
 
     head, colon, tail = names.rpartition(":")
-    if colon and (unit := find_unit(tail, channel.units)):
+    if colon and (unit := channel.units.find(tail)):
         names = head
 
-    columns = tuple(name.strip() for name in names.split(","))
-    return ColumnSpec(
-        columns=columns[0] if len(columns) == 1 else columns, unit=unit, scale=scale
-    )
+    return ColumnSpec(columns=names, unit=unit, scale=scale)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -113,7 +104,7 @@ class ColumnMapping:
     """Columns for some or all channels; others are found by their usual names.
 
     Attributes:
-        channels: Columns by keys of `CHANNELS`.
+        channels: Columns by name of the channel.
         rate_hz: Samples/s of a file without time stamps; it replaces a time column.
         joints: Names of the robot's joints in the recording, in its order, by which
             signals are found and put in order; or one pattern that they fit, `left_*`.
@@ -121,6 +112,7 @@ class ColumnMapping:
         sort_within_s: Rows are sorted that come no later than this after newer ones;
             None for the usual time.
         payload: What hangs on the robot, for the command that needs to know it.
+        knowledge: Channels, units and layouts that are known.
     """
 
     channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
@@ -129,6 +121,7 @@ class ColumnMapping:
     reference_topic: str | None = None
     sort_within_s: float | None = None
     payload: Any = None
+    knowledge: Knowledge = field(default=KNOWLEDGE, repr=False, compare=False)
 
     @property
     def joint_pattern(self) -> str:
@@ -148,16 +141,17 @@ class ColumnMapping:
         )
 
     def __post_init__(self) -> None:
-        """Check names, units and the rate, and write units as `CHANNELS` does.
+        """Check names, units and the rate, and write units as channels do.
 
         Raises:
             MappingError: One is not known, or they contradict each other.
         """
+        max_sort_within_s = 3600.0  # so many rows have to be held to be sorted
         sort_within_s = self.sort_within_s
-        if sort_within_s is not None and not 0.0 <= sort_within_s <= MAX_SORT_WITHIN_S:
+        if sort_within_s is not None and not 0.0 <= sort_within_s <= max_sort_within_s:
             raise MappingError(
                 f"sort_within_s = {sort_within_s!r:.60} must be a time in s from 0 to "
-                f"{MAX_SORT_WITHIN_S:g}"
+                f"{max_sort_within_s:g}"
             )
 
         if isinstance(self.joints, str):
@@ -165,7 +159,8 @@ class ColumnMapping:
             object.__setattr__(self, "joints", names)
 
         channels = {
-            name: _with_known_unit(name, spec) for name, spec in self.channels.items()
+            name: _with_known_unit(_known_channel(name, self.knowledge), spec)
+            for name, spec in self.channels.items()
         }
         object.__setattr__(self, "channels", MappingProxyType(channels))
         if len(set(self.joints)) < len(self.joints):
@@ -184,26 +179,30 @@ class ColumnMapping:
             )
 
 
-def _with_known_unit(name: str, spec: ColumnSpec) -> ColumnSpec:
-    """Return a channel's columns with the unit as `CHANNELS` spells it.
-
-    Raises:
-        MappingError: The channel or its unit is not known.
-    """
-    if name not in CHANNELS:
+def _known_channel(name: str, knowledge: Knowledge) -> Channel:
+    """Return the channel of a name; `MappingError` if there is none."""
+    if name not in knowledge.channels:
         raise MappingError(
-            f"unknown channel {name!r}; channels are: {', '.join(CHANNELS)}"
+            f"unknown channel {name!r}; channels are: {', '.join(knowledge.channels)}"
         )
 
+    return knowledge.channels[name]
+
+
+def _with_known_unit(channel: Channel, spec: ColumnSpec) -> ColumnSpec:
+    """Return a channel's columns with the unit as the channel spells it.
+
+    Raises:
+        MappingError: The unit is not known.
+    """
     if spec.unit is None:
         return spec
 
-    units = CHANNELS[name].units
-    unit = find_unit(spec.unit, units)
+    unit = channel.units.find(spec.unit)
     if unit is None:
         raise MappingError(
-            f"unit {spec.unit!r} of channel {name!r} is not known, expected: "
-            f"{', '.join(units)}"
+            f"unit {spec.unit!r} of channel {channel.name!r} is not known, expected: "
+            f"{', '.join(channel.units)}"
         )
 
     return replace(spec, unit=unit)
@@ -214,80 +213,93 @@ def _is_finite(value: float) -> bool:
     return abs(value) <= sys.float_info.max
 
 
-def load_mapping(path: str | Path) -> ColumnMapping:
+def load_mapping(path: str | Path, knowledge: Knowledge = KNOWLEDGE) -> ColumnMapping:
     """Read a column mapping from a TOML file.
 
-    Each channel is a table with `columns` and, if needed, `unit` and `scale`, or just
-    the columns (`depth = "z"`). At the top may stand `rate_hz`, `joints`,
-    `reference_topic`, `sort_within_s` and `payload`, see `ColumnMapping`.
+    Each channel is a table with `columns` and, if needed, `unit` and `scale`, or only
+    the columns (`depth = "z"`, also `depth = "z:mm:-1"`). At the top may stand
+    `rate_hz`, `joints`, `reference_topic`, `sort_within_s` and `payload`, see
+    `ColumnMapping`.
 
     Raises:
         FileAccessError: the file cannot be read.
         MappingError: it is not TOML, or a channel, key, unit or value in it is not
             valid.
     """
-    entry_path = "$"  # as msgspec names a place in the file
+    top_keys = {"rate_hz", "joints", "reference_topic", "sort_within_s", "payload"}
     try:
         content = read_toml(path, "mapping")
-        top = {name: content.pop(name) for name in _TOP_KEYS & content.keys()}
-        mapping = msgspec.convert(top, ColumnMapping)
-        channels: dict[str, ColumnSpec] = {}
-        for name, entry in content.items():
-            entry_path = f"$.{name}"
-            channels[name] = _convert_channel(name, entry)
-
-        return replace(mapping, channels=channels)
+        top = {name: content.pop(name) for name in top_keys & content.keys()}
+        mapping = _convert(top, ColumnMapping, "$")
+        channels = _convert_channels(content, knowledge)
+        return replace(mapping, channels=channels, knowledge=knowledge)
     except FormatError as error:
         raise MappingError(str(error)) from error
-    except (msgspec.ValidationError, OverflowError) as error:
-        message = str(error).replace("`$", f"`{entry_path}")
-        if f"`{entry_path}" not in message:
-            message += f" - at `{entry_path}`"
-
-        raise MappingError(f"{path}: {message}") from error
     except MappingError as error:
         raise MappingError(f"{path}: {error}") from error
 
 
-def _convert_channel(name: str, entry: Any) -> ColumnSpec:
-    """Return a channel's columns from its entry in TOML: a table, or only columns."""
-    spec = entry if isinstance(entry, dict) else {"columns": entry}
-    if unknown := spec.keys() - _CHANNEL_KEYS:
-        keys = ", ".join(map(repr, sorted(unknown)))
-        raise MappingError(
-            f"[{name}] has {keys}, expected only columns, unit and scale"
-        )
-
-    return msgspec.convert(spec, ColumnSpec)
-
-
-def read_toml(path: str | Path, subject: str) -> dict[str, Any]:
-    """Return the content of a TOML file, at least one key.
-
-    Args:
-        path: Of the file.
-        subject: What it is, for messages.
+def load_layouts(*paths: str | Path) -> Knowledge:
+    """Return what is known of logs, with files of the form of `layouts.toml` added.
 
     Raises:
-        FileAccessError: It cannot be read.
-        FormatError: It is not TOML, is empty, or is longer than `MAX_TOML_BYTES`.
+        FileAccessError: One cannot be read.
+        MappingError: One is not TOML, or an entry in it is not valid.
     """
+    knowledge = load_knowledge(*paths)
+    for layout in knowledge.layouts:
+        mapping_of_layout(layout, knowledge)
+
+    return knowledge
+
+
+def mapping_of_layout(layout: Layout, knowledge: Knowledge) -> ColumnMapping:
+    """Return what the columns of a layout are; `MappingError` if that is not valid."""
     try:
-        with file_errors(path), readable_path(path).open("rb") as stream:
-            data = stream.read(MAX_TOML_BYTES + 1)
-    except FileAccessError as error:
-        message = str(error).replace("cannot read", f"cannot read the {subject}")
-        raise error.reworded(message) from error
+        return ColumnMapping(
+            channels=_convert_channels(layout.channels, knowledge),
+            rate_hz=layout.rate_hz,
+            joints=layout.joints,
+            knowledge=knowledge,
+        )
+    except MappingError as error:
+        raise MappingError(f"layout {layout.name!r}: {error}") from error
 
-    if len(data) > MAX_TOML_BYTES:
-        raise FormatError(f"the {subject} {path} is longer than {MAX_TOML_BYTES} bytes")
 
+def _convert_channels(
+    entries: Mapping[str, Any], knowledge: Knowledge
+) -> dict[str, ColumnSpec]:
+    """Return columns by channel from entries in TOML: tables, or only columns.
+
+    Raises:
+        MappingError: An entry is not valid.
+    """
+    channels: dict[str, ColumnSpec] = {}
+    for name, entry in entries.items():
+        channel = _known_channel(name, knowledge)
+        if isinstance(entry, str):
+            channels[name] = _split_suffix(entry, channel)
+            continue
+
+        spec = entry if isinstance(entry, dict) else {"columns": entry}
+        if unknown := spec.keys() - {"columns", "unit", "scale"}:
+            keys = ", ".join(map(repr, sorted(unknown)))
+            raise MappingError(
+                f"[{name}] has {keys}, expected only columns, unit and scale"
+            )
+
+        channels[name] = _convert(spec, ColumnSpec, f"$.{name}")
+
+    return channels
+
+
+def _convert(content: Any, kind: type[_Kind], place: str) -> _Kind:
+    """Return content of TOML as a type; `MappingError` with its place if it is not."""
     try:
-        content = tomllib.loads(data.decode())
-    except (ValueError, RecursionError) as error:
-        raise FormatError(f"the {subject} {path} is not valid TOML: {error}") from error
+        return msgspec.convert(content, kind)
+    except (msgspec.ValidationError, OverflowError) as error:
+        message = str(error).replace("`$", f"`{place}")
+        if f"`{place}" not in message:
+            message += f" - at `{place}`"
 
-    if not content:
-        raise FormatError(f"the {subject} {path} is empty")
-
-    return content
+        raise MappingError(message) from error

@@ -8,9 +8,9 @@ from pathlib import Path
 from needleforce.recordings.bags.messages import is_bag
 from needleforce.recordings.bags.tables import learn_topics
 from needleforce.recordings.bags.topics import Bag
-from needleforce.recordings.channel_request import ChannelRequest, channel_columns
+from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.channel_units import units_of_columns
-from needleforce.recordings.channels import CHANNELS, Channel
+from needleforce.recordings.channels import Channel
 from needleforce.recordings.errors import ColumnError, UnitError, readable_path
 from needleforce.recordings.follow import STANDARD_STREAM, FollowOptions
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
@@ -54,7 +54,9 @@ def suggest_mapping(
         lines += _bag_lines(bag)
         lines += _reference_lines(bag, table, names, joints, known)
     else:
-        table = next(stream_tables(source, FollowOptions()))
+        tables = stream_tables(source, FollowOptions(), knowledge=known.knowledge)
+        table = next(tables)
+        known = ChannelRequest(known).with_layout(table).mapping
         is_time_needed = known.rate_hz is None
 
     if payload:
@@ -148,8 +150,8 @@ def mapping_text(
             ]
             continue
 
-        spec = known.channels.get(name)
-        lines += [*_channel_lines(table, CHANNELS[name], spec, used), ""]
+        channel = known.knowledge.channels[name]
+        lines += [*_channel_lines(table, channel, known, used), ""]
 
     unused = [name for name in table.columns if name not in used]
     if unused:
@@ -165,23 +167,24 @@ def mapping_text(
 
 
 def _channel_lines(
-    table: Table, channel: Channel, spec: ColumnSpec | None, used: set[str]
+    table: Table, channel: Channel, known: ColumnMapping, used: set[str]
 ) -> list[str]:
     """Return a channel as a table of TOML, and add its columns to the used ones.
 
     Where it is not known which columns it is, all stands in comments, with the reason.
     """
+    spec = known.channels.get(channel.name)
     reason = f"not found; {channel.meaning}"
     try:
-        columns = channel_columns(table, channel, spec)
+        names = ChannelRequest(known).find(table, channel)
     except ColumnError as error:
         if spec is not None:
             raise
 
-        columns = []
+        names = []
         reason = " ".join(str(error).split(";")[0].split())
 
-    if not columns:
+    if not names:
         return [
             comment_line(reason),
             f"# [{channel.name}]",
@@ -189,7 +192,6 @@ def _channel_lines(
             f'# unit = "{channel.si_unit}"',
         ]
 
-    names = [column.name for column in columns]
     used |= set(names)
     joint_note = ", or one for each joint" if channel.per_joint else ""
     return [

@@ -10,8 +10,8 @@ import numpy as np
 from needleforce.recordings.bags.messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bags.tables import bag_tables
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.columnar import read_npz, read_parquet
-from needleforce.recordings.conversions import conversion_of
+from needleforce.recordings.channels import KNOWLEDGE, Knowledge
+from needleforce.recordings.columnar import ARROW_SUFFIXES, read_arrow, read_npz
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
     MAX_BYTES,
@@ -29,13 +29,13 @@ from needleforce.recordings.follow import (
     byte_blocks,
     head_of,
 )
-from needleforce.recordings.joint_order import order_joints
+from needleforce.recordings.joint_names import order_joints
 from needleforce.recordings.log import Log
 from needleforce.recordings.log_stream import LogStream
-from needleforce.recordings.mapping import ColumnMapping
+from needleforce.recordings.mapping import ColumnMapping, load_layouts
 from needleforce.recordings.table import Table
 
-SUFFIXES = (*CSV_SUFFIXES, ".npz", ".parquet", *BAG_SUFFIXES)
+SUFFIXES = (*CSV_SUFFIXES, ".npz", *ARROW_SUFFIXES, *BAG_SUFFIXES)
 """Of what can be read."""
 
 
@@ -44,8 +44,8 @@ def read_table(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Table:
 
     Args:
         path: a file ending in `.csv`, `.tsv` or `.txt` (also with `.gz`), `.dat`,
-            `.asc` or `.lvm`; in `.npz` or `.parquet`; or a ROS bag: a file ending in
-            `.mcap`, `.db3` or `.bag`, or a folder of them.
+            `.asc` or `.lvm`; in `.npz`, `.parquet` or `.feather`; or a ROS bag: a file
+            ending in `.mcap`, `.db3` or `.bag`, or a folder of them.
         max_bytes: the most memory that the content of the file may take.
 
     Raises:
@@ -79,6 +79,7 @@ def read_log(
     required: Iterable[str] = (),
     optional: Iterable[str] = (),
     joints: Iterable[str] = (),
+    layouts: Iterable[str | Path] = (),
     max_bytes: int = MAX_BYTES,
 ) -> Log:
     """Read a recording into SI units; its `warnings` say what is wrong with it.
@@ -95,6 +96,7 @@ def read_log(
             optional.
         joints: names of the robot's joints; a recording that names joints is put into
             this order.
+        layouts: TOML files that add words, units and layouts to those that are known.
         max_bytes: the most memory that the content of the file may take.
 
     Raises:
@@ -103,8 +105,12 @@ def read_log(
             scale does not fit its columns (`MappingError`), or the channels do not form
             a log (`LogError`).
     """
+    mapping = mapping or ColumnMapping()
+    if layouts:
+        mapping = replace(mapping, knowledge=load_layouts(*layouts))
+
     request = ChannelRequest(
-        mapping=mapping or ColumnMapping(),
+        mapping=mapping,
         required=tuple(required),
         optional=tuple(optional),
         joints=tuple(joints),
@@ -118,11 +124,12 @@ def stream_tables(
     options: FollowOptions,
     request: ChannelRequest | None = None,
     *,
+    knowledge: Knowledge = KNOWLEDGE,
     max_bytes: int = MAX_BYTES,
 ) -> Iterator[Table]:
     """Read a recording as it comes, so that memory stays bounded.
 
-    Only npz and Parquet are held as a whole.
+    Only npz, Parquet and Feather are held as a whole.
 
     Args:
         source: a file, see `read_table`, or `-` for standard input: CSV, plain or
@@ -130,6 +137,7 @@ def stream_tables(
             of it has come.
         options: how long more is waited for; any source is left when it says to stop.
         request: what is read of a bag; of other sources everything is.
+        knowledge: names, units and layouts that are known, where there is no request.
         max_bytes: the most memory that the rows of one table may take, or a file that
             is read as a whole; and the most bytes that come through a pipe, if it is no
             text.
@@ -161,13 +169,16 @@ def stream_tables(
             _copy_blocks(blocks, copy, name, max_bytes)
             whole = replace(options, follow=False)
             try:
-                yield from stream_tables(copy, whole, request, max_bytes=max_bytes)
+                yield from stream_tables(
+                    copy, whole, request, knowledge=knowledge, max_bytes=max_bytes
+                )
             except RecordingError as error:
                 raise error.reworded(str(error).replace(str(copy), name)) from error
 
         return
 
-    tables = csv_tables(blocks, name, options, max_bytes)
+    knowledge = knowledge if request is None else request.mapping.knowledge
+    tables = csv_tables(blocks, name, options, max_bytes, knowledge)
     yield from _put_joints_in_order(tables, request)
 
 
@@ -191,7 +202,7 @@ def _put_joints_in_order(
         joint_names = dict(table.joint_names)
         notes: list[str] = []
         for name, joints in table.joint_names.items():
-            order = order_joints(name, joints, request)
+            order = order_joints(name, joints, request.mapping, request.joints)
             places = [joints.index(joint) for joint in order.joints]
             columns[name] = columns[name][:, places]
             joint_names[name] = order.joints
@@ -239,11 +250,11 @@ def _binary_tables(
         yield from bag_tables(path, request, options, max_bytes)
     elif name.endswith(".npz"):
         yield read_npz(path, max_bytes)
-    elif name.endswith(".parquet"):
-        yield read_parquet(path, max_bytes)
+    elif name.endswith(ARROW_SUFFIXES):
+        yield read_arrow(path, max_bytes)
     else:
         with file_errors(path):
-            conversion = conversion_of(path)
+            conversion = KNOWLEDGE.conversion_of(path)
 
         if conversion:
             raise FileAccessError(

@@ -4,12 +4,11 @@ A stamp is bad if those around it contradict it: they go on as if the row had an
 one. A clock that was set, or a recording that paused, is something else: there the
 stamps that follow agree with each other. Rows of a file may be written later than
 others of the same clock; they fill the places that others left free. Two rows for one
-place are no late rows: the clock was set back, which `RowClock` follows.
+place are no late rows: the clock was set back, which `RowClock` follows. Stamps with
+too few digits are equal in many rows; these are numbered, see `spread_rounded`.
 """
 
-from collections.abc import Iterator, Mapping
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Callable, Iterable, Iterator, Mapping
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,168 +21,340 @@ SORTED_WITHIN_S = 1.0
 """Rows of a file are sorted if they come no later than this after newer ones: so long a
 recorder may hold back what it writes."""
 
-LIVE_JUMP_S = 0.1
-"""A longer step of time in a stream whose rows are used at once is looked at."""
-
 JUMP_STEPS = 20.0
 """So many usual time steps are no jump, however slow the log."""
-
-PAUSE_S = 15.0
-"""A row alone, so far from all others, belongs to none of them: it is a bad stamp."""
-
-PAUSE_STEPS = 1000.0
-"""So many usual time steps are as far, in a slow log."""
-
-JUDGED_STAMPS = 9
-"""So many different stamps after a jump say what it was: up to four may be bad."""
-
-MAX_JUDGED_ROWS = 10_000
-"""More rows with few different stamps are not waited for."""
-
-MIN_TRAILING_ROWS = 3
-"""So many rows at the end, after a pause, are no bad stamps."""
-
-MAX_HELD_ROWS = 1 << 18
-"""More rows are not held back to be sorted, whatever their stamps."""
 
 STEP_ROWS = 200
 """The usual time step is that of so many first rows."""
 
-MIN_OCCUPANCY = 0.4
-"""Two runs of rows that each take such a fraction of the places in a span of time were
-not written by one clock."""
-
-MIN_DISPLACED_STEPS = 3.0
-"""A row that is nearer to its place has no bad stamp."""
-
-DISPLACED_MARGIN = 3
-"""So many rows before and after a row say where its place is."""
-
-FREE_PLACE_STEPS = 1.5
-"""Between two rows that are farther apart there is a free place."""
-
-MAX_FREE_PLACE_STEPS = 2.5
-"""Between two rows that are farther apart more than one row is missing."""
-
 MAX_NAMED_ROWS = 3
 """Rows with a bad stamp that are named one by one; the others are counted."""
-
-MIN_UNSORTED_RATIO = 0.05
-"""If more of the rows have bad stamps, it is rather their order that is not right."""
 
 Rows = dict[str, Array]
 """Consecutive rows of a log by channel, with their time `t_s` and number `row`."""
 
 
-def _part(rows: Mapping[str, Array], chosen: NDArray) -> Rows:
-    """Return chosen rows, by index or by truth values."""
+def _part(rows: Mapping[str, Array], chosen: NDArray | slice) -> Rows:
+    """Return chosen rows."""
     return {key: values[chosen] for key, values in rows.items()}
 
 
-def _joined(parts: list[Rows]) -> Rows:
-    """Return rows after each other."""
-    if len(parts) == 1:
-        return parts[0]
+def _joined(parts: Iterable[Rows]) -> Rows:
+    """Return rows after each other; nothing if there is no part with rows."""
+    parts = [part for part in parts if part]
+    if len(parts) < 2:
+        return parts[0] if parts else {}
+
     return {key: np.concatenate([part[key] for part in parts]) for key in parts[0]}
 
 
-class StampVerdict(NamedTuple):
-    """What is known of the first n rows that wait.
+class StampOrder:
+    """Leaves out the rows of a log whose stamps are bad, and sorts the others.
+
+    Rows are given and returned in pieces; what is returned does not depend on where
+    they are cut. The newest rows are held back until it is clear where they belong.
+
+    Args:
+        sorted_within_s: Rows are sorted that come no later than this after newer ones;
+            0 where they are to be used at once.
 
     Attributes:
-        is_bad: Which of them have a bad stamp, shape (n,).
-        starts_anew: Whether the others are on another stretch of the clock than the
-            rows before, after a pause or because it was set.
+        bad_count: Rows left out so far.
     """
 
-    is_bad: NDArray[np.bool_]
-    starts_anew: bool
+    def __init__(self, sorted_within_s: float = SORTED_WITHIN_S) -> None:
+        self.bad_count = 0
+        self._window_s = sorted_within_s
+        self._step_s: float | None = None
+        self._jump_s = 0.0  # a longer step is looked at
+        self._pause_s = 0.0  # rows alone, so far from the others, have bad stamps
+        self._latest_s: float | None = None  # the latest valid stamp
+        self._unjudged: Rows = {}
+        self._before_s = np.empty(0)  # valid stamps before those of the tail
+        self._tail: Rows = {}  # the last valid rows, which wait for those after them
+        self._held: Rows = {}  # valid rows, which wait for late ones
+        self._row_count = 0
+        self._sorted_count = 0
+        self._first_sorted = np.inf
+        self._warnings: list[str] = []
+        self._faults = FaultCounts()
+
+    def take_warnings(self) -> list[str]:
+        """Return what was wrong with the stamps since the last call."""
+        warnings = self._warnings
+        self._warnings = []
+        return warnings
+
+    def add(self, rows: Rows) -> list[Rows]:
+        """Take further rows; return those that are ready, in the order of time."""
+        self._row_count += len(rows["t_s"])
+        self._unjudged = _joined([self._unjudged, rows])
+        if self._step_s is None and self._row_count < STEP_ROWS:
+            return []
+
+        return self._ready(is_last=False)
+
+    def finish(self) -> list[Rows]:
+        """Return all rows that were held back; report what only the end shows."""
+        if not self._row_count:
+            return []
+
+        ready = self._ready(is_last=True)
+        self._report_end()
+        return ready
+
+    def _learn_step(self, t_s: Array) -> float:
+        """Learn from the first rows how long a usual time step, and a jump, is."""
+        steps_s = np.diff(np.unique(t_s[:STEP_ROWS]))
+        step_s = float(np.median(steps_s)) if steps_s.size else 0.0
+        # In a stream whose rows are used at once a shorter jump is looked at.
+        jump_s = 0.1
+        if self._window_s > 0.0:
+            self._window_s = max(self._window_s, JUMP_STEPS * step_s)
+            jump_s = self._window_s
+
+        self._jump_s = max(jump_s, JUMP_STEPS * step_s)
+        self._pause_s = max(15.0, 1000.0 * step_s)
+        return step_s
+
+    def _ready(self, *, is_last: bool) -> list[Rows]:
+        """Judge the rows that wait; return those that are ready."""
+        if self._step_s is None:
+            self._step_s = self._learn_step(self._unjudged["t_s"])
+
+        ready: list[Rows] = []
+        for rows, starts_anew in self._stretches(is_last=is_last):
+            if self._window_s <= 0.0:
+                ready.append(rows)
+                continue
+            if starts_anew:
+                ready += self._sorted(self._passed({}, is_last=True), is_last=True)
+
+            ready += self._sorted(self._passed(rows, is_last=False), is_last=False)
+
+        if is_last and self._window_s > 0.0:
+            ready += self._sorted(self._passed({}, is_last=True), is_last=True)
+
+        return ready
+
+    def _stretches(self, *, is_last: bool) -> Iterator[tuple[Rows, bool]]:
+        """Yield rows with valid stamps, as far as it is clear which these are.
+
+        The truth value says whether they are on another stretch of the clock than those
+        before, after a pause or because it was set.
+        """
+        rows = self._unjudged
+        t_s = rows["t_s"]
+        jumps = np.flatnonzero(np.abs(np.diff(t_s)) > self._jump_s)
+        start = 0
+        while start < len(t_s):
+            starts_anew = not self._goes_on(t_s[start])
+            if starts_anew:
+                is_bad = _judge(
+                    t_s[start:], self._latest_s, self._jump_s, self._pause_s, is_last
+                )
+                if is_bad is None:
+                    break
+            else:
+                jump = np.searchsorted(jumps, start)
+                end = int(jumps[jump]) + 1 if jump < len(jumps) else len(t_s)
+                is_bad = np.zeros(end - start, dtype=np.bool_)
+
+            judged = _part(rows, slice(start, start + len(is_bad)))
+            start += len(is_bad)
+            if is_bad.any():
+                self._name_bad(judged, is_bad, t_s[start : start + 1])
+            if not is_bad.all():
+                if starts_anew:
+                    self._note_pause(judged, int(np.argmin(is_bad)))
+
+                is_new_clock = starts_anew and self._latest_s is not None
+                good = _part(judged, ~is_bad)
+                self._latest_s = float(good["t_s"][-1])
+                yield good, is_new_clock
+
+        self._unjudged = _part(rows, slice(start, None))
+
+    def _goes_on(self, stamp_s: float) -> bool:
+        """Return whether a stamp follows the latest valid one without a jump."""
+        latest_s = self._latest_s
+        return latest_s is not None and abs(stamp_s - latest_s) <= self._jump_s
+
+    def _name_bad(self, rows: Rows, is_bad: NDArray[np.bool_], next_s: Array) -> None:
+        """Report rows with a bad stamp, by name as long as they are few.
+
+        Args:
+            rows: With the rows around them.
+            is_bad: Which these are.
+            next_s: The stamp after the rows, shape (1,), or (0,).
+        """
+        latest_s = [] if self._latest_s is None else [self._latest_s]
+        for row in np.flatnonzero(is_bad).tolist():
+            self.bad_count += 1
+            if self.bad_count > MAX_NAMED_ROWS:
+                self.bad_count += int(np.count_nonzero(is_bad[row + 1 :]))
+                return
+
+            before_s = [*latest_s, *rows["t_s"][:row][~is_bad[:row]]][-1:]
+            after_s = [*rows["t_s"][row:][~is_bad[row:]], *next_s][:1]
+            relation = "between" if after_s else "after"
+            if not before_s:
+                relation = "before"
+            around = " and ".join(f"{stamp_s:.13g} s" for stamp_s in before_s + after_s)
+            self._warnings.append(
+                f"row {rows['row'][row]:.0f} has a bad time stamp and is left out: "
+                f"{rows['t_s'][row]:.13g} s, {relation} {around}"
+            )
+
+    def _note_pause(self, rows: Rows, row: int) -> None:
+        """Count a step of time ahead that is longer than a pause in motion."""
+        before_s = self._latest_s
+        after_s = float(rows["t_s"][row])
+        if before_s is not None and after_s - before_s > self._pause_s:
+            self._faults.note(
+                "time: long steps ahead, where the recording paused or its clock was "
+                "set",
+                f"row {rows['row'][row]:.0f}, {after_s:.13g} s after {before_s:.13g} s",
+            )
+
+    def _passed(self, rows: Rows, *, is_last: bool) -> Rows:
+        """Leave out single rows whose stamp is near, but whose own place is free.
+
+        The last rows wait for those after them, unless they are the last of a clock.
+        """
+        margin = 3  # rows before and after a row that say where its place is
+        rows = _joined([self._tail, rows])
+        if not rows:
+            return {}
+
+        t_s = np.concatenate((self._before_s, rows["t_s"]))
+        is_bad = np.zeros(len(t_s), dtype=np.bool_)
+        if len(t_s) > 2 * margin and self._step_s:
+            is_bad[margin:-margin] = _displaced(t_s, self._step_s, margin)
+
+        first = len(self._before_s)
+        end = len(t_s) if is_last else max(len(t_s) - margin, first)
+        if is_bad.any():
+            latest_s = self._latest_s
+            self._latest_s = float(t_s[max(int(np.argmax(is_bad)) - 1, 0)])
+            self._name_bad(rows, is_bad[first:], np.empty(0))
+            self._latest_s = latest_s
+
+        self._before_s = np.empty(0) if is_last else t_s[max(end - margin, 0) : end]
+        self._tail = {} if is_last else _part(rows, slice(end - first, None))
+        return _part(rows, np.flatnonzero(~is_bad[first:end]))
+
+    def _sorted(self, rows: Rows, *, is_last: bool) -> list[Rows]:
+        """Hold rows in the order of the file; return those that are ready, sorted.
+
+        Args:
+            rows: That follow those held.
+            is_last: Whether they are the last of a clock; none is held any more.
+        """
+        rows = _joined([self._held, rows])
+        self._held = {}
+        ready: list[Rows] = []
+        while rows and (row := _find_set_back(rows["t_s"], self._step_s)) is not None:
+            ready += self._sorted(_part(rows, slice(0, row)), is_last=True)
+            rows = _part(rows, slice(row, None))
+
+        if not rows or not len(rows["t_s"]):
+            return ready
+
+        t_s = rows["t_s"]
+        newest_s = np.maximum.accumulate(t_s)
+        # A row that comes later than the window stays where it is.
+        place_s = np.maximum(t_s, newest_s - self._window_s)
+        order = np.argsort(place_s, kind="stable")
+        oldest_s = np.inf if is_last else newest_s[-1] - self._window_s
+        count = int(np.searchsorted(place_s[order], oldest_s, "right"))
+        max_held = 1 << 18  # more rows are not held, whatever their stamps
+        count = max(count, len(t_s) - max_held)
+        late = order[:count][((t_s < newest_s) & (place_s == t_s))[order[:count]]]
+        if late.size:
+            first = float(rows["row"][late].min())
+            self._first_sorted = min(self._first_sorted, first)
+            self._sorted_count += late.size
+
+        self._held = _part(rows, np.sort(order[count:]))
+        return [*ready, _part(rows, order[:count])] if count else ready
+
+    def _report_end(self) -> None:
+        """Report what only the whole log shows."""
+        if self.bad_count > MAX_NAMED_ROWS:
+            text = f"rows with a bad time stamp, left out: {self.bad_count}"
+            if self.bad_count > 0.05 * self._row_count:
+                text += (
+                    "; so many may be rows out of order, which --sort-within SECONDS "
+                    f"sorts in a wider window than {self._window_s:.3g} s"
+                )
+
+            self._warnings.append(text)
+
+        if self._sorted_count:
+            self._warnings.append(
+                f"time: rows out of order, sorted within {self._window_s:.3g} s: "
+                f"{self._sorted_count} of {self._row_count} (first: row "
+                f"{self._first_sorted:.0f})"
+            )
+
+        self._warnings += self._faults.lines()
 
 
-@dataclass
-class StampJudge:
-    """Decides which stamps those around them contradict, as they come.
+def _judge(
+    t_s: Array, latest_s: float | None, jump_s: float, pause_s: float, is_last: bool
+) -> NDArray[np.bool_] | None:
+    """Return which of the first stamps after a jump are bad; None if it is not clear.
 
-    Attributes:
-        jump_s: A longer step is looked at.
-        pause_s: A few rows alone, so far from the others, have bad stamps.
-        latest_s: The latest valid stamp; None before the first.
-        waiting_s: Stamps that cannot be judged yet.
+    Args:
+        t_s: All that have come, shape (n,).
+        latest_s: The valid stamp before; None before the first of all.
+        jump_s: A longer step is a jump.
+        pause_s: A longer one is no pause of a few rows.
+        is_last: Whether no more come.
     """
-
-    jump_s: float
-    pause_s: float = PAUSE_S
-    latest_s: float | None = None
-    waiting_s: list[float] = field(default_factory=list)
-    _distinct: set[float] = field(default_factory=set)
-
-    def add(self, stamp_s: float) -> StampVerdict | None:
-        """Take the next stamp; return what is now known of those that wait, and it."""
-        if self.latest_s is not None and abs(stamp_s - self.latest_s) <= self.jump_s:
-            is_bad = np.ones(len(self.waiting_s) + 1, dtype=np.bool_)
-            is_bad[-1] = False
-            self.accept(stamp_s)
-            return StampVerdict(is_bad, starts_anew=False)
-
-        self.waiting_s.append(stamp_s)
-        self._distinct.add(stamp_s)
-        is_enough = len(self._distinct) >= JUDGED_STAMPS
-        if is_enough or len(self.waiting_s) >= MAX_JUDGED_ROWS:
-            return self._judge()
-
+    # So many different stamps say what the jump was: up to four may be bad. More rows
+    # with fewer different ones are not waited for.
+    judged_count = 9
+    max_rows = 10_000
+    waiting_s = t_s[:max_rows]
+    places = np.sort(np.unique(waiting_s, return_index=True)[1])
+    is_enough = len(places) >= judged_count or len(waiting_s) == max_rows
+    if len(places) >= judged_count:
+        waiting_s = waiting_s[: places[judged_count - 1] + 1]
+    if latest_s is not None:
+        returns = np.abs(waiting_s - latest_s) <= jump_s
+        if returns.any():
+            return np.ones(int(np.argmax(returns)), dtype=np.bool_)
+    if not (is_enough or is_last):
         return None
+    if latest_s is not None and len(waiting_s) < 3 and not is_enough:
+        return ~_follow(waiting_s, latest_s, pause_s)
 
-    def accept(self, latest_s: float) -> None:
-        """Go on from a valid stamp; nothing waits any more."""
-        self.latest_s = latest_s
-        self.waiting_s.clear()
-        self._distinct.clear()
+    distinct_s = np.unique(waiting_s)
+    middle_s = distinct_s[len(distinct_s) // 2]
+    is_good = np.abs(waiting_s - middle_s) <= jump_s
+    near_count = np.count_nonzero(np.abs(distinct_s - middle_s) <= jump_s)
+    if 2 * near_count > len(distinct_s):
+        # A slow beginning is no reason to leave a row out.
+        first = int(np.argmax(is_good))
+        before_s = -waiting_s[:first][::-1]
+        is_good[:first] = _follow(before_s, -waiting_s[is_good].min(), pause_s)[::-1]
+    else:
+        is_good = _increasing(waiting_s)
 
-    def finish(self) -> StampVerdict | None:
-        """Return what is known of the first stamps that wait when no more come."""
-        if not self.waiting_s:
-            return None
-
-        if self.latest_s is None or len(self.waiting_s) >= MIN_TRAILING_ROWS:
-            return self._judge()
-
-        is_good = _follow(self.waiting_s, self.latest_s, self.pause_s)
-        self.accept(self.latest_s)
-        return StampVerdict(~is_good, starts_anew=bool(is_good.any()))
-
-    def _judge(self) -> StampVerdict:
-        """Judge the stamps up to the last of the majority; those behind it wait on."""
-        stamps_s = np.array(self.waiting_s)
-        distinct_s = np.array(sorted(self._distinct))
-        middle_s = distinct_s[len(distinct_s) // 2]
-        near_count = np.count_nonzero(np.abs(distinct_s - middle_s) <= self.jump_s)
-        if 2 * near_count > len(distinct_s):
-            is_good = np.abs(stamps_s - middle_s) <= self.jump_s
-            # A slow beginning is no reason to leave a row out.
-            first = int(np.argmax(is_good))
-            before_s = (-stamps_s[:first][::-1]).tolist()
-            first_s = float(stamps_s[is_good].min())
-            is_good[:first] = _follow(before_s, -first_s, self.pause_s)[::-1]
-        else:
-            is_good = _increasing(stamps_s)
-
-        judged_count = int(np.flatnonzero(is_good)[-1]) + 1
-        left_s = self.waiting_s[judged_count:]
-        self.accept(float(stamps_s[judged_count - 1]))
-        self.waiting_s += left_s
-        self._distinct |= set(left_s)
-        return StampVerdict(~is_good[:judged_count], starts_anew=True)
+    return ~is_good[: np.flatnonzero(is_good)[-1] + 1]
 
 
-def _follow(stamps_s: list[float], start_s: float, pause_s: float) -> NDArray[np.bool_]:
+def _follow(stamps_s: Array, start_s: float, pause_s: float) -> NDArray[np.bool_]:
     """Return which of some stamps go on from a start, without a longer pause."""
-    follows: list[bool] = []
-    for stamp_s in stamps_s:
-        follows.append(0.0 <= stamp_s - start_s <= pause_s)
-        if follows[-1]:
+    follows = np.zeros(len(stamps_s), dtype=np.bool_)
+    for row, stamp_s in enumerate(stamps_s.tolist()):
+        follows[row] = 0.0 <= stamp_s - start_s <= pause_s
+        if follows[row]:
             start_s = stamp_s
 
-    return np.array(follows, dtype=np.bool_)
+    return follows
 
 
 def _increasing(stamps_s: Array) -> NDArray[np.bool_]:
@@ -206,306 +377,7 @@ def _increasing(stamps_s: Array) -> NDArray[np.bool_]:
     return chosen
 
 
-class _Stretch(NamedTuple):
-    """Rows with valid stamps in the order of the file.
-
-    Attributes:
-        rows: The rows.
-        starts_anew: Whether they are on another stretch of the clock than those before.
-    """
-
-    rows: Rows
-    starts_anew: bool
-
-
-class StampOrder:
-    """Leaves out the rows of a log whose stamps are bad, and sorts the others.
-
-    Rows are given and returned in pieces; what is returned does not depend on where
-    they are cut. The newest rows are held back until it is clear where they belong.
-
-    Args:
-        sorted_within_s: Rows are sorted that come no later than this after newer ones;
-            0 where they are to be used at once.
-
-    Attributes:
-        bad_count: Rows left out so far.
-    """
-
-    def __init__(self, sorted_within_s: float = SORTED_WITHIN_S) -> None:
-        self.bad_count = 0
-        self._window_s = sorted_within_s
-        self._step_s = 0.0
-        self._judge: StampJudge | None = None
-        self._unjudged: list[Rows] = []
-        self._before_s = np.empty(0)  # valid stamps before those of the tail
-        self._tail: list[Rows] = []  # the last rows of a file, and those after them
-        self._held: list[Rows] = []
-        self._row_count = 0
-        self._sorted_count = 0
-        self._first_sorted = np.inf
-        self._latest_s = np.empty(0)  # the latest valid stamp, if there was one
-        self._warnings: list[str] = []
-        self._faults = FaultCounts()
-
-    def take_warnings(self) -> list[str]:
-        """Return what was wrong with the stamps since the last call."""
-        warnings = self._warnings
-        self._warnings = []
-        return warnings
-
-    def add(self, rows: Rows) -> list[Rows]:
-        """Take further rows; return those that are ready, in the order of time."""
-        self._row_count += len(rows["t_s"])
-        self._unjudged.append(rows)
-        if self._judge is None and self._row_count < STEP_ROWS:
-            return []
-
-        return self._released(self._judged_stretches())
-
-    def finish(self) -> list[Rows]:
-        """Return all rows that were held back; report what only the end shows."""
-        if not self._row_count:
-            return []
-
-        stretches = [*self._judged_stretches(), *self._last_stretches()]
-        ready = self._released(stretches)
-        ready += self._hold(self._tail)
-        self._tail = []
-        ready += self._release_all()
-        self._report_end()
-        return ready
-
-    def _learn_step(self, t_s: Array) -> StampJudge:
-        """Learn the usual time step from the first rows; return who judges stamps."""
-        steps_s = np.diff(np.unique(t_s[:STEP_ROWS]))
-        self._step_s = float(np.median(steps_s)) if steps_s.size else 0.0
-        jump_s = LIVE_JUMP_S
-        if self._window_s > 0.0:
-            self._window_s = max(self._window_s, JUMP_STEPS * self._step_s)
-            jump_s = self._window_s
-
-        return StampJudge(
-            jump_s=max(jump_s, JUMP_STEPS * self._step_s),
-            pause_s=max(PAUSE_S, PAUSE_STEPS * self._step_s),
-        )
-
-    def _judged_stretches(self) -> list[_Stretch]:
-        """Judge the rows that wait; return those that are valid."""
-        rows = _joined(self._unjudged)
-        t_s = rows["t_s"]
-        if self._judge is None:
-            self._judge = self._learn_step(t_s)
-
-        judge = self._judge
-        jumps = np.flatnonzero(np.abs(np.diff(t_s)) > judge.jump_s)
-        stretches: list[_Stretch] = []
-        start = 0
-        row = len(judge.waiting_s)
-        while row < len(t_s):
-            verdict = judge.add(float(t_s[row]))
-            row += 1
-            if verdict is None:
-                continue
-
-            end = start + len(verdict.is_bad)
-            is_bad = verdict.is_bad
-            if not judge.waiting_s:
-                # What follows without a jump is valid, too.
-                jump = np.searchsorted(jumps, row - 1)
-                row = int(jumps[jump]) + 1 if jump < len(jumps) else len(t_s)
-                is_bad = np.concatenate((is_bad, np.zeros(row - end, dtype=np.bool_)))
-                judge.accept(float(t_s[row - 1]))
-                end = row
-
-            stretches += self._valid_stretch(
-                _part(rows, np.arange(start, end)), is_bad, verdict.starts_anew
-            )
-            start = end
-
-        self._unjudged = [_part(rows, np.arange(start, len(t_s)))]
-        return stretches
-
-    def _last_stretches(self) -> Iterator[_Stretch]:
-        """Judge the rows that still wait at the end; yield those that are valid."""
-        judge = self._judge
-        (rows,) = self._unjudged
-        start = 0
-        while judge is not None and (verdict := judge.finish()) is not None:
-            end = start + len(verdict.is_bad)
-            part = _part(rows, np.arange(start, end))
-            yield from self._valid_stretch(part, verdict.is_bad, verdict.starts_anew)
-            start = end
-
-    def _valid_stretch(
-        self, rows: Rows, is_bad: NDArray[np.bool_], starts_anew: bool
-    ) -> list[_Stretch]:
-        """Name the bad rows of a stretch; return it without them, if any is left."""
-        good_s = rows["t_s"][~is_bad]
-        if is_bad.any():
-            for row in np.flatnonzero(is_bad).tolist():
-                after_s = rows["t_s"][row:][~is_bad[row:]]
-                before_s = rows["t_s"][:row][~is_bad[:row]]
-                before_s = np.concatenate((self._latest_s, before_s))
-                self._name_bad(rows, row, before_s[-1:], after_s[:1])
-
-        if not good_s.size:
-            return []
-        if starts_anew and self._latest_s.size:
-            self._note_step(rows, int(np.argmin(is_bad)))
-
-        self._latest_s = good_s[-1:]
-        return [_Stretch(_part(rows, ~is_bad), starts_anew)]
-
-    def _name_bad(self, rows: Rows, row: int, before_s: Array, after_s: Array) -> None:
-        """Report a row with a bad stamp, by name as long as they are few.
-
-        Args:
-            rows: With the row.
-            row: Its index.
-            before_s: The valid stamp before it, shape (1,); empty before the first.
-            after_s: The valid stamp after it, likewise.
-        """
-        self.bad_count += 1
-        if self.bad_count > MAX_NAMED_ROWS:
-            return
-
-        around = [f"{stamp_s:.13g} s" for stamp_s in (*before_s, *after_s)]
-        relation = "between" if len(around) == 2 else "after"
-        if not before_s.size:
-            relation = "before"
-        self._warnings.append(
-            f"row {rows['row'][row]:.0f} has a bad time stamp and is left out: "
-            f"{rows['t_s'][row]:.13g} s, {relation} {' and '.join(around)}"
-        )
-
-    def _note_step(self, rows: Rows, row: int) -> None:
-        """Count a step of time ahead that is longer than a pause in motion."""
-        (before_s,) = self._latest_s.tolist()
-        after_s = float(rows["t_s"][row])
-        if self._judge is not None and after_s - before_s > self._judge.pause_s:
-            self._faults.note(
-                "time: long steps ahead, where the recording paused or its clock was "
-                "set",
-                f"row {rows['row'][row]:.0f}, {after_s:.13g} s after {before_s:.13g} s",
-            )
-
-    def _released(self, stretches: list[_Stretch]) -> list[Rows]:
-        """Put valid rows where they belong; return those that are ready."""
-        ready: list[Rows] = []
-        for stretch in stretches:
-            if self._window_s <= 0.0:
-                ready.append(stretch.rows)
-                continue
-
-            if stretch.starts_anew:
-                ready += self._hold(self._tail)
-                ready += self._release_all()
-                self._tail = []
-                self._before_s = np.empty(0)
-
-            ready += self._hold(self._without_displaced(stretch.rows))
-
-        return ready
-
-    def _without_displaced(self, rows: Rows) -> list[Rows]:
-        """Leave out single rows whose stamp is near, but whose own place is free.
-
-        The last rows wait for those after them.
-        """
-        rows = _joined([*self._tail, rows])
-        t_s = np.concatenate((self._before_s, rows["t_s"]))
-        is_bad = np.zeros(len(t_s), dtype=np.bool_)
-        margin = DISPLACED_MARGIN
-        if len(t_s) > 2 * margin:
-            is_bad[margin:-margin] = _displaced(t_s, self._step_s)
-
-        first = len(self._before_s)
-        for i in np.flatnonzero(is_bad).tolist():
-            self._name_bad(rows, i - first, t_s[i - 1 : i], t_s[i + 1 : i + 2])
-
-        end = max(len(t_s) - margin, first)
-        self._before_s = t_s[max(end - margin, 0) : end]
-        self._tail = [_part(rows, np.arange(end - first, len(rows["t_s"])))]
-        passed = np.flatnonzero(~is_bad[first:end])
-        return [_part(rows, passed)] if passed.size else []
-
-    def _hold(self, parts: list[Rows]) -> list[Rows]:
-        """Hold rows in the order of the file; return those that are ready."""
-        if not parts:
-            return []
-
-        rows = _joined([*self._held, *parts])
-        ready: list[Rows] = []
-        while (row := _find_set_back(rows["t_s"], self._step_s)) is not None:
-            self._held = [_part(rows, np.arange(row))]
-            ready += self._release_all()
-            rows = _part(rows, np.arange(row, len(rows["t_s"])))
-
-        t_s = rows["t_s"]
-        if not t_s.size:
-            return ready
-
-        newest_s = np.maximum.accumulate(t_s)
-        # A row that comes later than the window stays where it is.
-        place_s = np.maximum(t_s, newest_s - self._window_s)
-        order = np.argsort(place_s, kind="stable")
-        count = int(
-            np.searchsorted(place_s[order], newest_s[-1] - self._window_s, "right")
-        )
-        count = max(count, len(t_s) - MAX_HELD_ROWS)
-        is_late = (t_s < newest_s) & (place_s == t_s)
-        self._count_sorted(rows, order[:count], is_late)
-        self._held = [_part(rows, np.sort(order[count:]))]
-        return [*ready, _part(rows, order[:count])] if count else ready
-
-    def _release_all(self) -> list[Rows]:
-        """Return all rows that are held, in the order of time."""
-        if not self._held:
-            return []
-
-        rows = _joined(self._held)
-        self._held = []
-        t_s = rows["t_s"]
-        newest_s = np.maximum.accumulate(t_s)
-        place_s = np.maximum(t_s, newest_s - self._window_s)
-        order = np.argsort(place_s, kind="stable")
-        self._count_sorted(rows, order, (t_s < newest_s) & (place_s == t_s))
-        return [_part(rows, order)] if len(t_s) else []
-
-    def _count_sorted(
-        self, rows: Rows, chosen: NDArray[np.intp], is_late: NDArray[np.bool_]
-    ) -> None:
-        """Count the rows among chosen ones that came after newer ones."""
-        late = chosen[is_late[chosen]]
-        if late.size:
-            first = float(rows["row"][late].min())
-            self._first_sorted = min(self._first_sorted, first)
-            self._sorted_count += late.size
-
-    def _report_end(self) -> None:
-        """Report what only the whole log shows."""
-        if self.bad_count > MAX_NAMED_ROWS:
-            text = f"rows with a bad time stamp, left out: {self.bad_count}"
-            if self.bad_count > MIN_UNSORTED_RATIO * self._row_count:
-                text += (
-                    "; so many may be rows out of order, which --sort-within SECONDS "
-                    f"sorts in a wider window than {self._window_s:.3g} s"
-                )
-
-            self._warnings.append(text)
-
-        if self._sorted_count:
-            self._warnings.append(
-                f"time: rows out of order, sorted within {self._window_s:.3g} s: "
-                f"{self._sorted_count} of {self._row_count} (first: row "
-                f"{self._first_sorted:.0f})"
-            )
-
-        self._warnings += self._faults.lines()
-
-
-def _displaced(t_s: Array, step_s: float) -> NDArray[np.bool_]:
+def _displaced(t_s: Array, step_s: float, margin: int) -> NDArray[np.bool_]:
     """Return which stamps are not where the order of the rows has a free place.
 
     The rows before and after follow each other evenly, and leave one place free.
@@ -513,29 +385,27 @@ def _displaced(t_s: Array, step_s: float) -> NDArray[np.bool_]:
     Args:
         t_s: Stamps in the order of the file, shape (n,).
         step_s: The usual time step.
+        margin: Rows on each side that are looked at.
 
     Returns:
-        For the rows with `DISPLACED_MARGIN` rows on each side; shape (n - 6,).
+        For the rows with so many on each side; shape (n - 2 margin,).
     """
-    margin = DISPLACED_MARGIN
     windows_s = np.lib.stride_tricks.sliding_window_view(t_s, 2 * margin + 1)
     others_s = np.delete(windows_s, margin, axis=1)
     steps_s = np.diff(others_s, axis=1)
     place_s = steps_s[:, margin - 1].copy()
     steps_s[:, margin - 1] = step_s
-    is_even = (steps_s > 0.0) & (steps_s < FREE_PLACE_STEPS * step_s)
-    is_ordered = is_even.all(axis=1)
-    is_free = (place_s > FREE_PLACE_STEPS * step_s) & (
-        place_s < MAX_FREE_PLACE_STEPS * step_s
-    )
+    is_even = ((steps_s > 0.0) & (steps_s < 1.5 * step_s)).all(axis=1)
+    is_free = (place_s > 1.5 * step_s) & (place_s < 2.5 * step_s)
     stamps_s = windows_s[:, margin]
     distance_s = np.maximum(
         stamps_s - others_s[:, margin], others_s[:, margin - 1] - stamps_s
     )
-    return is_ordered & is_free & (distance_s > MIN_DISPLACED_STEPS * step_s)
+    # A row that is nearer to its place has no bad stamp.
+    return is_even & is_free & (distance_s > 3.0 * step_s)
 
 
-def _find_set_back(t_s: Array, step_s: float) -> int | None:
+def _find_set_back(t_s: Array, step_s: float | None) -> int | None:
     """Return the first row that a clock counts after it was set back.
 
     That is where rows that follow each other take places that others have taken.
@@ -560,6 +430,102 @@ def _find_set_back(t_s: Array, step_s: float) -> int | None:
     taken = np.searchsorted(ordered_s, t_s[ends], "right") - np.searchsorted(
         ordered_s, t_s[starts], "left"
     )
-    min_count = MIN_OCCUPANCY * spans_s / step_s
+    # Two runs that each take so many of the places were not written by one clock.
+    min_count = 0.4 * spans_s / step_s
     is_set_back = is_run & (lengths > min_count) & (taken - lengths > min_count)
     return int(starts[np.argmax(is_set_back)]) if is_set_back.any() else None
+
+
+def spread_rounded(
+    parts: Iterable[Rows], warn: Callable[[str], None]
+) -> Iterator[Rows]:
+    """Number the rows between stamps that were rounded; others stay as they are.
+
+    A stream that writes 6 digits gives a hundred rows one stamp. If most of the first
+    rows share theirs, though what they hold differs, each is put evenly between its
+    stamp and the next.
+
+    Args:
+        parts: Consecutive rows.
+        warn: Is told of it, once.
+    """
+    waiting: Rows = {}
+    is_rounded: bool | None = None
+    step_s = 0.0
+    for part in parts:
+        waiting = _joined([waiting, part])
+        if is_rounded is None and len(waiting["t_s"]) >= STEP_ROWS:
+            is_rounded = _is_rounded(waiting)
+        if is_rounded is False:
+            yield waiting
+            waiting = {}
+        elif is_rounded:
+            # The first group may begin anywhere: its step is that of the second.
+            changes = np.flatnonzero(np.diff(waiting["t_s"])) + 1
+            if len(changes) < (2 if not step_s else 1):
+                continue
+            if not step_s:
+                step_s = _warn_of_rounding(waiting["t_s"], changes, warn)
+
+            yield _evenly(_part(waiting, slice(0, changes[-1])), waiting, step_s)
+            waiting = _part(waiting, slice(changes[-1], None))
+
+    if waiting:
+        is_rounded = _is_rounded(waiting) if is_rounded is None else is_rounded
+        yield _evenly(waiting, {}, step_s) if is_rounded and step_s else waiting
+
+
+def _is_rounded(rows: Rows) -> bool:
+    """Return whether most rows have the stamp of the row before, but other values."""
+    head = _part(rows, slice(0, STEP_ROWS))
+    is_equal = np.diff(head["t_s"]) == 0.0
+    differs = np.zeros(len(is_equal), dtype=np.bool_)
+    for key, values in head.items():
+        if key not in ("t_s", "row"):
+            columns = values.reshape(len(values), -1)
+            differs |= (np.diff(columns, axis=0) != 0.0).any(axis=1)
+
+    return bool(np.count_nonzero(is_equal & differs) > 2 * len(is_equal) / 3)
+
+
+def _warn_of_rounding(
+    t_s: Array, changes: NDArray[np.intp], warn: Callable[[str], None]
+) -> float:
+    """Say that stamps are rounded, and to what; return the time from row to row."""
+    grain_s = t_s[changes[1]] - t_s[changes[0]]
+    count = changes[1] - changes[0]
+    warn(
+        f"time: stamps are rounded to {grain_s:.3g} s, about {count} rows each; the "
+        f"rows between were numbered, at about {count / grain_s:.4g} Hz; if the rate "
+        "is known, give it with --rate"
+    )
+    return float(grain_s / count)
+
+
+def _evenly(rows: Rows, following: Rows, step_s: float) -> Rows:
+    """Return rows of equal stamps with stamps evenly between these and the next.
+
+    Args:
+        rows: Of whole groups with equal stamps.
+        following: With the rows after them; nothing after the last.
+        step_s: From row to row, where the next stamp does not say it.
+    """
+    t_s = rows["t_s"]
+    starts = np.concatenate(([0], np.flatnonzero(np.diff(t_s)) + 1))
+    counts = np.diff([*starts, len(t_s)])
+    next_s = t_s[starts[-1]] + counts[-1] * step_s
+    if following:
+        next_s = following["t_s"][len(t_s)]
+
+    steps_s = np.diff([*t_s[starts], next_s]) / counts
+    is_first = rows["row"][0] == 1.0
+    if is_first and len(steps_s) > 1:
+        steps_s[0] = step_s
+
+    places = np.arange(len(t_s)) - np.repeat(starts, counts)
+    evenly_s = t_s + places * np.repeat(steps_s, counts)
+    if is_first and len(steps_s) > 1:
+        back = counts[0] - np.arange(counts[0])
+        evenly_s[: counts[0]] = t_s[starts[1]] - back * step_s
+
+    return {**rows, "t_s": evenly_s}

@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from math import prod
 from types import MappingProxyType
 from typing import NamedTuple
 
@@ -73,6 +74,7 @@ class Table:
         units: By name of a column: what a row of units says of it.
         has_header: Whether the columns have names in the file; without, they are called
             `column_1`, `column_2`, ...
+        layout: Name of the layout that the text has, by its first line; empty for none.
     """
 
     columns: TableColumns
@@ -84,6 +86,7 @@ class Table:
     tool_mass: ToolMass | None = None
     units: Mapping[str, StatedUnit] = field(default_factory=dict)
     has_header: bool = True
+    layout: str = ""
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns.
@@ -109,6 +112,18 @@ class Table:
     def __len__(self) -> int:
         """Return the number of rows of the longest column."""
         return max(map(len, self.columns.values()))
+
+    def values(self, name: str) -> np.ndarray:
+        """Return a column, or an element of one such as `wrench[2]`."""
+        if name in self.columns:
+            return self.columns[name]
+
+        head, _, index = name.removesuffix("]").rpartition("[")
+        return self.columns[head][:, int(index)]
+
+    def width(self, name: str) -> int:
+        """Return how many values a row has in a column, or an element of one."""
+        return prod(self.values(name).shape[1:])
 
     def describe(self, limit: int = MAX_LISTED_COLUMNS) -> str:
         """Return column names for a message, two-dimensional ones with their width."""
@@ -189,7 +204,7 @@ class TableLabels:
 
 
 def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.ndarray:
-    """Return a contiguous read-only copy as float64.
+    """Return a contiguous read-only copy as float64, or what is one already.
 
     Args:
         name: Of the values, for the message.
@@ -201,6 +216,10 @@ def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.nda
     """
     try:
         array = np.asarray(values)
+        is_frozen = array.base is None and not array.flags.writeable
+        if is_frozen and array.dtype == np.float64 and array.flags.c_contiguous:
+            return array
+
         is_whole = array.dtype.kind in "iu" and array.ndim == 1
         is_int64 = is_exact and is_whole and exceed_float64(array)
         copy = np.array(array, dtype=np.int64 if is_int64 else np.float64, order="C")

@@ -5,7 +5,10 @@ import io
 import re
 import zlib
 from collections.abc import Iterable, Iterator
+from itertools import chain
 
+from needleforce.recordings.channels import Knowledge
+from needleforce.recordings.column_names import known_names
 from needleforce.recordings.errors import FormatError, RecordingCode
 from needleforce.recordings.follow import BINARY, MAX_BLOCK_BYTES, head_of
 
@@ -21,11 +24,10 @@ MAX_NUL_BYTES = 1 << 24
 """After so many in a row nothing more is expected of a file."""
 
 SNIFFED_BYTES = 1024
-"""The first bytes of a text, which show its encoding."""
+"""So many first bytes of a text are waited for to see its encoding."""
 
-MIN_NUL_FRACTION = 0.7
-"""Of every second byte of UTF-16 without a mark, at least so many are NUL: those of
-letters, digits and separators."""
+MAX_SNIFFED_BYTES = 1 << 16
+"""So many of what has come by then are looked at."""
 
 _CUT_SHORT = "the compressed file is cut short"
 _DAMAGED = "the compressed file is damaged"
@@ -34,13 +36,6 @@ _NUL_BYTES = "the file goes on with NUL bytes, as power loss may leave them"
 _UTF_8 = "utf-8-sig"
 _UTF_16_LITTLE = "utf-16-le"
 _UTF_16_BIG = "utf-16-be"
-_SHIFT_JIS = "cp932"
-_SHIFT_JIS_WORDS = tuple(
-    word.encode(_SHIFT_JIS)
-    for word in ("時間", "試験力", "荷重", "変位", "ストローク", "名前")
-)
-"""Words in the exports of Japanese machines; as other text they make no sense."""
-
 _NUL = "\0"
 _NUL_RUN = re.compile("\0+")
 
@@ -54,9 +49,10 @@ class TextLines:
     """Iterates over the whole lines of a text, in lists of those that came together.
 
     Text compressed with gzip is unpacked, whatever its suffix, and line ends may be of
-    any kind. UTF-16 is known by its mark or by its NUL bytes; what else is not UTF-8 is
-    read as Windows text. NUL bytes in a row, as a power loss may leave them, become one
-    such character, so that they cost the line in which they stand.
+    any kind. UTF-16 is known by its mark or by its NUL bytes; what else is not UTF-8,
+    by the names and units that it holds, or it is Windows text. NUL bytes in a row, as
+    a power loss may leave them, become one such character, so that they cost the line
+    in which they stand.
 
     Attributes:
         tail: What stands behind the last line end, once all is read.
@@ -64,8 +60,9 @@ class TextLines:
         warnings: What was lost or guessed.
     """
 
-    def __init__(self, blocks: Iterable[bytes]) -> None:
+    def __init__(self, blocks: Iterable[bytes], knowledge: Knowledge) -> None:
         self._blocks = blocks
+        self._knowledge = knowledge
         self._line_count = 0
         self._fault = ""
         self._is_blank = True
@@ -76,14 +73,18 @@ class TextLines:
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the lines, without their ends; `FormatError` if there is no text."""
-        head, blocks = head_of(self._plain_blocks(), SNIFFED_BYTES)
-        encoding = _encoding(head)
+        _, blocks = head_of(self._plain_blocks(), SNIFFED_BYTES)
+        head = next(blocks, b"")
+        encoding = _encoding(head[:MAX_SNIFFED_BYTES], self._knowledge)
+        if not encoding.startswith("utf"):
+            self.warnings.append(f"the file is not UTF-8; it was read as {encoding}")
+
         errors = "surrogateescape" if encoding == _UTF_8 else "replace"
         decoder = io.IncrementalNewlineDecoder(
             codecs.getincrementaldecoder(encoding)(errors), translate=True
         )
         nul_bytes = 0
-        for block in blocks:
+        for block in chain([head], blocks):
             self.size += len(block)
             yield from self._split(decoder.decode(block))
             nul_bytes = 0 if block.strip(b"\0") else nul_bytes + len(block)
@@ -176,23 +177,38 @@ class TextLines:
             yield lines
 
 
-def _encoding(head: bytes) -> str:
+def _encoding(head: bytes, knowledge: Knowledge) -> str:
     """Return the encoding of a text from its first bytes."""
     if head.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)):
         return "utf-16"
 
-    if any(word in head for word in _SHIFT_JIS_WORDS):
-        return _SHIFT_JIS
-
+    # Without a mark every second byte of letters, digits and separators is NUL.
     first = head[0 : len(head) // 2 * 2 : 2]
     second = head[1 : len(head) // 2 * 2 : 2]
-    if not first:
-        return _UTF_8
-
-    limit = MIN_NUL_FRACTION * len(first)
-    if second.count(0) >= limit and not first.count(0):
+    min_count = max(0.7 * len(first), 1)
+    if second.count(0) >= min_count and not first.count(0):
         return _UTF_16_LITTLE
-    if first.count(0) >= limit and not second.count(0):
+    if first.count(0) >= min_count and not second.count(0):
         return _UTF_16_BIG
 
+    try:
+        codecs.getincrementaldecoder("utf-8")().decode(head)
+    except UnicodeDecodeError:
+        best = max(
+            knowledge.encodings, key=lambda name: _known_words(head, name, knowledge)
+        )
+        return _UTF_8 if best == "cp1252" else best
+
     return _UTF_8
+
+
+def _known_words(head: bytes, encoding: str, knowledge: Knowledge) -> int:
+    """Return how many names and units stand in the lines that are no ASCII."""
+    lines = [line for line in head.splitlines()[:-1] if not line.isascii()][:20]
+    try:
+        text = "\t".join(line.decode(encoding) for line in lines)
+    except UnicodeDecodeError:
+        return -1
+
+    cells = [cell for cell in re.split(r'[,;\t"]', text) if cell.strip()]
+    return known_names(cells, knowledge) + sum(map(knowledge.is_unit, cells))

@@ -24,7 +24,10 @@ def find_log_joints(source: str, mapping: ColumnMapping, torque: str) -> LogJoin
         return LogJoints(mapping.joint_order, len(mapping.joint_order))
     if source == STANDARD_STREAM or readable_path(source).is_fifo():
         return LogJoints()
-    table = next(recordings.stream_tables(source, FollowOptions()))
+    tables = recordings.stream_tables(
+        source, FollowOptions(), knowledge=mapping.knowledge
+    )
+    table = next(tables)
     names: dict[str, None] = {}
     for column in _columns(table, mapping, ("q", torque)):
         names |= dict.fromkeys(table.joint_names.get(column, ()))

@@ -9,7 +9,6 @@ from needleforce import recordings
 from needleforce.cli.shared_options import Columns, Output
 from needleforce.cli.terminal import INTERRUPTED, CommandError, progress_bar, say
 from needleforce.recordings import (
-    CHANNELS,
     ColumnMapping,
     FollowOptions,
     LogStream,
@@ -27,12 +26,13 @@ from needleforce.recordings.table import ToolMass
 
 def mapping_from_options(columns: Columns) -> ColumnMapping:
     """Return the mapping that options and mapping file give together; options win."""
-    base = ColumnMapping()
+    knowledge = recordings.load_layouts(*columns.layout)
+    base = ColumnMapping(knowledge=knowledge)
     if columns.mapping:
-        base = recordings.load_mapping(columns.mapping)
+        base = recordings.load_mapping(columns.mapping, knowledge)
     from_options = {
         name: parse_column_spec(text, channel)
-        for name, channel in CHANNELS.items()
+        for name, channel in knowledge.channels.items()
         if (text := getattr(columns, name, None)) is not None
     }
     channels = {**base.channels, **from_options}
@@ -71,8 +71,11 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
         raise CommandError(
             "a report needs a file, not a pipe; force --report DIR takes a pipe"
         )
-    table = next(recordings.stream_tables(source, FollowOptions()))
     mapping = mapping_from_options(columns)
+    tables = recordings.stream_tables(
+        source, FollowOptions(), knowledge=mapping.knowledge
+    )
+    table = next(tables)
     required = tuple(channels)
     try:
         return ChannelRequest(mapping, required).columns(table) is not None

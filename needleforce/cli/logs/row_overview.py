@@ -13,7 +13,7 @@ LATE_CLOCK_S = 1e5
 MAX_ROWS = 20_000
 """Rows of a log that a figure shows; more are thinned."""
 
-MAX_KEPT = 10
+MAX_KEPT = 3
 """Rows that are kept between thinnings, in multiples of the rows that are shown."""
 
 _NUMBER = "number of the row"

@@ -1,42 +1,16 @@
-"""Chunks of bags: records that were compressed together."""
+"""Chunks of bags: records that were compressed together.
+
+The libraries unpack a chunk at once, however large it becomes, and lose all of one that
+is damaged. Here it is unpacked in blocks.
+"""
 
 import bz2
 import io
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from contextlib import suppress
-from typing import IO, Any
+from typing import Any
 
-from needleforce.recordings.errors import (
-    FormatError,
-    RecordingCode,
-    optional_library,
-)
-
-BLOCK_BYTES = 1 << 16
-"""A chunk is unpacked in blocks of this size: what precedes a damaged place is kept,
-and a bomb is left before it grows."""
-
-
-def _open_bz2(packed: bytes) -> Any:
-    return bz2.BZ2File(io.BytesIO(packed))
-
-
-def _open_lz4(packed: bytes) -> Any:
-    lz4 = optional_library("lz4.frame", "bags with lz4 chunks")
-    return lz4.open(io.BytesIO(packed))
-
-
-def _open_zstd(packed: bytes) -> Any:
-    zstd = optional_library("zstandard", "bags compressed with zstd")
-    return zstd.ZstdDecompressor().stream_reader(packed)
-
-
-_OPENERS: dict[str, Callable[[bytes], IO[bytes]]] = {
-    "bz2": _open_bz2,
-    "lz4": _open_lz4,
-    "zstd": _open_zstd,
-}
-"""What opens a chunk, by the name of its compression."""
+from needleforce.recordings.errors import FormatError, RecordingCode, optional_library
 
 
 def unpack_chunk(
@@ -60,11 +34,25 @@ def unpack_chunk(
             RecordingCode.BAG,
         )
 
-    stream = _OPENERS[compression](packed)
+    stream = _open(packed, compression)
     unpacked = bytearray()
+    block_bytes = 1 << 16  # what precedes a damaged place is kept
     # Each library has an error of its own for damaged bytes.
     with suppress(Exception):
-        while len(unpacked) < size and (block := stream.read(BLOCK_BYTES)):
+        while len(unpacked) < size and (block := stream.read(block_bytes)):
             unpacked += block
 
     return bytes(unpacked[:size])
+
+
+def _open(packed: bytes, compression: str) -> Any:
+    """Return a stream that unpacks some bytes."""
+    if compression == "bz2":
+        return bz2.BZ2File(io.BytesIO(packed))
+    if compression == "lz4":
+        return optional_library("lz4.frame", "bags with lz4 chunks").open(
+            io.BytesIO(packed)
+        )
+
+    zstd = optional_library("zstandard", "bags compressed with zstd")
+    return zstd.ZstdDecompressor().stream_reader(packed)

@@ -9,7 +9,7 @@ from needleforce.recordings.bags.messages import NONE_YET, RawMessage
 from needleforce.recordings.bags.topics import Bag, Topic
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import ColumnError
-from needleforce.recordings.joint_order import order_joints
+from needleforce.recordings.joint_names import order_joints
 from needleforce.recordings.table import HEAD_ROWS, Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
@@ -74,7 +74,9 @@ class JoinedRows:
         ]
         self._warnings = bag.warnings
         for name, topic in self.topics.items():
-            order = order_joints(name, tuple(topic.joint_names), request)
+            order = order_joints(
+                name, topic.joint_names, request.mapping, request.joints
+            )
             self._warnings += order.notes
             topic.choose(columns.get(name, ()), order.joints)
 

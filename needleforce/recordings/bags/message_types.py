@@ -10,6 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from needleforce.recordings.bags.messages import CDR, ROS1, BagTopic
+from needleforce.recordings.channels import KNOWLEDGE, MessageLayout
 from needleforce.recordings.errors import FormatError, RecordingCode, optional_library
 from needleforce.recordings.time_stamps import NS_PER_S
 
@@ -37,56 +38,6 @@ _TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
 _COUNTER = ("header", "seq")
 """What ROS 1 counts in headers is no signal."""
-
-_KNOWN_CHANNELS: dict[str, dict[str, tuple[str, ...]]] = {
-    "franka_msgs/msg/FrankaState": {
-        "q": ("q",),
-        "dq": ("dq",),
-        "tau": ("tau_J",),
-        "tau_ext": ("tau_ext_hat_filtered",),
-    },
-    "franka_msgs/msg/FrankaRobotState": {
-        "q": ("measured_joint_state", "position"),
-        "dq": ("measured_joint_state", "velocity"),
-        "tau": ("measured_joint_state", "effort"),
-        "tau_ext": ("tau_ext_hat_filtered", "effort"),
-    },
-}
-"""Fields that are channels, by the type of their messages, as Franka publishes them."""
-
-
-class _MassFields(NamedTuple):
-    """Where a message states the mass on the flange.
-
-    Attributes:
-        total: Path of the field of the whole.
-        parts: Of those of its parts.
-    """
-
-    total: tuple[str, ...]
-    parts: tuple[tuple[str, ...], ...]
-
-
-class MassColumns(NamedTuple):
-    """The columns of a topic that state the mass on the flange.
-
-    Attributes:
-        total: Of the whole.
-        parts: Of its parts.
-    """
-
-    total: str
-    parts: tuple[str, ...]
-
-
-_TOOL_MASSES = {
-    "franka_msgs/msg/FrankaState": _MassFields(("m_total",), (("m_ee",), ("m_load",))),
-    "franka_msgs/msg/FrankaRobotState": _MassFields(
-        ("inertia_total", "inertia", "m"),
-        (("inertia_ee", "inertia", "m"), ("inertia_load", "inertia", "m")),
-    ),
-}
-"""Fields of the mass on the flange, by the type of their messages."""
 
 _TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
 _FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
@@ -233,7 +184,7 @@ class TopicDecoder:
 
     Attributes:
         known: Columns that are channels by the type of the messages, by channel.
-        tool_mass: Columns of the mass on the flange; None where it has none.
+        masses: Columns of the mass on the flange: of all, then of its parts.
 
     A column is called by its topic and the fields that lead to it:
     `/joint_states/position`. Vectors are one column of several numbers:
@@ -252,6 +203,7 @@ class TopicDecoder:
             )
 
         self._kind = topic.kind
+        self._layout = KNOWLEDGE.messages.get(topic.kind, MessageLayout())
         self._types = _types_of(topic.kind, topic.definition, topic.encoding)
         self._deserialize = (
             self._types.deserialize_ros1
@@ -268,16 +220,14 @@ class TopicDecoder:
 
         self._has_stamp = {column.path for column in columns} >= _STAMP_FIELDS
         self._name_field = self._find_name_field(fields)
+        layout = self._layout
         self.known = {
-            channel: _column_name(topic, path)
-            for channel, path in _KNOWN_CHANNELS.get(topic.kind, {}).items()
+            channel: _column_name(topic, tuple(field.split("/")))
+            for channel, field in layout.channels.items()
         }
-        self.tool_mass: MassColumns | None = None
-        if masses := _TOOL_MASSES.get(topic.kind):
-            self.tool_mass = MassColumns(
-                total=_column_name(topic, masses.total),
-                parts=tuple(_column_name(topic, path) for path in masses.parts),
-            )
+        self.masses = tuple(
+            _column_name(topic, tuple(field.split("/"))) for field in layout.masses
+        )
         self._columns = [
             _NamedColumn(
                 name=_column_name(topic, column.path),
@@ -295,11 +245,13 @@ class TopicDecoder:
 
         A message whose joints are named in parts has them in the part that is measured.
         """
-        part = _KNOWN_CHANNELS.get(self._kind, {}).get("q", ())[:-1]
-        if part:
-            parts = {path[:-1] for path in _KNOWN_CHANNELS[self._kind].values()}
-            self._named_parts: set[tuple[str, ...]] = parts
-            return attrgetter(".".join((*part, _NAME_FIELDS[0])))
+        part, slash, _ = self._layout.channels.get("q", "").rpartition("/")
+        if slash:
+            fields_of_joints = self._layout.channels.values()
+            self._named_parts: set[tuple[str, ...]] = {
+                tuple(field.split("/"))[:-1] for field in fields_of_joints
+            }
+            return attrgetter(f"{part}.{_NAME_FIELDS[0]}".replace("/", "."))
 
         self._named_parts = {()}
         name = next((name for name in _NAME_FIELDS if name in fields), None)

@@ -185,17 +185,14 @@ class Topic:
 
     def _tool_mass_in(self, content: MessageContent) -> ToolMass | None:
         """Return the mass on the flange that a message states; None if it does not."""
-        columns = self._decoder.tool_mass
-        if columns is None:
-            return None
-
         masses = {
             name: ToolMass(float(content.values[name]), name)
-            for name in (columns.total, *columns.parts)
+            for name in self._decoder.masses
             if name in content.values
         }
-        parts = [masses[name] for name in columns.parts if name in masses]
-        return choose_tool_mass(masses.get(columns.total), parts)
+        found = [masses.get(name) for name in self._decoder.masses]
+        parts = [mass for mass in found[1:] if mass is not None]
+        return choose_tool_mass(next(iter(found), None), parts)
 
     def describe(self) -> str:
         """Return the topic in one line."""

@@ -10,7 +10,6 @@ from needleforce.cli import main, plan, register, shared_options, simulate, touc
 from needleforce.cli.logs.tare_schedule import AUTOMATIC_S
 from needleforce.devices.arm_names import CALLED_KINDS, LISTENING_KINDS
 from needleforce.recordings.channels import CHANNELS
-from needleforce.recordings.units import find_unit
 from residual import DEFAULT
 from tests.needleforce.cli.residual_command_log import refusal
 from urdf import load_example
@@ -93,7 +92,7 @@ def test_units_that_are_listed_are_read(command, capsys):
         units = re.findall(r"\(([^()]*)\)\.?", text)
         for unit in units[0].split(", ") if units and name in CHANNELS else ():
             if " " not in unit:
-                assert find_unit(unit, CHANNELS[name].units) is not None, (name, unit)
+                assert CHANNELS[name].units.find(unit) is not None, (name, unit)
                 checked += 1
 
     assert checked >= 15

@@ -24,7 +24,6 @@ from needleforce.recordings.column_names import (
 )
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.mapping_suggestion import suggest_mapping
-from needleforce.recordings.units import find_unit
 from tests.needleforce.recordings.bag_samples import insertion_rows, mapped, write_bag
 
 JOINTS = ("q", "dq", "tau")
@@ -36,7 +35,7 @@ def table_of(*names, **two_dimensional):
 
 
 def detected(table, channel):
-    return [name for name, _ in detect_columns(table, CHANNELS[channel])]
+    return detect_columns(table, CHANNELS[channel])
 
 
 @pytest.mark.parametrize(
@@ -52,7 +51,7 @@ def detected(table, channel):
     ],
 )
 def test_units_are_known_in_their_usual_spellings(written, channel, unit):
-    assert find_unit(written, CHANNELS[channel].units) == unit
+    assert CHANNELS[channel].units.find(written) == unit
 
 
 @pytest.mark.parametrize(
@@ -108,7 +107,7 @@ def test_a_pattern_orders_columns_by_number(pattern, names):
         ),
         wrench=np.arange(18.0).reshape(3, 6),
     )
-    assert [name for name, _ in find_columns(table, pattern)] == names
+    assert find_columns(table, pattern) == names
 
 
 @pytest.mark.parametrize(

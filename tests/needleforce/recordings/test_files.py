@@ -10,6 +10,7 @@ import pyarrow.parquet as pq
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from pyarrow import feather
 
 from needleforce.recordings import (
     FileAccessError,
@@ -279,8 +280,10 @@ def test_types_of_other_writers_become_numbers(path):
     table = read_table(path)
 
     np.testing.assert_array_equal(table.columns["flag"], [1.0, np.nan, 0.0, 1.0])
+    np.testing.assert_array_equal(
+        table.columns["q"], [[1.0, 2.0], [np.nan, np.nan], [5.0, 6.0], [7.0, 8.0]]
+    )
     assert table.warnings == (
-        "column 'q' holds list<element: int32>, no numbers, and was left out",
         "column 'name' holds string, no numbers, and was left out",
     )
 
@@ -349,3 +352,16 @@ def test_damaged_bytes_are_read_or_cleanly_refused(tmp_path_factory, where, byte
         return
 
     assert table.columns
+
+
+def test_feather_reads_as_parquet_does(tmp_path):
+    q = pa.array([[0.0, 1.0], [2.0, 3.0]], pa.list_(pa.float64(), 2))
+    table = pa.table({"t_s": [0.0, 0.1], "q": q, "name": ["a", "b"]})
+    path = tmp_path / "log.feather"
+    feather.write_feather(table, path)
+    log = read_log(path, required=["q"])
+
+    assert log["q_rad"].tolist() == [[0.0, 1.0], [2.0, 3.0]]
+    path.write_bytes(path.read_bytes()[:-20])
+    with pytest.raises(FormatError, match="is not a Feather file, or it is damaged"):
+        read_log(path)

@@ -300,3 +300,77 @@ def test_shift_jis_of_japanese_machines_is_read(tmp_path):
     path.write_bytes(text.encode("cp932"))
 
     assert_is_the_log(read_log(path, required=("depth", "force")))
+
+
+@pytest.mark.parametrize("encoding", ["gb18030", "cp949", "mac_roman", "cp1250"])
+def test_an_encoding_is_known_by_the_words_in_it(tmp_path, encoding):
+    names = {
+        "gb18030": "试验时间 (s),位移 (mm),载荷 (N)",
+        "cp949": "t (s),depth (mm),force (N),온도",
+        "mac_roman": "Prüfzeit (s),Weg (mm),Prüfkraft (N)",
+        "cp1250": "t (s),depth (mm),force (N),teplota °",
+    }[encoding]
+    extra = ",1" if names.count(",") == 3 else ""
+    rows = "".join(f"{row}{extra}\n" for row in rows_of().splitlines())
+    path = tmp_path / "log.csv"
+    path.write_bytes(f"{names}\n{rows}".encode(encoding))
+
+    assert_is_the_log(read_log(path, required=("depth", "force")))
+
+
+def test_times_of_a_clock_are_seconds_also_over_midnight(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "No.,Time(h:m:s),Position(mm),Force(N)\n"
+        "1,23:59:59.980,1,2\n2,23:59:59.990,1,2\n3,0:00:00.000,1,2\n4,,1,2\n"
+        "5,00:00:00.020,1,2\n"
+    )
+    log = read_log(path, required=("depth", "force"))
+
+    np.testing.assert_allclose(log.t_s, [86399.98, 86399.99, 86400.0, 86400.02])
+    assert "rows without a stamp, left out: 1" in log.warnings[0]
+    assert str(log.units[0]) == "Time(h:m:s) in s (format of the file)"
+
+
+def test_dates_with_times_lose_no_nanosecond(tmp_path):
+    path = tmp_path / "log.csv"
+    path.write_text(
+        "time,force_N\n2024-05-01 12:00:00.123456789,1\n"
+        "2024-05-01T14:00:00.123456799+02:00,2\n2024/05/01 12:00:01Z,3\n"
+    )
+    log = read_log(path)
+
+    assert log.start_ns == 1_714_564_800_123_456_789
+    assert log.t_s.tolist() == [0.0, 1e-8, 0.876543211]
+
+
+def test_a_clock_in_pieces_reads_as_whole(tmp_path):
+    stamps = [
+        f"{k // 3600 % 24}:{k // 60 % 60:02}:{k % 60:02}" for k in range(86000, 87000)
+    ]
+    text = "Time,F [N]\n" + "".join(f"{stamp},1\n" for stamp in stamps)
+    tables = csv_tables([text[:5000].encode(), text[5000:].encode()], "log")
+    seconds = np.concatenate([table.columns["Time"] for table in tables])
+
+    np.testing.assert_array_equal(seconds, np.arange(86000.0, 87000.0))
+
+
+@pytest.mark.parametrize(
+    "form", ["[{}, {}]", "({};{})", "[np.float64({}), np.float64({})]"]
+)
+def test_cells_of_lists_are_columns_of_two_dimensions(tmp_path, form):
+    path = tmp_path / "log.csv"
+    cells = [form.format(k / 10, -k) for k in range(4)]
+    rows = [f'{k / 100},"{cell}",x' for k, cell in enumerate([*cells, "[1.0]"])]
+    path.write_text("\n".join(["time,q,note", *rows, ""]))
+    log = read_log(path, required=("q",))
+
+    expected = [[0.0, 0.0], [0.1, -1.0], [0.2, -2.0], [0.3, -3.0], [np.nan, np.nan]]
+    np.testing.assert_array_equal(log["q_rad"], expected)
+
+
+def test_bars_may_separate_cells(tmp_path):
+    path = tmp_path / "log.txt"
+    path.write_text("Time [s]|Travel [mm]|Load [N]\n" + rows_of("|"))
+
+    assert_is_the_log(read_log(path, required=("depth", "force")))

@@ -174,3 +174,35 @@ def test_a_bad_first_stamp_does_not_begin_the_clock(tmp_path, first_ns, suffix):
 
     assert log.t_s[0] == 0.0
     assert to_nanoseconds(log.t_s, log.start_ns).tolist() == stamps_ns[1:].tolist()
+
+
+@pytest.mark.parametrize("grain_s", [0.1, 1.0])
+@pytest.mark.parametrize("size", [3000, 700, 150])
+def test_rows_between_rounded_stamps_are_numbered(grain_s, size):
+    t_s = 12345.0 + 0.001 * np.arange(3000)
+    rounded_s = np.round(np.floor(t_s / grain_s + 1e-9) * grain_s, 6)
+    force_N = np.arange(1.0, 3001.0)
+    tables = [
+        Table(
+            columns={
+                "t_s": rounded_s[k : k + size],
+                "force_N": force_N[k : k + size],
+            }
+        )
+        for k in range(0, 3000, size)
+    ]
+    log = LogStream(tables, ChannelRequest(required=("force",))).joined()
+
+    np.testing.assert_array_equal(log["force_N"], force_N)
+    np.testing.assert_allclose(np.diff(log.t_s), 0.001, atol=1e-8)
+    assert f"stamps are rounded to {grain_s:.3g} s" in log.warnings[0]
+    assert "at about 1000 Hz" in log.warnings[0]
+
+
+def test_rows_that_were_written_twice_are_not_numbered():
+    t_s = np.repeat(np.arange(300.0) / 100.0, 10)
+    table = Table(columns={"t_s": t_s, "force_N": np.repeat(np.arange(300.0), 10)})
+    log = LogStream([table], ChannelRequest(required=("force",))).joined()
+
+    np.testing.assert_array_equal(log.t_s, t_s)
+    assert "stamps repeated: 2700" in log.warnings[0]

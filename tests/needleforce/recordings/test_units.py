@@ -13,9 +13,9 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.recordings.channels import KNOWLEDGE
 from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.table import StatedUnit
-from needleforce.recordings.units import find_unit, is_row_of_units
 
 T_S = np.arange(3.0) / 100.0
 ONES = np.ones(3)
@@ -49,7 +49,7 @@ ONES = np.ones(3)
     ],
 )
 def test_units_of_laboratories_are_known(text, channel, unit, factor):
-    assert find_unit(text, CHANNELS[channel].units) == unit
+    assert CHANNELS[channel].units.find(text) == unit
     assert CHANNELS[channel].units[unit] == pytest.approx(factor)
 
 
@@ -58,7 +58,7 @@ def test_units_of_laboratories_are_known(text, channel, unit, factor):
     [("%", "force"), ("MN", "force"), ("M", "depth"), ("n", "force")],
 )
 def test_what_is_no_unit_of_a_channel_is_not_guessed(text, channel):
-    assert find_unit(text, CHANNELS[channel].units) is None
+    assert CHANNELS[channel].units.find(text) is None
 
 
 @pytest.mark.parametrize(
@@ -73,7 +73,7 @@ def test_what_is_no_unit_of_a_channel_is_not_guessed(text, channel):
     ],
 )
 def test_a_row_of_units_is_recognised(cells, expected):
-    assert is_row_of_units(cells) is expected
+    assert KNOWLEDGE.is_row_of_units(cells) is expected
 
 
 def log_of(mapping=None, units=None, required=(), **columns):
