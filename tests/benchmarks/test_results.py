@@ -202,7 +202,11 @@ def test_the_summary_has_eight_lines_bad_ones_first():
 
     assert set(list(lines)[:2]) == {"tissue, degraded", "tissue, fri"}
 
-    nothing = {"published, one setting": "–", "published, best gain": "–", "worst of ours": ""}
+    nothing = {
+        "published, one setting": "–",
+        "published, best gain": "–",
+        "worst of ours": "",
+    }
     missed = nothing | {"runs": "1", "targets": "missed"}
 
     assert lines["tissue, fri"] == missed | {
