@@ -16,7 +16,9 @@ from benchmarks.insertion.layer_friction import (
 from benchmarks.insertion.matching import is_visible, match
 from benchmarks.insertion.methods import Alarm
 from benchmarks.insertion.metrics import (
+    before_rupture_metrics,
     bound_metrics,
+    coverage_metrics,
     enhanced_metrics,
     rupture_metrics,
 )
@@ -139,8 +141,15 @@ def test_delay_silence_and_false_alarms_are_counted():
 
     assert values["rupture_recall"] == values["rupture_precision"] == 1.0
     assert values["rupture_delay_ms"] == pytest.approx(50.0)
+    assert values["rupture_delay_worst_ms"] == pytest.approx(50.0)
     assert values["rupture_timing_error_ms"] == pytest.approx(10.0)
     assert values["detection_depth_error_mm"] == pytest.approx(0.1, abs=0.03)
+
+    two = match([rupture(7.0), rupture(11.0)], [alarm(7.05), alarm(11.2)])
+    values = rupture_metrics(two, truth())
+
+    assert values["rupture_delay_ms"] == pytest.approx(125.0)
+    assert values["rupture_delay_worst_ms"] == pytest.approx(200.0)
 
     ruptures = [rupture(7.0), rupture(11.0, layer=2, drop_N=0.04)]
     missed = rupture_metrics(match(ruptures, [alarm(7.0)]), truth())
@@ -246,6 +255,49 @@ def test_a_perfect_enhanced_force_leaves_no_remaining_force():
     assert enhanced_metrics(wild_force, true)["enhanced_rmse_N"] == pytest.approx(
         0.0, abs=1e-12
     )
+
+
+def test_a_fall_of_the_enhanced_force_before_a_rupture_is_found():
+    true = replace(truth(), tip_N=0.1 * T, axial_N=0.1 * T)
+    true = replace(true, layer_friction_N=np.zeros((len(T), 1)))
+    right = before_rupture_metrics(identified(true.enhanced_N, None), true)
+
+    assert right == {
+        "enhanced_before_rupture_rmse_N": 0.0,
+        "enhanced_false_fall_N": 0.0,
+    }
+
+    # Half a newton less from 0.5 s before the rupture on; the truth rises meanwhile.
+    fallen = true.enhanced_N - np.where((T > 6.5) & (T < 7.0), 0.5, 0.0)
+    values = before_rupture_metrics(identified(fallen, None), true)
+
+    assert values["enhanced_false_fall_N"] == pytest.approx(0.5, abs=0.04)
+    assert values["enhanced_before_rupture_rmse_N"] == pytest.approx(0.35, abs=0.01)
+
+    # Where the truth falls too, a fall is right.
+    falling = replace(true, axial_N=2.0 - 0.1 * T)
+    fallen = falling.enhanced_N - np.where((T > 6.5) & (T < 7.0), 0.5, 0.0)
+    values = before_rupture_metrics(identified(fallen, None), falling)
+
+    assert values["enhanced_false_fall_N"] == 0.0
+
+
+def test_deviations_are_compared_with_errors():
+    true = truth()
+    friction_N = true.axial_N - true.tip_N
+    numbers = {
+        "tip_force_N": true.tip_N + 0.1,
+        "tip_force_std_N": np.full(len(T), 0.2),
+        "shaft_friction_N": friction_N + 0.1,
+        "shaft_friction_std_N": np.full(len(T), 0.04),
+    }
+    stated = SimpleNamespace(start=0, series=numbers.get)
+    values = coverage_metrics(stated, true)
+
+    assert values["tip_std_ratio_moving"] == pytest.approx(2.0)
+    assert values["tip_coverage_moving_2sigma"] == 1.0
+    assert values["shaft_std_ratio_at_rest"] == pytest.approx(0.4)
+    assert values["shaft_coverage_at_rest_2sigma"] == 0.0
 
 
 def signal(true, error_N=0.0, zero_m=0.0):
