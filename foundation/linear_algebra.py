@@ -245,6 +245,124 @@ def decompose_symmetric(matrix: Matrix) -> Eigensystem:
 
 
 @compiled_inside
+def make_rows_orthogonal(rows: WrittenMatrix, companions: WrittenMatrix) -> None:
+    """Rotate rows, shape (m, n), until they are orthogonal to each other.
+
+    One-sided Jacobi rotations (Golub and Van Loan, Matrix Computations, 8.6.3): the
+    rows A become S V^T of A = U S V^T, in any order, each accurate relative to its own
+    length.
+
+    Args:
+        rows: A, overwritten by S V^T.
+        companions: C with the same number of rows, overwritten by U^T C.
+    """
+    for _ in range(MAX_SWEEPS):
+        is_rotated = False
+        for p in range(len(rows)):
+            for q in range(p + 1, len(rows)):
+                product = dot(rows[p], rows[q])
+                p_squared = dot(rows[p], rows[p])
+                q_squared = dot(rows[q], rows[q])
+                negligible = ROUNDING * math.sqrt(p_squared * q_squared)
+                # Written so that a NaN ends it.
+                if abs(product) > negligible:
+                    is_rotated = True
+                    ratio = (q_squared - p_squared) / (2.0 * product)
+                    tangent = math.copysign(1.0, ratio) / (
+                        abs(ratio) + math.hypot(1.0, ratio)
+                    )
+                    rotate_rows(rows, p, q, tangent)
+                    rotate_rows(companions, p, q, tangent)
+        if not is_rotated:
+            break
+
+
+@compiled_inside
+def rotate_rows(rows: WrittenMatrix, p: int, q: int, tangent: float) -> None:
+    """Rotate two rows into each other by an angle with that tangent."""
+    cosine = 1.0 / math.hypot(1.0, tangent)
+    sine = tangent * cosine
+    for k in range(rows.shape[1]):
+        a = rows[p, k]
+        b = rows[q, k]
+        rows[p, k] = cosine * a - sine * b
+        rows[q, k] = sine * a + cosine * b
+
+
+@compiled_inside
+def remove_parts(vector: WrittenVector, basis: Matrix, size: int) -> None:
+    """Subtract the parts along the first so many rows of an orthonormal basis.
+
+    Twice, since the first time leaves rounding relative to what was subtracted.
+    """
+    for i in range(2 * size):
+        direction = basis[i % size]
+        part = dot(vector, direction)
+        for k in range(vector.size):
+            vector[k] -= part * direction[k]
+
+
+@compiled_inside
+def find_complement(basis: Matrix, size: int) -> Array:
+    """Return orthonormal directions across the first rows of an orthonormal basis.
+
+    Args:
+        basis: Rows of shape (n,).
+        size: Number of them that count, r.
+
+    Returns:
+        The directions in rows, shape (n - r, n).
+    """
+    dimensions = basis.shape[1]
+    all_directions = np.zeros((dimensions, dimensions))
+    all_directions[:size] = basis[:size]
+    uncovered = np.ones(dimensions)  # squared part of each axis that is left
+    for i in range(size):
+        for k in range(dimensions):
+            uncovered[k] -= basis[i, k] ** 2
+    for i in range(size, dimensions):
+        direction = all_directions[i]
+        direction[index_of_largest(uncovered)] = 1.0
+        remove_parts(direction, all_directions, i)
+        length = math.sqrt(dot(direction, direction))
+        for k in range(dimensions):
+            direction[k] /= length
+            uncovered[k] -= direction[k] ** 2
+    return all_directions[size:]
+
+
+@compiled_inside
+def solve_least_squares(matrix: Matrix, values: Vector, tolerance: float) -> Array:
+    """Return the shortest x that minimises ``|matrix @ x - values|``, shape (n,).
+
+    Singular values of the matrix, shape (m, n), below the largest times the tolerance
+    count as zero.
+    """
+    equations, unknowns = matrix.shape
+    solution = np.zeros(unknowns)
+    is_wide = equations < unknowns
+    if is_wide:
+        rows = matrix.copy()
+        companions = values.copy().reshape(equations, 1)
+    else:
+        rows = np.ascontiguousarray(matrix.T)
+        companions = np.eye(unknowns)
+    make_rows_orthogonal(rows, companions)
+    squares = np.zeros(len(rows))
+    largest = 0.0
+    for i in range(len(rows)):
+        squares[i] = dot(rows[i], rows[i])
+        largest = max(largest, squares[i])
+    for i in range(len(rows)):
+        if squares[i] > tolerance**2 * largest:
+            direction = rows[i] if is_wide else companions[i]
+            part = companions[i, 0] if is_wide else dot(rows[i], values)
+            for k in range(unknowns):
+                solution[k] += part / squares[i] * direction[k]
+    return solution
+
+
+@compiled_inside
 def order_statistic(values: Vector, rank: int) -> float:
     """Return the value with `rank` smaller ones, of n; by quickselect (Hoare 1961)."""
     own = values.copy()

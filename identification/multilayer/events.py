@@ -122,7 +122,7 @@ class Event(NamedTuple):
     kind: int
     next_medium: float
     keeps_force: bool
-    release_lengths_mm: WrittenVector
+    release_lengths_mm: Vector
     probability: float
 
 

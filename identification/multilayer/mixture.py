@@ -20,7 +20,6 @@ Lengths are in mm, speeds in mm/s, forces in N.
 """
 
 import math
-from collections.abc import Iterator
 from dataclasses import fields
 from typing import Any, NamedTuple, TypeVar, cast
 
@@ -36,7 +35,7 @@ from foundation.arrays import (
 )
 from foundation.jit import compiled, compiled_inside
 from foundation.linear_algebra import dot, sort_descending
-from foundation.records import read_column, read_element, record_array
+from foundation.records import read_column, record_array
 from identification.multilayer.block import Block
 from identification.multilayer.disturbances import (
     COLOURED_NOISE_S,
@@ -751,7 +750,7 @@ def record_end(
         record_membrane(history, before, block.depth_mm - assumption.tip_start_mm)
 
 
-@compiled
+@compiled_inside
 def add_children(
     mixture: Mixture,
     parent: int,
@@ -760,7 +759,7 @@ def add_children(
     block: Block,
     reported: int,
     tissue_speed_std: float,
-) -> None:
+) -> int:
     """Write what a component becomes by an event, once for each release length.
 
     Args:
@@ -771,6 +770,9 @@ def add_children(
         block: Where and how.
         reported: Ruptures reported so far.
         tissue_speed_std: Standard deviation of the tissue's own speed [mm/s].
+
+    Returns:
+        Number of components now.
     """
     old = Gaussian(mixture.means[parent], mixture.covariances[parent])
     assumption = mixture.assumptions[parent]
@@ -797,74 +799,128 @@ def add_children(
             for k in range(UNKNOWNS):
                 mixture.covariances[row, j, k] = new.covariance[j, k]
         mixture.log_weights[row] = log_weight
+    return size + len(event.release_lengths_mm)
 
 
-def possible_events(
-    assumption: Assumptions, block: Block, probability: float, *, is_membrane_due: bool
-) -> Iterator[Event]:
-    """Yield what may have happened to a component.
-
-    Args:
-        assumption: What it assumes.
-        block: Where.
-        probability: Prior probability of a rupture over the travel.
-        is_membrane_due: Whether a membrane may have been met.
-    """
-    if assumption.medium == AIR:
-        yield from _possible_contacts(assumption, block, probability)
-    elif block.depth_mm > assumption.tip_start_mm + MIN_BETWEEN_RUPTURES_MM:
-        yield from _possible_ends(assumption.medium, probability)
-        if assumption.medium == LAYER:
-            start_mm = assumption.layer_start_mm + MIN_LAYER_ABOVE_MEMBRANE_MM
-            is_deep = block.depth_mm > start_mm
-            if is_membrane_due and is_deep and assumption.is_fraction_used:
-                rate = MEMBRANES_PER_RUPTURE * MEMBRANE_STEP_MM * RUPTURES_PER_MM
-                yield Event(MEMBRANE_MET, MEMBRANE, False, NO_RELEASES_MM, rate)
-
-
-def _possible_contacts(
-    assumption: Assumptions, block: Block, probability: float
-) -> Iterator[Event]:
+@compiled_inside
+def add_contacts(
+    mixture: Mixture,
+    parent: int,
+    size: int,
+    block: Block,
+    probability: float,
+    reported: int,
+    tissue_speed_std: float,
+) -> int:
+    """Write what a component in free air may have become; see `branch_parents`."""
+    assumption = mixture.assumptions[parent]
     if block.deflection < MIN_CONTACT_DEFLECTION and not block.is_swing:
-        return
-    if assumption.ruptures:
+        return size
+    if assumption.ruptures > 0.0:
         probability *= GAP_OF_AIR_FRACTION
         if block.depth_mm < assumption.release_start_mm + MIN_GAP_OF_AIR_MM:
-            return
+            return size
     layer = CONTACT_LAYER_FRACTION * probability
+    event = Event(CONTACT, LAYER, False, NO_RELEASES_MM, layer)
+    size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
     membrane = CONTACT_MEMBRANE_FRACTION * probability
-    yield Event(CONTACT, LAYER, False, NO_RELEASES_MM, layer)
-    yield Event(CONTACT, MEMBRANE, False, NO_RELEASES_MM, membrane)
+    event = Event(CONTACT, MEMBRANE, False, NO_RELEASES_MM, membrane)
+    return add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
 
 
-def _possible_ends(medium: float, probability: float) -> Iterator[Event]:
+@compiled_inside
+def add_ends(
+    mixture: Mixture,
+    parent: int,
+    size: int,
+    block: Block,
+    probability: float,
+    reported: int,
+    tissue_speed_std: float,
+) -> int:
+    """Write what a component in tissue may have become; see `branch_parents`."""
     end = (1.0 - PARTIAL_FRACTION) * probability / len(RELEASES_MM)
     further = end * (1.0 - AIR_FRACTION)
-    if medium != LAYER:
-        yield Event(LAYER_END, LAYER, False, RELEASES_MM, further)
-        return
+    if mixture.assumptions[parent].medium != LAYER:
+        event = Event(LAYER_END, LAYER, False, RELEASES_MM, further)
+        return add_children(
+            mixture, parent, size, event, block, reported, tissue_speed_std
+        )
     fading = further * FADING_PROBABILITY
     whole = further * (1.0 - FADING_PROBABILITY)
     partial = PARTIAL_FRACTION * probability / len(PARTIAL_RELEASES_MM)
-    yield Event(LAYER_END, LAYER, False, RELEASES_MM, whole)
-    yield Event(LAYER_END, LAYER, True, RELEASES_MM, fading)
-    yield Event(LAYER_END, AIR, False, RELEASES_MM, end * AIR_FRACTION)
-    yield Event(PARTIAL_RUPTURE, LAYER, False, PARTIAL_RELEASES_MM, partial)
+    event = Event(LAYER_END, LAYER, False, RELEASES_MM, whole)
+    size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
+    event = Event(LAYER_END, LAYER, True, RELEASES_MM, fading)
+    size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
+    event = Event(LAYER_END, AIR, False, RELEASES_MM, end * AIR_FRACTION)
+    size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
+    event = Event(PARTIAL_RUPTURE, LAYER, False, PARTIAL_RELEASES_MM, partial)
+    return add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
 
 
 @compiled
-def choose_parents(mixture: Mixture, depth_mm: float) -> Rows:
+def branch_parents(
+    mixture: Mixture,
+    size: int,
+    block: Block,
+    probability: float,
+    is_membrane_due: bool,
+    reported: int,
+    tissue_speed_std: float,
+) -> int:
+    """Write what the likeliest component of each tip state may have become.
+
+    Args:
+        mixture: With room for the children, from row `size` on.
+        size: Number of components before.
+        block: Where and how.
+        probability: Prior probability of a rupture over the travel.
+        is_membrane_due: Whether a membrane may have been met.
+        reported: Ruptures reported so far.
+        tissue_speed_std: Standard deviation of the tissue's own speed [mm/s].
+
+    Returns:
+        Number of components now.
+    """
+    for parent in choose_parents(mixture, size, block.depth_mm):
+        assumption = mixture.assumptions[parent]
+        medium = assumption.medium
+        if medium == AIR:
+            size = add_contacts(
+                mixture, parent, size, block, probability, reported, tissue_speed_std
+            )
+        elif block.depth_mm > assumption.tip_start_mm + MIN_BETWEEN_RUPTURES_MM:
+            size = add_ends(
+                mixture, parent, size, block, probability, reported, tissue_speed_std
+            )
+            start_mm = assumption.layer_start_mm + MIN_LAYER_ABOVE_MEMBRANE_MM
+            is_deep = block.depth_mm > start_mm
+            is_known = assumption.is_fraction_used != 0.0
+            if medium == LAYER and is_membrane_due and is_deep and is_known:
+                rate = MEMBRANES_PER_RUPTURE * MEMBRANE_STEP_MM * RUPTURES_PER_MM
+                event = Event(MEMBRANE_MET, MEMBRANE, False, NO_RELEASES_MM, rate)
+                size = add_children(
+                    mixture, parent, size, event, block, reported, tissue_speed_std
+                )
+    return size
+
+
+@compiled_inside
+def choose_parents(mixture: Mixture, size: int, depth_mm: float) -> Rows:
     """Return the likeliest component's row for each tip state, the likeliest first.
+
+    Of the first `size` components.
 
     Components whose last release is not over are left out: until then the force does
     not show what the rupture was.
     """
     best = np.full(TIP_STATES, -1)
     max_log_weight = mixture.log_weights[0]
-    for log_weight in mixture.log_weights:
-        max_log_weight = max(max_log_weight, log_weight)
+    for k in range(size):
+        max_log_weight = max(max_log_weight, mixture.log_weights[k])
     min_log_weight = max_log_weight - MAX_PARENT_LOG_WEIGHT_GAP
-    for k in range(len(mixture.log_weights)):
+    for k in range(size):
         assumption = mixture.assumptions[k]
         release_mm = max(assumption.release_length_mm, MIN_RELEASE_MM)
         is_over = depth_mm > assumption.release_start_mm + release_mm
@@ -957,27 +1013,18 @@ class MixtureMemory:
             tissue_speed_std: Standard deviation of the tissue's own speed [mm/s].
             reported: Ruptures reported so far.
         """
-        parents = choose_parents(self.mixture, block.depth_mm).tolist()
         begin_mm = max(before_mm, block.depth_mm - MAX_BRANCH_MM)
         travel_mm = max(block.depth_mm - begin_mm, MIN_BRANCH_MM)
         is_membrane_due = _membrane_step(block.depth_mm) != _membrane_step(before_mm)
-        rupture_probability = RUPTURES_PER_MM * travel_mm
-        for parent in parents:
-            assumption = read_element(Assumptions, self.store.assumptions, parent)
-            events = possible_events(
-                assumption, block, rupture_probability, is_membrane_due=is_membrane_due
-            )
-            for event in events:
-                add_children(
-                    self.store,
-                    parent,
-                    self.size,
-                    event,
-                    block,
-                    reported,
-                    tissue_speed_std,
-                )
-                self.size += len(event.release_lengths_mm)
+        self.size = branch_parents(
+            self.store,
+            self.size,
+            block,
+            RUPTURES_PER_MM * travel_mm,
+            is_membrane_due,
+            reported,
+            tissue_speed_std,
+        )
 
     def prune(self, depth_mm: float) -> None:
         """Keep the likeliest components of each class, best first."""

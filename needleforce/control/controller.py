@@ -215,12 +215,14 @@ class Controller:
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
         except Exception as error:  # whatever a sample or a stranger's task brings
             return self._brake(f"{type(error).__name__}: {error}")
+        is_damped = numbers.is_damped
         if failure is not None:
             status = CommandStatus(failure.kind)
-            command = self._command(velocity_rad_s, status, failure.reason)
+            reason = failure.reason
         else:
-            command = self._command(velocity_rad_s, self._status_of(is_limited))
-        return command._replace(is_limited=is_limited, is_damped=numbers.is_damped)
+            status = self._status_of(is_limited)
+            reason = ""
+        return self._command(velocity_rad_s, status, reason, is_limited, is_damped)
 
     def _status_of(self, is_limited: bool) -> CommandStatus:
         """Return the status of a tick whose tasks were served."""
@@ -334,7 +336,12 @@ class Controller:
         return self._command(velocity_rad_s, CommandStatus.SKIPPED, reason)
 
     def _command(
-        self, velocity_rad_s: Array, status: CommandStatus, reason: str = ""
+        self,
+        velocity_rad_s: Array,
+        status: CommandStatus,
+        reason: str = "",
+        is_limited: bool = False,
+        is_damped: bool = False,
     ) -> Command:
         """Remember a velocity as the last one, and return it as a command."""
         velocity_rad_s.setflags(write=False)
@@ -342,4 +349,4 @@ class Controller:
             change_rad_s = velocity_rad_s - self.last_rad_s
             self._acceleration_rad_s2 = change_rad_s / self._rates.cycle_s
         self.last_rad_s = velocity_rad_s
-        return Command(velocity_rad_s, status, reason)
+        return Command(velocity_rad_s, status, reason, is_limited, is_damped)

@@ -10,27 +10,26 @@ one: a row counts by how far joints move for it.
 import itertools
 import math
 from collections.abc import Callable, Sequence
-from typing import NamedTuple
+from typing import NamedTuple, cast
 
 import numpy as np
-from numpy.typing import NDArray
 
-from foundation.arrays import Array, Matrix, Vector, WrittenVector
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compiled, compiled_inside
 from foundation.linear_algebra import (
     dot,
+    find_complement,
+    index_of_largest,
+    make_rows_orthogonal,
     multiply,
     multiply_transposed,
     multiply_vector,
+    remove_parts,
+    solve_least_squares,
 )
 from needleforce.control.errors import SettingError
 from needleforce.control.joint_limits import SLACK_rad_s
 from needleforce.control.tasks import JointTask, Task, ToolState
-
-MIN_NEW_PART = 0.15
-"""Where less than that part of a row is new, it depends too much on those above it for
-a step that meets all of them: the levels are then solved one by one, and damped where
-that is needed."""
 
 WEAK_MOTION = 0.02
 """A direction of a level that moves its rows, of length one, by less is damped."""
@@ -99,6 +98,7 @@ class Stack:
             needs no rows; else zero.
         bounds: l and u, shape (2, n), for its user to fill in.
         levels: Rows and rates of each task, views of the above.
+        level_ends: Number of rows of each task and those above it, shape (tasks,).
         is_damped: Whether the solver has damped a direction; for it to fill in.
 
     Raises:
@@ -111,23 +111,27 @@ class Stack:
                 raise SettingError(
                     f"a task of {task.size} joints, the robot has {joints}"
                 )
-        has_joint_task = bool(tasks) and isinstance(tasks[-1], JointTask)
-        sizes = [task.size for task in (tasks[:-1] if has_joint_task else tasks)]
+        self._has_joint_task = bool(tasks) and isinstance(tasks[-1], JointTask)
+        row_tasks = tasks[:-1] if self._has_joint_task else tasks
+        sizes = [task.size for task in row_tasks]
         self.rows = np.zeros((sum(sizes), joints))
         self.rates = np.zeros(sum(sizes))
         self.joint_velocity = np.zeros(joints)
         self.bounds = np.zeros((2, joints))
         self.is_damped = False
-        ends = itertools.pairwise(itertools.accumulate(sizes, initial=0))
+        ends = list(itertools.accumulate(sizes, initial=0))
+        self.level_ends = np.array(ends[1:], np.float64)
         self.levels = [
-            (self.rows[start:end], self.rates[start:end]) for start, end in ends
+            (self.rows[start:end], self.rates[start:end])
+            for start, end in itertools.pairwise(ends)
         ]
 
     def fill(self, tasks: Sequence[Task], tool: ToolState) -> None:
         """Fill in rows, rates and velocities of tasks of the same sizes."""
         for task, (rows, rates) in zip(tasks, self.levels, strict=False):
             task.write(tool, rows, rates)
-        if tasks and isinstance(lowest := tasks[-1], JointTask):
+        if self._has_joint_task:
+            lowest = cast(JointTask, tasks[-1])
             self.joint_velocity[:] = lowest.velocity_at(tool.q_rad)
 
 
@@ -149,16 +153,19 @@ class Level(NamedTuple):
 
 
 class PlannedLevel(NamedTuple):
-    """A level, and what it leaves to those below.
+    """A level without bounds, and what it leaves to those below.
 
     Attributes:
-        level: To be solved within bounds.
-        free: N of the levels below, shape (n, k).
+        rows: As of `Level`; those that damp it come last.
+        rates: As of `Level`.
+        rank: Number of orthonormal directions, in the basis, that move this level or
+            those above.
         is_damped: Whether a direction is damped that joints hardly move.
     """
 
-    level: Level
-    free: Array
+    rows: Matrix
+    rates: Vector
+    rank: int
     is_damped: bool
 
 
@@ -170,61 +177,139 @@ limit."""
 def hierarchical(stack: Stack) -> tuple[Array, bool]:
     """Return joint velocities in strict priority within hard limits; see `Solver`.
 
-    If all rows can be met within the limits, they are. Otherwise each level moves
-    within the null space N of the rows above it, which therefore keep what they have
-    achieved:
+    Without bounds each level takes from what is asked for, see `plan_level`. If that is
+    within the limits, it is the velocity. Otherwise each level moves within the null
+    space N of the rows above it, which therefore keep what they have achieved:
 
         dq_k = dq_{k-1} + N y,  min_y |J_k N y - (v_k - J_k dq_{k-1})|,  l <= dq_k <= u
 
     Directions that hardly move a level are damped, see `find_damping`, and go along
-    with the levels above, see `plan_levels`; all others are exact.
+    with the levels above; all others are exact.
     """
-    stack.is_damped = False
-    velocity = stack.joint_velocity.copy()
-    if meet_all_rows(stack.rows, stack.rates, stack.bounds, velocity):
+    velocity = np.empty(stack.joint_velocity.size)
+    is_within, is_damped = solve_without_bounds(
+        stack.rows,
+        stack.rates,
+        stack.level_ends,
+        stack.joint_velocity,
+        stack.bounds,
+        velocity,
+    )
+    stack.is_damped = is_damped
+    if is_within:
         return velocity, False
     velocities = (*stack.rates, *stack.joint_velocity)
     if not (np.isfinite(stack.rows).all() and np.isfinite(velocities).all()):
         raise SettingError("positions or goals are not finite")
-    levels, unbounded = plan_levels(stack)
-    lower, upper = stack.bounds
-    if (lower < unbounded).all() and (unbounded < upper).all():
-        return unbounded, False
-    # The start depends on no lower task, so that none can matter to a higher one.
-    velocity = np.minimum(np.maximum(0.0, lower), upper)
-    for level in levels:
-        velocity = solve_bounded_level(level, stack.bounds, velocity)
-    velocity = np.minimum(
-        np.maximum(velocity, lower - SLACK_rad_s), upper + SLACK_rad_s
+    is_limited = solve_within_bounds(
+        stack.rows,
+        stack.rates,
+        stack.level_ends,
+        stack.joint_velocity,
+        stack.bounds,
+        velocity,
     )
-    return velocity, bool(find_held_joints(velocity, stack.bounds).any())
-
-
-def plan_levels(stack: Stack) -> tuple[list[Level], Array]:
-    """Return levels to be solved within bounds, and the velocity without bounds, (n,).
-
-    See `plan_level`.
-    """
-    joints = stack.joint_velocity.size
-    asked = np.zeros(joints)
-    free = np.eye(joints)
-    levels = list[Level]()
-    for rows, rates in [*stack.levels, (free, stack.joint_velocity)]:
-        if not free.size:
-            break
-        planned = plan_level(rows, rates, free, asked)
-        levels.append(planned.level)
-        asked = planned.level.unbounded
-        free = planned.free
-        stack.is_damped = stack.is_damped or planned.is_damped
-    return levels, asked
+    return velocity, is_limited
 
 
 @compiled
+def solve_without_bounds(
+    rows: Matrix,
+    rates: Vector,
+    level_ends: Vector,
+    joint_velocity: Vector,
+    bounds: Matrix,
+    velocity: WrittenVector,
+) -> tuple[bool, bool]:
+    """Write what a stack asks for where no bound is in the way.
+
+    Args:
+        rows: J of all levels, shape (m, n).
+        rates: v of them, shape (m,).
+        level_ends: Rows of a level and those above it, shape (number of levels,).
+        joint_velocity: w, what is asked for last, shape (n,).
+        bounds: l and u, shape (2, n).
+        velocity: To be written, shape (n,).
+
+    Returns:
+        Whether it is within the bounds, and whether a direction is damped.
+    """
+    basis = np.empty((velocity.size, velocity.size))
+    rank = 0
+    start = 0
+    is_damped = False
+    velocity[:] = 0.0
+    for level_end in level_ends:
+        end = int(level_end)
+        if rank < velocity.size:
+            level = plan_level(rows[start:end], rates[start:end], basis, rank, velocity)
+            rank = level.rank
+            is_damped = is_damped or level.is_damped
+        start = end
+    follow_where_free(joint_velocity, basis, rank, velocity)
+    is_within = True
+    for k in range(velocity.size):
+        is_within = is_within and bounds[0, k] < velocity[k] < bounds[1, k]
+    return is_within, is_damped
+
+
+@compiled
+def solve_within_bounds(
+    rows: Matrix,
+    rates: Vector,
+    level_ends: Vector,
+    joint_velocity: Vector,
+    bounds: Matrix,
+    velocity: WrittenVector,
+) -> bool:
+    """Write the velocity of a stack of which bounds cut something.
+
+    Args and what is written as of `solve_without_bounds`.
+
+    Returns:
+        Whether a joint is at a bound.
+    """
+    joints = velocity.size
+    basis = np.empty((joints, joints))
+    rank = 0
+    start = 0
+    asked = np.zeros(joints)
+    # The start depends on no lower task, so that none can matter to a higher one.
+    for k in range(joints):
+        velocity[k] = min(max(0.0, bounds[0, k]), bounds[1, k])
+    for level_end in level_ends:
+        end = int(level_end)
+        if rank < joints:
+            free = np.ascontiguousarray(find_complement(basis, rank).T)
+            planned = plan_level(rows[start:end], rates[start:end], basis, rank, asked)
+            level = Level(planned.rows, planned.rates, free, asked)
+            velocity[:] = solve_bounded_level(level, bounds, velocity)
+            rank = planned.rank
+        start = end
+    if rank < joints:
+        free = np.ascontiguousarray(find_complement(basis, rank).T)
+        follow_where_free(joint_velocity, basis, rank, asked)
+        level = Level(np.eye(joints), joint_velocity, free, asked)
+        velocity[:] = solve_bounded_level(level, bounds, velocity)
+    is_limited = False
+    for k in range(joints):
+        lowest = bounds[0, k] - SLACK_rad_s
+        highest = bounds[1, k] + SLACK_rad_s
+        velocity[k] = min(max(velocity[k], lowest), highest)
+        room = min(velocity[k] - bounds[0, k], bounds[1, k] - velocity[k])
+        is_limited = is_limited or room <= AT_LIMIT_rad_s
+    return is_limited
+
+
+@compiled_inside
 def plan_level(
-    rows: Matrix, rates: Vector, free: Matrix, asked: Vector
+    rows: Matrix,
+    rates: Vector,
+    basis: WrittenMatrix,
+    rank: int,
+    asked: WrittenVector,
 ) -> PlannedLevel:
-    """Return a level to be solved within bounds, and what it leaves to those below.
+    """Add to a velocity what a level asks for, and to a basis what moves its rows.
 
     It can hardly make up for what the levels above ask for, x, where that takes far
     motion, and goes along with it. By a left singular vector u of J N, with the
@@ -239,42 +324,76 @@ def plan_level(
     Args:
         rows: J, shape (m, n).
         rates: v, shape (m,).
-        free: N, orthonormal directions in columns, that move no row of the levels
-            above, shape (n, k), k > 0.
-        asked: x, shape (n,).
+        basis: Orthonormal directions in rows, of which the first span the motion of the
+            levels above, shape (n, n); those of this level are added.
+        rank: Number of these directions.
+        asked: x, shape (n,); becomes what this level and those above ask for.
     """
+    size = rates.size
+    joints = asked.size
     unit_rows, unit_rates = scale_to_unit_length(rows, rates)
-    asked_above = multiply_vector(unit_rows, asked)
-    left_vectors, motions, right_vectors = np.linalg.svd(multiply(unit_rows, free))
-    parts = np.ascontiguousarray(left_vectors.T)
-    directions = multiply_transposed(np.ascontiguousarray(right_vectors), free)
-    velocity = asked.copy()
-    dampings = np.zeros(motions.size)
-    rank = 0
-    for i in range(motions.size):
-        motion = motions[i]
-        compensated = min(motion / INEFFECTIVE_MOTION, 1.0) ** 2
-        asked_part = dot(parts[i], asked_above)
-        error = dot(parts[i], unit_rates) - compensated * asked_part
-        # Parts are orthonormal: what is added along one changes no error of another.
-        for k in range(rates.size):
-            unit_rates[k] += (1.0 - compensated) * asked_part * parts[i, k]
-        if motion > MIN_MOTION:
+    new_rows = unit_rows.copy()  # S V^T of J N N^T, once they are orthogonal
+    for i in range(size):
+        remove_parts(new_rows[i], basis, rank)
+    # U^T of J, and of v in the last column: the level is the same after a rotation.
+    rotated = np.empty((size, joints + 1))
+    rotated[:, :joints] = unit_rows
+    rotated[:, joints] = unit_rates
+    make_rows_orthogonal(new_rows, rotated)
+    dampings = np.zeros(size)
+    steps_rad_s = np.zeros(size)
+    motions = np.zeros(size)
+    for i in range(size):
+        motions[i] = math.sqrt(dot(new_rows[i], new_rows[i]))
+        compensated = min(motions[i] / INEFFECTIVE_MOTION, 1.0) ** 2
+        unit_rows[i] = rotated[i, :joints]
+        asked_part = dot(unit_rows[i], asked)
+        error = rotated[i, joints] - compensated * asked_part
+        unit_rates[i] = rotated[i, joints] + (1.0 - compensated) * asked_part
+        if motions[i] > MIN_MOTION:
+            dampings[i] = find_damping(motions[i], error)
+            steps_rad_s[i] = motions[i] / (motions[i] ** 2 + dampings[i] ** 2) * error
+    first = rank
+    damped = np.zeros(size)
+    for i in range(size):
+        if motions[i] > MIN_MOTION and rank < joints:
+            direction = basis[rank]
+            for k in range(joints):
+                direction[k] = new_rows[i, k] / motions[i]
+            # Of a row that is hardly new the rounding counts.
+            remove_parts(direction, basis, rank)
+            length = math.sqrt(dot(direction, direction))
+            for k in range(joints):
+                direction[k] /= length
+                asked[k] += steps_rad_s[i] * direction[k]
+            damped[rank - first] = dampings[i]
             rank += 1
-            dampings[i] = find_damping(motion, error)
-            step_rad_s = motion / (motion**2 + dampings[i] ** 2) * error
-            for k in range(velocity.size):
-                velocity[k] += step_rad_s * directions[i, k]
-    damping_rows = scale_positive_rows(directions, dampings)
+    damping_rows = scale_positive_rows(basis[first:rank], damped[: rank - first])
     damping_rates = np.zeros(len(damping_rows))
-    level = Level(
+    return PlannedLevel(
         np.vstack((unit_rows, damping_rows)),
         np.concatenate((unit_rates, damping_rates)),
-        free,
-        velocity,
+        rank,
+        damping_rates.size > 0,
     )
-    free_below = np.ascontiguousarray(directions[rank:].T)
-    return PlannedLevel(level, free_below, damping_rates.size > 0)
+
+
+@compiled_inside
+def follow_where_free(
+    joint_velocity: Vector, basis: Matrix, rank: int, velocity: WrittenVector
+) -> None:
+    """Change a velocity to another where no row of the levels above moves.
+
+    Args:
+        joint_velocity: The other one, shape (n,).
+        basis: Orthonormal directions in rows; the first are those of the levels.
+        rank: Number of these.
+        velocity: To be changed, shape (n,).
+    """
+    change = joint_velocity - velocity
+    remove_parts(change, basis, rank)
+    for k in range(velocity.size):
+        velocity[k] += change[k]
 
 
 @compiled_inside
@@ -331,7 +450,7 @@ def find_damping(motion: float, error: float) -> float:
     return max(MAX_DAMPING * weakness, math.sqrt(max(too_fast, 0.0)))
 
 
-@compiled
+@compiled_inside
 def solve_bounded_level(level: Level, bounds: Matrix, start: Vector) -> Array:
     """Solve a level, see `solve_level`, and keep joints from standing in for others.
 
@@ -391,65 +510,46 @@ def find_stand_ins(rows: Matrix, free: Matrix, held: Vector) -> Array:
     remaining = multiply(free, null_space(free[held != 0.0]))
     if not remaining.shape[1]:
         return np.zeros((0, len(free)))
-    _, motions, right_vectors = np.linalg.svd(multiply(rows, remaining), False)
-    directions = multiply_transposed(np.ascontiguousarray(right_vectors), remaining)
-    dampings = np.zeros(motions.size)
-    for i in range(motions.size):
-        if motions[i] > MIN_MOTION:
-            weakness = 1.0 - (motions[i] / INEFFECTIVE_MOTION) ** 2
+    # Columns of J N, and with them the directions v in rows.
+    effects = multiply_transposed(np.ascontiguousarray(remaining.T), rows)
+    directions = np.ascontiguousarray(remaining.T)
+    make_rows_orthogonal(effects, directions)
+    dampings = np.zeros(len(effects))
+    for i in range(len(effects)):
+        motion = math.sqrt(dot(effects[i], effects[i]))
+        if motion > MIN_MOTION:
+            weakness = 1.0 - (motion / INEFFECTIVE_MOTION) ** 2
             dampings[i] = STAND_IN_DAMPING * weakness
     return scale_positive_rows(directions, dampings)
-
-
-def find_held_joints(velocity: Array, bounds: Array) -> NDArray[np.bool_]:
-    """Return which joints are at a bound, shape (n,)."""
-    room = np.minimum(velocity - bounds[0], bounds[1] - velocity)
-    return room <= AT_LIMIT_rad_s
-
-
-@compiled
-def meet_all_rows(
-    rows: Matrix, rates: Vector, bounds: Matrix, velocity: WrittenVector
-) -> bool:
-    """Change a velocity as little as meets all rows; return whether bounds allow it.
-
-    Gram-Schmidt steps, twice for accuracy, make a basis of the rows; moving along its
-    i-th direction meets row i and leaves the rows before it met. False where rows
-    nearly depend on each other.
-    """
-    joints = velocity.size
-    if rates.size > joints:
-        return False
-    basis = np.empty((joints, joints))
-    for i in range(rates.size):
-        direction = basis[i]
-        direction[:] = rows[i]
-        row_length = math.sqrt(dot(rows[i], rows[i]))
-        for j in range(2 * i):
-            overlap = dot(direction, basis[j % i])
-            for k in range(joints):
-                direction[k] -= overlap * basis[j % i, k]
-        length = math.sqrt(dot(direction, direction))
-        if length < MIN_ROW_LENGTH or length < MIN_NEW_PART * row_length:
-            return False
-        direction /= length
-        step = (rates[i] - dot(rows[i], velocity)) / dot(rows[i], direction)
-        for k in range(joints):
-            velocity[k] += step * direction[k]
-    is_within = True
-    for k in range(joints):
-        is_within = is_within and bounds[0, k] < velocity[k] < bounds[1, k]
-    return is_within
 
 
 @compiled_inside
 def null_space(rows: Matrix) -> Matrix:
     """Return orthonormal directions that move no row, in columns."""
-    if rows.size == 0:
-        return np.eye(rows.shape[1])
-    _, singular_values, right_vectors = np.linalg.svd(rows)
-    rank = (singular_values > MIN_MOTION).sum()
-    return np.ascontiguousarray(right_vectors[rank:].T)
+    size = rows.shape[1]
+    basis = np.empty((size, size))
+    rank = 0
+    remaining = rows.copy()
+    lengths = np.zeros(len(rows))
+    for _ in range(min(len(rows), size)):
+        for i in range(len(rows)):
+            lengths[i] = dot(remaining[i], remaining[i])
+        longest = index_of_largest(lengths)
+        length = math.sqrt(lengths[longest])
+        if not length > MIN_MOTION:
+            break
+        direction = basis[rank]
+        for k in range(size):
+            direction[k] = remaining[longest, k] / length
+        # Of a row that is hardly new the rounding counts.
+        remove_parts(direction, basis, rank)
+        length = math.sqrt(dot(direction, direction))
+        for k in range(size):
+            direction[k] /= length
+        rank += 1
+        for i in range(len(rows)):
+            remove_parts(remaining[i], basis, rank)
+    return np.ascontiguousarray(find_complement(basis, rank).T)
 
 
 @compiled_inside
@@ -493,9 +593,8 @@ def find_joint_to_release(
         held_at: -1 at the lower bound, 1 at the upper, 0 for a free joint, shape (n,).
         is_first_taken: Take the first joint that gains, not the best one.
     """
-    push = np.linalg.lstsq(np.ascontiguousarray(held_rows.T), gradient, PUSH_TOLERANCE)[
-        0
-    ]
+    held_columns = np.ascontiguousarray(held_rows.T)
+    push = solve_least_squares(held_columns, gradient, PUSH_TOLERANCE)
     joints = np.flatnonzero(held_at)
     outwards_push = push * held_at[joints]
     gaining = np.flatnonzero(outwards_push < -MIN_GAIN)
@@ -529,15 +628,16 @@ def solve_level(
     """
     velocity = start.copy()
     held_at = np.zeros(start.size)
-    rows_of_free = rows @ free
+    rows_of_free = multiply(rows, free)
     for change in range(MAX_CHANGES):
         held_rows = free[held_at != 0.0]
-        directions = np.ascontiguousarray(free @ null_space(held_rows))
+        directions = multiply(free, null_space(held_rows))
         if directions.shape[1]:
-            coefficients = np.linalg.lstsq(
-                rows @ directions, rates - rows @ velocity, RANK_TOLERANCE
-            )[0]
-            step = directions @ coefficients
+            errors = rates - multiply_vector(rows, velocity)
+            coefficients = solve_least_squares(
+                multiply(rows, directions), errors, RANK_TOLERANCE
+            )
+            step = multiply_vector(directions, coefficients)
             fraction, joint = find_blocking_joint(velocity, step, bounds, held_at)
             velocity += fraction * step
             if joint >= 0:
@@ -545,10 +645,11 @@ def solve_level(
                 continue
         if not len(held_rows):
             break
-        gradient = rows_of_free.T @ (rates - rows @ velocity)
+        errors = rates - multiply_vector(rows, velocity)
+        gradient = multiply_vector(np.ascontiguousarray(rows_of_free.T), errors)
         is_first_taken = change > MAX_CHANGES // 2
         joint = find_joint_to_release(held_rows, gradient, held_at, is_first_taken)
         if joint < 0:
             break
         held_at[joint] = 0.0
-    return velocity, np.ascontiguousarray(free @ null_space(rows_of_free))
+    return velocity, multiply(free, null_space(rows_of_free))

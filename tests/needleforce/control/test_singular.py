@@ -209,3 +209,23 @@ def test_a_joint_at_a_limit_and_a_damped_direction_are_both_reported():
 
     assert not braking.is_limited
     assert not braking.is_damped
+
+
+def test_a_level_that_hardly_moves_goes_along_though_each_of_its_rows_is_new():
+    """Rows are new by 0.2, 0.16 and 0.16; together they move by 0.09 only."""
+    new_parts = np.array([[0.2, 0.0, 0.0], [0.2, 0.16, 0.0], [0.2, 0.16, 0.16]])
+    old_parts = np.diag(np.sqrt(1.0 - (new_parts**2).sum(axis=1)))
+    stack = Stack([SimpleNamespace(size=3, write=None)] * 2, 7)
+    stack.rows[:3, :3] = np.eye(3)
+    stack.rows[3:] = np.hstack((old_parts, new_parts, np.zeros((3, 1))))
+    stack.rates[:3] = (0.1, -0.1, 0.1)
+    stack.bounds[:] = np.outer((-10.0, 10.0), np.ones(7))
+    velocity, is_limited = hierarchical(stack)
+
+    parts, motions, directions = np.linalg.svd(new_parts)
+    errors = -parts.T @ old_parts @ stack.rates[:3]
+    expected = directions.T @ (np.minimum(motions / 0.1, 1.0) ** 2 * errors / motions)
+    assert motions.min() == pytest.approx(0.0903, abs=1e-4)
+    assert not is_limited
+    assert not stack.is_damped
+    assert velocity == pytest.approx([0.1, -0.1, 0.1, *expected, 0.0], abs=1e-12)
