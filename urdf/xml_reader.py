@@ -5,8 +5,8 @@ look at what they do not use. So a prefix that nothing declares, as in Fetch's o
 ``<sensor:camera>``, stops no file here either.
 """
 
-import re
 from pathlib import Path
+from string import hexdigits
 from xml.etree.ElementTree import Element
 from xml.parsers import expat
 
@@ -35,11 +35,10 @@ _KEPT = {
 }
 """What is kept below an element of a robot; all the rest is not used."""
 
-# Each keeps the number of lines, so that an error names the right one.
-_COMMENT = re.compile(r"<!--.*?-->", re.DOTALL)
-_DECLARATION = re.compile(r"<\?xml\s.*?\?>", re.DOTALL)
-_LONE_AMPERSAND = re.compile(r"&(?!(?:\w+|#\d+|#x[0-9a-fA-F]+);)")
-_CONTROL = re.compile(r"[\x00-\x08\x0b\x0c\x0e-\x1f]")
+_CONTROLS = {
+    code: " " for code in range(ord(" ")) if chr(code) not in ("\t", "\n", "\r")
+}
+"""Characters that XML forbids, each with what is read in its place."""
 
 
 def read_links_and_joints(path: Path) -> Element:
@@ -180,12 +179,41 @@ def _decode(data: bytes) -> str:
 
 
 def _tolerated(text: str) -> str:
-    """Return a text without what urdfdom and Pinocchio pass over and expat does not."""
-    text = _COMMENT.sub(_line_ends, text)
-    text = _DECLARATION.sub(_line_ends, text)
-    text = _LONE_AMPERSAND.sub("&amp;", text)
-    return _CONTROL.sub(" ", text)
+    """Return a text without what urdfdom and Pinocchio pass over and expat does not.
+
+    It is gone through once: a file may be anybody's.
+    """
+    text = _cut_out(text, "<!--", "-->")
+    text = _cut_out(text, "<?xml", "?>")
+    before, *after = text.split("&")
+    text = before + "".join(_ampersand_before(rest) + rest for rest in after)
+    return text.translate(_CONTROLS)
 
 
-def _line_ends(match: re.Match[str]) -> str:
-    return "\n" * match[0].count("\n")
+def _cut_out(text: str, start: str, end: str) -> str:
+    """Return a text without what stands between two marks, but for its line ends.
+
+    With them an error names the right line. What is not closed stays, for the parser to
+    refuse.
+    """
+    kept: list[str] = []
+    place = 0
+    while (begin := text.find(start, place)) >= 0:
+        stop = text.find(end, begin + len(start))
+        if stop < 0:
+            break
+        kept += [text[place:begin], "\n" * text.count("\n", begin, stop)]
+        place = stop + len(end)
+    return "".join([*kept, text[place:]])
+
+
+def _ampersand_before(rest: str) -> str:
+    """Return how an ampersand is read before a text: alone unless a name follows."""
+    name, end, _ = rest.partition(";")
+    if name.startswith("#x"):
+        is_name = name[2:] != "" and all(digit in hexdigits for digit in name[2:])
+    elif name.startswith("#"):
+        is_name = name[1:].isdecimal()
+    else:
+        is_name = name.replace("_", "a").isalnum()
+    return "&" if end and is_name else "&amp;"

@@ -33,10 +33,14 @@ def read_header_names(path: Path) -> dict[int, str]:
     """
     names: dict[int, str] = {}
     for content in _read_extensions(path):
-        text = content.rstrip(b"\0").strip()
-        if b"<Label" not in text or b"<!DOCTYPE" in text or b"<!ENTITY" in text:
+        if b"<Label" not in content:
             continue
         try:
+            # Decoded before it is looked at, and parsed as text: whatever encoding the
+            # XML declares, the parser sees what was checked here.
+            text = content.rstrip(b"\0").decode("utf-8-sig").strip()
+            if "<!DOCTYPE" in text or "<!ENTITY" in text:
+                continue
             root = ElementTree.fromstring(text)
             for label in root.iter("Label"):
                 names[int(label.attrib["Key"])] = (label.text or "").strip()

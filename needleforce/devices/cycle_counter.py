@@ -8,6 +8,11 @@ MAX_DELAY_S = 0.1
 """One datagram may come so much later than others."""
 
 
+MIN_RENUMBERED_PACKETS = 10
+"""After so many in a row that are not newer, and follow each other, they are those of
+the controller: it counts anew, or a foreign packet was taken for its latest."""
+
+
 class CycleCounter:
     """Counts the cycles between the packets of a controller.
 
@@ -19,6 +24,8 @@ class CycleCounter:
     def __init__(self, counts: int, now_s: float) -> None:
         self._counts = counts
         self._latest: int | None = None
+        self._refused: int | None = None  # since the latest
+        self._refused_in_row = 0
         self._read_s = now_s  # when the latest was read
         self._sent_after_s = now_s  # the latest was sent later than this
 
@@ -29,7 +36,8 @@ class CycleCounter:
 
         The counter says so; after a long gap our own clock does. Both this packet and
         the latest may have waited to be read: no more time is between them than since
-        the latest can have been sent.
+        the latest can have been sent. A packet that is not newer, or further on than
+        that, is refused, unless it is one of a row.
 
         Args:
             count: Its number, modulo the counts.
@@ -38,7 +46,7 @@ class CycleCounter:
             empty_s: When nothing waited to be read for the last time.
 
         Returns:
-            The cycles; 1 for the first packet, None for one that is not newer.
+            The cycles; 1 for the first packet, None for one that is refused.
         """
         if self._latest is None:
             return 1
@@ -47,15 +55,25 @@ class CycleCounter:
         max_gap_s = now_s - self._sent_after_s + MAX_DELAY_S
         is_short = empty_s - self._read_s < MAX_COUNTED_GAP_S
         is_counted = is_short and max_gap_s < self._counts // 2 * period_s
-        if is_counted and not 0 < cycles < self._counts // 2:
+        is_newer = 0 < cycles < self._counts // 2 and cycles * period_s <= max_gap_s
+        if is_counted and is_newer:
+            return cycles
+        if is_counted and not self._is_renumbered(count):
             return None
-        if not is_counted or cycles * period_s > max_gap_s:
-            return max(round((now_s - self._read_s) / period_s), 1)
+        return max(round((now_s - self._read_s) / period_s), 1)
 
-        return cycles
+    def _is_renumbered(self, count: int) -> bool:
+        """Note a packet that is not newer; return whether a row of them has come."""
+        is_next = self._refused is not None and (
+            count == (self._refused + 1) % self._counts
+        )
+        self._refused = count
+        self._refused_in_row = self._refused_in_row + 1 if is_next else 1
+        return self._refused_in_row >= MIN_RENUMBERED_PACKETS
 
     def accept(self, count: int, now_s: float, empty_s: float) -> None:
         """Take a packet for the latest."""
         self._latest = count
+        self._refused = None
         self._read_s = now_s
         self._sent_after_s = empty_s

@@ -1,6 +1,8 @@
 """URDFs as they are published: odd where it cannot matter, and what they lack."""
 
 import re
+import subprocess
+import sys
 
 import numpy as np
 import pinocchio as pin
@@ -368,3 +370,36 @@ def test_positions_without_room_are_not_limited(arm, limits):
 def test_what_is_no_tree_of_links_is_named(arm, piece, message):
     with pytest.raises(UrdfFileError, match=f"not a valid URDF: {message}"):
         load_urdf(arm(*GROUND, piece))
+
+
+@pytest.mark.parametrize("unit", ["<!--", "<?xml ", "<?xml", "&", "&a", "<!-- & -->&"])
+def test_a_file_of_marks_alone_is_refused_at_once(tmp_path, unit):
+    """200 kB of `<!--` once took minutes; the limit only tells those apart."""
+    path = tmp_path / "marks.urdf"
+    path.write_text("<robot name='a'>" + unit * (200_000 // len(unit)))
+    program = (
+        "from pathlib import Path\n"
+        "from urdf.errors import UrdfFileError\n"
+        "from urdf.xml_reader import read_links_and_joints\n"
+        "try:\n"
+        f"    read_links_and_joints(Path({str(path)!r}))\n"
+        "except UrdfFileError as error:\n"
+        "    print(error)\n"
+    )
+    done = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=60.0,
+        check=True,
+    )
+
+    assert "is not well-formed XML" in done.stdout
+
+
+def test_an_error_names_the_line_of_the_file(tmp_path):
+    path = tmp_path / "bad.urdf"
+    path.write_text("<?xml\nversion='1.0'?>\n<!-- --\n-->\n<robot>\n</bot>")
+
+    with pytest.raises(UrdfFileError, match="line 6"):
+        load_urdf(path)

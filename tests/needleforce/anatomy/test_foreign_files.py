@@ -1,11 +1,13 @@
 """Segmentations and transforms as TotalSegmentator, 3D Slicer and ITK write them."""
 
 import struct
+from contextlib import suppress
 
 import numpy as np
 import pytest
 
 from needleforce.anatomy import VolumeError, read_labels, read_transform
+from needleforce.anatomy.label_names import read_header_names
 from needleforce.anatomy.renaming import rename
 from needleforce.cli import main
 from tests.needleforce.anatomy import slicer_files
@@ -278,3 +280,27 @@ def test_structures_that_cannot_be_meant_are_refused(capsys, text, why):
 
     assert main([*arguments, "--structures", text]) == 2
     assert why in capsys.readouterr().err
+
+
+@pytest.mark.parametrize("encoding", ["utf-16-be", "utf-16-le", "utf-8", "cp037"])
+def test_a_table_of_labels_with_entities_is_not_read(tmp_path, encoding):
+    # Bytes of "<Label" in another encoding, so that the table is looked at.
+    disguise = b"<Label".decode("utf-16-be" if encoding == "utf-16-be" else "utf-16-le")
+    comment = f"<!--{disguise}-->" if encoding.startswith("utf-16") else ""
+    table = (
+        f'<!DOCTYPE a [<!ENTITY e "liver">]>{comment}<a><Label Key="5">&e;</Label></a>'
+    )
+    text = table.encode(encoding)
+    if encoding.startswith("utf-16"):
+        text = "\ufeff".encode(encoding) + text
+    if encoding == "cp037":
+        text = b'<?xml version="1.0" encoding="cp037"?>' + b"<!--<Label-->" + text
+    path = tmp_path / "a.nii"
+    size = len(text) + 8
+    header = bytearray(348)
+    struct.pack_into("<i", header, 0, 348)
+    struct.pack_into("<f", header, 108, 352.0 + size)
+    path.write_bytes(bytes(header) + b"\1\0\0\0" + struct.pack("<2i", size, 0) + text)
+
+    with suppress(VolumeError):  # of what is no UTF-8
+        assert read_header_names(path) == {}
