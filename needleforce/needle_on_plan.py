@@ -1,9 +1,10 @@
-"""The needle against the planned path: how far beside it, how far turned, how sure.
+"""The needle against the planned path: beside it, turned, to its target, how sure.
 
 The planned path is a line in the robot's base, known as well as the registration. The
 needle is a line, too: its tip and its direction as the robot states them. Where both
 lines should be one, the distances between them are errors of the registration; beyond
 what chance makes of these, the needle is off the plan, and nothing may be named by it.
+A needle on the line may still have gone too far: past the target.
 """
 
 import math
@@ -25,6 +26,10 @@ MARGIN_rad = math.radians(1.0)
 STDS = 3.7
 """Beyond so many standard deviations the needle is off the plan. A distance in a plane
 exceeds them by chance once in a thousand insertions."""
+
+PAST_STDS = 2.0
+"""Beyond so many standard deviations the tip is past the target: a needle that stops
+once too early does less harm than one that goes on."""
 
 TIP_STD_m = 0.1e-3
 """Standard deviation of the needle's tip in the robot's base: repeatability of arms."""
@@ -59,8 +64,13 @@ class PlanDeviation(NamedTuple):
         angle_rad: Between the planned and the needle's direction.
         angle_std_rad: Its standard deviation.
         depth_m: Of the tip below the planned entry, along the planned line.
-        is_off_plan: Whether one of the three exceeds its margin and 3.7 standard
+        to_target_m: From the tip to the target along the planned line; negative past
+            the target, nan where no target is known.
+        to_target_std_m: Its standard deviation; organs that move are not in it.
+        is_off_plan: Whether one of the first three exceeds its margin and 3.7 standard
             deviations.
+        is_past_target: Whether the tip is past the target by more than its margin and
+            two standard deviations.
     """
 
     entry_m: float
@@ -70,7 +80,10 @@ class PlanDeviation(NamedTuple):
     angle_rad: float
     angle_std_rad: float
     depth_m: float
+    to_target_m: float
+    to_target_std_m: float
     is_off_plan: bool
+    is_past_target: bool
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,7 +95,7 @@ class PlannedPath:
         target_m: Where it ends, (3,).
         covariance: Of a small rotation [rad] about the pivot and a shift [m], (6, 6).
         pivot_m: In the robot's base, (3,).
-        margin_m: Distance that is never off the plan.
+        margin_m: Distance that is never off the plan, nor past the target.
         margin_rad: Angle that is never off the plan.
     """
 
@@ -94,8 +107,8 @@ class PlannedPath:
     margin_rad: float = MARGIN_rad
 
     @cached_property
-    def _lateral(self) -> "_LateralCovariance":
-        return _LateralCovariance(self)
+    def _uncertainty(self) -> "_PathCovariance":
+        return _PathCovariance(self)
 
     @classmethod
     def of_registration(
@@ -151,17 +164,19 @@ class PlannedPath:
             tip_m: Tip of the needle in the robot's base, (3,).
             axis: Its direction, of length one, (3,).
         """
-        lateral = self._lateral
-        planned = lateral.axis
+        uncertainty = self._uncertainty
+        planned = uncertainty.axis
         from_entry = (tip_m - self.entry_m).tolist()
         needle = axis.tolist()
         depth_m = _dot(from_entry, planned)
         entry_m = _distance(from_entry, needle)
         tip_distance_m = _distance(from_entry, planned)
         angle_rad = math.atan2(_distance(planned, needle), _dot(planned, needle))
-        entry_std_m = lateral.std_m(0.0)
-        tip_std_m = lateral.std_m(depth_m)
-        angle_std_rad = lateral.angle_std_rad
+        entry_std_m = uncertainty.std_m(0.0)
+        tip_std_m = uncertainty.std_m(depth_m)
+        angle_std_rad = uncertainty.angle_std_rad
+        to_target_m = uncertainty.length_m - depth_m
+        past_m = max(self.margin_m, PAST_STDS * uncertainty.along_std_m)
         is_off_plan = (
             entry_m > max(self.margin_m, STDS * entry_std_m)
             or tip_distance_m > max(self.margin_m, STDS * tip_std_m)
@@ -175,7 +190,10 @@ class PlannedPath:
             angle_rad,
             angle_std_rad,
             depth_m,
+            to_target_m,
+            uncertainty.along_std_m,
             is_off_plan,
+            is_past_target=to_target_m < -past_m,
         )
 
 
@@ -217,7 +235,10 @@ class PlannedEntry:
             angle_rad=0.0,
             angle_std_rad=math.pi,
             depth_m=_dot(from_entry, needle),
+            to_target_m=math.nan,
+            to_target_std_m=math.nan,
             is_off_plan=entry_m > max(self.margin_m, STDS * std_m),
+            is_past_target=False,
         )
 
 
@@ -233,21 +254,37 @@ def describe_deviation(deviation: PlanDeviation) -> str:
             f", turned by {math.degrees(deviation.angle_rad):.1f} ± "
             f"{math.degrees(deviation.angle_std_rad):.1f}°"
         )
-    return f"OFF PLAN: {text}" if deviation.is_off_plan else f"on plan: {text}"
+    if not math.isnan(deviation.to_target_m):
+        text += f", tip {describe_to_target(deviation)}"
+    verdicts = ["OFF PLAN"] if deviation.is_off_plan else []
+    verdicts += ["PAST THE TARGET"] if deviation.is_past_target else []
+    return f"{' and '.join(verdicts) or 'on plan'}: {text}"
 
 
-class _LateralCovariance:
-    """Covariance of a path across its direction, as a function of depth.
+def describe_to_target(deviation: PlanDeviation) -> str:
+    """Return how far the tip is in front of the target, or past it, in words."""
+    side = "past" if deviation.to_target_m < 0.0 else "in front of"
+    return (
+        f"{1e3 * abs(deviation.to_target_m):.1f} ± "
+        f"{1e3 * deviation.to_target_std_m:.1f} mm {side} the target"
+    )
+
+
+class _PathCovariance:
+    """Covariance of a path: across its direction as a function of depth, and along it.
 
     A registration that errs by a rotation w about a pivot p and a shift t moves a point
     x by w x (x - p) + t. Across the path, along u and v, that is linear in the depth of
-    x, so its variances are polynomials of degree two.
+    x, so its variances are polynomials of degree two. Along the path the rotation moves
+    all points of the line alike.
 
     Args:
         path: The path.
 
     Attributes:
         axis: Direction of the path, three numbers.
+        length_m: From entry to target.
+        along_std_m: Standard deviation of the tip against the target along the path.
         angle_std_rad: Standard deviation of its direction, the larger one.
     """
 
@@ -263,7 +300,12 @@ class _LateralCovariance:
         constant = at_entry @ path.covariance @ at_entry.T
         mixed = at_entry @ path.covariance @ per_m.T
         square = per_m @ path.covariance @ per_m.T
+        along = np.array([*np.cross(arm_m, axis), *axis])
         self.axis: list[float] = axis.tolist()
+        self.length_m = float(np.linalg.norm(path.target_m - path.entry_m))
+        self.along_std_m = math.hypot(
+            math.sqrt(max(float(along @ path.covariance @ along), 0.0)), TIP_STD_m
+        )
         self.angle_std_rad = math.hypot(_largest_std(square), AXIS_STD_rad)
         self._constant: list[list[float]] = constant.tolist()
         self._linear: list[list[float]] = (mixed + mixed.T).tolist()

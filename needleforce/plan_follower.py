@@ -6,7 +6,13 @@ import numpy as np
 
 from foundation.arrays import Array
 from identification import Estimate, Identifier, Rupture
-from needleforce.needle_on_plan import PlanDeviation, PlannedEntry, PlannedPath
+from needleforce.insertion_events import SessionEvent
+from needleforce.needle_on_plan import (
+    PlanDeviation,
+    PlannedEntry,
+    PlannedPath,
+    describe_to_target,
+)
 from residual.tool_kinematics import ToolKinematics
 
 if TYPE_CHECKING:
@@ -78,6 +84,7 @@ class PlanMemory(NamedTuple):
         depth_m: Depth of the tip; None where the plan was not evaluated yet.
         deepest_m: Largest depth of the tip so far.
         contact_m: Depth of first contact; None where the surface has not been met.
+        is_past_target: Whether it was reported that the tip is past the target.
     """
 
     fingerprint: str
@@ -86,6 +93,7 @@ class PlanMemory(NamedTuple):
     depth_m: float | None = None
     deepest_m: float = 0.0
     contact_m: float | None = None
+    is_past_target: bool = False
 
 
 class PlanFollower:
@@ -113,6 +121,7 @@ class PlanFollower:
         self._entry_m = None if path is None else path.entry_m
         entry = "" if path is None else f" along {path.fingerprint}"
         self.deviation: PlanDeviation | None = None
+        self._events: list[SessionEvent] = []
         fingerprint = "" if plan is None else plan.fingerprint + entry
         self.resume(PlanMemory(fingerprint), None)
 
@@ -122,7 +131,33 @@ class PlanFollower:
             pose = tool.pose
             axis = pose[:3, :3].dot(tool.axis_in_tool)
             self.deviation = self._path.deviation(pose[:3, 3], axis)
+            self._watch_target(self.deviation)
             self._report()
+
+    def _watch_target(self, deviation: PlanDeviation) -> None:
+        """Report once that the tip is past the target, anew after it was above it."""
+        was_past = self.memory.is_past_target
+        if deviation.is_past_target and not was_past:
+            self.memory = self.memory._replace(is_past_target=True)
+            event = SessionEvent(
+                kind="past_target",
+                text=f"PAST THE TARGET: the tip is {describe_to_target(deviation)}",
+                values={
+                    "to_target_m": deviation.to_target_m,
+                    "to_target_std_m": deviation.to_target_std_m,
+                },
+            )
+            self._events.append(event)
+        elif was_past and deviation.to_target_m > 0.0:
+            self.memory = self.memory._replace(is_past_target=False)
+
+    def take_events(self) -> tuple[SessionEvent, ...]:
+        """Return the events since the last call."""
+        if not self._events:
+            return ()
+        events = tuple(self._events)
+        self._events.clear()
+        return events
 
     def begin(
         self,
@@ -164,7 +199,13 @@ class PlanFollower:
         entry_depth_m = 0.0
         if self._entry_m is not None:
             entry_depth_m = float(axis.dot(self._entry_m - start_in_base_m))
-        self.resume(PlanMemory(self.memory.fingerprint, entry_depth_m, ruptures), None)
+        memory = PlanMemory(
+            self.memory.fingerprint,
+            entry_depth_m,
+            ruptures,
+            is_past_target=self.memory.is_past_target,
+        )
+        self.resume(memory, None)
 
     def update(
         self, identification: Estimate, depth_m: float, identifier: Identifier

@@ -31,6 +31,7 @@ from needleforce.insertion_course import (
     InsertionProgress,
     follow_needle,
 )
+from needleforce.insertion_events import SessionEvent
 from needleforce.needle_channels import (
     MIN_LENGTH_M,
     ChannelState,
@@ -150,6 +151,7 @@ class SessionEstimate(NamedTuple):
             offset; None before the tare, and without `InsertionSession.follow`. Where
             the needle is off the plan it names no layer.
         deviation: The needle against the planned path, at every tick; None without one.
+        plan_events: What happened on the plan with this tick, such as ``past_target``.
     """
 
     wrench: WrenchEstimate
@@ -163,6 +165,7 @@ class SessionEstimate(NamedTuple):
     channel: ChannelState = ChannelState.FRESH
     plan: "PlanState | None" = None
     deviation: PlanDeviation | None = None
+    plan_events: tuple[SessionEvent, ...] = ()
 
     @property
     def warnings(self) -> SensorWarning:
@@ -1053,6 +1056,7 @@ class InsertionSession:
             channel=self._course.channel_state,
             plan=self._plan.reported_state,
             deviation=self._plan.deviation,
+            plan_events=self._plan.take_events(),
         )
 
 

@@ -45,7 +45,8 @@ class SafetyLimits:
         reaction_s: Time from a decision to the arm at rest, over which forces are
             predicted.
         stop_off_plan: Stop an advance while the needle is off the plan that the session
-            follows.
+            follows, and one by hand past the plan's target. An autonomous insertion
+            always stops there.
 
     Raises:
         SettingError: A limit is no positive number.
@@ -348,12 +349,16 @@ class Monitors:
         return ("limit", stop) if stop else ("", "")
 
     def _check_plan(self, estimate: "SessionEstimate") -> str:
-        """Return where the needle is off the plan in an advance; empty if it is not."""
+        """Return what stops an advance by the plan: off it, or past its target."""
         deviation = estimate.deviation
-        is_watched = self._limits.stop_off_plan and self._state in _ADVANCING
-        if not is_watched or deviation is None or not deviation.is_off_plan:
+        if deviation is None or self._state not in _ADVANCING:
             return ""
-        return describe_deviation(deviation)
+        is_asked = self._limits.stop_off_plan
+        is_autonomous = self._state == State.INSERTION
+        is_stopped = (is_asked and deviation.is_off_plan) or (
+            (is_asked or is_autonomous) and deviation.is_past_target
+        )
+        return describe_deviation(deviation) if is_stopped else ""
 
     def _watch_device(self, beside: Beside, step_s: float) -> None:
         """Find out whether the haptic device has sent something usable of late."""

@@ -232,12 +232,15 @@ class NeedleNode:
 
     def _publish_events(self, estimate: SessionEstimate) -> None:
         """Publish what happened with this sample, and the layers with it."""
-        if not estimate.identification.has_events:
+        has_layer_events = estimate.identification.has_events
+        if not (has_layer_events or estimate.plan_events):
             return
         for event in session_events(estimate):
             values = {name: format_value(v) for name, v in event.values.items()}
-            self._publish_event(NamedReport(event.kind, OK, event.text, values))
-        self._publish_layers()
+            level = WARNING if event in estimate.plan_events else OK
+            self._publish_event(NamedReport(event.kind, level, event.text, values))
+        if has_layer_events:
+            self._publish_layers()
 
     def _publish_event(self, report: NamedReport) -> None:
         """Publish an event, and its sentence as a log message."""

@@ -21,7 +21,7 @@ from needleforce.plots import DrawnChart, require_matplotlib
 from needleforce.scene.film import Film
 from needleforce.scene.force_charts import ForceCharts
 from needleforce.scene.legend import LegendLine
-from needleforce.scene.row_text import BANNER
+from needleforce.scene.row_text import MEANINGS
 from needleforce.scene.scan_slices import TITLES
 from needleforce.scene.state_ring import SceneCode, SceneError
 from needleforce.scene.title_bar import NOTE
@@ -108,7 +108,6 @@ def write_scene_page(
         files("needleforce.scene").joinpath(TEMPLATE).read_text(encoding="utf-8")
     )
     text = template.render(
-        banner=BANNER,
         note=NOTE,
         words=words,
         scene=scene,
@@ -164,6 +163,7 @@ def film_data(film: Film, charts: ForceCharts | None) -> str:
             }
             for one in film.ruptures
         ],
+        "banners": MEANINGS,
         "columns": STRIP_COLUMNS,
         "charts": {}
         if charts is None

@@ -16,6 +16,25 @@ OFF_PLAN = -2
 BANNER = "OFF PLAN"
 """What the page shows while the needle is off the plan."""
 
+PAST_TARGET = "PAST TARGET"
+"""What the page shows while the tip is past the target."""
+
+MEANINGS = {
+    BANNER: "No layer is named from the plan.",
+    PAST_TARGET: "The tip is deeper than planned.",
+}
+"""What banners mean."""
+
+
+def banner_of(row: ViewRow) -> str:
+    """Return what the page must show large of a row; empty for nothing.
+
+    Off the plan comes first: there the depth below the entry means little.
+    """
+    if row.is_off_plan:
+        return BANNER
+    return PAST_TARGET if row.is_past_target else ""
+
 
 def layer_names(plan: PlanScene) -> dict[float, str]:
     """Return the names of planned layers by their numbers."""
@@ -58,9 +77,19 @@ def rupture_label(row: ViewRow, names: Mapping[float, str]) -> str:
 
 def headline(row: ViewRow) -> str:
     """Return time, depth and tip force of a row in a line."""
-    return (
+    text = (
         f"{row.time_s:.1f} s, {_depth_text(row)}; tip force {row.tip_N:.2f} "
         f"± {row.tip_std_N:.2f} N"
+    )
+    return text if math.isnan(row.aside_to_target_m) else f"{target_text(row)}; {text}"
+
+
+def target_text(row: ViewRow) -> str:
+    """Return how far the tip is from the target."""
+    side = "past the target" if row.aside_to_target_m < 0.0 else "to the target"
+    return (
+        f"{M_TO_MM * abs(row.aside_to_target_m):.1f} ± "
+        f"{M_TO_MM * row.aside_to_target_std_m:.1f} mm {side}"
     )
 
 
@@ -102,6 +131,8 @@ def aside_text(row: ViewRow) -> str:
             f", turned by {math.degrees(row.aside_angle_rad):.1f} ± "
             f"{math.degrees(row.aside_angle_std_rad):.1f}°"
         )
+    if not math.isnan(row.aside_to_target_m):
+        text += f", {target_text(row)}"
     return text
 
 

@@ -126,6 +126,7 @@ class SlicerOutput(Closing):
         """Send the needle against the plan."""
         values = {
             "is_off_plan": deviation.is_off_plan,
+            "is_past_target": deviation.is_past_target,
             "entry_mm": M_TO_MM * deviation.entry_m,
             "entry_std_mm": M_TO_MM * deviation.entry_std_m,
             "tip_mm": M_TO_MM * deviation.tip_m,
@@ -134,6 +135,9 @@ class SlicerOutput(Closing):
             "angle_std_deg": math.degrees(deviation.angle_std_rad),
             "depth_below_entry_mm": M_TO_MM * deviation.depth_m,
         }
+        if not math.isnan(deviation.to_target_m):
+            values["to_target_mm"] = M_TO_MM * deviation.to_target_m
+            values["to_target_std_mm"] = M_TO_MM * deviation.to_target_std_m
         self._send(self._igtl.StringMessage(_to_json(values), device_name="Plan"))
 
     def close(self) -> None:

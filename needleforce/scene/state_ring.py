@@ -64,7 +64,10 @@ class ViewRow(NamedTuple):
         aside_tip_std_m: Standard deviation of that distance.
         aside_angle_rad: Between the planned and the needle's direction.
         aside_angle_std_rad: Standard deviation of that angle.
+        aside_to_target_m: From the tip to the target, negative past it.
+        aside_to_target_std_m: Standard deviation of that distance.
         aside_is_off_plan: 1 if the needle is off the plan, else 0.
+        aside_is_past_target: 1 if the tip is past the target, else 0.
         zero_m: Depth from which shown depths count.
         zero_kind: Number of its name in `needleforce.depth_zero.ZERO_NAMES`.
     """
@@ -97,7 +100,10 @@ class ViewRow(NamedTuple):
     aside_tip_std_m: float = math.nan
     aside_angle_rad: float = math.nan
     aside_angle_std_rad: float = math.nan
+    aside_to_target_m: float = math.nan
+    aside_to_target_std_m: float = math.nan
     aside_is_off_plan: float = math.nan
+    aside_is_past_target: float = math.nan
     zero_m: float = 0.0
     zero_kind: float = 0.0
 
@@ -110,6 +116,11 @@ class ViewRow(NamedTuple):
     def is_off_plan(self) -> bool:
         """Whether the needle is off the plan."""
         return self.aside_is_off_plan == 1.0
+
+    @property
+    def is_past_target(self) -> bool:
+        """Whether the tip is past the target."""
+        return self.aside_is_past_target == 1.0
 
 
 FIELDS = ViewRow._fields

@@ -32,6 +32,8 @@ from needleforce.scene.guarded_server import PageAccess, open_server, stop_serve
 from needleforce.scene.legend import legend_html, legend_lines
 from needleforce.scene.row_text import (
     BANNER,
+    MEANINGS,
+    banner_of,
     headline,
     layer_names,
     next_layer_name,
@@ -382,14 +384,16 @@ class Viewer:
         ]
 
     def _draw_banner(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
-        """Turn the needle red and say so while it is off the plan."""
-        self._arm.show_off_plan(row.is_off_plan)
-        self._title.show(is_off_plan=row.is_off_plan)
-        self._off_plan.visible = row.is_off_plan
+        """Turn the needle red and say so while it is off the plan or too deep."""
+        banner = banner_of(row)
+        self._arm.show_off_plan(bool(banner))
+        self._title.show(banner)
+        self._off_plan.visible = bool(banner)
+        self._off_plan.text = banner or BANNER
         self._off_plan.position = tuple(needle.tip_m - BANNER_M * needle.axis)
         self._banner.content = ""
-        if row.is_off_plan:
-            self._banner.content = f"# ⚠ {BANNER}\n\nNo layer is named from the plan."
+        if banner:
+            self._banner.content = f"# ⚠ {banner}\n\n{MEANINGS[banner]}"
 
     def _draw_trail(self, index: int, row: ViewRow) -> None:
         """Draw the real path of the tip until a row, from shortly before the entry."""
@@ -462,7 +466,7 @@ class Viewer:
         ]
         scene = serializer.as_html()
         last = _view_row_of(self._rows[-1])
-        self._title.restore(is_off_plan=last.is_off_plan)
+        self._title.restore(banner_of(last))
         charts = draw_force_charts(self._rows, last.zero_m, last.zero_name, events_s)
         words = SceneWords("needleforce", self._plan.warnings, legend_lines(self._plan))
         film = Film(pictures, ruptures, slices)

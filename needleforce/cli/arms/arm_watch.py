@@ -111,6 +111,8 @@ class Display:
 
 def describe_events(estimate: SessionEstimate) -> Iterator[str]:
     """Yield in words what was detected or retracted at this sample."""
+    for event in estimate.plan_events:
+        yield event.text
     rupture = estimate.identification.rupture
     if rupture is not None:
         zero = find_depth_zero(estimate)

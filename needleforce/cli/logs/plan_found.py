@@ -13,7 +13,11 @@ from needleforce.cli.logs.outputs import Answer
 from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.plan_file import LoadedPlan
 from needleforce.depth_zero import PLANNED_ENTRY, DepthZero
-from needleforce.needle_on_plan import PlanDeviation, describe_deviation
+from needleforce.needle_on_plan import (
+    PlanDeviation,
+    describe_deviation,
+    describe_to_target,
+)
 from residual.tool_kinematics import ToolKinematics
 
 COMPARED_ROWS = 10
@@ -93,14 +97,20 @@ class PlanFound(NamedTuple):
         return self.off_fraction > 0.0
 
     def _describe_warnings(self) -> tuple[str, ...]:
-        """Return that the needle was off the plan, then what else is doubtful."""
-        if not self._is_off_plan:
-            return self.warnings
-        off_plan = (
-            f"OFF PLAN for {100.0 * self.off_fraction:.0f} % of the rows below the "
-            "planned entry: no layer is named from the plan"
-        )
-        return (off_plan, *self.warnings)
+        """Return where the needle left the plan, then what else is doubtful."""
+        off_plan: tuple[str, ...] = ()
+        if self._is_off_plan:
+            off_plan = (
+                f"OFF PLAN for {100.0 * self.off_fraction:.0f} % of the rows below the "
+                "planned entry: no layer is named from the plan",
+            )
+        past_target: tuple[str, ...] = ()
+        if self.deepest is not None and self.deepest.is_past_target:
+            past_target = (
+                "PAST THE TARGET: at its deepest the tip was "
+                f"{describe_to_target(self.deepest)}",
+            )
+        return (*off_plan, *past_target, *self.warnings)
 
     def _tables(self) -> tuple[plots.PageTable, ...]:
         """Return the table of ruptures; none where no layer can be named."""
