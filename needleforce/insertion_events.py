@@ -15,8 +15,8 @@ class SessionEvent(NamedTuple):
     """An event of an insertion.
 
     Attributes:
-        kind: ``rupture``, ``rupture_retracted``, ``layer``, ``hard_contact`` or
-            ``past_target``.
+        kind: ``rupture``, ``rupture_retracted``, ``layer``, ``hard_contact``,
+            ``past_target`` or ``too_near``.
         text: One sentence for people.
         values: What is known of it, by name with unit.
     """

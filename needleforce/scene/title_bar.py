@@ -89,7 +89,7 @@ class TitleBar:
     def _describe(self, banner: str) -> str:
         """Return the same in words."""
         warnings = tuple(f"Warning: {warning}." for warning in self._warnings)
-        lines = (f"{banner}: {MEANINGS[banner]}",) if banner else ()
+        lines = (f"{banner}: {MEANINGS[banner]}.",) if banner else ()
         return " ".join((*lines, NOTE, *warnings))
 
 

@@ -32,6 +32,7 @@ from needleforce.scene.guarded_server import PageAccess, open_server, stop_serve
 from needleforce.scene.legend import legend_html, legend_lines
 from needleforce.scene.row_text import (
     BANNER,
+    CANNOT_TELL,
     MEANINGS,
     banner_of,
     headline,
@@ -332,7 +333,7 @@ class Viewer:
                 self.time.slider.value = round(row.time_s, 2)
 
             self._headline.content = headline(row)
-            lines = state_lines(row, self._names)
+            lines = state_lines(row, self._names, self._plan.watched)
             self._text.content = "\n\n".join(lines)
             percent = 100.0 * row.tip_N / FULL_BAR_N
             self._bar.value = float(np.clip(percent, 0.0, 100.0))
@@ -386,14 +387,14 @@ class Viewer:
     def _draw_banner(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
         """Turn the needle red and say so while it is off the plan or too deep."""
         banner = banner_of(row)
-        self._arm.show_off_plan(bool(banner))
+        self._arm.show_off_plan(bool(banner) and banner != CANNOT_TELL)
         self._title.show(banner)
         self._off_plan.visible = bool(banner)
         self._off_plan.text = banner or BANNER
         self._off_plan.position = tuple(needle.tip_m - BANNER_M * needle.axis)
         self._banner.content = ""
         if banner:
-            self._banner.content = f"# ⚠ {banner}\n\n{MEANINGS[banner]}"
+            self._banner.content = f"# ⚠ {banner}\n\n{MEANINGS[banner]}."
 
     def _draw_trail(self, index: int, row: ViewRow) -> None:
         """Draw the real path of the tip until a row, from shortly before the entry."""
@@ -480,7 +481,7 @@ class Viewer:
         times_s = self._rows[:, COLUMN["time_s"]]
         index = int(np.searchsorted(times_s, self._shown_s or 0.0, "right")) - 1
         row = _view_row_of(self._rows[max(index, 0)])
-        lines = state_lines(row, self._names)
+        lines = state_lines(row, self._names, self._plan.watched)
         return film_frame(row, film_s, lines, len(slices) - 1)
 
     def stop(self) -> None:

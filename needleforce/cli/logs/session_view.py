@@ -182,7 +182,7 @@ def replay_session(
     )
     require_joints(log["q_rad"], model)
     if plan is not None:
-        session.follow(plan.match, plan.entry_in_base_m, path=plan.path)
+        plan.follow_with(session)
     rows: list[tuple[float, ...]] = []
     rejected = Counter[str]()
     duration_s = 0.0

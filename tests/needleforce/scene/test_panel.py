@@ -156,7 +156,7 @@ def test_the_title_bar_says_off_plan_and_warnings(viewer):
     bar.restore("")
 
     on_plan = "Simulation and research only: not a medical device. Warning: no labels."
-    off_plan = f"OFF PLAN: no layer is named. {on_plan}"
+    off_plan = f"OFF PLAN: no layer is named from the plan. {on_plan}"
     assert sent == [on_plan, off_plan, None, on_plan]
 
 
