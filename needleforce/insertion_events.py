@@ -15,7 +15,8 @@ class SessionEvent(NamedTuple):
     """An event of an insertion.
 
     Attributes:
-        kind: ``rupture``, ``rupture_retracted``, ``layer`` or ``hard_contact``.
+        kind: ``rupture``, ``rupture_retracted``, ``layer``, ``hard_contact``,
+            ``past_target`` or ``too_near``.
         text: One sentence for people.
         values: What is known of it, by name with unit.
     """
@@ -35,6 +36,7 @@ def describe_hard_contact(contact: HardContact) -> str:
 
 def session_events(estimate: "SessionEstimate") -> Iterator[SessionEvent]:
     """Yield the events of one update."""
+    yield from estimate.plan_events
     identification = estimate.identification
     rupture = identification.rupture
     if rupture is not None:

@@ -1,23 +1,31 @@
-"""The needle against the planned path: how far beside it, how far turned, how sure.
+"""The needle against the planned path: beside it, turned, to its target, how sure.
 
 The planned path is a line in the robot's base, known as well as the registration. The
 needle is a line, too: its tip and its direction as the robot states them. Where both
 lines should be one, the distances between them are errors of the registration; beyond
 what chance makes of these, the needle is off the plan, and nothing may be named by it.
+A needle on the line may still have gone too far: past the target.
 """
 
 import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import NamedTuple, Protocol
+from typing import TYPE_CHECKING, Any, NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 
+if TYPE_CHECKING:
+    from needleforce.anatomy import NeedleClearance
+
 MARGIN_m = 1e-3
 """Distance beside the path that is never off the plan."""
+
+TOLERANCE_m = 5e-3
+"""How far the needle may be beside its path where no plan says it: the usual margin."""
 
 MARGIN_rad = math.radians(1.0)
 """Angle that is never off the plan."""
@@ -25,6 +33,14 @@ MARGIN_rad = math.radians(1.0)
 STDS = 3.7
 """Beyond so many standard deviations the needle is off the plan. A distance in a plane
 exceeds them by chance once in a thousand insertions."""
+
+CERTAIN_STDS = 2.0
+"""So many standard deviations beyond what is measured the needle may be: within them
+it must stay within its tolerance, or nobody can tell that it is on the plan."""
+
+PAST_STDS = 2.0
+"""Beyond so many standard deviations the tip is past the target: a needle that stops
+once too early does less harm than one that goes on."""
 
 TIP_STD_m = 0.1e-3
 """Standard deviation of the needle's tip in the robot's base: repeatability of arms."""
@@ -35,6 +51,12 @@ AXIS_STD_rad = 1e-3
 REGISTERED_RADIUS_m = 0.1
 """Landmarks and touches lie some 100 mm around a path: where a registration states one
 standard deviation for all directions, its rotation has that over this distance."""
+
+
+OFF_PLAN = "off plan"
+PAST_TARGET = "past target"
+CANNOT_TELL = "cannot tell"
+ON_PLAN = "on plan"
 
 
 class _Registration(Protocol):
@@ -59,8 +81,16 @@ class PlanDeviation(NamedTuple):
         angle_rad: Between the planned and the needle's direction.
         angle_std_rad: Its standard deviation.
         depth_m: Of the tip below the planned entry, along the planned line.
-        is_off_plan: Whether one of the three exceeds its margin and 3.7 standard
+        to_target_m: From the tip to the target along the planned line; negative past
+            the target, nan where no target is known.
+        to_target_std_m: Its standard deviation; organs that move are not in it.
+        is_off_plan: Whether one of the first three exceeds its margin and 3.7 standard
             deviations.
+        is_past_target: Whether the tip is past the target by more than its margin and
+            two standard deviations.
+        is_doubtful: Whether it cannot be told that the needle is on the plan: with two
+            standard deviations it may be further aside, or past the target, than its
+            tolerance, or so turned that it will be.
     """
 
     entry_m: float
@@ -70,7 +100,20 @@ class PlanDeviation(NamedTuple):
     angle_rad: float
     angle_std_rad: float
     depth_m: float
+    to_target_m: float
+    to_target_std_m: float
     is_off_plan: bool
+    is_past_target: bool
+    is_doubtful: bool
+
+    @property
+    def verdict(self) -> str:
+        """What holds first: off plan, past target, cannot tell; else on plan."""
+        if self.is_off_plan:
+            return OFF_PLAN
+        if self.is_past_target:
+            return PAST_TARGET
+        return CANNOT_TELL if self.is_doubtful else ON_PLAN
 
 
 @dataclass(frozen=True, eq=False)
@@ -82,8 +125,10 @@ class PlannedPath:
         target_m: Where it ends, (3,).
         covariance: Of a small rotation [rad] about the pivot and a shift [m], (6, 6).
         pivot_m: In the robot's base, (3,).
-        margin_m: Distance that is never off the plan.
+        margin_m: Distance that is never off the plan, nor past the target.
         margin_rad: Angle that is never off the plan.
+        tolerance_m: How far the needle may be beside the path, or past the target: the
+            margin of the plan.
     """
 
     entry_m: Array
@@ -92,10 +137,11 @@ class PlannedPath:
     pivot_m: Array
     margin_m: float = MARGIN_m
     margin_rad: float = MARGIN_rad
+    tolerance_m: float = TOLERANCE_m
 
     @cached_property
-    def _lateral(self) -> "_LateralCovariance":
-        return _LateralCovariance(self)
+    def _uncertainty(self) -> "_PathCovariance":
+        return _PathCovariance(self)
 
     @classmethod
     def of_registration(
@@ -141,6 +187,7 @@ class PlannedPath:
             self.pivot_m.tolist(),
             self.margin_m,
             self.margin_rad,
+            self.tolerance_m,
         ]
         return repr(numbers)
 
@@ -151,21 +198,30 @@ class PlannedPath:
             tip_m: Tip of the needle in the robot's base, (3,).
             axis: Its direction, of length one, (3,).
         """
-        lateral = self._lateral
-        planned = lateral.axis
+        uncertainty = self._uncertainty
+        planned = uncertainty.axis
         from_entry = (tip_m - self.entry_m).tolist()
         needle = axis.tolist()
         depth_m = _dot(from_entry, planned)
         entry_m = _distance(from_entry, needle)
         tip_distance_m = _distance(from_entry, planned)
         angle_rad = math.atan2(_distance(planned, needle), _dot(planned, needle))
-        entry_std_m = lateral.std_m(0.0)
-        tip_std_m = lateral.std_m(depth_m)
-        angle_std_rad = lateral.angle_std_rad
+        entry_std_m = uncertainty.std_m(0.0)
+        tip_std_m = uncertainty.std_m(depth_m)
+        angle_std_rad = uncertainty.angle_std_rad
+        to_target_m = uncertainty.length_m - depth_m
+        past_m = max(self.margin_m, PAST_STDS * uncertainty.along_std_m)
         is_off_plan = (
             entry_m > max(self.margin_m, STDS * entry_std_m)
             or tip_distance_m > max(self.margin_m, STDS * tip_std_m)
             or angle_rad > max(self.margin_rad, STDS * angle_std_rad)
+        )
+        tolerance_rad = math.atan2(self.tolerance_m, uncertainty.length_m)
+        is_doubtful = (
+            entry_m + CERTAIN_STDS * entry_std_m > self.tolerance_m
+            or tip_distance_m + CERTAIN_STDS * tip_std_m > self.tolerance_m
+            or angle_rad + CERTAIN_STDS * angle_std_rad > tolerance_rad
+            or CERTAIN_STDS * uncertainty.along_std_m - to_target_m > self.tolerance_m
         )
         return PlanDeviation(
             entry_m,
@@ -175,7 +231,11 @@ class PlannedPath:
             angle_rad,
             angle_std_rad,
             depth_m,
+            to_target_m,
+            uncertainty.along_std_m,
             is_off_plan,
+            is_past_target=to_target_m < -past_m,
+            is_doubtful=is_doubtful,
         )
 
 
@@ -187,16 +247,19 @@ class PlannedEntry:
         entry_m: In the robot's base, (3,).
         std_m: Standard deviation of the registration along each axis.
         margin_m: Distance that is never off the plan.
+        tolerance_m: How far the needle may be beside the entry.
     """
 
     entry_m: Array
     std_m: float
     margin_m: float = MARGIN_m
+    tolerance_m: float = TOLERANCE_m
 
     @property
     def fingerprint(self) -> str:
         """Text that is equal for equal entries."""
-        return repr([self.entry_m.tolist(), self.std_m, self.margin_m])
+        numbers = [self.entry_m.tolist(), self.std_m, self.margin_m, self.tolerance_m]
+        return repr(numbers)
 
     def deviation(self, tip_m: Array, axis: Array) -> PlanDeviation:
         """Return how far a needle's line passes from the entry; its angle is 0.
@@ -217,7 +280,11 @@ class PlannedEntry:
             angle_rad=0.0,
             angle_std_rad=math.pi,
             depth_m=_dot(from_entry, needle),
+            to_target_m=math.nan,
+            to_target_std_m=math.nan,
             is_off_plan=entry_m > max(self.margin_m, STDS * std_m),
+            is_past_target=False,
+            is_doubtful=entry_m + CERTAIN_STDS * std_m > self.tolerance_m,
         )
 
 
@@ -233,21 +300,102 @@ def describe_deviation(deviation: PlanDeviation) -> str:
             f", turned by {math.degrees(deviation.angle_rad):.1f} ± "
             f"{math.degrees(deviation.angle_std_rad):.1f}°"
         )
-    return f"OFF PLAN: {text}" if deviation.is_off_plan else f"on plan: {text}"
+    if not math.isnan(deviation.to_target_m):
+        text += f", tip {describe_to_target(deviation)}"
+    verdicts = ["OFF PLAN"] if deviation.is_off_plan else []
+    verdicts += ["PAST THE TARGET"] if deviation.is_past_target else []
+    if not verdicts:
+        verdicts = ["CANNOT TELL"] if deviation.is_doubtful else ["on plan"]
+    return f"{' and '.join(verdicts)}: {text}"
 
 
-class _LateralCovariance:
-    """Covariance of a path across its direction, as a function of depth.
+def describe_to_target(deviation: PlanDeviation) -> str:
+    """Return how far the tip is in front of the target, or past it, in words."""
+    side = "past" if deviation.to_target_m < 0.0 else "in front of"
+    return (
+        f"{1e3 * abs(deviation.to_target_m):.1f} ± "
+        f"{1e3 * deviation.to_target_std_m:.1f} mm {side} the target"
+    )
+
+
+class Surroundings(Protocol):
+    """Interface of what lies around; `anatomy.NeedleSurroundings` is one."""
+
+    def clearances(self, tip_m: Array, axis: Array) -> Sequence["NeedleClearance"]:
+        """Return how near a needle comes to each structure, the nearest first."""
+        ...
+
+
+def describe_too_near(clearance: "NeedleClearance") -> str:
+    """Return in words that the needle, or its way ahead, is too near to a structure."""
+    return (
+        f"TOO NEAR: {clearance}, at least {1e3 * max(clearance.needed_m, 0.0):.1f} mm "
+        "must stay free"
+    )
+
+
+def describe_clearances(clearances: Sequence["NeedleClearance"], count: int = 3) -> str:
+    """Return the nearest structures in words; empty without any."""
+    if not clearances:
+        return ""
+    if clearances[0].is_too_near:
+        return describe_too_near(clearances[0])
+    return f"clear: {', '.join(map(str, clearances[:count]))}"
+
+
+def state_values(
+    deviation: PlanDeviation, clearances: Sequence["NeedleClearance"] = ()
+) -> dict[str, Any]:
+    """Return the state of the needle on its plan as named values, for files and links.
+
+    What is not known is left out.
+
+    Args:
+        deviation: The needle against the planned path.
+        clearances: How near it comes to structures at risk.
+    """
+    values: dict[str, Any] = {"verdict": deviation.verdict}
+    values |= deviation._asdict()
+    nearest = {
+        one.name: {
+            "needle_m": one.needle_m,
+            "ahead_m": one.ahead_m,
+            "std_m": one.std_m,
+            "needed_m": one.needed_m,
+            "is_too_near": one.is_too_near,
+        }
+        for one in clearances
+    }
+    values["clearances"] = {
+        name: _known_values(clearance) for name, clearance in nearest.items()
+    }
+    return _known_values(values)
+
+
+def _known_values(values: dict[str, Any]) -> dict[str, Any]:
+    """Return the values without numbers that are not finite."""
+    return {
+        name: value
+        for name, value in values.items()
+        if not isinstance(value, float) or math.isfinite(value)
+    }
+
+
+class _PathCovariance:
+    """Covariance of a path: across its direction as a function of depth, and along it.
 
     A registration that errs by a rotation w about a pivot p and a shift t moves a point
     x by w x (x - p) + t. Across the path, along u and v, that is linear in the depth of
-    x, so its variances are polynomials of degree two.
+    x, so its variances are polynomials of degree two. Along the path the rotation moves
+    all points of the line alike.
 
     Args:
         path: The path.
 
     Attributes:
         axis: Direction of the path, three numbers.
+        length_m: From entry to target.
+        along_std_m: Standard deviation of the tip against the target along the path.
         angle_std_rad: Standard deviation of its direction, the larger one.
     """
 
@@ -263,7 +411,12 @@ class _LateralCovariance:
         constant = at_entry @ path.covariance @ at_entry.T
         mixed = at_entry @ path.covariance @ per_m.T
         square = per_m @ path.covariance @ per_m.T
+        along = np.array([*np.cross(arm_m, axis), *axis])
         self.axis: list[float] = axis.tolist()
+        self.length_m = float(np.linalg.norm(path.target_m - path.entry_m))
+        self.along_std_m = math.hypot(
+            math.sqrt(max(float(along @ path.covariance @ along), 0.0)), TIP_STD_m
+        )
         self.angle_std_rad = math.hypot(_largest_std(square), AXIS_STD_rad)
         self._constant: list[list[float]] = constant.tolist()
         self._linear: list[list[float]] = (mixed + mixed.T).tolist()

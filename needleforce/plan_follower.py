@@ -6,11 +6,19 @@ import numpy as np
 
 from foundation.arrays import Array
 from identification import Estimate, Identifier, Rupture
-from needleforce.needle_on_plan import PlanDeviation, PlannedEntry, PlannedPath
+from needleforce.insertion_events import SessionEvent
+from needleforce.needle_on_plan import (
+    PlanDeviation,
+    PlannedEntry,
+    PlannedPath,
+    Surroundings,
+    describe_to_target,
+    describe_too_near,
+)
 from residual.tool_kinematics import ToolKinematics
 
 if TYPE_CHECKING:
-    from needleforce.anatomy import PlanState
+    from needleforce.anatomy import NeedleClearance, PlanState
 
 STEP_m = 0.1e-3
 """Travel after which the plan is evaluated again, besides at events.
@@ -78,6 +86,8 @@ class PlanMemory(NamedTuple):
         depth_m: Depth of the tip; None where the plan was not evaluated yet.
         deepest_m: Largest depth of the tip so far.
         contact_m: Depth of first contact; None where the surface has not been met.
+        is_past_target: Whether it was reported that the tip is past the target.
+        near: Names of the structures that were reported to be too near.
     """
 
     fingerprint: str
@@ -86,6 +96,8 @@ class PlanMemory(NamedTuple):
     depth_m: float | None = None
     deepest_m: float = 0.0
     contact_m: float | None = None
+    is_past_target: bool = False
+    near: frozenset[str] = frozenset()
 
 
 class PlanFollower:
@@ -95,24 +107,32 @@ class PlanFollower:
         plan: The plan; None for none.
         path: The planned path in the robot's base, or its entry alone; None where the
             plan's depths count from where the session's do.
+        surroundings: The structures at risk around the path, if they are known.
 
     Attributes:
         memory: Immutable.
         state: Result of the last evaluation; None without a plan, or before the first.
         deviation: The needle against the planned path; None without a path.
+        clearances: How near the needle and its way ahead come to structures at risk.
         reported_state: The state; while the needle is off the plan one that names no
             layer.
         entry_depth_m: Depth of the plan's entry; None without one.
     """
 
     def __init__(
-        self, plan: Plan | None, path: PlannedPath | PlannedEntry | None
+        self,
+        plan: Plan | None,
+        path: PlannedPath | PlannedEntry | None,
+        surroundings: Surroundings | None = None,
     ) -> None:
+        self._surroundings = surroundings
+        self.clearances: tuple[NeedleClearance, ...] = ()
         self._plan = plan
         self._path = path
         self._entry_m = None if path is None else path.entry_m
         entry = "" if path is None else f" along {path.fingerprint}"
         self.deviation: PlanDeviation | None = None
+        self._events: list[SessionEvent] = []
         fingerprint = "" if plan is None else plan.fingerprint + entry
         self.resume(PlanMemory(fingerprint), None)
 
@@ -122,7 +142,56 @@ class PlanFollower:
             pose = tool.pose
             axis = pose[:3, :3].dot(tool.axis_in_tool)
             self.deviation = self._path.deviation(pose[:3, 3], axis)
+            self._watch_target(self.deviation)
+            if self._surroundings is not None:
+                found = self._surroundings.clearances(pose[:3, 3], axis)
+                self.clearances = tuple(found)
+                self._watch_clearances()
             self._report()
+
+    def _watch_target(self, deviation: PlanDeviation) -> None:
+        """Report once that the tip is past the target, anew after it was above it."""
+        was_past = self.memory.is_past_target
+        if deviation.is_past_target and not was_past:
+            self.memory = self.memory._replace(is_past_target=True)
+            event = SessionEvent(
+                kind="past_target",
+                text=f"PAST THE TARGET: the tip is {describe_to_target(deviation)}",
+                values={
+                    "to_target_m": deviation.to_target_m,
+                    "to_target_std_m": deviation.to_target_std_m,
+                },
+            )
+            self._events.append(event)
+        elif was_past and deviation.to_target_m > 0.0:
+            self.memory = self.memory._replace(is_past_target=False)
+
+    def _watch_clearances(self) -> None:
+        """Report once that a structure is too near, anew after it was not."""
+        near = {one.name: one for one in self.clearances if one.is_too_near}
+        if near.keys() == self.memory.near:
+            return
+        for name in near.keys() - self.memory.near:
+            clearance = near[name]
+            event = SessionEvent(
+                kind="too_near",
+                text=describe_too_near(clearance),
+                values={
+                    "distance_m": clearance.distance_m,
+                    "needed_m": clearance.needed_m,
+                    "std_m": clearance.std_m,
+                },
+            )
+            self._events.append(event)
+        self.memory = self.memory._replace(near=frozenset(near))
+
+    def take_events(self) -> tuple[SessionEvent, ...]:
+        """Return the events since the last call."""
+        if not self._events:
+            return ()
+        events = tuple(self._events)
+        self._events.clear()
+        return events
 
     def begin(
         self,
@@ -164,7 +233,14 @@ class PlanFollower:
         entry_depth_m = 0.0
         if self._entry_m is not None:
             entry_depth_m = float(axis.dot(self._entry_m - start_in_base_m))
-        self.resume(PlanMemory(self.memory.fingerprint, entry_depth_m, ruptures), None)
+        memory = PlanMemory(
+            self.memory.fingerprint,
+            entry_depth_m,
+            ruptures,
+            is_past_target=self.memory.is_past_target,
+            near=self.memory.near,
+        )
+        self.resume(memory, None)
 
     def update(
         self, identification: Estimate, depth_m: float, identifier: Identifier

@@ -31,6 +31,7 @@ from needleforce.insertion_course import (
     InsertionProgress,
     follow_needle,
 )
+from needleforce.insertion_events import SessionEvent
 from needleforce.needle_channels import (
     MIN_LENGTH_M,
     ChannelState,
@@ -40,7 +41,12 @@ from needleforce.needle_channels import (
     find_channel,
     remove_channel,
 )
-from needleforce.needle_on_plan import PlanDeviation, PlannedEntry, PlannedPath
+from needleforce.needle_on_plan import (
+    PlanDeviation,
+    PlannedEntry,
+    PlannedPath,
+    Surroundings,
+)
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
 from needleforce.tip_travel import TipTravel, TravelZero
 from residual import DEFAULT as DEFAULT_SENSOR
@@ -58,7 +64,7 @@ from residual.virtual_force_sensor import SensorState
 from urdf import Robot
 
 if TYPE_CHECKING:
-    from needleforce.anatomy import PlanState
+    from needleforce.anatomy import NeedleClearance, PlanState
 
 UNUSABLE = (
     SensorWarning.JOINT_LIMIT
@@ -150,6 +156,10 @@ class SessionEstimate(NamedTuple):
             offset; None before the tare, and without `InsertionSession.follow`. Where
             the needle is off the plan it names no layer.
         deviation: The needle against the planned path, at every tick; None without one.
+        clearances: How near the needle, and its way ahead, come to structures at risk,
+            the nearest first; empty where that is not known.
+        plan_events: What happened on the plan with this tick: ``past_target``,
+            ``too_near``.
     """
 
     wrench: WrenchEstimate
@@ -163,6 +173,8 @@ class SessionEstimate(NamedTuple):
     channel: ChannelState = ChannelState.FRESH
     plan: "PlanState | None" = None
     deviation: PlanDeviation | None = None
+    clearances: tuple["NeedleClearance", ...] = ()
+    plan_events: tuple[SessionEvent, ...] = ()
 
     @property
     def warnings(self) -> SensorWarning:
@@ -435,6 +447,7 @@ class InsertionSession:
         entry_in_base_m: ArrayLike | None = None,
         *,
         path: PlannedPath | None = None,
+        surroundings: Surroundings | None = None,
     ) -> None:
         """Match the ruptures from now on with a plan: see `SessionEstimate.plan`.
 
@@ -447,6 +460,8 @@ class InsertionSession:
                 `Registration.to_robot` gives it; None where the plan's depths count
                 from where the session's do, or with a path.
             path: The planned path in the robot's base.
+            surroundings: A `needleforce.anatomy.NeedleSurroundings`; with it and a path
+                every estimate states how near the needle comes to structures at risk.
 
         Raises:
             SessionSettingError: For anything but a plan, or an entry that is no point.
@@ -459,7 +474,7 @@ class InsertionSession:
         if plan is not None and path is None and entry_in_base_m is not None:
             entry_m = _checked_entry(entry_in_base_m)
             checked_path = PlannedEntry(entry_m, plan.offset_std_m)
-        self._plan = PlanFollower(plan, checked_path)
+        self._plan = PlanFollower(plan, checked_path, surroundings)
         self._plan.begin(*self.zero)
 
     def begin_insertion(self) -> None:
@@ -1053,6 +1068,8 @@ class InsertionSession:
             channel=self._course.channel_state,
             plan=self._plan.reported_state,
             deviation=self._plan.deviation,
+            clearances=self._plan.clearances,
+            plan_events=self._plan.take_events(),
         )
 
 

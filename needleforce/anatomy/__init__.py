@@ -14,7 +14,7 @@ Reading order: `volume`, `structures`, `labels`, `body`, `resampling`, `segmenta
 `dicom_segmentation`, `label_names`, `mask_folder`, `slicer_segments`, `segment_names`,
 `renaming`, `registration`, `landmark_check`, `landmarks`, `landmark_frame`,
 `surface_fit`, `markups`, `transform_file`, `deepest_point`, `path_search`,
-`plan_match`, `rupture_model`.
+`needle_surroundings`, `plan_match`, `rupture_model`.
 """
 
 from needleforce.anatomy.clearance import (
@@ -32,6 +32,10 @@ from needleforce.anatomy.errors import (
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.landmark_frame import SkinLandmarks, require_lps
 from needleforce.anatomy.landmarks import fit_landmarks
+from needleforce.anatomy.needle_surroundings import (
+    NeedleClearance,
+    NeedleSurroundings,
+)
 from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
 from needleforce.anatomy.reading import read_labels, read_volume
@@ -49,6 +53,8 @@ __all__ = [
     "Grid",
     "Labels",
     "Layer",
+    "NeedleClearance",
+    "NeedleSurroundings",
     "PlanError",
     "PlanMatch",
     "PlanState",

@@ -4,6 +4,7 @@ The file is `plan.json`, see docs/how-to/scene.md; a segmentation may lie beside
 """
 
 from collections.abc import Sequence
+from dataclasses import replace
 from itertools import product
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -18,6 +19,7 @@ from needleforce.anatomy import (
     Grid,
     Labels,
     Layer,
+    NeedleSurroundings,
     PlanMatch,
     Registration,
     Volume,
@@ -35,6 +37,7 @@ from needleforce.anatomy.labels import SHOWN_VOXEL_m
 from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, say
 from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene
+from needleforce.session import InsertionSession
 
 PLAN = "plan.json"
 
@@ -98,6 +101,7 @@ class LoadedPlan(NamedTuple):
             depths count as the session's.
         warnings: What is wrong with the plan, or could not be checked.
         path: The planned path in the robot's base; None without entry and target.
+        surroundings: The structures at risk around it; None where there are no labels.
     """
 
     scene: PlanScene
@@ -105,6 +109,16 @@ class LoadedPlan(NamedTuple):
     entry_in_base_m: Array | None
     warnings: tuple[str, ...] = ()
     path: PlannedPath | None = None
+    surroundings: NeedleSurroundings | None = None
+
+    def follow_with(self, session: InsertionSession) -> None:
+        """Let a session follow the plan."""
+        session.follow(
+            self.match,
+            self.entry_in_base_m,
+            path=self.path,
+            surroundings=self.surroundings,
+        )
 
 
 class _PlannedLayer(msgspec.Struct, forbid_unknown_fields=True):
@@ -227,9 +241,10 @@ def read_plan(
         _require_registration(plan)
         scene, labels = _anatomy_of(plan, path.parent)
         layers = _planned_layers(plan) or list(scene.layers)
-        path = _path_of(plan, scene)
+        planned = _path_of(plan, scene)
         warnings = _check_obstacles(plan, labels, layers, is_past=is_past)
-        if path is None:
+        surroundings = _surroundings_of(plan, labels)
+        if planned is None:
             warnings.append(
                 "no entry and target in the plan: not checked whether the "
                 "needle is on it"
@@ -245,19 +260,22 @@ def read_plan(
         raise CommandError(f"{path}: {error}", CommandCode.PLAN) from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
     return LoadedPlan(
-        scene._replace(layers=match.layers, warnings=tuple(warnings)),
+        scene._replace(
+            layers=match.layers,
+            warnings=tuple(warnings),
+            watched=() if surroundings is None else surroundings.names,
+        ),
         match,
         entry_m,
         tuple(warnings),
-        path,
+        planned,
+        surroundings,
     )
 
 
-def _largest_std_m(plan: _PlanFile) -> float:
-    """Return the largest deviation of the registration at entry and target."""
-    if not plan.covariance or plan.entry_m is None or plan.target_m is None:
-        return plan.offset_std_m
-    registration = Registration(
+def _registration_of(plan: _PlanFile) -> Registration:
+    """Return where the patient lies in the robot's base."""
+    return Registration(
         rotation=_checked_rotation(plan),
         translation_m=np.array(plan.translation_m),
         covariance=np.array(plan.covariance),
@@ -265,6 +283,34 @@ def _largest_std_m(plan: _PlanFile) -> float:
         degrees=np.inf,
         residual_rms_m=np.nan,
     )
+
+
+def _space_of(plan: _PlanFile) -> FreeSpace:
+    """Return what must stay free around the needle."""
+    return FreeSpace(plan.needle_radius_m, plan.margin_m, _largest_std_m(plan))
+
+
+def _surroundings_of(
+    plan: _PlanFile, labels: Labels | None
+) -> NeedleSurroundings | None:
+    """Return the structures at risk around the path; None without labels and path."""
+    if labels is None or plan.entry_m is None or plan.target_m is None:
+        return None
+    return NeedleSurroundings(
+        labels,
+        _registration_of(plan),
+        plan.entry_m,
+        plan.target_m,
+        _space_of(plan),
+        leave_out=(plan.target, *plan.accepted_obstacles),
+    )
+
+
+def _largest_std_m(plan: _PlanFile) -> float:
+    """Return the largest deviation of the registration at entry and target."""
+    if not plan.covariance or plan.entry_m is None or plan.target_m is None:
+        return plan.offset_std_m
+    registration = _registration_of(plan)
     return registration.largest_std_m(np.array([plan.entry_m, plan.target_m]))
 
 
@@ -275,14 +321,21 @@ def _path_of(plan: _PlanFile, scene: PlanScene) -> PlannedPath | None:
     entry_m = scene.to_robot(scene.entry_m)
     target_m = scene.to_robot(scene.target_m)
     if not plan.covariance:
-        return PlannedPath.of_std(entry_m, target_m, plan.offset_std_m)
+        path = PlannedPath.of_std(entry_m, target_m, plan.offset_std_m)
+        return replace(path, tolerance_m=plan.margin_m)
     if {len(plan.covariance), *map(len, plan.covariance)} != {6}:
         raise ValueError("covariance in it is not 6 x 6")
     covariance = np.array(plan.covariance)
     least = np.linalg.eigvalsh(covariance)[0]
     if not np.allclose(covariance, covariance.T) or least < -MAX_ROUNDING:
         raise ValueError("covariance in it is not symmetric and positive")
-    return PlannedPath(entry_m, target_m, covariance, np.array(plan.pivot_m))
+    return PlannedPath(
+        entry_m,
+        target_m,
+        covariance,
+        np.array(plan.pivot_m),
+        tolerance_m=plan.margin_m,
+    )
 
 
 def _check_obstacles(
@@ -307,7 +360,7 @@ def _check_obstacles(
             if layer.is_obstacle
         ]
         return warnings
-    space = FreeSpace(plan.needle_radius_m, plan.margin_m, _largest_std_m(plan))
+    space = _space_of(plan)
     clearances = labels.clearances(plan.entry_m, plan.target_m)
     if not is_past:
         require_clear_path(clearances, space, plan.accepted_obstacles)

@@ -1,5 +1,6 @@
 """The command `needleforce ros2`."""
 
+from pathlib import Path
 from typing import Annotated
 
 from cyclopts import Parameter
@@ -21,6 +22,15 @@ def ros2_command(
         ),
     ],
     robot: RobotOptions = RobotOptions(),
+    plan: Annotated[
+        Path | None,
+        Parameter(
+            metavar="FILE",
+            group=LOG,
+            help="Plan to follow (plan.json, or its folder): the needle on it is in "
+            "/diagnostics, what happens on it in ~/events.",
+        ),
+    ] = None,
 ) -> int:
     """Run a ROS 2 node: joint_states in; wrench, tip force, layers, events out.
 
@@ -28,9 +38,16 @@ def ros2_command(
 
     needleforce ros2 --urdf arm.urdf --ros-args -r joint_states:=/arm/joint_states
     """
+    from needleforce.cli.plan_file import load_plan
     from needleforce.cli.robot import robot_from_options
     from needleforce.cli.terminal import say
     from needleforce.ros2.node import run_node
 
-    run_node(ros_arguments, lambda: robot_from_options(robot, None), say)
+    loaded = load_plan(plan)
+    run_node(
+        ros_arguments,
+        lambda: robot_from_options(robot, None),
+        say,
+        (lambda session: None) if loaded is None else loaded.follow_with,
+    )
     return 0

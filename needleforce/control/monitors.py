@@ -19,7 +19,7 @@ from needleforce.control.ports import ArmSample, MasterSample
 from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.state_machine import State
 from needleforce.insertion_events import describe_hard_contact
-from needleforce.needle_on_plan import describe_deviation
+from needleforce.needle_on_plan import describe_clearances, describe_deviation
 from residual.checks.input import as_float
 from residual.estimate import SensorWarning, Status
 
@@ -45,7 +45,8 @@ class SafetyLimits:
         reaction_s: Time from a decision to the arm at rest, over which forces are
             predicted.
         stop_off_plan: Stop an advance while the needle is off the plan that the session
-            follows.
+            follows, and one by hand past the plan's target or too near to a structure
+            at risk. An autonomous insertion always stops at these two.
 
     Raises:
         SettingError: A limit is no positive number.
@@ -348,12 +349,20 @@ class Monitors:
         return ("limit", stop) if stop else ("", "")
 
     def _check_plan(self, estimate: "SessionEstimate") -> str:
-        """Return where the needle is off the plan in an advance; empty if it is not."""
+        """Return what stops an advance by the plan; empty if nothing does."""
         deviation = estimate.deviation
-        is_watched = self._limits.stop_off_plan and self._state in _ADVANCING
-        if not is_watched or deviation is None or not deviation.is_off_plan:
+        if deviation is None or self._state not in _ADVANCING:
             return ""
-        return describe_deviation(deviation)
+        is_asked = self._limits.stop_off_plan
+        is_autonomous = self._state == State.INSERTION
+        is_stopped = (is_asked and deviation.is_off_plan) or (
+            (is_asked or is_autonomous) and deviation.is_past_target
+        )
+        if is_stopped:
+            return describe_deviation(deviation)
+        is_watched = is_asked or is_autonomous
+        near = estimate.clearances[:1] if is_watched else ()
+        return describe_clearances(near) if near and near[0].is_too_near else ""
 
     def _watch_device(self, beside: Beside, step_s: float) -> None:
         """Find out whether the haptic device has sent something usable of late."""

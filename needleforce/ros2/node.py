@@ -30,7 +30,7 @@ from needleforce.ros2.parameters import (
     NodeSettings,
     settings_from_values,
 )
-from needleforce.ros2.reports import NodeHealth, layer_reports
+from needleforce.ros2.reports import NodeHealth, layer_reports, plan_reports
 from needleforce.ros2.ros_modules import RosModules, import_ros
 from needleforce.ros2.tare_run import ServiceAnswer, TareRun
 from needleforce.ros2.warming import warm_up
@@ -68,6 +68,7 @@ class NeedleNode:
         node: The node that has the topics, services and timer.
         robot: The arm.
         settings: Values of the node's parameters.
+        prepare: Called with the session once: lets it follow a plan.
 
     Attributes:
         is_stopped: Whether the service `~/stop` was called.
@@ -75,7 +76,12 @@ class NeedleNode:
     """
 
     def __init__(
-        self, ros: RosModules, node: Any, robot: Robot, settings: NodeSettings
+        self,
+        ros: RosModules,
+        node: Any,
+        robot: Robot,
+        settings: NodeSettings,
+        prepare: Callable[[InsertionSession], None] = lambda session: None,
     ) -> None:
         config = SensorConfig(
             gain_per_s=settings.gain_per_s,
@@ -91,6 +97,7 @@ class NeedleNode:
         self._settings = settings
         self._hardware = robot.model.name
         self._session = InsertionSession(robot, config)
+        prepare(self._session)
         self._axis = np.array(config.insertion_axis)
         self._needs_pairing = bool(settings.external_torque_topic)
         self._reader = JointReader(
@@ -232,12 +239,15 @@ class NeedleNode:
 
     def _publish_events(self, estimate: SessionEstimate) -> None:
         """Publish what happened with this sample, and the layers with it."""
-        if not estimate.identification.has_events:
+        has_layer_events = estimate.identification.has_events
+        if not (has_layer_events or estimate.plan_events):
             return
         for event in session_events(estimate):
             values = {name: format_value(v) for name, v in event.values.items()}
-            self._publish_event(NamedReport(event.kind, OK, event.text, values))
-        self._publish_layers()
+            level = WARNING if event in estimate.plan_events else OK
+            self._publish_event(NamedReport(event.kind, level, event.text, values))
+        if has_layer_events:
+            self._publish_layers()
 
     def _publish_event(self, report: NamedReport) -> None:
         """Publish an event, and its sentence as a log message."""
@@ -270,9 +280,10 @@ class NeedleNode:
             is_taring=self._tare.is_running,
         )
         self._lost_before = self.loss.lost
-        report = health.report(self._node.get_fully_qualified_name().lstrip("/"))
+        name = self._node.get_fully_qualified_name().lstrip("/")
+        reports = [health.report(name), *plan_reports(name, self._estimate)]
         self._diagnostics.publish(
-            report_array(self._ros, [report], self._now_ns(), self._hardware)
+            report_array(self._ros, reports, self._now_ns(), self._hardware)
         )
         self._publish_layers()
 
@@ -354,6 +365,7 @@ def run_node(
     arguments: Sequence[str],
     make_robot: Callable[[], Robot],
     say: Callable[[str], None],
+    prepare: Callable[[InsertionSession], None] = lambda session: None,
 ) -> None:
     """Run the node until Ctrl-C, SIGTERM or its service `~/stop`.
 
@@ -361,6 +373,7 @@ def run_node(
         arguments: Of ROS 2, such as ``--ros-args -p queue_depth:=100``.
         make_robot: Makes the arm.
         say: Takes one line of text.
+        prepare: Called with the session once: lets it follow a plan.
 
     Raises:
         MissingRosError: This Python cannot import ROS 2.
@@ -373,7 +386,9 @@ def run_node(
         node = ros.rclpy.create_node(
             NODE_NAME, automatically_declare_parameters_from_overrides=True
         )
-        needle_node = NeedleNode(ros, node, robot, declare_parameters(ros, node))
+        needle_node = NeedleNode(
+            ros, node, robot, declare_parameters(ros, node), prepare
+        )
         try:
             _spin(ros, node, needle_node)
         finally:

@@ -4,6 +4,12 @@ from collections.abc import Iterable
 from dataclasses import dataclass
 
 from identification import LayerEstimate
+from needleforce.needle_on_plan import (
+    ON_PLAN,
+    describe_deviation,
+    describe_too_near,
+    state_values,
+)
 from needleforce.ros2.joint_samples import JointReader
 from needleforce.ros2.message_loss import LossCounter
 from needleforce.ros2.named_report import (
@@ -43,6 +49,31 @@ def layer_reports(layers: Iterable[LayerEstimate]) -> list[NamedReport]:
         text = f"{1e3 * layer.thickness_m:.1f} mm thick"
         reports.append(NamedReport(f"layer {layer.layer}", OK, text, known))
     return reports
+
+
+def plan_reports(name: str, estimate: SessionEstimate | None) -> list[NamedReport]:
+    """Return the report of the needle on its plan; none without a plan.
+
+    Args:
+        name: Of the node.
+        estimate: The latest.
+    """
+    if estimate is None or estimate.deviation is None:
+        return []
+    values = state_values(estimate.deviation)
+    texts = {
+        key: value if isinstance(value, str) else format_value(value)
+        for key, value in values.items()
+        if key != "clearances"
+    }
+    for one in estimate.clearances:
+        texts[f"clearance_m/{one.name}"] = format_value(one.distance_m)
+    near = [one for one in estimate.clearances if one.is_too_near]
+    is_good = estimate.deviation.verdict == ON_PLAN and not near
+    message = describe_deviation(estimate.deviation)
+    sentences = [message, *map(describe_too_near, near)]
+    level = OK if is_good else WARNING
+    return [NamedReport(f"{name}: plan", level, "; ".join(sentences), texts)]
 
 
 @dataclass(slots=True, kw_only=True)

@@ -23,7 +23,7 @@ from needleforce.scene.film import Film
 from needleforce.scene.force_charts import ForceCharts
 from needleforce.scene.legend import LegendLine
 from needleforce.scene.page_policy import page_policy, with_nonce
-from needleforce.scene.row_text import BANNER
+from needleforce.scene.row_text import MEANINGS
 from needleforce.scene.scan_slices import TITLES
 from needleforce.scene.state_ring import SceneCode, SceneError
 from needleforce.scene.title_bar import NOTE
@@ -116,7 +116,6 @@ def write_scene_page(
     text = template.render(
         nonce=nonce,
         policy=page_policy(nonce),
-        banner=BANNER,
         note=NOTE,
         words=words,
         scene=with_nonce(scene, nonce),
@@ -172,6 +171,7 @@ def film_data(film: Film, charts: ForceCharts | None) -> str:
             }
             for one in film.ruptures
         ],
+        "banners": MEANINGS,
         "columns": STRIP_COLUMNS,
         "charts": {}
         if charts is None

@@ -6,7 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.scene.row_text import M_TO_MM, headline
+from needleforce.scene.row_text import M_TO_MM, banner_of, headline
 from needleforce.scene.scan_slices import SlicePictures
 from needleforce.scene.state_ring import ViewRow
 
@@ -26,7 +26,7 @@ class FilmFrame(NamedTuple):
         depth_mm: Of the tip, as shown.
         headline: Time, depth and tip force.
         lines: State in words.
-        is_off_plan: Whether the needle is off the plan.
+        banner: What is shown large, such as that the needle is off the plan.
         slices: Number of the pictures of the CT; -1 without a CT.
     """
 
@@ -35,7 +35,7 @@ class FilmFrame(NamedTuple):
     depth_mm: float
     headline: str
     lines: tuple[str, ...]
-    is_off_plan: bool
+    banner: str
     slices: int
 
 
@@ -100,6 +100,6 @@ def film_frame(
         depth_mm=M_TO_MM * (row.depth_m - row.zero_m),
         headline=headline(row),
         lines=tuple(lines),
-        is_off_plan=row.is_off_plan,
+        banner=banner_of(row),
         slices=slices,
     )

@@ -152,6 +152,8 @@ class PlanScene(NamedTuple):
         translation_m: Of the model's origin in the robot's base, shape (3,).
         warnings: What is wrong with the plan, or could not be checked.
         scan: CT around the path, with `values` and `grid`, in the model; None for none.
+        watched: Names of the structures that the needle must not come near to, by the
+            numbers of their clearances.
     """
 
     surfaces: Sequence[Any] = ()
@@ -162,6 +164,7 @@ class PlanScene(NamedTuple):
     translation_m: Array = np.zeros(3)
     warnings: tuple[str, ...] = ()
     scan: Any = None
+    watched: tuple[str, ...] = ()
 
     def to_robot(self, points_m: ArrayLike) -> Array:
         """Return points of the model in the robot's base, shape (3,) or (n, 3)."""

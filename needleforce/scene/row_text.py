@@ -1,7 +1,7 @@
 """A row of the page in words; behind ± stands the standard deviation, as elsewhere."""
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 
 from needleforce.scene.nodes import PlanScene
 from needleforce.scene.state_ring import ViewRow
@@ -15,6 +15,38 @@ OFF_PLAN = -2
 
 BANNER = "OFF PLAN"
 """What the page shows while the needle is off the plan."""
+
+PAST_TARGET = "PAST TARGET"
+"""What the page shows while the tip is past the target."""
+
+TOO_NEAR = "TOO NEAR"
+"""What the page shows while the needle is too near to a structure at risk."""
+
+CANNOT_TELL = "CANNOT TELL"
+"""What the page shows while nobody can tell that the needle is on the plan."""
+
+MEANINGS = {
+    BANNER: "no layer is named from the plan",
+    PAST_TARGET: "the tip is deeper than planned",
+    TOO_NEAR: "the needle, or its way ahead, is too near to a structure at risk",
+    CANNOT_TELL: "the registration is not known well enough to say that the needle is "
+    "on the plan",
+}
+"""What banners mean."""
+
+
+def banner_of(row: ViewRow) -> str:
+    """Return what the page must show large of a row; empty for nothing.
+
+    Off the plan comes first: there the depth below the entry means little.
+    """
+    if row.is_off_plan:
+        return BANNER
+    if row.is_past_target:
+        return PAST_TARGET
+    if row.is_too_near:
+        return TOO_NEAR
+    return CANNOT_TELL if row.is_doubtful else ""
 
 
 def layer_names(plan: PlanScene) -> dict[float, str]:
@@ -58,9 +90,19 @@ def rupture_label(row: ViewRow, names: Mapping[float, str]) -> str:
 
 def headline(row: ViewRow) -> str:
     """Return time, depth and tip force of a row in a line."""
-    return (
+    text = (
         f"{row.time_s:.1f} s, {_depth_text(row)}; tip force {row.tip_N:.2f} "
         f"± {row.tip_std_N:.2f} N"
+    )
+    return text if math.isnan(row.aside_to_target_m) else f"{text}; {target_text(row)}"
+
+
+def target_text(row: ViewRow) -> str:
+    """Return how far the tip is from the target."""
+    side = "past the target" if row.aside_to_target_m < 0.0 else "to the target"
+    return (
+        f"{M_TO_MM * abs(row.aside_to_target_m):.1f} ± "
+        f"{M_TO_MM * row.aside_to_target_std_m:.1f} mm {side}"
     )
 
 
@@ -69,12 +111,25 @@ def _depth_text(row: ViewRow) -> str:
     return f"{M_TO_MM * (row.depth_m - row.zero_m):.1f} mm {row.zero_name}"
 
 
-def state_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
+def near_text(row: ViewRow, watched: Sequence[str]) -> str:
+    """Return the structure at risk that is nearest to the needle or its way ahead."""
+    number = int(row.near_number)
+    name = watched[number] if number < len(watched) else f"structure {number}"
+    return (
+        f"nearest: {name} at {M_TO_MM * row.near_distance_m:.1f} ± "
+        f"{M_TO_MM * row.near_std_m:.1f} mm from the needle or its way ahead"
+    )
+
+
+def state_lines(
+    row: ViewRow, names: Mapping[float, str], watched: Sequence[str] = ()
+) -> Iterator[str]:
     """Yield where the needle is, the forces, and what they say of the plan.
 
     Args:
         row: The tick.
         names: Of the planned layers, by number.
+        watched: Names of the structures at risk, by number.
     """
     doubt = "" if row.is_good else " (not tared, or doubtful)"
     yield (f"{row.time_s:.1f} s at {_depth_text(row)}, layer {row.layer:.0f}")
@@ -85,6 +140,8 @@ def state_lines(row: ViewRow, names: Mapping[float, str]) -> Iterator[str]:
     )
     if not math.isnan(row.aside_entry_m):
         yield aside_text(row)
+    if not math.isnan(row.near_number):
+        yield near_text(row, watched)
     if not math.isnan(row.plan_layer) and not row.is_off_plan:
         yield from _plan_lines(row, names)
 
@@ -102,6 +159,8 @@ def aside_text(row: ViewRow) -> str:
             f", turned by {math.degrees(row.aside_angle_rad):.1f} ± "
             f"{math.degrees(row.aside_angle_std_rad):.1f}°"
         )
+    if not math.isnan(row.aside_to_target_m):
+        text += f", {target_text(row)}"
     return text
 
 

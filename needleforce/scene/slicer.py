@@ -90,7 +90,8 @@ class SlicerOutput(Closing):
         self._send_pose(pose_m)
         self._send_forces(estimate)
         if getattr(estimate, "deviation", None) is not None:
-            self._send_deviation(estimate.deviation)
+            nearest = getattr(estimate, "clearances", ())[:1]
+            self._send_deviation(estimate.deviation, *nearest)
         return True
 
     def _send_rupture(self, rupture: Any, zero: DepthZero) -> None:
@@ -122,10 +123,12 @@ class SlicerOutput(Closing):
         }
         self._send(self._igtl.StringMessage(_to_json(values), device_name="Force"))
 
-    def _send_deviation(self, deviation: Any) -> None:
-        """Send the needle against the plan."""
+    def _send_deviation(self, deviation: Any, nearest: Any = None) -> None:
+        """Send the needle against the plan, and the nearest structure at risk."""
         values = {
+            "verdict": deviation.verdict,
             "is_off_plan": deviation.is_off_plan,
+            "is_past_target": deviation.is_past_target,
             "entry_mm": M_TO_MM * deviation.entry_m,
             "entry_std_mm": M_TO_MM * deviation.entry_std_m,
             "tip_mm": M_TO_MM * deviation.tip_m,
@@ -134,6 +137,14 @@ class SlicerOutput(Closing):
             "angle_std_deg": math.degrees(deviation.angle_std_rad),
             "depth_below_entry_mm": M_TO_MM * deviation.depth_m,
         }
+        if not math.isnan(deviation.to_target_m):
+            values["to_target_mm"] = M_TO_MM * deviation.to_target_m
+            values["to_target_std_mm"] = M_TO_MM * deviation.to_target_std_m
+        if nearest is not None:
+            values["nearest"] = nearest.name
+            values["nearest_mm"] = M_TO_MM * nearest.distance_m
+            values["nearest_std_mm"] = M_TO_MM * nearest.std_m
+            values["is_too_near"] = nearest.is_too_near
         self._send(self._igtl.StringMessage(_to_json(values), device_name="Plan"))
 
     def close(self) -> None:

@@ -64,7 +64,16 @@ class ViewRow(NamedTuple):
         aside_tip_std_m: Standard deviation of that distance.
         aside_angle_rad: Between the planned and the needle's direction.
         aside_angle_std_rad: Standard deviation of that angle.
+        aside_to_target_m: From the tip to the target, negative past it.
+        aside_to_target_std_m: Standard deviation of that distance.
         aside_is_off_plan: 1 if the needle is off the plan, else 0.
+        aside_is_past_target: 1 if the tip is past the target, else 0.
+        aside_is_doubtful: 1 if it cannot be told that the needle is on the plan.
+        near_number: Number of the structure at risk that is nearest to the needle or
+            its way ahead, NaN where none is known.
+        near_distance_m: Its distance.
+        near_std_m: Standard deviation of that distance.
+        near_is_too_near: 1 if it is nearer than it may be, else 0.
         zero_m: Depth from which shown depths count.
         zero_kind: Number of its name in `needleforce.depth_zero.ZERO_NAMES`.
     """
@@ -97,7 +106,15 @@ class ViewRow(NamedTuple):
     aside_tip_std_m: float = math.nan
     aside_angle_rad: float = math.nan
     aside_angle_std_rad: float = math.nan
+    aside_to_target_m: float = math.nan
+    aside_to_target_std_m: float = math.nan
     aside_is_off_plan: float = math.nan
+    aside_is_past_target: float = math.nan
+    aside_is_doubtful: float = math.nan
+    near_number: float = math.nan
+    near_distance_m: float = math.nan
+    near_std_m: float = math.nan
+    near_is_too_near: float = math.nan
     zero_m: float = 0.0
     zero_kind: float = 0.0
 
@@ -110,6 +127,21 @@ class ViewRow(NamedTuple):
     def is_off_plan(self) -> bool:
         """Whether the needle is off the plan."""
         return self.aside_is_off_plan == 1.0
+
+    @property
+    def is_too_near(self) -> bool:
+        """Whether the needle, or its way ahead, is too near to a structure at risk."""
+        return self.near_is_too_near == 1.0
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether it cannot be told that the needle is on the plan."""
+        return self.aside_is_doubtful == 1.0
+
+    @property
+    def is_past_target(self) -> bool:
+        """Whether the tip is past the target."""
+        return self.aside_is_past_target == 1.0
 
 
 FIELDS = ViewRow._fields
@@ -132,6 +164,14 @@ ASIDE_FIELDS = tuple(
 """Names of the fields of a `PlanDeviation` that a row has."""
 
 
+_NEAR_PREFIX = "near_"
+
+NEAR_FIELDS = tuple(
+    name.removeprefix(_NEAR_PREFIX) for name in FIELDS if name.startswith(_NEAR_PREFIX)
+)
+"""Names of the fields of a `Clearance` that a row has."""
+
+
 def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
     """Return a tick as numbers: the fields of a `ViewRow`, then the joint positions.
 
@@ -152,6 +192,11 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
         plan_values |= {
             _ASIDE_PREFIX + name: float(getattr(deviation, name))
             for name in ASIDE_FIELDS
+        }
+
+    for nearest in getattr(estimate, "clearances", ())[:1]:
+        plan_values |= {
+            _NEAR_PREFIX + name: float(getattr(nearest, name)) for name in NEAR_FIELDS
         }
 
     zero = find_depth_zero(estimate)

@@ -8,14 +8,14 @@ from base64 import b64encode
 from html import escape
 from typing import Any
 
-from needleforce.scene.row_text import BANNER
+from needleforce.scene.row_text import MEANINGS
 
 NOTE = "Simulation and research only: not a medical device."
 SHORT_NOTE = "Not a medical device"
 
 WIDTH_PX = 260
 HEIGHT_PX = 28
-BANNER_PX = 88
+BANNER_PX = 110
 BADGE_PX = 20
 """Sizes of the picture and its parts; the width fits a phone."""
 
@@ -25,8 +25,8 @@ PICTURE = (
     "{parts}</svg>"
 )
 BANNER_PART = (
-    '<rect x="0" y="2" width="84" height="24" rx="3" fill="#b3261e"/>'
-    '<text x="42" y="19" fill="#fff" font-weight="bold" text-anchor="middle">'
+    '<rect x="0" y="2" width="106" height="24" rx="3" fill="#b3261e"/>'
+    '<text x="53" y="19" fill="#fff" font-weight="bold" text-anchor="middle">'
     "{text}</text>"
 )
 BADGE_PART = (
@@ -48,16 +48,16 @@ class TitleBar:
     def __init__(self, server: Any, warnings: tuple[str, ...]) -> None:
         self._gui = server.gui
         self._warnings = warnings
-        self._is_off_plan: bool | None = None
+        self._banner: str | None = None
         self._is_hidden = False
-        self.show(is_off_plan=False)
+        self.show("")
 
-    def show(self, *, is_off_plan: bool) -> None:
-        """Show whether the needle is off the plan; nothing is sent if that is known."""
-        if self._is_hidden or is_off_plan is self._is_off_plan:
+    def show(self, banner: str) -> None:
+        """Show a banner, or none if it is empty; nothing is sent if it is shown."""
+        if self._is_hidden or banner == self._banner:
             return
-        self._is_off_plan = is_off_plan
-        picture = _draw(len(self._warnings), is_off_plan=is_off_plan)
+        self._banner = banner
+        picture = _draw(len(self._warnings), banner)
         # Otherwise any browser could ask for a tunnel to the internet.
         self._gui.configure_theme(
             titlebar_content={
@@ -65,7 +65,7 @@ class TitleBar:
                 "image": {
                     "image_url_light": picture,
                     "image_url_dark": None,
-                    "image_alt": self._describe(is_off_plan=is_off_plan),
+                    "image_alt": self._describe(banner),
                     "href": None,
                 },
             },
@@ -75,30 +75,30 @@ class TitleBar:
 
     def hide(self) -> None:
         """Show no title bar, in a page that says the same around the scene."""
-        self._is_off_plan = None
+        self._banner = None
         self._is_hidden = True
         self._gui.configure_theme(
             titlebar_content=None, show_logo=False, show_share_button=False
         )
 
-    def restore(self, *, is_off_plan: bool) -> None:
+    def restore(self, banner: str) -> None:
         """Show the title bar again, after `hide`."""
         self._is_hidden = False
-        self.show(is_off_plan=is_off_plan)
+        self.show(banner)
 
-    def _describe(self, *, is_off_plan: bool) -> str:
+    def _describe(self, banner: str) -> str:
         """Return the same in words."""
         warnings = tuple(f"Warning: {warning}." for warning in self._warnings)
-        banner = (f"{BANNER}: no layer is named.",) if is_off_plan else ()
-        return " ".join((*banner, NOTE, *warnings))
+        lines = (f"{banner}: {MEANINGS[banner]}.",) if banner else ()
+        return " ".join((*lines, NOTE, *warnings))
 
 
-def _draw(warnings: int, *, is_off_plan: bool) -> str:
+def _draw(warnings: int, banner: str) -> str:
     """Return the picture as the address of an image."""
     parts: list[str] = []
     x = 0
-    if is_off_plan:
-        parts.append(BANNER_PART.format(text=BANNER))
+    if banner:
+        parts.append(BANNER_PART.format(text=banner))
         x += BANNER_PX
     if warnings:
         parts.append(

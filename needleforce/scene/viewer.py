@@ -33,6 +33,9 @@ from needleforce.scene.legend import legend_html, legend_lines
 from needleforce.scene.page_text import text_html
 from needleforce.scene.row_text import (
     BANNER,
+    CANNOT_TELL,
+    MEANINGS,
+    banner_of,
     headline,
     layer_names,
     next_layer_name,
@@ -330,7 +333,8 @@ class Viewer:
                 self.time.slider.value = round(row.time_s, 2)
 
             self._headline.content = text_html(headline(row))
-            self._text.content = text_html(*state_lines(row, self._names))
+            lines = state_lines(row, self._names, self._plan.watched)
+            self._text.content = text_html(*lines)
             percent = 100.0 * row.tip_N / FULL_BAR_N
             self._bar.value = float(np.clip(percent, 0.0, 100.0))
             self._plots.draw(self._rows[: index + 1], row.zero_m)
@@ -381,16 +385,16 @@ class Viewer:
         ]
 
     def _draw_banner(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
-        """Turn the needle red and say so while it is off the plan."""
-        self._arm.show_off_plan(row.is_off_plan)
-        self._title.show(is_off_plan=row.is_off_plan)
-        self._off_plan.visible = row.is_off_plan
+        """Turn the needle red and say so while it is off the plan or too deep."""
+        banner = banner_of(row)
+        self._arm.show_off_plan(bool(banner) and banner != CANNOT_TELL)
+        self._title.show(banner)
+        self._off_plan.visible = bool(banner)
+        self._off_plan.text = banner or BANNER
         self._off_plan.position = tuple(needle.tip_m - BANNER_M * needle.axis)
         self._banner.content = ""
-        if row.is_off_plan:
-            self._banner.content = text_html(
-                f"⚠ {BANNER}: no layer is named from the plan."
-            )
+        if banner:
+            self._banner.content = text_html(f"⚠ {banner}: {MEANINGS[banner]}.")
 
     def _draw_trail(self, index: int, row: ViewRow) -> None:
         """Draw the real path of the tip until a row, from shortly before the entry."""
@@ -463,7 +467,7 @@ class Viewer:
         ]
         scene = serializer.as_html()
         last = _view_row_of(self._rows[-1])
-        self._title.restore(is_off_plan=last.is_off_plan)
+        self._title.restore(banner_of(last))
         charts = draw_force_charts(self._rows, last.zero_m, last.zero_name, events_s)
         words = SceneWords("needleforce", self._plan.warnings, legend_lines(self._plan))
         film = Film(pictures, ruptures, slices)
@@ -477,7 +481,7 @@ class Viewer:
         times_s = self._rows[:, COLUMN["time_s"]]
         index = int(np.searchsorted(times_s, self._shown_s or 0.0, "right")) - 1
         row = _view_row_of(self._rows[max(index, 0)])
-        lines = state_lines(row, self._names)
+        lines = state_lines(row, self._names, self._plan.watched)
         return film_frame(row, film_s, lines, len(slices) - 1)
 
     def stop(self) -> None:

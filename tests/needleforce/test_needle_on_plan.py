@@ -1,6 +1,7 @@
 """The needle against the plan: needles aside are found, none on the plan is accused."""
 
 import math
+import re
 from types import SimpleNamespace
 
 import numpy as np
@@ -9,10 +10,18 @@ from scipy.spatial.transform import Rotation
 
 from needleforce import InsertionSession
 from needleforce.anatomy import Layer, PlanMatch, Registration
+from needleforce.cli.arms.arm_watch import describe_events
 from needleforce.control.monitors import NOTHING, Monitors, SafetyLimits
 from needleforce.control.state_machine import State
-from needleforce.needle_on_plan import PlannedPath, describe_deviation
-from needleforce.scene.row_text import layer_names, rupture_text, state_lines
+from needleforce.insertion_events import session_events
+from needleforce.needle_on_plan import PlannedEntry, PlannedPath, describe_deviation
+from needleforce.scene.row_text import (
+    banner_of,
+    headline,
+    layer_names,
+    rupture_text,
+    state_lines,
+)
 from needleforce.scene.state_ring import FIELDS, ViewRow, view_row
 from tests.insertion_run import following, samples, short_run, stopped_after, tare_index
 
@@ -100,6 +109,59 @@ def test_needles_aside_or_turned_are_found_and_none_on_the_plan_is_accused():
 def test_a_registration_known_less_well_accuses_less():
     assert exact(1e-3).deviation(ENTRY_m + 0.002 * SIDE, AXIS).is_off_plan is False
     assert exact(0.1e-3).deviation(ENTRY_m + 0.002 * SIDE, AXIS).is_off_plan is True
+
+
+@pytest.mark.parametrize(
+    ("past_mm", "std_mm", "is_past"),
+    [
+        (-20.0, 0.2, False),
+        (0.9, 0.2, False),
+        (1.1, 0.2, True),
+        (10.1, 0.2, True),
+        (1.9, 1.0, False),
+        (2.2, 1.0, True),
+        (10.1, 6.0, False),
+    ],
+)
+def test_past_the_target_is_said_beyond_1_mm_and_two_deviations(
+    past_mm, std_mm, is_past
+):
+    tip_m = TARGET_m + 1e-3 * past_mm * AXIS
+    found = exact(1e-3 * std_mm).deviation(tip_m, AXIS)
+
+    assert found.to_target_m == pytest.approx(-1e-3 * past_mm)
+    assert found.to_target_std_m == pytest.approx(
+        1e-3 * math.hypot(std_mm, 0.1), rel=1e-6
+    )
+    assert found.is_past_target is is_past
+    assert found.is_off_plan is False
+    text = describe_deviation(found)
+    usual = "CANNOT TELL: " if std_mm == 6.0 else "on plan: "
+    assert text.startswith("PAST THE TARGET: " if is_past else usual)
+    side = "in front of" if past_mm < 0 else "past"
+    assert f"tip {abs(past_mm):.1f} ± " in text
+    assert text.endswith(f"{side} the target")
+
+
+def test_the_deviation_to_the_target_is_that_of_the_registration_along_the_path():
+    # 2 mm along z, of which the axis sees 0.8, and a turn of 10 mrad about x, which
+    # moves the line, 50 mm beside its pivot, by 0.5 mm along itself.
+    covariance = np.diag([1e-4, 0.0, 0.0, 0.0, 0.0, 4e-6])
+    pivot_m = ENTRY_m + 0.05 * np.cross(AXIS, SIDE)
+    path = PlannedPath(ENTRY_m, TARGET_m, covariance, pivot_m)
+    expected_m = math.hypot(1.6e-3, 0.5e-3)
+
+    for tip_m in (ENTRY_m, TARGET_m):
+        found = path.deviation(tip_m, AXIS)
+        assert found.to_target_std_m == pytest.approx(expected_m, rel=0.01)
+
+
+def test_an_entry_without_a_target_says_nothing_of_one():
+    found = PlannedEntry(ENTRY_m, 1e-3).deviation(ENTRY_m + 0.5 * AXIS, AXIS)
+
+    assert math.isnan(found.to_target_m)
+    assert not found.is_past_target
+    assert "target" not in describe_deviation(found)
 
 
 RUN = short_run()
@@ -220,3 +282,89 @@ def test_an_advance_off_the_plan_is_stopped_if_told_to(state, is_told, is_stoppe
     event, reason = monitors.update(estimates[-1], sample, beside, 1e-3)
 
     assert (event == "limit" and "OFF PLAN" in reason) is is_stopped
+
+
+@pytest.mark.parametrize(
+    ("std_mm", "aside_mm", "verdict"),
+    [
+        (0.2, 0.0, "on plan"),
+        (1.2, 0.0, "on plan"),
+        (2.6, 0.0, "cannot tell"),
+        (1.2, 3.0, "cannot tell"),
+        (0.2, 3.0, "off plan"),
+    ],
+)
+def test_on_plan_is_not_said_where_nobody_can_tell(std_mm, aside_mm, verdict):
+    # The path may be missed by 5 mm: what is measured and two deviations must stay
+    # within.
+    found = exact(1e-3 * std_mm).deviation(
+        ENTRY_m + 0.02 * AXIS + 1e-3 * aside_mm * SIDE, AXIS
+    )
+
+    assert found.verdict == verdict
+    assert describe_deviation(found).lower().startswith(f"{verdict}: ")
+
+
+def test_a_needle_near_the_target_whose_depth_nobody_knows_cannot_be_told():
+    covariance = np.zeros((6, 6))
+    covariance[3:, 3:] = (3e-3) ** 2 * np.outer(AXIS, AXIS)
+    path = PlannedPath(ENTRY_m, TARGET_m, covariance, ENTRY_m)
+
+    assert path.deviation(ENTRY_m + 0.02 * AXIS, AXIS).verdict == "on plan"
+    assert path.deviation(TARGET_m, AXIS).verdict == "cannot tell"
+
+
+@pytest.fixture(scope="module")
+def past_target_run():
+    """A session whose target lies behind where the needle is, from the start."""
+    start_m, axis = stopped_after(TARE).zero
+    path = PlannedPath.of_std(start_m - 0.20 * axis, start_m - 0.15 * axis, 0.2e-3)
+    return estimates_along(path)
+
+
+def test_past_the_target_is_one_event_and_is_said_in_live_and_scene(past_target_run):
+    session, estimates = past_target_run
+    told = [event for one in estimates for event in session_events(one)]
+    printed = [line for one in estimates for line in describe_events(one)]
+
+    assert [event.kind for event in told] == ["past_target"]
+    assert told[0].values["to_target_m"] < -1e-3
+    assert told[0].text.startswith("PAST THE TARGET: the tip is ")
+    assert printed == [told[0].text]
+    assert not estimates[-1].deviation.is_off_plan
+    assert estimates[-1].plan.name != "off plan"
+
+    again = InsertionSession(RUN.robot)
+    again.follow(MATCH, path=session._plan._path)
+    again.restore(session.snapshot())
+    row = next(iter(following(TARE + 400, 1)))
+    assert again.update(*row).plan_events == ()
+
+    shown = ViewRow(*view_row(estimates[-1], row[0])[: len(FIELDS)])
+    names = layer_names(SimpleNamespace(layers=[]))
+    assert banner_of(shown) == "PAST TARGET"
+    assert re.search(r"; 1[45]\d\.\d ± 0\.2 mm past the target$", headline(shown))
+    assert "mm past the target" in "\n".join(state_lines(shown, names))
+
+
+@pytest.mark.parametrize(
+    ("state", "is_asked", "is_stopped"),
+    [
+        (State.INSERTION, False, True),
+        (State.TELEOP, False, False),
+        (State.TELEOP, True, True),
+        (State.WITHDRAW, True, False),
+    ],
+)
+def test_an_autonomous_insertion_stops_past_the_target(
+    past_target_run, state, is_asked, is_stopped
+):
+    session, estimates = past_target_run
+    limits = SafetyLimits(axial_N=100.0, lateral_N=100.0, stop_off_plan=is_asked)
+    monitors = Monitors(session, limits)
+    monitors.enter(state)
+    sample = SimpleNamespace(dt_s=1e-3, q_rad=RUN.signals.q_rad[TARE])
+    beside = NOTHING._replace(has_device=True)
+    event, reason = monitors.update(estimates[-1], sample, beside, 1e-3)
+
+    assert (event == "limit" and "PAST THE TARGET" in reason) is is_stopped

@@ -26,7 +26,7 @@ from needleforce.depth_zero import DepthZero, find_depth_zero
 from needleforce.devices import NetFT
 from needleforce.devices.rdt_status import describe_status
 from needleforce.insertion_events import describe_hard_contact
-from needleforce.needle_on_plan import describe_deviation
+from needleforce.needle_on_plan import describe_clearances, describe_deviation
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import SessionEstimate
 from urdf import Robot
@@ -106,11 +106,15 @@ class Display:
             values.append(describe_plan(estimate.plan, zero))
         if estimate.deviation is not None:
             values.append(describe_deviation(estimate.deviation))
+        if estimate.clearances:
+            values.append(describe_clearances(estimate.clearances))
         return values
 
 
 def describe_events(estimate: SessionEstimate) -> Iterator[str]:
     """Yield in words what was detected or retracted at this sample."""
+    for event in estimate.plan_events:
+        yield event.text
     rupture = estimate.identification.rupture
     if rupture is not None:
         zero = find_depth_zero(estimate)
@@ -298,7 +302,7 @@ def watch_arm(
         session = tared.session
         zero = _ReferenceZero(reference_sensor, reference, is_tared=session.tared)
         if plan is not None:
-            session.follow(plan.match, plan.entry_in_base_m, path=plan.path)
+            plan.follow_with(session)
         display = Display(arm, reference, panel)
         for sample in samples_until_stopped(arm, options):
             if sample.tau_Nm is None:

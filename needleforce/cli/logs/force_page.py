@@ -42,6 +42,9 @@ CAPTIONS: dict[Over, str] = {
 }
 """Caption of the chart over time, and of that over travel."""
 
+PLAN_STATE = "needle_on_plan.json"
+"""File of a report: the needle on its plan, for programs."""
+
 
 class Component(NamedTuple):
     """One component of force or torque, to be drawn.
@@ -135,11 +138,13 @@ class ForcePage:
         )
 
     def sections(self, folder: Path) -> tuple[plots.Section, ...]:
-        """Save the charts of a report in a folder.
+        """Save the charts of a report in a folder, and the needle on its plan.
 
         Returns:
             The sections of its page.
         """
+        if self.plan is not None:
+            (folder / PLAN_STATE).write_bytes(self.plan.state_json())
         origin = self.result.replay.description
         forces = plots.Section(
             heading="Forces",

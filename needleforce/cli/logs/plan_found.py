@@ -3,17 +3,24 @@
 from collections.abc import Sequence
 from typing import NamedTuple
 
+import msgspec
 import numpy as np
 
 from foundation.arrays import Array
 from identification import LayerEstimate
 from needleforce import plots
-from needleforce.anatomy import Layer, PlanError, PlanMatch, PlanState
+from needleforce.anatomy import Layer, NeedleClearance, PlanError, PlanMatch, PlanState
 from needleforce.cli.logs.outputs import Answer
 from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.plan_file import LoadedPlan
 from needleforce.depth_zero import PLANNED_ENTRY, DepthZero
-from needleforce.needle_on_plan import PlanDeviation, describe_deviation
+from needleforce.needle_on_plan import (
+    PlanDeviation,
+    describe_deviation,
+    describe_to_target,
+    describe_too_near,
+    state_values,
+)
 from residual.tool_kinematics import ToolKinematics
 
 COMPARED_ROWS = 10
@@ -23,6 +30,9 @@ NOTE = (
     "Depths below the planned entry. Probability: that the rupture led into that "
     "layer. Deeper: by how much it lies deeper than planned."
 )
+
+SHOWN_CLEARANCES = 3
+"""Nearest structures that are named."""
 
 M_TO_MM = 1e3
 
@@ -49,6 +59,8 @@ class PlanFound(NamedTuple):
             cannot be matched.
         deepest: The needle against the planned path where it was deepest; None without
             a planned path, or above its entry.
+        nearest: Of each structure at risk the nearest that the needle, below the
+            planned entry, or its way ahead came to it; the nearest first.
         off_fraction: Fraction of the time below the planned entry for which the needle
             was off the plan.
         warnings: What is wrong with the plan, or could not be compared.
@@ -58,6 +70,7 @@ class PlanFound(NamedTuple):
     ruptures: tuple[NamedRupture, ...]
     last: PlanState | None
     deepest: PlanDeviation | None
+    nearest: tuple[NeedleClearance, ...]
     off_fraction: float
     warnings: tuple[str, ...]
 
@@ -75,7 +88,18 @@ class PlanFound(NamedTuple):
                 f"Needle at its deepest, {M_TO_MM * self.deepest.depth_m:.1f} mm below "
                 f"the planned entry: {describe_deviation(self.deepest)}."
             )
+        if self.nearest:
+            nearest = ", ".join(map(str, self.nearest[:SHOWN_CLEARANCES]))
+            sentences.append(f"Nearest on its way: {nearest}.")
         return Answer(tuple(sentences), self._describe_warnings(), self._tables())
+
+    def state_json(self) -> bytes:
+        """Return where the needle was at its deepest, and how near it came, as JSON."""
+        values = (
+            {} if self.deepest is None else state_values(self.deepest, self.nearest)
+        )
+        values["off_plan_fraction"] = self.off_fraction
+        return msgspec.json.format(msgspec.json.encode(values)) + b"\n"
 
     def text(self) -> str:
         """Return the same as lines below the layers."""
@@ -93,14 +117,21 @@ class PlanFound(NamedTuple):
         return self.off_fraction > 0.0
 
     def _describe_warnings(self) -> tuple[str, ...]:
-        """Return that the needle was off the plan, then what else is doubtful."""
-        if not self._is_off_plan:
-            return self.warnings
-        off_plan = (
-            f"OFF PLAN for {100.0 * self.off_fraction:.0f} % of the rows below the "
-            "planned entry: no layer is named from the plan"
-        )
-        return (off_plan, *self.warnings)
+        """Return where the needle left the plan, then what else is doubtful."""
+        off_plan: tuple[str, ...] = ()
+        if self._is_off_plan:
+            off_plan = (
+                f"OFF PLAN for {100.0 * self.off_fraction:.0f} % of the rows below the "
+                "planned entry: no layer is named from the plan",
+            )
+        past_target: tuple[str, ...] = ()
+        if self.deepest is not None and self.deepest.is_past_target:
+            past_target = (
+                "PAST THE TARGET: at its deepest the tip was "
+                f"{describe_to_target(self.deepest)}",
+            )
+        near = [describe_too_near(one) for one in self.nearest if one.is_too_near]
+        return (*off_plan, *past_target, *near, *self.warnings)
 
     def _tables(self) -> tuple[plots.PageTable, ...]:
         """Return the table of ruptures; none where no layer can be named."""
@@ -152,6 +183,7 @@ class PlanWatch:
         self._entry_travel_m: float | None = None  # travel at the planned entry
         self._deepest_m = -np.inf
         self._deepest: PlanDeviation | None = None
+        self._nearest: dict[str, NeedleClearance] = {}
         self._rows_below = 0
         self._rows_off = 0
 
@@ -198,6 +230,13 @@ class PlanWatch:
             return
         self._rows_below += 1
         self._rows_off += deviation.is_off_plan
+        if plan.surroundings is not None:
+            tip_m = self._tool.pose[:3, 3]
+            for one in plan.surroundings.clearances(tip_m, self._axis):
+                before = self._nearest.get(one.name, one)
+                self._nearest[one.name] = min(
+                    before, one, key=lambda clearance: clearance.distance_m
+                )
         if is_deepest:
             self._deepest = deviation
 
@@ -226,6 +265,9 @@ class PlanWatch:
             ruptures=ruptures,
             last=last,
             deepest=self._deepest,
+            nearest=tuple(
+                sorted(self._nearest.values(), key=lambda one: one.distance_m)
+            ),
             off_fraction=self._rows_off / max(self._rows_below, 1),
             warnings=tuple(warnings),
         )

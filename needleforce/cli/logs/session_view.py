@@ -182,7 +182,7 @@ def replay_session(
     )
     require_joints(log["q_rad"], model)
     if plan is not None:
-        session.follow(plan.match, plan.entry_in_base_m, path=plan.path)
+        plan.follow_with(session)
     rows: list[tuple[float, ...]] = []
     rejected = Counter[str]()
     duration_s = 0.0
@@ -220,9 +220,10 @@ def _report_rejections(rejected: Counter[str]) -> None:
 def _has_event(estimate: SessionEstimate) -> bool:
     """Return whether something was detected or retracted at this sample."""
     identification = estimate.identification
-    return not (
+    is_quiet = (
         identification.rupture
         is identification.retracted
         is identification.hard_contact
         is None
     )
+    return not is_quiet or bool(estimate.plan_events)

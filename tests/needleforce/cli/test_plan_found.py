@@ -23,7 +23,7 @@ LAYERS = [
 ]
 
 
-def found(aside_m=0.0, ruptures_mm=(11.5, 31.5)):
+def found(aside_m=0.0, ruptures_mm=(11.5, 31.5), length_m=0.1):
     """A needle that stands 45 mm below the planned entry, after two ruptures; its
     travel counts from where it stands."""
     robot = load_lwr(payload=NeedleTool())
@@ -36,7 +36,7 @@ def found(aside_m=0.0, ruptures_mm=(11.5, 31.5)):
     aside = np.cross(axis, [1.0, 0.0, 0.0])
     depth_m = 0.045
     entry_m = tip_m - depth_m * axis + aside_m * aside / np.linalg.norm(aside)
-    path = PlannedPath.of_std(entry_m, entry_m + 0.1 * axis, 0.3e-3)
+    path = PlannedPath.of_std(entry_m, entry_m + length_m * axis, 0.3e-3)
     match = PlanMatch(LAYERS, 2e-3)
     plan = LoadedPlan(PlanScene(), match, entry_m, ("not checked",), path)
     watch = PlanWatch(plan, replay)
@@ -72,6 +72,19 @@ def test_off_plan_comes_first_and_names_no_layer():
     assert answer.tables == ()
     assert "muscle" not in comparison.text()
     assert "OFF PLAN: 8.0" in comparison.text()
+
+
+def test_a_needle_beyond_the_target_is_not_on_plan():
+    # 45 mm deep, with the target at 34.9 mm: as deep as in the tutorial, 10.1 mm past.
+    comparison = found(length_m=0.0349)
+    answer = comparison.answer()
+
+    assert answer.warnings[0] == (
+        "PAST THE TARGET: at its deepest the tip was 10.1 ± 0.3 mm past the target"
+    )
+    assert "45.0 mm below the planned entry: PAST THE TARGET: " in answer.sentences[1]
+    assert "on plan" not in comparison.text()
+    assert answer.tables != ()
 
 
 def test_ruptures_that_go_back_are_reported():

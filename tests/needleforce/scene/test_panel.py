@@ -150,14 +150,14 @@ def test_the_title_bar_says_off_plan_and_warnings(viewer):
         gui = Gui()
 
     bar = TitleBar(Server(), ("no labels",))
-    bar.show(is_off_plan=False)
-    bar.show(is_off_plan=True)
+    bar.show("")
+    bar.show("OFF PLAN")
     bar.hide()
-    bar.show(is_off_plan=False)
-    bar.restore(is_off_plan=False)
+    bar.show("")
+    bar.restore("")
 
     on_plan = "Simulation and research only: not a medical device. Warning: no labels."
-    off_plan = f"OFF PLAN: no layer is named. {on_plan}"
+    off_plan = f"OFF PLAN: no layer is named from the plan. {on_plan}"
     assert sent == [on_plan, off_plan, None, on_plan]
 
 
