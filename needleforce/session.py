@@ -691,7 +691,10 @@ class InsertionSession:
         self._update_travel()
         elapsed_s = self._sensor.elapsed_s
         is_spoilt = self._sensor.is_measuring_jump
-        is_bad = wrench.status is not Status.OK or bool(wrench.warnings & UNUSABLE)
+        warnings = wrench.warnings
+        # Without any, the test of a flag, which takes a microsecond, is left out.
+        is_unusable = warnings is not SensorWarning.NONE and bool(warnings & UNUSABLE)
+        is_bad = wrench.status is not Status.OK or is_unusable
         if is_bad or is_spoilt:
             return self._skip_sample(wrench, elapsed_s, is_spoilt=is_spoilt)
         is_resuming = self._unused_s > 0.0
