@@ -24,6 +24,11 @@ MAX_FOREIGN_S = 2e-3
 ones."""
 
 
+MAX_DROP_S = 0.01
+"""So long waiting datagrams are dropped, though others flood the link; they take a
+fraction of it."""
+
+
 class Endpoint(NamedTuple):
     """An address of UDP.
 
@@ -152,6 +157,16 @@ class DatagramLink(Link):
             self.report.foreign += 1
             if monotonic() >= deadline_s + MAX_FOREIGN_S:
                 return None
+
+    def drop_waiting(self) -> None:
+        """Drop the datagrams that wait to be read: they tell of the past."""
+        self._socket.settimeout(0.0)
+        deadline_s = monotonic() + MAX_DROP_S
+        with suppress(BlockingIOError):
+            while monotonic() < deadline_s:
+                with suppress(ConnectionError):  # as in `_receive`
+                    self._socket.recv(MAX_DATAGRAM_BYTES)
+        self._empty_s = monotonic()
 
     def _keep_sender(self) -> None:
         """Listen only to the sender of the latest datagram from now on."""

@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
+from needleforce.scene.arm_shapes import load_shapes
 from needleforce.scene.state_ring import SceneError
 from urdf import Robot
 
@@ -183,6 +184,9 @@ class ArmNodes:
         robot: The arm.
         urdf_path: The description with the arm's own shapes; without one a line through
             its joints is drawn.
+
+    Attributes:
+        unread_meshes: Names of meshes that cannot be read; the arm is shown without.
     """
 
     def __init__(
@@ -192,10 +196,13 @@ class ArmNodes:
         self._server = server
         self._robot = robot
         self._shapes: Any = None
+        self.unread_meshes: tuple[str, ...] = ()
         if urdf_path is not None:
             from viser.extras import ViserUrdf
 
-            self._shapes = ViserUrdf(server, urdf_path, root_node_name="/arm")
+            shapes = load_shapes(urdf_path)
+            self.unread_meshes = shapes.unread
+            self._shapes = ViserUrdf(server, shapes.urdf, root_node_name="/arm")
             shown_names = self._shapes.get_actuated_joint_names()
             self._shown_joints = [shown_names.index(name) for name in robot.joint_names]
             # What the robot lacks, it holds at zero.

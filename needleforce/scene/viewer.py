@@ -133,6 +133,7 @@ class Viewer:
         marks: The ruptures shown, past and to come.
         time: The time line.
         structures: The list of structures.
+        unread_meshes: Meshes of the arm that cannot be read; it is shown without.
 
     Raises:
         SceneError: viser is not installed, nothing can listen there, or the plan has no
@@ -172,6 +173,7 @@ class Viewer:
         scene = self._server.scene
         scene.set_up_direction("+z")
         self._arm = nodes.ArmNodes(self._server, robot, urdf_path)
+        self.unread_meshes = self._arm.unread_meshes
         self._surfaces = add_surfaces(self._server, plan)
         nodes.add_path(self._server, plan)
         self._arrow = ForceArrow(self._server)

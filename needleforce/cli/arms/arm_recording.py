@@ -14,6 +14,7 @@ from needleforce.cli.arms.arm_connection import (
 from needleforce.cli.arms.recorder import Recorder
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import say
+from needleforce.devices.datagram_link import DatagramLink
 from needleforce.recordings.output import check_writable
 from needleforce.recordings.table import TableLabels
 from urdf import Robot
@@ -50,6 +51,8 @@ def record_signals(
             overwrites=overwrites,
         ) as recorder,
     ):
+        if isinstance(arm, DatagramLink):
+            arm.drop_waiting()  # what came while the writer got ready
         for sample in samples_until_stopped(arm, options):
             recorder.put(sample)
             has_torque = sample.tau_Nm is not None

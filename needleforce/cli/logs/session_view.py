@@ -124,6 +124,8 @@ def view_recording(
         port=page.port,
         further_hosts=page.further_hosts,
     )
+    for name in viewer.unread_meshes:
+        say(f"warning: the arm is shown without {name}, which cannot be read")
     viewer.append(rows)
     viewer.open_recording()
     page.show(viewer)

@@ -64,6 +64,47 @@ def test_a_signal_ends_recording_also_in_silence(
     assert not sends or len(read_log(path)) == arm.report.used > 350
 
 
+def test_a_recording_begins_with_what_comes_once_its_writer_is_ready(
+    tmp_path, monkeypatch
+):
+    path = tmp_path / "x.csv"
+    box = socket.socket(type=socket.SOCK_DGRAM)
+
+    def send(counts, position_rad):
+        for count in counts:
+            packet = measurement(count=count, position_rad=position_rad)
+            box.sendto(packet, arm.address)
+            time.sleep(1e-3)
+
+    class HeardArm(FriArm):
+        """An arm that sends once it is listened to."""
+
+        def __iter__(self):
+            sending.start()
+            yield from super().__iter__()
+
+    class SlowRecorder(Recorder):
+        """A recorder that gets ready while the arm sends."""
+
+        def __enter__(self):
+            send(range(114), 0.0)
+            return super().__enter__()
+
+    arm = HeardArm(port=0, give_up_s=0.5)
+    sending = threading.Thread(target=send, args=(range(114, 314), 1.0))
+    monkeypatch.setattr("needleforce.devices.arm_names.FriArm", lambda **_: arm)
+    monkeypatch.setattr("needleforce.cli.arms.arm_recording.Recorder", SlowRecorder)
+
+    assert main(["record", "fri:0", "-o", str(path)]) == 0
+
+    sending.join()
+    box.close()
+    log = read_log(path)
+
+    assert set(log.channels["q_rad"].ravel().tolist()) == {1.0}
+    assert len(log) > 100
+
+
 SAMPLE = ArmReading(1e-3, ROWS[0], None, ROWS[0], None, 0, accepts_commands=False)
 
 

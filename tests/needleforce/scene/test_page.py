@@ -30,7 +30,7 @@ from needleforce.scene import (
     open_viewer,
 )
 from needleforce.scene.state_ring import FIELDS, PLAN_FIELDS, ROWS, view_row
-from urdf import example_robot_path, load_example
+from urdf import example_robot_path, load_example, load_urdf
 
 HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
 needs_chromium = pytest.mark.skipif(
@@ -493,6 +493,33 @@ def test_an_unreadable_plan_is_reported(tmp_path, capsys):
 
     assert "plan.json: " in said
     assert said.startswith("error NF-COMMAND-PLAN: ")
+
+
+def test_an_arm_is_shown_without_the_meshes_that_cannot_be_read(tmp_path):
+    (tmp_path / "link.wrl").write_text("#VRML V2.0 utf8\nShape {}\n")
+    mesh = '<visual><geometry><mesh filename="{}"/></geometry></visual>'
+    box = '<visual><geometry><box size="1 1 1"/></geometry></visual>'
+    inertial = (
+        '<inertial><mass value="1"/><inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" '
+        'izz="1"/></inertial>'
+    )
+    path = tmp_path / "arm.urdf"
+    path.write_text(
+        f'<robot name="arm"><link name="base">{mesh.format("link.wrl")}</link>'
+        f'<link name="tip">{inertial}{mesh.format("link.wrl")}{box}'
+        f"{mesh.format('absent.stl')}</link>"
+        '<joint name="j" type="revolute"><parent link="base"/><child link="tip"/>'
+        '<axis xyz="0 0 1"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
+        "</joint></robot>"
+    )
+    page = Viewer(load_urdf(path, tool_frame="tip"), port=8291, urdf_path=path)
+    page.append(np.array([row(0.0, q=[0.5])]))
+    page.show()
+
+    assert page.unread_meshes == ("link.wrl",)
+    assert len(page._arm._shapes._meshes) == 1
+
+    page.stop()
 
 
 @pytest.mark.slow
