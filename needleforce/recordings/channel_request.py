@@ -204,7 +204,7 @@ class ChannelRequest:
     def find_layout(self, table: Table) -> Layout | None:
         """Return the first layout that a table has; None if none is known."""
         for layout in self.mapping.knowledge.layouts:
-            is_named = layout.name == table.layout
+            is_named = bool(table.layout) and layout.name == table.layout
             if is_named or (layout.columns and _has_columns(table, layout.columns)):
                 return layout
 

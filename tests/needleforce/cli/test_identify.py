@@ -160,6 +160,23 @@ def test_a_testing_machines_export_gives_its_units(needle, tmp_path, capsys):
     assert "as in --depth Extension:mm\n" in error
 
 
+def test_a_layout_of_the_user_is_known_to_the_command(tmp_path, capsys):
+    log = tmp_path / "log.csv"
+    log.write_text("t [s],droga [mm],load [daN]\n0,1,2\n1,2,3\n")
+    layout = tmp_path / "my.toml"
+    layout.write_text(
+        "[units.force]\ndaN = [10]\n[channels.depth]\nwords = ['droga']\n"
+    )
+    options = ["--layout", str(layout), "--print-config"]
+
+    assert main(["identify", str(log), *options]) == 0
+
+    printed = capsys.readouterr().out
+
+    assert 'columns = "droga [mm]"' in printed
+    assert 'unit = "daN"' in printed
+
+
 @pytest.mark.slow
 def test_clock_set_back_hides_no_layer(needle, identify):
     whole_s = needle["t_s"]
