@@ -13,7 +13,6 @@ from collections.abc import Callable, Collection, Iterable, Mapping, Sequence
 from ctypes import CDLL
 from importlib.metadata import version
 from pathlib import Path
-from subprocess import CalledProcessError, run
 from typing import Literal, NamedTuple
 
 import msgspec
@@ -26,7 +25,13 @@ from benchmarks.jobs import Progress, progress_part
 from benchmarks.performance import control_speed, kdl_peer, speed
 from benchmarks.performance.speed import Update, cost_ratio
 from benchmarks.report.tables import ResultTable, show_value
-from benchmarks.results import SIGNIFICANT_DIGITS, Row, metric, table_lines
+from benchmarks.results import (
+    SIGNIFICANT_DIGITS,
+    Row,
+    find_commit,
+    metric,
+    table_lines,
+)
 from benchmarks.targets import FAILURES, Change
 from foundation.arrays import Array
 from groundtruth import Run, simulate
@@ -282,6 +287,25 @@ def _time_beside_kdl(run: Run, kdl: CDLL) -> list[Figure]:
     ]
 
 
+def keep_lesser(first: Sequence[Figure], second: Sequence[Figure]) -> list[Figure]:
+    """Return the lesser of each time that was measured twice.
+
+    Other processes, and the processor's own clock, only add to a time. One that is no
+    number, or was measured once, stays as it is.
+    """
+    again = {figure.name: figure for figure in second}
+    kept: list[Figure] = []
+    for figure in first:
+        other = again.get(figure.name, figure)
+        is_less = (
+            figure.value is not None
+            and other.value is not None
+            and other.value < figure.value
+        )
+        kept.append(other if is_less else figure)
+    return kept
+
+
 class FigureChange(NamedTuple):
     """A figure in the file and as measured.
 
@@ -383,26 +407,10 @@ def _show(value: float | None) -> str:
 def describe_code(figures: Iterable[Figure]) -> HeadlineFile:
     """Return figures with the commit and the versions they were measured with."""
     return HeadlineFile(
-        commit=measured_commit(),
+        commit=find_commit() or "unknown",
         versions={name: version(name) for name in LIBRARIES},
         figures=tuple(figures),
     )
-
-
-def measured_commit() -> str:
-    """Return the commit of this repository, ``unknown`` without one."""
-    command = ["git", "describe", "--always", "--dirty", "--abbrev=12", "--exclude=*"]
-    try:
-        printed = run(
-            command,
-            cwd=HEADLINE_FILE.parent,
-            check=True,
-            capture_output=True,
-            text=True,
-        )
-    except (OSError, CalledProcessError):
-        return "unknown"
-    return printed.stdout.strip()
 
 
 def read_headline(path: Path) -> HeadlineFile:

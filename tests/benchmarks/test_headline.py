@@ -2,7 +2,6 @@
 
 import json
 import math
-from pathlib import Path
 
 import pytest
 
@@ -14,7 +13,6 @@ from benchmarks.headline import (
     headline_table,
     insertion_figures,
     make_figure,
-    measured_commit,
     read_headline,
     take_fastest,
     write_headline,
@@ -290,8 +288,9 @@ def test_the_command_writes_only_whole_files(tmp_path, measured, monkeypatch, ca
     assert "is not a file of figures" in capsys.readouterr().err
 
 
-def test_the_measured_commit_is_named(monkeypatch):
-    monkeypatch.setenv("PATH", "")
+def test_of_a_time_measured_twice_the_lesser_counts():
+    first = [figure("time", 9.0), figure("error", math.nan)]
+    second = [figure("time", 8.0), figure("error", 0.1)]
 
-    assert measured_commit() == "unknown"
-    assert Path(headline.HEADLINE_FILE).name == "headline.json"
+    assert [item.value for item in headline.keep_lesser(first, second)] == [8.0, None]
+    assert headline.keep_lesser(first, [])[0].value == 9.0
