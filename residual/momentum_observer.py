@@ -195,7 +195,7 @@ def set_residual(rows: WrittenMatrix, weights: Matrix) -> None:
 
 
 @compiled
-def momentum_step(  # noqa: PLR0913 - tuples are slow to pass from Python in every tick
+def momentum_step(
     rows: WrittenMatrix,
     twists: Matrix,
     momenta: Matrix,

@@ -402,7 +402,7 @@ def widen_by_scale(covariance: Matrix, unknowns: Vector, scale_std: float) -> Ar
 
 
 @compiled
-def wrench_step(  # noqa: PLR0913 - tuples are slow to pass from Python in every tick
+def wrench_step(
     residual: Vector,
     matrix: Matrix,
     direction: Vector,

@@ -40,7 +40,7 @@ LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
 the torque sensors ripple with the motor angle."""
 
 
-def load_urdf(  # noqa: PLR0913 - options of one file, each by name and with a default
+def load_urdf(
     path: str | PathLike[str],
     *,
     tool_frame: str | None = None,

@@ -33,7 +33,7 @@ def play_operator(state: float, change: float, half_width: float) -> float:
 
 
 @compiled
-def joint_states_step(  # noqa: PLR0913 - tuples are slow to pass from Python
+def joint_states_step(
     plays: WrittenMatrix,
     lagged_torque: WrittenVector,
     lagged_q: WrittenVector,

@@ -225,7 +225,7 @@ def travel_step(
 
 
 @compiled
-def sums_step(  # noqa: PLR0913 - tuples of read-only arrays cannot be passed
+def sums_step(
     checked_s: Vector,
     excess_sum: Vector,
     moments: Blocks,
