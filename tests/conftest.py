@@ -13,6 +13,16 @@ settings.register_profile("ci", derandomize=True, deadline=None)
 settings.load_profile("ci")
 
 
+def pytest_configure(config):
+    """Compile before there are several workers, of which each would compile all."""
+    is_worker = hasattr(config, "workerinput")
+    if not is_worker and getattr(config.option, "numprocesses", None):
+        from needleforce import InsertionSession
+        from urdf import load_lwr
+
+        InsertionSession(load_lwr())
+
+
 @pytest.fixture(scope="session")
 def lwr():
     """The LWR 4+ with F/T sensor and needle."""
