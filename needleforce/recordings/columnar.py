@@ -18,7 +18,7 @@ from needleforce.recordings.errors import (
     optional_library,
     require_size,
 )
-from needleforce.recordings.table import START_KEY, Table
+from needleforce.recordings.table import MAX_LIST_NUMBERS, START_KEY, Table
 from needleforce.recordings.time_stamps import (
     first_valid_stamp,
     start_of_clock,
@@ -235,6 +235,9 @@ def _read_lists(cells: Any, arrow: Any) -> np.ndarray:
     compute = optional_library("pyarrow.compute", "Parquet files")
     lengths = compute.list_value_length(cells).fill_null(-1).to_numpy()
     width = int(np.bincount(lengths[lengths > 0], minlength=2).argmax())
+    if width > MAX_LIST_NUMBERS:
+        raise TypeError(f"lists of {width} numbers, which are no signal")
+
     is_usual = lengths == width
     numbers = compute.list_flatten(cells.filter(arrow.array(is_usual)))
     rows = np.full((len(lengths), width), np.nan)

@@ -22,7 +22,13 @@ from needleforce.recordings.exported_joints import (
     group_columns,
 )
 from needleforce.recordings.follow import FollowOptions
-from needleforce.recordings.table import HEAD_ROWS, START_KEY, Table, TableColumns
+from needleforce.recordings.table import (
+    HEAD_ROWS,
+    MAX_LIST_NUMBERS,
+    START_KEY,
+    Table,
+    TableColumns,
+)
 from needleforce.recordings.text_lines import TextLines
 from needleforce.recordings.text_table import (
     COMMENT,
@@ -197,9 +203,8 @@ class _Rows:
             filled = [cell for cell in cells if cell.strip()]
             if filled and all(read_clock_ns(cell) is not None for cell in filled):
                 self._clocks[name] = None
-            elif filled and all(map(is_list, filled)):
-                widths = Counter(len(list_numbers(cell)) for cell in filled)
-                self._lists[name] = widths.most_common(1)[0][0]
+            elif filled and all(map(is_list, filled)) and _usual_width(filled):
+                self._lists[name] = _usual_width(filled)
             else:
                 reason = "is empty"
                 if filled:
@@ -279,6 +284,13 @@ class _Rows:
                 f"column {name!r}: cells that are not numbers, read as NaN",
                 f"line {line}, {text[:40]!r}",
             )
+
+
+def _usual_width(cells: Iterable[str]) -> int:
+    """Return how many numbers most lists have; 0 if that is more than a signal has."""
+    widths = Counter(len(list_numbers(cell)) for cell in cells)
+    width = widths.most_common(1)[0][0]
+    return width if width <= MAX_LIST_NUMBERS else 0
 
 
 class _CsvText:

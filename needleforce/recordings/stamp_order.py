@@ -483,7 +483,7 @@ def _is_rounded(rows: Rows) -> bool:
     for key, values in head.items():
         if key not in ("t_s", "row"):
             columns = values.reshape(len(values), -1)
-            differs |= (np.diff(columns, axis=0) != 0.0).any(axis=1)
+            differs |= (np.abs(np.diff(columns, axis=0)) > 0.0).any(axis=1)
 
     return bool(np.count_nonzero(is_equal & differs) > 2 * len(is_equal) / 3)
 

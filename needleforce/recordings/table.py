@@ -19,6 +19,9 @@ TableColumns = Mapping[str, np.ndarray]
 HEAD_ROWS = 200
 """So many rows decide which columns a stream has, however they arrive."""
 
+MAX_LIST_NUMBERS = 64
+"""Longer lists in cells are images and point clouds, no signals of joints."""
+
 START_KEY = "start_ns"
 """What files of numbers call `TableLabels.start_ns`."""
 

@@ -138,6 +138,9 @@ def read_clocks_ns(
 
 def is_list(cell: str) -> bool:
     """Return whether a cell holds a list of numbers, as `[0.1, 0.2]`."""
+    if len(cell) > 4096:  # 64 numbers, the most that a signal has, take 2000 characters
+        return False
+
     return _LIST.fullmatch(_NUMPY_NUMBER.sub(r"\1", cell).strip()) is not None
 
 

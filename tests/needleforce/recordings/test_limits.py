@@ -10,6 +10,7 @@ from contextlib import contextmanager
 import lz4.frame
 import numpy as np
 import pyarrow as pa
+import pyarrow.compute
 import pyarrow.parquet as pq
 import pytest
 import zstandard
@@ -128,6 +129,25 @@ def test_a_parquet_unpacking_beyond_the_limit_is_refused(tmp_path):
     assert path.stat().st_size < SMALL
     with bounded(), pytest.raises(FormatError, match="raise `max_bytes`"):
         read_table(path, max_bytes=SMALL)
+
+
+@pytest.mark.parametrize("suffix", ["csv", "parquet"])
+def test_lists_that_are_no_signals_are_left_out(tmp_path, suffix):
+    # Every row would take as much memory as the longest.
+    lists = [[0.0] * 10_000, [0.0] * 10_000, [1.0]]
+    path = tmp_path / f"x.{suffix}"
+    if suffix == "csv":
+        rows = [f'{k},1,"{cell}"' for k, cell in enumerate(lists)]
+        path.write_text("\n".join(["t,f,image", *rows, ""]))
+    else:
+        columns = {"t": [0.0, 1.0, 2.0], "f": [1.0, 1.0, 1.0], "image": lists}
+        pq.write_table(pa.table(columns), path)
+
+    with bounded(seconds=60.0):
+        table = read_table(path)
+
+    assert list(table.columns) == ["t", "f"]
+    assert "column 'image' holds" in table.warnings[0]
 
 
 @pytest.mark.parametrize(

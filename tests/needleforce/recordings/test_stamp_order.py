@@ -201,8 +201,10 @@ def test_rows_between_rounded_stamps_are_numbered(grain_s, size):
 
 def test_rows_that_were_written_twice_are_not_numbered():
     t_s = np.repeat(np.arange(300.0) / 100.0, 10)
-    table = Table(columns={"t_s": t_s, "force_N": np.repeat(np.arange(300.0), 10)})
-    log = LogStream([table], ChannelRequest(required=("force",))).joined()
+    columns = {"t_s": t_s, "force_N": np.repeat(np.arange(300.0), 10)}
+    columns["depth_m"] = np.where(t_s > 2.0, 0.1, np.nan)
+    request = ChannelRequest(required=("force", "depth"))
+    log = LogStream([Table(columns=columns)], request).joined()
 
     np.testing.assert_array_equal(log.t_s, t_s)
     assert "stamps repeated: 2700" in log.warnings[0]
