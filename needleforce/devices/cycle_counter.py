@@ -37,7 +37,7 @@ class CycleCounter:
         The counter says so; after a long gap our own clock does. Both this packet and
         the latest may have waited to be read: no more time is between them than since
         the latest can have been sent. A packet that is not newer, or further on than
-        that, is refused, unless it is one of a row.
+        that, is refused, unless it comes after a silence or is one of a row.
 
         Args:
             count: Its number, modulo the counts.
@@ -55,10 +55,13 @@ class CycleCounter:
         max_gap_s = now_s - self._sent_after_s + MAX_DELAY_S
         is_short = empty_s - self._read_s < MAX_COUNTED_GAP_S
         is_counted = is_short and max_gap_s < self._counts // 2 * period_s
-        is_newer = 0 < cycles < self._counts // 2 and cycles * period_s <= max_gap_s
-        if is_counted and is_newer:
+        is_ahead = 0 < cycles < self._counts // 2
+        if is_counted and is_ahead and cycles * period_s <= max_gap_s:
             return cycles
-        if is_counted and not self._is_renumbered(count):
+
+        # Too far ahead after a silence: the controller has begun anew.
+        is_anew = is_ahead and now_s - self._read_s > MAX_DELAY_S
+        if is_counted and not is_anew and not self._is_renumbered(count):
             return None
         return max(round((now_s - self._read_s) / period_s), 1)
 

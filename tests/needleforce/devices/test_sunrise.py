@@ -406,5 +406,5 @@ def test_the_command_line_records_an_iiwa(tmp_path, capsys):
         assert main(["record", *options, "--urdf", str(model)]) == 0
 
     assert path.exists()
-    assert main(["record", *options]) == 2
+    assert main(["record", *options, "--overwrite"]) == 2
     assert "does not say what arm it is, expected --urdf" in capsys.readouterr().err
