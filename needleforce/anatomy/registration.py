@@ -45,6 +45,8 @@ class Registration:
         degrees: Of freedom behind the covariance; infinite where the deviation was
             known.
         residual_rms_m: At the landmarks or touches; says nothing of the target.
+        indentation_m: By so much touches pressed the surface in, on average.
+        indentation_std_m: Its standard deviation.
     """
 
     rotation: Array
@@ -53,6 +55,8 @@ class Registration:
     pivot_m: Array
     degrees: float
     residual_rms_m: float
+    indentation_m: float = 0.0
+    indentation_std_m: float = 0.0
 
     def to_robot(self, points_m: ArrayLike) -> Array:
         """Carry points of the model, shape (..., 3), into the robot's base."""
