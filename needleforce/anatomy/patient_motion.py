@@ -1,12 +1,12 @@
 """Whether a patient moved after the landmarks were touched, or while the skin was.
 
-A patient who moved by m between two touches puts all later ones beside the earlier ones
-and the landmarks by J m. For every touch before which he may have moved, and every axis
-of the patient along or about which, m is one more unknown of the same normal equations;
-how much better they then fit, against how well any m would have fitted, says how
-probable that is (a Bayes factor, in closed form).
+What was measured before some moment says where the model lies, and what was measured
+behind it says so once more. A patient who lay still is at one place: how far the two
+differ, against what their covariances allow, is tested; and a region that should hold
+him also where he moved unnoticed is as wide as that takes.
 """
 
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
@@ -18,35 +18,24 @@ MOVED = 0.1
 """Probability that a patient moved, before anything was measured: half of it between
 landmarks and touches."""
 
-SHIFT_STD_m = 10e-3
-"""Standard deviation of a shift, if he moved."""
 
-TURN_STD_rad = np.radians(5.0)
-"""Of a turn about the middle of the body."""
+class Innovation(NamedTuple):
+    """What touches say beyond all that was measured before them.
 
-EDGE_TOUCHES = 4
-"""Fewer touches before or behind a motion are taken for some that slipped."""
-
-
-class TouchEquations(NamedTuple):
-    """Normal equations of touches at their solution.
+    The unknowns are a rotation about a pivot, a shift, and how far touches press the
+    surface in; as differences from where the earlier measurements put them.
 
     Attributes:
-        rows: Derivatives of the distances by the n unknowns, of which the first six are
-            a rotation about a pivot and a shift, (touches, n).
-        distances_m: From the surface, in the order of touching, (touches,).
-        weights: 0 for touches that slipped, else up to 1, (touches,).
-        variance_m2: Of the distances.
-        degrees: Of freedom of that variance.
-        information: Of the unknowns by touches, landmarks and all else, (n, n).
+        first: Number of the first of these touches, 0 for all of them.
+        before: Information of the earlier measurements, (7, 7).
+        touches: Information of the touches, (7, 7).
+        pull: That information times where the touches put the unknowns, (7,).
     """
 
-    rows: Array
-    distances_m: Array
-    weights: Array
-    variance_m2: float
-    degrees: float
-    information: Array
+    first: int
+    before: Array
+    touches: Array
+    pull: Array
 
 
 class PatientMotion(NamedTuple):
@@ -54,89 +43,102 @@ class PatientMotion(NamedTuple):
 
     Attributes:
         probability: That he did.
-        step: What the unknowns are off on average, as he lies now, (n,).
-        covariance: What this adds to theirs, (n, n).
+        step: How far the unknowns then lie from where they are without a motion,
+            times the probability, (7,).
+        covariance: Of the unknowns if he did, times the probability, and what the
+            differing places add, (7, 7).
         first: Number of the first touch behind the most probable motion, 0 for one
             between landmarks and touches.
-        size_m: Of that motion, at the touches.
+        motion: The most probable one, a rotation and a shift, (6,).
     """
 
     probability: float
     step: Array
     covariance: Array
     first: int
-    size_m: float
+    motion: Array
 
 
 def axes_of_motion(rotation: Array, middle_m: Array, pivot_m: Array) -> Array:
-    """Return motions of a patient as rotations about a pivot and shifts, (6, 6).
+    """Return motions of a patient as rotations about a pivot and shifts, (6, 7).
 
     In rows three turns about the axes of the CT through his middle, and three shifts
-    along them, each of one standard deviation.
+    along them, each of one standard deviation. The last column, of how far touches
+    press the surface in, is zero.
 
     Args:
         rotation: From the CT to the robot's base, (3, 3).
         middle_m: Of the patient, in the base, (3,).
         pivot_m: Of the rotations, in the base, (3,).
     """
-    axes = np.zeros((6, 6))
-    axes[:3, :3] = TURN_STD_rad * rotation.T
+    turn_std_rad = np.radians(5.0)
+    shift_std_m = 10e-3
+    axes = np.zeros((6, 7))
+    axes[:3, :3] = turn_std_rad * rotation.T
     # A turn about the middle moves the pivot.
     at_pivot = displacement_jacobian(pivot_m - middle_m)
-    axes[:3, 3:] = axes[:3] @ at_pivot.T
-    axes[3:, 3:] = SHIFT_STD_m * rotation.T
+    axes[:3, 3:6] = axes[:3, :6] @ at_pivot.T
+    axes[3:, 3:6] = shift_std_m * rotation.T
     return axes
 
 
-def find_motion(touches: TouchEquations, axes: Array, moved: Array) -> PatientMotion:
+def find_motion(innovations: Sequence[Innovation], axes: Array) -> PatientMotion:
     """Return how probable it is that the patient moved.
 
+    He moved along or about one of some axes, or along and about all of them.
+
     Args:
-        touches: Equations of one solution for all.
-        axes: Of motion, see `axes_of_motion`, (m, 6).
-        moved: Displacement of the touches by rotation and shift, (touches, 3, 6).
+        innovations: Of the touches behind each moment at which he may have moved, the
+            first of which is that before all touches.
+        axes: Of motion, each of one standard deviation, see `axes_of_motion`.
     """
-    count, unknowns = touches.rows.shape
-    firsts = np.array([0, *range(EDGE_TOUCHES, count - EDGE_TOUCHES + 1)])
-    prior = np.full((len(firsts), len(axes)), 0.5 * MOVED / len(axes))
-    prior[1:] /= max(len(firsts) - 1, 1)
-    weighted = touches.weights[:, None] / touches.variance_m2 * touches.rows
-    # Per axis, what every touch behind the motion adds; summed from the last one.
-    effects = touches.rows[:, :6] @ axes.T  # (touches, m)
-    scale = touches.weights[:, None] / touches.variance_m2
-    of_self = _sum_behind(scale * effects**2, firsts)
-    of_residual = -_sum_behind(scale * effects * touches.distances_m[:, None], firsts)
-    with_others = _sum_behind(effects[:, :, None] * weighted[:, None, :], firsts)
-    covariance = np.linalg.inv(touches.information)
-    responses = with_others @ covariance  # (firsts, m, n)
-    fisher = of_self - np.vecdot(responses, with_others)
-    precision = 1.0 + np.maximum(fisher, 0.0)
-    amounts = of_residual / precision
-    gains = of_residual * amounts
-    # Between touches and landmarks deviations are stated; among touches they are those
-    # of the touches themselves, which a motion makes larger: Student's law.
-    degrees = touches.degrees
-    logs = 0.5 * gains
-    part = np.minimum(gains[1:] / degrees, 0.999)
-    logs[1:] = -0.5 * degrees * np.log1p(-part)
-    odds = prior * np.exp(np.minimum(logs - 0.5 * np.log(precision), 500.0))
-    odds /= 1.0 - MOVED + odds.sum()
-    ways = -responses
-    ways[:, :, :6] += axes
-    step = np.einsum("fm,fmn->n", odds * amounts, ways)
-    squares = odds * (amounts**2 + 1.0 / precision)
-    spread = np.einsum("fm,fmn,fmk->nk", squares, ways, ways)
+    kinds = [*(axis[None] for axis in axes), axes]
+    priors = np.full(len(innovations), 0.5 * MOVED / max(len(innovations) - 1, 1))
+    priors[0] = 0.5 * MOVED
+    odds = np.zeros((len(innovations), len(kinds)))
+    steps = np.zeros((len(innovations), len(kinds), 7))
+    spreads = np.zeros((len(innovations), len(kinds), 7, 7))
+    for number, one in enumerate(innovations):
+        before = np.linalg.inv(one.before)
+        still = _evidence(one, before)
+        for kind, ways in enumerate(kinds):
+            moved = _evidence(one, before + ways.T @ ways)
+            gain = min(moved.log - still.log, 500.0)
+            odds[number, kind] = priors[number] / len(kinds) * np.exp(gain)
+            steps[number, kind] = moved.mean - still.mean
+            spreads[number, kind] = moved.covariance
+    probabilities = odds / (1.0 - MOVED + odds.sum())
+    step = np.einsum("fk,fkn->n", probabilities, steps)
+    means = np.einsum("fk,fkn,fkm->nm", probabilities, steps, steps)
+    covariance = np.einsum("fk,fknm->nm", probabilities, spreads) + means
     best = np.unravel_index(int(odds.argmax()), odds.shape)
-    motion_m = amounts[best] * (moved @ axes[best[1]])
     return PatientMotion(
-        probability=float(odds.sum()),
+        probability=float(probabilities.sum()),
         step=step,
-        covariance=spread - np.outer(step, step),
-        first=int(firsts[best[0]]),
-        size_m=float(np.sqrt((motion_m**2).sum(axis=1).mean())),
+        covariance=covariance - np.outer(step, step),
+        first=innovations[best[0]].first,
+        motion=steps[best][:6],
     )
 
 
-def _sum_behind(values: Array, firsts: Array) -> Array:
-    """Return sums of values from each of some numbers to the last."""
-    return np.cumsum(values[::-1], axis=0)[::-1][firsts]
+class _Evidence(NamedTuple):
+    """The unknowns by all measurements, if the earlier ones have some covariance.
+
+    Attributes:
+        log: Logarithm of the probability of what was touched, up to a constant.
+        mean: Of the unknowns, (7,).
+        covariance: Of the unknowns, (7, 7).
+    """
+
+    log: float
+    mean: Array
+    covariance: Array
+
+
+def _evidence(one: Innovation, before: Array) -> _Evidence:
+    """Return the unknowns where the earlier measurements have a covariance (7, 7)."""
+    factor = np.eye(7) + before @ one.touches
+    covariance = np.linalg.solve(factor, before)
+    mean = covariance @ one.pull
+    log = 0.5 * float(one.pull @ mean) - 0.5 * float(np.linalg.slogdet(factor)[1])
+    return _Evidence(log, mean, covariance)

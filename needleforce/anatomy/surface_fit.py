@@ -7,7 +7,7 @@ set of normal equations holds all. Tukey's weights leave out touches that slippe
 """
 
 from collections.abc import Iterator
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import NamedTuple
 
@@ -20,8 +20,8 @@ from scipy.spatial.transform import Rotation
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, RegistrationError, require_deviation
 from needleforce.anatomy.patient_motion import (
+    Innovation,
     PatientMotion,
-    TouchEquations,
     axes_of_motion,
     find_motion,
 )
@@ -32,6 +32,7 @@ from needleforce.anatomy.registration import (
     displacement_jacobian,
     rms_extents_m,
     rms_length,
+    small_turn,
 )
 from needleforce.anatomy.surface import Surface
 
@@ -93,6 +94,8 @@ class _Fit(NamedTuple):
             outside.
         weights: 0 for touches that slipped, else up to 1.
         variance_m2: Of these distances.
+        misfit_m2: Half the sum of their squares, of those that slipped the most that
+            counts.
         off_prior: From what is known without the touches to the solution, (7,).
         median_m: Median distance from the nearest place: outliers do not matter.
     """
@@ -104,6 +107,7 @@ class _Fit(NamedTuple):
     distances_m: Array
     weights: Array
     variance_m2: float
+    misfit_m2: float
     off_prior: Array
     median_m: float
 
@@ -145,10 +149,12 @@ def fit_surface(
             "below 0.02",
             AnatomyCode.DEVIATION,
         )
-    problem = _Problem(surface, touches, start, touch_std_m, softness_m)
-    fit = problem.fit(problem.start_pose)
+    pivot_m = touches.mean(axis=0)
+    prior = _prior_of(start, pivot_m, softness_m)
+    problem = _Problem(surface, touches, pivot_m, prior, touch_std_m, softness_m)
+    fit = problem.fit(problem.prior.pose, still_m=1e-7)
     if fit.median_m > problem.noise_m:
-        fits = [problem.fit(pose) for pose in problem.other_starts(problem.start_pose)]
+        fits = [problem.fit(pose) for pose in problem.other_starts(problem.prior.pose)]
         fit = min(fits, key=lambda other: other.median_m)
     # With more, what is left may be a part of another surface.
     max_outliers = 0.35
@@ -169,7 +175,7 @@ def fit_surface(
     if check:
         _require_no_sliding(problem, fit)
         _require_no_better(problem, fit)
-    return _registration(problem, fit, check=check)
+    return _registration(problem, fit, start.degrees, check=check)
 
 
 def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Array:
@@ -205,57 +211,43 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     return touches
 
 
+class _Prior(NamedTuple):
+    """What is known without the touches.
+
+    Attributes:
+        pose: The most probable one.
+        information: Of a rotation about the touches' mean, a shift, and the
+            indentation, (7, 7).
+    """
+
+    pose: _Pose
+    information: Array
+
+
 @dataclass(frozen=True, eq=False)
 class _Problem:
     """Touches of a surface, and what is known without them.
 
-    Rotations are about the mean of the touches, in the robot's base.
-
     Attributes:
         surface: Of the model.
         touches_m: In the robot's base, (n, 3).
-        start: By landmarks.
+        pivot_m: About which the model turns, (3,).
+        prior: What is known without the touches.
         touch_std_m: Standard deviation of a touch along each axis.
         softness_m: By up to so much the surface is pressed in.
     """
 
     surface: Surface
     touches_m: Array
-    start: Registration
+    pivot_m: Array
+    prior: _Prior
     touch_std_m: float
     softness_m: float
-
-    @cached_property
-    def pivot_m(self) -> Array:
-        """About which the model turns, (3,)."""
-        return self.touches_m.mean(axis=0)
 
     @cached_property
     def jacobian(self) -> Array:
         """Motion of the model at the touches by rotation and shift, (n, 3, 6)."""
         return displacement_jacobian(self.touches_m - self.pivot_m)
-
-    @cached_property
-    def prior_information(self) -> Array:
-        """Of the unknowns, by landmarks and softness, (7, 7)."""
-        information = np.zeros((7, 7))
-        if np.isfinite(self.start.covariance).all():
-            # The landmarks' shift is one of their own pivot.
-            to_start = np.eye(6)
-            to_start[3:] = displacement_jacobian(self.start.pivot_m - self.pivot_m)
-            landmarks = np.linalg.pinv(self.start.covariance, hermitian=True)
-            information[:6, :6] = to_start.T @ landmarks @ to_start
-        # Half of the softness, plus or minus a third: 0 and all of it are possible.
-        indentation_std_m = max(self.softness_m / 3.0, 1e-7)
-        information[6, 6] = 1.0 / indentation_std_m**2
-        return information
-
-    @property
-    def start_pose(self) -> _Pose:
-        """The landmarks' solution."""
-        return _Pose(
-            self.start.rotation, self.start.translation_m, 0.5 * self.softness_m
-        )
 
     @property
     def noise_m(self) -> float:
@@ -263,7 +255,12 @@ class _Problem:
         spread_m = SPREAD_OF_SOFTNESS * self.softness_m
         return float(np.linalg.norm([self.touch_std_m, COARSE_STD_m, spread_m]))
 
-    def fit(self, pose: _Pose, known_points_m: Array | None = None) -> _Fit:
+    def fit(
+        self,
+        pose: _Pose,
+        known_points_m: Array | None = None,
+        still_m: float = NEARLY_STILL_m,
+    ) -> _Fit:
         """Return the solution, beginning at a pose.
 
         While the touches are far away all of them count; then those count nothing that
@@ -274,10 +271,10 @@ class _Problem:
             pose: To begin with.
             known_points_m: Touches in the model in another solution: a fit that comes
                 near to it ends there.
+            still_m: Motion of the touches in a step that is none.
         """
         max_rounds = 60  # a usual fit needs some 20
         wide_rounds = 12  # at most so long the touches' own distances say which slipped
-        still_m = 1e-7
         back_m = 0.5e-3  # so near to another solution it is on its way to it
         rounds = 0
         fit = self._linearise(pose, is_wide=True)
@@ -317,10 +314,12 @@ class _Problem:
         scale_m = max(normal_mad * median_m, self.noise_m) if is_wide else self.noise_m
         if not is_wide:
             # Averaged so far around, normals hold hardly any error of the surface.
-            reach_m = 2.0 * SURFACE_REACH_m
-            normals = self.surface.mean_normals(positions_m, normals, reach_m)
+            around_m = 2.0 * SURFACE_REACH_m
+            normals = self.surface.mean_normals(positions_m, normals, around_m)
         flatness = np.linalg.norm(normals, axis=1)
-        weights = (1.0 - np.minimum(lengths_m / (tukey * scale_m), 1.0) ** 2) ** 2
+        reach_m = tukey * scale_m
+        near = 1.0 - np.minimum(lengths_m / reach_m, 1.0) ** 2
+        weights = near**2
         directions = normals / flatness[:, None] @ pose.rotation.T
         rows = np.ones((len(points_m), 7))
         rows[:, :6] = -np.einsum("ni,nij->nj", directions, self.jacobian)
@@ -332,6 +331,7 @@ class _Problem:
             distances_m=distances_m,
             weights=weights,
             variance_m2=self._variance_m2(pose, distances_m, weights, flatness),
+            misfit_m2=float(reach_m**2 / 6.0 * (1.0 - near**3).sum()),
             off_prior=self._off_prior(pose),
             median_m=median_m,
         )
@@ -357,11 +357,11 @@ class _Problem:
 
     def _off_prior(self, pose: _Pose) -> Array:
         """Return how far a pose lies from what is known without the touches, (7,)."""
-        start = self.start
-        turn = Rotation.from_matrix(pose.rotation @ start.rotation.T).as_rotvec()
-        pivot_in_model_m = start.to_model(self.pivot_m)
+        known = self.prior.pose
+        turn = small_turn(pose.rotation @ known.rotation.T)
+        pivot_in_model_m = (self.pivot_m - known.translation_m) @ known.rotation
         shift_m = pose.rotation @ pivot_in_model_m + pose.translation_m - self.pivot_m
-        indentation_m = pose.indentation_m - 0.5 * self.softness_m
+        indentation_m = pose.indentation_m - known.indentation_m
         return np.concatenate([turn, shift_m, [indentation_m]])
 
     def _step(self, fit: _Fit, number: int) -> Array:
@@ -372,9 +372,9 @@ class _Problem:
         small_hold = 1e-6
         rotations, shifts = np.split(np.diag(information)[:6], 2)
         hold = np.repeat([rotations.sum(), shifts.sum(), 0.0], [3, 3, 1])
-        information = information + self.prior_information + small_hold * np.diag(hold)
+        information = information + self.prior.information + small_hold * np.diag(hold)
         gradient = fit.rows.T @ (fit.weights * fit.distances_m) / fit.variance_m2
-        gradient = gradient + self.prior_information @ fit.off_prior
+        gradient = gradient + self.prior.information @ fit.off_prior
         # Later steps are shorter: from facet to facet they would go back and forth.
         full_steps = 8.0
         step = -np.linalg.lstsq(information, gradient)[0]
@@ -383,6 +383,30 @@ class _Problem:
     def touch_information(self, fit: _Fit) -> Array:
         """Return what the touches say of the unknowns, (7, 7)."""
         return fit.rows.T @ (fit.weights[:, None] * fit.rows) / fit.variance_m2
+
+    def tempered_information(self, fit: _Fit, other: _Pose) -> Array:
+        """Return what the touches say, no more than their distances bear out.
+
+        Where a smooth surface slides along itself, normals that differ from facet to
+        facet look like information. How much worse the touches really fit at another
+        pose shows it.
+
+        Args:
+            fit: The solution.
+            other: The other pose.
+        """
+        information = self.touch_information(fit)
+        way = self._off_prior(other) - fit.off_prior
+        expected = way @ (
+            0.5 * information @ way - self.prior.information @ fit.off_prior
+        )
+        if expected < 1.0:
+            return information
+        elsewhere = self._linearise(other, is_wide=False)
+        found = elsewhere.misfit_m2 - fit.misfit_m2
+        least = 0.02  # of a fit that slides away, it keeps the equations solvable
+        part = min(max(found / fit.variance_m2 / expected, least), 1.0)
+        return part * information
 
     def move(self, pose: _Pose, step: Array) -> _Pose:
         """Return a pose turned about the touches' mean, shifted and pressed in."""
@@ -401,6 +425,28 @@ class _Problem:
             yield self.move(pose, step)
 
 
+def _prior_of(start: Registration, pivot_m: Array, softness_m: float) -> _Prior:
+    """Return what landmarks and the softness of the surface say.
+
+    Args:
+        start: By landmarks.
+        pivot_m: About which the model turns, (3,).
+        softness_m: By up to so much the surface is pressed in.
+    """
+    information = np.eye(7)  # a metre and a radian: nothing
+    if np.isfinite(start.covariance).all():
+        # The landmarks' shift is one of their own pivot.
+        to_start = np.eye(6)
+        to_start[3:] = displacement_jacobian(start.pivot_m - pivot_m)
+        landmarks = np.linalg.pinv(start.covariance, hermitian=True)
+        information[:6, :6] = to_start.T @ landmarks @ to_start
+    # Half of the softness, plus or minus a third: none and all of it are possible.
+    indentation_std_m = max(softness_m / 3.0, 1e-7)
+    information[6, 6] = 1.0 / indentation_std_m**2
+    pose = _Pose(start.rotation, start.translation_m, 0.5 * softness_m)
+    return _Prior(pose, information)
+
+
 def _require_no_sliding(problem: _Problem, fit: _Fit) -> None:
     """Refuse a surface that the solution slides along.
 
@@ -414,7 +460,7 @@ def _require_no_sliding(problem: _Problem, fit: _Fit) -> None:
     weak_directions = 3  # a sphere spins about three axes, a plane slides and spins
     jacobian = problem.jacobian
     motion = np.einsum("nij,nik->jk", jacobian, jacobian) / len(jacobian)
-    information = problem.touch_information(fit) + problem.prior_information
+    information = problem.touch_information(fit) + problem.prior.information
     # What is left where the indentation may be any.
     mixed = information[:6, 6]
     pose_information = information[:6, :6] - np.outer(mixed, mixed) / information[6, 6]
@@ -447,7 +493,9 @@ def _require_no_better(problem: _Problem, fit: _Fit) -> None:
             )
 
 
-def _registration(problem: _Problem, fit: _Fit, *, check: bool) -> Registration:
+def _registration(
+    problem: _Problem, fit: _Fit, start_degrees: float, *, check: bool
+) -> Registration:
     """Return the registration of a fit, with the covariance of its errors.
 
     They are those of the touches, correlated ones of the surface, those of what is
@@ -460,7 +508,7 @@ def _registration(problem: _Problem, fit: _Fit, *, check: bool) -> Registration:
     counted = float(np.count_nonzero(fit.weights))
     degrees = max(counted - 7.0, 1.0)
     touch_information = problem.touch_information(fit)
-    prior_information = problem.prior_information
+    prior_information = problem.prior.information
     information = touch_information + prior_information
     inverse = np.linalg.pinv(information, hermitian=True)
     edges = 1.0 + SURFACE_EDGES * (1.0 - fit.flatness)
@@ -475,24 +523,14 @@ def _registration(problem: _Problem, fit: _Fit, *, check: bool) -> Registration:
     covariance = inverse @ (gain @ errors_m2 @ gain.T + prior_information) @ inverse
     pose = fit.pose
     if check:
-        equations = TouchEquations(
-            rows=fit.rows,
-            distances_m=fit.distances_m,
-            weights=fit.weights,
-            variance_m2=fit.variance_m2,
-            degrees=degrees,
-            information=information,
-        )
-        middle_m = pose.rotation @ problem.surface.vertices_m.mean(axis=0)
-        middle_m = middle_m + pose.translation_m
-        axes = axes_of_motion(pose.rotation, middle_m, problem.pivot_m)
-        motion = find_motion(equations, axes, problem.jacobian)
-        _require_still(motion)
+        motion = _find_motion(problem, pose)
+        _require_still(motion, problem)
         pose = problem.move(pose, motion.step)
-        covariance = covariance + motion.covariance
+        still = 1.0 - motion.probability
+        covariance = still * covariance + motion.covariance
     shares = [
         (float(np.trace(inverse @ touch_information)), degrees),
-        (float(np.trace(inverse @ prior_information)), problem.start.degrees),
+        (float(np.trace(inverse @ prior_information)), start_degrees),
     ]
     return Registration(
         rotation=pose.rotation,
@@ -506,20 +544,54 @@ def _registration(problem: _Problem, fit: _Fit, *, check: bool) -> Registration:
     )
 
 
-def _require_still(motion: PatientMotion) -> None:
+def _find_motion(problem: _Problem, pose: _Pose) -> PatientMotion:
+    """Return how probable it is that the patient moved before or between the touches.
+
+    Args:
+        problem: All touches.
+        pose: Where they and the landmarks put the model.
+    """
+    middle_m = pose.rotation @ problem.surface.vertices_m.mean(axis=0)
+    middle_m = middle_m + pose.translation_m
+    axes = axes_of_motion(pose.rotation, middle_m, problem.pivot_m)
+    count = len(problem.touches_m)
+    innovations: list[Innovation] = []
+    for first in (0, count // 3, count // 2, 2 * count // 3):
+        before = problem.prior
+        if first:
+            earlier = replace(problem, touches_m=problem.touches_m[:first])
+            fit = earlier.fit(pose)
+            information = earlier.tempered_information(fit, pose) + before.information
+            before = _Prior(fit.pose, information)
+        # As far from there as a patient who moved may lie.
+        wide = np.linalg.inv(np.linalg.inv(before.information) + axes.T @ axes)
+        later = replace(
+            problem,
+            touches_m=problem.touches_m[first:],
+            prior=_Prior(before.pose, wide),
+        )
+        fit = later.fit(pose)
+        information = later.tempered_information(fit, pose)
+        pull = (information + wide) @ fit.off_prior
+        innovations.append(Innovation(first, before.information, information, pull))
+    return find_motion(innovations, axes)
+
+
+def _require_still(motion: PatientMotion, problem: _Problem) -> None:
     """Refuse a patient who has moved."""
     max_probability = 0.95
     if motion.probability <= max_probability:
         return
+    size_m = rms_length(problem.jacobian @ motion.motion)
     when = (
-        f"before touch {motion.first + 1}"
+        f"before touch {motion.first + 1} or so"
         if motion.first
         else "between landmarks and touches"
     )
     raise RegistrationError(
         f"landmarks and touches contradict each other: the patient has probably moved "
-        f"{when}, by some {1e3 * motion.size_m:.0f} mm; touch landmarks and skin again, "
-        "or give the deviations of both",
+        f"{when}, by some {1e3 * size_m:.0f} mm; hold him still, and touch landmarks "
+        "and skin again",
         AnatomyCode.MOVED,
     )
 
