@@ -126,6 +126,11 @@ class AnatomyCode(ErrorCode):
         "Another placement of the surface fits the touches as well.",
         "Touch a part with edges or another shape, or register by landmarks again.",
     )
+    MOVED = (
+        "NF-ANATOMY-MOVED",
+        "Touches contradict the landmarks, or later touches earlier ones.",
+        "Hold the patient still, and touch landmarks and skin again.",
+    )
     PLAN = (
         "NF-ANATOMY-PLAN",
         "The plan, or a depth given to it, cannot be matched with ruptures.",

@@ -4,8 +4,8 @@ Around each point of the path every voxel votes for its label, weighted by a smo
 kernel; the label with most votes holds the point. Where the winner changes is a
 boundary, refined between two points. The layers therefore follow each other without
 gaps or overlaps, which rays through the surfaces of neighbouring structures do not
-grant. The votes smooth thin structures away; an obstacle is a layer wherever the path
-runs through one of its voxels.
+grant. The votes smooth thin structures away; one that they leave out is a layer all the
+same wherever the path runs through one of its voxels.
 """
 
 from collections.abc import Sequence
@@ -18,11 +18,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, VolumeError, require_deviation
-from needleforce.anatomy.obstacle_crossings import Crossing, find_crossings
 from needleforce.anatomy.segmentation import Segmentation
+from needleforce.anatomy.voxel_walk import Crossing, find_crossings
 
 UNLABELLED = "unlabelled"
 """Name of what no structure covers."""
+
+TISSUES = frozenset(("body", "lean", "fat"))
+"""What is found in the CT around the structures, see `Labels.with_body`: its few voxels
+between these are no layers."""
 
 WIDTH_VOXELS = 1.2
 """Standard deviation of the kernel."""
@@ -94,6 +98,11 @@ class _Path(NamedTuple):
     way: Array
     length_m: float
 
+    @property
+    def voxel_m(self) -> float:
+        """Length of a voxel along the path."""
+        return self.length_m / float(np.linalg.norm(self.way))
+
     def indices(self, fractions: Array) -> Array:
         """Return the indices (n, 3) at fractions (n,) of the path."""
         return self.start + fractions[:, None] * self.way
@@ -140,29 +149,34 @@ def find_layers(
         depths_m=[0.0, *boundaries.depth_m.tolist(), path.length_m],
         stds_m=[0.0, *np.minimum(std_m, path.length_m).tolist(), 0.0],
     )
-    obstacles = [item for item in labels.structures if item.is_obstacle]
-    for crossing in find_crossings(labels.volumes, obstacles, path.start, path.way):
-        layers = _with_obstacle(layers, crossing, path)
+    structures = [item for item in labels.structures if item.name not in TISSUES]
+    for crossing in find_crossings(labels.volumes, structures, path.start, path.way):
+        layers = _with_crossing(layers, crossing, path)
     return layers
 
 
-def _with_obstacle(
+def _with_crossing(
     layers: Sequence[Layer], crossing: Crossing, path: _Path
 ) -> list[Layer]:
-    """Return layers with a stretch through voxels of an obstacle among them.
+    """Return layers with a stretch through voxels of a structure among them.
 
-    Where the votes have an obstacle there, too, the layers stay as they are.
+    Where the votes have that structure there or beside, the layers stay as they are.
     """
     begin_m = crossing.begin * path.length_m
     end_m = crossing.end * path.length_m
-    has_obstacle = any(
-        layer.is_obstacle and layer.entry_m <= end_m and layer.exit_m >= begin_m
+    item = crossing.structure
+    # The steps of its voxels along a slanting surface are no layers of their own.
+    beside_m = 0.0 if item.is_obstacle else path.voxel_m
+    has_layer = any(
+        layer.name == item.name
+        and layer.entry_m <= end_m + beside_m
+        and layer.exit_m >= begin_m - beside_m
         for layer in layers
     )
-    if has_obstacle:
+    if has_layer:
         return list(layers)
     # Its ends are faces of voxels: they say where it begins to within a voxel.
-    std_m = path.length_m / float(np.linalg.norm(path.way)) / np.sqrt(12.0)
+    std_m = path.voxel_m / np.sqrt(12.0)
     begin_std_m = std_m if begin_m > 0.0 else 0.0
     end_std_m = std_m if end_m < path.length_m else 0.0
     before = [
@@ -179,8 +193,9 @@ def _with_obstacle(
         for layer in layers
         if layer.exit_m > end_m
     ]
-    obstacle = Layer(crossing.name, begin_m, end_m, begin_std_m, end_std_m, True)
-    return [*before, obstacle, *behind]
+    stds_m = (begin_std_m, end_std_m)
+    crossed = Layer(item.name, begin_m, end_m, *stds_m, item.is_obstacle)
+    return [*before, crossed, *behind]
 
 
 def _stack_layers(

@@ -13,11 +13,12 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 from scipy import sparse
+from scipy.spatial import KDTree
 
 from foundation.arrays import Array
-from needleforce.anatomy.triangle_tree import TriangleTree
 
 if TYPE_CHECKING:
+    from igl import AABB
     from trimesh import Trimesh
 
 SHRINKING = 0.5
@@ -82,18 +83,28 @@ class Surface:
         return Trimesh(self.vertices_m, self.triangles, process=False)
 
     @cached_property
-    def _judged(self) -> NDArray[np.intp]:
-        """Numbers of the triangles that have an area."""
-        return np.flatnonzero(self.mesh.face_normals.any(axis=1))
+    def _with_area(self) -> NDArray[np.integer]:
+        """The triangles that have an area: only these have a normal."""
+        return self.triangles[self.mesh.face_normals.any(axis=1)].astype(np.int64)
 
     @cached_property
-    def _normals(self) -> Array:
-        """Of the triangles; the mesh would be checked for changes at each use."""
-        return np.array(self.mesh.face_normals)
+    def _area_normals_m2(self) -> Array:
+        """Of these triangles, each as long as its area."""
+        corners_m = self.vertices_m[self._with_area]
+        edges_m = corners_m[:, 1:] - corners_m[:, :1]
+        return 0.5 * np.cross(edges_m[:, 0], edges_m[:, 1])
 
     @cached_property
-    def _tree(self) -> TriangleTree:
-        return TriangleTree(self.vertices_m[self.triangles[self._judged]])
+    def _boxes(self) -> "AABB":
+        from igl import AABB
+
+        boxes = AABB()
+        boxes.init(self.vertices_m, self._with_area)
+        return boxes
+
+    @cached_property
+    def _middles(self) -> KDTree:
+        return KDTree(self.vertices_m[self._with_area].mean(axis=1))
 
     def nearest(self, points_m: Array) -> NearestPositions:
         """Return the nearest positions on the surface, and the normals there.
@@ -101,22 +112,36 @@ class Surface:
         Args:
             points_m: Shape (n, 3).
         """
-        nearest = self._tree.nearest(points_m)
-        triangles = self._judged[nearest.triangles]
-        return NearestPositions(nearest.places, self._normals[triangles])
+        _, numbers, positions_m = self._boxes.squared_distance(
+            self.vertices_m, self._with_area, np.ascontiguousarray(points_m)
+        )
+        normals = self._area_normals_m2[numbers]
+        normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+        return NearestPositions(positions_m, normals)
 
     def mean_normals(self, positions_m: Array, normals: Array, reach_m: float) -> Array:
         """Return means of the normals around positions on the surface, shape (n, 3).
 
-        They are of length 1 where it is flat. The other side of a thin part does not
-        count.
+        Each triangle counts by its area if its middle lies within reach and it looks to
+        the same side, so the other side of a thin part does not; where none does, the
+        normal itself is returned. They are of length 1 where the surface is flat.
 
         Args:
             positions_m: Shape (n, 3).
             normals: There, shape (n, 3).
             reach_m: Radius around each position.
         """
-        return self._tree.mean_normals(positions_m, normals, reach_m)
+        near = self._middles.query_ball_point(positions_m, reach_m)
+        row = np.repeat(np.arange(len(near)), [len(numbers) for numbers in near])
+        areas_m2 = self._area_normals_m2[np.concatenate(near).astype(np.intp)]
+        counts = np.vecdot(areas_m2, normals[row]) > 0.0
+        sums = np.zeros((len(near), 4))
+        sizes = np.linalg.norm(areas_m2, axis=1, keepdims=True)
+        np.add.at(sums, row[counts], np.hstack([areas_m2, sizes])[counts])
+        is_found = sums[:, 3] > 0.0
+        means = np.array(normals)
+        means[is_found] = sums[is_found, :3] / sums[is_found, 3:]
+        return means
 
 
 def closed_surface(
