@@ -41,7 +41,7 @@ from needleforce.cli.terminal import (
 )
 from needleforce.plots import PAGE, require_matplotlib, whole_folder
 
-MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh")
+MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "igl")
 """Modules of extras that the command needs."""
 
 PATH_MARKUP = "path.mrk.json"

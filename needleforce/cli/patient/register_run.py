@@ -43,7 +43,7 @@ from needleforce.cli.terminal import (
 )
 from needleforce.plots import PAGE, whole_folder
 
-MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh")
+MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "igl")
 """Modules of extras that the command needs."""
 
 M_PER_MM = 1e-3
