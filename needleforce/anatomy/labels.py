@@ -22,6 +22,18 @@ from needleforce.anatomy.volume import Grid, Volume
 SHOWN_VOXEL_m = 3e-3
 """Voxels of surfaces that are looked at: finer ones add triangles that nobody sees."""
 
+DENSE = "dense_as_bone"
+"""Name of what is as dense as bone in the CT and not labelled."""
+
+DENSE_HU = 200.0
+"""Soft tissue, with contrast medium too, seldom exceeds it; bone and metal do."""
+
+MIN_DENSE_m3 = 10e-9
+"""Smaller pieces are calcifications, or noise."""
+
+BODY_NAMES = frozenset(("lean", "fat", "body"))
+"""What `Labels.with_body` adds: it names no structure."""
+
 ROUNDING = 1e-6
 """Fraction of a voxel by which rounding may make it larger."""
 
@@ -134,6 +146,40 @@ class Labels:
         added = [replace(item, volume=len(self.volumes)) for item in body.structures]
         return Labels(
             [*self.volumes, volume], self.grid, (*self.structures, *added), unchecked
+        )
+
+    def with_dense(self, scan: Volume) -> "Labels":
+        """Add `DENSE`, an obstacle: what is dense as bone in the CT and not labelled.
+
+        What ``lean``, ``fat`` or ``body`` covers counts as not labelled. Pieces smaller
+        than 10 mm³, which stop no needle, are left out.
+
+        Args:
+            scan: The CT, in HU.
+        """
+        is_dense = resample_nearest(
+            (scan.values > DENSE_HU).astype(np.uint8), scan.grid, self.grid
+        ).astype(bool)
+        for item in self.structures:
+            if item.name not in BODY_NAMES:
+                inside = self.volumes[item.volume][item.box] == item.value
+                is_dense[item.box] &= ~inside
+        pieces = np.zeros(self.grid.shape, np.int32)
+        ndimage.label(is_dense, np.ones((3, 3, 3)), output=pieces)
+        voxel_m3 = float(np.prod(self.grid.spacing_m))
+        is_large = np.bincount(pieces.ravel()) * voxel_m3 >= MIN_DENSE_m3
+        is_large[0] = False
+        volume = np.take(is_large, pieces).astype(np.uint8)
+        if not volume.any():
+            return self
+        dense = Labels.of([volume], self.grid, [Structure.named(DENSE, 1)])
+        if DENSE in {item.name for item in self.structures}:
+            raise _twice(DENSE)
+        added = [replace(item, volume=len(self.volumes)) for item in dense.structures]
+        return replace(
+            self,
+            volumes=[*self.volumes, volume],
+            structures=(*self.structures, *added),
         )
 
     def checked_against(self, scan: Volume) -> "Labels":

@@ -1,117 +1,65 @@
 """Structures of a segmentation, and what their names imply."""
 
+import csv
 import re
+from collections.abc import Mapping
 from dataclasses import dataclass
+from importlib.resources import files
+from typing import NamedTuple
 
-OBSTACLES = frozenset(
-    [
-        "bone",
-        "bones",
-        "rib",
-        "ribs",
-        "ribcage",
-        "costal",
-        "cartilage",
-        "cartilages",
-        "vertebra",
-        "vertebrae",
-        "vertebral",
-        "spine",
-        "sacrum",
-        "coccyx",
-        "hip",
-        "femur",
-        "patella",
-        "tibia",
-        "fibula",
-        "sternum",
-        "scapula",
-        "scapulae",
-        "clavicula",
-        "clavicle",
-        "humerus",
-        "radius",
-        "ulna",
-        "pelvis",
-        "skull",
-        "cranium",
-        "mandible",
-        "maxilla",
-        "manubrium",
-        "xiphoid",
-        "ilium",
-        "ischium",
-        "pubis",
-        "calcaneus",
-        "talus",
-        "tooth",
-        "teeth",
-    ]
-)
-"""Words in the names of structures that stop a needle."""
+TABLE = "structures.csv"
+"""Words in the names of structures, and what they imply.
 
-RISKS = frozenset(
-    [
-        "lung",
-        "pleura",
-        "trachea",
-        "heart",
-        "atrial",
-        "aorta",
-        "artery",
-        "arteries",
-        "vein",
-        "veins",
-        "vena",
-        "cava",
-        "vessel",
-        "vessels",
-        "brachiocephalic",
-        "bowel",
-        "intestine",
-        "duodenum",
-        "colon",
-        "rectum",
-        "stomach",
-        "esophagus",
-        "oesophagus",
-        "gallbladder",
-        "bladder",
-        "ureter",
-        "cord",
-        "nerve",
-        "brain",
-    ]
-)
-"""Words in the names of structures that a needle should keep away from."""
+Roles: `obstacle` stops a needle, from `risk` a needle should keep away, it may pass
+what is `passable`, and `says nothing` counts only beside other words. Beside a word
+that `is_soft` words of obstacles do not count: a renal pelvis is no bone. Colours are
+red, green, blue of 3D Slicer's table of generic anatomy; of several the first counts.
+"""
 
-SOFT = frozenset(("renal", "kidney", "artery", "vein", "muscle", "nerve"))
-"""Words beside which the words of obstacles do not count: a renal pelvis is no bone."""
 
-PASSABLE = frozenset(("soft", "skin", "prostate", "thyroid", "breast"))
-"""Words of what a needle may pass, without a colour of their own."""
+class _Words(NamedTuple):
+    """What the words in names imply.
 
-SAYS_NOTHING = frozenset(("tissue", "organ", "structure"))
-"""Words that say nothing where a name has no others."""
+    Attributes:
+        obstacles: Stop a needle.
+        risks: A needle should keep away from them.
+        soft: Beside them words of obstacles do not count.
+        passable: A needle may pass them.
+        says_nothing: Say nothing where a name has no others.
+        colours: Red, green, blue by word; the first in a name counts.
+    """
 
-_COLOURS = {
-    " ".join(sorted(OBSTACLES)): (241, 214, 145),
-    "liver": (221, 130, 101),
-    "spleen": (157, 108, 162),
-    "kidney adrenal": (185, 102, 83),
-    "gallbladder": (139, 150, 98),
-    "stomach": (216, 132, 105),
-    "pancreas": (249, 180, 111),
-    "lung": (197, 165, 145),
-    "aorta artery": (216, 101, 79),
-    "vein vena cava vessel": (0, 151, 206),
-    "bowel duodenum colon bladder": (205, 167, 142),
-    "gluteus iliopsoas autochthon muscle lean": (192, 104, 88),
-    "fat": (230, 220, 70),
-    "body skin": (177, 122, 101),
-    "lesion tumor tumour mass": (144, 238, 144),
-}
-"""By words in names; red, green, blue of 3D Slicer's table of generic anatomy."""
+    obstacles: frozenset[str]
+    risks: frozenset[str]
+    soft: frozenset[str]
+    passable: frozenset[str]
+    says_nothing: frozenset[str]
+    colours: Mapping[str, tuple[float, ...]]
+
+
+def _read_words() -> _Words:
+    """Read the table of words."""
+    text = files("needleforce.anatomy").joinpath(TABLE).read_text(encoding="utf-8")
+    rows = list(csv.DictReader(text.splitlines()))
+
+    def with_role(role: str) -> frozenset[str]:
+        return frozenset(row["word"] for row in rows if row["role"] == role)
+
+    return _Words(
+        obstacles=with_role("obstacle"),
+        risks=with_role("risk"),
+        soft=frozenset(row["word"] for row in rows if row["is_soft"]),
+        passable=with_role("passable"),
+        says_nothing=with_role("says nothing"),
+        colours={
+            row["word"]: tuple(map(float, row["colour"].split()))
+            for row in rows
+            if row["colour"]
+        },
+    )
+
+
+_WORDS = _read_words()
 
 GOLDEN_RATIO = 0.618
 """Multiples of it, modulo one, lie far apart: no two numbers close by look alike."""
@@ -160,16 +108,14 @@ class Structure:
                 risk, if name or kind say so.
         """
         words = _telling_words(name) | _telling_words(kind)
-        colours = [
-            colour for key, colour in _COLOURS.items() if words & set(key.split())
-        ]
+        colours = [colour for word, colour in _WORDS.colours.items() if word in words]
         colour = colours[0] if colours else _bluish(value)
         return cls(
             name=name,
             value=value,
             colour=tuple(number / MAX_COLOUR for number in colour),
-            is_obstacle=bool(words & OBSTACLES),
-            is_risk=bool(words & RISKS),
+            is_obstacle=bool(words & _WORDS.obstacles),
+            is_risk=bool(words & _WORDS.risks),
             volume=volume,
             kind=kind,
         )
@@ -187,18 +133,28 @@ def _bluish(number: int) -> tuple[float, ...]:
 
 
 def words_of(name: str) -> set[str]:
-    """Return the words of a structure's name, in small letters."""
-    return set(re.split(r"[\W_]+", name.lower()))
+    """Return the words of a structure's name, in small letters.
+
+    They are divided by what is no letter, by digits, and by capitals behind small
+    letters: ``RightRib9`` has the words right, rib and 9.
+    """
+    divided = re.sub(
+        r"(?<=[^\W\d_])(?=\d)|(?<=\d)(?=[^\W\d_])|(?<=[a-z])(?=[A-Z])"
+        r"|(?<=[A-Z])(?=[A-Z][a-z])",
+        " ",
+        name,
+    )
+    return set(re.split(r"[\W_]+", divided.lower()))
 
 
 def is_known(name: str) -> bool:
     """Return whether a name says what a structure is, in words that are known here."""
-    words = words_of(name) - SAYS_NOTHING
-    coloured = {word for key in _COLOURS for word in key.split()}
-    return bool(words & (coloured | RISKS | SOFT | PASSABLE))
+    words = words_of(name)
+    known = _WORDS.obstacles | _WORDS.risks | _WORDS.soft | _WORDS.passable
+    return bool((words - _WORDS.says_nothing) & known)
 
 
 def _telling_words(name: str) -> set[str]:
     """Return the words of a name, without those of bone in names of soft tissue."""
     words = words_of(name)
-    return words - OBSTACLES if words & SOFT else words
+    return words - _WORDS.obstacles if words & _WORDS.soft else words

@@ -42,8 +42,13 @@ class LimitOptions:
     """What a path may be.
 
     Attributes:
-        avoid: Structures that must stay clear of the path (default: bone, cartilage,
-            lungs, vessels, bowel and others at risk, by their names).
+        avoid: Structures that must stay clear of the path, beside bone, cartilage,
+            lungs, vessels, bowel and others at risk by their names.
+        passable: Structures that the needle may pass: at risk by their names, or with
+            names that say nothing; dense_as_bone for what is dense in the CT and not
+            labelled. No bone.
+        radius: Radius of the needle in millimetres (default: 0.8, of 18 G with its
+            sheath).
         margin: Distance in millimetres that stays free around the needle (default: 5).
         max_length: Longest path in millimetres (default: 120).
         cone: Largest angle in degrees between the path and the skin's normal (default:
@@ -54,6 +59,10 @@ class LimitOptions:
     avoid: Annotated[
         tuple[str, ...], Parameter(metavar="STRUCTURE", consume_multiple=True)
     ] = ()
+    passable: Annotated[
+        tuple[str, ...], Parameter(metavar="STRUCTURE", consume_multiple=True)
+    ] = ()
+    radius: Annotated[float, Parameter(metavar="MM")] = 0.8
     margin: Annotated[float, Parameter(metavar="MM")] = 5.0
     max_length: Annotated[float, Parameter(metavar="MM")] = 120.0
     cone: Annotated[float, Parameter(metavar="DEG")] = 35.0
@@ -93,6 +102,8 @@ def plan_command(
     wish = PathWish(
         target=case.target,
         avoid=limits.avoid,
+        passable=limits.passable,
+        radius_mm=limits.radius,
         margin_mm=limits.margin,
         max_length_mm=limits.max_length,
         cone_deg=limits.cone,

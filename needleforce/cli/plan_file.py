@@ -7,7 +7,7 @@ from collections.abc import Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import msgspec
 import numpy as np
@@ -34,10 +34,18 @@ from needleforce.anatomy.clearance import (
     too_near,
 )
 from needleforce.anatomy.labels import SHOWN_VOXEL_m
+from needleforce.cli.plan_binding import (
+    MadeOf,
+    check_files,
+    check_registration,
+    path_sha256,
+)
 from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, say
 from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene
-from needleforce.session import InsertionSession
+
+if TYPE_CHECKING:
+    from needleforce.session import InsertionSession
 
 PLAN = "plan.json"
 
@@ -55,6 +63,9 @@ ROTATION_TOLERANCE = 1e-3
 
 MAX_ROUNDING = 1e-12
 """By so much a variance may be negative: it is written in decimals."""
+
+UNBOUND_VERSION = 1
+"""Of plans that do not say what they were made of."""
 
 MISSING_PATH = "neither layers nor entry_m and target_m in it"
 MISSING_LAYERS = "no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it"
@@ -111,7 +122,7 @@ class LoadedPlan(NamedTuple):
     path: PlannedPath | None = None
     surroundings: NeedleSurroundings | None = None
 
-    def follow_with(self, session: InsertionSession) -> None:
+    def follow_with(self, session: "InsertionSession") -> None:
         """Let a session follow the plan."""
         session.follow(
             self.match,
@@ -162,7 +173,8 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
         labels: Segmentation, from the file's folder.
         structures: Names of structures by those in the segmentation, or a file with
             them, from the file's folder.
-        registration: What the registration rests on, for people.
+        registration: What the registration rests on, and where it puts the path.
+        made_of: CT, labels and path that the plan was made of.
     """
 
     version: int = 0
@@ -171,6 +183,7 @@ class _PlanFile(msgspec.Struct, forbid_unknown_fields=True):
     labels: str = ""
     structures: str | dict[str, str] = ""
     registration: dict[str, Any] | None = None
+    made_of: MadeOf | None = None
     rotation: Rotation | None = None
     translation_m: Point = Point(0.0, 0.0, 0.0)
     entry_m: Point | None = None
@@ -192,10 +205,12 @@ class _Anatomy(NamedTuple):
     Attributes:
         scene: Anatomy and plan for the viewer.
         labels: The segmentation, if there is one.
+        warnings: What has changed since the plan was made.
     """
 
     scene: PlanScene
     labels: Labels | None = None
+    warnings: tuple[str, ...] = ()
 
 
 def load_plan(
@@ -239,10 +254,13 @@ def read_plan(
         plan.situs_inversus |= situs_inversus
         _require_metres(plan)
         _require_registration(plan)
-        scene, labels = _anatomy_of(plan, path.parent)
+        scene, labels, changes = _anatomy_of(plan, path.parent)
         layers = _planned_layers(plan) or list(scene.layers)
         planned = _path_of(plan, scene)
-        warnings = _check_obstacles(plan, labels, layers, is_past=is_past)
+        warnings = [
+            *changes,
+            *_check_obstacles(plan, labels, layers, is_past=is_past),
+        ]
         surroundings = _surroundings_of(plan, labels)
         if planned is None:
             warnings.append(
@@ -393,10 +411,27 @@ def _require_metres(plan: _PlanFile) -> None:
 
 def _require_registration(plan: _PlanFile) -> None:
     """Refuse a plan of `needleforce plan` that was not registered."""
+    if plan.version == UNBOUND_VERSION:
+        raise ValueError(
+            "it was made by version 0.2 and does not say what CT and labels it was "
+            "made of: plan again with `needleforce plan`, and register"
+        )
+    if plan.version and plan.made_of is None:
+        raise ValueError(
+            "it does not say what it was made of (made_of): plan again with "
+            "`needleforce plan`, and register"
+        )
     if plan.version and plan.rotation is None:
         raise ValueError(
             "it does not say where the patient lies in the robot's base: expected the "
             "plan that `needleforce register --plan` writes"
+        )
+    if plan.version and plan.entry_m is not None and plan.target_m is not None:
+        check_registration(
+            plan.registration,
+            _registration_of(plan),
+            np.array(plan.entry_m),
+            np.array(plan.target_m),
         )
 
 
@@ -424,18 +459,61 @@ def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
         if not plan.layers:
             raise ValueError(MISSING_LAYERS)
         return _Anatomy(scene)
+    labels, scan, warnings = _read_files(plan, file, folder)
+    if scan is not None:
+        scene = scene._replace(scan=crop_scan(scan, entry_m, target_m))
+    surfaces = _large_surfaces(labels)
+    layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
+    return _Anatomy(
+        scene._replace(surfaces=surfaces, layers=layers), labels, tuple(warnings)
+    )
+
+
+def _read_files(
+    plan: _PlanFile, file: Path, folder: Path
+) -> tuple[Labels, Volume | None, list[str]]:
+    """Return labels and CT, if there is one, and what has changed in them.
+
+    Args:
+        plan: The plan.
+        file: The labels.
+        folder: Where the plan lies.
+    """
     names = plan.structures or None
     if isinstance(names, str):
         names = folder / names
     labels = read_labels(file, names, situs_inversus=plan.situs_inversus)
+    if plan.made_of is not None and not plan.ct:
+        raise ValueError("it does not name its CT (ct)")
     scans = [folder / plan.ct] if plan.ct else sorted(folder.glob("ct.n*"))
-    if scans:
-        scan = read_volume(scans[0])
-        labels = labels.checked_against(scan)
-        scene = scene._replace(scan=crop_scan(scan, entry_m, target_m))
-    surfaces = _large_surfaces(labels)
-    layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
-    return _Anatomy(scene._replace(surfaces=surfaces, layers=layers), labels)
+    if not scans:
+        return labels, None, []
+    scan = read_volume(scans[0])
+    warnings = _check_made_of(plan, scan, labels)
+    return labels.checked_against(scan).with_dense(scan), scan, warnings
+
+
+def _check_made_of(plan: _PlanFile, scan: Volume, labels: Labels) -> list[str]:
+    """Return what has changed since a plan was made; refuse what does not fit."""
+    if plan.made_of is None:
+        return ["the plan does not say what CT and labels it was made of: not checked"]
+    entry_m = np.array(plan.entry_m)
+    target_m = np.array(plan.target_m)
+    path_sum = path_sha256(
+        entry_m,
+        target_m,
+        [(layer.name, layer.exit_m) for layer in plan.layers],
+        plan.needle_radius_m,
+        plan.margin_m,
+    )
+    return check_files(
+        plan.made_of,
+        scan,
+        labels,
+        path_sum=path_sum,
+        path=(entry_m, target_m),
+        layers=_planned_layers(plan),
+    )
 
 
 def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume | None:

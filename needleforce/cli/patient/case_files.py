@@ -14,8 +14,8 @@ from needleforce.cli.plan_file import PLAN
 from needleforce.cli.terminal import CommandCode, CommandError, staged_progress
 from needleforce.files import whole_file
 
-PLAN_VERSION = 1
-"""Of the plan's file."""
+PLAN_VERSION = 2
+"""Of the plan's file; 1 was that of version 0.2."""
 
 
 class CaseFiles(NamedTuple):
@@ -41,12 +41,15 @@ class PatientCase(NamedTuple):
     Attributes:
         files: Where they come from.
         scan: The CT.
-        labels: The segmentation with ``fat`` and ``lean`` of the body around it.
+        labels: The segmentation with ``fat`` and ``lean`` of the body around it, and
+            with what is dense as bone and not labelled.
+        file_labels: The segmentation as in its file.
     """
 
     files: CaseFiles
     scan: Volume
     labels: Labels
+    file_labels: Labels
 
 
 def read_case(files: CaseFiles) -> PatientCase:
@@ -58,12 +61,13 @@ def read_case(files: CaseFiles) -> PatientCase:
     with staged_progress("reading the CT"):
         scan = read_volume(files.ct)
     with staged_progress("reading the labels"):
-        labels = read_labels(
+        file_labels = read_labels(
             files.labels, files.structures, situs_inversus=files.situs_inversus
         )
     with staged_progress("finding body, fat and lean tissue") as progress:
-        labels = labels.with_body(scan, fat=True, progress=progress)
-    return PatientCase(files, scan, labels)
+        labels = file_labels.with_body(scan, fat=True, progress=progress)
+    labels = labels.with_dense(scan)
+    return PatientCase(files, scan, labels, file_labels)
 
 
 def read_plan_fields(place: Path) -> dict[str, Any]:
@@ -80,7 +84,8 @@ def read_plan_fields(place: Path) -> dict[str, Any]:
     if fields.get("version") != PLAN_VERSION:
         raise CommandError(
             f"{path} has version {fields.get('version')}: expected {PLAN_VERSION}, as "
-            "`needleforce plan` writes it",
+            "`needleforce plan` writes it; earlier ones do not say what they were made "
+            "of",
             CommandCode.PLAN,
         )
     return fields

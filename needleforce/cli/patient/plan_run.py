@@ -1,16 +1,18 @@
 """`needleforce plan`: paths from the skin to a target, and the plan of one."""
 
 from collections import Counter
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy import FreeSpace, Labels, require_clear_path
-from needleforce.anatomy.clearance import NEEDLE_RADIUS_m
+from needleforce.anatomy import FreeSpace, Labels, PlanError, require_clear_path
+from needleforce.anatomy.clearance import describe_clearance, too_near
 from needleforce.anatomy.deepest_point import deepest_point_m
+from needleforce.anatomy.errors import AnatomyCode
+from needleforce.anatomy.labels import DENSE
 from needleforce.anatomy.markups import read_markup, write_markup
 from needleforce.anatomy.path_search import (
     FoundPaths,
@@ -30,7 +32,16 @@ from needleforce.cli.patient.case_files import (
 )
 from needleforce.cli.patient.plan_page import write_plan_page
 from needleforce.cli.patient.plan_table import describe_paths
-from needleforce.cli.patient.structure_names import require_known_names
+from needleforce.cli.patient.structure_names import (
+    require_confirmed_names,
+    require_known_names,
+)
+from needleforce.cli.plan_binding import (
+    MadeOf,
+    path_sha256,
+    record_labels,
+    record_scan,
+)
 from needleforce.cli.plan_file import PLAN
 from needleforce.cli.terminal import (
     CommandError,
@@ -49,13 +60,18 @@ PATH_MARKUP = "path.mrk.json"
 
 M_PER_MM = 1e-3
 
+POINT_m = 1e-6
+"""Length of a line that stands for a point."""
+
 
 class PathWish(NamedTuple):
     """What path is asked for.
 
     Attributes:
         target: Name of a structure, or a ``.mrk.json`` file.
-        avoid: Names of structures that must stay clear; by default those at risk.
+        avoid: Names of structures that must stay clear beside those at risk.
+        passable: Names of structures that the needle may pass.
+        radius_mm: Of the needle [mm].
         margin_mm: Stays free around the needle [mm].
         max_length_mm: Of the path [mm].
         cone_deg: Largest angle to the skin's normal [degrees].
@@ -64,6 +80,8 @@ class PathWish(NamedTuple):
 
     target: str
     avoid: tuple[str, ...]
+    passable: tuple[str, ...]
+    radius_mm: float
     margin_mm: float
     max_length_mm: float
     cone_deg: float
@@ -75,6 +93,8 @@ class PathWish(NamedTuple):
         Raises:
             CommandError: One of them cannot be.
         """
+        if not 0.1 <= self.radius_mm <= 5.0:
+            raise CommandError(f"--radius {self.radius_mm:g}: expected 0.1 to 5 mm")
         if not 0.0 <= self.margin_mm <= 100.0:
             raise CommandError(f"--margin {self.margin_mm:g}: expected 0 to 100 mm")
         if not 1.0 <= self.max_length_mm <= 500.0:
@@ -88,7 +108,7 @@ class PathWish(NamedTuple):
         return PathLimits(
             M_PER_MM * self.max_length_mm,
             float(np.radians(self.cone_deg)),
-            FreeSpace(margin_m=M_PER_MM * self.margin_mm),
+            FreeSpace(M_PER_MM * self.radius_mm, M_PER_MM * self.margin_mm),
         )
 
 
@@ -126,7 +146,7 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
     require_modules("plan", MODULES)
     limits = wish.limits()
     case = read_case(files)
-    avoid = _names_to_avoid(case.labels, wish)
+    avoid = names_to_avoid(case.labels, wish)
     target = _find_target(wish.target, case.labels)
     paths = _search(case.labels, target, avoid, limits)
     if wish.number > len(paths.paths):
@@ -134,12 +154,14 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
             f"--choose {wish.number}: only {len(paths.paths)} paths were found"
         )
     chosen = paths.paths[wish.number - 1]
+    accepted = _accepted_obstacles(case.labels, wish, target)
+    require_clear_path(chosen.clearances, limits.space, accepted)
     write_out(describe_paths(paths, target.name, avoid, limits, wish.number))
     if case.labels.unchecked:
         say(f"warning: {case.labels.unchecked}")
     with whole_folder(folder) as place:
         if place is not None:
-            fields = _plan_fields(case, wish, target, chosen, folder)
+            fields = _plan_fields(case, wish, target, chosen, folder, avoid)
             write_plan_fields(place / PLAN, fields)
             write_markup(
                 place / PATH_MARKUP,
@@ -174,15 +196,44 @@ def _find_target(name: str, labels: Labels) -> _Target:
     return _Target("end of the line", ends.target_m, ends.entry_m)
 
 
-def _names_to_avoid(labels: Labels, wish: PathWish) -> tuple[str, ...]:
-    """Return the names of the structures that must stay clear."""
-    if wish.avoid:
-        return tuple(labels[name].name for name in wish.avoid)
-    require_known_names(labels)
+def names_to_avoid(labels: Labels, wish: PathWish) -> tuple[str, ...]:
+    """Return the names of the structures that must stay clear.
+
+    Raises:
+        CommandError: A bone is to be passed, or a name says nothing and nobody has said
+            whether the needle may pass it.
+    """
+    asked = [labels[name].name for name in wish.avoid]
+    passable = {labels[name].name for name in wish.passable}
+    bones = [
+        name for name in sorted(passable) if labels[name].is_obstacle and name != DENSE
+    ]
+    if bones:
+        raise CommandError(
+            f"--passable {', '.join(bones)}: a needle passes no bone or cartilage"
+        )
+    if not asked:
+        require_known_names(labels)
+    require_confirmed_names(labels, {wish.target, *asked, *passable})
+    usual = [
+        item.name
+        for item in labels.structures
+        if (item.is_obstacle or item.is_risk)
+        and item.name != wish.target
+        and item.name not in passable
+        and item.name not in asked
+    ]
+    return (*asked, *usual)
+
+
+def _accepted_obstacles(
+    labels: Labels, wish: PathWish, target: _Target
+) -> tuple[str, ...]:
+    """Return the names of obstacles that the path may touch."""
     return tuple(
         item.name
         for item in labels.structures
-        if (item.is_obstacle or item.is_risk) and item.name != wish.target
+        if item.is_obstacle and item.name in (target.name, *wish.passable)
     )
 
 
@@ -192,14 +243,45 @@ def _search(
     """Return the paths to a target; of a line that path alone."""
     if target.entry_m is not None:
         path = judge_path(labels, target.entry_m, target.place_m, limits)
-        require_clear_path(path.clearances, limits.space)
+        clear_of = [name for name in avoid if not _is_in(labels, name, target.place_m)]
+        _require_clear_line(labels, path, clear_of, limits.space)
         return FoundPaths((path,), Counter())
     with staged_progress("searching paths") as progress:
         return find_paths(labels, target.place_m, avoid, limits, progress)
 
 
+def _is_in(labels: Labels, name: str, point_m: Array) -> bool:
+    """Return whether a point lies in a structure."""
+    clearances = labels.clearances(point_m, point_m + POINT_m, [name])
+    return bool(clearances) and clearances[0].distance_m == 0.0
+
+
+def _require_clear_line(
+    labels: Labels, path: SkinPath, names: Sequence[str], space: FreeSpace
+) -> None:
+    """Refuse a line that comes too near to what an offered path must stay clear of.
+
+    Raises:
+        needleforce.anatomy.PlanError: It comes nearer than a path needs.
+    """
+    clearances = labels.clearances(path.entry_m, path.target_m, names)
+    near = too_near(clearances, space)
+    if near:
+        raise PlanError(
+            f"the line {'; '.join(map(describe_clearance, near))}: these must stay "
+            f"{space} away, as from an offered path; --passable names what the "
+            "needle may pass",
+            AnatomyCode.OBSTACLE,
+        )
+
+
 def _plan_fields(
-    case: PatientCase, wish: PathWish, target: _Target, path: SkinPath, folder: Path
+    case: PatientCase,
+    wish: PathWish,
+    target: _Target,
+    path: SkinPath,
+    folder: Path,
+    avoid: Sequence[str],
 ) -> Mapping[str, Any]:
     """Return what stands in the plan's file; see docs/reference/files.md."""
     files = case.files
@@ -210,7 +292,7 @@ def _plan_fields(
         "labels": relative_path(files.labels, folder),
         "entry_m": path.entry_m,
         "target_m": path.target_m,
-        "needle_radius_m": NEEDLE_RADIUS_m,
+        "needle_radius_m": M_PER_MM * wish.radius_mm,
         "margin_m": M_PER_MM * wish.margin_mm,
         "layers": [
             {
@@ -222,11 +304,19 @@ def _plan_fields(
             for layer in path.layers
         ],
     }
-    accepted = [
-        item.name
-        for item in case.labels.structures
-        if item.is_obstacle and item.name == target.name
-    ]
+    fields["made_of"] = MadeOf(
+        ct=record_scan(case.scan),
+        labels=record_labels(case.file_labels),
+        path_sha256=path_sha256(
+            path.entry_m,
+            path.target_m,
+            [(layer.name, layer.exit_m) for layer in path.layers],
+            fields["needle_radius_m"],
+            fields["margin_m"],
+        ),
+        avoided=tuple(avoid),
+    )
+    accepted = _accepted_obstacles(case.labels, wish, target)
     if accepted:
         fields["accepted_obstacles"] = accepted
     if files.structures is not None:

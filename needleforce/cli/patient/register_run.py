@@ -284,6 +284,9 @@ def _fit_fields(report: FitReport) -> dict[str, Any]:
         "registration": {
             "landmark_residuals_m": {one.name: one.left_m for one in report.landmarks},
             "touch_distances_m": report.touch_distances_m,
+            "entry_in_base_m": fit.to_robot(report.entry_m),
+            "target_in_base_m": fit.to_robot(report.target_m),
+            "entry_error_rms_m": fit.tre_m(report.entry_m),
             "target_error_rms_m": fit.tre_m(report.target_m),
             "motion_std_m": report.motion_m,
         },

@@ -1,6 +1,6 @@
 """Names that a user gives to the structures of a segmentation: ``--structures``."""
 
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 
 from needleforce.anatomy import Labels
@@ -66,6 +66,30 @@ def require_known_names(labels: Labels) -> None:
     """
     if not any(item.is_obstacle or item.is_risk for item in labels.structures):
         raise CommandError(describe_unknown_names(labels))
+
+
+def require_confirmed_names(labels: Labels, confirmed: Collection[str]) -> None:
+    """Refuse names that say nothing, of which nobody has said whether to pass them.
+
+    Args:
+        labels: The segmentation.
+        confirmed: Names that the user has said something of.
+
+    Raises:
+        CommandError: There are such names; it lists them.
+    """
+    unknown = [
+        item.name
+        for item in labels.structures
+        if not (is_known(item.anatomy) or item.is_obstacle or item.is_risk)
+        and item.name not in confirmed
+    ]
+    if unknown:
+        raise CommandError(
+            f"names that do not say what they are: {', '.join(unknown)}; expected for "
+            "each --avoid NAME (must stay clear), --passable NAME (the needle may pass "
+            f"it) or --structures {unknown[0]}=KIND"
+        )
 
 
 def describe_unknown_names(labels: Labels) -> str:
