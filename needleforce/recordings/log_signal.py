@@ -27,23 +27,6 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.mapping import LEFT_OUT, ColumnSpec
 from needleforce.recordings.table import Table
 
-MAX_LARGE_FRACTION = 0.05
-"""If more of the rows are larger than is plausible, an assumed unit is contradicted;
-fewer may be spikes."""
-
-MIN_PLAUSIBLE_FORCE_N = 0.05
-"""A needle that meets tissue feels more [N]; a file in kN holds such numbers."""
-
-MIN_STEP_NS = 1e5
-"""A median step of so many units is one in nanoseconds, in logs up to 10 kHz."""
-
-MIN_STEP_US = 200.0
-"""A median step of so many units, and fewer than `MIN_STEP_NS`, is in microseconds."""
-
-
-MIN_TRAVEL_RAD = 1e-3
-"""An arm whose joints moved by less may have been at rest, with velocities of zero."""
-
 
 @dataclass(slots=True, eq=False)
 class Signal:
@@ -152,9 +135,10 @@ class Signal:
         """Check that the values can be in the unit that was assumed.
 
         Raises:
-            UnitError: More than `MAX_LARGE_FRACTION` of the rows are too large for it.
+            UnitError: More of the rows are too large for it than spikes would be.
         """
-        is_large = self.large_count > MAX_LARGE_FRACTION * self.finite_count
+        max_fraction = 0.05  # fewer may be spikes
+        is_large = self.large_count > max_fraction * self.finite_count
         if is_large and self._has_origin(UnitOrigin.ASSUMED):
             raise UnitError(
                 f"{self._describe_size()}. The file states no unit",
@@ -167,7 +151,8 @@ class Signal:
 
         They are few enough to be spikes, or the format of the file defines the unit.
         """
-        is_small = 0.0 < self.size < MIN_PLAUSIBLE_FORCE_N
+        # A needle that meets tissue feels more [N]; a file in kN holds such numbers.
+        is_small = 0.0 < self.size < 0.05
         if is_small and self.channel.key == "force_N":
             return (
                 f"force: {describe_columns(self.columns)}, taken as in N, nowhere "
@@ -225,7 +210,8 @@ class VelocityWatch:
 
     def warnings(self) -> tuple[str, ...]:
         """Report, at the end, zeros in all rows of an arm that has moved."""
-        if self._is_sent or self._travel_rad < MIN_TRAVEL_RAD:
+        min_travel_rad = 1e-3  # one that moved less may have been at rest
+        if self._is_sent or self._travel_rad < min_travel_rad:
             return ()
 
         return (
@@ -242,10 +228,11 @@ def _limit(channel: Channel) -> float:
 
 def _unit_of_step(step: float, default: str) -> str:
     """Return the unit of time in which a log's median step is likely to be."""
-    if step >= MIN_STEP_NS:
+    # Logs have 1 to 10,000 rows a second.
+    if step >= 1e5:
         return "ns"
 
-    return "us" if step >= MIN_STEP_US else default
+    return "us" if step >= 200.0 else default
 
 
 def make_signal(

@@ -12,16 +12,7 @@ from needleforce.recordings.column_names import known_names
 from needleforce.recordings.errors import FormatError, RecordingCode
 from needleforce.recordings.follow import BINARY, MAX_BLOCK_BYTES, head_of
 
-MAX_LINE_CHARACTERS = 1 << 24
-"""A longer line is none of a text."""
-
 _GZIP_MAGIC = b"\x1f\x8b"
-
-_GZIP_WINDOW = 31
-"""For zlib: the largest window, with the head and the checksum of gzip."""
-
-MAX_NUL_BYTES = 1 << 24
-"""After so many in a row nothing more is expected of a file."""
 
 SNIFFED_BYTES = 1024
 """So many first bytes of a text are waited for to see its encoding."""
@@ -87,8 +78,10 @@ class TextLines:
         for block in chain([head], blocks):
             self.size += len(block)
             yield from self._split(decoder.decode(block))
+            # After so many in a row nothing more is expected of a file.
+            max_nul_bytes = 1 << 24
             nul_bytes = 0 if block.strip(b"\0") else nul_bytes + len(block)
-            if nul_bytes > MAX_NUL_BYTES:
+            if nul_bytes > max_nul_bytes:
                 break
 
         yield from self._split(decoder.decode(b"", final=True))
@@ -134,7 +127,8 @@ class TextLines:
 
         A megabyte of gzip can hold a gigabyte.
         """
-        member = zlib.decompressobj(_GZIP_WINDOW)
+        window = 31  # for zlib: the largest, with the head and checksum of gzip
+        member = zlib.decompressobj(window)
         is_open = False
         try:
             for packed in blocks:
@@ -145,7 +139,7 @@ class TextLines:
                     is_open = not member.eof
                     if member.eof:
                         packed = member.unused_data
-                        member = zlib.decompressobj(_GZIP_WINDOW)
+                        member = zlib.decompressobj(window)
         except zlib.error:
             self._fault = _DAMAGED
         else:
@@ -167,7 +161,8 @@ class TextLines:
 
         self._is_blank = self._is_blank and not text.replace(_NUL, "").strip()
         *lines, self.tail = (self.tail + text).split("\n")
-        if len(self.tail) > MAX_LINE_CHARACTERS:
+        max_characters = 1 << 24
+        if len(self.tail) > max_characters:
             raise FormatError(
                 f"it is not text; line {self._line_count + 1} does not end"
             )

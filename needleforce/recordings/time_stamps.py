@@ -15,21 +15,6 @@ from needleforce.recordings.errors import FaultCounts, LogError, RecordingCode
 
 NS_PER_S = 1_000_000_000
 
-MAX_EXACT_NS = 1 << 52
-"""Up to here, 52 days, a double of seconds resolves nanoseconds."""
-
-MAX_EXACT_INTEGER = 1 << 53
-"""Up to here float64 holds every whole number."""
-
-INT64_END = 1 << 63
-"""From here on int64 holds no number."""
-
-FIRST_STAMPS = 200
-"""So many first stamps say when a clock began."""
-
-MAX_HEAD_NS = 3600 * NS_PER_S
-"""First stamps that are farther from the others are none of the same clock."""
-
 MIN_RUN_SET_BACK_S = 0.1
 """A clock counts as set back when the rows behind the latest span so much time."""
 
@@ -47,7 +32,8 @@ def start_of_clock(first_ns: int) -> int:
     It is 0, so that the file's clock is kept, or the first stamp if that clock began
     long ago.
     """
-    return 0 if abs(first_ns) < MAX_EXACT_NS // 2 else first_ns
+    max_exact_ns = 1 << 52  # up to here, 52 days, a double of seconds resolves ns
+    return 0 if abs(first_ns) < max_exact_ns // 2 else first_ns
 
 
 def first_valid_stamp(stamps_ns: NDArray[np.int64]) -> int:
@@ -55,11 +41,13 @@ def first_valid_stamp(stamps_ns: NDArray[np.int64]) -> int:
 
     The very first may be one that was never set.
     """
-    head_ns = stamps_ns[:FIRST_STAMPS]
+    head_ns = stamps_ns[:200]
     distinct_ns = np.unique(head_ns)
     middle_ns = int(distinct_ns[len(distinct_ns) // 2])
-    # Python's integers, which do not overflow.
-    near = (ns for ns in head_ns.tolist() if abs(ns - middle_ns) <= MAX_HEAD_NS)
+    # What is an hour from the others is not of their clock. Python's integers do not
+    # overflow.
+    hour_ns = 3600 * NS_PER_S
+    near = (ns for ns in head_ns.tolist() if abs(ns - middle_ns) <= hour_ns)
     return next(near)
 
 
@@ -80,7 +68,10 @@ def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
 def exceed_float64(values: np.ndarray) -> bool:
     """Return whether float64 rounds one of some whole numbers, and int64 does not."""
     # Not abs, which overflows for the least integer; a NaN is not larger than anything.
-    is_large = (values > MAX_EXACT_INTEGER) & (values < INT64_END)
+    # float64 holds every whole number up to the first, int64 none from the second on.
+    max_exact = 1 << 53
+    int64_end = 1 << 63
+    is_large = (values > max_exact) & (values < int64_end)
     return bool(is_large.any())
 
 

@@ -22,10 +22,6 @@ from needleforce.recordings.time_stamps import (
 MAX_TABLE_ROWS = 2048
 """Of one table."""
 
-EQUAL_RATE_RATIO = 0.9
-"""A topic with this fraction of another's messages counts as equally fast: a few
-messages that were lost shall make no difference."""
-
 UNIVERSAL_ROBOTS_JOINTS = (
     "shoulder_pan_joint",
     "shoulder_lift_joint",
@@ -267,7 +263,8 @@ def _choose_reference(
     chosen = request.mapping.reference_topic
     if chosen is None:
         max_count = max(bag.topics[name].count for name in columns)
-        min_count = EQUAL_RATE_RATIO * max_count
+        # A few messages that were lost shall make no difference.
+        min_count = 0.9 * max_count
         return next(name for name in columns if bag.topics[name].count >= min_count)
 
     if chosen not in bag.topics or bag.topics[chosen].fault:

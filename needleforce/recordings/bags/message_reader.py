@@ -23,12 +23,6 @@ from needleforce.recordings.errors import (
 )
 from needleforce.recordings.follow import FollowOptions
 
-MAX_OPEN_FILES = 64
-"""Of bags of more files one file at a time is open."""
-
-CHUNK_DIVISOR = 8
-"""One chunk or message of a bag may take 1/8 of the memory allowed for all."""
-
 
 def read_messages(
     path: Path, faults: list[str], max_bytes: int, options: FollowOptions | None = None
@@ -56,10 +50,11 @@ def read_messages(
             RecordingCode.BAG,
         )
 
-    limit = max_bytes // CHUNK_DIVISOR
+    limit = max_bytes // 8  # for one chunk or message
     streams = [_messages_of_file(file, faults, limit, options) for file in files]
     # Files may have been recorded side by side.
-    if len(files) > MAX_OPEN_FILES:
+    max_open_files = 64
+    if len(files) > max_open_files:
         return chain.from_iterable(streams)
 
     return heapq.merge(*streams, key=attrgetter("log_ns"))

@@ -15,12 +15,6 @@ from needleforce.recordings.errors import (
 SQLITE_MAGIC = b"SQLite format 3\x00"
 """How the file begins."""
 
-_URI_CHARACTERS = set("?#%")
-"""`rosbags` makes a URI of the path, without quoting these."""
-
-_DAMAGE_ERRORS = (ValueError, TypeError, KeyError, AttributeError, MemoryError)
-"""What reading damaged content may end in, beside the errors of the libraries."""
-
 
 def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
     """Yield the messages in order of recording.
@@ -34,7 +28,8 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
         FormatError: The file is no bag, or damaged.
     """
     path = path.resolve()
-    if _URI_CHARACTERS & set(str(path)) or not path.suffix.islower():
+    # `rosbags` makes a URI of the path, without quoting these.
+    if {*"?#%"} & {*str(path)} or not path.suffix.islower():
         raise FileAccessError(
             f"cannot read {path}: a bag in an SQLite file needs a path without ?, # "
             "and %, and the suffix .db3 in small letters",
@@ -45,6 +40,8 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
         require_magic(stream.read(len(SQLITE_MAGIC)), SQLITE_MAGIC, "SQLite")
 
     faults += _journal_faults(path)
+    # What reading damaged content may end in, beside the errors of the libraries.
+    damage_errors = (ValueError, TypeError, KeyError, AttributeError, MemoryError)
     rosbag2 = optional_library("rosbags.rosbag2", "ROS 2 bags")
     apsw = optional_library("apsw", "ROS 2 bags")
     try:
@@ -61,7 +58,7 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
                     )
 
                 yield RawMessage(topics[connection.id], log_ns, data)
-    except (rosbag2.ReaderError, apsw.Error, *_DAMAGE_ERRORS) as error:
+    except (rosbag2.ReaderError, apsw.Error, *damage_errors) as error:
         if "missing tables" in str(error):
             raise FormatError(
                 "is not a bag: it has no tables messages and topics"

@@ -14,9 +14,6 @@ from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.table import Table
 from needleforce.recordings.time_stamps import NS_PER_S
 
-SETTLED_NS = NS_PER_S
-"""So long without a new topic, and it is decided which topics are read."""
-
 
 def bag_tables(
     path: Path, request: ChannelRequest | None, options: FollowOptions, max_bytes: int
@@ -106,7 +103,8 @@ def learn_topics(
         if growing is None or not (is_new or message.log_ns >= settled_ns):
             continue
 
-        settled_ns = message.log_ns + SETTLED_NS
+        # A second without a new topic, and it is decided which topics are read.
+        settled_ns = message.log_ns + NS_PER_S
         if is_new:
             _count_from(bag, message)
             continue

@@ -20,32 +20,7 @@ from needleforce.recordings.errors import FormatError, RecordingCode
 from needleforce.recordings.table import Table, ToolMass, choose_tool_mass
 from needleforce.recordings.time_stamps import NS_PER_S
 
-LEARNED_MESSAGES = 20
-"""So many messages of a topic are looked into."""
-
-MIN_BRIDGED_S = 0.1
-"""Messages of a topic may always lie so far apart and still be bridged."""
-
-MAX_BRIDGED_PERIODS = 5.0
-"""So many periods of a topic may lie between two of its messages that are bridged."""
-
-MIN_RATE_HZ = 1e-9
-"""A topic of one message has no rate; it is bridged as one of this rate."""
-
-MAX_OFFSET_STEP_NS = NS_PER_S
-"""Source and recorder agree to this from message to message, if neither was set."""
-
-MAX_BAD_STAMPS = 8
-"""After so many messages in a row whose stamps do not fit, the source's clock was
-set."""
-
-MAX_RUN_NS = 86_400 * NS_PER_S
-"""A simulated clock, which begins at zero, has not run for longer than a day."""
-
 _BAD_STAMP = "messages with a bad time stamp, left out"
-
-BEFORE_ALL_NS = -(1 << 62)
-"""Earlier than any stamp."""
 
 
 class TopicRow(NamedTuple):
@@ -127,8 +102,9 @@ class Topic:
     @property
     def limit_ns(self) -> float:
         """How far apart messages may be for interpolation between them."""
-        periods_s = MAX_BRIDGED_PERIODS / max(self.rate_hz, MIN_RATE_HZ)
-        return NS_PER_S * max(MIN_BRIDGED_S, periods_s)
+        # Five periods, and always 0.1 s; a topic of one message has no rate.
+        periods_s = 5.0 / max(self.rate_hz, 1e-9)
+        return NS_PER_S * max(0.1, periods_s)
 
     @cached_property
     def _decoder(self) -> TopicDecoder:
@@ -138,7 +114,8 @@ class Topic:
         """Count a message, and look at what the first ones hold."""
         self.count += 1
         self.latest_log_ns = max(self.latest_log_ns, message.log_ns)
-        if self.count > LEARNED_MESSAGES:
+        learned_count = 20  # messages of a topic are looked into
+        if self.count > learned_count:
             return
 
         try:
@@ -181,7 +158,8 @@ class Topic:
     def _begins_at_zero(self) -> bool:
         """Whether a stamp of zero is one of a simulated clock, not one never set."""
         stamps_ns = (stamp.stamp_ns for stamp in self._learned_ns)
-        return 0 < min(filter(None, stamps_ns), default=0) < MAX_RUN_NS
+        max_run_ns = 86_400 * NS_PER_S  # no simulation runs for longer
+        return 0 < min(filter(None, stamps_ns), default=0) < max_run_ns
 
     def _tool_mass_in(self, content: MessageContent) -> ToolMass | None:
         """Return the mass on the flange that a message states; None if it does not."""
@@ -213,7 +191,7 @@ class Topic:
         self._bad_in_row = 0
         self.offset_ns = self._usual_offset_ns()
         self.rows: list[TopicRow] = []
-        self.latest_ns = BEFORE_ALL_NS
+        self.latest_ns = -(1 << 62)  # earlier than any stamp
 
     def add(self, message: RawMessage) -> None:
         """Collect the row of a message, unless nothing in it can be used."""
@@ -253,10 +231,13 @@ class Topic:
             return message.log_ns + self.offset_ns
 
         offset_ns = stamp_ns - message.log_ns
-        fits = abs(offset_ns - self.offset_ns) <= MAX_OFFSET_STEP_NS
-        follows = abs(stamp_ns - self.latest_ns) <= MAX_OFFSET_STEP_NS
+        # Source and recorder agree to a second from message to message, if neither was
+        # set; after so many that do not, the source was.
+        max_bad_stamps = 8
+        fits = abs(offset_ns - self.offset_ns) <= NS_PER_S
+        follows = abs(stamp_ns - self.latest_ns) <= NS_PER_S
         self._bad_in_row = 0 if fits or follows else self._bad_in_row + 1
-        if 0 < self._bad_in_row <= MAX_BAD_STAMPS:
+        if 0 < self._bad_in_row <= max_bad_stamps:
             self._faults[_BAD_STAMP] += 1
             self._first_bad = self._first_bad or (
                 f" (first: {stamp_ns / NS_PER_S:.13g} s, "
