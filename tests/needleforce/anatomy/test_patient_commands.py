@@ -177,7 +177,8 @@ def test_labels_without_names_are_listed_and_mapped(folder, tmp_path, capsys):
         one["name"] for one in planned["layers"]
     ]
 
-    registered = {key: planned[key] for key in ("rotation", "translation_m")}
+    names = ("rotation", "translation_m", "covariance", "pivot_m", "registration")
+    registered = {key: planned[key] for key in names}
     (place / "plan.json").write_text(json.dumps(fields | registered), encoding="utf-8")
     assert read_plan(place).scene.layers[-1].name == "lesion"
 
