@@ -60,6 +60,7 @@ def cluster():
         yield local.scheduler_address, kill
 
 
+@pytest.mark.slow
 def test_a_killed_cluster_worker_changes_no_byte(tmp_path, monkeypatch, capsys):
     monkeypatch.setattr(runs, "run_job", quick_job)
     monkeypatch.setattr(runs, "MIN_PAUSE_S", 0.0)
