@@ -32,6 +32,7 @@ EXTRA_OF_MODULE = {
     "skimage": "patient",
     "manifold3d": "patient",
     "trimesh": "patient",
+    "igl": "patient",
     "highdicom": "patient",
     "viser": "scene",
     "yourdfpy": "scene",

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 from foundation.arrays import Array
 from needleforce.anatomy.structures import Structure
 
+
 class Crossing(NamedTuple):
     """A stretch of a path through voxels of one structure.
 
