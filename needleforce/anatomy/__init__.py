@@ -9,12 +9,12 @@ Points are in the patient's frame LPS (x to the left, y to the back, z to the he
 metres. Stands alone: no robots, no forces. Not a medical device.
 
 Reading order: `volume`, `structures`, `labels`, `body`, `resampling`, `segmentation`,
-`path_layers`, `obstacle_crossings`, `outer_voxels`, `clearance`, `triangle_tree`,
-`surface`, `slabs`, `reading`, `file_checks`, `dicom_series`, `dicom_kinds`,
-`dicom_segmentation`, `label_names`, `mask_folder`, `slicer_segments`, `segment_names`,
-`renaming`, `registration`, `landmark_check`, `landmarks`, `landmark_frame`,
-`surface_fit`, `markups`, `transform_file`, `deepest_point`, `path_search`,
-`needle_surroundings`, `plan_match`, `rupture_model`.
+`voxel_walk`, `path_layers`, `outer_voxels`, `clearance`, `surface`, `slabs`, `reading`,
+`file_checks`, `dicom_series`, `dicom_kinds`, `dicom_segmentation`, `label_names`,
+`mask_folder`, `slicer_segments`, `segment_names`, `renaming`, `registration`,
+`landmark_check`, `landmarks`, `landmark_frame`, `patient_motion`, `surface_fit`,
+`markups`, `transform_file`, `deepest_point`, `path_search`, `needle_surroundings`,
+`plan_match`, `rupture_model`.
 """
 
 from needleforce.anatomy.clearance import (

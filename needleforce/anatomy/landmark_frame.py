@@ -22,6 +22,9 @@ MIN_OFF_SKIN_m = 2e-3
 MAX_OFF_SKIN_m = 0.012
 """Landmarks of the skin lie nearer to it."""
 
+OTHER_CT_m = 0.03
+"""Landmarks so far from the skin, on average, are those of another CT."""
+
 OTHER_FRAME_RATIO = 3.0
 """So much nearer to the skin they are in the right frame than in the wrong one."""
 
@@ -85,7 +88,8 @@ def require_lps(landmarks: SkinLandmarks) -> list[str]:
 
     Raises:
         RegistrationError: So they lie nearer to the skin, on the sides that their names
-            state, or the touches nearer to the planned entry.
+            state, or the touches nearer to the planned entry; or they lie far from the
+            skin either way.
     """
     off_m = _mean_distance_m(landmarks.points_m, landmarks.skin)
     other_m = _mean_distance_m(landmarks.points_m * RAS_TO_LPS, landmarks.skin)
@@ -93,6 +97,13 @@ def require_lps(landmarks: SkinLandmarks) -> list[str]:
         raise _refusal(
             f"the landmarks lie {1e3 * off_m:.1f} mm from the skin of the CT on "
             f"average, and {1e3 * other_m:.1f} mm with x and y negated"
+        )
+    if off_m > OTHER_CT_m:
+        raise RegistrationError(
+            f"the landmarks lie {1e3 * off_m:.0f} mm from the skin of the CT on "
+            f"average, expected less than {1e3 * OTHER_CT_m:.0f}: they belong to "
+            "another CT, or to no points of the skin; give those of the plan's CT",
+            AnatomyCode.LANDMARKS,
         )
     has_sides = _require_sides(landmarks)
     doubts = _check_touches(landmarks)

@@ -85,14 +85,15 @@ def axes_of_motion(rotation: Array, middle_m: Array, pivot_m: Array) -> Array:
 def find_motion(innovations: Sequence[Innovation], axes: Array) -> PatientMotion:
     """Return how probable it is that the patient moved.
 
-    He moved along or about one of some axes, or along and about all of them.
+    He moved along or about one of some axes, or along and about all of them, far or
+    less far.
 
     Args:
         innovations: Of the touches behind each moment at which he may have moved, the
             first of which is that before all touches.
         axes: Of motion, each of one standard deviation, see `axes_of_motion`.
     """
-    kinds = [*(axis[None] for axis in axes), axes]
+    kinds = [*(axis[None] for axis in axes), axes, 0.4 * axes]
     priors = np.full(len(innovations), 0.5 * MOVED / max(len(innovations) - 1, 1))
     priors[0] = 0.5 * MOVED
     odds = np.zeros((len(innovations), len(kinds)))

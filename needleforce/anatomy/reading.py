@@ -86,7 +86,7 @@ def read_volume(path: Path | str, *, max_bytes: int = MAX_VOLUME_BYTES) -> Volum
     image = _read_image(Path(path), max_bytes)
     if len(image.arrays) != 1:
         raise VolumeError(f"{path} has several numbers per voxel: expected a scan")
-    return Volume(_as_scan(image.arrays[0]), image.grid)
+    return Volume(_as_scan(image.arrays[0], path), image.grid)
 
 
 def read_labels(
@@ -165,13 +165,21 @@ def _read_label_file(path: Path, max_bytes: int) -> Labels:
     return Labels.of(volumes, image.grid, structures)
 
 
-def _as_scan(values: NDArray[Any]) -> NDArray[Any]:
+def _as_scan(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
     """Return a copy of a scan, in 16 bits where these hold its numbers.
 
     A file that states a slope is read as floating point numbers, four times as large.
     """
+    lowest = values.min()  # of numbers with one that is none, that one
+    highest = values.max()
+    if not np.isfinite([lowest, highest]).all():
+        raise VolumeError(
+            f"{path} has {np.count_nonzero(~np.isfinite(values))} voxels that are no "
+            "finite numbers (NaN or infinite): expected Hounsfield units; export the "
+            "CT again, with -1000 (air) where nothing was measured"
+        )
     limits = np.iinfo(np.int16)
-    is_narrow = values.min() >= limits.min and values.max() <= limits.max
+    is_narrow = lowest >= limits.min and highest <= limits.max
     kind = np.int16 if is_narrow and are_whole(values) else values.dtype
     return copy_in_order(values, kind)
 

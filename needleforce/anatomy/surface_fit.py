@@ -377,7 +377,9 @@ class _Problem:
         gradient = gradient + self.prior.information @ fit.off_prior
         # Later steps are shorter: from facet to facet they would go back and forth.
         full_steps = 8.0
-        step = -np.linalg.lstsq(information, gradient)[0]
+        scale = np.sqrt(np.diag(information))  # radians beside metres
+        scaled = np.linalg.lstsq(information / np.outer(scale, scale), gradient / scale)
+        step = -scaled[0] / scale
         return np.asarray(step * min(1.0, full_steps / number), dtype=np.float64)
 
     def touch_information(self, fit: _Fit) -> Array:
@@ -433,15 +435,17 @@ def _prior_of(start: Registration, pivot_m: Array, softness_m: float) -> _Prior:
         pivot_m: About which the model turns, (3,).
         softness_m: By up to so much the surface is pressed in.
     """
-    information = np.eye(7)  # a metre and a radian: nothing
-    if np.isfinite(start.covariance).all():
+    information = 1e-4 * np.eye(7)  # a hundred metres and radians: nothing
+    least_known_m = 0.1  # landmarks that say less only pull at what nothing holds
+    shift_std_m = start.largest_std_m(start.to_model(pivot_m))
+    if shift_std_m < least_known_m:  # and not nan
         # The landmarks' shift is one of their own pivot.
         to_start = np.eye(6)
         to_start[3:] = displacement_jacobian(start.pivot_m - pivot_m)
         landmarks = np.linalg.pinv(start.covariance, hermitian=True)
         information[:6, :6] = to_start.T @ landmarks @ to_start
     # Half of the softness, plus or minus a third: none and all of it are possible.
-    indentation_std_m = max(softness_m / 3.0, 1e-7)
+    indentation_std_m = max(softness_m / 3.0, 1e-6)
     information[6, 6] = 1.0 / indentation_std_m**2
     pose = _Pose(start.rotation, start.translation_m, 0.5 * softness_m)
     return _Prior(pose, information)

@@ -29,6 +29,8 @@ class RegisterOptions:
         landmark_std: Standard deviation of a landmark along each axis in millimetres,
             localisation in the CT included (default: 1.5).
         touch_std: Standard deviation of a touch of the skin, likewise (default: 0.5).
+        softness: By up to so many millimetres touches press the skin in (default: 3);
+            how far they do is estimated.
         motion: Standard deviation of what organs move against the skin, in millimetres
             (default: 3).
         landmarks_only: Leave the touches of the skin out.
@@ -43,6 +45,7 @@ class RegisterOptions:
     transform_std: Annotated[float | None, Parameter(metavar="MM")] = None
     landmark_std: Annotated[float, Parameter(metavar="MM")] = 1.5
     touch_std: Annotated[float, Parameter(metavar="MM")] = 0.5
+    softness: Annotated[float, Parameter(metavar="MM")] = 3.0
     motion: Annotated[float, Parameter(metavar="MM")] = 3.0
     landmarks_only: Annotated[bool, Parameter(negative="")] = False
     negate_xy: Annotated[bool, Parameter(negative="")] = False
@@ -74,8 +77,8 @@ def register_command(
 ) -> int:
     """Find where the patient of a plan lies in the robot's base.
 
-    By landmarks first, then by touches of the skin. What does not fit is refused, with
-    the reason. Not a medical device.
+    By landmarks and touches of the skin together. What does not fit is refused, with
+    the reason: a patient who moved, too. Not a medical device.
 
     needleforce register --plan plan/plan.json --landmarks landmarks.mrk.json --touches
     touches.json -o plan/plan.json
@@ -93,6 +96,7 @@ def register_command(
         touches=options.touches,
         landmark_std_mm=options.landmark_std,
         touch_std_mm=options.touch_std,
+        softness_mm=options.softness,
         motion_mm=options.motion,
         landmarks_only=options.landmarks_only,
         is_xy_negated=options.negate_xy,

@@ -141,6 +141,14 @@ def _rows(report: FitReport) -> tuple[tuple[str, str], ...]:
                 f"{distances_mm.max():.1f} mm (touch {int(distances_mm.argmax()) + 1})",
             )
         )
+    if report.fit.indentation_std_m > 1e-6:  # of a surface that is not hard
+        rows.append(
+            (
+                "touches press the skin in",
+                f"by {M_TO_MM * report.fit.indentation_m:.1f} ± "
+                f"{M_TO_MM * report.fit.indentation_std_m:.1f} mm",
+            )
+        )
     target_mm = M_TO_MM * report.fit.to_robot(report.target_m)
     error_mm = M_TO_MM * report.fit.tre_m(report.target_m)
     region_mm = M_TO_MM * report.region_m

@@ -16,6 +16,7 @@ from needleforce.anatomy import (
 )
 from needleforce.anatomy.landmark_check import LandmarkResidual, judge_landmarks
 from needleforce.anatomy.markups import RAS_TO_LPS, Markup, read_markup
+from needleforce.anatomy.registration import MAX_DEGREES
 from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.surface_fit import MIN_TOUCHES
 from needleforce.cli.patient.case_files import (
@@ -60,6 +61,7 @@ class Evidence(NamedTuple):
         touches: What was touched.
         landmark_std_mm: Of a landmark along each axis [mm].
         touch_std_mm: Of a touch of the skin [mm].
+        softness_mm: By up to so much touches press the skin in [mm].
         motion_mm: Of organs against the skin [mm].
         landmarks_only: The touches of the skin are left out.
         is_xy_negated: The landmarks' file says LPS and holds RAS, or the reverse.
@@ -69,6 +71,7 @@ class Evidence(NamedTuple):
     touches: Path
     landmark_std_mm: float
     touch_std_mm: float
+    softness_mm: float
     motion_mm: float
     landmarks_only: bool
     is_xy_negated: bool
@@ -78,6 +81,11 @@ class Evidence(NamedTuple):
         require_std("--landmark-std", self.landmark_std_mm)
         require_std("--touch-std", self.touch_std_mm)
         require_motion(self.motion_mm)
+        if not 0.0 <= self.softness_mm < 20.0:
+            raise CommandError(
+                f"--softness {self.softness_mm:g}: expected millimetres, 0 for what "
+                "does not give way, and below 20"
+            )
 
 
 def require_std(option: str, std_mm: float) -> None:
@@ -171,6 +179,7 @@ def register_plan(
                 touches_m,
                 rough,
                 touch_std_m=M_PER_MM * evidence.touch_std_mm,
+                softness_m=M_PER_MM * evidence.softness_mm,
             )
     touched_m = touches_m[:0] if evidence.landmarks_only else touches_m
     fit_report = _report_of(fit, residuals, skin, touched_m, fields, evidence)
@@ -289,5 +298,8 @@ def _fit_fields(report: FitReport) -> dict[str, Any]:
             "entry_error_rms_m": fit.tre_m(report.entry_m),
             "target_error_rms_m": fit.tre_m(report.target_m),
             "motion_std_m": report.motion_m,
+            "degrees": min(fit.degrees, MAX_DEGREES),
+            "indentation_m": fit.indentation_m,
+            "indentation_std_m": fit.indentation_std_m,
         },
     }
