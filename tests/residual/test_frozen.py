@@ -8,6 +8,8 @@ from residual.checks.stuck_signals import MAX_REFUSAL_S
 from tests.residual.guarded_sensor import NOISE, feed, rows_of, tared
 from tests.residual.residual_signals import BIAS, MIDDLE, swing
 
+pytestmark = pytest.mark.slow
+
 
 def held(values, samples, rng=None):
     """A slower source: every value comes several times; with a generator, one time
@@ -163,7 +165,6 @@ def spikes(estimates):
     return [k for k, e in enumerate(estimates) if SensorWarning.SPIKE in e.warnings]
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("with_velocity", [True, False])
 @pytest.mark.parametrize("noise_rad", [0.0, 1e-4])
 @pytest.mark.parametrize("samples", MILLISECONDS)

@@ -8,6 +8,8 @@ import pytest
 from benchmarks.faults.injection import PARTS, SIGNAL_FAULTS
 from benchmarks.faults.study import FaultStudy, recovery
 
+pytestmark = pytest.mark.slow
+
 
 def documented():
     """The documented rows: worst error [N], recovery and what is reported, by fault."""
@@ -41,7 +43,6 @@ def test_every_kind_of_fault_is_documented():
         assert any(word in name for name in names), word
 
 
-@pytest.mark.slow
 def test_every_fault_is_recovered_from_as_documented(results):
     page = documented()
     for result in results:

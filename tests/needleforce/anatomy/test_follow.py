@@ -28,6 +28,9 @@ from tests.insertion_run import (
     tare_index,
 )
 
+pytestmark = pytest.mark.slow
+
+
 RUN = short_run()
 TARE = tare_index(RUN)
 SURFACE_m = float(-RUN.truth.depth_m[TARE])
@@ -98,7 +101,6 @@ def test_estimates_name_layer_next_boundary_and_offset(whole):
     assert min(e.plan.probability for e in (above, inside, behind)) > 0.8
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize("where", ["file", "pickle", "copy"])
 def test_it_goes_on_bit_for_bit(whole, where, tmp_path):
     estimates, snapshots = whole
@@ -223,7 +225,6 @@ def written(folder, **plan):
     return str(path)
 
 
-@pytest.mark.slow
 def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
     ends = (SURFACE_m + GEL_m - SHIFT_m, SURFACE_m + GEL_m + 0.05)
     named = [
@@ -248,7 +249,6 @@ def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
     )
 
 
-@pytest.mark.slow
 def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
     class Sensor(ReadOnlyArm):
         def __init__(self, host):

@@ -14,6 +14,9 @@ from needleforce.anatomy.markups import read_markup
 from needleforce.cli import main
 from needleforce.cli.plan_file import read_plan
 
+pytestmark = pytest.mark.slow
+
+
 SCRIPT = Path(__file__).parents[3] / "examples" / "ct_to_insertion.sh"
 
 
@@ -50,7 +53,6 @@ def test_the_example_is_twelve_lines_of_shell():
     assert len(SCRIPT.read_text(encoding="utf-8").splitlines()) <= 12
 
 
-@pytest.mark.slow
 def test_the_registered_plan_lies_where_the_patient_is(folder):
     plan = read_plan(folder / "plan" / "plan.json")
     markup = read_markup(folder / "patient" / "landmarks.mrk.json")
@@ -120,7 +122,6 @@ def by_transform(folder):
     return shlex.split(f"register --plan plan/plan.json {options} -o moved.json")
 
 
-@pytest.mark.slow
 def test_the_inverse_of_a_transform_is_refused_and_the_advice_works(
     folder, by_transform, monkeypatch, capsys
 ):
@@ -153,7 +154,6 @@ def test_options_that_a_transform_cannot_take_are_refused(
     assert said in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_labels_without_names_are_listed_and_mapped(folder, tmp_path, capsys):
     """The error's own advice leads to a plan, which keeps the names."""
     labels = tmp_path / "labels.nii.gz"
@@ -213,7 +213,6 @@ def test_a_situs_inversus_of_no_plan_is_refused(capsys):
     assert "expected --plan" in capsys.readouterr().err
 
 
-@pytest.mark.slow
 def test_the_last_command_names_the_lesion(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.setattr("needleforce.cli.arms.arm_connection.pace", lambda arm: arm)
@@ -242,7 +241,6 @@ def test_keys_record_undo_and_end(folder, capsys, monkeypatch, tmp_path):
     assert "undone" in _said(capsys)
 
 
-@pytest.mark.slow
 def test_landmarks_in_the_other_frame_are_refused_and_can_be_negated(
     folder, capsys, tmp_path
 ):

@@ -18,6 +18,9 @@ from needleforce.cli.terminal import FAILED
 from tests.chromium import PHONE, logged, measured, needs_chromium
 from tests.insertion_run import cut
 
+pytestmark = pytest.mark.slow
+
+
 GEL_m = 28.2e-3  # thickness of the gel of 25 %, as its authors measured it
 GEL_FRICTION_N = 113.0 * 2.3e-3  # Table I at the speed of the insertion
 GEL_STIFFNESS_N_per_m = 0.9 * 0.30 / GEL_m  # elastic part of the force at its far end
@@ -39,7 +42,6 @@ def command(compared, monkeypatch, tmp_path):
     return lambda *options: main(["demo", *options])
 
 
-@pytest.mark.slow
 def test_the_rupture_and_its_layer_are_found_near_the_truth(compared):
     (rupture,) = compared.multilayer.ruptures
 
@@ -64,7 +66,6 @@ def test_the_force_is_nearer_the_truth_than_the_published_methods(compared):
     assert compared.multilayer.tip_error_N < compared.published.tip_error_N
 
 
-@pytest.mark.slow
 def test_a_method_needs_the_signals_and_no_truth(compared):
     run = compared.run
     beginning = slice(int(np.searchsorted(run.signals.t_s, run.tare_end_s + 1.0)))
@@ -75,7 +76,6 @@ def test_a_method_needs_the_signals_and_no_truth(compared):
     assert np.array_equal(result.force_N, compared.multilayer.result.force_N[beginning])
 
 
-@pytest.mark.slow
 def test_the_command_prints_tables_picture_and_what_to_try_next(command, capsys):
     assert command() == 0
 
@@ -100,7 +100,6 @@ def test_the_command_prints_tables_picture_and_what_to_try_next(command, capsys)
     assert "not a medical device" in printed.out
 
 
-@pytest.mark.slow
 def test_the_numbers_of_the_page_are_those_printed(command, capsys, tmp_path, compared):
     command()
     printed = capsys.readouterr().out
@@ -123,7 +122,6 @@ def test_a_page_of_something_else_is_not_replaced(command, capsys, tmp_path):
     assert page.read_text(encoding="utf-8") == "<title>my results</title>"
 
 
-@pytest.mark.slow
 def test_a_second_run_replaces_the_page_of_the_first(command, tmp_path):
     assert command("--report", "page") == 0
     assert command("--report", "page", "--figure", "figure.svg") == 0
@@ -163,7 +161,6 @@ def test_a_missing_package_is_named_before_anything_is_done(
     assert "pip install 'needleforce[demo]'" in line
 
 
-@pytest.mark.slow
 @needs_chromium
 @pytest.mark.parametrize("size", [(1280, 900), PHONE])
 def test_the_page_fits_the_window(command, tmp_path, size):
