@@ -2,14 +2,15 @@
 
 import re
 import tomllib
+from importlib import import_module
 
+import pytest
 from ruamel.yaml import YAML
 
-from tests.source_files import ROOT
+from tests.source_files import PACKAGE_SOURCES, PACKAGES, ROOT, name_of, text_files
 
-PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))[
-    "project"
-]
+SETTINGS = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
+PROJECT = SETTINGS["project"]
 FORGE = ROOT / ".github"
 MINOR_VERSIONS = ["3.11", "3.12", "3.13"]
 
@@ -62,3 +63,54 @@ def test_a_bug_report_asks_for_the_doctors_findings():
 
     assert "needleforce doctor --json" in template
     assert "No data of patients" in template
+
+
+@pytest.mark.parametrize("package_name", PACKAGES)
+def test_every_public_name_is_there(package_name):
+    package = import_module(package_name)
+    names = getattr(package, "__all__", [])
+
+    assert [name for name in names if not hasattr(package, name)] == []
+
+
+def test_the_project_file_lists_every_package_on_disk():
+    on_disk = {
+        ".".join(path.parent.relative_to(ROOT).parts)
+        for path in PACKAGE_SOURCES
+        if path.name == "__init__.py" and "benchmarks" not in path.parts
+    }
+
+    assert set(SETTINGS["tool"]["setuptools"]["packages"]) == on_disk
+
+
+def test_every_dependency_has_a_range_and_a_reason():
+    text = (ROOT / "pyproject.toml").read_text(encoding="utf-8")
+    wanted = [*PROJECT["dependencies"]]
+    for extra in PROJECT["optional-dependencies"].values():
+        wanted += [item for item in extra if not item.startswith("needleforce[")]
+
+    assert len(wanted) > 10
+
+    for item in wanted:
+        assert re.search(r">=[\d.]+,<[\d.]+(; sys_platform == .*)?$", item), item
+        assert re.search(rf'"{re.escape(item)}", +# \w', text), item
+
+
+# Written so that these lines do not match themselves.
+PRIVATE = re.compile(
+    r"(?<![\w.>])/(?:home|root|work|tmp|opt|mnt|srv|var|builds|Users)/"
+    r"|\b[A-Z]:\\\w"
+    r"|\b(?:pypi|pythonhosted|npmjs)[.]org\b|\blocalhos[t]\b"
+    r"|\b(?!127[.]|0[.]0[.]0)\d{1,3}(?:[.]\d{1,3}){3}\b"
+    r"|https?://(?:[\w.-]+[.])?(?:internal|local|corp|lan)\b"
+)
+
+
+def test_no_file_names_a_machine_or_a_place_on_it():
+    found = [
+        f"{name_of(path)}: {hit.group()}"
+        for path, text in text_files()
+        for hit in PRIVATE.finditer(text)
+    ]
+
+    assert found == []

@@ -100,10 +100,11 @@ def find_motion(innovations: Sequence[Innovation], axes: Array) -> PatientMotion
     steps = np.zeros((len(innovations), len(kinds), 7))
     spreads = np.zeros((len(innovations), len(kinds), 7, 7))
     for number, one in enumerate(innovations):
-        before = np.linalg.inv(one.before)
+        before = np.asarray(np.linalg.inv(one.before), dtype=np.float64)
         still = _evidence(one, before)
         for kind, ways in enumerate(kinds):
-            moved = _evidence(one, before + ways.T @ ways)
+            wider = np.asarray(before + ways.T @ ways, dtype=np.float64)
+            moved = _evidence(one, wider)
             gain = min(moved.log - still.log, 500.0)
             odds[number, kind] = priors[number] / len(kinds) * np.exp(gain)
             steps[number, kind] = moved.mean - still.mean
@@ -112,13 +113,13 @@ def find_motion(innovations: Sequence[Innovation], axes: Array) -> PatientMotion
     step = np.einsum("fk,fkn->n", probabilities, steps)
     means = np.einsum("fk,fkn,fkm->nm", probabilities, steps, steps)
     covariance = np.einsum("fk,fknm->nm", probabilities, spreads) + means
-    best = np.unravel_index(int(odds.argmax()), odds.shape)
+    best_number, best_kind = divmod(int(odds.argmax()), len(kinds))
     return PatientMotion(
         probability=float(probabilities.sum()),
         step=step,
         covariance=covariance - np.outer(step, step),
-        first=innovations[best[0]].first,
-        motion=steps[best][:6],
+        first=innovations[best_number].first,
+        motion=steps[best_number, best_kind][:6],
     )
 
 
@@ -139,7 +140,7 @@ class _Evidence(NamedTuple):
 def _evidence(one: Innovation, before: Array) -> _Evidence:
     """Return the unknowns where the earlier measurements have a covariance (7, 7)."""
     factor = np.eye(7) + before @ one.touches
-    covariance = np.linalg.solve(factor, before)
+    covariance = np.asarray(np.linalg.solve(factor, before), dtype=np.float64)
     mean = covariance @ one.pull
     log = 0.5 * float(one.pull @ mean) - 0.5 * float(np.linalg.slogdet(factor)[1])
     return _Evidence(log, mean, covariance)

@@ -112,10 +112,11 @@ class Surface:
         Args:
             points_m: Shape (n, 3).
         """
-        _, numbers, positions_m = self._boxes.squared_distance(
+        _, nearest, positions = self._boxes.squared_distance(
             self.vertices_m, self._with_area, np.ascontiguousarray(points_m)
         )
-        normals = self._area_normals_m2[numbers]
+        positions_m = np.asarray(positions, dtype=np.float64)
+        normals = self._area_normals_m2[np.asarray(nearest)]
         normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
         return NearestPositions(positions_m, normals)
 

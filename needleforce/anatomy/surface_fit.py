@@ -568,7 +568,8 @@ def _find_motion(problem: _Problem, pose: _Pose) -> PatientMotion:
             information = earlier.tempered_information(fit, pose) + before.information
             before = _Prior(fit.pose, information)
         # As far from there as a patient who moved may lie.
-        wide = np.linalg.inv(np.linalg.inv(before.information) + axes.T @ axes)
+        covariance = np.linalg.inv(before.information) + axes.T @ axes
+        wide = np.asarray(np.linalg.inv(covariance), dtype=np.float64)
         later = replace(
             problem,
             touches_m=problem.touches_m[first:],
