@@ -155,9 +155,9 @@ def _read_slice(name: str) -> _Slice:
     count = reader.GetMetaData(frames).strip() if reader.HasMetaDataKey(frames) else "1"
     if count != "1":
         raise VolumeError(
-            f"{name} is an Enhanced (multi-frame) DICOM of {count} frames, expected one "
-            "slice per file: convert it with dcm2niix, or export it from 3D Slicer as "
-            ".nrrd",
+            f"{name} is an Enhanced (multi-frame) DICOM of {count} frames, expected "
+            "one slice per file: convert it with dcm2niix, or export it from 3D Slicer "
+            "as .nrrd",
             AnatomyCode.SERIES,
         )
     for tag in SLICE_TAGS:

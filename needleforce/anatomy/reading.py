@@ -207,8 +207,8 @@ def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
         max_label = values.max()
     if not is_in_range:
         raise VolumeError(
-            f"{path} holds {values.min():g} to {values.max():g}: expected labels from 0 "
-            "to 65535",
+            f"{path} holds {values.min():g} to {values.max():g}: expected labels from "
+            "0 to 65535",
             AnatomyCode.LABELS,
         )
     kind = np.uint8 if max_label < MAX_UINT8_LABELS else np.uint16

@@ -91,7 +91,7 @@ def test_a_patient_who_moves_by_a_centimetre_is_found(first):
         try:
             _, registration = fit(landmarks_m, touches_m)
         except RegistrationError as error:
-            assert "moved" in str(error)
+            missed += "moved" not in str(error)
         else:
             missed += not registration.region_contains(TARGET_m, target_m)
 
