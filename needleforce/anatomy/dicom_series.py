@@ -137,7 +137,7 @@ class _Stack(NamedTuple):
 def _fit_stack(positions_mm: Array) -> _Stack:
     """Fit evenly spaced slices to positions (n, 3), which scanners round."""
     numbers = np.arange(len(positions_mm)) - 0.5 * (len(positions_mm) - 1)
-    scale = max(float(numbers @ numbers), 1.0)
+    scale = float(numbers @ numbers) or 1.0  # of one slice
     offsets_mm = positions_mm - positions_mm.mean(axis=0)
     step_mm = numbers @ offsets_mm / scale
     return _Stack(step_mm, offsets_mm - np.outer(numbers, step_mm))
@@ -151,6 +151,15 @@ def _read_slice(name: str) -> _Slice:
     reader.SetFileName(name)
     reader.ReadImageInformation()
     numbers: list[float] = []
+    frames = "0028|0008"
+    count = reader.GetMetaData(frames).strip() if reader.HasMetaDataKey(frames) else "1"
+    if count != "1":
+        raise VolumeError(
+            f"{name} is an Enhanced (multi-frame) DICOM of {count} frames, expected "
+            "one slice per file: convert it with dcm2niix, or export it from 3D Slicer "
+            "as .nrrd",
+            AnatomyCode.SERIES,
+        )
     for tag in SLICE_TAGS:
         if not reader.HasMetaDataKey(tag):
             raise VolumeError(

@@ -90,6 +90,13 @@ def require_whole_nifti(
             "right are unknown",
             AnatomyCode.GEOMETRY,
         )
+    metre = 1  # of the lowest three bits; 2 is the millimetre, 0 is not stated
+    if int(header.get("xyzt_units", "0")) & 7 == metre:
+        raise VolumeError(
+            f"{path}: its unit is the metre (xyzt_units), expected millimetres: export "
+            "it in millimetres",
+            AnatomyCode.GEOMETRY,
+        )
     pixdim = _read_pixdim(start)
     stated_mm = pixdim[1:]
     matrix_mm = _matrix_spacing_mm(header) if has_matrix else spacing_mm

@@ -53,6 +53,10 @@ Names = Mapping[Any, str] | Path | str | None
 them."""
 
 
+NIFTI_2_SIZES = (b"\x1c\x02\x00\x00", b"\x00\x00\x02\x1c")
+"""First bytes of a NIfTI-2 file in either byte order: its header has 540."""
+
+
 class _Image(NamedTuple):
     """What a file holds.
 
@@ -188,9 +192,23 @@ def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
     """Return a copy of the values of a file as labels, in as few bytes as they need."""
     max_label = values.max()
     is_in_range = values.min() >= 0 and max_label <= np.iinfo(np.uint16).max
-    if not is_in_range or not are_whole(values):
+    if is_in_range and not are_whole(values):
+        # Programs that compute with labels leave 0.99999994.
+        rounding = 1e-3
+        whole = np.rint(values)
+        off = np.abs(values - whole)
+        if off.max() > rounding:
+            raise VolumeError(
+                f"{path} holds {values.flat[int(off.argmax())]:.9g}: expected labels, "
+                "which are whole numbers",
+                AnatomyCode.LABELS,
+            )
+        values = whole
+        max_label = values.max()
+    if not is_in_range:
         raise VolumeError(
-            f"{path} holds {values.min():g} to {values.max():g}: expected labels",
+            f"{path} holds {values.min():g} to {values.max():g}: expected labels from "
+            "0 to 65535",
             AnatomyCode.LABELS,
         )
     kind = np.uint8 if max_label < MAX_UINT8_LABELS else np.uint16
@@ -248,6 +266,13 @@ def _read_image(path: Path, max_bytes: int) -> _Image:
     elif path.suffix in (".nrrd", ".nhdr"):
         require_placed_nrrd(path)
     elif not path.is_dir():
+        if path.suffix in (".dcm", ""):
+            raise VolumeError(
+                f"{path} is one DICOM file: expected the folder of a series, one slice "
+                "per file; convert a multi-frame file with dcm2niix, or export it from "
+                "3D Slicer as .nrrd",
+                AnatomyCode.SERIES,
+            )
         raise VolumeError(
             f"{path}: whether a file of this kind says how it lies, and is whole, is "
             "not known"
@@ -274,12 +299,23 @@ def _open_image(path: Path, max_bytes: int) -> Any:
         reason = "no such file"
         if path.exists():
             reason = str(error).strip().splitlines()[-1]
+            if path.is_file() and _first_bytes(path) in NIFTI_2_SIZES:
+                reason = (
+                    "it is NIfTI-2; convert it to NIfTI-1, in Python: import nibabel; "
+                    "nibabel.Nifti1Image.from_image(nibabel.load(OLD)).to_filename(NEW)"
+                )
         raise VolumeError(
             f"cannot read {path}: {reason}; expected DICOM, .nii, .nii.gz, .nrrd or "
             ".seg.nrrd"
         ) from error
     finally:  # the DICOM library sets C, and Python's text files would be ASCII
         locale.setlocale(locale.LC_CTYPE, language)
+
+
+def _first_bytes(path: Path) -> bytes:
+    """Return the first four bytes of a file."""
+    with path.open("rb") as file:
+        return file.read(4)
 
 
 def _require_size(path: Path, reader: Any, max_bytes: int) -> None:

@@ -437,8 +437,7 @@ def _prior_of(start: Registration, pivot_m: Array, softness_m: float) -> _Prior:
     """
     information = 1e-4 * np.eye(7)  # a hundred metres and radians: nothing
     least_known_m = 0.1  # landmarks that say less only pull at what nothing holds
-    shift_std_m = start.largest_std_m(start.to_model(pivot_m))
-    if shift_std_m < least_known_m:  # and not nan
+    if start.tre_m(start.to_model(pivot_m)) < least_known_m:  # and not nan
         # The landmarks' shift is one of their own pivot.
         to_start = np.eye(6)
         to_start[3:] = displacement_jacobian(start.pivot_m - pivot_m)
@@ -584,7 +583,7 @@ def _find_motion(problem: _Problem, pose: _Pose) -> PatientMotion:
 
 def _require_still(motion: PatientMotion, problem: _Problem) -> None:
     """Refuse a patient who has moved."""
-    max_probability = 0.95
+    max_probability = 0.9
     if motion.probability <= max_probability:
         return
     size_m = rms_length(problem.jacobian @ motion.motion)

@@ -205,3 +205,14 @@ def test_a_boundary_passed_by_less_than_an_alarm_takes_is_not_yet_missed():
     assert before.probability > 0.98
     assert at.probability > 0.7
     assert behind.name == "muscle"
+
+
+def test_a_vessel_of_one_voxel_is_a_layer():
+    values = np.ones((30, 30, 30), np.uint8)
+    values[15, 14, :] = 2
+    labels = labels_of(values, ["liver", "portal_vein"])
+    layers = labels.layers_along([0.002, 0.0143, 0.015], [0.028, 0.0143, 0.015])
+
+    assert [layer.name for layer in layers] == ["liver", "portal_vein", "liver"]
+    assert layers[1].entry_m == pytest.approx(12.5e-3)
+    assert layers[1].exit_m == pytest.approx(13.5e-3)

@@ -6,7 +6,7 @@ from contextlib import suppress
 import numpy as np
 import pytest
 
-from needleforce.anatomy import VolumeError, read_labels, read_transform
+from needleforce.anatomy import VolumeError, read_labels, read_transform, read_volume
 from needleforce.anatomy.label_names import read_header_names
 from needleforce.anatomy.renaming import rename
 from needleforce.cli import main
@@ -304,3 +304,43 @@ def test_a_table_of_labels_with_entities_is_not_read(tmp_path, encoding):
 
     with suppress(VolumeError):  # of what is no UTF-8
         assert read_header_names(path) == {}
+
+
+def test_labels_that_were_computed_with_are_rounded_and_others_named(tmp_path):
+    values = np.zeros((8, 8, 8), np.float32)
+    values[2:6, 2:6, 2:6] = 0.99999994
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing([8.0, 8.0, 8.0])
+    sitk.WriteImage(image, str(tmp_path / "labels.nii.gz"))
+
+    assert read_labels(tmp_path / "labels.nii.gz")["label_1"].voxels == 64
+
+    sitk.WriteImage(0.5 * image, str(tmp_path / "half.nii.gz"))
+    with pytest.raises(VolumeError, match=r"0\.4999.*whole numbers"):
+        read_labels(tmp_path / "half.nii.gz")
+
+
+def test_voxels_that_are_no_numbers_are_refused(tmp_path):
+    values = np.zeros((8, 8, 8), np.float32)
+    values[0, 0, :2] = np.nan
+    image = sitk.GetImageFromArray(values)
+    image.SetSpacing([8.0, 8.0, 8.0])
+    sitk.WriteImage(image, str(tmp_path / "ct.nii.gz"))
+
+    with pytest.raises(VolumeError, match="2 voxels that are no finite numbers"):
+        read_volume(tmp_path / "ct.nii.gz")
+
+
+def test_the_unit_metre_and_version_2_are_named(tmp_path):
+    image = sitk.GetImageFromArray(np.zeros((8, 8, 8), np.int16))
+    image.SetSpacing([8.0, 8.0, 8.0])
+    sitk.WriteImage(image, str(tmp_path / "ct.nii"))
+    content = bytearray((tmp_path / "ct.nii").read_bytes())
+    content[123] = 1  # xyzt_units: metre
+    (tmp_path / "metres.nii").write_bytes(content)
+    (tmp_path / "version2.nii").write_bytes(struct.pack("<i", 540) + content[4:])
+
+    with pytest.raises(VolumeError, match="metre"):
+        read_volume(tmp_path / "metres.nii")
+    with pytest.raises(VolumeError, match="NIfTI-2; convert it to NIfTI-1"):
+        read_volume(tmp_path / "version2.nii")
