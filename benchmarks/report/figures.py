@@ -27,6 +27,7 @@ ROOT = Path(__file__).resolve().parents[2]
 SPECS = ROOT / "benchmarks" / "figures.toml"
 STORED = ROOT / "benchmarks" / "figures.json"
 NO_FIGURE = "–"
+NOT_MEASURED = "not measured"
 END = "<!-- end of figures -->"
 
 
@@ -210,7 +211,7 @@ def fill_line(rows: Sequence[Row], table: TableSpec, spec: RowSpec) -> list[str]
         ]
         cells.append(spec.joint.join(map(Part.show, spec.parts, figures)))
         ours = figures if method == "ours" else ours
-    mark = show_mark(spec, ours) if ours else "not measured"
+    mark = show_mark(spec, ours) if ours else NOT_MEASURED
     return [*cells, show_limits(spec), mark]
 
 
@@ -235,14 +236,23 @@ def fill_figures(rows: Sequence[Row], commit: str) -> Figures:
 
 
 def render_table(table: TableSpec, figures: Figures) -> str:
-    """Return a table for its pages, with the commit that it was measured on."""
+    """Return a table for its pages, with the commit that it was measured on.
+
+    Lines that the campaign did not measure are named below it.
+    """
     names = [METHOD_NAMES[method] for method in table.methods]
     heads = ["", *names, "target", ""]
     rule = ["---", *("---:" for _ in names), "---", "---"]
-    lines = [heads, rule, *figures.tables[table.name]]
+    filled = figures.tables[table.name]
+    measured = [line for line in filled if line[-1] != NOT_MEASURED]
+    left_out = [line[0] for line in filled if line[-1] == NOT_MEASURED]
+    lines = [heads, rule, *measured]
     runs = ", ".join(f"{count} on `{plant}`" for plant, count in figures.runs.items())
     body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-    return f"{body}\n\nMeasured on commit {figures.commit}; runs: {runs}."
+    text = f"{body}\n\nMeasured on commit {figures.commit}; runs: {runs}."
+    if left_out:
+        text += f" Not measured in this campaign: {'; '.join(left_out)}."
+    return text
 
 
 def fill_pages(figures: Figures) -> Mapping[Path, str]:
