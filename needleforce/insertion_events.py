@@ -1,29 +1,15 @@
 """What happens in an insertion, as events with a sentence and named values."""
 
 from collections.abc import Iterator
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 from identification.estimate import HardContact
+from needleforce.session_event import SessionEvent
 
 if TYPE_CHECKING:
     from needleforce.session import SessionEstimate
 
 M_TO_MM = 1e3
-
-
-class SessionEvent(NamedTuple):
-    """An event of an insertion.
-
-    Attributes:
-        kind: ``rupture``, ``rupture_retracted``, ``layer``, ``hard_contact``,
-            ``past_target`` or ``too_near``.
-        text: One sentence for people.
-        values: What is known of it, by name with unit.
-    """
-
-    kind: str
-    text: str
-    values: dict[str, float]
 
 
 def describe_hard_contact(contact: HardContact) -> str:

@@ -6,7 +6,6 @@ import numpy as np
 
 from foundation.arrays import Array
 from identification import Estimate, Identifier, Rupture
-from needleforce.insertion_events import SessionEvent
 from needleforce.needle_on_plan import (
     PlanDeviation,
     PlannedEntry,
@@ -15,6 +14,7 @@ from needleforce.needle_on_plan import (
     describe_to_target,
     describe_too_near,
 )
+from needleforce.session_event import SessionEvent
 from residual.tool_kinematics import ToolKinematics
 
 if TYPE_CHECKING:

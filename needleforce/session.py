@@ -31,7 +31,6 @@ from needleforce.insertion_course import (
     InsertionProgress,
     follow_needle,
 )
-from needleforce.insertion_events import SessionEvent
 from needleforce.needle_channels import (
     MIN_LENGTH_M,
     ChannelState,
@@ -48,6 +47,7 @@ from needleforce.needle_on_plan import (
     Surroundings,
 )
 from needleforce.plan_follower import Plan, PlanFollower, PlanMemory
+from needleforce.session_event import SessionEvent
 from needleforce.tip_travel import TipTravel, TravelZero
 from residual import DEFAULT as DEFAULT_SENSOR
 from residual import (
