@@ -20,6 +20,7 @@ BROUGHT_BY_CYCLOPTS = {"rich"}
 DISTRIBUTIONS = {
     "markupsafe": "jinja2",
     "skimage": "scikit-image",
+    "igl": "libigl",
     "panda_py": "panda-python",
     "rtde_receive": "ur-rtde",
     "rtde_control": "ur-rtde",

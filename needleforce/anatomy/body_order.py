@@ -4,6 +4,7 @@ It needs no scan: names alone say that the left kidney lies left of the right on
 liver right of the spleen, a lung above the bladder, the spine behind the liver.
 """
 
+import re
 from collections.abc import Iterator, Mapping
 from itertools import pairwise
 from typing import TYPE_CHECKING, NamedTuple
@@ -174,13 +175,13 @@ def _head_above_foot(centroids_m: Mapping[str, Array]) -> Iterator[_Order]:
 
 def _vertebra_number(name: str) -> int | None:
     """Return how many vertebrae lie above one by its name; None for others."""
-    words = words_of(name)
-    if not words & SPINE:
+    if not words_of(name) & SPINE:
         return None
-    for word in words:
-        if word[:1] in VERTEBRAE and word[1:].isdigit():
-            return VERTEBRAE[word[0]] + int(word[1:])
-    return None
+    found = re.search(r"(?:^|[^a-z])([ctls])(\d+)", name.lower())
+    if found is None:
+        return None
+    region, number = found.groups()
+    return VERTEBRAE[region] + int(number)
 
 
 def _spine_behind(centroids_m: Mapping[str, Array]) -> Iterator[_Order]:

@@ -11,7 +11,7 @@ import zlib
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import NamedTuple
+from typing import IO, Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -49,6 +49,10 @@ NRRD_SPACES = frozenset(
 """Spaces of the patient that SimpleITK understands."""
 
 MILLIMETRES = frozenset(("mm", "millimeter", "millimetre"))
+
+
+FLOAT_KINDS = {"16": "f4", "64": "f8"}
+"""Types of numbers by the ``datatype`` of a NIfTI header, of those that can be NaN."""
 
 
 class _SpacingField(NamedTuple):
@@ -190,6 +194,11 @@ def _read_start(path: Path, header: Mapping[str, str]) -> bytes:
             is_packed = raw.peek(2)[:2] == GZIP_MAGIC
             file = gzip.GzipFile(fileobj=raw) if is_packed else raw
             start = file.read(START_BYTES)
+            kind = FLOAT_KINDS.get(header["datatype"])
+            if kind is not None:
+                file.seek(int(float(header["vox_offset"])))
+                order = "<" if start[0] else ">"
+                _require_finite(path, file, np.dtype(order + kind))
             file_bytes = file.seek(0, os.SEEK_END)
         if file_bytes < expected_bytes:
             raise EOFError(f"{file_bytes} bytes of {expected_bytes:.0f}")
@@ -198,6 +207,26 @@ def _read_start(path: Path, header: Mapping[str, str]) -> bytes:
             f"{path} ends early or is damaged: {error}", AnatomyCode.DAMAGED
         ) from error
     return start
+
+
+def _require_finite(path: Path, file: IO[bytes], kind: np.dtype[Any]) -> None:
+    """Refuse voxels that are NaN or infinite: SimpleITK reads them as 0.
+
+    Args:
+        path: For the message.
+        file: Read from its first voxel on.
+        kind: Of the voxels.
+    """
+    chunk_bytes = 1 << 22
+    bad = 0
+    while chunk := file.read(chunk_bytes):
+        voxels = np.frombuffer(chunk, kind, len(chunk) // kind.itemsize)
+        bad += int(np.count_nonzero(~np.isfinite(voxels)))
+    if bad:
+        raise VolumeError(
+            f"{path} has {bad} voxels that are no finite numbers (NaN or infinite): "
+            "export it again, a CT with -1000 (air) where nothing was measured"
+        )
 
 
 def _read_pixdim(start: bytes) -> Array:

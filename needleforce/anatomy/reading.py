@@ -284,6 +284,12 @@ def _open_image(path: Path, max_bytes: int) -> Any:
     """Return the image of SimpleITK in a file or folder."""
     import SimpleITK
 
+    if path.is_file() and _first_bytes(path) in NIFTI_2_SIZES:
+        raise VolumeError(
+            f"cannot read {path}: it is NIfTI-2; convert it to NIfTI-1, in Python: "
+            "import nibabel; "
+            "nibabel.Nifti1Image.from_image(nibabel.load(OLD)).to_filename(NEW)"
+        )
     # What it warns of is refused here.
     SimpleITK.ProcessObject.GlobalWarningDisplayOff()
     language = locale.setlocale(locale.LC_CTYPE)
@@ -299,11 +305,6 @@ def _open_image(path: Path, max_bytes: int) -> Any:
         reason = "no such file"
         if path.exists():
             reason = str(error).strip().splitlines()[-1]
-            if path.is_file() and _first_bytes(path) in NIFTI_2_SIZES:
-                reason = (
-                    "it is NIfTI-2; convert it to NIfTI-1, in Python: import nibabel; "
-                    "nibabel.Nifti1Image.from_image(nibabel.load(OLD)).to_filename(NEW)"
-                )
         raise VolumeError(
             f"cannot read {path}: {reason}; expected DICOM, .nii, .nii.gz, .nrrd or "
             ".seg.nrrd"

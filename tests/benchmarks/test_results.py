@@ -222,7 +222,7 @@ def test_the_summary_has_eight_lines_bad_ones_first():
     assert lines["tissue, clean"] == {
         "what": "axial force, rms error, N",
         "runs of": "tissue, clean",
-        "published method": "0.151",
+        "published, one setting": "0.151",
         "published, best gain": "0.080",
         "ours": "0.021 [0.012, 0.030]",
         "worst of ours": "0.030",

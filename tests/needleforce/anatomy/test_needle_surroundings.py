@@ -149,7 +149,7 @@ def test_too_near_is_one_event_stops_autonomy_and_is_said_everywhere():
     row = ViewRow(*[0.0] * 14, near_number=0.0, near_distance_m=5.3e-3)
     row = row._replace(near_std_m=0.5e-3, near_is_too_near=1.0)
     assert banner_of(row) == "TOO NEAR"
-    assert near_text(row, around.names).startswith("nearest: **portal_vein** at 5.3 ±")
+    assert near_text(row, around.names).startswith("nearest: portal_vein at 5.3 ±")
 
     for state, is_stopped in ((State.INSERTION, True), (State.TELEOP, False)):
         monitors = Monitors.__new__(Monitors)
