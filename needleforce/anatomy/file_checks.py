@@ -5,13 +5,14 @@ two places, and where a file does not say how it lies it invents that.
 """
 
 import gzip
+import io
 import os
 import re
 import zlib
 from collections.abc import Mapping, Sequence
 from itertools import product
 from pathlib import Path
-from typing import IO, Any, NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -209,7 +210,7 @@ def _read_start(path: Path, header: Mapping[str, str]) -> bytes:
     return start
 
 
-def _require_finite(path: Path, file: IO[bytes], kind: np.dtype[Any]) -> None:
+def _require_finite(path: Path, file: io.BufferedIOBase, kind: np.dtype[Any]) -> None:
     """Refuse voxels that are NaN or infinite: SimpleITK reads them as 0.
 
     Args:
