@@ -9,8 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from foundation.errors import CodedError, ErrorCode, StateCode
-from foundation.state import StateError, check_state
+from foundation.errors import NeedleforceError
+from foundation.state import (
+    OWN_SNAPSHOT,
+    SAME_KIND,
+    SAME_SETTINGS,
+    StateError,
+    check_state,
+)
 from identification import MULTILAYER as DEFAULT_IDENTIFIER
 from identification import (
     Estimate,
@@ -91,29 +97,16 @@ CHECKPOINT_PERIOD_S = 0.25
 it is detected."""
 
 
-class SessionCode(ErrorCode):
-    """Kinds of errors of a session."""
-
-    SETTING = (
-        "NF-SESSION-SETTING",
-        "A setting of the session cannot work.",
-        "Give what the message expects; `load_lwr` and `load_urdf` make a robot, "
-        "`SensorConfig` holds the settings of the sensor.",
-    )
-    PLAN = (
-        "NF-SESSION-PLAN",
-        "The snapshot is of a session that follows another plan, or none.",
-        "Call `follow` with the plan of the snapshot, or None, before `restore`.",
-    )
-
-
-class InsertionError(CodedError):
+class InsertionError(NeedleforceError):
     """Base of a session's errors.
 
     Errors of `residual` and `identification` pass through a session unchanged.
     """
 
-    usual_code = SessionCode.SETTING
+    usual_advice = (
+        "Give what the message expects; `load_lwr` and `load_urdf` make a robot, "
+        "`SensorConfig` holds the settings of the sensor."
+    )
 
 
 class SessionSettingError(InsertionError, ValueError):
@@ -123,13 +116,13 @@ class SessionSettingError(InsertionError, ValueError):
 class SnapshotMismatchError(InsertionError, ValueError):
     """A snapshot that cannot be restored here; nothing has changed."""
 
-    usual_code = StateCode.DAMAGED
+    usual_advice = "Take an older snapshot, or start and tare anew."
 
 
 class SnapshotFileError(InsertionError, ValueError):
     """A file that is no snapshot, or one of a version that cannot be read."""
 
-    usual_code = StateCode.FILE
+    usual_advice = OWN_SNAPSHOT
 
 
 class SessionEstimate(NamedTuple):
@@ -621,7 +614,7 @@ class InsertionSession:
         if not isinstance(snapshot, SessionSnapshot):
             raise SnapshotMismatchError(
                 f"expected a SessionSnapshot, got {type(snapshot).__name__}",
-                StateCode.KIND,
+                SAME_KIND,
             )
         if not (
             isinstance(snapshot.plan, PlanMemory)
@@ -632,7 +625,7 @@ class InsertionSession:
             raise SnapshotMismatchError(
                 f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this "
                 f"session has {self._speed_lag_s:g}",
-                StateCode.OTHER,
+                SAME_SETTINGS,
             )
         if snapshot.plan.fingerprint != self._plan.memory.fingerprint:
             difference = (
@@ -641,7 +634,9 @@ class InsertionSession:
                 else "without a plan"
             )
             raise SnapshotMismatchError(
-                f"the snapshot is of a session {difference}", SessionCode.PLAN
+                f"the snapshot is of a session {difference}",
+                "Call `follow` with the plan of the snapshot, or None, "
+                "before `restore`.",
             )
 
     def _check_parts(self, snapshot: SessionSnapshot) -> "PlanState | None":

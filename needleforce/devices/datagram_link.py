@@ -5,7 +5,7 @@ from contextlib import suppress
 from time import monotonic
 from typing import NamedTuple
 
-from needleforce.devices.errors import DeviceCode, DeviceSettingError, LinkError
+from needleforce.devices.errors import DeviceSettingError, LinkError
 from needleforce.devices.link import Link
 
 LOOPBACK = "127.0.0.1"
@@ -64,7 +64,6 @@ def resolve_host(host: str) -> str:
     except (OSError, ValueError) as error:
         raise LinkError(
             f"{host!r} is no address and no name that is known here: {error}",
-            DeviceCode.SETTING,
         ) from error
 
 
@@ -115,7 +114,8 @@ class DatagramLink(Link):
             self._socket.close()
             raise LinkError(
                 f"cannot listen on {host}:{port}: {error.strerror or error}",
-                DeviceCode.PORT,
+                "End the other program that uses the port, or give an "
+                "address of this machine.",
             ) from error
 
         self.address = Endpoint(*self._socket.getsockname())
