@@ -46,6 +46,8 @@ OTHER_PLACE = "Make room on the disk, or give another place"
 class CommandError(NeedleforceError, ValueError):
     """An option, a file named by one, or a log that does not fit the robot."""
 
+    usual_advice = "--help says what each option means"
+
 
 class _Terminated(BaseException):
     """SIGTERM, which by default would leave unfinished files behind."""

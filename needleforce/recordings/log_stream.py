@@ -409,7 +409,7 @@ def _require_all_joints(channel: Channel, head: Array) -> None:
             f"{channel.name} has no finite value at joint {numbers} in the first "
             f"{len(head)} rows",
             "Leave it out with `ColumnSpec(columns=LEFT_OUT)` under "
-            f"{channel.name} in the `mapping`, or name its columns there.",
+            f"`{channel.name}` in the `mapping`, or name its columns there.",
         )
 
 

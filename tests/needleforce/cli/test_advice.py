@@ -41,7 +41,7 @@ def test_every_row_is_an_advice_that_some_error_gives():
         ("Give `depth_m` in metres.", "Give the unit, as in --depth z:mm"),
         ("Call a friend.", "Call a friend"),
         (
-            "Name it under dq in the `mapping`: `ColumnMapping(channels=...)`.",
+            "Name it under `dq` in the `mapping`: `ColumnMapping(channels=...)`.",
             "Name it with --dq, or under dq in the file of --mapping; --print-config "
             "prints such a file",
         ),

@@ -52,8 +52,7 @@ def _open_output(monkeypatch):
         (
             CommandError("no such\noption"),
             FAILED,
-            "error: no such option. Give what the message expects; "
-            "--help says what each option means\n",
+            "error: no such option. --help says what each option means\n",
         ),
         (
             FileAccessError("no such\nfile"),
