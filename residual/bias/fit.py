@@ -7,6 +7,7 @@ The size of hysteresis is not learnt: in air it is so similar to friction that e
 would take half of the other.
 """
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -27,6 +28,9 @@ MIN_BLOCKS = 8
 """Fewest blocks for a variance from their differences: seven give it to two thirds of
 itself, fewer may give nearly zero by chance, and the blocks would get too much
 weight."""
+
+Octaves = tuple[float, ...]
+"""Exponents of two of sizes, relative to the prior's."""
 
 
 class JointRows(NamedTuple):
@@ -321,25 +325,44 @@ def _likeliest_sizes(
 
     They are relative to the prior's, by name.
     """
-    known: dict[tuple[float, ...], float] = {}
-    octaves = dict.fromkeys(groups, 0.0)
-    grid = np.arange(-2.0, 5.1)  # exponents of two
-    for _ in range(3):
-        octaves_before = dict(octaves)
-        for name in groups:
-            candidates = [octaves | {name: float(octave)} for octave in grid]
-            for candidate in candidates:
-                key = tuple(candidate.values())
-                if key not in known:
-                    scaled = _scale_groups(std, groups, _sizes_of(candidate))
-                    log = _log_likelihood(information, evidence, scaled)
-                    # The deviation of 1.5 holds sizes that the motion does not show.
-                    known[key] = log - 0.5 * np.square(key).sum() / 1.5**2
+
+    def log_at(octaves: Octaves) -> float:
+        sizes = {name: 2.0**one for name, one in zip(groups, octaves, strict=True)}
+        log = _log_likelihood(information, evidence, _scale_groups(std, groups, sizes))
+        # The deviation of 1.5 holds sizes that the motion does not show.
+        return log - 0.5 * np.square(octaves).sum() / 1.5**2
+
+    grids = [np.arange(-2.0, 5.1)] * len(groups)
+    octaves = yield from search_octaves(log_at, (0.0,) * len(groups), grids, sweeps=3)
+    return {name: 2.0**one for name, one in zip(groups, octaves, strict=True)}
+
+
+def search_octaves(
+    log_at: Callable[[Octaves], float],
+    start: Octaves,
+    grids: Sequence[Array],
+    *,
+    sweeps: int,
+) -> Steps[Octaves]:
+    """Return the exponents of sizes that are most probable, found one at a time.
+
+    Args:
+        log_at: Returns the logarithm of the probability.
+        start: Exponents from which the search starts.
+        grids: What is tried for each.
+        sweeps: Passes over all of them.
+    """
+    known: dict[Octaves, float] = {}
+    best = start
+    for _ in range(sweeps):
+        for place, grid in enumerate(grids):
+            tried = [(*best[:place], float(one), *best[place + 1 :]) for one in grid]
+            for octaves in tried:
+                if octaves not in known:
+                    known[octaves] = log_at(octaves)
                     yield
-            octaves = max(candidates, key=lambda one: known[tuple(one.values())])
-        if octaves == octaves_before:
-            break
-    return _sizes_of(octaves)
+            best = max(tried, key=lambda octaves: known[octaves])
+    return best
 
 
 def _log_likelihood(information: Array, evidence: Array, std: Array) -> float:
@@ -350,10 +373,6 @@ def _log_likelihood(information: Array, evidence: Array, std: Array) -> float:
     root = np.linalg.cholesky(normal)
     whitened = solve_triangular(root, std * evidence, lower=True, check_finite=False)
     return float(0.5 * whitened @ whitened - np.log(root.diagonal()).sum())
-
-
-def _sizes_of(octaves: dict[str, float]) -> dict[str, float]:
-    return {name: 2.0**octave for name, octave in octaves.items()}
 
 
 def _noise_density(residual: Array, batches: tuple[int, ...]) -> Array:

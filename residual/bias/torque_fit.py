@@ -7,7 +7,7 @@ measured torque with all of them integrated out, with the sizes of the priors th
 it largest: explanations of one motion are compared by it.
 """
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import NamedTuple, Self
 
@@ -18,6 +18,7 @@ from scipy.linalg import solve_triangular
 
 from foundation.arrays import Array
 from foundation.steps import Steps
+from residual.bias.fit import Octaves, search_octaves
 from residual.bias.model import LINK_PARAMETERS, BiasModel, TareBlocks
 from urdf import Robot
 
@@ -235,7 +236,7 @@ class TorqueFit:
         extra: Array | None = None,
         extra_std: Array | None = None,
         *,
-        sizes: tuple[float, ...] | None = None,
+        sizes: Octaves | None = None,
     ) -> Steps[Evidence]:
         """Return the evidence of a correction of the torques.
 
@@ -262,7 +263,7 @@ class TorqueFit:
         noise_Nm2 = self._noise[list(correction.order)] * np.square(factor)
         least_Nm = self._remaining * np.abs(factor)
 
-        def solve(octaves: tuple[float, ...]) -> tuple[float, Array, Array, Array]:
+        def solve(octaves: Octaves) -> tuple[float, Array, Array, Array]:
             """Return log evidence, and what the unknowns follow from in prior units.
 
             These are the Cholesky root of the normal matrix, the prior deviations with
@@ -289,7 +290,13 @@ class TorqueFit:
 
         yield
         if sizes is None:
-            sizes = yield from _likeliest_sizes(lambda octaves: solve(octaves)[0])
+            # Beyond eight times the prior's, errors of links are of another kind;
+            # friction behind a harmonic drive reaches a tenth of the range.
+            ends = ((-1.0, 4.1), (-2.0, 3.1), (-2.0, 8.1), (0.0, 6.1))
+            grids = [np.arange(*end) for end in ends]
+            sizes = yield from search_octaves(
+                lambda octaves: solve(octaves)[0], START_OCTAVES, grids, sweeps=2
+            )
         log, root, scaled_std, whitened = solve(sizes)
         yield
         scaled = scaled_std[len(std) - count :]
@@ -333,34 +340,6 @@ def compute_motion(
         if adds_gravity:
             residual_Nm[k] -= pin.computeGeneralizedGravity(robot.model, data, q)
     return replace(ordered, residual_Nm=residual_Nm)
-
-
-def _likeliest_sizes(
-    log_at: Callable[[tuple[float, ...]], float],
-) -> Steps[tuple[float, ...]]:
-    """Return the exponents of the sizes that make the motion most probable."""
-    known: dict[tuple[float, ...], float] = {}
-    best = START_OCTAVES
-    # Beyond eight times the prior's, errors of links are of another kind; friction
-    # behind a harmonic drive reaches a tenth of the range.
-    grids = (
-        np.arange(-1.0, 4.1),
-        np.arange(-2.0, 3.1),
-        np.arange(-2.0, 8.1),
-        np.arange(0.0, 6.1),
-    )
-    for _ in range(2):
-        for place, grid in enumerate(grids):
-            tried = [
-                (*best[:place], float(octave), *best[place + 1 :]) for octave in grid
-            ]
-            for octaves in tried:
-                if octaves not in known:
-                    known[octaves] = log_at(octaves)
-                    if len(known) % 2 == 0:
-                        yield
-            best = max(tried, key=lambda octaves: known[octaves])
-    return best
 
 
 def _mean_of(values: Array, parts: Sequence[NDArray[np.intp]]) -> Array:
