@@ -12,7 +12,7 @@ from foundation.arrays import Array
 from foundation.jit import compile_waiting
 from foundation.state import SAME_KIND, SAME_SETTINGS
 from residual.bias.estimator import BiasEstimator
-from residual.bias.model import Tare
+from residual.bias.model import Tare, TareBlocks
 from residual.bias.separation import JointSeparation
 from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.checks.input import SampleClock, long_step_message
@@ -331,6 +331,16 @@ class VirtualForceSensor:
         As of a tare that they would have been refused: they may be in another unit.
         """
         return self._offset.explain_saturation(self._contact)
+
+    def judge_motion(self, motion: TareBlocks) -> float | None:
+        """Return how probable a recorded motion is if this arm has made it.
+
+        That is a logarithm, but for a constant. None where a tare of it is refused.
+
+        Args:
+            motion: That of a `TorqueDiagnosis`, perhaps of another arm's model.
+        """
+        return self._offset.judge_motion(motion, self._contact)
 
     def _with_likely_causes(self, error: TareError) -> str:
         """Return the message of a refused tare with what may have caused it."""

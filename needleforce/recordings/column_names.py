@@ -305,7 +305,8 @@ def _only_candidate(
 def advise_column(channel: Channel) -> str:
     """Return how to say which columns a channel is."""
     return (
-        f"Name it under {channel.name} in the `mapping`: `ColumnMapping(channels=...)`."
+        f"Name it under `{channel.name}` in the `mapping`: "
+        "`ColumnMapping(channels=...)`."
     )
 
 

@@ -399,8 +399,7 @@ def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
             -1.0,
             ["--tare", "1"],
             0,
-            "no tare at 1.0 s, .* turned by 180 degrees "
-            ".* or tau seems to have the wrong sign .* or record it",
+            "no tare at 1.0 s, .* no single unit, sign, order or direction of gravity",
         ),
         (7, np.nan, [], 2, "error: tau_Nm has no finite value"),
     ],
