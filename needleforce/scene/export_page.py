@@ -23,6 +23,7 @@ from needleforce.scene.film import Film
 from needleforce.scene.force_charts import ForceCharts
 from needleforce.scene.legend import LegendLine
 from needleforce.scene.page_policy import page_policy, with_nonce
+from needleforce.scene.page_text import sound_script
 from needleforce.scene.row_text import MEANINGS
 from needleforce.scene.scan_slices import TITLES
 from needleforce.scene.state_ring import SceneError
@@ -115,6 +116,7 @@ def write_scene_page(
     nonce = secrets.token_urlsafe(NONCE_BYTES)
     text = template.render(
         nonce=nonce,
+        sound=sound_script(),
         policy=page_policy(nonce),
         note=NOTE,
         words=words,

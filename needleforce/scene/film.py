@@ -6,9 +6,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.scene.row_text import M_TO_MM, banner_of, headline
 from needleforce.scene.scan_slices import SlicePictures
-from needleforce.scene.state_ring import ViewRow
 
 MIN_FILM_S = 0.05
 """A film lasts at least so long."""
@@ -27,6 +25,7 @@ class FilmFrame(NamedTuple):
         headline: Time, depth and tip force.
         lines: State in words.
         banner: What is shown large, such as that the needle is off the plan.
+        card: The clinician's view, as HTML.
         slices: Number of the pictures of the CT; -1 without a CT.
     """
 
@@ -36,6 +35,7 @@ class FilmFrame(NamedTuple):
     headline: str
     lines: tuple[str, ...]
     banner: str
+    card: str
     slices: int
 
 
@@ -81,25 +81,3 @@ def film_times_s(times_s: Array, events_s: Iterable[float], count: int) -> Array
     shown_s = np.unique(np.concatenate([regular_s, np.array([*events_s])]))
     is_apart = np.diff(shown_s, prepend=-np.inf) >= MIN_STEP_S
     return shown_s[is_apart]
-
-
-def film_frame(
-    row: ViewRow, film_s: float, lines: Iterable[str], slices: int
-) -> FilmFrame:
-    """Return what a page says of a row.
-
-    Args:
-        row: The row.
-        film_s: From the start of the film.
-        lines: State in words.
-        slices: Number of the pictures of the CT.
-    """
-    return FilmFrame(
-        film_s=film_s,
-        time_s=row.time_s,
-        depth_mm=M_TO_MM * (row.depth_m - row.zero_m),
-        headline=headline(row),
-        lines=tuple(lines),
-        banner=banner_of(row),
-        slices=slices,
-    )

@@ -1,5 +1,6 @@
 """Forces over time and over depth, with bands of two standard deviations."""
 
+from collections.abc import Sequence
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -13,9 +14,6 @@ MAX_CURVE_POINTS = 500
 TIME_LABEL = "time [s]"
 DEPTH_LABEL = "depth, counted as above [mm]"
 FORCE_LABEL = "force [N]"
-
-LINE_WIDTH = 2.0  # pixels
-BAND_WIDTH = 0.3  # pixels, of the two lines that bound a band
 
 M_TO_MM = 1e3
 
@@ -56,15 +54,22 @@ CURVES = (
 class ForcePlots:
     """The two plots.
 
+    Over depth the planned boundaries are drawn, too, from the start.
+
     Args:
         gui: Of the page.
+        boundaries_m: Planned, below the entry; none without a planned entry.
 
     Attributes:
         charts: The plots by the label of their x axis.
     """
 
-    def __init__(self, gui: Any) -> None:
-        self.charts = {label: _add_chart(gui, label) for label in _LABELS}
+    def __init__(self, gui: Any, boundaries_m: Sequence[float] = ()) -> None:
+        self._boundaries_mm = M_TO_MM * np.array(boundaries_m, dtype=float)
+        self.charts = {
+            label: _add_chart(gui, label) for label in (DEPTH_LABEL, TIME_LABEL)
+        }
+        self.draw(np.empty((0, len(FIELDS))), 0.0)
 
     def draw(self, rows: Array, zero_m: float) -> None:
         """Draw the forces of rows, shape (n, k), where they were good.
@@ -75,10 +80,36 @@ class ForcePlots:
         """
         rows = shown_rows(rows)
         times_s = rows[:, COLUMN["time_s"]]
-        self.charts[TIME_LABEL].data = (times_s, *_curves_of(rows))
+        curves = _curves_of(rows)
+        self.charts[TIME_LABEL].data = (times_s, np.zeros(len(times_s)), *curves)
         deepest = deepest_rows(rows)
         depths_mm = M_TO_MM * (deepest[:, COLUMN["depth_m"]] - zero_m)
-        self.charts[DEPTH_LABEL].data = (depths_mm, *_curves_of(deepest))
+        self.charts[DEPTH_LABEL].data = self._over_depth(depths_mm, _curves_of(deepest))
+
+    def _over_depth(self, depths_mm: Array, curves: list[Array]) -> tuple[Array, ...]:
+        """Return depths, planned boundaries and forces for the plot over depth.
+
+        A boundary is a line that rises and falls at one depth; between boundaries it
+        lies on the axis. Forces beyond the depths that are known are not drawn.
+        """
+        if not len(self._boundaries_mm):
+            return (depths_mm, np.zeros(len(depths_mm)), *curves)
+        places_mm = np.sort(np.concatenate([depths_mm, self._boundaries_mm.repeat(3)]))
+        top_N = max((float(curve.max()) for curve in curves if len(curve)), default=1.0)
+        planned_N = np.zeros(len(places_mm))
+        starts = np.searchsorted(places_mm, self._boundaries_mm)
+        planned_N[starts + 1] = max(top_N, 1.0)
+        if not len(depths_mm):
+            return (
+                places_mm,
+                planned_N,
+                *(np.full(len(places_mm), np.nan),) * len(curves),
+            )
+        shown = [
+            np.interp(places_mm, depths_mm, curve, left=np.nan, right=np.nan)
+            for curve in curves
+        ]
+        return (places_mm, planned_N, *shown)
 
 
 def shown_rows(rows: Array) -> Array:
@@ -105,19 +136,21 @@ def _curves_of(rows: Array) -> list[Array]:
     return curves
 
 
-_LABELS = (TIME_LABEL, DEPTH_LABEL)
-
-
 def _add_chart(gui: Any, x_label: str) -> Any:
     """Add a plot of the curves, each with its band."""
     from viser import uplot
 
-    series = [uplot.Series(label=x_label)]
+    line_px = 2.0
+    band_px = 0.3  # of the two lines that bound a band
+    series = [
+        uplot.Series(label=x_label),
+        uplot.Series(label="planned boundary", stroke="rgb(60, 60, 60)", width=1.0),
+    ]
     bands = []
     for curve in CURVES:
         stroke = f"rgb({curve.color})"
         line = uplot.Series(
-            label=f"{curve.name} [N]", stroke=stroke, width=LINE_WIDTH, dash=curve.dash
+            label=f"{curve.name} [N]", stroke=stroke, width=line_px, dash=curve.dash
         )
         series.append(line)
         if not curve.std_field:
@@ -127,7 +160,7 @@ def _add_chart(gui: Any, x_label: str) -> Any:
             uplot.Band(series=(upper, upper + 1), fill=f"rgba({curve.color}, 0.18)")
         )
         series += [
-            uplot.Series(label=label, stroke=stroke, width=BAND_WIDTH)
+            uplot.Series(label=label, stroke=stroke, width=band_px)
             for label in ("+ 2 std", "- 2 std")
         ]
 

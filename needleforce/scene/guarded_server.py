@@ -21,7 +21,7 @@ from urllib.parse import parse_qs, urlsplit
 
 from foundation.extras import install_command
 from needleforce.scene.page_policy import VISERS_LOADER, page_policy, with_nonce
-from needleforce.scene.page_text import text_html
+from needleforce.scene.page_text import sound_script, text_html
 from needleforce.scene.state_ring import SceneError
 
 LOOPBACK_NAMES = frozenset(("local" + "host", "127.0.0.1", "::1"))
@@ -172,6 +172,7 @@ def open_server(host: str, port: int, label: str, access: PageAccess) -> Any:
     page = (build / "index.html").read_text(encoding="utf-8")
     if VISERS_LOADER not in page:
         raise _unguarded(viser.__version__, f"its page has no {VISERS_LOADER}")
+    page = page.replace("</body>", f"<script>{sound_script()}</script></body>")
     # viser's banner is no result, and names an address without its token.
     with redirect_stdout(StringIO()), _guarded_serve(access, page) as calls:
         server = viser.ViserServer(host=host, port=port, label=label, verbose=False)

@@ -141,6 +141,22 @@ PATH_WIDTH = 2.0  # pixels
 RING_WIDTH = 4.0  # pixels
 
 
+class PlannedLine(NamedTuple):
+    """A planned path in axes of the robot's base.
+
+    Attributes:
+        entry_m: Where it begins, shape (3,).
+        target_m: Where it ends, shape (3,).
+        axis: Its direction, shape (3,).
+        length_m: From entry to target.
+    """
+
+    entry_m: Array
+    target_m: Array
+    axis: Array
+    length_m: float
+
+
 class PlanScene(NamedTuple):
     """Anatomy and plan as the viewer shows them.
 
@@ -170,6 +186,24 @@ class PlanScene(NamedTuple):
     def to_robot(self, points_m: ArrayLike) -> Array:
         """Return points of the model in the robot's base, shape (3,) or (n, 3)."""
         return np.asarray(points_m, dtype=float) @ self.rotation.T + self.translation_m
+
+    @property
+    def path(self) -> "PlannedLine | None":
+        """The planned path in the robot's base; None without entry and target.
+
+        Raises:
+            SceneError: The path has no length.
+        """
+        if self.entry_m is None or self.target_m is None:
+            return None
+        entry_m = self.to_robot(self.entry_m)
+        target_m = self.to_robot(self.target_m)
+        length_m = float(np.linalg.norm(target_m - entry_m))
+        if not length_m > 0.0:
+            raise SceneError(
+                f"a plan from {self.entry_m} to {self.target_m}: expected two points"
+            )
+        return PlannedLine(entry_m, target_m, (target_m - entry_m) / length_m, length_m)
 
 
 EMPTY = PlanScene()
@@ -213,6 +247,7 @@ class ArmNodes:
             radius=NEEDLE_RADIUS_M,
             height=NEEDLE_LENGTH_M,
             color=NEEDLE_COLOR,
+            visible=False,  # until it is known where it is
         )
 
     def show_off_plan(self, is_off_plan: bool) -> None:
@@ -242,6 +277,7 @@ class ArmNodes:
             bones = np.array([*points_m, tip_m])
             add_lines(self._server, "/bones", bones, BONE_COLOR, BONE_WIDTH)
 
+        self._needle.visible = True
         self._needle.position = tuple(tip_m - 0.5 * NEEDLE_LENGTH_M * axis)
         self._needle.wxyz = quaternion_of_axis(axis)
         return needle
@@ -307,23 +343,10 @@ def add_path(server: Any, plan: PlanScene) -> None:
     Raises:
         SceneError: The plan has no length.
     """
-    if plan.entry_m is not None and plan.target_m is not None:
-        _add_path(server, plan, plan.entry_m, plan.target_m)
-
-
-def _add_path(
-    server: Any, plan: PlanScene, model_entry_m: Array, model_target_m: Array
-) -> None:
-    """Add path, target and rings between two points of the model."""
-    entry_m = plan.to_robot(model_entry_m)
-    target_m = plan.to_robot(model_target_m)
-    length_m = float(np.linalg.norm(target_m - entry_m))
-    if not length_m > 0.0:
-        raise SceneError(
-            f"a plan from {plan.entry_m} to {plan.target_m}: expected two points"
-        )
-
-    axis = (target_m - entry_m) / length_m
+    path = plan.path
+    if path is None:
+        return
+    entry_m, target_m, axis, _ = path
     line = np.array([entry_m - PATH_LEAD_M * axis, target_m])
     add_lines(server, "/plan/way", line, PATH_COLOR, PATH_WIDTH)
     server.scene.add_icosphere(

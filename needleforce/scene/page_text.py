@@ -1,6 +1,7 @@
 """Words on the live page: shown as they are, whatever characters a name has."""
 
 from html import escape
+from importlib.resources import files
 
 
 def text_html(*lines: str) -> str:
@@ -11,3 +12,9 @@ def text_html(*lines: str) -> str:
     """
     style = "margin:0 .75rem .5rem;font-size:.875rem;overflow-wrap:anywhere"
     return "".join(f'<p style="{style}">{escape(line)}</p>' for line in lines)
+
+
+def sound_script() -> str:
+    """Return the script by which a page tells events by sounds."""
+    script = files("needleforce.scene").joinpath("page_sound.js")
+    return script.read_text(encoding="utf-8")

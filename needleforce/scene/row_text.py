@@ -25,6 +25,9 @@ TOO_NEAR = "TOO NEAR"
 CANNOT_TELL = "CANNOT TELL"
 """What the page shows while nobody can tell that the needle is on the plan."""
 
+ON_PLAN = "ON PLAN"
+"""What the page shows while none of these holds."""
+
 MEANINGS = {
     BANNER: "no layer is named from the plan",
     PAST_TARGET: "the tip is deeper than planned",
@@ -90,19 +93,18 @@ def rupture_label(row: ViewRow, names: Mapping[float, str]) -> str:
 
 def headline(row: ViewRow) -> str:
     """Return time, depth and tip force of a row in a line."""
-    text = (
+    return (
         f"{row.time_s:.1f} s, {_depth_text(row)}; tip force {row.tip_N:.2f} "
         f"± {row.tip_std_N:.2f} N"
     )
-    return text if math.isnan(row.aside_to_target_m) else f"{text}; {target_text(row)}"
 
 
-def target_text(row: ViewRow) -> str:
-    """Return how far the tip is from the target."""
+def target_parts(row: ViewRow) -> tuple[str, str]:
+    """Return how far the tip is from the target, and its deviation and side."""
     side = "past the target" if row.aside_to_target_m < 0.0 else "to the target"
     return (
-        f"{M_TO_MM * abs(row.aside_to_target_m):.1f} ± "
-        f"{M_TO_MM * row.aside_to_target_std_m:.1f} mm {side}"
+        f"{M_TO_MM * abs(row.aside_to_target_m):.1f}",
+        f"± {M_TO_MM * row.aside_to_target_std_m:.1f} mm {side}",
     )
 
 
@@ -111,12 +113,16 @@ def _depth_text(row: ViewRow) -> str:
     return f"{M_TO_MM * (row.depth_m - row.zero_m):.1f} mm {row.zero_name}"
 
 
+def near_name(row: ViewRow, watched: Sequence[str]) -> str:
+    """Return the name of the structure at risk that is nearest."""
+    number = int(row.near_number)
+    return watched[number] if number < len(watched) else f"structure {number}"
+
+
 def near_text(row: ViewRow, watched: Sequence[str]) -> str:
     """Return the structure at risk that is nearest to the needle or its way ahead."""
-    number = int(row.near_number)
-    name = watched[number] if number < len(watched) else f"structure {number}"
     return (
-        f"nearest: {name} at {M_TO_MM * row.near_distance_m:.1f} ± "
+        f"nearest: {near_name(row, watched)} at {M_TO_MM * row.near_distance_m:.1f} ± "
         f"{M_TO_MM * row.near_std_m:.1f} mm from the needle or its way ahead"
     )
 
@@ -160,7 +166,7 @@ def aside_text(row: ViewRow) -> str:
             f"{math.degrees(row.aside_angle_std_rad):.1f}°"
         )
     if not math.isnan(row.aside_to_target_m):
-        text += f", {target_text(row)}"
+        text += f", {' '.join(target_parts(row))}"
     return text
 
 

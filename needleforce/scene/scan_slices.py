@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
-from needleforce.scene.nodes import NeedlePose, PlanScene
+from needleforce.scene.nodes import TARGET_COLOR, NeedlePose, PlanScene
 
 PIXELS = 140
 PIXEL_M = 0.8e-3
@@ -20,21 +20,8 @@ PIXEL_M = 0.8e-3
 TIP_ROW = 80
 """Row of the tip in the planes that hold the needle."""
 
-WINDOW_HU = (-160.0, 240.0)
-"""From black to white: soft tissue."""
-
-AIR_HU = -1000.0
-"""Of what lies outside the scan."""
-
 NEEDLE_COLOR = (255, 212, 0)
 """Seen on grey by all."""
-
-MIN_TRAVEL_M = 0.5e-3
-"""So far the tip moves before the pictures are drawn anew."""
-
-MAX_COSINE = 0.9
-"""Of the angle between the needle and the direction to the head; above it the back of
-the body is up instead."""
 
 SIZE_MM = round(1e3 * PIXELS * PIXEL_M)
 
@@ -43,7 +30,8 @@ TITLES = (
     f"along the needle, head to feet, {SIZE_MM} mm wide",
     f"probe's eye: across the needle at its tip, head up, {SIZE_MM} mm wide",
 )
-"""What the three pictures show."""
+"""What the three pictures show; green are planned path and target. Until the needle
+comes near to its entry the cuts are those along the path, at the target."""
 
 
 class NeedleFrame(NamedTuple):
@@ -68,7 +56,8 @@ def needle_frame(axis: Array, rotation: Array) -> NeedleFrame:
         rotation: From the patient (LPS) to the robot's base, shape (3, 3).
     """
     head = rotation[:, 2]
-    towards = rotation[:, 1] if abs(axis @ head) > MAX_COSINE else head
+    # A needle along the body has the back of the body up instead of the head.
+    towards = rotation[:, 1] if abs(axis @ head) > 0.9 else head
     up = towards - (towards @ axis) * axis
     up = up / np.linalg.norm(up)
     return NeedleFrame(axis, np.cross(axis, up), up)
@@ -103,31 +92,67 @@ class ScanSlices:
         self._drawn_at: NeedlePose | None = None
         self.latest: SlicePictures | None = None
 
-    def draw(self, needle: NeedlePose) -> SlicePictures | None:
-        """Return the three pictures; None if the needle stands."""
+    def draw(self, needle: NeedlePose | None) -> SlicePictures | None:
+        """Return the three pictures; None if they are those drawn last.
+
+        Args:
+            needle: None for the planned path, without a needle, at its target.
+        """
+        path = self._plan.path
+        if needle is None and path is None:
+            return None
+        place = NeedlePose(path.target_m, path.axis) if needle is None else needle
         drawn = self._drawn_at
         if drawn is not None:
-            travel_m = np.linalg.norm(needle.tip_m - drawn.tip_m)
-            turn = np.linalg.norm(needle.axis - drawn.axis) * PIXELS * PIXEL_M
-            if max(travel_m, turn) < MIN_TRAVEL_M:
+            travel_m = np.linalg.norm(place.tip_m - drawn.tip_m)
+            turn_m = np.linalg.norm(place.axis - drawn.axis) * PIXELS * PIXEL_M
+            if max(travel_m, turn_m) < 0.5e-3:  # less than a pixel
                 return None
-        self._drawn_at = needle
-        frame = needle_frame(needle.axis, self._plan.rotation)
-        side = self._cut(needle.tip_m, frame.axis, frame.side, TIP_ROW)
-        head = self._cut(needle.tip_m, frame.axis, frame.up, TIP_ROW)
-        probe = self._cut(needle.tip_m, -frame.up, frame.side, PIXELS // 2)
+        self._drawn_at = place
+        frame = needle_frame(place.axis, self._plan.rotation)
         middle = PIXELS // 2
-        for picture in (side, head):
-            picture[:TIP_ROW, middle - 1 : middle + 1] = NEEDLE_COLOR
-        probe[middle, middle - 5 : middle + 6] = NEEDLE_COLOR
-        probe[middle - 5 : middle + 6, middle] = NEEDLE_COLOR
+        side = self._cut(place.tip_m, frame.axis, frame.side, TIP_ROW)
+        head = self._cut(place.tip_m, frame.axis, frame.up, TIP_ROW)
+        probe = self._cut(place.tip_m, -frame.up, frame.side, middle)
+        if needle is not None:
+            for picture in (side, head):
+                picture[:TIP_ROW, middle - 1 : middle + 1] = NEEDLE_COLOR
+            probe[middle, middle - 5 : middle + 6] = NEEDLE_COLOR
+            probe[middle - 5 : middle + 6, middle] = NEEDLE_COLOR
         self.latest = SlicePictures(side, head, probe)
         return self.latest
+
+    def _draw_path(
+        self,
+        picture: NDArray[np.uint8],
+        tip_m: Array,
+        axes: Array,
+        tip_pixel: tuple[int, int],
+    ) -> None:
+        """Draw the planned path into a plane, and its target as a square.
+
+        Args:
+            picture: Of the plane.
+            tip_m: Where the plane was cut.
+            axes: Directions of its rows and columns, shape (2, 3).
+            tip_pixel: Row and column of that place.
+        """
+        path = self._plan.path
+        if path is None:
+            return
+        points_m = np.linspace(path.entry_m, path.target_m, 2 * PIXELS)
+        pixels = np.rint((points_m - tip_m) @ axes.T / PIXEL_M).astype(int) + tip_pixel
+        square = np.indices((5, 5)).reshape(2, -1).T - 2
+        pixels = np.concatenate([pixels, pixels[-1] + square])
+        is_inside = ((pixels >= 0) & (pixels < PIXELS)).all(axis=1)
+        rows, columns = pixels[is_inside].T
+        picture[rows, columns] = TARGET_COLOR
 
     def _cut(
         self, tip_m: Array, row_axis: Array, column_axis: Array, tip_row: int
     ) -> NDArray[np.uint8]:
         """Return the picture of a plane through the tip, rows along one direction."""
+        air_HU = -1000.0  # outside the scan
         rows_m = PIXEL_M * (np.arange(PIXELS) - tip_row)
         columns_m = PIXEL_M * (np.arange(PIXELS) - PIXELS // 2)
         points_m = (
@@ -138,11 +163,14 @@ class ScanSlices:
         model_m = (points_m - self._plan.translation_m) @ self._plan.rotation
         scan: Any = self._plan.scan
         index = np.moveaxis(scan.grid.indices(model_m), -1, 0)
-        values_HU = np.full((PIXELS, PIXELS), AIR_HU)
+        values_HU = np.full((PIXELS, PIXELS), air_HU)
         ndimage.map_coordinates(
-            scan.values, index, output=values_HU, order=1, cval=AIR_HU
+            scan.values, index, output=values_HU, order=1, cval=air_HU
         )
-        low_HU, high_HU = WINDOW_HU
+        low_HU, high_HU = -160.0, 240.0  # from black to white: soft tissue
         grey = np.clip((values_HU - low_HU) / (high_HU - low_HU), 0.0, 1.0)
         pixels = (255.0 * grey).astype(np.uint8)
-        return np.repeat(pixels[:, :, None], 3, axis=2)
+        picture = np.repeat(pixels[:, :, None], 3, axis=2)
+        axes = np.array([row_axis, column_axis])
+        self._draw_path(picture, tip_m, axes, (tip_row, PIXELS // 2))
+        return picture

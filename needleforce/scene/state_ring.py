@@ -17,6 +17,7 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from foundation.errors import NeedleforceError
 from needleforce.depth_zero import ZERO_NAMES, find_depth_zero
+from needleforce.insertion_events import session_events
 
 ROWS = 4096
 """How many rows the ring has, four seconds at 1 kHz."""
@@ -26,6 +27,11 @@ READABLE_ROWS = 3 * ROWS // 4
 
 _COUNT = struct.Struct("<Q")
 """How many rows were written, at the beginning of the memory."""
+
+
+EVENTS = ("", "rupture", "hard_contact", "too_near", "past_target")
+"""Kinds of events that a page tells by a sound, by number; of several in one tick the
+last of these counts."""
 
 
 class ViewRow(NamedTuple):
@@ -75,6 +81,7 @@ class ViewRow(NamedTuple):
         near_is_too_near: 1 if it is nearer than it may be, else 0.
         zero_m: Depth from which shown depths count.
         zero_kind: Number of its name in `needleforce.depth_zero.ZERO_NAMES`.
+        event: Number in `EVENTS` of what happened in this tick.
     """
 
     time_s: float
@@ -116,6 +123,7 @@ class ViewRow(NamedTuple):
     near_is_too_near: float = math.nan
     zero_m: float = 0.0
     zero_kind: float = 0.0
+    event: float = 0.0
 
     @property
     def zero_name(self) -> str:
@@ -198,6 +206,8 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
             _NEAR_PREFIX + name: float(getattr(nearest, name)) for name in NEAR_FIELDS
         }
 
+    kinds = (event.kind for event in session_events(estimate))
+    events = [EVENTS.index(kind) for kind in kinds if kind in EVENTS]
     zero = find_depth_zero(estimate)
     row = ViewRow(
         time_s=estimate.time_s,
@@ -216,6 +226,7 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
         is_good=estimate.status.value == "ok",
         zero_m=zero.depth_m,
         zero_kind=ZERO_NAMES.index(zero.name),
+        event=max(events, default=0),
         **plan_values,
     )
     return (*row, *np.asarray(q_rad, dtype=float).tolist())

@@ -15,14 +15,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from needleforce.depth_zero import PLANNED_ENTRY
 from needleforce.scene import nodes
+from needleforce.scene.clinician_view import card_html, find_bearing
 from needleforce.scene.export_page import SceneWords, require_export, write_scene_page
 from needleforce.scene.film import (
     MIN_FILM_S,
     Film,
     FilmFrame,
     FilmRupture,
-    film_frame,
     film_times_s,
 )
 from needleforce.scene.force_arrow import ForceArrow
@@ -34,7 +35,7 @@ from needleforce.scene.page_text import text_html
 from needleforce.scene.row_text import (
     BANNER,
     CANNOT_TELL,
-    MEANINGS,
+    M_TO_MM,
     banner_of,
     headline,
     layer_names,
@@ -45,6 +46,7 @@ from needleforce.scene.row_text import (
 )
 from needleforce.scene.scan_slices import PIXELS, TITLES, ScanSlices, SlicePictures
 from needleforce.scene.state_ring import (
+    EVENTS,
     FIELDS,
     FREE_PORT,
     SceneError,
@@ -61,22 +63,8 @@ FULL_BAR_N = 4.0
 ENLARGED = 2
 """Pixels of the screen for each of the CT's slices; these fill their panel then."""
 
-MAX_TRAIL_POINTS = 100
-"""Of the real path of the tip; longer ones are thinned."""
-
-BANNER_M = 0.1
-"""The banner stands so far before the tip, where no other label is."""
-
-TIP_CAMERA_M = 0.04
-"""Of the camera at the tip, behind it and beside it."""
-
 KEPT_RATE_HZ = 50.0
-"""So many rows a second are kept, and those with ruptures."""
-
-MAX_ROWS = 30_000
-"""When more are kept, every second one is dropped."""
-
-MAX_PORT = 65535
+"""So many rows a second are kept, and those with events."""
 
 
 class Mark(NamedTuple):
@@ -108,16 +96,17 @@ def check_address(host: str, port: int) -> None:
 
     That another program listens there is no fault: viser takes the next port.
     """
+    last_port = 65535
     family = socket.AF_INET6 if ":" in host else socket.AF_INET
     try:
         socket.create_server((host, port), family=family).close()
     except (OSError, OverflowError, UnicodeError) as error:
         is_busy = getattr(error, "errno", None) == errno.EADDRINUSE
         # Behind the last port viser would wait for ever, too.
-        if not is_busy or port == MAX_PORT:
+        if not is_busy or port == last_port:
             raise SceneError(
                 f"{host}, port {port}: {error}; expected an address of this machine, "
-                f"and a port of 0 to {MAX_PORT}",
+                f"and a port of 0 to {last_port}",
                 FREE_PORT,
             ) from error
 
@@ -170,6 +159,9 @@ class Viewer:
         self._add_panel(plan)
         self._slices = None if plan.scan is None else ScanSlices(plan)
         self._images = [] if plan.scan is None else self._add_images()
+        self._draw_slices(None)
+        if plan.path is not None:
+            self._place_camera(plan.path.entry_m)
 
     def _add_scene(
         self, robot: Robot, plan: nodes.PlanScene, urdf_path: Path | None
@@ -205,19 +197,22 @@ class Viewer:
         """
         gui = self._server.gui
         self._title = TitleBar(self._server, plan.warnings)
-        self._banner = gui.add_html("")
+        self._card = gui.add_html(card_html(None, plan))
         gui.add_html(text_html(*(f"Warning: {warning}" for warning in plan.warnings)))
         self._headline = gui.add_html(text_html("waiting for the first sample"))
         panel = gui.add_panel()
         with panel.add_tab("Insertion"):
             gui.add_html(text_html(f"needleforce – {NOTE}"))
-            self._text = gui.add_html("")
+            self.time = TimePanel(gui, self.show)
             gui.add_html(text_html(f"Bar: tip force; full at {FULL_BAR_N:g} N."))
             self._bar = gui.add_progress_bar(0.0, color="violet")
+            has_entry = plan.path is not None
+            exits_m = [0.0, *(layer.exit_m for layer in plan.layers)]
+            self._plots = ForcePlots(gui, exits_m if has_entry else ())
             self._events = gui.add_html("")
-            self.time = TimePanel(gui, self.show)
+            self._text = gui.add_html("")
             self._at_tip = gui.add_checkbox("camera at the tip", False)
-            self._plots = ForcePlots(gui)
+            self._sounds = gui.add_checkbox("sound on events", True)
         with panel.add_tab("Structures"):
             if not self._surfaces:
                 gui.add_html(text_html("No labels beside the plan."))
@@ -245,7 +240,9 @@ class Viewer:
             return
 
         with self._lock:
-            events = rows[:, [COLUMN["rupture"], COLUMN["retracted"]]]
+            events = rows[
+                :, [COLUMN[name] for name in ("rupture", "retracted", "event")]
+            ]
             has_event = (events > 0.0).any(axis=1)
             for row in rows[has_event]:
                 self._mark(row)
@@ -254,7 +251,7 @@ class Viewer:
             slots = np.floor(rows[:, COLUMN["time_s"]] * KEPT_RATE_HZ)
             is_kept = has_event | (np.diff(slots, prepend=self._latest_slot()) > 0.0)
             self._rows = np.vstack([self._rows, rows[is_kept]])
-            if len(self._rows) > MAX_ROWS:
+            if len(self._rows) > 30_000:  # ten minutes at the rate that is kept
                 self._rows = self._rows[::2]
 
     def _latest_slot(self) -> float:
@@ -334,7 +331,10 @@ class Viewer:
             self._draw_banner(row, needle)
             self._arrow.show(row, needle)
             self._draw_trail(index, row)
-            self._draw_slices(needle)
+            is_near = row.depth_m > row.zero_m - nodes.PATH_LEAD_M
+            has_entry = row.zero_name == PLANNED_ENTRY
+            self._draw_slices(needle if is_near or not has_entry else None)
+            self._card.content = self._card_of(index, row, needle)
             self.time.set_end(float(self._rows[-1, COLUMN["time_s"]]))
             if self.time.live.value:
                 self.time.slider.value = round(row.time_s, 2)
@@ -347,13 +347,22 @@ class Viewer:
             self._plots.draw(self._rows[: index + 1], row.zero_m)
 
         self._move_camera(needle)
-        if self._shown_s is None:
-            self._place_camera(needle)
+        if self._shown_s is None and self._plan.path is None:
+            self._place_camera(needle.tip_m)
 
-    def _place_camera(self, needle: nodes.NeedlePose) -> None:
-        """Let browsers look at the planned entry at first, without one at the tip."""
-        entry_m = self._plan.entry_m
-        centre_m = needle.tip_m if entry_m is None else self._plan.to_robot(entry_m)
+    def _card_of(self, index: int, row: ViewRow, needle: nodes.NeedlePose) -> str:
+        """Return the clinician's view of a row, with the latest event before it."""
+        events = self._rows[: index + 1, COLUMN["event"]]
+        places = np.flatnonzero(events)
+        latest = ("", 0.0)
+        if len(places):
+            kind = EVENTS[int(events[places[-1]])] if self._sounds.value else ""
+            latest = (kind, float(self._rows[places[-1], COLUMN["time_s"]]))
+        bearing = find_bearing(row, needle, self._plan)
+        return card_html(row, self._plan, bearing, latest)
+
+    def _place_camera(self, centre_m: Array) -> None:
+        """Let browsers look at a place at first."""
         camera = self._server.initial_camera
         camera.look_at = tuple(centre_m)
         camera.position = tuple(centre_m + nodes.CAMERA_M)
@@ -398,17 +407,15 @@ class Viewer:
         self._title.show(banner)
         self._off_plan.visible = bool(banner)
         self._off_plan.text = banner or BANNER
-        self._off_plan.position = tuple(needle.tip_m - BANNER_M * needle.axis)
-        self._banner.content = ""
-        if banner:
-            self._banner.content = text_html(f"⚠ {banner}: {MEANINGS[banner]}.")
+        # So far before the tip no other label stands.
+        self._off_plan.position = tuple(needle.tip_m - 0.1 * needle.axis)
 
     def _draw_trail(self, index: int, row: ViewRow) -> None:
         """Draw the real path of the tip until a row, from shortly before the entry."""
         rows = self._rows[: index + 1]
         begin_m = row.zero_m - nodes.PATH_LEAD_M
         rows = rows[rows[:, COLUMN["depth_m"]] >= begin_m]
-        rows = rows[:: max(len(rows) // MAX_TRAIL_POINTS, 1)]
+        rows = rows[:: max(len(rows) // 100, 1)]  # a line of at most 200 points
         is_shown = len(rows) > 1
         self._trail.visible = is_shown
         if is_shown:
@@ -418,8 +425,8 @@ class Viewer:
             segments = np.stack([tips_m[:-1], tips_m[1:]], axis=1)
             self._trail.points = segments.astype(np.float32)
 
-    def _draw_slices(self, needle: nodes.NeedlePose) -> None:
-        """Draw the CT at the needle, if there is one and the needle has moved."""
+    def _draw_slices(self, needle: nodes.NeedlePose | None) -> None:
+        """Draw the CT at the needle, or at the planned target, if anything moved."""
         if self._slices is None:
             return
         pictures = self._slices.draw(needle)
@@ -433,10 +440,11 @@ class Viewer:
         if not self._at_tip.value:
             return
         frame = nodes.rotation_of_axis(needle.axis)
+        away_m = 0.04  # behind the tip, and beside it
         for client in self._server.get_clients().values():
             client.camera.up_direction = tuple(frame[:, 1])
             client.camera.position = tuple(
-                needle.tip_m - TIP_CAMERA_M * needle.axis + TIP_CAMERA_M * frame[:, 0]
+                needle.tip_m - away_m * needle.axis + away_m * frame[:, 0]
             )
             client.camera.look_at = tuple(needle.tip_m)
 
@@ -488,8 +496,16 @@ class Viewer:
         times_s = self._rows[:, COLUMN["time_s"]]
         index = int(np.searchsorted(times_s, self._shown_s or 0.0, "right")) - 1
         row = _view_row_of(self._rows[max(index, 0)])
-        lines = state_lines(row, self._names, self._plan.watched)
-        return film_frame(row, film_s, lines, len(slices) - 1)
+        return FilmFrame(
+            film_s=film_s,
+            time_s=row.time_s,
+            depth_mm=M_TO_MM * (row.depth_m - row.zero_m),
+            headline=headline(row),
+            lines=tuple(state_lines(row, self._names, self._plan.watched)),
+            banner=banner_of(row),
+            card=self._card.content,
+            slices=len(slices) - 1,
+        )
 
     def stop(self) -> None:
         """Close the page."""
