@@ -34,10 +34,12 @@ class Bearing(NamedTuple):
     Attributes:
         entry_m: Where its line passes the entry, to the right and up, shape (2,).
         tip_m: Where its tip is, shape (2,).
+        up: Side of the body that is up: H, the head, or P, the back.
     """
 
     entry_m: Array
     tip_m: Array
+    up: str
 
 
 def find_bearing(row: ViewRow, needle: NeedlePose, plan: PlanScene) -> Bearing | None:
@@ -55,6 +57,7 @@ def find_bearing(row: ViewRow, needle: NeedlePose, plan: PlanScene) -> Bearing |
     return Bearing(
         _with_length(across @ at_entry_m, row.aside_entry_m),
         _with_length(across @ from_entry_m, row.aside_tip_m),
+        frame.up_side,
     )
 
 
@@ -155,45 +158,55 @@ def _target_html(row: ViewRow | None, length_m: float) -> str:
 
 def _bullseye_svg(row: ViewRow | None, bearing: Bearing | None) -> str:
     """Return the needle beside the planned path, seen along it, in millimetres."""
-    edge_mm = 12.0
+    edge_mm = 6.0
     rings = "".join(
-        f'<circle r="{radius}" fill="none" stroke="#999" stroke-width=".15"/>'
-        f'<text x="{0.71 * radius}" y="{0.71 * radius + 1.6}" font-size="2" '
+        f'<circle r="{radius}" fill="none" stroke="#999" stroke-width=".07"/>'
+        f'<text x="{0.71 * radius}" y="{0.71 * radius + 0.8}" font-size="1" '
         f'fill="#555">{radius}</text>'
-        for radius in (2, 5, 10)
+        for radius in (1, 2, 5)
     )
     cross = (
         f'<path d="M{-edge_mm} 0H{edge_mm}M0 {-edge_mm}V{edge_mm}" stroke="#bbb" '
-        'stroke-width=".12"/>'
+        'stroke-width=".06"/>'
     )
     needle = ""
     words = "no needle yet"
+    caption = ""
     if row is not None and bearing is not None:
         tip = _place_mm(bearing.tip_m, edge_mm)
         entry = _place_mm(bearing.entry_m, edge_mm)
-        color = RED if row.is_off_plan else AMBER if row.is_doubtful else GREEN
+        # A tip past the target may be doubtful for its depth alone.
+        is_doubtful = row.is_doubtful and not row.is_past_target
+        color = RED if row.is_off_plan else AMBER if is_doubtful else GREEN
         std_mm = 2.0 * M_TO_MM * row.aside_tip_std_m
         needle = (
             f'<circle cx="{tip[0]:.2f}" cy="{tip[1]:.2f}" r="{std_mm:.2f}" '
-            f'fill="{color}" fill-opacity=".15" stroke="{color}" stroke-width=".25" '
-            'stroke-dasharray=".8 .5"/>'
+            f'fill="{color}" fill-opacity=".15" stroke="{color}" stroke-width=".12" '
+            'stroke-dasharray=".4 .2"/>'
             f'<path d="M{entry[0]:.2f} {entry[1]:.2f}L{tip[0]:.2f} {tip[1]:.2f}" '
-            f'stroke="{color}" stroke-width=".5"/>'
-            f'<circle cx="{tip[0]:.2f}" cy="{tip[1]:.2f}" r=".8" fill="{color}"/>'
+            f'stroke="{color}" stroke-width=".2"/>'
+            f'<circle cx="{tip[0]:.2f}" cy="{tip[1]:.2f}" r=".25" fill="{color}"/>'
+            f'<text x=".2" y="-5.1" font-size="1" fill="#555">{bearing.up}</text>'
         )
         words = aside_text(row)
+        caption = (
+            f"{M_TO_MM * row.aside_tip_m:.1f} ± {M_TO_MM * row.aside_tip_std_m:.1f} mm "
+            f"aside<br>{math.degrees(row.aside_angle_rad):.1f} ± "
+            f"{math.degrees(row.aside_angle_std_rad):.1f}° turned"
+        )
     return (
+        '<div style="flex:none;font-size:.75rem;text-align:center">'
         f'<svg data-part="bullseye" role="img" aria-label="{escape(words)}" '
         f'viewBox="{-edge_mm} {-edge_mm} {2 * edge_mm} {2 * edge_mm}" '
-        'style="width:7.5rem;height:7.5rem;flex:none;background:#fff">'
-        f"{cross}{rings}{needle}</svg>"
+        'style="display:block;width:7.5rem;height:7.5rem;background:#fff">'
+        f"{cross}{rings}{needle}</svg>{caption}</div>"
     )
 
 
 def _place_mm(aside_m: Array, edge_mm: float) -> Sequence[float]:
     """Return a place in the picture, whose y axis points down; outside is its edge."""
     x_mm, y_mm = (M_TO_MM * aside_m).tolist()
-    shrink = max(math.hypot(x_mm, y_mm) / (edge_mm - 1.0), 1.0)
+    shrink = max(math.hypot(x_mm, y_mm) / (edge_mm - 0.5), 1.0)
     return (x_mm / shrink, -y_mm / shrink)
 
 

@@ -6,13 +6,15 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from needleforce.scene.legend import LINE, LegendLine, legend_html
+from needleforce.scene.nodes import PATH_COLOR, Color
 from needleforce.scene.state_ring import FIELDS
 
 MAX_CURVE_POINTS = 500
 """Of a curve; longer ones are thinned."""
 
 TIME_LABEL = "time [s]"
-DEPTH_LABEL = "depth, counted as above [mm]"
+DEPTH_LABEL = "depth, counted as in the headline [mm]"
 FORCE_LABEL = "force [N]"
 
 M_TO_MM = 1e3
@@ -28,26 +30,26 @@ class ForceCurve(NamedTuple):
         name: In the legend.
         field: Of a row, with its values.
         std_field: Of a row, with their standard deviations; empty where none are known.
-        color: Red, green and blue; told apart also without red or green.
+        color: Told apart also without red or green.
         dash: Pixels drawn and left out; empty for a line without gaps.
     """
 
     name: str
     field: str
     std_field: str
-    color: str
+    color: Color
     dash: tuple[float, ...] = ()
 
     @property
     def hex_color(self) -> str:
         """The colour as ``#rrggbb``."""
-        return "#" + "".join(f"{int(part):02x}" for part in self.color.split(","))
+        return "#{:02x}{:02x}{:02x}".format(*self.color)
 
 
 CURVES = (
-    ForceCurve("axial force", "force_N", "force_std_N", "0, 114, 178"),
-    ForceCurve("tip force", "tip_N", "tip_std_N", "213, 94, 0", (8.0, 3.0)),
-    ForceCurve("enhanced force", "enhanced_N", "", "0, 0, 0", (2.0, 3.0)),
+    ForceCurve("axial force", "force_N", "force_std_N", Color(0, 114, 178)),
+    ForceCurve("tip force", "tip_N", "tip_std_N", Color(213, 94, 0), (8.0, 3.0)),
+    ForceCurve("enhanced force", "enhanced_N", "", Color(0, 0, 0), (2.0, 3.0)),
 )
 
 
@@ -66,6 +68,9 @@ class ForcePlots:
 
     def __init__(self, gui: Any, boundaries_m: Sequence[float] = ()) -> None:
         self._boundaries_mm = M_TO_MM * np.array(boundaries_m, dtype=float)
+        names = [LegendLine(LINE, curve.color, curve.name) for curve in CURVES]
+        names.append(LegendLine(LINE, PATH_COLOR, "planned boundary"))
+        gui.add_html(legend_html(names))
         self.charts = {
             label: _add_chart(gui, label) for label in (DEPTH_LABEL, TIME_LABEL)
         }
@@ -144,35 +149,36 @@ def _add_chart(gui: Any, x_label: str) -> Any:
     band_px = 0.3  # of the two lines that bound a band
     series = [
         uplot.Series(label=x_label),
-        uplot.Series(label="planned boundary", stroke="rgb(60, 60, 60)", width=1.0),
+        uplot.Series(label="planned boundary", stroke="#3c3c3c", width=1.0),
     ]
     bands = []
     for curve in CURVES:
-        stroke = f"rgb({curve.color})"
         line = uplot.Series(
-            label=f"{curve.name} [N]", stroke=stroke, width=line_px, dash=curve.dash
+            label=f"{curve.name} [N]",
+            stroke=curve.hex_color,
+            width=line_px,
+            dash=curve.dash,
         )
         series.append(line)
         if not curve.std_field:
             continue
         upper = len(series)
-        bands.append(
-            uplot.Band(series=(upper, upper + 1), fill=f"rgba({curve.color}, 0.18)")
-        )
+        bands.append(uplot.Band(series=(upper, upper + 1), fill=f"{curve.hex_color}2e"))
         series += [
-            uplot.Series(label=label, stroke=stroke, width=band_px)
+            uplot.Series(label=label, stroke=curve.hex_color, width=band_px)
             for label in ("+ 2 std", "- 2 std")
         ]
 
     return gui.add_uplot(
         tuple(np.zeros(1) for _ in series),
         tuple(series),
-        title=f"{FORCE_LABEL} over {x_label}",
         bands=tuple(bands),
         scales={
             "x": uplot.Scale(time=False, auto=True),
             "y": uplot.Scale(auto=True),
         },
         axes=(uplot.Axis(label=x_label), uplot.Axis(label=FORCE_LABEL)),
+        # Its entries would be taller than the plot; the words above it say the same.
+        legend=uplot.Legend(show=False),
         aspect=1.4,
     )

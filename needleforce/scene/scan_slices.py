@@ -41,11 +41,13 @@ class NeedleFrame(NamedTuple):
         axis: Of the needle.
         side: Across it.
         up: To the head, as far as it can be.
+        up_side: H, the head, or P, the back, for a needle along the body.
     """
 
     axis: Array
     side: Array
     up: Array
+    up_side: str
 
 
 def needle_frame(axis: Array, rotation: Array) -> NeedleFrame:
@@ -57,10 +59,11 @@ def needle_frame(axis: Array, rotation: Array) -> NeedleFrame:
     """
     head = rotation[:, 2]
     # A needle along the body has the back of the body up instead of the head.
-    towards = rotation[:, 1] if abs(axis @ head) > 0.9 else head
+    is_along = abs(axis @ head) > 0.9
+    towards = rotation[:, 1] if is_along else head
     up = towards - (towards @ axis) * axis
     up = up / np.linalg.norm(up)
-    return NeedleFrame(axis, np.cross(axis, up), up)
+    return NeedleFrame(axis, np.cross(axis, up), up, "P" if is_along else "H")
 
 
 class SlicePictures(NamedTuple):
@@ -98,10 +101,12 @@ class ScanSlices:
         Args:
             needle: None for the planned path, without a needle, at its target.
         """
-        path = self._plan.path
-        if needle is None and path is None:
-            return None
-        place = NeedlePose(path.target_m, path.axis) if needle is None else needle
+        place = needle
+        if place is None:
+            path = self._plan.path
+            if path is None:
+                return None
+            place = NeedlePose(path.target_m, path.axis)
         drawn = self._drawn_at
         if drawn is not None:
             travel_m = np.linalg.norm(place.tip_m - drawn.tip_m)

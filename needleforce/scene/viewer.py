@@ -200,6 +200,8 @@ class Viewer:
         self._card = gui.add_html(card_html(None, plan))
         gui.add_html(text_html(*(f"Warning: {warning}" for warning in plan.warnings)))
         self._headline = gui.add_html(text_html("waiting for the first sample"))
+        # Docked, not floating over the scene.
+        gui.main_panel.dock_left()
         panel = gui.add_panel()
         with panel.add_tab("Insertion"):
             gui.add_html(text_html(f"needleforce – {NOTE}"))
@@ -230,7 +232,7 @@ class Viewer:
             images = [
                 self._server.gui.add_image(empty, label=title) for title in TITLES
             ]
-        panel.dock_left()
+        panel.dock_below(self._server.gui.main_panel)
         return images
 
     def append(self, rows: Array) -> None:

@@ -17,10 +17,10 @@ from needleforce.insertion_events import session_events
 from needleforce.needle_on_plan import PlannedEntry, PlannedPath, describe_deviation
 from needleforce.scene.row_text import (
     banner_of,
-    headline,
     layer_names,
     rupture_text,
     state_lines,
+    target_parts,
 )
 from needleforce.scene.state_ring import FIELDS, ViewRow, view_row
 from tests.insertion_run import following, samples, short_run, stopped_after, tare_index
@@ -343,7 +343,9 @@ def test_past_the_target_is_one_event_and_is_said_in_live_and_scene(past_target_
     shown = ViewRow(*view_row(estimates[-1], row[0])[: len(FIELDS)])
     names = layer_names(SimpleNamespace(layers=[]))
     assert banner_of(shown) == "PAST TARGET"
-    assert re.search(r"; 1[45]\d\.\d ± 0\.2 mm past the target$", headline(shown))
+    number, side = target_parts(shown)
+    assert re.fullmatch(r"1[45]\d\.\d", number)
+    assert side == "± 0.2 mm past the target"
     assert "mm past the target" in "\n".join(state_lines(shown, names))
 
 

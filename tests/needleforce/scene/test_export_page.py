@@ -150,7 +150,7 @@ def test_each_rupture_has_a_picture_of_its_own():
 def test_alarms_that_are_to_come_or_retracted_are_pale(tmp_path):
     from tests.needleforce.scene.scene_page import open_page
 
-    frame = FilmFrame(0.0, 5.0, 12.0, "5.0 s", (), banner="", slices=-1)
+    frame = FilmFrame(0.0, 5.0, 12.0, "5.0 s", (), banner="", card="", slices=-1)
     times_s = {"retracted": (1.0, 3.0), "stands": (4.0, np.inf), "later": (6.0, 7.0)}
     ruptures = [FilmRupture(*times, name) for name, times in times_s.items()]
     path = write_scene_page(

@@ -30,6 +30,7 @@ from needleforce.scene import (
     open_viewer,
 )
 from needleforce.scene.state_ring import FIELDS, PLAN_FIELDS, ROWS, view_row
+from needleforce.session_event import SessionEvent
 from urdf import example_robot_path, load_example, load_urdf
 
 HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
@@ -195,9 +196,10 @@ def test_before_the_tare_no_curve_is_shown(viewer):
     viewer.append(np.vstack([row(0.0, is_good=0.0), insertion()[2:]]))
     for time_s, points in ((None, 198), (0.0, 0)):
         viewer.show(time_s)
-        assert all(
-            len(plot.data[0]) == points for plot in viewer._plots.charts.values()
-        )
+        for plot in viewer._plots.charts.values():
+            known = np.isfinite(plot.data[2])
+            assert known.sum() == pytest.approx(points, abs=12)
+            assert known.any() == bool(points)
 
 
 def test_a_plan_names_layers_retracted_alarms_vanish(viewer):
@@ -255,11 +257,17 @@ def test_a_row_holds_the_estimate_and_its_plan():
         identification=identification,
         plan=plan,
     )
+    identification.hard_contact = SimpleNamespace(
+        depth_m=0.03, force_N=1.0, growth_N_per_m=1e3
+    )
+    identification.identified_layer = None
+    estimate.plan_events = (SessionEvent("too_near", "", {}),)
     estimate.wrench = SimpleNamespace(axial=1.0, axial_std=0.1)
     estimate.status = SimpleNamespace(value="ok")
     numbers = dict(zip(FIELDS, view_row(estimate, HOME), strict=False))
 
     assert (numbers["retracted"], numbers["rupture"], numbers["is_good"]) == (1, 0, 1)
+    assert numbers["event"] == 3.0  # too near is more urgent than a hard contact
     assert [numbers[f"plan_{name}"] for name in PLAN_FIELDS] == [
         1,
         0.9,
@@ -306,6 +314,8 @@ def test_a_loop_hands_rows_to_a_page_process():
     identification.shaft_friction_N = 0.1
     identification.enhanced_force_N = 0.7
     identification.layer = 1
+    identification.hard_contact = None
+    identification.identified_layer = None
     with open_viewer(robot, port=8241) as view:
         assert view.url.startswith("http://127.0.0.1:")
         for k in range(2000):
@@ -317,6 +327,7 @@ def test_a_loop_hands_rows_to_a_page_process():
                 identification=identification,
                 status=SimpleNamespace(value="ok"),
                 plan=None,
+                plan_events=(),
             )
             view.put(estimate, HOME)
 
