@@ -96,7 +96,7 @@ def card_html(
     silent = (
         "<style>[data-sound=on] .silent{display:none}</style>"
         '<p class="silent" style="font-size:.8rem;margin:.2rem 0;color:#555">'
-        "Events sound once you have pressed a key or a button here.</p>"
+        "Sound: press a key or a button here once.</p>"
     )
     return (
         '<div class="needle-card" style="margin:0 .75rem .5rem;color:#111">'

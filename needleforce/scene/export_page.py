@@ -8,7 +8,7 @@ import json
 import math
 import secrets
 from base64 import b64encode
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from importlib.resources import files
 from io import BytesIO
 from pathlib import Path
@@ -20,7 +20,6 @@ from numpy.typing import NDArray
 from needleforce.files import whole_file
 from needleforce.plots import DrawnChart, require_matplotlib
 from needleforce.scene.film import Film
-from needleforce.scene.force_charts import ForceCharts
 from needleforce.scene.legend import LegendLine
 from needleforce.scene.page_policy import page_policy, with_nonce
 from needleforce.scene.page_text import sound_script
@@ -29,18 +28,8 @@ from needleforce.scene.scan_slices import TITLES
 from needleforce.scene.state_ring import SceneError
 from needleforce.scene.title_bar import NOTE
 
-TEMPLATE = "export_page.html"
-
 STRIP_COLUMNS = 12
 """Pictures side by side in a strip; browsers refuse pictures of 2¹⁵ pixels."""
-
-JPEG_QUALITY = 80
-"""Per cent; a picture of the CT then takes some 4 kB."""
-
-NONCE_BYTES = 16
-"""Of randomness in what marks the page's own scripts."""
-
-PURPOSE = "an exported scene"
 
 
 class SceneWords(NamedTuple):
@@ -79,7 +68,7 @@ def require_export() -> None:
     Raises:
         MissingExtraError: matplotlib or jinja2 is not installed.
     """
-    require_matplotlib(PURPOSE)
+    require_matplotlib("an exported scene")
 
 
 def write_scene_page(
@@ -87,7 +76,7 @@ def write_scene_page(
     scene: str,
     words: SceneWords,
     film: Film | None = None,
-    charts: ForceCharts | None = None,
+    charts: Mapping[str, DrawnChart] | None = None,
 ) -> Path:
     """Write a page, whole or not at all.
 
@@ -96,7 +85,7 @@ def write_scene_page(
         scene: The 3-D part, as viser exports it.
         words: What is said beside it.
         film: What happens in it; None for a scene that stands.
-        charts: The forces of the film.
+        charts: The forces of the film, by the field of its frames below them.
 
     Returns:
         Its path.
@@ -111,9 +100,11 @@ def write_scene_page(
     environment = Environment(autoescape=True)
     environment.filters["base64"] = lambda text: b64encode(text.encode()).decode()
     template = environment.from_string(
-        files("needleforce.scene").joinpath(TEMPLATE).read_text(encoding="utf-8")
+        files("needleforce.scene")
+        .joinpath("export_page.html")
+        .read_text(encoding="utf-8")
     )
-    nonce = secrets.token_urlsafe(NONCE_BYTES)
+    nonce = secrets.token_urlsafe(16)
     text = template.render(
         nonce=nonce,
         sound=sound_script(),
@@ -158,12 +149,12 @@ def _strip(title: str, pictures: Sequence[NDArray[np.uint8]]) -> SliceStrip:
         left = column * width
         strip[top : top + height, left : left + width] = picture
     buffer = BytesIO()
-    imsave(buffer, strip, format="jpeg", pil_kwargs={"quality": JPEG_QUALITY})
+    imsave(buffer, strip, format="jpeg", pil_kwargs={"quality": 80})  # 4 kB a picture
     content = b64encode(buffer.getvalue()).decode()
     return SliceStrip(title, f"data:image/jpeg;base64,{content}", STRIP_COLUMNS, rows)
 
 
-def film_data(film: Film, charts: ForceCharts | None) -> str:
+def film_data(film: Film, charts: Mapping[str, DrawnChart] | None) -> str:
     """Return the film as JSON, which may stand inside a script."""
     data: dict[str, Any] = {
         "frames": [frame._asdict() for frame in film.frames],
@@ -176,12 +167,7 @@ def film_data(film: Film, charts: ForceCharts | None) -> str:
         ],
         "banners": MEANINGS,
         "columns": STRIP_COLUMNS,
-        "charts": {}
-        if charts is None
-        else {
-            "time_s": _chart_data(charts.over_time),
-            "depth_mm": _chart_data(charts.over_depth),
-        },
+        "charts": {name: _chart_data(chart) for name, chart in (charts or {}).items()},
     }
     return json.dumps(data, allow_nan=False).replace("<", "\\u003c")
 

@@ -11,9 +11,6 @@ from needleforce.scene.scan_slices import SlicePictures
 MIN_FILM_S = 0.05
 """A film lasts at least so long."""
 
-MIN_STEP_S = 1e-3
-"""Pictures closer in time than this are one."""
-
 
 class FilmFrame(NamedTuple):
     """A picture of the film, and what the page says of it.
@@ -79,5 +76,6 @@ def film_times_s(times_s: Array, events_s: Iterable[float], count: int) -> Array
     end_s = max(float(times_s[-1]), start_s + MIN_FILM_S)
     regular_s = np.linspace(start_s, end_s, max(count, 2))
     shown_s = np.unique(np.concatenate([regular_s, np.array([*events_s])]))
-    is_apart = np.diff(shown_s, prepend=-np.inf) >= MIN_STEP_S
+    # Pictures closer in time are one.
+    is_apart = np.diff(shown_s, prepend=-np.inf) >= 1e-3
     return shown_s[is_apart]

@@ -12,22 +12,11 @@ from needleforce.scene.nodes import (
 )
 from needleforce.scene.state_ring import ViewRow
 
-M_PER_N = 25e-3
-"""Length of the arrow per newton."""
-
 BESIDE_M = 6e-3
 """The arrow stands so far beside the needle."""
 
-SHAFT_RADIUS_M = 1.2e-3
-HEAD_RADIUS_M = 3e-3
-HEAD_LENGTH_M = 5e-3
-
 ARROW_COLOR = Color(213, 94, 0)
 BAND_COLOR = Color(120, 120, 120)
-BAND_WIDTH = 5.0  # pixels
-
-MIN_SHOWN_N = 0.02
-"""A smaller force has no arrow."""
 
 
 class ForceArrow:
@@ -39,26 +28,28 @@ class ForceArrow:
 
     def __init__(self, server: Any) -> None:
         points_m = np.zeros((1, 2, 3))
-        points_m[0, 1, 2] = HEAD_LENGTH_M
+        head_length_m = 5e-3
+        points_m[0, 1, 2] = head_length_m
         self._arrow = server.scene.add_arrows(
             "/force/arrow",
             points_m,
             ARROW_COLOR,
-            shaft_radius=SHAFT_RADIUS_M,
-            head_radius=HEAD_RADIUS_M,
-            head_length=HEAD_LENGTH_M,
+            shaft_radius=1.2e-3,
+            head_radius=3e-3,
+            head_length=head_length_m,
         )
         self._band = server.scene.add_line_segments(
             "/force/band",
             points=points_m.astype(np.float32),
             colors=BAND_COLOR,
-            thickness=BAND_WIDTH,
+            thickness=5.0,
             thickness_units="screen",
         )
 
     def show(self, row: ViewRow, needle: NeedlePose) -> None:
         """Show the tip force of a row with a band of two standard deviations."""
-        is_shown = bool(row.is_good) and abs(row.tip_N) >= MIN_SHOWN_N
+        # A smaller force has no arrow: it would be shorter than its head is wide.
+        is_shown = bool(row.is_good) and abs(row.tip_N) >= 0.02
         self._arrow.visible = is_shown
         self._band.visible = is_shown
         if not is_shown:
@@ -75,5 +66,6 @@ class ForceArrow:
 
 def _along(start_m: Array, axis: Array, from_N: float, to_N: float) -> Array:
     """Return a segment that stands for forces against the needle, shape (1, 2, 3)."""
-    lengths_m = -M_PER_N * np.array([from_N, to_N])
+    m_per_N = 25e-3
+    lengths_m = -m_per_N * np.array([from_N, to_N])
     return (start_m + lengths_m[:, None] * axis)[None]

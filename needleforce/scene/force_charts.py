@@ -1,7 +1,6 @@
 """The forces of a film as two charts: over time, and over depth."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 
@@ -27,28 +26,11 @@ from needleforce.scene.force_plots import (
     shown_rows,
 )
 
-HEIGHT_IN = 2.6
-
-RUPTURES = LineStyle(color=palette.ORANGE, marker="|", width_pt=2.0, size_pt=11.0)
-"""On the lower edge of a chart."""
-
-
-class ForceCharts(NamedTuple):
-    """The two charts.
-
-    Attributes:
-        over_time: Over the session's time [s].
-        over_depth: Over the depth of the tip [mm].
-    """
-
-    over_time: DrawnChart
-    over_depth: DrawnChart
-
 
 def draw_force_charts(
     rows: Array, zero_m: float, zero_name: str, events_s: Sequence[float]
-) -> ForceCharts:
-    """Draw the forces of rows, shape (n, k).
+) -> dict[str, DrawnChart]:
+    """Draw the forces of rows, shape (n, k), by the field of a `FilmFrame` below them.
 
     Args:
         rows: See `view_row`.
@@ -66,19 +48,21 @@ def draw_force_charts(
     over_depth = _chart(
         f"depth {zero_name} [mm]", deepest, depths_mm, events_mm.tolist()
     )
-    return ForceCharts(draw_svg(over_time), draw_svg(over_depth))
+    return {"time_s": draw_svg(over_time), "depth_mm": draw_svg(over_depth)}
 
 
 def _chart(x_label: str, rows: Array, x: Array, events: Sequence[float]) -> Chart:
     """Return a chart of all forces of rows over places of an axis, shape (n,)."""
+    # On the lower edge of the chart.
+    mark = LineStyle(color=palette.ORANGE, marker="|", width_pt=2.0, size_pt=11.0)
     curves = tuple(_curve(curve, rows, x) for curve in CURVES)
     axis = x_label.partition(" ")[0]
     return Chart(
         title=f"Forces over {axis}; bands: two standard deviations",
         x_label=x_label,
         panels=(Panel(y_label=FORCE_LABEL, curves=curves),),
-        instants=(Instants("rupture", RUPTURES, tuple(events)),),
-        height_in=HEIGHT_IN,
+        instants=(Instants("rupture", mark, tuple(events)),),
+        height_in=2.6,
     )
 
 

@@ -14,7 +14,7 @@ MAX_CURVE_POINTS = 500
 """Of a curve; longer ones are thinned."""
 
 TIME_LABEL = "time [s]"
-DEPTH_LABEL = "depth, counted as in the headline [mm]"
+DEPTH_LABEL = "depth [mm]"
 FORCE_LABEL = "force [N]"
 
 M_TO_MM = 1e3

@@ -24,15 +24,6 @@ from needleforce.scene.state_ring import (
 from needleforce.scene.viewer import Viewer
 from urdf import Robot
 
-UPDATE_RATE_HZ = 34.0
-"""Thirty updates a second are promised, and timers wake late."""
-
-START_S = 60.0
-"""So long the page's process may take to start on a busy machine."""
-
-END_S = 5.0
-"""So long it may take to end."""
-
 
 class LiveView(Closing):
     """A page in another process; made by `open_viewer`.
@@ -63,7 +54,7 @@ class LiveView(Closing):
         with suppress(OSError):
             self._pipe.send("stop")
 
-        self._process.join(END_S)
+        self._process.join(5.0)
         self._process.kill()
         self._ring.close()
 
@@ -91,7 +82,7 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
     other_end.close()
     answer: str | SceneError = "its process has not started"
     with suppress(EOFError, OSError):
-        if pipe.poll(START_S):
+        if pipe.poll(60.0):  # seconds to start on a busy machine
             answer = pipe.recv()
 
     if isinstance(answer, SceneError) or not answer.startswith("http"):
@@ -131,7 +122,8 @@ def _serve(
         return
 
     ring = StateRing(robot.nv, ring_name)
-    period_s = 1.0 / UPDATE_RATE_HZ
+    # Thirty updates a second are promised, and timers wake late.
+    period_s = 1.0 / 34.0
     count = 0
     due_s = monotonic()
     pipe.send(viewer.url)

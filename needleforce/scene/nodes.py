@@ -93,15 +93,11 @@ class NeedlePose(NamedTuple):
 RING_RADIUS_M = 6e-3
 """Of a boundary or a rupture."""
 
-RING_POINTS = 33
-"""Of the line that draws a ring."""
-
 _PLANNED_LABEL_M = -2.0 * RING_RADIUS_M
 _FOUND_LABEL_M = 2.0 * RING_RADIUS_M
 
-LABEL_HEIGHT_M = 6e-3
 LABEL_GAP_M = 10e-3
-"""Height of a label, and distance along the needle from one to the next."""
+"""Distance along the needle from one label to the next."""
 
 PATH_COLOR = Color(60, 60, 60)
 PLANNED = RingStyle(PATH_COLOR, _PLANNED_LABEL_M)
@@ -115,7 +111,6 @@ NEEDLE_COLOR = Color(70, 75, 90)
 OFF_PLAN_COLOR = Color(230, 30, 30)
 """Of the needle while it is off the plan."""
 
-BONE_COLOR = Color(90, 100, 120)
 TARGET_COLOR = Color(0, 158, 115)
 TRAIL_COLOR = Color(213, 94, 0)
 TRAIL_WIDTH = 3.0  # pixels
@@ -126,19 +121,10 @@ CAMERA_M = np.array([0.19, -0.23, 0.11])
 RIGHT = np.array([0.55, 0.45, 0.0]) / np.hypot(0.55, 0.45)
 """Direction to the right of the first view, where labels stand."""
 
-MAX_RIGHT_COSINE = 0.9
-"""An axis closer to that direction has its labels along z instead."""
-
 NEEDLE_LENGTH_M = 0.2
-NEEDLE_RADIUS_M = 0.8e-3
-TARGET_RADIUS_M = 3e-3
 
 PATH_LEAD_M = 0.03
 """The planned path begins so far before the entry."""
-
-BONE_WIDTH = 6.0  # pixels
-PATH_WIDTH = 2.0  # pixels
-RING_WIDTH = 4.0  # pixels
 
 
 class PlannedLine(NamedTuple):
@@ -244,7 +230,7 @@ class ArmNodes:
 
         self._needle = server.scene.add_cylinder(
             "/needle",
-            radius=NEEDLE_RADIUS_M,
+            radius=0.8e-3,  # metres
             height=NEEDLE_LENGTH_M,
             color=NEEDLE_COLOR,
             visible=False,  # until it is known where it is
@@ -275,7 +261,7 @@ class ArmNodes:
             joints = range(self._robot.model.njoints)
             points_m = [data.oMi[joint].translation for joint in joints]
             bones = np.array([*points_m, tip_m])
-            add_lines(self._server, "/bones", bones, BONE_COLOR, BONE_WIDTH)
+            add_lines(self._server, "/bones", bones, Color(90, 100, 120), 6.0)
 
         self._needle.visible = True
         self._needle.position = tuple(tip_m - 0.5 * NEEDLE_LENGTH_M * axis)
@@ -319,7 +305,8 @@ def rotation_of_axis(axis: Array) -> Array:
 
     x is turned to the right of the first view, as far as it can be.
     """
-    is_along_right = abs(axis @ RIGHT) >= MAX_RIGHT_COSINE
+    # An axis along that direction has its labels along z instead.
+    is_along_right = abs(axis @ RIGHT) >= 0.9
     right = np.array([0.0, 0.0, 1.0]) if is_along_right else RIGHT
     side = right - (right @ axis) * axis
     side /= np.linalg.norm(side)
@@ -348,9 +335,9 @@ def add_path(server: Any, plan: PlanScene) -> None:
         return
     entry_m, target_m, axis, _ = path
     line = np.array([entry_m - PATH_LEAD_M * axis, target_m])
-    add_lines(server, "/plan/way", line, PATH_COLOR, PATH_WIDTH)
+    add_lines(server, "/plan/way", line, PATH_COLOR, 2.0)
     server.scene.add_icosphere(
-        "/plan/target", TARGET_RADIUS_M, color=TARGET_COLOR, position=tuple(target_m)
+        "/plan/target", 3e-3, color=TARGET_COLOR, position=tuple(target_m)
     )
     exits_m = [layer.exit_m for layer in plan.layers[:-1]]
     shifts_m = label_shifts_m(exits_m)
@@ -381,16 +368,16 @@ def add_ring(
         style: How it looks.
         text: Of the label.
     """
-    angle_rad = np.linspace(0.0, 2.0 * np.pi, RING_POINTS)
-    circle = [np.cos(angle_rad), np.sin(angle_rad), np.zeros(RING_POINTS)]
+    angle_rad = np.linspace(0.0, 2.0 * np.pi, 33)
+    circle = [np.cos(angle_rad), np.sin(angle_rad), np.zeros_like(angle_rad)]
     points_m = RING_RADIUS_M * np.stack(circle, axis=1)
-    line = add_lines(server, name, points_m, style.color, RING_WIDTH)
+    line = add_lines(server, name, points_m, style.color, 4.0)
     label = server.scene.add_label(
         f"{name}/label",
         text,
         position=(style.label_offset_m, 0.0, 0.0),
         font_size_mode="scene",
-        font_scene_height=LABEL_HEIGHT_M,
+        font_scene_height=6e-3,  # metres
         anchor="center-right" if style.label_offset_m < 0.0 else "center-left",
     )
     ring = Ring(line, label)

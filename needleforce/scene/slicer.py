@@ -24,9 +24,6 @@ MAX_RATE_HZ = 50.0
 
 M_TO_MM = 1e3
 
-LPS_TO_RAS = np.diag([-1.0, -1.0, 1.0, 1.0])
-"""From axes to the left and to the back to axes to the right and to the front."""
-
 
 def _to_json(values: dict[str, float | str]) -> str:
     """Return numbers as JSON; a NaN becomes null."""
@@ -108,7 +105,8 @@ class SlicerOutput(Closing):
 
     def _send_pose(self, pose_m: ArrayLike) -> None:
         """Send the needle's pose in the model, shape (4, 4)."""
-        matrix = LPS_TO_RAS @ np.array(pose_m, dtype=float)
+        # LPS, to the left and the back, becomes RAS, to the right and the front.
+        matrix = np.diag([-1.0, -1.0, 1.0, 1.0]) @ np.array(pose_m, dtype=float)
         matrix[:3, 3] *= M_TO_MM
         self._send(self._igtl.TransformMessage(matrix, device_name="NeedleToReference"))
 

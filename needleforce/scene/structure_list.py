@@ -7,18 +7,15 @@ import numpy as np
 
 from needleforce.scene.nodes import PlanScene, color_of
 
-FAINT = ("fat", "skin", "body", "lean", "muscle", "cavity")
-"""Words in the names of structures that surround all others."""
-
 FAINT_OPACITY = 0.06
-OPACITY = 0.25
-OPACITY_STEP = 0.02
 
 
 def usual_opacity(name: str) -> float:
     """Return how opaque a structure is at first."""
     words = name.lower().replace("_", " ").split()
-    return FAINT_OPACITY if any(word in words for word in FAINT) else OPACITY
+    # Such structures surround all others.
+    faint = ("fat", "skin", "body", "lean", "muscle", "cavity")
+    return FAINT_OPACITY if any(word in words for word in faint) else 0.25
 
 
 def add_surfaces(server: Any, plan: PlanScene) -> dict[str, Any]:
@@ -55,7 +52,7 @@ class StructureList:
         shown = name.replace("_", " ")
         box = gui.add_checkbox(shown, True)
         slider = gui.add_slider(
-            "opacity", 0.0, 1.0, OPACITY_STEP, usual_opacity(name), hint=shown
+            "opacity", 0.0, 1.0, 0.02, usual_opacity(name), hint=shown
         )
 
         def show(_event: Any) -> None:

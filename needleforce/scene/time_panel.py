@@ -8,17 +8,10 @@ from typing import Any
 FRAME_S = 0.05
 """Time from picture to picture when a recording is played."""
 
-TIME_STEP_S = 0.01
-"""Of the time line."""
-
 MIN_SPAN_S = 0.01
 """The time line is never shorter."""
 
-SPEEDS = ("0.25", "0.5", "1", "2", "4", "8")
-"""How fast a recording is played, of real time."""
-
 PLAY = "Play"
-PAUSE = "Pause"
 
 
 class TimePanel:
@@ -41,10 +34,12 @@ class TimePanel:
         self._show = show
         self._playing = threading.Event()
         with gui.add_folder("Time"):
-            self.slider = gui.add_slider("time [s]", 0.0, 1.0, TIME_STEP_S, 0.0)
+            self.slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
             self.play = gui.add_button(PLAY)
             self.speed = gui.add_dropdown(
-                "speed, of real time", SPEEDS, initial_value="1"
+                "speed, of real time",
+                ("0.25", "0.5", "1", "2", "4", "8"),
+                initial_value="1",
             )
             self.live = gui.add_checkbox("live", True)
         self._folder = gui.add_folder("Ruptures: jump to", visible=False)
@@ -95,7 +90,7 @@ class TimePanel:
     def _run(self) -> None:
         """Play from where the time line stands to its end."""
         self.live.value = False
-        self.play.label = PAUSE
+        self.play.label = "Pause"
         shown_s = float(self.slider.value)
         if shown_s >= self.slider.max - FRAME_S:
             shown_s = float(self.slider.min)

@@ -5,36 +5,11 @@ screen, and the panel folds.
 """
 
 from base64 import b64encode
-from html import escape
 from typing import Any
 
 from needleforce.scene.row_text import MEANINGS
 
 NOTE = "Simulation and research only: not a medical device."
-SHORT_NOTE = "Not a medical device"
-
-WIDTH_PX = 260
-HEIGHT_PX = 28
-BANNER_PX = 110
-BADGE_PX = 20
-"""Sizes of the picture and its parts; the width fits a phone."""
-
-PICTURE = (
-    '<svg xmlns="http://www.w3.org/2000/svg" width="{width}" height="{height}" '
-    'viewBox="0 0 {width} {height}" font-family="sans-serif" font-size="13">'
-    "{parts}</svg>"
-)
-BANNER_PART = (
-    '<rect x="0" y="2" width="106" height="24" rx="3" fill="#b3261e"/>'
-    '<text x="53" y="19" fill="#fff" font-weight="bold" text-anchor="middle">'
-    "{text}</text>"
-)
-BADGE_PART = (
-    '<rect x="{x}" y="4" width="20" height="20" rx="10" fill="#e69f00"/>'
-    '<text x="{middle}" y="19" fill="#000" font-weight="bold" text-anchor="middle">'
-    "{text}</text>"
-)
-NOTE_PART = '<text x="{x}" y="19" fill="#111">{text}</text>'
 
 
 class TitleBar:
@@ -95,16 +70,28 @@ class TitleBar:
 
 def _draw(warnings: int, banner: str) -> str:
     """Return the picture as the address of an image."""
+    width_px = 260  # fits a phone
+    height_px = 28
     parts: list[str] = []
     x = 0
     if banner:
-        parts.append(BANNER_PART.format(text=banner))
-        x += BANNER_PX
+        parts.append(
+            '<rect x="0" y="2" width="106" height="24" rx="3" fill="#b3261e"/>'
+            '<text x="53" y="19" fill="#fff" font-weight="bold" text-anchor="middle">'
+            f"{banner}</text>"
+        )
+        x += 110
     if warnings:
         parts.append(
-            BADGE_PART.format(x=x, middle=x + BADGE_PX // 2, text=f"{warnings}!")
+            f'<rect x="{x}" y="4" width="20" height="20" rx="10" fill="#e69f00"/>'
+            f'<text x="{x + 10}" y="19" fill="#000" font-weight="bold" '
+            f'text-anchor="middle">{warnings}!</text>'
         )
-        x += BADGE_PX + 4
-    parts.append(NOTE_PART.format(x=x, text=escape(SHORT_NOTE)))
-    svg = PICTURE.format(width=WIDTH_PX, height=HEIGHT_PX, parts="".join(parts))
+        x += 24
+    parts.append(f'<text x="{x}" y="19" fill="#111">Not a medical device</text>')
+    svg = (
+        f'<svg xmlns="http://www.w3.org/2000/svg" width="{width_px}" '
+        f'height="{height_px}" viewBox="0 0 {width_px} {height_px}" '
+        f'font-family="sans-serif" font-size="13">{"".join(parts)}</svg>'
+    )
     return f"data:image/svg+xml;base64,{b64encode(svg.encode()).decode()}"

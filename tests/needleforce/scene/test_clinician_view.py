@@ -157,9 +157,7 @@ def test_a_needle_far_aside_stands_at_the_edge_of_the_bullseye():
 def test_before_the_first_sample_the_plan_is_shown():
     viewer = Viewer(load_lwr(payload=NeedleTool()), watched_plan(), port=8491)
     words = words_of(viewer._card.content)
-    depths_mm, planned_N, *forces_N = viewer._plots.charts[
-        "depth, counted as in the headline [mm]"
-    ].data
+    depths_mm, planned_N, *forces_N = viewer._plots.charts["depth [mm]"].data
     viewer.stop()
 
     assert words.startswith("PLANNED waiting for the first sample")
