@@ -199,8 +199,8 @@ def measure_link(
     ros.rclpy.init(args=[])
     say("simulating")
     arm = ReplayedArm(ros)
-    command = [sys.executable, "-m", "needleforce", "ros2", *arguments]
-    with subprocess.Popen(command) as node:
+    command = [sys.executable, "-m", "needleforce", "ros2", "--robot", "lwr"]
+    with subprocess.Popen([*command, *arguments]) as node:
         try:
             say("waiting for the node")
             arm.wait_for_node()

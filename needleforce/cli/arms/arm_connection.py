@@ -5,14 +5,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from groundtruth import simulate
 from groundtruth.rig_arm import SimulatedArm
-from needleforce.cli.robot import LWR, robot_from_options
+from needleforce.cli.robot import LWR, robot_from_options, robot_from_text
 from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
 from needleforce.cli.terminal import (
     CHECK_ARM,
@@ -194,11 +193,7 @@ def _robot_of_fr3(host: str, options: RobotOptions) -> Robot:
         f"the model is the arm's own, its flange {flange}; --urdf and --tool-frame "
         "name others"
     )
-    with TemporaryDirectory() as folder:
-        path = Path(folder, "fr3.urdf")
-        path.write_text(text)
-        described = replace(options, urdf=path, tool_frame=flange)
-        return robot_from_options(described, None)
+    return robot_from_text(text, "fr3.urdf", replace(options, tool_frame=flange))
 
 
 def _kind_of(name: str, other_names: str) -> str:
