@@ -20,6 +20,7 @@ class RosModules(NamedTuple):
         diagnostic: `diagnostic_msgs.msg`.
         geometry: `geometry_msgs.msg`.
         interfaces: `rcl_interfaces.msg`.
+        parameter_services: `rcl_interfaces.srv`.
         sensor: `sensor_msgs.msg`.
         services: `std_srvs.srv`.
         standard: `std_msgs.msg`, which comes with `sensor_msgs`.
@@ -35,6 +36,7 @@ class RosModules(NamedTuple):
     diagnostic: Any
     geometry: Any
     interfaces: Any
+    parameter_services: Any
     sensor: Any
     services: Any
     standard: Any
@@ -54,6 +56,7 @@ _NAMES = RosModules(
     diagnostic="diagnostic_msgs.msg",
     geometry="geometry_msgs.msg",
     interfaces="rcl_interfaces.msg",
+    parameter_services="rcl_interfaces.srv",
     sensor="sensor_msgs.msg",
     services="std_srvs.srv",
     standard="std_msgs.msg",

@@ -126,4 +126,5 @@ def fake_ros(graph):
     messages = dict.fromkeys(
         ("diagnostic", "geometry", "sensor", "standard", "transforms"), Messages()
     )
-    return ros._replace(qos=kinds, **messages)
+    services = SimpleNamespace(GetParameters=SimpleNamespace(Request=Message))
+    return ros._replace(qos=kinds, parameter_services=services, **messages)
