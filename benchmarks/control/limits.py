@@ -22,7 +22,6 @@ from benchmarks.results import Measurement, our_measurement
 from foundation.arrays import Array
 from groundtruth.rig_arm import ArmSample
 from groundtruth.rig_contacts import distance_to_axis_m
-from needleforce.control.arm_limits import ARM_LIMITS, ArmLimits
 from needleforce.control.controller import Controller
 from needleforce.control.joint_limits import Limits
 from needleforce.control.tasks import (
@@ -31,6 +30,7 @@ from needleforce.control.tasks import (
     TipVelocity,
     ToolState,
 )
+from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from urdf import NeedleTool, Robot, load_example, load_lwr
 
 DURATION_s = 60.0

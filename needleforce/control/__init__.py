@@ -15,11 +15,7 @@ Reading order: `ports` (what lies outside), `tasks`, `arm_limits`, `joint_limits
 `teleoperation`.
 """
 
-from needleforce.control.arm_limits import (
-    ARM_LIMITS as ARM_LIMITS,
-    ArmLimits as ArmLimits,
-    limits_of_arm as limits_of_arm,
-)
+from needleforce.control.arm_limits import limits_of_arm as limits_of_arm
 from needleforce.control.controller import Controller as Controller
 from needleforce.control.errors import (
     ControlError as ControlError,
@@ -55,3 +51,7 @@ from needleforce.control.tasks import (
     TipVelocity as TipVelocity,
 )
 from needleforce.control.teleoperation import Teleoperation as Teleoperation
+from needleforce.devices.arm_limits import (
+    ARM_LIMITS as ARM_LIMITS,
+    ArmLimits as ArmLimits,
+)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.errors import CodedError
 from foundation.jit import compile_waiting
 from needleforce.control.delay_prediction import DelayPrediction
 from needleforce.control.errors import ControlCode, SettingError
@@ -177,9 +178,13 @@ class Controller:
                 and that was not allowed: nothing has moved yet.
         """
         self._require_jerk_limit(sample)
+        samples_q_rad, samples_dt_s = sample.q_rad, sample.dt_s
         try:
-            q_rad = np.ascontiguousarray(sample.q_rad, np.float64)
-            dt_s = float(sample.dt_s)
+            q_rad = np.ascontiguousarray(samples_q_rad, np.float64)
+            dt_s = float(samples_dt_s)
+        except (TypeError, ValueError) as error:  # no numbers
+            return self._brake(f"{type(error).__name__}: {error}")
+        try:
             self._prediction.note_command(self.last_rad_s, dt_s)
             if q_rad.shape != (self._joints,) or not 0.0 < dt_s < math.inf:
                 return self._brake(f"{q_rad.size} positions, dt_s = {dt_s:g}")
@@ -213,7 +218,7 @@ class Controller:
                 self._failure = failure
                 return self._stop_for(failure)
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
-        except Exception as error:  # whatever a sample or a stranger's task brings
+        except CodedError as error:  # of a sample; a program's own faults pass through
             return self._brake(f"{type(error).__name__}: {error}")
         is_damped = numbers.is_damped
         if failure is not None:

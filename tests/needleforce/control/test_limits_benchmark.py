@@ -5,7 +5,7 @@ import pytest
 
 from benchmarks.control import limits
 from benchmarks.control.limits import ConeRun, count_excess, measure
-from needleforce.control.arm_limits import FR3
+from needleforce.devices.arm_limits import FR3
 
 
 @pytest.mark.parametrize("arm", ["lwr", "fr3", "fer", "ur5e", "iiwa14"])
