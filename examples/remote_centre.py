@@ -28,11 +28,11 @@ entry = control.RemoteCentre(start_m - ENTRY_m * tool.axis)
 tip = control.TipVelocity((0.0, 0.0, 0.0), start_m, gain_per_s=10.0)
 tasks = [entry, tip, control.Posture(arm.home_rad)]
 path_m = []
-for sample in arm:
+for tick in control.run(arm, controller):
     angle = 2.0 * np.pi * min(arm.time_s / TURN_s, 1.0)
     circle_m = RADIUS_m * np.array([1.0 - np.cos(angle), np.sin(angle), 0.0])
     tip.goal_m = start_m + circle_m
-    arm.send(controller.update(sample, tasks).dq_rad_s)
+    tick.tasks = tasks
     miss_m = arm.distance_to_axis_m(trocar.point_m)
     path_m.append([*(arm.truth.tip_m - start_m)[:2], miss_m])
 

@@ -178,13 +178,8 @@ class Controller:
                 and that was not allowed: nothing has moved yet.
         """
         self._require_jerk_limit(sample)
-        samples_q_rad, samples_dt_s = sample.q_rad, sample.dt_s
         try:
-            q_rad = np.ascontiguousarray(samples_q_rad, np.float64)
-            dt_s = float(samples_dt_s)
-        except (TypeError, ValueError) as error:  # no numbers
-            return self._brake(f"{type(error).__name__}: {error}")
-        try:
+            q_rad, dt_s = _read_numbers(sample)
             self._prediction.note_command(self.last_rad_s, dt_s)
             if q_rad.shape != (self._joints,) or not 0.0 < dt_s < math.inf:
                 return self._brake(f"{q_rad.size} positions, dt_s = {dt_s:g}")
@@ -218,7 +213,8 @@ class Controller:
                 self._failure = failure
                 return self._stop_for(failure)
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
-        except CodedError as error:  # of a sample; a program's own faults pass through
+        # Of values, a shape or a number; a program's own faults pass through.
+        except (CodedError, ValueError) as error:
             return self._brake(f"{type(error).__name__}: {error}")
         is_damped = numbers.is_damped
         if failure is not None:
@@ -355,3 +351,18 @@ class Controller:
             self._acceleration_rad_s2 = change_rad_s / self._rates.cycle_s
         self.last_rad_s = velocity_rad_s
         return Command(velocity_rad_s, status, reason, is_limited, is_damped)
+
+
+def _read_numbers(sample: ArmSample) -> tuple[Array, float]:
+    """Return positions and time step of a sample.
+
+    Raises:
+        SettingError: They are no numbers.
+    """
+    position, step = sample.q_rad, sample.dt_s
+    try:
+        return np.ascontiguousarray(position, np.float64), float(step)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SettingError(
+            f"q_rad = {position!r:.80}, dt_s = {step!r:.80}: expected numbers"
+        ) from error
