@@ -62,7 +62,7 @@ def test_after_a_refusal_commands_begin_from_rest():
     assert ticks[200].was_taken
     assert not ticks[201].was_taken
     assert ticks[251].was_taken
-    assert np.abs(arm.sent[200:251]).max() <= 4.9e-3 + 1e-9  # one step from rest
+    assert np.abs(arm.sent[201:251]).max() <= 4.9e-3 + 1e-9  # one step from rest
     assert np.abs(arm.sent[400]).max() > 0.01
 
 
