@@ -11,8 +11,9 @@ packet a cycle), `fri` (KUKA LWR 4+), `protobuf_wire`, `sunrise_messages` and `s
 (KUKA LBR iiwa), `rdt` and `rdt_status` (ATI Net F/T), `arm_limits` and `guard` (the
 last thing before every arm), `checked_arm` (common to arms with a client library),
 `franka`, `franka_versions` and `franka_wire` (FER, FR3), `ur` and `ur_control` (UR
-e-Series), `haply`, `arm_names` (any arm by a name of one line). Emulators: `emulators`, `fri_emulator`, `sunrise_emulator`,
-`rdt_emulator`, `haply_emulator`.
+e-Series), `haply`, `arm_names` (any arm by a name of one line).
+
+Emulators: `emulators`, `fri_emulator`, `sunrise_emulator`, `rdt_emulator`, `haply_emulator`.
 """
 
 from needleforce.devices.arm_names import (
