@@ -1,6 +1,6 @@
 """Limits of arms by their names."""
 
-from needleforce.control.errors import ControlCode, SettingError
+from needleforce.control.errors import RIGHT_LIMITS, SettingError
 from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 
 
@@ -13,6 +13,6 @@ def limits_of_arm(name: str) -> ArmLimits:
     if name not in ARM_LIMITS:
         raise SettingError(
             f"no limits of an arm {name!r}, expected one of {', '.join(ARM_LIMITS)}",
-            ControlCode.LIMITS,
+            RIGHT_LIMITS,
         )
     return ARM_LIMITS[name]

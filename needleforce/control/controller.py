@@ -13,10 +13,10 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from foundation.errors import CodedError
+from foundation.errors import NeedleforceError
 from foundation.jit import compile_waiting
 from needleforce.control.delay_prediction import DelayPrediction
-from needleforce.control.errors import ControlCode, SettingError
+from needleforce.control.errors import RIGHT_LIMITS, SettingError
 from needleforce.control.joint_limits import (
     Limits,
     SLACK_rad_s,
@@ -123,7 +123,7 @@ class Controller:
         if (joints := limits.joints.speed_rad_s.size) != robot.nv:
             raise SettingError(
                 f"limits of {joints} joints, the robot has {robot.nv}",
-                ControlCode.LIMITS,
+                RIGHT_LIMITS,
             )
         self.tool = ToolState(robot)
         self._limits = limits.joints
@@ -214,7 +214,7 @@ class Controller:
                 return self._stop_for(failure)
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
         # Of values, a shape or a number; a program's own faults pass through.
-        except (CodedError, ValueError) as error:
+        except (NeedleforceError, ValueError) as error:
             return self._brake(f"{type(error).__name__}: {error}")
         is_damped = numbers.is_damped
         if failure is not None:
@@ -240,7 +240,7 @@ class Controller:
             "expected Limits.of_arm(robot, arm.preset) or Limits(robot, "
             "jerk_rad_s3=...); Controller(..., allow_unlimited_jerk=True) moves it all "
             "the same",
-            ControlCode.LIMITS,
+            RIGHT_LIMITS,
         )
 
     def note_sent(self, dq_rad_s: Array) -> None:

@@ -12,7 +12,7 @@ from typing import Any
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.devices.errors import DeviceCode, LinkError, import_client
+from needleforce.devices.errors import LinkError, import_client
 from needleforce.devices.guard import Guard
 
 JOINTS = 6
@@ -123,7 +123,8 @@ class UrControl:
                 "the UR arm has stopped: its program has ended, after "
                 f"{1.0 / WATCHDOG_HZ:g} s without a cycle of this one, a protective "
                 "stop, or by its panel",
-                DeviceCode.STOPPED,
+                "Release it at its own panel, see to the cause that the "
+                "message names, and open the connection again.",
             )
 
         self._place_rad = place_rad
