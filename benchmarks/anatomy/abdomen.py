@@ -8,7 +8,7 @@ import numpy as np
 from benchmarks.anatomy.study import CT_FOLDER
 from benchmarks.jobs import Progress
 from benchmarks.results import Measurement, our_measurement
-from needleforce.cli.demos.abdomen_insertion import insert
+from needleforce.simulation.planned_insertion import insert
 
 RUNS = 20
 

@@ -8,17 +8,17 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.results import Measurement, our_measurement
-from groundtruth.plant_model import PLANT_MODELS
-from groundtruth.rig_arm import Servo, SimulatedArm
-from groundtruth.rig_contacts import Wall
-from groundtruth.rig_operator import random_operator
-from needleforce.cli.demos.hand_driven import (
+from benchmarks.control.hand_driven import (
     STANDOFF_M,
     HandPlan,
     ruptures_felt,
     teleoperate,
 )
+from benchmarks.results import Measurement, our_measurement
+from groundtruth.plant_model import PLANT_MODELS
+from groundtruth.rig_arm import Servo, SimulatedArm
+from groundtruth.rig_contacts import Wall
+from groundtruth.rig_operator import random_operator
 from residual import DEFAULT, HAND_DRIVEN, SensorConfig
 
 DELAYS_MS = (0, 10, 50)

@@ -9,10 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from needleforce.plots.chart import WIDE_IN, Chart
-from needleforce.plots.drawing import save_figure, write_file
+from needleforce.plots.drawing import printable, save_figure, write_file
 from needleforce.plots.errors import ChartError, WriteError
-from needleforce.plots.frame import printable
-from needleforce.plots.space import SpaceChart
 
 MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
 """Media types of figures, by suffix."""
@@ -155,7 +153,7 @@ def write_page(path: str | Path, page: Page) -> Path:
 
 
 def save_page_figure(
-    chart: Chart | SpaceChart,
+    chart: Chart,
     path: Path,
     *,
     alt: str,

@@ -12,12 +12,14 @@ from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from groundtruth.scenarios import scenario as scenario_named
 from groundtruth.tissue import Rupture, TissueTruth
 from needleforce.cli.arm_frames import ArmFrames, read_description
-from needleforce.cli.patient.simulated_patient import insert_into_patient
+from needleforce.cli.patient.case_files import read_plan_fields
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_outputs
 from needleforce.recordings.table import TableLabels
+from needleforce.simulation.patient import insert_into_patient
+from needleforce.simulation.torso_case import write_torso_case
 
 NEEDLE = "needle"
 """As the plant: a needle on a linear stage with its force sensor, without an arm."""
@@ -94,8 +96,28 @@ def write_patient_simulation(
     paths = {option: path for option, path in outputs.items() if path is not None}
     _check_places(paths, overwrites=overwrites)
     with progress_bar("simulating"):
-        run = insert_into_patient(plan)
+        run = insert_into_patient(read_plan_fields(plan))
     _write_run(run, recording, truth)
+    return 0
+
+
+def write_torso(folder: Path, seed: int) -> int:
+    """Write the example patient into a folder; return the exit code.
+
+    Raises:
+        CommandError: The folder cannot be written to.
+    """
+    try:
+        folder.mkdir(parents=True, exist_ok=True)
+        grid = write_torso_case(folder, seed)
+    except OSError as error:
+        raise CommandError(f"cannot write to {folder}: {error.strerror}") from error
+    write_out(
+        f"{folder}: ct.nii.gz ({' x '.join(map(str, grid.shape))} voxels), "
+        "labels.nii.gz, labels.json, landmarks.mrk.json\n"
+        f"next: needleforce plan --ct {folder}/ct.nii.gz --labels "
+        f"{folder}/labels.nii.gz --target lesion -o plan\n"
+    )
     return 0
 
 

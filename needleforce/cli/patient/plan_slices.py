@@ -50,6 +50,9 @@ is."""
 PATH_COLOUR = "#ffd400"
 """Of the needle: seen on grey by all."""
 
+RUPTURE_COLOUR = "#56b4e9"
+"""Of what was found on the way."""
+
 M_TO_MM = 1e3
 
 
@@ -137,8 +140,23 @@ def path_frame(path: DrawnPath) -> PathFrame:
     return PathFrame(axis, np.cross(axis, up), up)
 
 
-def draw_along(case: ScannedBody, path: DrawnPath, place: Path) -> Path:
-    """Draw the two planes that hold the path into a file; return its name."""
+def draw_along(
+    case: ScannedBody,
+    path: DrawnPath,
+    place: Path,
+    *,
+    ruptures_m: Sequence[float] = (),
+    tip_m: float | None = None,
+) -> Path:
+    """Draw the two planes that hold the path into a file; return its name.
+
+    Args:
+        case: CT and labels.
+        path: The path.
+        place: The file.
+        ruptures_m: Depths of ruptures below the entry.
+        tip_m: Depth at which the tip rests.
+    """
     import matplotlib.pyplot as plt
 
     frame = path_frame(path)
@@ -155,6 +173,10 @@ def draw_along(case: ScannedBody, path: DrawnPath, place: Path) -> Path:
         axes.plot(0.0, length_mm, "o", mfc="none", mec=PATH_COLOUR, ms=10)
         for layer in path.layers[:-1]:
             axes.plot([-4.0, 4.0], [M_TO_MM * layer.exit_m] * 2, color=PATH_COLOUR)
+        for depth_m in ruptures_m:
+            axes.plot([-7.0, 7.0], [M_TO_MM * depth_m] * 2, color=RUPTURE_COLOUR)
+        if tip_m is not None:
+            axes.plot(0.0, M_TO_MM * tip_m, "x", color=RUPTURE_COLOUR, ms=10, mew=2)
         axes.set(xlabel=f"{name} [mm]", ylabel="depth below the entry [mm]")
     _add_legend(figure, structures)
     figure.savefig(place, dpi=130)

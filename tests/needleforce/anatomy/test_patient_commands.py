@@ -41,7 +41,7 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("patient")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        patch.setattr("needleforce.cli.patient.example_case.SPACING_m", COARSE_m)
+        patch.setattr("needleforce.simulation.torso_case.SPACING_m", COARSE_m)
         patch.setattr("needleforce.cli.patient.plan_page.find_spec", lambda name: None)
         for arguments in commands()[:-1]:
             assert main(arguments) == 0

@@ -1,12 +1,12 @@
 """A simulated arm over the patient of a plan: it touches him, or follows the plan.
 
 The patient lies where the arm's needle meets the planned entry along the planned path.
-He is the same one for `touch` and `live`: what registers him in one serves the other.
+He is the same one for touching and inserting: what registers him in one serves the
+other.
 """
 
 from collections.abc import Iterable, Mapping
 from dataclasses import replace
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -19,10 +19,8 @@ from groundtruth.arm_motion import scenario_path
 from groundtruth.layers import Layer as TissueLayer
 from groundtruth.materials import ABDOMEN
 from groundtruth.motion import Motion, constant_motion
-from needleforce.anatomy.markups import read_markup
+from needleforce.anatomy import Labels, PlanError
 from needleforce.anatomy.path_layers import UNLABELLED
-from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
-from needleforce.cli.terminal import CommandCode, CommandError
 from needleforce.devices import ReplayArm
 from urdf import NeedleTool, Robot, load_lwr
 
@@ -88,7 +86,7 @@ class Pose(NamedTuple):
     translation_m: Array
 
     def to_robot(self, points_m: Array) -> Array:
-        """Return points of the CT, (n, 3), in the base."""
+        """Return points of the CT, (n, 3), or one of them, (3,), in the base."""
         return points_m @ self.rotation.T + self.translation_m
 
 
@@ -117,23 +115,20 @@ class _PlannedLine(NamedTuple):
         )
 
 
-def is_plan(name: str) -> bool:
-    """Return whether the name of a scenario is that of a plan's file."""
-    return name.endswith(".json")
-
-
-def insert_into_patient(plan: Path) -> Run:
+def insert_into_patient(plan: Mapping[str, Any]) -> Run:
     """Simulate the insertion along the path of a plan, through its layers.
 
+    Args:
+        plan: Fields of a plan's file: ``entry_m``, ``target_m``, ``layers``.
+
     Raises:
-        CommandError: The plan cannot be read, or has no path and layers.
+        PlanError: It has no path, or no layers.
     """
-    fields = read_plan_fields(plan)
-    line = _line_of(fields, plan)
+    line = _line_of(plan)
     scenario = Scenario(
         id="patient",
         title="the plan's layers",
-        layers=_tissue(fields.get("layers") or ()),
+        layers=_tissue(plan.get("layers") or ()),
         motion=line.motion(),
     )
     return simulate(scenario, plant="clean", seed=SEED)
@@ -151,18 +146,21 @@ class TouchingArm(NamedTuple):
     robot: Robot
 
 
-def touch_patient(plan: Path, landmarks: Path | None) -> TouchingArm:
+def touch_patient(
+    plan: Mapping[str, Any], labels: Labels, landmarks_m: Array
+) -> TouchingArm:
     """Return a simulated arm that touches landmarks, then the skin about the entry.
 
     Args:
-        plan: The plan.
-        landmarks: Points of the CT, if any.
+        plan: Fields of a plan's file: ``entry_m``, ``target_m``.
+        labels: Segmentation of the patient.
+        landmarks_m: Points of the CT in LPS, shape (n, 3); there may be none.
 
     Raises:
-        CommandError: The plan cannot be read, or a landmark is out of the arm's reach.
+        PlanError: The plan has no path, or a landmark is out of the arm's reach.
     """
     rng = np.random.default_rng(SEED)
-    line = _line_of(read_plan_fields(plan), plan)
+    line = _line_of(plan)
     robot = load_lwr(payload=NeedleTool())
     motion = line.motion()
     path = scenario_path(
@@ -170,22 +168,22 @@ def touch_patient(plan: Path, landmarks: Path | None) -> TouchingArm:
     )
     start = path.start
     pose = _lay_patient(line, start, -motion.start_m)
-    points_m = (
-        np.zeros((0, 3)) if landmarks is None else read_markup(landmarks).points_m
-    )
-    skin_m = _draw_skin_points(case_of_plan(plan).labels, line, rng)
-    places_m = pose.to_robot(np.concatenate([points_m, skin_m]))
+    skin_m = _draw_skin_points(labels, line, rng)
+    places_m = pose.to_robot(np.concatenate([landmarks_m.reshape(-1, 3), skin_m]))
     places_m = places_m + TOUCH_STD_m * rng.normal(size=places_m.shape)
     return TouchingArm(
         _touching_arm(robot, path.posture_rad(0.0), start, places_m), robot
     )
 
 
-def _line_of(fields: Mapping[str, Any], plan: Path) -> _PlannedLine:
+def _line_of(plan: Mapping[str, Any]) -> _PlannedLine:
     """Return the path of a plan."""
-    if "entry_m" not in fields or "target_m" not in fields:
-        raise CommandError(f"{plan} has no entry_m and target_m", CommandCode.PLAN)
-    return _PlannedLine(np.array(fields["entry_m"]), np.array(fields["target_m"]))
+    if "entry_m" not in plan or "target_m" not in plan:
+        raise PlanError(
+            "the plan has no entry_m and target_m: expected a plan that `needleforce "
+            "plan` wrote"
+        )
+    return _PlannedLine(np.array(plan["entry_m"]), np.array(plan["target_m"]))
 
 
 def _lay_patient(line: _PlannedLine, start: pin.SE3, standoff_m: float) -> Pose:
@@ -210,7 +208,7 @@ def _lay_patient(line: _PlannedLine, start: pin.SE3, standoff_m: float) -> Pose:
 
 
 def _draw_skin_points(
-    labels: Any, line: _PlannedLine, rng: np.random.Generator
+    labels: Labels, line: _PlannedLine, rng: np.random.Generator
 ) -> Array:
     """Return points of the skin about the entry that the needle can touch, (n, 3)."""
     skin = labels.skin()
@@ -260,7 +258,7 @@ def _reach(robot: Robot, posture_rad: Array, place: pin.SE3) -> Array:
     """Return a posture with the tool at a place, found from one close by.
 
     Raises:
-        CommandError: It is out of reach.
+        PlanError: It is out of reach.
     """
     data = robot.create_data()
     posture = np.array(posture_rad)
@@ -273,7 +271,7 @@ def _reach(robot: Robot, posture_rad: Array, place: pin.SE3) -> Array:
             robot.model, data, posture, robot.tool_frame_id
         )
         posture = posture + np.clip(np.linalg.pinv(jacobian) @ error, -0.2, 0.2)
-    raise CommandError(
+    raise PlanError(
         f"the simulated arm does not reach {np.round(1e3 * place.translation)} mm: "
         "landmarks must lie within some 20 cm of the entry"
     )
@@ -322,7 +320,7 @@ def _tissue(layers: Iterable[Mapping[str, Any]]) -> tuple[TissueLayer, ...]:
         else:
             tissue.append(replace(kind, name=layer["name"], thickness_m=thickness_m))
     if not tissue:
-        raise CommandError("the plan has no layers", CommandCode.PLAN)
+        raise PlanError("the plan has no layers")
     tissue[-1] = replace(
         tissue[-1], thickness_m=tissue[-1].thickness_m + 2.0 * BEYOND_m
     )

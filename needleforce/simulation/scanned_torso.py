@@ -12,28 +12,26 @@ from scipy.spatial.transform import Rotation
 from foundation.arrays import Array
 from groundtruth.torso import analytic_torso
 from needleforce import anatomy
-from needleforce.anatomy import Grid, Labels, Layer, Structure, Volume
+from needleforce.anatomy import (
+    Grid,
+    Labels,
+    Layer,
+    PlanError,
+    Structure,
+    Volume,
+    VolumeError,
+)
 from needleforce.anatomy.path_layers import UNLABELLED
-from needleforce.cli.patient.example_case import draw_scan
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.simulation.torso_case import draw_scan
 
 VOXEL_m = 2e-3
 """Spacing of the analytic torso's scan [m]."""
-
-MARGIN_VOXELS = 4
-"""Voxels around the analytic torso."""
 
 FRONT = np.array([0.0, -1.0, 0.0])
 """Direction out of the front of the body, in the model."""
 
 MAX_ANGLE_deg = 35.0
 """Largest angle between the path and that direction, about two axes [deg]."""
-
-DRAWS = 1000
-"""Paths that are tried."""
-
-CORE_VOXELS = 3
-"""Targets lie so many voxels below the surface of the organ."""
 
 LENGTHS_m = (0.05, 0.1)
 """Least and largest length of the path [m]."""
@@ -49,13 +47,6 @@ CLEARANCE_m = 6e-3
 
 MIN_LAYER_m = 6.5e-3
 """Thinner layers are not simulated: they join the one before [m]."""
-
-MAX_DISTANCE_m = 0.3
-"""How far from a target the skin is sought [m]."""
-
-
-LESIONS = ("lesion", "tumor", "tumour")
-"""Words in the names of structures that are targets, where a segmentation has one."""
 
 
 class ScannedTorso(NamedTuple):
@@ -74,9 +65,10 @@ class ScannedTorso(NamedTuple):
     @property
     def target(self) -> str:
         """Name of the structure in which the target lies: a lesion if there is one."""
+        words = ("lesion", "tumor", "tumour")
         names = (structure.name for structure in self.labels.structures)
         lesions = (
-            name for name in names if any(word in name.lower() for word in LESIONS)
+            name for name in names if any(word in name.lower() for word in words)
         )
         return next(lesions, ORGAN)
 
@@ -87,10 +79,12 @@ class StraightPath(NamedTuple):
     Attributes:
         entry_m: Where it meets the skin, shape (3,) [m].
         target_m: Where it ends, shape (3,) [m].
+        layers: What it crosses, without what is too thin to be simulated.
     """
 
     entry_m: Array
     target_m: Array
+    layers: list[Layer]
 
     @property
     def length_m(self) -> float:
@@ -109,7 +103,7 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> ScannedTorso:
     """Return a CT with labels from a folder, or a built-in analytic torso.
 
     Raises:
-        CommandError: The folder has no CT, or no labels beside it.
+        VolumeError: The folder has no CT, or no labels beside it.
     """
     if folder is None:
         return _analytic_torso(rng)
@@ -117,10 +111,9 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> ScannedTorso:
     beside = scans[0].parent if scans else folder
     files = [*sorted(beside.glob("labels*.n*")), *sorted(beside.glob("*.seg.nrrd"))]
     if not files or not scans:
-        raise CommandError(
+        raise VolumeError(
             f"{folder}: expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it, "
-            "there or one folder down",
-            CommandCode.FILE,
+            "there or one folder down"
         )
     scan = anatomy.read_volume(scans[0])
     labels = anatomy.read_labels(files[0]).with_body(scan, fat=True)
@@ -131,7 +124,7 @@ def _analytic_torso(rng: np.random.Generator) -> ScannedTorso:
     """Return CT and labels of an analytic torso drawn at random."""
     torso = analytic_torso(rng)
     skin = torso["fat"]
-    half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + MARGIN_VOXELS
+    half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + 4  # voxels of air
     shape = tuple((2 * half + 1).tolist())
     corner_m = skin.centre_m - VOXEL_m * half
     grid = Grid(shape, corner_m, VOXEL_m * np.eye(3))
@@ -163,21 +156,22 @@ def plan_path(labels: Labels, target: str, rng: np.random.Generator) -> Straight
         rng: Draws targets and directions.
 
     Raises:
-        CommandError: There is no such path from the front.
+        PlanError: There is no such path from the front.
     """
     targets_m = _points_inside(labels, target)
     body = inside_body(labels)
     best_path: StraightPath | None = None
     best_rank = (0, np.inf)
-    for _ in range(DRAWS):
+    for _ in range(1000):
         target_m = targets_m[rng.integers(len(targets_m))]
         angles = np.radians(MAX_ANGLE_deg) * rng.uniform(-1.0, 1.0, 2)
         axis = Rotation.from_euler("xz", angles).apply(FRONT)
         length_m = _distance_to_skin(labels.grid, body, target_m, axis)
         if length_m is None or not LENGTHS_m[0] < length_m < LENGTHS_m[1]:
             continue
-        path = StraightPath(target_m + length_m * axis, target_m)
-        layers = thick_layers(labels.layers_along(path.entry_m, path.target_m))
+        entry_m = target_m + length_m * axis
+        layers = thick_layers(labels.layers_along(entry_m, target_m))
+        path = StraightPath(entry_m, target_m, layers)
         rank = (-len(layers), length_m)
         ends_inside = len(layers) > 1 and layers[-1].name == target
         is_better = best_path is None or rank < best_rank
@@ -185,7 +179,7 @@ def plan_path(labels: Labels, target: str, rng: np.random.Generator) -> Straight
             best_path = path
             best_rank = rank
     if best_path is None:
-        raise CommandError(
+        raise PlanError(
             f"no straight way from the front into {target!r} through soft tissue"
         )
     return best_path
@@ -195,7 +189,7 @@ def _points_inside(labels: Labels, organ: str) -> Array:
     """Return places well inside an organ, shape (n, 3) [m]; of a thin one any."""
     mask = labels.mask(organ)
     corner = [extent.start for extent in labels[organ].box]
-    core = ndimage.binary_erosion(mask, iterations=CORE_VOXELS)
+    core = ndimage.binary_erosion(mask, iterations=3)
     indices = np.argwhere(core if core.any() else mask) + corner
     return labels.grid.points_m(indices)
 
@@ -219,7 +213,7 @@ def _is_clear(labels: Labels, path: StraightPath, target: str) -> bool:
 def _distance_to_skin(
     grid: Grid, body: NDArray[np.bool_], start_m: Array, axis: Array
 ) -> float | None:
-    """Return how far away a ray leaves the body; None if the volume ends first.
+    """Return within 0.3 m how far away a ray leaves the body; None if it does not.
 
     Args:
         grid: Grid of the volume.
@@ -228,7 +222,7 @@ def _distance_to_skin(
         axis: Its direction, shape (3,).
     """
     step_m = 0.5 * float(grid.spacing_m.min())
-    distances_m = step_m * np.arange(1, int(MAX_DISTANCE_m / step_m))
+    distances_m = step_m * np.arange(1, int(0.3 / step_m))
     points_m = start_m + distances_m[:, None] * axis
     index = np.rint(grid.indices(points_m)).astype(int)
     is_valid: Any = ((index >= 0) & (index < grid.shape)).all(axis=1)

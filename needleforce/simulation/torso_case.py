@@ -1,8 +1,9 @@
-"""A patient that the example makes: CT, labels and landmarks of an analytic torso."""
+"""An example patient: CT, labels and landmarks of an analytic torso."""
 
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,11 +11,7 @@ from foundation.arrays import Array
 from groundtruth.torso import Ellipsoid, Torso, analytic_torso
 from needleforce.anatomy import Grid
 from needleforce.anatomy.markups import write_markup
-from needleforce.cli.patient.case_files import write_plan_fields
-from needleforce.cli.terminal import CommandError, write_out
-
-NAME = "torso"
-"""What `needleforce simulate` calls it."""
+from needleforce.files import whole_file
 
 SPACING_m = (2.5e-3, 2.5e-3, 3e-3)
 """Of the CT."""
@@ -71,23 +68,16 @@ LANDMARKS = {
 """Points of the front skin, by the fractions of the torso's half width and height."""
 
 
-def write_example_case(folder: Path, seed: int) -> int:
+def write_torso_case(folder: Path, seed: int) -> Grid:
     """Write CT, labels, their names and landmarks of the torso into a folder.
 
     Args:
-        folder: The folder.
+        folder: The folder; it exists.
         seed: Of the CT's noise.
 
     Returns:
-        The exit code.
-
-    Raises:
-        CommandError: The folder cannot be written to.
+        The grid of the CT.
     """
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise CommandError(f"cannot make {folder}: {error.strerror}") from error
     organs = analytic_torso().shapes
     torso = Torso((*organs[:1], *BULGES, *organs[1:]))
     half = np.ceil(torso["fat"].reach_m / SPACING_m).astype(int) + MARGIN_VOXELS
@@ -103,18 +93,11 @@ def write_example_case(folder: Path, seed: int) -> int:
     for value, name in names.items():
         labels[voxels == numbers[name]] = value
     _write_image(folder / "labels.nii.gz", labels, grid)
-    write_plan_fields(
-        folder / "labels.json", {str(value): name for value, name in names.items()}
-    )
+    with whole_file(folder / "labels.json") as file:
+        file.write(msgspec.json.format(msgspec.json.encode(names), indent=1) + b"\n")
     points_m = np.array([_skin_point_m(torso, *at) for at in LANDMARKS.values()])
     write_markup(folder / "landmarks.mrk.json", "Fiducial", list(LANDMARKS), points_m)
-    write_out(
-        f"{folder}: ct.nii.gz ({' x '.join(map(str, grid.shape))} voxels), "
-        "labels.nii.gz, labels.json, landmarks.mrk.json\n"
-        f"next: needleforce plan --ct {folder}/ct.nii.gz --labels "
-        f"{folder}/labels.nii.gz --target lesion -o plan\n"
-    )
-    return 0
+    return grid
 
 
 def draw_scan(

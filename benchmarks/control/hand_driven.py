@@ -1,6 +1,6 @@
 """A hand drives the needle in closed loop on the simulated arm.
 
-Demonstrations and benchmarks share it. The arm tares over a free stroke and stops above
+The arm tares over a free stroke and stops above
 the tissue; then a hand takes over, which moves inwards in strokes of what a haptic
 device reaches, with the clutch open while it goes back.
 """
@@ -17,7 +17,6 @@ from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator
 from groundtruth.tissue import Rupture
 from needleforce import InsertionSession, SessionEstimate
-from needleforce.cli.terminal import Progress
 from needleforce.control import (
     AxialSpeed,
     Controller,
@@ -133,11 +132,9 @@ class Teleinsertion:
         tip_N: True force at the tip [N].
         raw_N: Axial force as the virtual sensor measures it [N].
         shown_N: Force that is sent to be felt [N].
-        felt_N: Force that the device shows, positive against insertion [N].
-        energy_J: True energy at the hand's port [J].
-        is_open: Whether the clutch is open: the hand goes back.
         alarms_s: Times of the rupture alarms [s].
-        least_energy_J: The least of `energy_J`, at every instant of the device [J].
+        least_energy_J: The least true energy at the hand's port, at every instant of
+            the device [J].
         drift_m: Travel of the needle beyond what the hand asked for [m].
         ruptures: The true ruptures.
     """
@@ -147,9 +144,6 @@ class Teleinsertion:
     tip_N: list[float] = field(default_factory=list)
     raw_N: list[float] = field(default_factory=list)
     shown_N: list[float] = field(default_factory=list)
-    felt_N: list[float] = field(default_factory=list)
-    energy_J: list[float] = field(default_factory=list)
-    is_open: list[bool] = field(default_factory=list)
     alarms_s: list[float] = field(default_factory=list)
     least_energy_J: float = 0.0
     drift_m: float = 0.0
@@ -159,23 +153,13 @@ class Teleinsertion:
         """Return one of the lists as an array."""
         return np.array(getattr(self, name))
 
-    def add(
-        self,
-        truth: ArmTruth,
-        estimate: SessionEstimate,
-        shown_N: float,
-        felt_N: float,
-        master: HapticMaster,
-    ) -> None:
+    def add(self, truth: ArmTruth, estimate: SessionEstimate, shown_N: float) -> None:
         """Add a row."""
         self.t_s.append(truth.t_s)
         self.depth_m.append(float(truth.tip_m @ truth.rotation[:, 2]))
         self.tip_N.append(truth.tissue.tip_N)
         self.raw_N.append(estimate.wrench.axial)
         self.shown_N.append(shown_N)
-        self.felt_N.append(felt_N)
-        self.energy_J.append(master.port_energy_J)
-        self.is_open.append(not master.clutch)
         has_alarm = estimate.identification.rupture is not None
         if estimate.used_for_identification and has_alarm:
             self.alarms_s.append(truth.t_s)
@@ -230,12 +214,6 @@ class _HandLoop:
         """Whether all strokes, and the time after them, have passed."""
         return self._arm.time_s > self._end_s
 
-    @property
-    def fraction(self) -> float:
-        """Fraction of the hand's time that has passed; minus infinity before it."""
-        total_s = self._hand.duration_s + SETTLE_S
-        return 1.0 - (self._end_s - self._arm.time_s) / total_s
-
     def update(self, sample: ArmSample) -> None:
         """Do one tick: the tare stroke, then the hand."""
         estimate = self._session.update(
@@ -268,9 +246,7 @@ class _HandLoop:
         moved_m = master.position_m[2] - position_m
         self._asked_m += self._hand.scale * moved_m * master.clutch
         master.render(command.force_N)
-        shown_N = self._teleoperation.shown_N
-        felt_N = -float(command.force_N[2])
-        self.run.add(self._arm.truth, estimate, shown_N, felt_N, master)
+        self.run.add(self._arm.truth, estimate, self._teleoperation.shown_N)
         return command.speed_m_s
 
 
@@ -283,7 +259,6 @@ def teleoperate(
     delay_s: float = 0.0,
     operator: Callable[[Callable], Operator] = lambda wish: Operator(wish_m=wish),
     sensor: SensorConfig = DEFAULT,
-    progress: Progress = lambda _: None,
 ) -> Teleinsertion:
     """Tare over a stroke, then let a hand drive the needle.
 
@@ -295,7 +270,6 @@ def teleoperate(
         delay_s: Delay of the lines between hand and arm, each way [s].
         operator: Makes a hand of its wish over time.
         sensor: Settings of the virtual sensor.
-        progress: Takes the fraction of the hand's time that has passed.
     """
     rng = np.random.default_rng(seed)
     jitter_s = min(MAX_JITTER_S, delay_s)
@@ -311,8 +285,6 @@ def teleoperate(
     loop = _HandLoop(arm, hand, master, teleoperation, sensor)
     for sample in arm:
         loop.update(sample)
-        if loop.run.t_s:
-            progress(loop.fraction)
         if loop.is_over:
             break
     return loop.finish()
