@@ -18,7 +18,6 @@ from needleforce.plots.chart import (
     whole_range_of as whole_range_of,
 )
 from needleforce.plots.drawing import (
-    DrawnChart as DrawnChart,
     draw_svg as draw_svg,
     require_matplotlib as require_matplotlib,
     save_figure as save_figure,

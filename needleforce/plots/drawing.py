@@ -358,28 +358,8 @@ def save_figure(chart: Chart, path: str | Path) -> Path:
     return write_file(path, content)
 
 
-class DrawnChart(NamedTuple):
-    """A chart as SVG, and where its x axis stands in it.
-
-    Attributes:
-        svg: The drawing.
-        left: Begin of the x axis, from 0 at the left edge of the drawing to 1.
-        right: End of the x axis, likewise.
-        bottom: The x axis, from 0 at the upper edge of the drawing to 1.
-        top: Upper edge of its panels, likewise.
-        x_limits: Values at the ends of the x axis.
-    """
-
-    svg: str
-    left: float
-    right: float
-    bottom: float
-    top: float
-    x_limits: Span
-
-
-def draw_svg(chart: Chart) -> DrawnChart:
-    """Draw a chart for a page that marks places on its x axis.
+def draw_svg(chart: Chart) -> bytes:
+    """Return a chart as SVG, for a page without other files.
 
     Raises:
         MissingExtraError: As `require_matplotlib`.
@@ -388,18 +368,7 @@ def draw_svg(chart: Chart) -> DrawnChart:
     from matplotlib import rc_context
 
     with rc_context(fname=STYLE):
-        figure = draw(chart)
-        svg = _encode(figure, ".svg").decode()
-    highest = figure.axes[0].get_position()
-    lowest = figure.axes[-1].get_position()
-    return DrawnChart(
-        svg=svg,
-        left=float(lowest.x0),
-        right=float(lowest.x1),
-        bottom=1.0 - float(lowest.y0),
-        top=1.0 - float(highest.y1),
-        x_limits=figure.axes[-1].get_xlim(),
-    )
+        return _encode(draw(chart), ".svg")
 
 
 def _encode(figure: "Figure", suffix: str) -> bytes:

@@ -37,7 +37,7 @@ NOTHING = "–"
 
 LAYER_HEAD = (
     "\nlayer",
-    "ends at [mm]\ntrue",
+    "end [mm]\ntrue",
     "\nestimated",
     "friction [N]\ntrue",
     "\nestimated",
