@@ -440,15 +440,17 @@ def test_log_without_valid_row_has_figures(lwr, tmp_path, capsys):
     path = tmp_path / "forces.png"
     argv = ["force", str(tmp_path / "$\\frac{$.npz"), "--no-tare", "--png", str(path)]
     for over in ("time", "depth"):
-        assert main([*argv, "--over", over, "--report", str(tmp_path / "page")]) == 0
+        assert main([*argv, "--over", over]) == 0
         assert path.is_file()
         assert "no sample was valid" in capsys.readouterr().out
 
+    assert main(["report", argv[1], str(tmp_path / "page"), "--no-tare"]) == 0
+    assert "no sample was valid" in capsys.readouterr().out
     assert "$\\frac{$" in (tmp_path / "page" / "index.html").read_text()
 
     path.unlink()
     for window in (["--from", "90"], ["--from", "90", "--to", "99"], ["--to", "-1"]):
-        assert main([*argv, *window, "--report", str(tmp_path / "page")]) == 2
+        assert main([*argv, *window]) == 2
         printed = capsys.readouterr()
         assert (
             "time of the log [s], runs from 0 to 0.099; expected --from and"

@@ -432,7 +432,7 @@ def test_a_recording_without_tare_is_reported(
 
 
 def test_viewed_joints_are_found_by_name(tmp_path):
-    from needleforce.cli.logs.session_view import replay_session
+    from needleforce.cli.logs.session_view import scene_rows
     from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
     from needleforce.recordings.table import TableLabels
@@ -450,7 +450,7 @@ def test_viewed_joints_are_found_by_name(tmp_path):
     )
     write_table(tmp_path / "b.mcap", turned, labels=TableLabels(joint_names=names))
     rows, reordered_rows = (
-        replay_session(tmp_path / name, model) for name in ("a.mcap", "b.mcap")
+        scene_rows(tmp_path / name, model) for name in ("a.mcap", "b.mcap")
     )
 
     assert len(rows) > 90
