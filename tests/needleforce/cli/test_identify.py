@@ -9,9 +9,9 @@ from groundtruth import insert_needle
 from identification import replay
 from needleforce import session
 from needleforce.cli import main
-from needleforce.cli.logs.simulated_log import signal_table
 from needleforce.recordings import write_table
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
+from needleforce.simulation import signal_table
 from residual import DEFAULT as SENSOR
 from residual import SensorWarning, Status
 from tests.chromium import PHONE, logged, measured, needs_chromium
