@@ -15,7 +15,6 @@ from needleforce.plots.chart import (
     LineStyle as LineStyle,
     Panel as Panel,
     Shading as Shading,
-    whole_range_of as whole_range_of,
 )
 from needleforce.plots.drawing import (
     draw_svg as draw_svg,

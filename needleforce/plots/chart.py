@@ -217,22 +217,6 @@ def limits_of(curves: Sequence[Curve], x_limits: Span | None) -> Span:
     return low - margin, high + margin
 
 
-def whole_range_of(curves: Sequence[Curve], x_limits: Span | None = None) -> Span:
-    """Return limits of a y axis that cut no peak, and show zero.
-
-    Args:
-        curves: The curves of a panel.
-        x_limits: Limits of the x axis; None for all of it.
-    """
-    edges = [0.0]
-    for curve in curves:
-        y = curve.y[np.isfinite(curve.y) & is_within(curve.x, x_limits)]
-        if y.size:
-            edges += [float(y.min()), float(y.max())]
-    margin = MARGIN * (max(edges) - min(edges)) or 1.0
-    return min(edges) - margin, max(edges) + margin
-
-
 def is_within(x: Array, x_limits: Span | None) -> NDArray[np.bool_]:
     """Return which finite places of an axis lie within limits, shape (n,)."""
     low, high = x_limits or (-np.inf, np.inf)

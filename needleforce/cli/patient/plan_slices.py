@@ -162,7 +162,7 @@ def draw_along(
     frame = path_frame(path)
     along_m = np.arange(-BEFORE_m, path.length_m + BEHIND_m, PIXEL_m)
     across_m = np.arange(-BESIDE_m, BESIDE_m, PIXEL_m)
-    figure, panels = plt.subplots(1, 2, figsize=(6.4, 4.4), layout="constrained")
+    figure, panels = plt.subplots(1, 2, figsize=(6.4, 3.9), layout="constrained")
     structures: dict[str, Structure] = {}
     directions = {"towards side": frame.side, "towards head": frame.up}
     for axes, (name, direction) in zip(panels, directions.items(), strict=True):
