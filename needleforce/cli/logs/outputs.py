@@ -145,9 +145,10 @@ def refuse_report(source: str, output: Output) -> None:
         CommandError: A folder for a page is named.
     """
     if output.report is not None:
+        file = "FILE" if source == STANDARD_STREAM else source
         raise CommandError(
             f"--report {output.report}: pages are written by `needleforce report "
-            f"{source} {output.report}`, which takes the other options, too"
+            f"{file} {output.report}`, with the same options but -o and --figure"
         )
 
 

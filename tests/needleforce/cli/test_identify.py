@@ -97,12 +97,13 @@ def test_alarm_is_on_the_logs_clock(needle, identify, method, start_s):
 
 
 @pytest.mark.slow
-def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
+def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path, capsys):
     force_N = needle["force_N"]
     *_, said = identify(force_N=-force_N)
 
     assert "Negate it, as in --force fz:N:-1" in said
     assert main(["report", str(tmp_path / "log.csv"), str(tmp_path / "page")]) == 0
+    assert "Negate it, as in --force fz:N:-1" in capsys.readouterr().err
 
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
 
