@@ -181,7 +181,8 @@ def scene_rows(
         say(f"warning: {warning}")
     _report_rejections(rejected)
     if not session.tared:
-        duration_s = log.t_s[-1] - log.t_s[0]
+        # The first sample has the time step of the second.
+        duration_s = log.t_s[-1] - 2.0 * log.t_s[0] + log.t_s[1]
         say(
             f"warning: no tare in {duration_s:.4g} s (--tare {tare_s:g} asks for so "
             "many seconds of motion without contact): forces carry errors of the model "

@@ -216,7 +216,7 @@ def test_a_situs_inversus_of_no_plan_is_refused(capsys):
 def test_the_last_command_names_the_lesion(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.setattr("needleforce.cli.arms.arm_connection.pace", lambda arm: arm)
-    patient = "needleforce.cli.patient.simulated_patient"
+    patient = "needleforce.simulation.patient"
     monkeypatch.setattr(f"{patient}.SPEED_m_s", QUICK_m_s)
 
     assert main(commands()[-1]) == 0
