@@ -43,7 +43,7 @@ from needleforce.scene.legend import LegendLine, sample_style
 from needleforce.scene.page_policy import page_policy, with_nonce
 from needleforce.scene.row_text import MEANINGS
 from needleforce.scene.scan_slices import TITLES, SlicePictures
-from needleforce.scene.state_ring import SceneCode, SceneError
+from needleforce.scene.state_ring import SceneError
 from needleforce.scene.title_bar import NOTE
 
 MIN_FILM_s = 0.05
@@ -105,7 +105,7 @@ def write_scene_page(
     try:
         return write_page(path, page)
     except WriteError as error:
-        raise SceneError(str(error), SceneCode.WRITE) from error
+        raise SceneError(str(error), "Give a place that can be written to.") from error
 
 
 def describe_banners(times_s: Array, banners: Iterable[str]) -> list[str]:
