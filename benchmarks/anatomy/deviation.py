@@ -4,14 +4,13 @@ Registrations err by a rotation and a shift drawn from the covariance that they 
 """
 
 from collections.abc import Iterator
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from needleforce.needle_on_plan import PlannedPath
 
 INSERTIONS = 1000
@@ -44,20 +43,17 @@ FAULTS = {
 }
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield how many needles are found off the plan."""
-    del data
     for number, std_mm in enumerate(STDS_mm):
-        rng = np.random.default_rng([seed, 23, number])
+        rng = np.random.default_rng([job.seed, 23, number])
         name = f"registration {std_mm:g} mm"
         accused = sum(is_found(std_mm, Fault(), rng) for _ in range(INSERTIONS))
-        yield our_measurement("on_plan_accused", accused, name)
+        yield Figure("on_plan_accused", accused, name)
         for fault_name, fault in FAULTS.items():
             found = sum(is_found(std_mm, fault, rng) for _ in range(DRAWS))
             percent = 100.0 * found / DRAWS
-            yield our_measurement(
-                "off_plan_found_pct", percent, f"{name}, {fault_name}"
-            )
+            yield Figure("off_plan_found_pct", percent, f"{name}, {fault_name}")
         progress((number + 1) / len(STDS_mm))
 
 

@@ -9,14 +9,13 @@ have moved beneath the skin.
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.insertion.signals import JointSignals
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from groundtruth import simulate
 from groundtruth.scenarios import RANDOM_STACK, scenario
 from needleforce import InsertionSession
@@ -133,15 +132,14 @@ def ruptures_of(seed: int) -> Found:
     return Found(np.cumsum([0.0, *thickness]), events)
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield the numbers of every case."""
-    del data
     insertions = []
     for k in range(STACKS):
-        insertions.append(ruptures_of(seed + k))
+        insertions.append(ruptures_of(job.seed + k))
         progress((k + 1) / STACKS)
     for case in CASES:
-        rng = np.random.default_rng([seed, 11])
+        rng = np.random.default_rng([job.seed, 11])
         scores = Scores([], [], [])
         for insertion in insertions:
             for _ in range(PLANS):
@@ -150,9 +148,9 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
         rms_mm = 1e3 * np.sqrt(np.mean(np.square(errors_m))) if errors_m else math.nan
         right_pct = 100.0 * np.mean(scores.is_right)
         coverage = np.mean(scores.is_inside)
-        yield our_measurement("plan_offset_rms_mm", rms_mm, case.name)
-        yield our_measurement("plan_boundary_right_pct", right_pct, case.name)
-        yield our_measurement("plan_interval_coverage_95", coverage, case.name)
+        yield Figure("plan_offset_rms_mm", rms_mm, case.name)
+        yield Figure("plan_boundary_right_pct", right_pct, case.name)
+        yield Figure("plan_interval_coverage_95", coverage, case.name)
 
 
 def match_plan(

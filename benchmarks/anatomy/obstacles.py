@@ -6,14 +6,13 @@ comes to it.
 """
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import special_ortho_group
 
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from needleforce.anatomy import FreeSpace, Grid, Labels, Structure, VoxelBoxes
 
@@ -30,11 +29,10 @@ SAMPLING_m = 0.2e-3
 """Distance of points on a path; by so much distances measured with them err."""
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield the numbers of every distance of slices."""
-    del data
     for number, slices_mm in enumerate(SLICES_mm):
-        rng = np.random.default_rng([seed, 21, number])
+        rng = np.random.default_rng([job.seed, 21, number])
         labels = draw_chest(1e-3 * np.array([1.5, 1.5, slices_mm]), rng)
         name = f"slices {slices_mm:g} mm"
         yield from _judge_paths(labels, name, rng)
@@ -64,7 +62,7 @@ def draw_chest(spacing_m: Array, rng: np.random.Generator) -> Labels:
 
 def _judge_paths(
     labels: Labels, name: str, rng: np.random.Generator
-) -> Iterator[Measurement]:
+) -> Iterator[Figure]:
     """Judge paths from outside the ribs to the middle of the chest."""
     boxes = VoxelBoxes(labels, [labels["rib_left_8"]])
     ribs = np.argwhere(labels.volumes[0] == labels["rib_left_8"].value)
@@ -84,10 +82,10 @@ def _judge_paths(
             free += 1
             near += is_refused
             wrong += is_refused and distance_m > SPACE.needed_m + SAMPLING_m
-    yield our_measurement("bone_paths", through, name)
-    yield our_measurement("bone_paths_missed", missed, name)
-    yield our_measurement("near_paths_refused_pct", 100.0 * near / free, name)
-    yield our_measurement("clear_paths_refused_pct", 100.0 * wrong / free, name)
+    yield Figure("bone_paths", through, name)
+    yield Figure("bone_paths_missed", missed, name)
+    yield Figure("near_paths_refused_pct", 100.0 * near / free, name)
+    yield Figure("clear_paths_refused_pct", 100.0 * wrong / free, name)
 
 
 def sampled_distance_m(

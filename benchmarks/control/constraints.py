@@ -21,7 +21,8 @@ from typing import Literal
 import numpy as np
 
 from benchmarks.control.published import solve_published
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
@@ -172,29 +173,29 @@ def _trocar_and_force(seed: int) -> list[Contact]:
     return [Trocar(behind_tip_m=BEHIND_TIP_m), force]
 
 
-def rcm(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def rcm(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Measure the circle."""
     error, off = _circle(
         ClosedLoop(
             servo=servo, plant=plant, seed=seed, contacts=_trocar_and_force(seed)
         )
     )
-    yield our_measurement("rcm_error_max_mm", MILLI * error.max())
-    yield our_measurement("rcm_error_rms_mm", MILLI * _rms(error))
-    yield our_measurement("rcm_tip_error_max_mm", MILLI * off.max())
+    yield Figure("rcm_error_max_mm", MILLI * error.max())
+    yield Figure("rcm_error_rms_mm", MILLI * _rms(error))
+    yield Figure("rcm_tip_error_max_mm", MILLI * off.max())
 
 
-def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Measure the circle on an arm with kinematic error."""
     contacts = _trocar_and_force(seed)
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, contacts=contacts, has_kinematic_error=True
     )
     worst = MILLI * _circle(test)[0].max()
-    yield our_measurement("rcm_error_max_mm", worst)
+    yield Figure("rcm_error_max_mm", worst)
 
 
-def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Run the circle while a hand pushes the elbow.
 
     It pushes with 30 N, which come within 50 ms, for 1 s, every 2 s.
@@ -209,17 +210,17 @@ def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     error, _ = _circle(
         ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts)
     )
-    yield our_measurement("rcm_error_max_mm", MILLI * error.max())
+    yield Figure("rcm_error_max_mm", MILLI * error.max())
 
 
-def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Measure the circle by the published recursion."""
     contacts = _trocar_and_force(seed)
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, contacts=contacts, solver=solve_published
     )
     worst = MILLI * _circle(test)[0].max()
-    yield Measurement("virtual", "published", "rcm_error_max_mm", worst)
+    yield Figure("rcm_error_max_mm", worst, method="published")
 
 
 def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, float]:
@@ -248,20 +249,20 @@ def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, floa
     return error, float((rig.truth.tip_m - line_m) @ axis)
 
 
-def fixture(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def fixture(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Measure 100 mm of stack-glove along the fixture, and without it."""
     new = partial(
         ClosedLoop, servo=servo, plant=plant, seed=seed, scenario="stack-glove-constant"
     )
     error, travel = _insertion(new())
-    yield our_measurement("fixture_error_max_mm", MILLI * error.max())
-    yield our_measurement("fixture_error_rms_mm", MILLI * _rms(error))
-    yield our_measurement("fixture_travel_mm", MILLI * travel)
+    yield Figure("fixture_error_max_mm", MILLI * error.max())
+    yield Figure("fixture_error_rms_mm", MILLI * _rms(error))
+    yield Figure("fixture_travel_mm", MILLI * travel)
     error, _ = _insertion(new(), with_fixture=False)
-    yield our_measurement("no_fixture_error_max_mm", MILLI * error.max())
+    yield Figure("no_fixture_error_max_mm", MILLI * error.max())
 
 
-def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Measure the fixture while the hub is pushed.
 
     The hand pushes with 5 N across, on and off every second.
@@ -279,21 +280,21 @@ def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
         servo=servo, plant=plant, seed=seed, scenario=scenario, contacts=[hand]
     )
     error, _ = _insertion(test)
-    yield our_measurement("fixture_error_max_mm", MILLI * error.max())
-    yield our_measurement("fixture_error_rms_mm", MILLI * _rms(error))
+    yield Figure("fixture_error_max_mm", MILLI * error.max())
+    yield Figure("fixture_error_rms_mm", MILLI * _rms(error))
 
 
-def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Measure the fixture on an arm with kinematic error."""
     scenario = "stack-glove-constant"
     test = ClosedLoop(
         servo=servo, plant=plant, seed=seed, scenario=scenario, has_kinematic_error=True
     )
     worst = MILLI * _insertion(test)[0].max()
-    yield our_measurement("fixture_error_max_mm", worst)
+    yield Figure("fixture_error_max_mm", worst)
 
 
-def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Measure the published recursion: what remains of the travel, too."""
     scenario = "stack-glove-constant"
     test = ClosedLoop(
@@ -301,8 +302,8 @@ def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Measurement
     )
     error, travel = _insertion(test)
     worst = MILLI * error.max()
-    yield Measurement("virtual", "published", "fixture_error_max_mm", worst)
-    yield Measurement("virtual", "published", "fixture_travel_mm", MILLI * travel)
+    yield Figure("fixture_error_max_mm", worst, method="published")
+    yield Figure("fixture_travel_mm", MILLI * travel, method="published")
 
 
 def _turn(test: ClosedLoop) -> float:
@@ -329,16 +330,16 @@ def _turn(test: ClosedLoop) -> float:
     return error.max() / TURN_rad
 
 
-def decoupled(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def decoupled(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Measure the turn about the tip."""
     test = ClosedLoop(servo=servo, plant=plant, seed=seed)
-    yield our_measurement("turn_tip_error_mm_per_rad", MILLI * _turn(test))
+    yield Figure("turn_tip_error_mm_per_rad", MILLI * _turn(test))
 
 
-def decoupled_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def decoupled_kinematic(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Measure the turn about the tip on an arm with kinematic error."""
     test = ClosedLoop(servo=servo, plant=plant, seed=seed, has_kinematic_error=True)
-    yield our_measurement("turn_tip_error_mm_per_rad", MILLI * _turn(test))
+    yield Figure("turn_tip_error_mm_per_rad", MILLI * _turn(test))
 
 
 def _rms(error: Array) -> float:
@@ -346,7 +347,7 @@ def _rms(error: Array) -> float:
     return float(np.sqrt(np.mean(np.square(error))))
 
 
-MEASURES: dict[str, Callable[[str, str, int], Iterator[Measurement]]] = {
+MEASURES: dict[str, Callable[[str, str, int], Iterator[Figure]]] = {
     measure.__name__: measure
     for measure in (
         rcm,
@@ -364,7 +365,7 @@ MEASURES: dict[str, Callable[[str, str, int], Iterator[Measurement]]] = {
 CASES = tuple(f"{name} {servo}" for name in MEASURES for servo in SERVOS)
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Return the numbers of one case."""
-    name, servo = case.split()
-    return MEASURES[name](servo, plant, seed)
+    name, servo = job.case.split()
+    return MEASURES[name](servo, job.plant, job.seed)

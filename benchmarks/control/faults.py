@@ -18,7 +18,8 @@ from benchmarks.control.autonomous import OPEN_N, SERVOS
 from benchmarks.control.loop import STANDOFF_M, Insertion
 from benchmarks.faults.injection import SHOULDER
 from benchmarks.faults.study import UNKNOWN_KG
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.control import InsertionPlan, SafetyLimits, Situation, State
 from needleforce.control.insertion_profile import Step
@@ -218,13 +219,13 @@ class Led(Insertion):
         return super()._step(situation, *beside)
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of one fault."""
-    servo, fault = case.split(" ", 1)
+    servo, fault = job.case.split(" ", 1)
     rig = SimulatedArm(
         "gel-70-constant",
-        plant,
-        seed,
+        job.plant,
+        job.seed,
         servo=SERVOS[servo],
         standoff_m=STANDOFF_M,
         duration_s=15.0,
@@ -243,14 +244,14 @@ def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
     is_wrong = expected is not Reaction.EITHER and has_stopped != (
         expected is Reaction.STOP
     )
-    yield our_measurement("fault_reaction_wrong", is_wrong)
-    yield our_measurement("fault_speed_max_mm_per_s", reaction.fastest_mm_s)
+    yield Figure("fault_reaction_wrong", is_wrong)
+    yield Figure("fault_speed_max_mm_per_s", reaction.fastest_mm_s)
     if math.isfinite(reaction.struck_s):
         depth_m = rig.depths_m[round(1e3 * reaction.struck_s) :]
         must_rest = expected is Reaction.STOP
         course_m = 0.0 if must_rest else SPEED_M_S * 1e-3 * np.arange(len(depth_m))
         ahead_mm = 1e3 * float(np.max(depth_m - depth_m[0] - course_m))
-        yield our_measurement("fault_travel_excess_mm", ahead_mm)
+        yield Figure("fault_travel_excess_mm", ahead_mm)
 
 
 class Watched(NamedTuple):

@@ -18,7 +18,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth.rig_arm import ArmSample
 from groundtruth.rig_contacts import distance_to_axis_m
@@ -275,17 +276,16 @@ def count_excess(run: ConeRun, preset: ArmLimits) -> dict[str, int]:
     return counts
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of an arm at a delay; no plant plays a part."""
-    del plant
-    cone_case = _CASES[case]
-    run = run_cone(cone_case, np.random.default_rng(seed))
+    cone_case = _CASES[job.case]
+    run = run_cone(cone_case, np.random.default_rng(job.seed))
     for limit, count in count_excess(run, ARM_LIMITS[cone_case.arm]).items():
-        yield our_measurement(f"ticks_above_{limit}_limit", count)
-    yield our_measurement("rcm_error_max_mm", MILLI * run.errors_m.max())
-    yield our_measurement("rcm_error_rms_mm", MILLI * np.sqrt(np.mean(run.errors_m**2)))
-    yield our_measurement("ticks_at_limit", run.is_limited.sum())
+        yield Figure(f"ticks_above_{limit}_limit", count)
+    yield Figure("rcm_error_max_mm", MILLI * run.errors_m.max())
+    yield Figure("rcm_error_rms_mm", MILLI * np.sqrt(np.mean(run.errors_m**2)))
+    yield Figure("ticks_at_limit", run.is_limited.sum())
     if MIN_TIMED <= run.is_limited.sum() <= run.is_limited.size - MIN_TIMED:
         limited_us = np.median(run.taken_us[run.is_limited])
         ratio = limited_us / np.median(run.taken_us[~run.is_limited])
-        yield our_measurement("tick_ratio_at_limit", ratio)
+        yield Figure("tick_ratio_at_limit", ratio)

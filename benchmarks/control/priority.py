@@ -18,7 +18,8 @@ from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
 from scipy.optimize import nnls
 
 from benchmarks.control.published import solve_published
-from benchmarks.results import Measurement, Method, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, Method
 from foundation.arrays import Array
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
@@ -54,13 +55,12 @@ SINGULAR_JOINTS = (1, 3, 5)
 """Near zero the LWR is stretched, or two of its axes are one."""
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of one case and seed; no plant plays a part."""
-    del plant
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(job.seed)
     robot = load_lwr(payload=NeedleTool())
     measures = {"leak": leaks, "cascade": cascades, "hostile": hostile_ticks}
-    return measures[case](robot, rng)
+    return measures[job.case](robot, rng)
 
 
 class RandomStacks:
@@ -129,7 +129,7 @@ def solved(
     return stack, solve(stack)[0]
 
 
-def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
+def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """Yield how far lower tasks move what higher ones get."""
     solvers: dict[Method, Solver] = {"ours": hierarchical, "published": solve_published}
     for method, solver in solvers.items():
@@ -146,7 +146,7 @@ def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
                 )
                 worst[is_singular] = max(worst[is_singular], leak)
         for posture, leak in zip(POSTURES, worst, strict=True):
-            yield Measurement("virtual", method, f"task_leak_{posture}_rad_per_s", leak)
+            yield Figure(f"task_leak_{posture}_rad_per_s", leak, method=method)
 
 
 class Rows(PinkTask):
@@ -170,7 +170,7 @@ class Rows(PinkTask):
         return self.jacobian
 
 
-def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
+def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """Yield how much better each level could be within what is left to it.
 
     Each is judged where it ends. The levels below keep what it has got, see `leaks`,
@@ -195,9 +195,9 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
                 gains[kind] = max(gains[kind], gain.by_qp)
             bounds[kind] = max(bounds[kind], gain.at_most)
     for kind, posture in enumerate(POSTURES):
-        yield our_measurement(f"cascade_gain_{posture}_rad_per_s", gains[kind])
-        yield our_measurement(f"duality_gain_{posture}_rad_per_s", bounds[kind])
-    yield our_measurement("cascade_levels_unsolved", unsolved)
+        yield Figure(f"cascade_gain_{posture}_rad_per_s", gains[kind])
+        yield Figure(f"duality_gain_{posture}_rad_per_s", bounds[kind])
+    yield Figure("cascade_levels_unsolved", unsolved)
 
 
 class LevelGain(NamedTuple):
@@ -310,7 +310,7 @@ def _within(room: Array, way: Array) -> Array:
     return min(float(parts.min(initial=1.0)), 1.0) * way
 
 
-def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
+def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """Yield how far commands pass a limit, and how many ticks have no answer."""
     stacks = RandomStacks(robot, rng)
     control = Controller(robot, stacks.limits)
@@ -340,10 +340,10 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Measuremen
         speed = np.abs(dq) - robot.velocity_limit_rad_s
         over = np.maximum(over, [beyond.max(), speed.max(), change.max()])
         last_rad_s = dq
-    yield our_measurement("hostile_position_excess_rad", over[0])
-    yield our_measurement("hostile_speed_excess_rad_per_s", over[1])
-    yield our_measurement("hostile_speed_change_excess_rad_per_s", over[2])
-    yield our_measurement("hostile_ticks_without_answer", silent)
+    yield Figure("hostile_position_excess_rad", over[0])
+    yield Figure("hostile_speed_excess_rad_per_s", over[1])
+    yield Figure("hostile_speed_change_excess_rad_per_s", over[2])
+    yield Figure("hostile_ticks_without_answer", silent)
 
 
 class HostileSample(NamedTuple):

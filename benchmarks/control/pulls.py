@@ -12,7 +12,8 @@ from typing import NamedTuple
 
 from benchmarks.control.autonomous import OPEN_N
 from benchmarks.control.loop import STANDOFF_M, Insertion
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from groundtruth.rig_contacts import HandOnArm
@@ -140,20 +141,20 @@ class FallOutcome(NamedTuple):
         return math.isfinite(self.report_s)
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield what came of one fall."""
-    phase, fall = case.split(": ")
-    outcome = PulledInsertion(PHASES[phase], FALLS[fall], plant, seed).run()
+    phase, fall = job.case.split(": ")
+    outcome = PulledInsertion(PHASES[phase], FALLS[fall], job.plant, job.seed).run()
     if outcome is None:
         return
-    yield our_measurement("pull_taken_as_rupture", outcome.is_rupture)
-    yield our_measurement("pull_reported", outcome.is_reported)
-    yield our_measurement("pull_status", outcome.is_pull)
-    yield our_measurement("pull_as_torque_jump", outcome.is_jump)
-    yield our_measurement("pull_ends_faulted", outcome.state is State.FAULTED)
-    yield our_measurement("pull_ends_stopped", outcome.state is State.STOPPED)
+    yield Figure("pull_taken_as_rupture", outcome.is_rupture)
+    yield Figure("pull_reported", outcome.is_reported)
+    yield Figure("pull_status", outcome.is_pull)
+    yield Figure("pull_as_torque_jump", outcome.is_jump)
+    yield Figure("pull_ends_faulted", outcome.state is State.FAULTED)
+    yield Figure("pull_ends_stopped", outcome.state is State.STOPPED)
     if outcome.is_reported:
-        yield our_measurement("pull_report_ms", 1e3 * outcome.report_s)
+        yield Figure("pull_report_ms", 1e3 * outcome.report_s)
 
 
 class UnretractedAlarm(NamedTuple):

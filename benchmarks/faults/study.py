@@ -17,10 +17,9 @@ from benchmarks.faults.injection import (
 )
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.insertion.signals import lagging
-from benchmarks.jobs import Benchmark, Job, JobResult, Progress, progress_part
-from benchmarks.report.frames import NOTHING
-from benchmarks.report.tables import ResultTable
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.report.tables import NOTHING, ResultTable
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth import Run, simulate
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
@@ -355,23 +354,8 @@ def fault_table(results: Sequence[FaultResult]) -> ResultTable:
     )
 
 
-def fault_measurements(results: Sequence[FaultResult]) -> list[Measurement]:
-    """Return the numbers of every fault, under its name as the source."""
-    return [
-        our_measurement(metric, value, source=result.name)
-        for result in results
-        for metric, value in (
-            ("fault_force_error_max_N", result.worst_N),
-            ("fault_force_error_max_sigma", result.worst_sigma),
-            ("fault_recovery_ms", 1e3 * result.recovery_s),
-            ("fault_outputs_not_finite", not result.is_finite),
-        )
-    ]
-
-
 WITHOUT_VELOCITY = "without velocity"
-FAULT_COUNT = 30
-"""About so many faults there are, for the progress."""
+CASES = ("", WITHOUT_VELOCITY)
 
 
 def measure_faults(
@@ -384,26 +368,20 @@ def measure_faults(
     results: list[FaultResult] = []
     for result in study.results():
         results.append(result)
-        progress(min(0.2 + 0.8 * len(results) / FAULT_COUNT, 1.0))
+        # There are about 30 faults.
+        progress(min(0.2 + 0.8 * len(results) / 30, 1.0))
     return results
 
 
-def run_faults(job: Job, progress: Progress) -> JobResult:
-    """Break the signals, with velocities from the arm or without."""
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
+    """Break the signals, with velocities from the arm or without.
+
+    The numbers of a fault stand under its name as the source.
+    """
     with_velocity = job.case != WITHOUT_VELOCITY
-    results = measure_faults(progress, with_velocity=with_velocity, seed=job.seed)
-    return JobResult(fault_measurements(results))
-
-
-FAULTS = (
-    Benchmark(
-        id="faults",
-        title="faults of signals in a running insertion: errors and recovery",
-        run=run_faults,
-        find_cases=lambda: ("", WITHOUT_VELOCITY),
-        group="faults",
-        is_default=False,
-        plants=(PLANT,),
-        possible=(PLANT,),
-    ),
-)
+    for result in measure_faults(progress, with_velocity=with_velocity, seed=job.seed):
+        name = result.name
+        yield Figure("fault_force_error_max_N", result.worst_N, name)
+        yield Figure("fault_force_error_max_sigma", result.worst_sigma, name)
+        yield Figure("fault_recovery_ms", 1e3 * result.recovery_s, name)
+        yield Figure("fault_outputs_not_finite", not result.is_finite, name)

@@ -1,20 +1,21 @@
 """Which figures of the identification a run gives, and the numbers beside them."""
 
 import math
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from pathlib import Path
 
 from benchmarks.insertion.methods import (
+    ForceReading,
     Identified,
     cumulative_friction_Ns_per_m,
 )
 from benchmarks.insertion.metrics import IdentifiedRun
 from benchmarks.insertion.signals import InsertionTruth
 from benchmarks.jobs import Drawing, Fact, Job
+from benchmarks.judging import GELS
 from benchmarks.report.force_plots import RunFigures
 from benchmarks.report.identification_plots import (
     SENSORS,
-    Compared,
     enhanced_chart,
     offline_chart,
     parameter_chart,
@@ -25,29 +26,18 @@ from benchmarks.report.published_figures import (
     OFFLINE_PANELS,
     PublishedFigure,
 )
-from benchmarks.results import Measurement
-from benchmarks.targets import GELS
+from benchmarks.results import Figure
 from identification import PublishedConfig
 
-
-class RunNumbers:
-    """Numbers of a run by source, method and metric."""
-
-    def __init__(self, measurements: Sequence[Measurement]) -> None:
-        self._values = {
-            (item.source, item.method, item.metric): item.value for item in measurements
-        }
-
-    def of(self, item: Identified, metric: str) -> float:
-        """Return a number of one method on one source; nan where there is none."""
-        return self._values.get((item.source, item.method, metric), math.nan)
+Numbers = Mapping[tuple[str, str, str], float]
+"""Of a run, by source, method and metric."""
 
 
 def draw_identification(
     job: Job,
     folder: Path,
     identified: IdentifiedRun,
-    measurements: Sequence[Measurement],
+    numbers_measured: Sequence[Figure],
     kelvin_voigt: Identified | None = None,
 ) -> tuple[Drawing, ...]:
     """Draw every figure of the identification in a run.
@@ -56,12 +46,15 @@ def draw_identification(
         job: The run.
         folder: Where the figures are saved.
         identified: What every method made of each source.
-        measurements: The numbers of the run.
+        numbers_measured: The numbers of the run.
         kelvin_voigt: The published method with its simpler model on the F/T sensor's
             force, for scenarios of which that is published.
     """
     figures = RunFigures(job, folder)
-    numbers = RunNumbers(measurements)
+    numbers = {
+        (item.source, item.method, item.metric): float(item.value)
+        for item in numbers_measured
+    }
     on_ft = {item.method: item for item in identified.sources[0]}["ours"]
     add_offline(figures, on_ft, identified.truth, numbers)
     # Without a published counterpart: the whole chain; of gels, for Table I, the F/T
@@ -75,36 +68,30 @@ def draw_identification(
             continue
         by_method = {item.method: item for item in items}
         is_ft = source == "ft"
-        compared = Compared(
-            ours=by_method["ours"],
-            tuned=by_method["published-as-authors-ran"],
-            published=by_method["published-one-setting"],
-            kelvin_voigt=kelvin_voigt if figure and is_ft else None,
-            ft=None if is_ft else identified.ft,
-            on_ft=None if is_ft else on_ft,
-        )
-        add_enhanced(figures, figure, identified.truth, compared, numbers)
+        beside = kelvin_voigt if figure and is_ft else None
+        ft = None if is_ft else identified.ft
+        truth = identified.truth
+        add_enhanced(figures, figure, truth, by_method, beside, ft, numbers)
         if figure:
-            add_parameters(figures, figure.number, identified.truth, compared)
+            others = (None if is_ft else on_ft, beside)
+            add_parameters(figures, figure.number, truth, by_method, others)
     return tuple(figures.saved)
 
 
 def add_offline(
-    figures: RunFigures, on_ft: Identified, truth: InsertionTruth, numbers: RunNumbers
+    figures: RunFigures, on_ft: Identified, truth: InsertionTruth, numbers: Numbers
 ) -> None:
     """Draw both models on the F/T sensor's force, where that is published."""
     scenario = figures.job.benchmark
     if scenario not in OFFLINE_PANELS:
         return
     panel = OFFLINE_PANELS[scenario]
-    here = tuple(
-        (f"{model}, here", f"{numbers.of(on_ft, metric):.3f}")
-        for model, metric in (
-            ("Kelvin-Voigt", "offline_rmse_kv_N"),
-            ("multi-layer", "offline_rmse_ml_N"),
-        )
-    )
-    quantity = f"`{scenario}`: RMSE of the insertion [N]"
+    fact = {
+        "": f"`{scenario}`: RMSE of the insertion [N]",
+        "published": "ML below KV",
+        "Kelvin-Voigt, here": f"{numbers['ft', 'ours', 'offline_rmse_kv_N']:.3f}",
+        "multi-layer, here": f"{numbers['ft', 'ours', 'offline_rmse_ml_N']:.3f}",
+    }
     figures.add(
         offline_chart("both models, fitted offline", on_ft.signal, truth),
         "offline",
@@ -115,7 +102,7 @@ def add_offline(
         "fitted to the insertion with true layers and ruptures given; below, measured "
         "minus modelled force. Triangles mark where a curve leaves its panel. RMSE "
         "from first contact to the deepest point.",
-        facts=(Fact(what=quantity, published="ML below KV", here=here),),
+        facts=(fact,),
         is_alone=not panel[1],
     )
 
@@ -124,13 +111,15 @@ def add_enhanced(
     figures: RunFigures,
     figure: PublishedFigure | None,
     truth: InsertionTruth,
-    compared: Compared,
-    numbers: RunNumbers,
+    by_method: Mapping[str, Identified],
+    kelvin_voigt: Identified | None,
+    ft: ForceReading | None,
+    numbers: Numbers,
 ) -> None:
     """Draw the forces by each method."""
-    source = compared.ours.source
-    tuned = compared.tuned
-    ft = compared.ft
+    ours = by_method["ours"]
+    source = ours.source
+    tuned = by_method["published-as-authors-ran"]
     assert isinstance(tuned.config, PublishedConfig)
     number = figure.number if figure else ""
     sensor = SENSORS[source]
@@ -142,9 +131,7 @@ def add_enhanced(
     none = "" if tuned.alarms else " No rupture was detected, so nothing is subtracted."
     title = f"friction compensation by the published method, {sensor}"
     figures.add(
-        enhanced_chart(
-            title, truth, tuned, compared.kelvin_voigt, ft, has_speed=has_speed
-        ),
+        enhanced_chart(title, truth, tuned, kelvin_voigt, ft, has_speed=has_speed),
         f"{source}-published",
         panel=(number, "a" if number else ""),
         alt=f"{alt}published method",
@@ -154,23 +141,33 @@ def add_enhanced(
     )
     title = f"friction compensation by our method, {sensor}"
     figures.add(
-        enhanced_chart(title, truth, compared.ours, None, ft, has_speed=has_speed),
+        enhanced_chart(title, truth, ours, None, ft, has_speed=has_speed),
         f"{source}-ours",
         panel=(number, "b" if number else ""),
         alt=f"{alt}our method",
         caption="The same by our method: measured speed, one setting for every "
         "recording.",
-        facts=enhanced_facts(figure, truth, compared, numbers) if figure else (),
+        facts=enhanced_facts(figure, truth, by_method, numbers) if figure else (),
     )
 
 
 def add_parameters(
-    figures: RunFigures, number: str, truth: InsertionTruth, compared: Compared
+    figures: RunFigures,
+    number: str,
+    truth: InsertionTruth,
+    by_method: Mapping[str, Identified],
+    others: tuple[Identified | None, Identified | None],
 ) -> None:
-    """Draw stiffness, friction and cumulative friction as they are identified."""
-    source = compared.ours.source
+    """Draw stiffness, friction and cumulative friction as they are identified.
+
+    `others` are ours on the F/T sensor's force, and the Kelvin-Voigt model, if shown.
+    """
+    ours = by_method["ours"]
+    source = ours.source
+    title = f"identified parameters, {SENSORS[source]}"
+    tuned = by_method["published-as-authors-ran"]
     figures.add(
-        parameter_chart(f"identified parameters, {SENSORS[source]}", truth, compared),
+        parameter_chart(title, truth, ours, *others, tuned),
         f"{source}-parameters",
         panel=(number, "c"),
         alt="Stiffness, friction per length and cumulative friction over time, both "
@@ -187,20 +184,21 @@ def add_parameters(
 def enhanced_facts(
     figure: PublishedFigure,
     truth: InsertionTruth,
-    compared: Compared,
-    numbers: RunNumbers,
+    by_method: Mapping[str, Identified],
+    numbers: Numbers,
 ) -> tuple[Fact, ...]:
     """Return the numbers that stand below a published figure."""
-    heads = (
-        "published, tuned, here",
-        "published, one setting, here",
-        "ours, one setting, here",
-    )
-    items = (compared.tuned, compared.published, compared.ours)
+    methods = {
+        "published-as-authors-ran": "published, tuned, here",
+        "published-one-setting": "published, one setting, here",
+        "ours": "ours, one setting, here",
+    }
+    items = [by_method[method] for method in methods]
     _, steps = true_friction(truth)["cumulative_friction_Ns_per_m"]
     ruptures = [describe_ruptures(item, truth) for item in items]
     sums = [f"{cumulative_friction_Ns_per_m(item.alarms):.0f}" for item in items]
-    remaining = [f"{numbers.of(item, 'remaining_force_pct'):.1f}" for item in items]
+    keys = ((item.source, item.method, "remaining_force_pct") for item in items)
+    remaining = [f"{numbers.get(key, math.nan):.1f}" for key in keys]
     lines = (
         (f"ruptures detected (true: {len(truth.ruptures)})", figure.ruptures, ruptures),
         (
@@ -215,11 +213,8 @@ def enhanced_facts(
         ),
     )
     return tuple(
-        Fact(
-            what=quantity,
-            published=published,
-            here=tuple(zip(heads, texts, strict=True)),
-        )
+        {"": quantity, "published": published}
+        | dict(zip(methods.values(), texts, strict=True))
         for quantity, published, texts in lines
     )
 

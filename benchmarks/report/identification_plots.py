@@ -5,7 +5,6 @@ stroke ends and the needle sets out, as in the publication.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 
@@ -19,8 +18,6 @@ from needleforce.plots import Chart, Curve, Instants, LineStyle, Panel, Shading,
 
 MARGIN_s = 1.0
 """Shown before contact and after the deepest point."""
-MIN_RUPTURE_PT = 4.0
-"""A layer ruptures within 0.1 s of a minute; so wide its shade is seen."""
 SENSORS = {"ft": "F/T sensor", "virtual": "virtual sensor"}
 WHOSE = {
     "ours": (palette.OURS, "ours"),
@@ -39,7 +36,8 @@ def _true_ruptures(truth: InsertionTruth) -> Shading:
     """Return when layers ruptured: from the onset to the end of the release."""
     zero = truth.tare_end_s
     spans = tuple((item.onset_s - zero, item.end_s - zero) for item in truth.ruptures)
-    return Shading("true rupture", palette.TRUE_RUPTURE, spans, MIN_RUPTURE_PT)
+    # A layer ruptures within 0.1 s of a minute; 4 points wide its shade is seen.
+    return Shading("true rupture", palette.TRUE_RUPTURE, spans, 4.0)
 
 
 def _times_s(item: Identified, truth: InsertionTruth) -> Array:
@@ -158,54 +156,46 @@ def true_friction(truth: InsertionTruth) -> dict[str, tuple[Array, Array]]:
     }
 
 
-PARAMETERS = {
-    "stiffness_N_per_m": palette.STIFFNESS,
-    "friction_Ns_per_m2": palette.FRICTION,
-    "cumulative_friction_Ns_per_m": palette.CUMULATIVE_FRICTION,
-}
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Compared:
-    """What several methods made of one force.
-
-    Attributes:
-        ours: One setting for everything.
-        tuned: The published method with the settings of its authors.
-        published: The published method with one setting and the measured speed.
-        kelvin_voigt: `tuned` with the Kelvin-Voigt model, if shown.
-        ft: The F/T sensor's force, where the force was another.
-        on_ft: Ours on the F/T sensor's force, likewise.
-    """
-
-    ours: Identified
-    tuned: Identified
-    published: Identified
-    kelvin_voigt: Identified | None = None
-    ft: ForceReading | None = None
-    on_ft: Identified | None = None
-
-
-def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Chart:
+def parameter_chart(
+    title: str,
+    truth: InsertionTruth,
+    ours: Identified,
+    on_ft: Identified | None,
+    kelvin_voigt: Identified | None,
+    tuned: Identified,
+) -> Chart:
     """Return stiffness, friction and cumulative friction of every method.
 
     The Kelvin-Voigt model's friction has another unit and is drawn only where the units
     agree.
+
+    Args:
+        title: Of the chart.
+        truth: The insertion with its ground truth.
+        ours: One setting for everything.
+        on_ft: Ours on the F/T sensor's force, where the force was another.
+        kelvin_voigt: `tuned` with the Kelvin-Voigt model, if shown.
+        tuned: The published method with the settings of its authors.
     """
     true = true_friction(truth)
     drawn = (
-        (compared.ours, palette.OURS, "ours"),
-        (compared.on_ft, palette.OTHER_DASHED, "ours on the F/T sensor's force"),
-        (compared.kelvin_voigt, palette.PUBLISHED_KV, "published, Kelvin-Voigt"),
-        (compared.tuned, palette.PUBLISHED, "published"),
+        (ours, palette.OURS, "ours"),
+        (on_ft, palette.OTHER_DASHED, "ours on the F/T sensor's force"),
+        (kelvin_voigt, palette.PUBLISHED_KV, "published, Kelvin-Voigt"),
+        (tuned, palette.PUBLISHED, "published"),
     )
     panels = []
-    for name, label in PARAMETERS.items():
+    parameters = {
+        "stiffness_N_per_m": palette.STIFFNESS,
+        "friction_Ns_per_m2": palette.FRICTION,
+        "cumulative_friction_Ns_per_m": palette.CUMULATIVE_FRICTION,
+    }
+    for name, label in parameters.items():
         curves = [
             _parameter(item, truth, style, text, name)
             for item, style, text in drawn
             if item is not None
-            and (item is not compared.kelvin_voigt or name != "friction_Ns_per_m2")
+            and (item is not kelvin_voigt or name != "friction_Ns_per_m2")
         ]
         if name in true:
             t_s, values = true[name]
@@ -213,9 +203,7 @@ def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Ch
             curves.append(
                 Curve(style=palette.TRUE_PART, x=x, y=values, label="ground truth")
             )
-        layers = [
-            alarm.layer for alarm in compared.ours.alarms if alarm.layer is not None
-        ]
+        layers = [alarm.layer for alarm in ours.alarms if alarm.layer is not None]
         identified_values = [
             getattr(layer, name) for layer in layers if hasattr(layer, name)
         ]
@@ -226,7 +214,7 @@ def parameter_chart(title: str, truth: InsertionTruth, compared: Compared) -> Ch
         x_label=palette.INSERTION_TIME,
         panels=tuple(panels),
         shadings=(_true_ruptures(truth),),
-        instants=_events(compared.ours, truth),
+        instants=_events(ours, truth),
         x_limits=_limits_s(truth),
         height_in=4.6,
     )
@@ -265,13 +253,6 @@ def _parameter_limits(
     return -0.2 * max(sizes), max(sizes)
 
 
-NOT_FITTED = "#f0ead8"
-MODELS: tuple[tuple[Model, str, LineStyle], ...] = (
-    ("ml", "multi-layer", palette.OURS),
-    ("kv", "Kelvin-Voigt", palette.PUBLISHED_KV),
-)
-
-
 def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Chart:
     """Return the F/T force, both models fitted to it, and their errors.
 
@@ -287,7 +268,11 @@ def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Ch
         Curve(style=palette.READING, x=x, y=reading, label="force of the F/T sensor")
     ]
     errors = []
-    for model, name, style in MODELS:
+    models: tuple[tuple[Model, str, LineStyle], ...] = (
+        ("ml", "multi-layer", palette.OURS),
+        ("kv", "Kelvin-Voigt", palette.PUBLISHED_KV),
+    )
+    for model, name, style in models:
         fit = offline_fit(signal, truth, model)
         matrix = regression_matrix(truth.t_s, depth_m, speed_m_s, spans, fit.model)
         parameters = [(layer.stiffness_N_per_m, layer.friction) for layer in fit.layers]
@@ -296,9 +281,8 @@ def offline_chart(title: str, signal: NeedleSignal, truth: InsertionTruth) -> Ch
         forces.append(Curve(style=style, x=x, y=predicted, label=label))
         errors.append(Curve(style=style, x=x, y=reading - predicted))
     end_s = truth.insertion_end_s - truth.tare_end_s
-    predicted_span = Shading(
-        "predicted, not fitted", NOT_FITTED, ((end_s, float(x[-1])),)
-    )
+    span = ((end_s, float(x[-1])),)
+    predicted_span = Shading("predicted, not fitted", "#f0ead8", span)
     return Chart(
         title=title,
         x_label=palette.INSERTION_TIME,

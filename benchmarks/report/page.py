@@ -5,22 +5,30 @@ import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.jobs import Drawing, Job
-from benchmarks.report.frames import CUMULATIVE, NOTHING, Frame, frame_of, select
+from benchmarks.judging import GELS
 from benchmarks.report.published_figures import (
     FRICTION_FIGURE,
     PUBLISHED_FIGURES,
     TABLE_ONE,
     PublishedFigure,
+    TABLE_ONE_Ns_per_m,
 )
-from benchmarks.report.summary import answer, results_page
-from benchmarks.report.tables import ResultTable, result_tables
+from benchmarks.report.tables import (
+    CUMULATIVE,
+    NOTHING,
+    Frame,
+    ResultTable,
+    answer,
+    frame_of,
+    result_tables,
+    results_page,
+    select,
+)
 from benchmarks.results import Row, to_json
-from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from foundation.arrays import Array
 from needleforce.plots import (
     Chart,
@@ -45,21 +53,13 @@ SPEEDS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
 PERCENTS = tuple(TABLE_ONE_Ns_per_m)
 
 
-class Estimate(NamedTuple):
-    """Which friction of a gel.
-
-    Attributes:
-        kind: ``true``, ``offline`` or ``online``.
-        source: See `benchmarks.results.Source`.
-        method: See `benchmarks.results.Method`.
-    """
-
-    kind: str
-    source: str = "ft"
-    method: str = "ours"
-
-
-TUNED = Estimate("online", "ft", "published-as-authors-ran")
+Estimate = tuple[str, str, str]
+"""Which friction of a gel: ``true``, ``offline`` or ``online``; source and method."""
+TRUE: Estimate = ("true", "ft", "ours")
+OFFLINE: Estimate = ("offline", "ft", "ours")
+TUNED: Estimate = ("online", "ft", "published-as-authors-ran")
+ONLINE: Estimate = ("online", "ft", "ours")
+VIRTUAL: Estimate = ("online", "virtual", "ours")
 
 
 def gel_friction(rows: Iterable[Row]) -> Frame | None:
@@ -97,14 +97,6 @@ def _medians(gels: Frame, estimate: Estimate, speed: str) -> list[float]:
     ]
 
 
-ONLINE = {
-    "published, tuned, F/T": TUNED,
-    "published, F/T": Estimate("online", "ft", "published-one-setting"),
-    "ours, F/T": Estimate("online"),
-    "ours, virtual": Estimate("online", "virtual"),
-}
-
-
 def gel_table(gels: Frame) -> PageTable:
     """Return the published Table I beside ours.
 
@@ -117,18 +109,24 @@ def gel_table(gels: Frame) -> PageTable:
         "here\ntrue",
         "here\noffline",
     ]
-    head += [f"here online\n{words}" for words in ONLINE]
+    online_methods: dict[str, Estimate] = {
+        "published, tuned, F/T": TUNED,
+        "published, F/T": ("online", "ft", "published-one-setting"),
+        "ours, F/T": ONLINE,
+        "ours, virtual": VIRTUAL,
+    }
+    head += [f"here online\n{words}" for words in online_methods]
     rows = []
     for percent, known in TABLE_ONE_Ns_per_m.items():
-        offline = _values(gels, percent, Estimate("offline"))
-        online = [_values(gels, percent, estimate) for estimate in ONLINE.values()]
+        offline = _values(gels, percent, OFFLINE)
+        online = [_values(gels, percent, item) for item in online_methods.values()]
         change_pct = 100.0 * (known.online / known.offline - 1.0)
         rows.append(
             (
                 f"{percent} %",
                 f"{known.offline} ± {known.offline_spread}",
                 f"{known.online} ± {known.online_spread} ({change_pct:+.0f} %)",
-                _cell(_values(gels, percent, Estimate("true"))),
+                _cell(_values(gels, percent, TRUE)),
                 _cell(offline),
                 *(_cell(values, offline) for values in online),
             )
@@ -160,55 +158,42 @@ def _cell(values: Sequence[float], offline: Sequence[float] = ()) -> str:
     return f"{mean:.0f}{spread}{more}"
 
 
-SERIES = {
-    "offline": (Estimate("offline"), "^"),
-    "ours, F/T": (Estimate("online"), "*"),
-    "ours, virtual": (Estimate("online", "virtual"), "D"),
-    "published": (TUNED, "x"),
-}
-"""With their markers."""
-PUBLISHED_PLACE = -0.36
-FIRST_PLACE = -0.2
-STEP = 0.14
-
-
 def friction_chart(title: str, gels: Frame) -> Chart:
     """Return the chart after the published Figure 10.
 
     From the left the published means of a gel, then ours.
     """
     places = np.arange(3.0)
+    first = -0.2
+    step = 0.14
     known = TABLE_ONE_Ns_per_m.values()
     grey = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
     star = replace(grey, marker="*", size_pt=8.0)
+    left = places - 0.36
     points: list[tuple[LineStyle, Array, Sequence[float] | Array, str]] = [
-        (
-            grey,
-            places + PUBLISHED_PLACE,
-            [gel.offline for gel in known],
-            "published, offline",
-        ),
-        (
-            star,
-            places + PUBLISHED_PLACE,
-            [gel.online for gel in known],
-            "published, online",
-        ),
+        (grey, left, [gel.offline for gel in known], "published, offline"),
+        (star, left, [gel.online for gel in known], "published, online"),
     ]
-    for k, (words, (estimate, marker)) in enumerate(SERIES.items()):
+    series = (
+        ("offline", OFFLINE, "^"),
+        ("ours, F/T", ONLINE, "*"),
+        ("ours, virtual", VIRTUAL, "D"),
+        ("published", TUNED, "x"),
+    )
+    for k, (words, estimate, marker) in enumerate(series):
         for speed, color in SPEEDS.items():
             style = LineStyle(
                 color=color, marker=marker, size_pt=7.0 if marker == "*" else 5.5
             )
             values = _medians(gels, estimate, speed)
             if np.isfinite(values).any():
-                x = places + FIRST_PLACE + k * STEP
+                x = places + first + k * step
                 points.append((style, x, values, f"{words}, {speed}"))
     # The truth: short lines across each group.
-    ends = np.array([FIRST_PLACE - 0.06, FIRST_PLACE + 3 * STEP + 0.06, math.nan])
+    ends = np.array([first - 0.06, first + 3 * step + 0.06, math.nan])
     for speed, style in zip(SPEEDS, (palette.TRUE, palette.TRUE_PART), strict=True):
         x = np.add.outer(places, ends).ravel()
-        values = np.repeat(_medians(gels, Estimate("true"), speed), 3)
+        values = np.repeat(_medians(gels, TRUE, speed), 3)
         points.append((style, x, values, f"ground truth, {speed}"))
     curves = [
         Curve(style=style, x=x, y=np.array(y), label=label)
@@ -309,11 +294,8 @@ def _facts(item: PublishedFigure, mine: Sequence[Drawing]) -> tuple[PageTable, .
     facts = [fact for drawing in mine for fact in drawing.facts]
     if not facts:
         return ()
-    head = ("", "published", *(head for head, _ in facts[0].here))
-    rows = tuple(
-        (fact.what, fact.published, *(value for _, value in fact.here))
-        for fact in facts
-    )
+    head = tuple(facts[0])
+    rows = tuple(tuple(fact.values()) for fact in facts)
     return (
         PageTable(caption=f"Figure {item.number}, in numbers", head=head, rows=rows),
     )

@@ -15,8 +15,8 @@ from scipy.ndimage import uniform_filter1d
 
 from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
-from benchmarks.jobs import Job, JobResult, Progress
-from benchmarks.results import Measurement, Method
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, Method, make_figures
 from foundation.arrays import Array
 from identification import Estimate, replay
 
@@ -178,6 +178,8 @@ class ForceDrop(NamedTuple):
     drop_N: float
 
 
+OF_MANY = "pullout_error_p90_pct"
+"""One insertion has no 90th percentile."""
 NEAR_m = 0.5e-3
 """An alarm belongs to a drop when it lies between its top and its foot, or so close
 to either."""
@@ -370,11 +372,7 @@ def rupture_values(insertions: Sequence[LiverEstimates]) -> Iterator[tuple[str, 
         yield "ruptures_at_drops", at_a_drop / ruptures
 
 
-THUMB_FRACTION = 0.7
-"""The rule of thumb: this fraction of the insertion force is friction."""
-
-
-def run_liver_real(job: Job, progress: Progress) -> JobResult:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Run ``liver-real``: friction during insertion against the pull-out force.
 
     The needle is pulled out against friction alone, so the pull-out force at a depth is
@@ -396,17 +394,12 @@ def run_liver_real(job: Job, progress: Progress) -> JobResult:
         force = whole.force_N[inside]
         course = whole.t_s[forward], whole.depth_m[forward], whole.force_N[forward]
         reference = liver_reference(whole, depth, force)
-        thumb = tuple(THUMB_FRACTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
+        # The rule of thumb: this fraction of the insertion force is friction.
+        thumb = tuple(0.7 * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
         by_method["rule-of-thumb"].append(LiverEstimates(reference, thumb))
         for method in IDENTIFIERS:
             by_method[method].append(liver_estimates(*course, method, reference))
-    measurements: list[Measurement] = []
     for method, estimates in by_method.items():
-        values = [
-            *friction_values(estimates),
-            *(rupture_values(estimates) if method != "rule-of-thumb" else ()),
-        ]
-        measurements += [
-            Measurement("ft", method, name, value) for name, value in values
-        ]
-    return JobResult(measurements)
+        yield from make_figures(dict(friction_values(estimates)), "ft", method)
+        if method != "rule-of-thumb":
+            yield from make_figures(dict(rupture_values(estimates)), "ft", method)

@@ -6,7 +6,8 @@ from itertools import product
 import pytest
 
 from benchmarks.cli import main
-from benchmarks.jobs import Drawing, Fact, Job
+from benchmarks.jobs import Drawing, Job
+from benchmarks.judging import GELS
 from benchmarks.report.page import (
     friction_chart,
     gel_friction,
@@ -14,9 +15,8 @@ from benchmarks.report.page import (
     published_sections,
     write_report,
 )
-from benchmarks.report.published_figures import PUBLISHED_FIGURES
+from benchmarks.report.published_figures import PUBLISHED_FIGURES, TABLE_ONE_Ns_per_m
 from benchmarks.results import read_results
-from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from needleforce.plots import PageFigure
 from tests.benchmarks.benchmark_cases import make_row
 
@@ -26,7 +26,7 @@ NUMBERS = ("2", "3", "5", "8", "9", "10", "I", "11", "12", "13", "14")
 
 
 def drawing(path, figure="", scenario="gel-70-constant", plant="clean", **more):
-    fact = Fact(what="RMSE [N]", published="0.2444", here=(("ours, here", "0.0190"),))
+    fact = {"": "RMSE [N]", "published": "0.2444", "ours, here": "0.0190"}
     return Drawing(
         figure=figure,
         job=Job(benchmark=scenario, plant=plant),

@@ -1,27 +1,19 @@
 """What an update of the estimators costs, beside its bare Pinocchio calls."""
 
-from collections.abc import Callable, Iterable, Mapping
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from dataclasses import replace
 from time import perf_counter_ns, thread_time_ns
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.insertion.signals import JointSignals
-from benchmarks.performance.tare_ticks import TareTicks, tare_table, time_tare
-from benchmarks.report.tables import ResultTable, met_mark
-from benchmarks.targets import (
-    CHAIN_COST_RATIOS,
-    ESTIMATED_VELOCITY_COST_RATIO,
-    MEAN_TICK_RATIO,
-    OBSERVER_COST_RATIOS,
-    PUBLISHED_CHAIN_COST_RATIOS,
-    SENSOR_COST_RATIOS,
-)
+from benchmarks.jobs import Job, Progress
+from benchmarks.performance.tare import time_tare
+from benchmarks.results import Figure
 from foundation.arrays import Array
-from foundation.jit import COMPILER
 from groundtruth import Run, simulate
 from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedConfig
 from needleforce import InsertionSession
@@ -37,26 +29,9 @@ the machine down slows all of them."""
 NS_PER_US = 1e3
 SCENARIO = "stack-constant"
 PLANT = "clean"
-LAYER_TICKS = 6
-"""A layer is identified over so many updates at most: the last one reports it."""
-PERCENTILES = {"median": 50.0, "99 %": 99.0, "99.9 %": 99.9, "worst": 100.0}
 
 BARE_OBSERVER = "dynamics of the observer"
 BARE_SENSOR = "dynamics of the sensor"
-
-
-class Subject(NamedTuple):
-    """What a subject's cost is a multiple of, and the most it may be.
-
-    Attributes:
-        bare: Name of the bare calls that it is relative to.
-        compiled: Limit of the ratio where numba compiles; None for none.
-        plain: Limit of the ratio in plain Python.
-    """
-
-    bare: str
-    compiled: float | None = None
-    plain: float | None = None
 
 
 OBSERVER = "observer"
@@ -64,14 +39,6 @@ SENSOR = "sensor"
 CHAIN = "chain"
 PUBLISHED_CHAIN = "chain, published identifier"
 ESTIMATED = ", velocity estimated"
-SUBJECTS: Mapping[str, Subject] = {
-    OBSERVER: Subject(BARE_OBSERVER, *OBSERVER_COST_RATIOS),
-    SENSOR: Subject(BARE_SENSOR, *SENSOR_COST_RATIOS),
-    CHAIN: Subject(BARE_SENSOR, *CHAIN_COST_RATIOS),
-    CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
-    PUBLISHED_CHAIN: Subject(BARE_SENSOR, *PUBLISHED_CHAIN_COST_RATIOS),
-    PUBLISHED_CHAIN + ESTIMATED: Subject(BARE_SENSOR, ESTIMATED_VELOCITY_COST_RATIO),
-}
 
 
 def cost_ratio(times: Array, bare: Array) -> float:
@@ -173,45 +140,73 @@ class ChainUpdate:
         if identification.rupture is not None:
             self.alarms.append(k)
         if identification.identified_layer is not None:
-            self.layers.extend(range(k + 1 - LAYER_TICKS, k + 1))
+            # Over six updates at most; the last one reports it.
+            self.layers.extend(range(k + 1 - 6, k + 1))
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class SpeedReport:
-    """What was timed; updates are counted from the first that was timed.
-
-    Attributes:
-        times: By subject, as of `time_side_by_side`.
-        alarms: Updates that raised a rupture, by chain.
-        layers: Updates that worked on identifying a layer, by chain.
-        tare: Updates beside a tare; None where none was timed.
-    """
-
-    times: dict[str, Array]
-    alarms: dict[str, list[int]]
-    layers: dict[str, list[int]]
-    tare: TareTicks | None = None
-
-
-def measure_speed(progress: Callable[[float], None]) -> SpeedReport:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Time everything on the signals of a simulated insertion, from the tare on."""
-    run = simulate(SCENARIO, PLANT, 0, progress)
+    run = simulate(SCENARIO, PLANT, job.seed, progress)
     signals = JointSignals.of_run(run)
     blind = replace(signals, dq_rad_s=None)
     first = first_counted(run, signals)
     chains = make_chains(run, {"": signals, ESTIMATED: blind})
     subjects = make_estimators(run, signals) | chains
     times = time_side_by_side(subjects, first, len(signals.t_s))
-    return SpeedReport(
-        times=times,
-        alarms={
-            name: [k - first for k in chain.alarms] for name, chain in chains.items()
-        },
-        layers={
-            name: [k - first for k in chain.layers] for name, chain in chains.items()
-        },
-        tare=time_tare(run),
-    )
+    for name, taken_us in times.items():
+        yield from describe_ticks(name, taken_us, times)
+    for name, chain in chains.items():
+        for event, indices in (
+            ("rupture raised", chain.alarms),
+            ("layer identified", chain.layers),
+        ):
+            after = [k - first for k in indices]
+            yield from describe_event(f"{event}, {name}", after, name, times)
+    yield from time_tare(run)
+
+
+def describe_ticks(
+    name: str, taken_us: Array, times: Mapping[str, Array]
+) -> Iterator[Figure]:
+    """Yield time per update, and the ratio to the bare dynamics.
+
+    Args:
+        name: Of the subject.
+        taken_us: Time of its updates.
+        times: Of all subjects.
+    """
+    mean_us = float(np.mean(taken_us))
+    median_us = float(np.median(taken_us))
+    yield Figure("tick_mean_us", mean_us, name)
+    yield Figure("tick_median_us", median_us, name)
+    yield Figure("tick_p99_us", np.percentile(taken_us, 99.0), name)
+    yield Figure("tick_p999_us", np.percentile(taken_us, 99.9), name)
+    yield Figure("tick_worst_us", taken_us.max(), name)
+    if name not in (BARE_OBSERVER, BARE_SENSOR):
+        bare_us = times[BARE_OBSERVER if name == OBSERVER else BARE_SENSOR]
+        yield Figure("tick_ratio", cost_ratio(taken_us, bare_us), name)
+        yield Figure("tick_mean_over_median", mean_us / median_us, name)
+
+
+def describe_event(
+    what: str, indices: Sequence[int], name: str, times: Mapping[str, Array]
+) -> Iterator[Figure]:
+    """Yield the time of the updates of a chain in which something happens.
+
+    Args:
+        what: Happens, and in which chain.
+        indices: Of the updates, counted from the first that was timed.
+        name: Of the chain.
+        times: Of all subjects.
+    """
+    taken_us = times[name].reshape(-1)
+    taken_us = taken_us[[k for k in indices if 0 <= k < taken_us.size]]
+    if taken_us.size:
+        yield Figure("event_ticks", taken_us.size, what)
+        yield Figure("event_tick_median_us", np.median(taken_us), what)
+        yield Figure("event_tick_worst_us", taken_us.max(), what)
+        ratio = taken_us.max() / np.median(times[BARE_SENSOR])
+        yield Figure("event_tick_worst_ratio", ratio, what)
 
 
 def first_counted(run: Run, signals: JointSignals) -> int:
@@ -296,74 +291,3 @@ def fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
         estimator.update(*samples[k])
 
     return update
-
-
-def speed_report(report: SpeedReport) -> tuple[list[ResultTable], bool]:
-    """Return the tables, and whether all targets are met."""
-    tables = [speed_table(report), event_table(report)]
-    if report.tare is not None:
-        tables.append(tare_table(report.tare))
-    return tables, not any("missed" in line for table in tables for line in table.lines)
-
-
-def speed_table(report: SpeedReport) -> ResultTable:
-    """Return time per update, and the ratio to the bare dynamics with its target."""
-    lines = []
-    for name, times in report.times.items():
-        percentiles_us = [
-            float(np.percentile(times, percent)) for percent in PERCENTILES.values()
-        ]
-        mean = float(np.mean(times))
-        cells = [""] * 5
-        subject = SUBJECTS.get(name)
-        if subject is not None:
-            ratio = cost_ratio(times, report.times[subject.bare])
-            limit = subject.compiled if COMPILER else subject.plain
-            cells[0] = f"{ratio:.2f}"
-            if limit is not None:
-                cells[1:3] = f"≤ {limit:g}", met_mark(ratio <= limit)
-                is_even = mean <= MEAN_TICK_RATIO * percentiles_us[0]
-                cells[3:] = f"{mean / percentiles_us[0]:.2f}", met_mark(is_even)
-        lines.append(
-            (name, *(f"{value:.1f}" for value in (mean, *percentiles_us)), *cells)
-        )
-    ticks = next(iter(report.times.values())).size
-    how = (
-        f"compiled by {COMPILER}"
-        if COMPILER
-        else "plain Python: NUMBA_DISABLE_JIT is set"
-    )
-    return ResultTable(
-        title="Cost of a tick",
-        heads=(
-            *("what", "mean\nus", *(f"{name}\nus" for name in PERCENTILES)),
-            *("ratio", "target", "", "mean /\nmedian", ""),
-        ),
-        align="LrrrrrrrLrL",
-        lines=tuple(lines),
-        caption=f"{ticks} ticks each of a simulated insertion, taking turns; ratios "
-        "of medians, relative to the bare Pinocchio calls; means at most "
-        f"{MEAN_TICK_RATIO:g} x the median; {how}",
-    )
-
-
-def event_table(report: SpeedReport) -> ResultTable:
-    """Return the updates that raise a rupture, and those that identify a layer."""
-    lines = []
-    for event, events in (
-        ("rupture raised", report.alarms),
-        ("layer identified", report.layers),
-    ):
-        for name, indices in events.items():
-            times = report.times[name].reshape(-1)
-            taken_us = times[[k for k in indices if 0 <= k < times.size]]
-            if taken_us.size:
-                ratio = taken_us.max() / np.median(report.times[BARE_SENSOR])
-                numbers = (taken_us.size, np.median(taken_us), taken_us.max(), ratio)
-                lines.append((event, name, *(f"{number:.0f}" for number in numbers)))
-    return ResultTable(
-        title="Ticks in which something happens",
-        heads=("what", "in", "ticks", "median\nus", "worst\nus", "worst,\nratio"),
-        align="LLrrrr",
-        lines=tuple(lines),
-    )
