@@ -227,10 +227,9 @@ def keep_lesser(
     kept: list[KeptNumber] = []
     for figure in first:
         other = again.get(figure.name, figure)
-        is_known = figure.value is not None and other.value is not None
-        kept.append(
-            min(figure, other, key=lambda item: item.value) if is_known else figure
-        )
+        value = figure.value
+        is_less = value is not None and other.value is not None and other.value < value
+        kept.append(other if is_less else figure)
     return kept
 
 

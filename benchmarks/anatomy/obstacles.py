@@ -20,11 +20,6 @@ SLICES_mm = (1.0, 2.0, 3.0, 5.0, 10.0)
 PATHS = 1000
 """For each distance of the slices."""
 SPACE = FreeSpace(needle_radius_m=0.8e-3, margin_m=2e-3, std_m=1e-3)
-EXTENT_m = np.array([0.14, 0.14, 0.14])
-CHEST_m = 0.05
-"""Radius on which the ribs lie."""
-PITCH_m = 0.024
-"""Distance from rib to rib."""
 SAMPLING_m = 0.2e-3
 """Distance of points on a path; by so much distances measured with them err."""
 
@@ -41,17 +36,20 @@ def run(job: Job, progress: Progress) -> Iterator[Figure]:
 
 def draw_chest(spacing_m: Array, rng: np.random.Generator) -> Labels:
     """Label thin ribs around a lung, on a grid that lies anyhow."""
-    shape = tuple(np.ceil(EXTENT_m / spacing_m).astype(int).tolist())
+    extent_m = np.full(3, 0.14)
+    chest_m = 0.05  # radius on which the ribs lie
+    pitch_m = 0.024  # from rib to rib
+    shape = tuple(np.ceil(extent_m / spacing_m).astype(int).tolist())
     places = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
-    places_m = places * spacing_m - 0.5 * EXTENT_m + spacing_m * rng.uniform(size=3)
+    places_m = places * spacing_m - 0.5 * extent_m + spacing_m * rng.uniform(size=3)
     radius_m = np.linalg.norm(places_m[..., :2], axis=-1)
     angle = np.arctan2(places_m[..., 1], places_m[..., 0])
     height_m = places_m[..., 2] - rng.uniform(-0.02, 0.02) * angle
     thickness_m = rng.uniform(1e-3, 4e-3)
     width_m = rng.uniform(3e-3, 9e-3)
-    values = (radius_m < CHEST_m - thickness_m).astype(np.uint8)
-    is_rib = np.abs(radius_m - CHEST_m) < 0.5 * thickness_m
-    is_rib &= np.mod(height_m, PITCH_m) < width_m
+    values = (radius_m < chest_m - thickness_m).astype(np.uint8)
+    is_rib = np.abs(radius_m - chest_m) < 0.5 * thickness_m
+    is_rib &= np.mod(height_m, pitch_m) < width_m
     values[is_rib] = 2
     rotation = special_ortho_group.rvs(3, random_state=rng)
     grid = Grid(shape, rng.normal(0.0, 0.1, 3), rotation * spacing_m)

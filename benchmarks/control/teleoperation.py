@@ -8,10 +8,11 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from benchmarks.control.loop import SERVOS
 from benchmarks.jobs import Job, Progress
 from benchmarks.results import Figure
 from groundtruth.plant_model import PLANT_MODELS
-from groundtruth.rig_arm import Servo, SimulatedArm
+from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import Wall
 from groundtruth.rig_operator import random_operator
 from needleforce.cli.demos.hand_driven import (
@@ -23,19 +24,10 @@ from needleforce.cli.demos.hand_driven import (
 from residual import DEFAULT, HAND_DRIVEN, SensorConfig
 
 DELAYS_MS = (0, 10, 50)
-SERVOS: dict[str, Servo] = {"S": "stiff", "I": "impedance"}
 CASES = (
     *(f"S tissue {delay}" for delay in DELAYS_MS),
     *(f"{servo} wall {delay}" for servo in SERVOS for delay in DELAYS_MS),
 )
-SCALES = (0.1, 0.2, 0.4, 1.0)
-SPEED_M_S = 4e-3
-TRAVEL_M = 111e-3
-"""The needle's speed if the hand had its will, and its travel: through the stack and
-beyond."""
-WALL_SPEED_M_S = 10e-3
-PRESSED_M = 20e-3
-MAX_DURATION_S = 90.0
 
 
 def _sensor(plant: str) -> SensorConfig:
@@ -48,7 +40,7 @@ def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of one run; hand and scale are drawn."""
     servo, kind, delay = job.case.split()
     rng = np.random.default_rng([job.seed, int(delay)])
-    scale = float(rng.choice(SCALES))
+    scale = float(rng.choice((0.1, 0.2, 0.4, 1.0)))
     if kind == "wall":
         return _wall(servo, int(delay), job.plant, job.seed, scale, rng)
     return _tissue(servo, int(delay), job.plant, job.seed, scale, rng)
@@ -69,11 +61,12 @@ def _tissue(
         seed,
         servo=SERVOS[servo],
         standoff_m=STANDOFF_M,
-        duration_s=MAX_DURATION_S,
+        duration_s=90.0,
     )
     run = teleoperate(
         arm,
-        HandPlan(SPEED_M_S, TRAVEL_M, scale),
+        # Speed if the hand had its will, and travel: through the stack and beyond.
+        HandPlan(4e-3, 111e-3, scale),
         seed=seed,
         delay_s=1e-3 * delay_ms,
         operator=lambda wish: random_operator(wish, rng),
@@ -110,7 +103,7 @@ def _wall(
     arm = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
     run = teleoperate(
         arm,
-        HandPlan(WALL_SPEED_M_S, PRESSED_M, scale),
+        HandPlan(10e-3, 20e-3, scale),
         seed=seed,
         shown="raw",
         delay_s=1e-3 * delay_ms,

@@ -24,6 +24,7 @@ from foundation.arrays import Array
 from groundtruth import Run, simulate
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
 from residual import DEFAULT, SensorWarning, Status, TareError
+from urdf import Robot
 
 SCENARIO = "gel-70-constant"
 PLANT = "clean"
@@ -37,8 +38,6 @@ CLOSE_N = 0.1
 UNSMOOTHED = replace(on_lwr(DEFAULT), force_bandwidth_per_s=None)  # its lag is known
 HOLD_S = 1.0
 """For so long after the fault, statuses and warnings count as caused by it."""
-UNKNOWN_KG = 0.1
-"""Mass that a wrong payload leaves out: a third of what the tool weighs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -292,18 +291,23 @@ def tare_in_contact(run: Run, at: int) -> FaultResult:
 
 def wrong_payload(run: Run) -> FaultResult:
     """Insert with a tool heavier than the estimator knows, from the start."""
-    known = run.robot.payload
-    assert known is not None
-    mass_kg = known.mass_kg - UNKNOWN_KG
-    inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
-    lighter = replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2)
-    session = InsertionSession(run.robot.with_payload(lighter), UNSMOOTHED)
+    session = InsertionSession(without_part(run.robot), UNSMOOTHED)
     feed(
         session,
         FaultStream.of_run(run, 0, tare_index(run), np.zeros(len(run.signals.t_s))),
     )
     session.tare()
-    return _insert(session, run, f"payload {1e3 * UNKNOWN_KG:g} g wrong from the start")
+    return _insert(session, run, "payload 100 g wrong from the start")
+
+
+def without_part(robot: Robot) -> Robot:
+    """Return the robot with a payload that lacks 0.1 kg, a third of the tool."""
+    known = robot.payload
+    assert known is not None
+    mass_kg = known.mass_kg - 0.1
+    inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
+    lighter = replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2)
+    return robot.with_payload(lighter)
 
 
 def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:

@@ -1,7 +1,6 @@
 """True ruptures matched with reported ones."""
 
 from collections.abc import Sequence
-from typing import NamedTuple
 
 from benchmarks.insertion.methods import Alarm
 from groundtruth import Rupture
@@ -19,18 +18,9 @@ def is_visible(rupture: Rupture) -> bool:
     return rupture.visible_drop_N > VISIBLE_N
 
 
-class Matching(NamedTuple):
-    """True transitions matched with reported ruptures.
-
-    Attributes:
-        found: Pairs of a true rupture and its alarm, in the order of the ruptures.
-        missed: True ruptures without an alarm.
-        false: Alarms without a true rupture.
-    """
-
-    found: tuple[tuple[Rupture, Alarm], ...]
-    missed: tuple[Rupture, ...]
-    false: tuple[Alarm, ...]
+Matching = tuple[list[tuple[Rupture, Alarm]], list[Rupture], list[Alarm]]
+"""Pairs of a true rupture and its alarm, in the order of the ruptures; ruptures without
+an alarm; alarms without a rupture."""
 
 
 def match(ruptures: Sequence[Rupture], alarms: Sequence[Alarm]) -> Matching:
@@ -42,8 +32,8 @@ def match(ruptures: Sequence[Rupture], alarms: Sequence[Alarm]) -> Matching:
     onsets_s = [rupture.onset_s for rupture in ruptures]
     pairs = nearest_pairs(onsets_s, [alarm.alarm_s for alarm in alarms])
     used = set(pairs.values())
-    return Matching(
-        found=tuple((ruptures[i], alarms[pairs[i]]) for i in sorted(pairs)),
-        missed=tuple(rupture for i, rupture in enumerate(ruptures) if i not in pairs),
-        false=tuple(alarm for j, alarm in enumerate(alarms) if j not in used),
+    return (
+        [(ruptures[i], alarms[pairs[i]]) for i in sorted(pairs)],
+        [rupture for i, rupture in enumerate(ruptures) if i not in pairs],
+        [alarm for j, alarm in enumerate(alarms) if j not in used],
     )

@@ -3,7 +3,7 @@
 And the errors of a force.
 """
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass, replace
 from typing import NamedTuple, cast
 
@@ -86,30 +86,6 @@ class ForceReading:
     std_N: Array
 
 
-class Warned(NamedTuple):
-    """What a session warned of after its tare.
-
-    Attributes:
-        sensor: Warnings of the virtual sensor.
-        tissue: Warnings about the tissue.
-        is_pulled: Whether the force was said to pull at the needle.
-    """
-
-    sensor: SensorWarning = SensorWarning.NONE
-    tissue: TissueWarning = TissueWarning.NONE
-    is_pulled: bool = False
-
-    def with_estimate(self, estimate: SessionEstimate) -> "Warned":
-        """Return the same after the estimate of a tick."""
-        identification = estimate.identification
-        is_pulled = identification.status is SampleStatus.NEEDLE_PULLED
-        return Warned(
-            self.sensor | estimate.warnings,
-            self.tissue | identification.warnings,
-            self.is_pulled or is_pulled,
-        )
-
-
 class SessionRun(NamedTuple):
     """What an `InsertionSession` made of n samples of an arm.
 
@@ -120,7 +96,7 @@ class SessionRun(NamedTuple):
         result: Of the identification, from the tare on.
         was_refused: The tare, which was then done with ``ignore_contact``.
         unsmoothed_N: The force that was identified, shape (n,).
-        warned: What it warned of.
+        warnings: What it warned of after its tare, by name.
     """
 
     reading: ForceReading
@@ -129,7 +105,7 @@ class SessionRun(NamedTuple):
     result: Replay
     was_refused: bool
     unsmoothed_N: Array
-    warned: Warned
+    warnings: frozenset[str]
 
 
 def run_session(
@@ -168,7 +144,7 @@ def run_session(
     tare = int(np.searchsorted(signals.t_s, tare_s))
     estimates: list[Estimate] = []
     was_refused = False
-    warned = Warned()
+    warnings: set[str] = set()
     for k, sample in enumerate(signals.samples()):
         if k % 1000 == 0:
             progress(k / len(signals.t_s))
@@ -184,7 +160,7 @@ def run_session(
         series[:, k] = *estimate.wrench[:2], *motion, force_N
         if k >= tare:
             estimates.append(estimate.identification)
-            warned = warned.with_estimate(estimate)
+            warnings.update(warnings_of(estimate))
     reading = ForceReading(
         source="virtual", method=method, axial_N=series[0], std_N=series[1]
     )
@@ -192,8 +168,35 @@ def run_session(
     layers = session.layers
     result = Replay(t_s=t_s, estimates=tuple(estimates), layers=layers, hints=())
     return SessionRun(
-        reading, series[2], series[3], result, was_refused, series[4], warned
+        reading,
+        series[2],
+        series[3],
+        result,
+        was_refused,
+        series[4],
+        frozenset(warnings),
     )
+
+
+def warnings_of(estimate: SessionEstimate) -> Iterator[str]:
+    """Yield what is warned of: falsely, but for some perturbed worlds."""
+    identification = estimate.identification
+    if SensorWarning.TORQUE_JUMP in estimate.warnings:
+        yield "torque_jump_warned"
+    if identification.status is SampleStatus.NEEDLE_PULLED:
+        yield "needle_pull_warned"
+    if TissueWarning.TISSUE_MOVES in identification.warnings:
+        yield "moving_tissue_warned"
+    if TissueWarning.HARD_CONTACT in identification.warnings:
+        yield "hard_contact_warned"
+
+
+WARNINGS = (
+    "torque_jump_warned",
+    "needle_pull_warned",
+    "moving_tissue_warned",
+    "hard_contact_warned",
+)
 
 
 def best_gain(reading: ForceReading, truth: ForceTruth, dt_s: Array) -> ForceReading:

@@ -83,14 +83,15 @@ def rupture_metrics(matching: Matching, truth: InsertionTruth) -> dict[str, floa
     alarm, since then it is undefined. Medians over the ruptures found: alarm after
     onset, error of the estimated time, travel from onset to alarm.
     """
-    hard = [pair for pair in matching.found if is_visible(pair[0])]
-    missed = [rupture for rupture in matching.missed if is_visible(rupture)]
-    soft_found = len(matching.found) - len(hard)
-    soft = soft_found + len(matching.missed) - len(missed)
-    alarms = len(matching.found) + len(matching.false)
+    found, not_found, false = matching
+    hard = [pair for pair in found if is_visible(pair[0])]
+    missed = [rupture for rupture in not_found if is_visible(rupture)]
+    soft_found = len(found) - len(hard)
+    soft = soft_found + len(not_found) - len(missed)
+    alarms = len(found) + len(false)
     values = {
-        "rupture_precision": len(matching.found) / alarms if alarms else math.nan,
-        "false_alarms": float(len(matching.false)),
+        "rupture_precision": len(found) / alarms if alarms else math.nan,
+        "false_alarms": float(len(false)),
     }
     if hard or missed:
         values["rupture_recall"] = len(hard) / (len(hard) + len(missed))

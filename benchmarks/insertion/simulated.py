@@ -8,10 +8,10 @@ import numpy as np
 from benchmarks.insertion.methods import (
     IDENTIFIERS,
     METHODS,
+    WARNINGS,
     ForceReading,
     Identified,
     SessionRun,
-    Warned,
     best_gain,
     ft_force,
     identify,
@@ -31,12 +31,11 @@ from benchmarks.jobs import NEEDLE, Drawing, Job, Progress, progress_part
 from benchmarks.report.force_plots import force_figures
 from benchmarks.report.identification_figures import draw_identification
 from benchmarks.report.published_figures import ENHANCED_FIGURES
-from benchmarks.results import Figure, Method, make_figures
+from benchmarks.results import Figure, Method
 from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simulate
 from groundtruth.plant_model import MINI45
 from groundtruth.scenarios import DRAWN
-from identification import PUBLISHED_KV, TissueWarning
-from residual import SensorWarning
+from identification import PUBLISHED_KV
 
 
 def run_simulated(job: Job, progress: Progress) -> Iterator[Figure | Drawing]:
@@ -165,17 +164,8 @@ def simulated_metrics(case: SimulatedCase) -> Iterator[Figure]:
         yield Figure("tare_refused", item.was_refused, method=method)
     session = case.sessions.get("ours")
     if session is not None:
-        yield from make_figures(describe_warnings(session.warned))
-
-
-def describe_warnings(warned: Warned) -> dict[str, bool]:
-    """Return what a session warned of: falsely, but for some perturbed worlds."""
-    return {
-        "torque_jump_warned": SensorWarning.TORQUE_JUMP in warned.sensor,
-        "needle_pull_warned": warned.is_pulled,
-        "moving_tissue_warned": TissueWarning.TISSUE_MOVES in warned.tissue,
-        "hard_contact_warned": TissueWarning.HARD_CONTACT in warned.tissue,
-    }
+        for name in WARNINGS:
+            yield Figure(name, name in session.warnings)
 
 
 def session_signal(

@@ -122,7 +122,7 @@ def tip_coverage(
 
 def mean_friction_error(item: LiverEstimates) -> float:
     """Return the mean error of the friction at `DEPTHS_mm`, positive if too large."""
-    errors_N = np.array(item.friction_N) - np.array(item.reference.pullout_N)
+    errors_N = np.array(item.friction_N) - np.array(item.reference[0])
     return float(np.mean(errors_N))
 
 

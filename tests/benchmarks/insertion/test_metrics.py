@@ -113,11 +113,11 @@ def identified(enhanced_N, tip_N, compensated_at=None):
     ],
 )
 def test_an_alarm_belongs_to_one_rupture_in_window(ruptures, alarms, pairs):
-    matching = match(list(map(rupture, ruptures)), list(map(alarm, alarms)))
+    found, missed, false = match(list(map(rupture, ruptures)), list(map(alarm, alarms)))
 
-    assert [(true.onset_s, report.alarm_s) for true, report in matching.found] == pairs
-    assert len(matching.missed) == len(ruptures) - len(pairs)
-    assert len(matching.false) == len(alarms) - len(pairs)
+    assert [(true.onset_s, report.alarm_s) for true, report in found] == pairs
+    assert len(missed) == len(ruptures) - len(pairs)
+    assert len(false) == len(alarms) - len(pairs)
 
 
 def test_the_window_of_an_alarm_is_as_documented():

@@ -3,6 +3,7 @@ force."""
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,13 +14,12 @@ from benchmarks import DataError
 from benchmarks.catalogue import BENCHMARKS, Request, make_plan
 from benchmarks.insertion.methods import (
     ForceReading,
-    Warned,
     force_lag_s,
+    warnings_of,
     wrench_metrics,
 )
 from benchmarks.insertion.signals import ForceTruth
 from benchmarks.insertion.simulated import (
-    describe_warnings,
     read_sensors,
     run_needle,
     simulated_metrics,
@@ -28,7 +28,7 @@ from benchmarks.jobs import Drawing, Job
 from benchmarks.report.published_figures import NEEDED
 from benchmarks.report.tables import TABLES, build_table, frame_of
 from groundtruth import SCENARIOS, simulate
-from identification import TissueWarning
+from identification import SampleStatus, TissueWarning
 from residual import SensorWarning
 from tests.benchmarks.benchmark_cases import gel_slice, silent
 
@@ -150,15 +150,19 @@ def test_without_tissue_only_the_virtual_sensor_is_judged():
     assert {metric for _, _, metric in values(case)} == numbers
 
 
-def test_warnings_are_measured_one_by_one():
-    warned = Warned(SensorWarning.TORQUE_JUMP, TissueWarning.HARD_CONTACT, True)
+def test_warnings_are_told_apart():
+    identification = SimpleNamespace(
+        warnings=TissueWarning.HARD_CONTACT, status=SampleStatus.NEEDLE_PULLED
+    )
+    estimate = SimpleNamespace(
+        warnings=SensorWarning.TORQUE_JUMP, identification=identification
+    )
 
-    assert describe_warnings(warned) == {
-        "torque_jump_warned": True,
-        "needle_pull_warned": True,
-        "moving_tissue_warned": False,
-        "hard_contact_warned": True,
-    }
+    assert list(warnings_of(estimate)) == [
+        "torque_jump_warned",
+        "needle_pull_warned",
+        "hard_contact_warned",
+    ]
 
 
 @pytest.fixture
