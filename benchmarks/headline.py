@@ -8,6 +8,7 @@ from collections.abc import Callable, Collection, Iterable, Sequence
 from ctypes import CDLL
 from importlib.metadata import version
 from pathlib import Path
+from time import thread_time_ns
 from typing import Any, Literal
 
 import msgspec
@@ -183,7 +184,9 @@ def _time_estimators(run: Run) -> list[KeptNumber]:
         return {ticks.CHAIN: ticks.make_chains(run, {"": signals})[ticks.CHAIN]}
 
     taken = take_fastest(lambda: ticks.time_side_by_side(subjects(), *bounds))
-    chain_us = take_fastest(lambda: ticks.processor_times(chain(), *bounds))
+    chain_us = take_fastest(
+        lambda: ticks.time_side_by_side(chain(), *bounds, thread_time_ns)
+    )
     bare = ticks.BARE_SENSOR
     mean_ratio = float(np.mean(chain_us[ticks.CHAIN]) / np.mean(taken[bare]))
     medians = [

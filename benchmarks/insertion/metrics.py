@@ -8,8 +8,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.insertion.bounds import delay_bounds_s, friction_bounds, reading_error_N
-from benchmarks.insertion.layer_friction import friction_metrics, layer_frictions
-from benchmarks.insertion.matching import Matching, is_visible, match
 from benchmarks.insertion.methods import (
     ForceReading,
     Identified,
@@ -17,6 +15,13 @@ from benchmarks.insertion.methods import (
     force_lag_s,
 )
 from benchmarks.insertion.offline import offline_fit, offline_metrics
+from benchmarks.insertion.ruptures import (
+    Matching,
+    friction_metrics,
+    is_visible,
+    layer_frictions,
+    match,
+)
 from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
 from benchmarks.results import Figure, make_figures
 from foundation.arrays import Array

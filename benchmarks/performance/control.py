@@ -8,7 +8,6 @@ machine; tails are of processor time, on which other processes do not count.
 import math
 from collections.abc import Callable, Iterator
 from time import thread_time_ns
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -80,22 +79,16 @@ class _Loop:
         return self.control.update(sample, self._stack).dq_rad_s
 
 
-class Recorded(NamedTuple):
-    """Samples of an arm whose tip has gone round.
+Recorded = tuple[float, list[ArmSample]]
+"""The time in which the tip of an arm went round once [s], and a sample per cycle."""
 
-    Attributes:
-        period_s: In which it went round once.
-        samples: One per cycle.
-    """
 
-    period_s: float
-    samples: list[ArmSample]
-
-    def command_again(self, *, has_centre: bool = True) -> Update:
-        """Return what gives a new loop sample k."""
-        arm = SimulatedArm(plant="clean", duration_s=SECONDS)
-        loop = _Loop(arm, self.period_s, has_centre=has_centre)
-        return lambda k: loop.command(self.samples[k], k)
+def command_again(recorded: Recorded, *, has_centre: bool = True) -> Update:
+    """Return what gives a new loop sample k."""
+    period_s, samples = recorded
+    arm = SimulatedArm(plant="clean", duration_s=SECONDS)
+    loop = _Loop(arm, period_s, has_centre=has_centre)
+    return lambda k: loop.command(samples[k], k)
 
 
 def record(period_s: float, progress: Callable[[float], None]) -> Recorded:
@@ -107,7 +100,7 @@ def record(period_s: float, progress: Callable[[float], None]) -> Recorded:
         samples.append(sample)
         arm.send(loop.command(sample, k))
         progress(arm.time_s / SECONDS)
-    return Recorded(period_s, samples)
+    return period_s, samples
 
 
 def record_both(progress: Callable[[float], None]) -> tuple[Recorded, Recorded]:
@@ -124,7 +117,7 @@ def make_control(at_leisure: Recorded, hasty: Recorded) -> dict[str, Update]:
     data = robot.create_data()
     frame = robot.tool_frame_id
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    samples = at_leisure.samples
+    _, samples = at_leisure
 
     def bare(k: int) -> None:
         pin.computeFrameJacobian(model, data, samples[k].q_rad, frame, axes)
@@ -132,9 +125,9 @@ def make_control(at_leisure: Recorded, hasty: Recorded) -> dict[str, Update]:
 
     return {
         BARE: bare,
-        CONTROL: at_leisure.command_again(),
-        FOLLOWING: at_leisure.command_again(has_centre=False),
-        SATURATED: hasty.command_again(),
+        CONTROL: command_again(at_leisure),
+        FOLLOWING: command_again(at_leisure, has_centre=False),
+        SATURATED: command_again(hasty),
     }
 
 
@@ -142,8 +135,8 @@ def _make_sessions(at_leisure: Recorded) -> dict[str, Update]:
     """Return a session, alone and with control."""
     robot = SimulatedArm(plant="clean", duration_s=1.0).robot
     session, beside = (InsertionSession(robot, on_lwr(DEFAULT)) for _ in range(2))
-    command = at_leisure.command_again()
-    samples = at_leisure.samples
+    command = command_again(at_leisure)
+    _, samples = at_leisure
 
     def together(k: int) -> None:
         dt_s, q, dq, tau = samples[k]

@@ -2,7 +2,7 @@
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import replace
-from time import perf_counter_ns, thread_time_ns
+from time import perf_counter_ns
 from typing import Any
 
 import numpy as np
@@ -26,7 +26,6 @@ Update = Callable[[int], object]
 BLOCK = 200
 """Updates of one subject before the next has its turn: short enough that whatever slows
 the machine down slows all of them."""
-NS_PER_US = 1e3
 SCENARIO = "stack-constant"
 PLANT = "clean"
 
@@ -50,54 +49,26 @@ def cost_ratio(times: Array, bare: Array) -> float:
 
 
 def time_side_by_side(
-    subjects: Mapping[str, Update], first: int, last: int
+    subjects: Mapping[str, Update],
+    first: int,
+    last: int,
+    clock: Callable[[], int] = perf_counter_ns,
 ) -> dict[str, Array]:
     """Let subjects take turns, block by block, over the same samples 0 to last - 1.
 
     Returns the time of each update of a subject [us], shape (blocks, BLOCK). Updates
-    before `first` are not counted: caches fill, filters settle.
+    before `first` are not counted: caches fill, filters settle. A mean needs the
+    processor's clock (`thread_time_ns`), on which other processes do not count; each
+    time holds a reading of it, about 1 us.
     """
-    return {
-        name: np.array(blocks)
-        for name, blocks in take_turns(subjects, first, last, time_each).items()
-    }
-
-
-def processor_times(
-    subjects: Mapping[str, Update], first: int, last: int
-) -> dict[str, Array]:
-    """Let subjects take turns as in `time_side_by_side`.
-
-    Returns processor times, on which other processes do not count: a mean needs them.
-    Each holds a reading of that clock, about 1 us.
-    """
-    return {
-        name: np.array(blocks)
-        for name, blocks in take_turns(
-            subjects, first, last, time_each_on_processor
-        ).items()
-    }
-
-
-def take_turns(
-    subjects: Mapping[str, Update],
-    first: int,
-    last: int,
-    measure: Callable[[Update, range], list[float]],
-) -> dict[str, list[list[float]]]:
-    """Let subjects take turns, block by block; return what is measured of each."""
     for update in subjects.values():
-        measure(update, range(first))
-    measured: dict[str, list[list[float]]] = {name: [] for name in subjects}
+        time_each(update, range(first), clock)
+    taken_us: dict[str, list[list[float]]] = {name: [] for name in subjects}
     for start in range(first, last - BLOCK + 1, BLOCK):
         for name, update in subjects.items():
-            measured[name].append(measure(update, range(start, start + BLOCK)))
-    return measured
-
-
-def time_each_on_processor(update: Update, indices: Iterable[int]) -> list[float]:
-    """Processor time of every update [us]."""
-    return time_each(update, indices, thread_time_ns)
+            block = range(start, start + BLOCK)
+            taken_us[name].append(time_each(update, block, clock))
+    return {name: np.array(blocks) for name, blocks in taken_us.items()}
 
 
 def time_each(
@@ -108,7 +79,7 @@ def time_each(
     for k in indices:
         begin_ns = clock()
         update(k)
-        taken_us.append((clock() - begin_ns) / NS_PER_US)
+        taken_us.append((clock() - begin_ns) / 1e3)
     return taken_us
 
 

@@ -2,7 +2,7 @@
 
 `figures.toml` says which tables there are. A table has a line for each row and a column
 for each method; a cell joins the row's parts, each a statistic of one metric over all
-runs. Limits come from `targets.csv`. What the campaign gave stands in `figures.json`,
+runs. Limits come from `judged.toml`. What the campaign gave stands in `figures.json`,
 with its commit, and between the marks of each page:
 
     <!-- figures: NAME -->
@@ -42,7 +42,7 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One number of a cell.
 
     Attributes:
-        metric: A name of `metrics.csv`.
+        metric: A name of `judged.toml`.
         statistic: What of all runs is shown.
         form: Format of the number.
         unit: Follows it.

@@ -1,7 +1,6 @@
 """The page: figures, tables and numbers of a run in one file."""
 
 import math
-import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
@@ -19,10 +18,11 @@ from benchmarks.report.published_figures import (
 )
 from benchmarks.report.tables import (
     CUMULATIVE,
-    NOTHING,
+    TABLES,
     Frame,
     ResultTable,
     answer,
+    build_table,
     frame_of,
     result_tables,
     results_page,
@@ -81,81 +81,12 @@ def _best_plant(plants: set[str]) -> str:
     return next((plant for plant in PLANTS if plant in plants), "")
 
 
-def _values(gels: Frame, percent: int, estimate: Estimate, *speeds: str) -> list[float]:
-    """Return values of all seeds at the speeds, by default at both."""
+def _medians(gels: Frame, estimate: Estimate, speed: str) -> list[float]:
+    """Return the medians of all seeds at a speed, one per gel; nan for none."""
     kind, source, method = estimate
     mine = select(gels, metric=CUMULATIVE.format(kind), source=source, method=method)
-    names = [f"gel-{percent}-{speed}" for speed in speeds or SPEEDS]
-    return mine[mine["scenario"].isin(names)]["value"].tolist()
-
-
-def _medians(gels: Frame, estimate: Estimate, speed: str) -> list[float]:
-    """Return one per gel; nan where there is none."""
-    values_of_gels = [_values(gels, percent, estimate, speed) for percent in PERCENTS]
-    return [
-        statistics.median(values) if values else math.nan for values in values_of_gels
-    ]
-
-
-def gel_table(gels: Frame) -> PageTable:
-    """Return the published Table I beside ours.
-
-    Mean ± spread over both speeds (and seeds).
-    """
-    head = [
-        "gel",
-        "published\noffline",
-        "published\nonline",
-        "here\ntrue",
-        "here\noffline",
-    ]
-    online_methods: dict[str, Estimate] = {
-        "published, tuned, F/T": TUNED,
-        "published, F/T": ("online", "ft", "published-one-setting"),
-        "ours, F/T": ONLINE,
-        "ours, virtual": VIRTUAL,
-    }
-    head += [f"here online\n{words}" for words in online_methods]
-    rows = []
-    for percent, known in TABLE_ONE_Ns_per_m.items():
-        offline = _values(gels, percent, OFFLINE)
-        online = [_values(gels, percent, item) for item in online_methods.values()]
-        change_pct = 100.0 * (known.online / known.offline - 1.0)
-        rows.append(
-            (
-                f"{percent} %",
-                f"{known.offline} ± {known.offline_spread}",
-                f"{known.online} ± {known.online_spread} ({change_pct:+.0f} %)",
-                _cell(_values(gels, percent, TRUE)),
-                _cell(offline),
-                *(_cell(values, offline) for values in online),
-            )
-        )
-    return PageTable(
-        caption="Cumulative friction of single gels [Ns/m]: mean ± spread over both "
-        "speeds (online: difference from offline)",
-        head=tuple(head),
-        rows=tuple(rows),
-        numeric=frozenset(range(1, len(head))),
-        note="The published spread is called a variance; its size and unit are those "
-        "of a standard deviation. Tuned: with the commanded speed and its authors' "
-        "settings; else with the measured speed, whose noise the published method "
-        "takes for excitation.",
-    )
-
-
-def _cell(values: Sequence[float], offline: Sequence[float] = ()) -> str:
-    """Return mean and spread of values, and their change from offline."""
-    if not values:
-        return NOTHING
-    mean = statistics.fmean(values)
-    spread = f" ± {statistics.pstdev(values):.0f}" if len(values) > 1 else ""
-    more = (
-        f" ({100.0 * (mean / statistics.fmean(offline) - 1.0):+.0f} %)"
-        if offline
-        else ""
-    )
-    return f"{mean:.0f}{spread}{more}"
+    names = [f"gel-{percent}-{speed}" for percent in PERCENTS]
+    return [float(select(mine, scenario=name)["value"].median()) for name in names]
 
 
 def friction_chart(title: str, gels: Frame) -> Chart:
@@ -218,7 +149,8 @@ def published_sections(
     for item in PUBLISHED_FIGURES:
         mine = chosen(drawings, item.number)
         if item.number == TABLE_ONE and gels is not None:
-            sections.append(_section(item, (), (gel_table(gels),), of_gels))
+            table = page_table(build_table(TABLES["table I"], gels))
+            sections.append(_section(item, (), (table,), of_gels))
         elif mine:
             here = {drawing.job.benchmark for drawing in mine}
             here = of_gels if item.number == FRICTION_FIGURE else here

@@ -404,6 +404,19 @@ def published_change(group: Frame) -> str:
     return f"{100.0 * (known.online / known.offline - 1.0):.0f}"
 
 
+def published_friction(group: Frame, how: str) -> str:
+    """Return the friction of the published Table I, with its spread.
+
+    The published spread is called a variance; its size and unit are those of a standard
+    deviation.
+    """
+    kind, *words = group["scenario"].iloc[0].split("-")
+    if kind != "gel":  # a drawn stack of one layer
+        return NOTHING
+    known = TABLE_ONE_Ns_per_m[int(words[0])]
+    return f"{getattr(known, how)} ± {getattr(known, f'{how}_spread')}"
+
+
 def real_arm_error(group: Frame) -> str:
     """Return the published error of a force on a real arm."""
     return str(PUBLISHED_RMSE_N.get(group["scenario"].iloc[0], NOTHING))
@@ -414,6 +427,8 @@ TEXTS: dict[str, Callable[[Frame], str]] = {
     "limits": show_limits,
     "real arm": real_arm_error,
     "published change": published_change,
+    "published offline": lambda group: published_friction(group, "offline"),
+    "published online": lambda group: published_friction(group, "online"),
     "runs": count_runs,
 }
 """What a column shows that is not a number of its group."""

@@ -8,12 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks.insertion.bounds import friction_bounds
-from benchmarks.insertion.layer_friction import (
-    LayerFriction,
-    friction_metrics,
-    layer_frictions,
-)
-from benchmarks.insertion.matching import is_visible, match
 from benchmarks.insertion.methods import Alarm
 from benchmarks.insertion.metrics import (
     before_rupture_metrics,
@@ -23,6 +17,13 @@ from benchmarks.insertion.metrics import (
     rupture_metrics,
 )
 from benchmarks.insertion.offline import offline_metrics
+from benchmarks.insertion.ruptures import (
+    LayerFriction,
+    friction_metrics,
+    is_visible,
+    layer_frictions,
+    match,
+)
 from benchmarks.insertion.signals import (
     InsertionTruth,
     NeedleSignal,

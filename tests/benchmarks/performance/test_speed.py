@@ -1,6 +1,7 @@
 """Cost of updates, soak, long recordings."""
 
-from time import sleep
+from itertools import groupby
+from time import sleep, thread_time_ns
 
 import numpy as np
 import pytest
@@ -77,27 +78,22 @@ def test_limits_of_a_tick_are_those_agreed():
 
 def test_subjects_take_turns_and_what_warms_them_up_does_not_count():
     asked = []
-
-    def measure(update, ks):
-        asked.append((update(0), ks))
-        return [2.5]
-
-    subjects = {"a": lambda k: "a", "b": lambda k: "b"}
-    times = ticks.take_turns(subjects, 3, 450, measure)
-
-    assert asked == [
-        ("a", range(3)),
-        ("b", range(3)),
-        ("a", range(3, 203)),
-        ("b", range(3, 203)),
-        ("a", range(203, 403)),
-        ("b", range(203, 403)),
+    subjects = {
+        name: lambda k, name=name: asked.append((name, k)) for name in ("a", "b")
+    }
+    times = ticks.time_side_by_side(subjects, 3, 450)
+    turns = [
+        (name, len(list(run))) for name, run in groupby(asked, lambda pair: pair[0])
     ]
-    assert times["a"] == [[2.5], [2.5]]
+
+    assert turns == [("a", 3), ("b", 3), ("a", 200), ("b", 200), ("a", 200), ("b", 200)]
+    assert [k for name, k in asked if name == "a"] == list(range(403))
+    assert times["a"].shape == (2, 200)
 
 
 def test_processor_time_does_not_count_what_others_take():
-    times = ticks.processor_times({"sleeps": lambda k: sleep(1e-3)}, 0, 200)
+    subjects = {"sleeps": lambda k: sleep(1e-3)}
+    times = ticks.time_side_by_side(subjects, 0, 200, thread_time_ns)
 
     assert np.median(times["sleeps"]) < 500.0
 
