@@ -90,7 +90,6 @@ RECORDINGS: Mapping[str, Callable[[float], Iterator[Columns]]] = {
     "identification": needle_recording,
 }
 """What is sent through a command, by its name."""
-FORMATS = (".csv", ".npz", ".parquet", ".mcap")
 CASES = tuple(f"60 s {command} .csv" for command in RECORDINGS)
 
 
