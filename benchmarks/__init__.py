@@ -12,7 +12,7 @@ Not part of the installed packages: run it from the repository, ``python -m benc
 --help``. Every error message is one line for the person at the keyboard.
 """
 
-from foundation.errors import CodedError, ErrorCode
+from foundation.errors import ErrorCode, NeedleforceError
 
 
 class BenchmarkCode(ErrorCode):
@@ -72,7 +72,7 @@ class BenchmarkCode(ErrorCode):
     )
 
 
-class BenchmarkError(CodedError):
+class BenchmarkError(NeedleforceError):
     """Base of all errors of this package."""
 
     usual_code = BenchmarkCode.OPTION

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory, TemporaryFile
 import numpy as np
 import psutil
 
-from benchmarks import BenchmarkCode, BenchmarkError
+from benchmarks import RUN_ALONE, BenchmarkError
 from benchmarks.jobs import Job, Progress
 from benchmarks.performance.soak import Cycle
 from benchmarks.results import Figure
@@ -142,7 +142,7 @@ def run_python(
     if process.returncode != 0:
         raise BenchmarkError(
             f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}",
-            BenchmarkCode.RUN,
+            RUN_ALONE,
         )
     # Time of all children that have ended: nothing else is started meanwhile.
     times = (times_before, psutil.Process().cpu_times())
@@ -179,9 +179,7 @@ def run(job: Job, progress: Progress) -> Iterator[Figure]:
                 ),
             )
     except (OSError, RecordingError) as error:
-        raise BenchmarkError(
-            f"no recording to stream: {error}", BenchmarkCode.RUN
-        ) from error
+        raise BenchmarkError(f"no recording to stream: {error}", RUN_ALONE) from error
     yield from describe(seconds, rows, *use)
 
 
