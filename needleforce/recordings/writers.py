@@ -29,9 +29,6 @@ finishes it."""
 
 STRING = "std_msgs/msg/String"
 
-MCAP_CHUNK_BYTES = 1 << 16
-"""Of a bag that is written: who follows it sees rows so many at a time."""
-
 
 @contextmanager
 def csv_writer(
@@ -139,7 +136,8 @@ def mcap_writer(
     """
     types = standard_types()
     library = optional_library("mcap.writer", "MCAP files")
-    bag = library.Writer(stream, chunk_size=MCAP_CHUNK_BYTES, enable_data_crcs=True)
+    # Rows that come at once make a chunk, or several of 64 KiB.
+    bag = library.Writer(stream, chunk_size=1 << 16, enable_data_crcs=True)
     bag.start(profile="ros2", library="needleforce")
     channels = [_register(bag, topic) for topic in bag_topics(empty, labels, ())]
     descriptions = _description_topics(labels)
@@ -158,7 +156,7 @@ def mcap_writer(
                 data = types.serialize_cdr(message, channel.kind)
                 bag.add_message(channel.number, stamp_ns, data, stamp_ns)
 
-        stream.flush()  # for readers of a file that grows
+        bag.flush()  # for readers of a file that grows, and if this process is killed
 
     yield append
     bag.finish()  # writes the index
