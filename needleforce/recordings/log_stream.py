@@ -134,10 +134,13 @@ class LogStream:
         self.tool_mass = head.tool_mass or tool_mass_in(head)
         self._request = self._request.with_layout(head)
         layout = self._request.find_layout(head)
-        if layout is not None and layout.note:
-            self._report([f"{layout.name}: {layout.note}"])
+        note = f"{layout.name}: {layout.note}" if layout and layout.note else ""
+        self._report([note] if note else [])
+        try:
+            self._find_channels(head)
+        except RecordingError as error:  # the note may say why
+            raise (error.reworded(f"{error}. {note}") if note else error) from error
 
-        self._find_channels(head)
         has_stamps = self._request.mapping.rate_hz is None
         if has_stamps:
             self._signals = {"t_s": self._find_time(head), **self._signals}
