@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, RegistrationError, require_deviation
@@ -61,7 +61,7 @@ class _Landmarks(NamedTuple):
     def max_squares_m2(self, std_m: float) -> float:
         """Return the largest sum of squares that good landmarks leave."""
         degrees = 3 * len(self.model_m) - 6
-        return float(std_m**2 * chi2.isf(FALSE_REFUSAL, degrees))
+        return float(std_m**2 * chdtri(degrees, FALSE_REFUSAL))
 
 
 class _Noise(NamedTuple):
@@ -157,7 +157,7 @@ def _estimate_noise(
     degrees = 3.0 * count - 6.0
     if count == 3 and not is_std_known:
         return _Noise(np.nan, degrees)
-    if chi2.sf(squares_m2 / std_m**2, degrees) < DOUBTFUL_FIT:
+    if chdtrc(degrees, squares_m2 / std_m**2) < DOUBTFUL_FIT:
         return _Noise(squares_m2 / degrees, DEGREES_OF_ONE)
     if count == 3:
         return _Noise(std_m**2, np.inf)

@@ -44,9 +44,6 @@ from needleforce.recordings.time_stamps import (
     to_seconds,
 )
 
-MAX_CHUNK_ROWS = 1 << 14
-"""Of a file that is held as a whole so many rows are worked on at a time."""
-
 ROW = "row"
 """Name of the numbers of rows in the file, beside the keys of channels."""
 
@@ -289,8 +286,9 @@ class LogStream:
             first = self._row_count + 1.0
             values[ROW] = np.arange(first, first + row_count)
             self._row_count += row_count
-            for start in range(0, row_count, MAX_CHUNK_ROWS):
-                end = start + MAX_CHUNK_ROWS
+            max_chunk_rows = 1 << 14  # of a file that is held as a whole
+            for start in range(0, row_count, max_chunk_rows):
+                end = start + max_chunk_rows
                 part = {key: array[start:end] for key, array in values.items()}
                 watched = self._watched(part)
                 if len(watched["t_s"]):
