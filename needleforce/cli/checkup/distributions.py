@@ -173,18 +173,16 @@ def licence_table() -> str:
 
 def _licence_of(name: str) -> str:
     """Return the licence that an installed package states, in a few words."""
-    stated = metadata.metadata(name)
-    if "License-Expression" in stated:
-        return stated["License-Expression"]
+    stated = metadata.metadata(name).json
+    if expression := stated.get("license_expression"):
+        return str(expression)
 
-    classifiers = stated.get_all("Classifier") or []
     names = [
         item.rpartition(" :: ")[2]
-        for item in classifiers
+        for item in stated.get("classifier", ())
         if item.startswith("License :: ") and not item.endswith("OSI Approved")
     ]
-    field = stated["License"] if "License" in stated else ""
-    text = field.strip().partition("\n")[0].strip()
+    text = str(stated.get("license", "")).strip().partition("\n")[0].strip()
     return ", ".join(names) or text[:60] or "not stated"
 
 
