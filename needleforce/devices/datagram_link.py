@@ -5,7 +5,7 @@ from contextlib import suppress
 from time import monotonic
 from typing import NamedTuple
 
-from needleforce.devices.errors import DeviceCode, DeviceSettingError, LinkError
+from needleforce.devices.errors import DeviceSettingError, LinkError
 from needleforce.devices.link import Link, run_within
 
 LOOPBACK = "127.0.0.1"
@@ -66,7 +66,6 @@ def resolve_host(host: str) -> str:
     except (OSError, ValueError) as error:
         raise LinkError(
             f"{host!r} is no address and no name that is known here: {error}",
-            DeviceCode.SETTING,
         ) from error
 
 
@@ -129,7 +128,8 @@ class DatagramLink(Link):
             new.close()
             raise LinkError(
                 f"cannot listen on {host}:{port}: {error.strerror or error}",
-                DeviceCode.PORT,
+                "End the other program that uses the port, or give an "
+                "address of this machine.",
             ) from error
 
         return new

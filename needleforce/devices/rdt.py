@@ -24,7 +24,7 @@ from needleforce.devices.datagram_link import (
     Endpoint,
     resolve_host,
 )
-from needleforce.devices.errors import DeviceCode, DeviceSettingError, LinkError
+from needleforce.devices.errors import DeviceSettingError, LinkError
 from needleforce.devices.link import run_within
 from needleforce.devices.rdt_status import is_faulty
 
@@ -140,7 +140,7 @@ def _read_counts(
         raise LinkError(
             f"{url} counts per {unit.strip()!r} under <{unit_name}>, expected "
             f"{si_unit}",
-            DeviceCode.UNITS,
+            "Set the sensor to N and Nm, or give its `scale`: `Scale(per_N, per_Nm)`.",
         )
 
     return counts

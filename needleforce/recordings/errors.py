@@ -6,7 +6,7 @@ from importlib import import_module
 from pathlib import Path
 from types import ModuleType
 
-from foundation.errors import CodedError, ErrorCode
+from foundation.errors import ErrorCode, NeedleforceError
 from foundation.extras import install_command
 
 MAX_BYTES = 2 << 30
@@ -149,7 +149,7 @@ class RecordingCode(ErrorCode):
     )
 
 
-class RecordingError(CodedError):
+class RecordingError(NeedleforceError):
     """Base of all errors raised by `needleforce.recordings`."""
 
     usual_code = RecordingCode.FORMAT
@@ -227,7 +227,7 @@ def require_size(size: int, limit: int, subject: str) -> None:
         raise FormatError(
             f"{subject} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
             f"{limit / 1e6:.3g} MB",
-            RecordingCode.SIZE,
+            "If the file is trusted, raise `max_bytes`.",
         )
 
 
@@ -246,7 +246,8 @@ def optional_library(module: str, user: str) -> ModuleType:
     except ImportError as error:
         library = module.partition(".")[0]
         raise FileAccessError(
-            f"{user} need {library}, which is not installed", RecordingCode.LIBRARY
+            f"{user} need {library}, which is not installed",
+            "Install them: pip install 'needleforce[recordings]'.",
         ) from error
 
 

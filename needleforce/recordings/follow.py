@@ -11,8 +11,8 @@ from itertools import chain
 from pathlib import Path
 
 from needleforce.recordings.errors import (
+    START_AGAIN,
     FileAccessError,
-    RecordingCode,
     file_errors,
     readable_path,
 )
@@ -142,17 +142,17 @@ def _require_unchanged(
     if is_at_end and not (path.exists() and os.path.samestat(path.stat(), status)):
         raise FileAccessError(
             f"{path} was renamed or removed while it was followed",
-            RecordingCode.CHANGED,
+            START_AGAIN,
         )
 
     if status.st_size < read_bytes:
         raise FileAccessError(
-            f"{path} has become shorter while it was followed", RecordingCode.CHANGED
+            f"{path} has become shorter while it was followed", START_AGAIN
         )
 
     if os.pread(handle, len(tail), read_bytes - len(tail)) != tail:
         raise FileAccessError(
-            f"{path} was written anew while it was followed", RecordingCode.CHANGED
+            f"{path} was written anew while it was followed", START_AGAIN
         )
 
 

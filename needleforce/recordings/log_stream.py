@@ -195,7 +195,9 @@ class LogStream:
         self._report(self._faults.lines())
         if not self._kept_count:
             raise LogError(
-                f"of {self._row_count} rows none has a time stamp", RecordingCode.TIME
+                f"of {self._row_count} rows none has a time stamp",
+                "Give time stamps that increase; name their unit in the "
+                "`mapping`, or give `rate_hz` instead.",
             )
 
         self._require_plausible()
@@ -220,7 +222,7 @@ class LogStream:
 
         raise ColumnError(
             f"no time column found. Columns are: {table.describe()}{table.left_out()}",
-            RecordingCode.TIME_COLUMN,
+            "Name it under `time` in the `mapping`, or give `rate_hz`.",
         )
 
     def _find_channels(self, table: Table) -> None:

@@ -9,7 +9,7 @@ from itertools import chain
 
 from needleforce.recordings.channels import Knowledge
 from needleforce.recordings.column_names import known_names
-from needleforce.recordings.errors import FormatError, RecordingCode
+from needleforce.recordings.errors import KNOWN_SUFFIX, FormatError
 from needleforce.recordings.follow import BINARY, MAX_BLOCK_BYTES, head_of
 
 _GZIP_MAGIC = b"\x1f\x8b"
@@ -113,7 +113,7 @@ class TextLines:
         head, blocks = head_of(self._blocks)
         if head in BINARY:
             kind = BINARY[head][1:]
-            raise FormatError(f"it is {kind}, not text", RecordingCode.SUFFIX)
+            raise FormatError(f"it is {kind}, not text", KNOWN_SUFFIX)
 
         yield from self._gunzip(blocks) if head.startswith(_GZIP_MAGIC) else blocks
 

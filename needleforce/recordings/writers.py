@@ -11,7 +11,11 @@ import numpy as np
 
 from needleforce.recordings.bags.message_types import CDR, standard_types
 from needleforce.recordings.bags.written_topics import WrittenTopic, bag_topics
-from needleforce.recordings.errors import LogError, RecordingCode, optional_library
+from needleforce.recordings.errors import (
+    EQUAL_COLUMNS,
+    LogError,
+    optional_library,
+)
 from needleforce.recordings.table import (
     START_KEY,
     TableColumns,
@@ -181,20 +185,20 @@ def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:
     if t_s is None or t_s.ndim != 1:
         raise LogError(
             f"a bag needs time stamps: a column t_s; there is {list(columns)}",
-            RecordingCode.WRITE,
+            EQUAL_COLUMNS,
         )
 
     if not np.isfinite(t_s).all():
         raise LogError(
             "a bag needs a time stamp in every row; one is not finite",
-            RecordingCode.WRITE,
+            EQUAL_COLUMNS,
         )
 
     stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist()
     if min(stamps_ns, default=0) < 0:
         raise LogError(
             f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s",
-            RecordingCode.WRITE,
+            EQUAL_COLUMNS,
         )
 
     return stamps_ns

@@ -19,7 +19,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.cli.terminal import CHECK_ARM, OTHER_PLACE, CommandError
 from needleforce.devices import ArmReading
 from needleforce.recordings.output import check_writable, open_table
 from needleforce.recordings.table import TableLabels
@@ -103,7 +103,7 @@ class Recorder:
         if self.rows and fields != self._fields:
             raise CommandError(
                 f"samples had {self._fields}, one has {fields}, expected the same",
-                CommandCode.ARM,
+                CHECK_ARM,
             )
         self._fields = fields
         self.time_s += sample.dt_s if self.rows else 0.0
@@ -123,7 +123,7 @@ class Recorder:
             error = self._answers.recv()
         except EOFError:
             error = CommandError(
-                "the process that writes the recording has ended", CommandCode.OUTPUT
+                "the process that writes the recording has ended", OTHER_PLACE
             )
         if error is not None:
             raise error

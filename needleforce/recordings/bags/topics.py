@@ -16,7 +16,7 @@ from needleforce.recordings.bags.message_types import (
     size_of,
 )
 from needleforce.recordings.bags.messages import BagTopic, RawMessage
-from needleforce.recordings.errors import FormatError, RecordingCode
+from needleforce.recordings.errors import UNPACK, FormatError
 from needleforce.recordings.table import Table, ToolMass, choose_tool_mass
 from needleforce.recordings.time_stamps import NS_PER_S
 
@@ -344,9 +344,7 @@ class Bag:
         topics = self.topics.values()
         if not topics:
             faults = "".join(f" ({fault})" for fault in self.faults)
-            raise FormatError(
-                f"{self.path} holds no messages{faults}", RecordingCode.BAG
-            )
+            raise FormatError(f"{self.path} holds no messages{faults}", UNPACK)
 
         widths = {
             name: width for topic in topics for name, width in topic.columns.items()
@@ -358,7 +356,7 @@ class Bag:
             )
             raise FormatError(
                 f"{self.path} holds no topic with numbers: {'; '.join(reasons)}",
-                RecordingCode.BAG,
+                UNPACK,
             )
 
         return Table(
