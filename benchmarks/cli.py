@@ -19,7 +19,7 @@ from typing import TYPE_CHECKING, Annotated, Literal
 from cyclopts import App, Parameter
 from cyclopts.validators import Number
 
-from benchmarks import BenchmarkCode, BenchmarkError, ResultsError
+from benchmarks import BenchmarkError, ResultsError
 from benchmarks.campaign.workers import Workers
 from needleforce.cli.terminal import progress_bar, run_command, say
 
@@ -79,8 +79,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
             raise BenchmarkError(
                 f"{error.name} is not installed",
-                BenchmarkCode.LIBRARY,
-                package=f"it: pip install -e '.[{extra}]'",
+                f"Install it: pip install -e '.[{extra}]'",
             ) from error
         return code or 0
 

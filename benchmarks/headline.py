@@ -18,7 +18,7 @@ from typing import Literal, NamedTuple
 import msgspec
 import numpy as np
 
-from benchmarks import BenchmarkCode, ResultsError
+from benchmarks import ResultsError
 from benchmarks.catalogue import Plan, Request, make_plan
 from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Progress, progress_part
@@ -419,11 +419,13 @@ def read_headline(path: Path) -> HeadlineFile:
         return msgspec.json.decode(path.read_bytes(), type=HeadlineFile)
     except OSError as error:
         raise ResultsError(
-            f"cannot read {path}: {error.strerror}", BenchmarkCode.HEADLINE
+            f"cannot read {path}: {error.strerror}",
+            "Write it anew: python -m benchmarks headline --write",
         ) from error
     except msgspec.DecodeError as error:
         raise ResultsError(
-            f"{path} is not a file of figures: {error}", BenchmarkCode.HEADLINE
+            f"{path} is not a file of figures: {error}",
+            "Write it anew: python -m benchmarks headline --write",
         ) from error
 
 

@@ -15,7 +15,7 @@ from time import perf_counter, process_time
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks import BenchmarkCode, BenchmarkError, DataError
+from benchmarks import RUN_ALONE, BenchmarkError, DataError
 from benchmarks.anatomy.study import CT_FOLDER
 from benchmarks.jobs import Progress
 from benchmarks.results import Measurement, our_measurement
@@ -99,7 +99,7 @@ def _measure_plan(folder: Path) -> Iterator[Measurement]:
 def _require_success(work: str, code: int) -> None:
     """Refuse the figures of a process that failed."""
     if code:
-        raise BenchmarkError(f"{work} ended with {code}", BenchmarkCode.RUN)
+        raise BenchmarkError(f"{work} ended with {code}", RUN_ALONE)
 
 
 def _write_finer(source: Path, path: Path) -> int:

@@ -12,7 +12,7 @@ from time import perf_counter
 
 import msgspec
 
-from benchmarks import BenchmarkCode, ResultsError
+from benchmarks import ResultsError
 from benchmarks.campaign.workers import DIED, Workers, answers
 from benchmarks.catalogue import run_job
 from benchmarks.jobs import Job, Outcome
@@ -101,7 +101,7 @@ def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
             raise ResultsError(
                 f"{path} has a run that is not asked for: {row.scenario}, {row.plant}, "
                 f"seed {row.seed}",
-                BenchmarkCode.RESUME,
+                "Ask for that run too, or write to another file",
             )
         rows.setdefault(job, []).append(row)
     return {

@@ -15,7 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pinocchio as pin
 
-from benchmarks import BenchmarkCode, BenchmarkError
+from benchmarks import RUN_ALONE, BenchmarkError
 from benchmarks.insertion.methods import joint_residual, on_lwr
 from benchmarks.insertion.signals import ForceTruth, JointSignals
 from benchmarks.insertion.simulated import read_sensors
@@ -51,8 +51,6 @@ PACKAGES = "g++ and Debian's liborocos-kdl-dev"
 class KdlAbsentError(BenchmarkError):
     """The library, its headers or a compiler is missing."""
 
-    usual_code = BenchmarkCode.LIBRARY
-
 
 def kdl_library() -> ctypes.CDLL:
     """Compile and load KDL's estimator behind `kdl_shim.cpp`.
@@ -77,7 +75,7 @@ def kdl_library() -> ctypes.CDLL:
             subprocess.run([*command, "-lorocos-kdl"], check=True, capture_output=True)
         except (OSError, subprocess.CalledProcessError) as error:
             raise KdlAbsentError(
-                f"no comparison with KDL: it needs {PACKAGES}", package=PACKAGES
+                f"no comparison with KDL: it needs {PACKAGES}", f"Install {PACKAGES}"
             ) from error
         library = ctypes.CDLL(str(compiled))
     library.kdl_new.restype = ctypes.c_void_p
@@ -161,7 +159,7 @@ class KdlEstimator:
     def call(self, q: int, dq: int, tau: int) -> None:
         """Take a sample by its addresses."""
         if self._library.kdl_update(self._handle, q, dq, tau, self._into):
-            raise BenchmarkError("KDL's estimator refused a sample", BenchmarkCode.RUN)
+            raise BenchmarkError("KDL's estimator refused a sample", RUN_ALONE)
 
     @property
     def axial_N(self) -> float:

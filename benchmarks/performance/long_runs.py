@@ -17,7 +17,7 @@ from typing import NamedTuple
 import numpy as np
 import psutil
 
-from benchmarks import BenchmarkCode, BenchmarkError
+from benchmarks import RUN_ALONE, BenchmarkError
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Progress, progress_part
@@ -388,7 +388,7 @@ def run_python(
     if process.returncode != 0:
         raise BenchmarkError(
             f"python {' '.join(arguments)} failed: {said.splitlines()[-1:]}",
-            BenchmarkCode.RUN,
+            RUN_ALONE,
         )
     # Time of all children that have ended: nothing else is started meanwhile.
     times = (times_before, psutil.Process().cpu_times())
@@ -454,9 +454,7 @@ def measure_stream(
                 lambda passed_s: progress(0.3 + 0.7 * min(passed_s / expected_s, 1.0)),
             )
     except (OSError, RecordingError) as error:
-        raise BenchmarkError(
-            f"no recording to stream: {error}", BenchmarkCode.RUN
-        ) from error
+        raise BenchmarkError(f"no recording to stream: {error}", RUN_ALONE) from error
     return StreamSpeed(command, suffix, seconds, rows, use)
 
 

@@ -9,15 +9,14 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import ChannelUnit, advice_places
+from needleforce.recordings.channel_units import ChannelUnit, advise_unit
 from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import columns_in_other_units
+from needleforce.recordings.column_names import advise_column, columns_in_other_units
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
     FaultCounts,
     LogError,
-    RecordingCode,
     RecordingError,
     UnitError,
     require_size,
@@ -410,8 +409,8 @@ def _require_all_joints(channel: Channel, head: Array) -> None:
         raise ColumnError(
             f"{channel.name} has no finite value at joint {numbers} in the first "
             f"{len(head)} rows",
-            RecordingCode.PARTIAL,
-            **channel.places,
+            "Leave it out with `ColumnSpec(columns=LEFT_OUT)` under "
+            f"`{channel.name}` in the `mapping`, or name its columns there.",
         )
 
 
@@ -424,8 +423,7 @@ def _not_found(
         return UnitError(
             f"{channel.name}: column {name!r} is in {unit!r}, which is no known unit "
             f"of {channel.name}; expected one of {', '.join(channel.units)}",
-            RecordingCode.UNIT,
-            **advice_places(channel, [name], f"{channel.si_unit}:FACTOR"),
+            advise_unit(channel, [name], f"{channel.si_unit}:FACTOR"),
         )
 
     if not table.has_header:
@@ -436,8 +434,7 @@ def _not_found(
         f"no column found for {channel.name} ({channel.meaning}); usual names are "
         f"{', '.join(channel.spellings)}. {f'Nor for {also}. ' if also else ''}"
         f"Columns are: {table.describe()}{table.left_out()}",
-        RecordingCode.COLUMN,
-        **channel.places,
+        advise_column(channel),
     )
 
 
@@ -457,13 +454,12 @@ def _no_header(
             columns = f"column_{{{first}..{last}}}"
 
         value = shlex.quote(f"{columns}:{channel.usual_unit}")
-        options.append(f"{channel.places['option']} {value}")
+        options.append(f"{channel.option} {value}")
         first = last + 1
 
     return ColumnError(
         f"no column is known to be {', '.join(each.name for each in missing)}: the "
         f"file has no header. Columns are: {table.describe()}{table.left_out()}",
-        RecordingCode.HEADERLESS,
-        options=" ".join(options),
-        **missing[0].places,
+        "Name columns by their number, with their units, in the `mapping`, or as in "
+        + " ".join(options),
     )

@@ -259,7 +259,6 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
         "rate of q: is it in deg/s?",
         "--force-tare",
         "Give unit and factor",
-        "NF-SENSOR-VELOCITY",
     ):
         assert text in refused
     _, printed = run(log, *TARE, "--dq", "dq_rad_s:rad/s:0.0174533")

@@ -60,7 +60,7 @@ def test_a_signal_ends_recording_also_in_silence(
 
     assert code == (0 if sends else 2)
     assert (
-        f" s in {path}" if sends else "error NF-COMMAND-ARM: no sample came from"
+        f" s in {path}" if sends else "error: no sample came from"
     ) in capsys.readouterr().err
     assert not sends or len(read_log(path)) == arm.report.used > 350
 
