@@ -72,7 +72,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
                 raise
             raise BenchmarkError(
                 f"{error.name} is not installed",
-                f"Install {f"it: pip install -e '.[{extra}]'"}",
+                f"Install it: pip install -e '.[{extra}]'",
             ) from error
         return code or 0
 

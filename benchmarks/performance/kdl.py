@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pinocchio as pin
 
-from benchmarks import BenchmarkCode, BenchmarkError
+from benchmarks import RUN_ALONE, BenchmarkError
 from benchmarks.insertion.methods import joint_residual, on_lwr
 from benchmarks.insertion.signals import ForceTruth, JointSignals
 from benchmarks.insertion.simulated import read_sensors
@@ -45,8 +45,6 @@ TARED = ", mean residual before contact taken off"
 class KdlAbsentError(BenchmarkError):
     """The library, its headers or a compiler is missing."""
 
-    usual_code = BenchmarkCode.LIBRARY
-
 
 def kdl_library() -> ctypes.CDLL:
     """Compile and load KDL's estimator behind `kdl_shim.cpp`.
@@ -72,7 +70,7 @@ def kdl_library() -> ctypes.CDLL:
         except (OSError, subprocess.CalledProcessError) as error:
             packages = "g++ and Debian's liborocos-kdl-dev"
             raise KdlAbsentError(
-                f"no comparison with KDL: it needs {packages}", package=packages
+                f"no comparison with KDL: it needs {packages}", f"Install {packages}"
             ) from error
         library = ctypes.CDLL(str(compiled))
     library.kdl_new.restype = ctypes.c_void_p
@@ -156,7 +154,7 @@ class KdlEstimator:
     def call(self, q: int, dq: int, tau: int) -> None:
         """Take a sample by its addresses."""
         if self._library.kdl_update(self._handle, q, dq, tau, self._into):
-            raise BenchmarkError("KDL's estimator refused a sample", BenchmarkCode.RUN)
+            raise BenchmarkError("KDL's estimator refused a sample", RUN_ALONE)
 
     @property
     def axial_N(self) -> float:

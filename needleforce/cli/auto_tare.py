@@ -2,7 +2,7 @@
 
 import math
 
-from needleforce.cli.advice import WATCH_ADVICE, describe_error
+from needleforce.cli.advice import describe_error
 from needleforce.cli.terminal import CommandError, say
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import Status, TareError
@@ -74,5 +74,5 @@ class SessionTare:
     def _refuse(self, error: TareError, time_s: float) -> None:
         """Say why there is no tare, and wait for the next attempt."""
         self._next_s = time_s + self._every_s
-        reason = describe_error(error, WATCH_ADVICE)
+        reason = describe_error(error, is_watching=True)
         say(f"no tare at {time_s:.1f} s, {reason}")

@@ -25,7 +25,6 @@ from needleforce.plots.chart import (
 )
 from needleforce.plots.errors import (
     ChartError,
-    FigureCode,
     MissingExtraError,
     WriteError,
 )
@@ -276,7 +275,7 @@ def require_matplotlib(purpose: str, path: str | Path | None = None) -> None:
     if path is not None and Path(path).suffix.lower() not in FORMATS:
         raise ChartError(
             f"cannot write {path}: its name must end in one of {', '.join(FORMATS)}",
-            FigureCode.FORMAT,
+            "Name it .png, .svg or .pdf.",
         )
     try:
         import jinja2  # noqa: F401

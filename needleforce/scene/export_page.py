@@ -25,7 +25,7 @@ from needleforce.scene.legend import LegendLine
 from needleforce.scene.page_policy import page_policy, with_nonce
 from needleforce.scene.row_text import MEANINGS
 from needleforce.scene.scan_slices import TITLES
-from needleforce.scene.state_ring import SceneCode, SceneError
+from needleforce.scene.state_ring import SceneError
 from needleforce.scene.title_bar import NOTE
 
 TEMPLATE = "export_page.html"
@@ -129,7 +129,8 @@ def write_scene_page(
             file.write(text.encode())
     except OSError as error:
         raise SceneError(
-            f"cannot write {path}: {error.strerror}", SceneCode.WRITE
+            f"cannot write {path}: {error.strerror}",
+            "Give a place that can be written to.",
         ) from error
     return path
 

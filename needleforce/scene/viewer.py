@@ -44,7 +44,12 @@ from needleforce.scene.row_text import (
     state_lines,
 )
 from needleforce.scene.scan_slices import PIXELS, TITLES, ScanSlices, SlicePictures
-from needleforce.scene.state_ring import FIELDS, SceneCode, SceneError, ViewRow
+from needleforce.scene.state_ring import (
+    FIELDS,
+    FREE_PORT,
+    SceneError,
+    ViewRow,
+)
 from needleforce.scene.structure_list import StructureList, add_surfaces
 from needleforce.scene.time_panel import TimePanel
 from needleforce.scene.title_bar import NOTE, TitleBar
@@ -113,7 +118,7 @@ def check_address(host: str, port: int) -> None:
             raise SceneError(
                 f"{host}, port {port}: {error}; expected an address of this machine, "
                 f"and a port of 0 to {MAX_PORT}",
-                SceneCode.PAGE,
+                FREE_PORT,
             ) from error
 
 

@@ -244,7 +244,7 @@ def measured(monkeypatch):
 
 
 def no_kdl():
-    raise KdlAbsentError("no comparison with KDL", package="KDL")
+    raise KdlAbsentError("no comparison with KDL", "Install KDL")
 
 
 def test_the_command_names_what_is_worse_and_fails(tmp_path, measured, capsys):

@@ -217,9 +217,7 @@ def test_the_command_writes_the_page(tmp_path, capsys):
     none = str(tmp_path / "no" / "p.md")
 
     assert main(["results", str(tmp_path / "a.json"), "--page", none]) == 2
-    assert capsys.readouterr().err.startswith(
-        "error NF-BENCHMARK-RESULTS: cannot write"
-    )
+    assert capsys.readouterr().err.startswith("error: cannot write")
     assert main(["results"]) == 2
 
 

@@ -21,7 +21,12 @@ from needleforce.cli.auto_tare import SessionTare
 from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
-from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
+from needleforce.cli.terminal import (
+    CHECK_ARM,
+    CommandError,
+    say,
+    write_out,
+)
 from needleforce.depth_zero import DepthZero, find_depth_zero
 from needleforce.devices import NetFT
 from needleforce.devices.rdt_status import describe_status
@@ -306,7 +311,7 @@ def watch_arm(
         display = Display(arm, reference, panel)
         for sample in samples_until_stopped(arm, options):
             if sample.tau_Nm is None:
-                raise CommandError(f"{arm_name}: {NO_TORQUES}", CommandCode.ARM)
+                raise CommandError(f"{arm_name}: {NO_TORQUES}", CHECK_ARM)
             estimate = session.update(
                 sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
             )

@@ -15,7 +15,7 @@ from needleforce import anatomy
 from needleforce.anatomy import Grid, Labels, Layer, Structure, Volume
 from needleforce.anatomy.path_layers import UNLABELLED
 from needleforce.cli.patient.example_case import draw_scan
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.cli.terminal import CommandError
 
 VOXEL_m = 2e-3
 """Spacing of the analytic torso's scan [m]."""
@@ -120,7 +120,6 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> ScannedTorso:
         raise CommandError(
             f"{folder}: expected ct.nii.gz (or .nrrd) and labels.nii.gz beside it, "
             "there or one folder down",
-            CommandCode.FILE,
         )
     scan = anatomy.read_volume(scans[0])
     labels = anatomy.read_labels(files[0]).with_body(scan, fat=True)

@@ -22,7 +22,7 @@ from groundtruth.motion import Motion, constant_motion
 from needleforce.anatomy.markups import read_markup
 from needleforce.anatomy.path_layers import UNLABELLED
 from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.cli.terminal import GIVE_PLAN, CommandError
 from needleforce.devices import ReplayArm
 from urdf import NeedleTool, Robot, load_lwr
 
@@ -184,7 +184,7 @@ def touch_patient(plan: Path, landmarks: Path | None) -> TouchingArm:
 def _line_of(fields: Mapping[str, Any], plan: Path) -> _PlannedLine:
     """Return the path of a plan."""
     if "entry_m" not in fields or "target_m" not in fields:
-        raise CommandError(f"{plan} has no entry_m and target_m", CommandCode.PLAN)
+        raise CommandError(f"{plan} has no entry_m and target_m", GIVE_PLAN)
     return _PlannedLine(np.array(fields["entry_m"]), np.array(fields["target_m"]))
 
 
@@ -322,7 +322,7 @@ def _tissue(layers: Iterable[Mapping[str, Any]]) -> tuple[TissueLayer, ...]:
         else:
             tissue.append(replace(kind, name=layer["name"], thickness_m=thickness_m))
     if not tissue:
-        raise CommandError("the plan has no layers", CommandCode.PLAN)
+        raise CommandError("the plan has no layers", GIVE_PLAN)
     tissue[-1] = replace(
         tissue[-1], thickness_m=tissue[-1].thickness_m + 2.0 * BEYOND_m
     )

@@ -204,10 +204,7 @@ def test_an_absent_cluster_is_one_line(jobs_done, monkeypatch, capsys):
     monkeypatch.setattr(workers, "CONNECT_S", 0.5)
 
     assert main(["run", "--cluster", "tcp://127.0.0.1:9"]) == 2
-    assert (
-        "error NF-BENCHMARK-CLUSTER: no Dask scheduler at tcp://127.0.0.1:9"
-        in capsys.readouterr().err
-    )
+    assert "error: no Dask scheduler at tcp://127.0.0.1:9" in capsys.readouterr().err
 
 
 def test_an_interval_covers_the_middle_and_draws_seeds():
