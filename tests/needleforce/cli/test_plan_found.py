@@ -124,5 +124,5 @@ def test_an_unreadable_plan_is_refused_before_the_work(tmp_path, capsys, content
     argv = ["report", str(tmp_path / "a.npz"), str(tmp_path / "b")]
 
     assert main([*argv, "--plan", str(tmp_path)]) == 2
-    assert "error NF-COMMAND-PLAN: " in capsys.readouterr().err
+    assert "error: " in capsys.readouterr().err
     assert not (tmp_path / "b").exists()

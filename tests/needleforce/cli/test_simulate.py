@@ -193,7 +193,7 @@ def test_missing_mujoco_is_named_with_its_package(capsys, monkeypatch, tmp_path)
         ["simulate", "free-motion", "-o", str(tmp_path / "x.csv")], capsys
     )
 
-    assert message.startswith("error NF-SIMULATION-LIBRARY: the simulated arm needs")
+    assert message.startswith("error: the simulated arm needs")
     assert "mujoco" in message
     assert "pip install" in message
 

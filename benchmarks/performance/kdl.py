@@ -8,6 +8,7 @@ with torques from which the mean residual just before contact is taken off.
 
 import ctypes
 import subprocess
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -15,16 +16,15 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pinocchio as pin
 
-from benchmarks import BenchmarkCode, BenchmarkError
+from benchmarks import RUN_ALONE, BenchmarkError
 from benchmarks.insertion.methods import joint_residual, on_lwr
 from benchmarks.insertion.signals import ForceTruth, JointSignals
 from benchmarks.insertion.simulated import read_sensors
-from benchmarks.jobs import Progress, progress_part
-from benchmarks.performance.speed import Update, cost_ratio, fed, time_side_by_side
-from benchmarks.report.tables import ResultTable, met_mark
+from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.performance.ticks import Update, cost_ratio, fed, time_side_by_side
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth import Run, simulate
-from needleforce.cli.terminal import say
 from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
 from residual.wrench_estimator import (
     WrenchEstimator,
@@ -40,18 +40,10 @@ BARE = "KDL, addresses known in advance"
 OURS = "ours, observer and wrench"
 SENSOR = "ours, virtual sensor"
 TARED = ", mean residual before contact taken off"
-TARE_s = 0.5
-"""Of that mean: the published tare."""
-TIME_RATIOS = {OURS: 0.6, SENSOR: 1.07}
-ERROR_RATIO = 0.05
-"""Most time, and most error of `SENSOR`, relative to `KDL`."""
-PACKAGES = "g++ and Debian's liborocos-kdl-dev"
 
 
 class KdlAbsentError(BenchmarkError):
     """The library, its headers or a compiler is missing."""
-
-    usual_code = BenchmarkCode.LIBRARY
 
 
 def kdl_library() -> ctypes.CDLL:
@@ -76,8 +68,9 @@ def kdl_library() -> ctypes.CDLL:
         try:
             subprocess.run([*command, "-lorocos-kdl"], check=True, capture_output=True)
         except (OSError, subprocess.CalledProcessError) as error:
+            packages = "g++ and Debian's liborocos-kdl-dev"
             raise KdlAbsentError(
-                f"no comparison with KDL: it needs {PACKAGES}", package=PACKAGES
+                f"no comparison with KDL: it needs {packages}", f"Install {packages}"
             ) from error
         library = ctypes.CDLL(str(compiled))
     library.kdl_new.restype = ctypes.c_void_p
@@ -161,7 +154,7 @@ class KdlEstimator:
     def call(self, q: int, dq: int, tau: int) -> None:
         """Take a sample by its addresses."""
         if self._library.kdl_update(self._handle, q, dq, tau, self._into):
-            raise BenchmarkError("KDL's estimator refused a sample", BenchmarkCode.RUN)
+            raise BenchmarkError("KDL's estimator refused a sample", RUN_ALONE)
 
     @property
     def axial_N(self) -> float:
@@ -198,18 +191,18 @@ class PlainEstimator:
         self.axial_N = estimate.axial
 
 
-Error = dict[str, float]
-"""Root mean square error of the axial force [N], by estimator."""
+def peer_errors(run: Run, library: ctypes.CDLL, progress: Progress) -> dict[str, float]:
+    """Return the rms error of the axial force [N] in one insertion, by estimator.
 
-
-def peer_errors(run: Run, library: ctypes.CDLL, progress: Progress) -> Error:
-    """Measure one insertion, from first contact to the end of the withdrawal."""
+    It counts from first contact to the end of the withdrawal.
+    """
     case = read_sensors(run, progress, ("ours",))
     truth = case.truth
     signals = case.signals
     gain_per_s = DEFAULT.slowest_gain_per_s
     errors = {SENSOR: _rms(case.sessions["ours"].reading.axial_N, truth)}
-    free = (truth.t_s > truth.zeroed_s - TARE_s) & (truth.t_s <= truth.zeroed_s)
+    # The published tare: the mean over half a second.
+    free = (truth.t_s > truth.zeroed_s - 0.5) & (truth.t_s <= truth.zeroed_s)
     residual = joint_residual(run.robot, signals, gain_per_s, alignment="hold")
     tared = replace(signals, tau_Nm=signals.tau_Nm + residual[free].mean(axis=0))
     for how, sent in (("", signals), (TARED, tared)):
@@ -245,18 +238,11 @@ def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
     return time_side_by_side(subjects, tare + 1, len(signals.t_s))
 
 
-def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
-    """Return the table, and whether all targets are met.
-
-    Without KDL that is said, and there is no table.
-    """
-    errors: list[Error] = []
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
+    """Compare error and time of all estimators, each with KDL's."""
+    library = kdl_library()
+    errors: list[dict[str, float]] = []
     times: dict[str, Array] = {}
-    try:
-        library = kdl_library()
-    except KdlAbsentError as error:
-        say(f"skipped: {error}")
-        return [], True
     for number, seed in enumerate(SEEDS):
         begin, middle, end = (
             (number + fraction) / len(SEEDS) for fraction in (0.0, 0.5, 1.0)
@@ -264,59 +250,14 @@ def compare_with_kdl(progress: Progress) -> tuple[list[ResultTable], bool]:
         run = simulate(SCENARIO, PLANT, seed, progress_part(progress, begin, middle))
         errors.append(peer_errors(run, library, progress_part(progress, middle, end)))
         times = times or peer_times(run, library)
-    return _report(errors, times)
-
-
-def _report(
-    errors: list[Error], times: dict[str, Array]
-) -> tuple[list[ResultTable], bool]:
-    """Return the table, and whether all targets are met."""
     medians_N = {
         name: float(np.median([error[name] for error in errors])) for name in errors[0]
     }
-    lines = []
-    is_met = True
     for name in (KDL, BARE, KDL + TARED, OURS, OURS + TARED, SENSOR):
-        error_cells = ("", "")
-        time_cells = ("", "", "")
-        target_cells = ("", "")
-        keeps: dict[str, bool] = {}
         if name in medians_N:
-            error_ratio = medians_N[name] / medians_N[KDL]
-            error_cells = (f"{medians_N[name]:.3f}", f"{error_ratio:.3f}")
-            if name == SENSOR:
-                keeps[f"error ≤ {ERROR_RATIO:g}"] = error_ratio <= ERROR_RATIO
+            yield Figure("kdl_force_rmse_N", medians_N[name], name)
+            yield Figure("kdl_force_ratio", medians_N[name] / medians_N[KDL], name)
         if name in times:
-            time_ratio = cost_ratio(times[name], times[KDL])
-            time_cells = (
-                f"{np.median(times[name]):.1f}",
-                f"{np.mean(times[name]):.1f}",
-                f"{time_ratio:.2f}",
-            )
-            if name in TIME_RATIOS:
-                limit = TIME_RATIOS[name]
-                keeps[f"time ≤ {limit:g}"] = time_ratio <= limit
-        if keeps:
-            target_cells = (", ".join(keeps), met_mark(all(keeps.values())))
-            is_met &= all(keeps.values())
-        lines.append((name, *error_cells, *time_cells, *target_cells))
-    table = ResultTable(
-        title="Beside orocos KDL's ChainExternalWrenchEstimator",
-        heads=(
-            *(
-                "estimator",
-                "axial force\nrms error, N",
-                "ratio",
-                "tick, us\nmedian",
-                "mean",
-            ),
-            *("ratio", "target", ""),
-        ),
-        align="LrrrrrLL",
-        lines=tuple(lines),
-        caption=f"{SCENARIO}, {PLANT}, seeds {SEEDS[0]} to {SEEDS[-1]}, median; ticks "
-        "of the first, taking turns, KDL through ctypes; K = "
-        f"{DEFAULT.slowest_gain_per_s:g}/s for all, KDL's filter off. KDL's estimator "
-        "has no offset removal, tare, deviation or check of its input.",
-    )
-    return [table], is_met
+            yield Figure("kdl_tick_median_us", np.median(times[name]), name)
+            yield Figure("kdl_tick_mean_us", np.mean(times[name]), name)
+            yield Figure("kdl_tick_ratio", cost_ratio(times[name], times[KDL]), name)

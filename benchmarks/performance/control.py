@@ -6,23 +6,22 @@ machine; tails are of processor time, on which other processes do not count.
 """
 
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator
 from time import thread_time_ns
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from benchmarks.insertion.methods import on_lwr
-from benchmarks.performance.speed import (
-    NS_PER_US,
+from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.performance.ticks import (
     Update,
     cost_ratio,
+    time_each,
     time_side_by_side,
 )
-from benchmarks.report.tables import ResultTable, met_mark
-from foundation.jit import COMPILER
+from benchmarks.results import Figure
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce import InsertionSession
 from needleforce.control import (
@@ -41,12 +40,6 @@ FOLLOWING = "control, no remote centre"
 SATURATED = "control, limits bind"
 SESSION = "session"
 TOGETHER = "session and control"
-RATIO = 8.0 if COMPILER else 25.0
-"""Most that a tick of control may cost, relative to the bare calls."""
-TAIL_US = 200.0
-TOGETHER_US = 60.0
-"""Most processor time of 999 in 1000 ticks of control; most of session and control,
-median."""
 SECONDS = 8.0
 WARM_TICKS = 1000
 BEHIND_TIP_M = 0.08
@@ -86,22 +79,16 @@ class _Loop:
         return self.control.update(sample, self._stack).dq_rad_s
 
 
-class Recorded(NamedTuple):
-    """Samples of an arm whose tip has gone round.
+Recorded = tuple[float, list[ArmSample]]
+"""The time in which the tip of an arm went round once [s], and a sample per cycle."""
 
-    Attributes:
-        period_s: In which it went round once.
-        samples: One per cycle.
-    """
 
-    period_s: float
-    samples: list[ArmSample]
-
-    def command_again(self, *, has_centre: bool = True) -> Update:
-        """Return what gives a new loop sample k."""
-        arm = SimulatedArm(plant="clean", duration_s=SECONDS)
-        loop = _Loop(arm, self.period_s, has_centre=has_centre)
-        return lambda k: loop.command(self.samples[k], k)
+def command_again(recorded: Recorded, *, has_centre: bool = True) -> Update:
+    """Return what gives a new loop sample k."""
+    period_s, samples = recorded
+    arm = SimulatedArm(plant="clean", duration_s=SECONDS)
+    loop = _Loop(arm, period_s, has_centre=has_centre)
+    return lambda k: loop.command(samples[k], k)
 
 
 def record(period_s: float, progress: Callable[[float], None]) -> Recorded:
@@ -113,17 +100,7 @@ def record(period_s: float, progress: Callable[[float], None]) -> Recorded:
         samples.append(sample)
         arm.send(loop.command(sample, k))
         progress(arm.time_s / SECONDS)
-    return Recorded(period_s, samples)
-
-
-def _tail_us(update: Update, indices: Sequence[int]) -> float:
-    """Return the processor time that 999 of 1000 updates keep to."""
-    taken_us = []
-    for k in indices:
-        begin_ns = thread_time_ns()
-        update(k)
-        taken_us.append((thread_time_ns() - begin_ns) / NS_PER_US)
-    return float(np.percentile(taken_us, 99.9))
+    return period_s, samples
 
 
 def record_both(progress: Callable[[float], None]) -> tuple[Recorded, Recorded]:
@@ -140,7 +117,7 @@ def make_control(at_leisure: Recorded, hasty: Recorded) -> dict[str, Update]:
     data = robot.create_data()
     frame = robot.tool_frame_id
     axes = pin.ReferenceFrame.LOCAL_WORLD_ALIGNED
-    samples = at_leisure.samples
+    _, samples = at_leisure
 
     def bare(k: int) -> None:
         pin.computeFrameJacobian(model, data, samples[k].q_rad, frame, axes)
@@ -148,9 +125,9 @@ def make_control(at_leisure: Recorded, hasty: Recorded) -> dict[str, Update]:
 
     return {
         BARE: bare,
-        CONTROL: at_leisure.command_again(),
-        FOLLOWING: at_leisure.command_again(has_centre=False),
-        SATURATED: hasty.command_again(),
+        CONTROL: command_again(at_leisure),
+        FOLLOWING: command_again(at_leisure, has_centre=False),
+        SATURATED: command_again(hasty),
     }
 
 
@@ -158,8 +135,8 @@ def _make_sessions(at_leisure: Recorded) -> dict[str, Update]:
     """Return a session, alone and with control."""
     robot = SimulatedArm(plant="clean", duration_s=1.0).robot
     session, beside = (InsertionSession(robot, on_lwr(DEFAULT)) for _ in range(2))
-    command = at_leisure.command_again()
-    samples = at_leisure.samples
+    command = command_again(at_leisure)
+    _, samples = at_leisure
 
     def together(k: int) -> None:
         dt_s, q, dq, tau = samples[k]
@@ -172,43 +149,16 @@ def _make_sessions(at_leisure: Recorded) -> dict[str, Update]:
     }
 
 
-def control_speed_report(
-    progress: Callable[[float], None],
-) -> tuple[list[ResultTable], bool]:
-    """Return the table, and whether all targets are met."""
-    at_leisure, hasty = record_both(lambda part: progress(0.8 * part))
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
+    """Time ticks of control, of a session, and of both together."""
+    at_leisure, hasty = record_both(progress_part(progress, 0.0, 0.8))
     subjects = make_control(at_leisure, hasty) | _make_sessions(at_leisure)
     times = time_side_by_side(subjects, WARM_TICKS, round(1e3 * SECONDS))
     again = range(WARM_TICKS, round(1e3 * SECONDS))
-    tails = {name: _tail_us(update, again) for name, update in subjects.items()}
+    for name, update in subjects.items():
+        yield Figure("tick_median_us", np.median(times[name]), name)
+        yield Figure("tick_ratio", cost_ratio(times[name], times[BARE]), name)
+        # Processor time that 999 of 1000 updates keep to.
+        tail_us = np.percentile(time_each(update, again, thread_time_ns), 99.9)
+        yield Figure("tick_tail_us", tail_us, name)
     progress(1.0)
-    medians = {name: float(np.median(taken_us)) for name, taken_us in times.items()}
-    ratios = {
-        name: cost_ratio(taken_us, times[BARE]) for name, taken_us in times.items()
-    }
-    is_cheap = ratios[CONTROL] <= RATIO and tails[CONTROL] <= TAIL_US
-    targets = {
-        CONTROL: (f"ratio ≤ {RATIO:g}, tail ≤ {TAIL_US:g}", is_cheap),
-        SATURATED: (f"tail ≤ {TAIL_US:g}", tails[SATURATED] <= TAIL_US),
-        TOGETHER: (f"median ≤ {TOGETHER_US:g}", medians[TOGETHER] <= TOGETHER_US),
-    }
-    lines = []
-    for name in subjects:
-        numbers = f"{medians[name]:.1f}", f"{tails[name]:.1f}", f"{ratios[name]:.1f}"
-        target, is_met = targets.get(name, ("", None))
-        lines.append(
-            (name, *numbers, target, "" if is_met is None else met_mark(is_met))
-        )
-    table = ResultTable(
-        title="Cost of a tick of control",
-        heads=("what", "median\nus", "99.9 %\nCPU us", "ratio", "target", ""),
-        align="LrrrlL",
-        lines=tuple(lines),
-        caption=f"{len(again)} ticks each, taking turns; remote centre, tip, posture; "
-        + (
-            f"compiled by {COMPILER}"
-            if COMPILER
-            else "plain Python: NUMBA_DISABLE_JIT is set"
-        ),
-    )
-    return [table], all(is_met for _, is_met in targets.values())

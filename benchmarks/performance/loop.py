@@ -9,7 +9,6 @@ a cycle. Real-time priority is taken where the system grants it.
 import multiprocessing
 from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
-from math import inf
 from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -19,10 +18,9 @@ from typing import Any
 import numpy as np
 import psutil
 
-from benchmarks import BenchmarkError
-from benchmarks.jobs import Progress
-from benchmarks.report.tables import ResultTable
-from groundtruth import simulate
+from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.results import Figure
+from groundtruth import Run, simulate
 from needleforce import InsertionSession
 from needleforce.cli.arms.recorder import Recorder, leave_real_time
 from needleforce.devices import ArmReading, FriArm
@@ -30,62 +28,29 @@ from needleforce.devices.emulators import Emulator, take_real_time
 from needleforce.devices.fri_emulator import FriSettings, emulate_fri
 from urdf import Robot
 
-SCENARIO = "gel-25-constant"
-PLANT = "fri"
 WARM_UP = 2000
 """Cycles before which nothing is counted: what is compiled or loaded late."""
 ALONE = "alone"
 SCENE = "with the scene"
 RECORDER = "with a recorder"
-QUANTILES = (50.0, 99.0, 99.9, 100.0)
+CASES = tuple(f"60 s {kind}" for kind in (ALONE, SCENE, RECORDER))
 
 
-def loop_table(seconds: float, *, with_scene: bool, progress: Progress) -> ResultTable:
-    """Run the loop alone and, if wanted, beside the scene and a recorder."""
-    if not 0.0 < seconds < inf:
-        raise BenchmarkError(
-            f"--loop {seconds:g}: expected a positive number of seconds"
-        )
-    run = simulate(SCENARIO, PLANT, 0, lambda part: progress(0.2 * part))
-    kinds = (ALONE, SCENE, RECORDER) if with_scene else (ALONE,)
-    lines = []
-    notes = list[str]()
-    for number, kind in enumerate(kinds):
-        lines += [(kind, *line) for line in _one(run, seconds, kind, notes)]
-        progress(0.2 + 0.8 * (number + 1) / len(kinds))
-    quantiles = tuple(f"p{q:g}, us" if q < 100.0 else "most, us" for q in QUANTILES)
-    is_real_time = "with" if _is_real_time() else "without"
-    return ResultTable(
-        title=f"{seconds:g} s at 1 kHz with the session against an emulated FRI, "
-        f"{is_real_time} real-time priority",
-        heads=(
-            "loop",
-            "what",
-            *quantiles,
-            "overruns",
-            "missed",
-            "answered in the cycle",
-        ),
-        align="LL" + (len(quantiles) + 3) * "r",
-        lines=tuple(lines),
-        caption="".join(notes),
-    )
-
-
-def _is_real_time() -> bool:
-    """Return whether the system grants real-time priority."""
-    is_granted = take_real_time()
-    leave_real_time()
-    return is_granted
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
+    """Run the loop for the seconds of the case, alone or beside something."""
+    seconds, _, kind = job.case.split(" ", 2)
+    insertion = simulate("gel-25-constant", "fri", 0, progress_part(progress, 0.0, 0.2))
+    yield from run_loop(insertion, float(seconds), kind)
+    progress(1.0)
 
 
 @contextmanager
 def _beside(
-    kind: str, robot: Robot, notes: list[str]
+    kind: str, robot: Robot, found: dict[str, float]
 ) -> Iterator[Callable[[Any, ArmReading], None]]:
     """Yield what takes the estimate and the sample of every tick.
 
-    At the end it adds what else is to be said.
+    At the end it adds what else was found.
     """
     if kind == SCENE:
         from needleforce.scene import open_viewer
@@ -99,11 +64,7 @@ def _beside(
             context.Process(target=_watch, args=arguments, daemon=True).start()
             yield lambda now, sample: view.put(now, sample.q_rad)
             pipe.send("stop")
-            updates_Hz, processor = pipe.recv()
-            notes.append(
-                f"The scene's process: {updates_Hz:.1f} updates a second reach a page "
-                f"(at least 30), for {processor:.1f} % of a core (at most 10). "
-            )
+            found["scene_updates_Hz"], found["scene_processor_pct"] = pipe.recv()
     elif kind == RECORDER:
         names = robot.joint_names
         with (
@@ -153,10 +114,9 @@ def _watch(pipe: Connection, url: str, pids: list[int]) -> None:
         pipe.send(((updates - 1) / passed_s, 100.0 * (used_s() - before_s) / passed_s))
 
 
-def _one(
-    run: Any, seconds: float, kind: str, notes: list[str]
-) -> list[tuple[str, ...]]:
-    """Run the loop once; return its two lines of the table."""
+def run_loop(run: Run, seconds: float, kind: str) -> Iterator[Figure]:
+    """Run the loop once, beside what its kind says."""
+    beside: dict[str, float] = {}
     signals = run.signals
     cycles = round(1e3 * seconds) + WARM_UP
     arm = FriArm(port=0, give_up_s=0.5)
@@ -172,9 +132,9 @@ def _one(
     taken_us = list[float]()
     with ExitStack() as stack:
         stack.enter_context(arm)
-        put = stack.enter_context(_beside(kind, run.robot, notes))
+        put = stack.enter_context(_beside(kind, run.robot, beside))
         controller = stack.enter_context(Emulator(emulate_fri, settings))
-        take_real_time()
+        is_real_time = take_real_time()
         for sample in arm:
             begin_ns = perf_counter_ns()
             tau = sample.tau_Nm
@@ -188,15 +148,16 @@ def _one(
     tick_us = np.array(taken_us[WARM_UP:])
     since_us = np.array(arrived_us[WARM_UP:])
     late_us = since_us - 1e3 * np.arange(len(since_us))
-    percent = 100.0 * counts["same_cycle"] / counts["cycles"]
-    overruns = str(int(np.count_nonzero(tick_us > 1000.0)))
-    ends = (overruns, str(arm.report.missed), f"{percent:.2f} %")
-    return [
-        ("tick", *_quantiles(tick_us), *ends),
-        ("wake-up late by", *_quantiles(late_us - late_us.min()), "", "", ""),
-    ]
-
-
-def _quantiles(values: np.ndarray) -> list[str]:
-    """Return the quantiles of values as cells."""
-    return [f"{np.percentile(values, q):.0f}" for q in QUANTILES]
+    for what, values in (("tick", tick_us), ("wake-up", late_us - late_us.min())):
+        name = f"{what}, {kind}"
+        yield Figure("loop_p50_us", np.percentile(values, 50.0), name)
+        yield Figure("loop_p99_us", np.percentile(values, 99.0), name)
+        yield Figure("loop_p999_us", np.percentile(values, 99.9), name)
+        yield Figure("loop_most_us", values.max(), name)
+    name = f"tick, {kind}"
+    yield Figure("loop_overruns", np.count_nonzero(tick_us > 1000.0), name)
+    yield Figure("loop_missed", arm.report.missed, name)
+    answered_pct = 100.0 * counts["same_cycle"] / counts["cycles"]
+    yield Figure("loop_answered_pct", answered_pct, name)
+    yield Figure("loop_is_real_time", is_real_time, name)
+    yield from (Figure(metric, value, name) for metric, value in beside.items())
