@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from foundation.arrays import Array
 from needleforce.anatomy.body import find_body
-from needleforce.anatomy.clearance import Clearance, find_clearances
+from needleforce.anatomy.clearance import Clearance, VoxelBoxes, find_clearances
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.path_layers import Layer, find_layers
 from needleforce.anatomy.resampling import resample_nearest
@@ -284,7 +284,8 @@ class Labels:
             chosen = [one for one in self.structures if one.is_obstacle or one.is_risk]
         else:
             chosen = [self[name] for name in names]
-        return find_clearances(self, chosen, entry_m, target_m)
+        boxes = [VoxelBoxes(self, one) for one in chosen]
+        return find_clearances(boxes, entry_m, target_m)
 
 
 def _twice(name: str) -> VolumeError:

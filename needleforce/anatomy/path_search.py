@@ -18,19 +18,12 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
-from needleforce.anatomy.clearance import (
-    Clearance,
-    FreeSpace,
-    VoxelBoxes,
-    find_clearances,
-)
+from needleforce.anatomy.clearance import Clearance, FreeSpace, VoxelBoxes
 from needleforce.anatomy.errors import AnatomyCode, PlanError, VolumeError
-from needleforce.anatomy.outer_voxels import Ball, OuterVoxels
 from needleforce.anatomy.path_layers import UNLABELLED, Layer, find_layers
 
 if TYPE_CHECKING:
     from needleforce.anatomy.labels import Labels
-    from needleforce.anatomy.structures import Structure
 
 DIRECTIONS = 6000
 """Rays over the whole sphere: 2.6 degrees from one to the next, 5 mm at 110 mm."""
@@ -53,10 +46,6 @@ MAX_PATHS = 10
 
 MAX_JUDGED = 400
 """Of so many rays, the shortest and steepest, the exact clearance is found."""
-
-NEAR_m = 0.03
-"""Structures that come no nearer than this to a path are looked for once more, among
-all voxels."""
 
 MAX_GAP_m = 3e-3
 """So much air the path of a found entry may begin with: skin lies between voxels."""
@@ -188,13 +177,11 @@ def find_paths(
     )
     rays = rays.chosen(is_steep)
     angles_rad = angles_rad[is_steep]
-    outer = OuterVoxels(labels)
-    clear = _clear_rays(outer, avoided, rays, target, limits, rejected, progress)
+    boxes = [VoxelBoxes(labels, item) for item in avoided]
+    clear = _clear_rays(boxes, rays, target, limits, rejected, progress)
     if not clear.any():
         raise PlanError(_describe_no_path(rejected), AnatomyCode.NO_PATH)
-    ranked = _rank(
-        outer, avoided, rays.chosen(clear), angles_rad[clear], target, limits
-    )
+    ranked = _rank(labels, boxes, rays.chosen(clear), angles_rad[clear], target, limits)
     return FoundPaths(tuple(ranked), rejected)
 
 
@@ -227,8 +214,12 @@ def judge_path(
             AnatomyCode.PATH,
         )
     angles_rad = _skin_angles_rad(labels, inside, rays)
-    avoided = [one for one in labels.structures if one.is_obstacle or one.is_risk]
-    return _rank(OuterVoxels(labels), avoided, rays, angles_rad, target, limits)[0]
+    boxes = [
+        VoxelBoxes(labels, one)
+        for one in labels.structures
+        if one.is_obstacle or one.is_risk
+    ]
+    return _rank(labels, boxes, rays, angles_rad, target, limits)[0]
 
 
 class LineEnds(NamedTuple):
@@ -364,8 +355,7 @@ def _skin_angles_rad(labels: "Labels", inside: NDArray[np.bool_], rays: _Rays) -
 
 
 def _clear_rays(
-    outer: OuterVoxels,
-    avoided: Sequence["Structure"],
+    avoided: Sequence[VoxelBoxes],
     rays: _Rays,
     target: Array,
     limits: PathLimits,
@@ -375,23 +365,19 @@ def _clear_rays(
     """Return which rays keep their distance from all structures to avoid."""
     is_clear = np.ones(len(rays.lengths_m), bool)
     needed_m = limits.space.needed_m
-    within = Ball(target, limits.max_length_m + needed_m)
-    for number, item in enumerate(avoided):
-        if is_clear.any():
-            boxes = VoxelBoxes(outer, [item], within)
-            entries_m = rays.entries_m[is_clear]
-            is_near = boxes.nearer_than(entries_m, target, needed_m)
-            rejected[f"nearer than {1e3 * needed_m:.1f} mm to {item.name}"] += int(
-                is_near.sum()
-            )
-            is_clear[is_clear] = ~is_near
+    for number, boxes in enumerate(avoided):
+        reason = f"nearer than {1e3 * needed_m:.1f} mm to {boxes.structure.name}"
+        for ray in np.flatnonzero(is_clear):
+            if boxes.nearest(rays.entries_m[ray], target, needed_m) is not None:
+                is_clear[ray] = False
+                rejected[reason] += 1
         progress((number + 1) / len(avoided))
     return is_clear
 
 
 def _rank(
-    outer: OuterVoxels,
-    avoided: Sequence["Structure"],
+    labels: "Labels",
+    avoided: Sequence[VoxelBoxes],
     rays: _Rays,
     angles_rad: Array,
     target: Array,
@@ -402,7 +388,16 @@ def _rank(
         rays.lengths_m / limits.max_length_m + angles_rad / limits.max_angle_rad
     )
     judged = np.argsort(geometric_cost)[:MAX_JUDGED]
-    clearance_m = _find_clearances_m(outer, avoided, rays.entries_m[judged], target)
+    clearance_m = [
+        min(
+            nearest.distance_m
+            for boxes in avoided
+            if (nearest := boxes.nearest(entry_m, target)) is not None
+        )
+        if avoided
+        else np.inf
+        for entry_m in rays.entries_m[judged]
+    ]
     cost = geometric_cost[judged] + limits.space.needed_m / np.maximum(
         clearance_m, MIN_CLEARANCE_m
     )
@@ -417,52 +412,23 @@ def _rank(
         if is_new:
             angle_rad = float(angles_rad[number])
             paths.append(
-                _describe_path(outer, entry_m, target, angle_rad, float(cost[place]))
+                _describe_path(labels, entry_m, target, angle_rad, float(cost[place]))
             )
         if len(paths) == MAX_PATHS:
             break
     return paths
 
 
-def _find_clearances_m(
-    outer: OuterVoxels, avoided: Sequence["Structure"], entries_m: Array, target: Array
-) -> Array:
-    """Return how near paths come to any of the structures to avoid, (n,); inf for none.
-
-    Args:
-        outer: Voxels of the structures.
-        avoided: The structures.
-        entries_m: Where the paths begin, (n, 3).
-        target: Where they end.
-    """
-    reach_m = float(np.linalg.norm(entries_m - target, axis=1).max())
-    boxes = VoxelBoxes(outer, avoided, Ball(target, reach_m + NEAR_m))
-    nearest = [boxes.nearest(entry_m, target) for entry_m in entries_m]
-    clearances_m = np.array(
-        [np.inf if one is None else one.distance_m for one in nearest]
-    )
-    is_far = clearances_m > NEAR_m
-    if is_far.any():
-        boxes = VoxelBoxes(outer, avoided)
-        nearest = [boxes.nearest(entry_m, target) for entry_m in entries_m[is_far]]
-        clearances_m[is_far] = [
-            np.inf if one is None else one.distance_m for one in nearest
-        ]
-    return clearances_m
-
-
 def _describe_path(
-    outer: OuterVoxels, entry_m: Array, target: Array, angle_rad: float, cost: float
+    labels: "Labels", entry_m: Array, target: Array, angle_rad: float, cost: float
 ) -> SkinPath:
     """Return a path with its layers and clearances; it begins at the first tissue."""
-    labels = outer.labels
     layers = find_layers(labels, entry_m, target)
     if layers[0].name == UNLABELLED and layers[0].exit_m < MAX_GAP_m:
         axis = (target - entry_m) / np.linalg.norm(target - entry_m)
         entry_m = entry_m + layers[0].exit_m * axis
         layers = find_layers(labels, entry_m, target)
-    judged = [one for one in labels.structures if one.is_obstacle or one.is_risk]
-    clearances = find_clearances(outer, judged, entry_m, target)
+    clearances = labels.clearances(entry_m, target)
     return SkinPath(entry_m, target, angle_rad, cost, tuple(layers), tuple(clearances))
 
 
