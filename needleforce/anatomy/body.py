@@ -6,6 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
+from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 from needleforce.anatomy.slabs import slabs_of
 from needleforce.anatomy.volume import Volume
@@ -49,12 +50,17 @@ def find_body(
     body_voxels = np.count_nonzero(body)
     fills_edge = body_voxels - np.count_nonzero(inner) == body.size - inner.size
     if not body_voxels or fills_edge:
+        lowest = scan.values.min()
+        reason = ""
+        if lowest > BODY_HU:
+            reason = "; this is MR, or a CT whose air was not shifted to -1000"
         raise VolumeError(
-            f"no body in a scan of {scan.values.min():g} to {scan.values.max():g}: "
+            f"no body in a scan of {lowest:g} to {scan.values.max():g}: "
             f"expected a CT in Hounsfield units with air, below {BODY_HU:g}, around "
-            "the patient",
+            f"the patient{reason}",
             AnatomyCode.SCAN,
         )
+    body = _without_couch(body, scan)
     # Lungs are open at the top of a scan, so holes are filled section by section.
     head_axis = int(np.abs(scan.grid.axes_m[2]).argmax())
     for section in np.moveaxis(body, head_axis, 0):
@@ -81,6 +87,46 @@ def _largest_part(scan: Volume) -> NDArray[np.bool_]:
     return (
         np.asarray(parts == voxels.argmax()) if count else np.zeros(parts.shape, bool)
     )
+
+
+def _without_couch(body: NDArray[np.bool_], scan: Volume) -> NDArray[np.bool_]:
+    """Return the body without the couch, where that touches the back.
+
+    A couch is alike in all sections, wide, and lies behind what else is.
+    """
+    head_axis, left_axis = (int(np.abs(scan.grid.axes_m[k]).argmax()) for k in (2, 0))
+    back_axis = 3 - head_axis - left_axis
+    # Where nearly all sections have something, as (left to right, front to back).
+    order = (left_axis, back_axis, head_axis)
+    fractions: Array = body.transpose(order).mean(axis=2)
+    is_common: NDArray[np.bool_] = fractions > 0.95
+    if scan.grid.axes_m[1, back_axis] < 0.0:
+        is_common = is_common[:, ::-1]
+    parts: NDArray[np.int32] = np.zeros(is_common.shape, np.int32)
+    ndimage.label(is_common, output=parts)
+    boxes = ndimage.find_objects(parts)
+    if len(boxes) < 2:
+        return body
+    trunk = int(np.bincount(parts[parts > 0]).argmax())
+    couch = np.zeros(is_common.shape, bool)
+    for number, box in enumerate(boxes, 1):
+        width_m = (box[0].stop - box[0].start) * scan.grid.spacing_m[left_axis]
+        lies_behind = box[1].stop > boxes[trunk - 1][1].stop
+        if number != trunk and width_m > 0.2 and lies_behind:
+            couch |= parts == number
+    if not couch.any():
+        return body
+    # Its edges, whose voxels are half air, go with it; so does its filling.
+    couch = _fill_holes(ndimage.binary_dilation(couch))
+    if scan.grid.axes_m[1, back_axis] < 0.0:
+        couch = couch[:, ::-1]
+    rest = body.transpose(order) & ~couch[..., None]
+    pieces: NDArray[np.int32] = np.zeros(rest.shape, np.int32)
+    ndimage.label(rest, output=pieces)
+    counts = np.bincount(pieces.ravel())
+    counts[0] = 0  # the air
+    kept = np.asarray(pieces == counts.argmax())
+    return np.ascontiguousarray(kept.transpose(np.argsort(order)))
 
 
 def _fill_holes(section: NDArray[np.bool_]) -> NDArray[np.bool_]:

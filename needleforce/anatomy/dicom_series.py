@@ -1,5 +1,6 @@
 """A DICOM series from a folder, and what is refused of it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -69,16 +70,42 @@ def read_series(folder: Path) -> Any:
     import SimpleITK
 
     reader = SimpleITK.ImageSeriesReader()
-    series = reader.GetGDCMSeriesIDs(str(folder))
+    folders = [folder, *sorted(path for path in folder.rglob("*") if path.is_dir())]
+    # CDs lay a series in DICOM/PA0/ST0/SE1 or the like.
+    series = [
+        reader.GetGDCMSeriesFileNames(str(place), identifier)
+        for place in folders
+        for identifier in reader.GetGDCMSeriesIDs(str(place))
+    ]
     if len(series) != 1:
+        choice = "".join(f"\n  {_describe_series(files)}" for files in series[:20])
         raise VolumeError(
-            f"{folder} holds {len(series)} DICOM series: expected one",
+            f"{folder} holds {len(series)} DICOM series: expected one"
+            + (
+                f"; give the folder of one, or copy it to its own:{choice}"
+                * bool(choice)
+            ),
             AnatomyCode.SERIES,
         )
-    files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
+    (files,) = series
     _require_one_scan(folder, files)
     reader.SetFileNames(files)
     return reader.Execute()
+
+
+def _describe_series(files: Sequence[str]) -> str:
+    """Return in words where a series lies, and what its first file says of it."""
+    import SimpleITK
+
+    reader = SimpleITK.ImageFileReader()
+    reader.SetFileName(files[0])
+    reader.ReadImageInformation()
+    said = [
+        reader.GetMetaData(tag).strip()
+        for tag in ("0008|0060", "0008|103e")  # modality, description of the series
+        if reader.HasMetaDataKey(tag)
+    ]
+    return f"{Path(files[0]).parent}: {len(files)} files, {', '.join(said)}"
 
 
 def _require_one_scan(folder: Path, files: Any) -> None:
@@ -117,7 +144,9 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     max_total_mm = MAX_SHEAR_PIXELS * slices[0].spacing_mm.min()
     if not is_straight or total_mm > max_total_mm:
         raise VolumeError(
-            f"{folder}: slices are sheared (gantry tilt): resample the scan",
+            f"{folder}: slices are sheared (gantry tilt): resample the scan with "
+            f"`dcm2niix -z y -f ct -o . {folder}` (pip install dcm2niix), and give "
+            "ct_Tilt_1.nii.gz",
             AnatomyCode.GEOMETRY,
         )
 
@@ -150,6 +179,12 @@ def _read_slice(name: str) -> _Slice:
     reader = SimpleITK.ImageFileReader()
     reader.SetFileName(name)
     reader.ReadImageInformation()
+    modality = "0008|0060"
+    if reader.HasMetaDataKey(modality) and reader.GetMetaData(modality).strip() == "MR":
+        raise VolumeError(
+            f"{name} is MR (its modality): expected a CT, in whose Hounsfield units "
+            "body, bone and air are found"
+        )
     numbers: list[float] = []
     frames = "0028|0008"
     count = reader.GetMetaData(frames).strip() if reader.HasMetaDataKey(frames) else "1"

@@ -4,8 +4,10 @@ SimpleITK reads every format, in LPS millimetres. What it would take in spite of
 or doubt is refused, see `file_checks` and `dicom_series`.
 """
 
+import gzip
 import locale
 import math
+import zlib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -314,9 +316,16 @@ def _open_image(path: Path, max_bytes: int) -> Any:
 
 
 def _first_bytes(path: Path) -> bytes:
-    """Return the first four bytes of a file."""
+    """Return the first four bytes of a file, unpacked if it is packed."""
     with path.open("rb") as file:
-        return file.read(4)
+        start = file.read(4)
+    if start[:2] != b"\x1f\x8b":
+        return start
+    try:
+        with gzip.open(path) as file:
+            return file.read(4)
+    except (EOFError, OSError, zlib.error):
+        return b""  # what is wrong with the file is said where it is read
 
 
 def _require_size(path: Path, reader: Any, max_bytes: int) -> None:
