@@ -23,7 +23,7 @@ from urdf.errors import (
     finite_array,
 )
 from urdf.inertia_check import check_inertia
-from urdf.joint_choice import weld_joints
+from urdf.joint_choice import last_link, weld_joints
 from urdf.payload import NeedleTool, Payload, require_mass, require_physical
 from urdf.robot import (
     STANDARD_GRAVITY_M_S2,
@@ -108,7 +108,7 @@ def load_urdf(
     bodies = read_bodies(root, source)
     model = build_model(root, source)
     require_simple_joints(model)
-    flange_frame = tool_frame if tool_frame is not None else _last_link(model, source)
+    flange_frame = tool_frame if tool_frame is not None else last_link(root, source)
     robot = assemble_robot(model, flange_frame, tool_placement, payload, gravity_m_s2)
     warning = check_inertia(robot, bodies, source, accept=not check_inertias)
     if check_inertias:
@@ -220,20 +220,6 @@ def example_robot_path(name: str) -> Path:
     raise MissingPackageError(
         f"the description of {name!r} comes with {_PACKAGE}, which is not installed"
     )
-
-
-def _last_link(model: pin.Model, source: str) -> str:
-    """Return the name of the one moving link that carries no other."""
-    inner = {0, *(frame.parentFrame for frame in model.frames)}
-    frames = enumerate(model.frames)
-    ends = [f.name for index, f in frames if index not in inner and f.parentJoint != 0]
-    if len(ends) != 1:
-        raise UnknownNameError(
-            f"{source}: there is no single last link that could carry the tool; it "
-            f"ends in: {', '.join(ends) or 'none'}",
-            UrdfCode.TOOL_FRAME,
-        )
-    return ends[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

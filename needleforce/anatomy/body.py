@@ -117,7 +117,7 @@ def _without_couch(body: NDArray[np.bool_], scan: Volume) -> NDArray[np.bool_]:
     if not couch.any():
         return body
     # Its edges, whose voxels are half air, go with it; so does its filling.
-    couch = _fill_holes(ndimage.binary_dilation(couch))
+    couch = _fill_holes(np.asarray(ndimage.binary_dilation(couch), bool))
     if scan.grid.axes_m[1, back_axis] < 0.0:
         couch = couch[:, ::-1]
     rest = body.transpose(order) & ~couch[..., None]
