@@ -154,7 +154,6 @@ _TOOL_FRAMES = (
     "flange",
 )
 _FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
-_PACKAGE = "example-robot-data"
 
 
 def load_example(
@@ -202,6 +201,7 @@ def example_robot_path(name: str) -> Path:
     finger joints locked; the UR arms need ``tool_frame`` (``tool0``). Names and errors
     as there.
     """
+    package = "example-robot-data"
     if name not in _EXAMPLES:
         raise UnknownNameError(
             f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}",
@@ -211,14 +211,14 @@ def example_robot_path(name: str) -> Path:
     prefixes = [Path(sys.prefix)]
     with suppress(metadata.PackageNotFoundError):
         prefixes.insert(
-            0, Path(str(metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")))
+            0, Path(str(metadata.distribution(package).locate_file("cmeel.prefix")))
         )
-    folders = [prefix / "share" / _PACKAGE / "robots" for prefix in prefixes]
+    folders = [prefix / "share" / package / "robots" for prefix in prefixes]
     for folder in (Path(str(files("urdf.data"))), *folders):
         if (folder / _EXAMPLES[name]).is_file():
             return folder / _EXAMPLES[name]
     raise MissingPackageError(
-        f"the description of {name!r} comes with {_PACKAGE}, which is not installed"
+        f"the description of {name!r} comes with {package}, which is not installed"
     )
 
 

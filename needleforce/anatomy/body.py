@@ -14,12 +14,6 @@ from needleforce.anatomy.volume import Volume
 BODY_HU = -300.0
 """Between air and fat, in Hounsfield units."""
 
-FAT_HU = -30.0
-"""Between fat and lean tissue, in Hounsfield units."""
-
-MEDIAN_RANK = 14
-"""The median of a voxel and the 26 around it decides between fat and lean, since scans
-are noisy: it is low where at least so many of the 27 are."""
 
 LEAN = 1
 """Value of lean tissue, and of the whole body where fat is not separated."""
@@ -145,12 +139,16 @@ def _has_low_median(scan: Volume, slab: slice) -> NDArray[np.bool_]:
 
     At the edge of the scan its outermost voxels count twice.
     """
+    # The median of a voxel and the 26 around it decides between fat and lean, since
+    # scans are noisy: it is low where at least so many of the 27 are.
+    median_rank = 14
+    fat_HU = -30.0  # between fat and lean tissue, in Hounsfield units
     start = max(slab.start - 1, 0)
     stop = min(slab.stop + 1, scan.grid.shape[0])
-    counts = (scan.values[start:stop] < FAT_HU).view(np.uint8)
+    counts = (scan.values[start:stop] < fat_HU).view(np.uint8)
     for axis in range(3):
         counts = _sum_three(counts, axis)
-    return counts[slab.start - start : slab.stop - start] >= MEDIAN_RANK
+    return counts[slab.start - start : slab.stop - start] >= median_rank
 
 
 def _sum_three(counts: NDArray[np.uint8], axis: int) -> NDArray[np.uint8]:

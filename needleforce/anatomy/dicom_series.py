@@ -9,20 +9,9 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.anatomy.errors import AnatomyCode, VolumeError
 
-MIN_STEP_mm = 1e-3
-"""Slices that are nearer to each other lie at the same place."""
-
 STEP_TOLERANCE = 0.01
 """Fraction of the usual step by which a slice may miss its place in an even stack."""
 
-ROUNDING_mm = 0.06
-"""By so much scanners round positions of slices: to a tenth of a millimetre."""
-
-MAX_STEP_TOLERANCE = 0.15
-"""Of the usual step: a missing slice shifts the ends of a stack by more."""
-
-MAX_SHEAR_PIXELS = 0.5
-"""Over the whole stack, slices may be shifted by so much."""
 
 SLICE_TAGS = {
     "0020|0032": "position",
@@ -110,6 +99,12 @@ def _describe_series(files: Sequence[str]) -> str:
 
 def _require_one_scan(folder: Path, files: Any) -> None:
     """Refuse slices that are not those of one whole scan."""
+    max_shear_pixels = 0.5  # over the whole stack, slices may be shifted by so much
+    # Of the usual step: a missing slice shifts the ends of a stack by more.
+    max_step_tolerance = 0.15
+    # By so much scanners round positions of slices: to a tenth of a millimetre.
+    rounding_mm = 0.06
+    min_step_mm = 1e-3  # slices that are nearer to each other lie at the same place
     slices = [_read_slice(name) for name in files]
     if np.ptp([item.geometry for item in slices], axis=0).any():
         raise VolumeError(
@@ -121,13 +116,13 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     positions_mm = np.array([item.position_mm for item in slices]) @ to_slice_axes
     stack = _fit_stack(positions_mm)
     usual_mm = abs(float(stack.step_mm[2]))
-    if usual_mm < MIN_STEP_mm:
+    if usual_mm < min_step_mm:
         raise VolumeError(
             f"{folder}: one slice, or all at the same place: expected one scan",
             AnatomyCode.SERIES,
         )
     tolerance_mm = min(
-        max(STEP_TOLERANCE * usual_mm, ROUNDING_mm), MAX_STEP_TOLERANCE * usual_mm
+        max(STEP_TOLERANCE * usual_mm, rounding_mm), max_step_tolerance * usual_mm
     )
     if np.abs(stack.residuals_mm[:, 2]).max() > tolerance_mm:
         distances_mm = np.abs(np.diff(positions_mm[:, 2]))
@@ -141,7 +136,7 @@ def _require_one_scan(folder: Path, files: Any) -> None:
         )
     total_mm = np.abs(stack.step_mm[:2]).max() * (len(slices) - 1)
     is_straight = np.abs(stack.residuals_mm[:, :2]).max() <= tolerance_mm
-    max_total_mm = MAX_SHEAR_PIXELS * slices[0].spacing_mm.min()
+    max_total_mm = max_shear_pixels * slices[0].spacing_mm.min()
     if not is_straight or total_mm > max_total_mm:
         raise VolumeError(
             f"{folder}: slices are sheared (gantry tilt): resample the scan with "

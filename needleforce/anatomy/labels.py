@@ -25,11 +25,6 @@ SHOWN_VOXEL_m = 3e-3
 DENSE = "dense_as_bone"
 """Name of what is as dense as bone in the CT and not labelled."""
 
-DENSE_HU = 200.0
-"""Soft tissue, with contrast medium too, seldom exceeds it; bone and metal do."""
-
-MIN_DENSE_m3 = 10e-9
-"""Smaller pieces are calcifications, or noise."""
 
 BODY_NAMES = frozenset(("lean", "fat", "body"))
 """What `Labels.with_body` adds: it names no structure."""
@@ -157,8 +152,11 @@ class Labels:
         Args:
             scan: The CT, in HU.
         """
+        min_dense_m3 = 10e-9  # smaller pieces are calcifications, or noise
+        # Soft tissue, with contrast medium too, seldom exceeds it; bone and metal do.
+        dense_HU = 200.0
         is_dense = resample_nearest(
-            (scan.values > DENSE_HU).astype(np.uint8), scan.grid, self.grid
+            (scan.values > dense_HU).astype(np.uint8), scan.grid, self.grid
         ).astype(bool)
         for item in self.structures:
             if item.name not in BODY_NAMES:
@@ -167,7 +165,7 @@ class Labels:
         pieces = np.zeros(self.grid.shape, np.int32)
         ndimage.label(is_dense, np.ones((3, 3, 3)), output=pieces)
         voxel_m3 = float(np.prod(self.grid.spacing_m))
-        is_large = np.bincount(pieces.ravel()) * voxel_m3 >= MIN_DENSE_m3
+        is_large = np.bincount(pieces.ravel()) * voxel_m3 >= min_dense_m3
         is_large[0] = False
         volume = np.take(is_large, pieces).astype(np.uint8)
         if not volume.any():

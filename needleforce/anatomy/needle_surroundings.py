@@ -16,16 +16,9 @@ from needleforce.anatomy.clearance import FreeSpace, VoxelBoxes, nearest_box
 from needleforce.anatomy.registration import Registration
 from needleforce.anatomy.segmentation import Segmentation
 
-APPROACH_m = 0.05
-"""The way ahead of a tip further above the entry is not judged: an arm on its way to
-the patient points anywhere."""
-
 REACH_m = 0.1
 """Structures further away than this are not reported."""
 
-CLOSER_m = 1e-3
-"""A structure that the plan itself passes nearer than its margin is too near only when
-the needle comes nearer by this much."""
 
 MM_PER_M = 1e3
 
@@ -96,6 +89,9 @@ class NeedleSurroundings:
         space: FreeSpace,
         leave_out: Iterable[str] = (),
     ) -> None:
+        # A structure that the plan itself passes nearer than its margin is too near
+        # only when the needle comes nearer by this much.
+        closer_m = 1e-3
         left_out = frozenset(leave_out)
         self._structures = [
             item
@@ -116,7 +112,7 @@ class NeedleSurroundings:
             [
                 kept_free_m
                 if nearest is None or nearest.distance_m > kept_free_m
-                else nearest.distance_m - CLOSER_m
+                else nearest.distance_m - closer_m
                 for nearest in planned
             ]
         )
@@ -136,10 +132,13 @@ class NeedleSurroundings:
             tip_m: Tip of the needle in the robot's base, (3,).
             axis: Its direction, of length one, (3,).
         """
+        # The way ahead of a tip further above the entry is not judged: an arm on its
+        # way to the patient points anywhere.
+        approach_m = 0.05
         tip = self._registration.to_model(tip_m)
         forward = axis @ self._registration.rotation
         depth_m = float((tip - self._entry_m) @ self._axis)
-        if depth_m < -APPROACH_m:
+        if depth_m < -approach_m:
             return ()
         # A shorter part of the needle is measured as one of 0.1 mm.
         inside_m = max(depth_m, 1e-4) * forward

@@ -31,28 +31,6 @@ DIRECTIONS = 6000
 STEP_VOXELS = 0.5
 """Step along a ray, in the smallest spacing of the voxels."""
 
-SKIN_REACH_m = 0.012
-"""Radius of the ball whose part outside the body gives the skin's normal: folds and
-voxels average out, the curvature of a flank does not."""
-
-NORMAL_POINTS = 1200
-"""Points in that ball."""
-
-MIN_ENTRY_DISTANCE_m = 0.015
-"""Entries closer together count as one."""
-
-MAX_PATHS = 10
-"""So many paths are kept."""
-
-MAX_JUDGED = 400
-"""Of so many rays, the shortest and steepest, the exact clearance is found."""
-
-MAX_GAP_m = 3e-3
-"""So much air the path of a found entry may begin with: skin lies between voxels."""
-
-MIN_CLEARANCE_m = 1e-4
-"""Keeps the cost finite where a structure that need not be avoided is crossed."""
-
 
 USUAL_SPACE = FreeSpace(margin_m=5e-3)
 """Of a path where no other margin is asked for."""
@@ -342,9 +320,13 @@ def _skin_angles_rad(labels: "Labels", inside: NDArray[np.bool_], rays: _Rays) -
 
     The normal points to the centroid of the part of a ball that lies outside the body.
     """
-    ball = _even_directions(NORMAL_POINTS)
-    radii = np.cbrt((np.arange(NORMAL_POINTS) * 0.618) % 1.0)
-    offsets_m = SKIN_REACH_m * radii[:, None] * ball
+    # Radius of the ball whose part outside the body gives the skin's normal: folds and
+    # voxels average out, the curvature of a flank does not.
+    skin_reach_m = 0.012
+    normal_points = 1200  # points in that ball
+    ball = _even_directions(normal_points)
+    radii = np.cbrt((np.arange(normal_points) * 0.618) % 1.0)
+    offsets_m = skin_reach_m * radii[:, None] * ball
     angles_rad = np.empty(len(rays.lengths_m))
     for number, entry_m in enumerate(rays.entries_m):
         outside = ~_are_inside(labels, inside, entry_m + offsets_m)
@@ -384,10 +366,16 @@ def _rank(
     limits: PathLimits,
 ) -> list[SkinPath]:
     """Return the best paths, their entries apart from each other, the best first."""
+    # Keeps the cost finite where a structure that need not be avoided is crossed.
+    min_clearance_m = 1e-4
+    # Of so many rays, the shortest and steepest, the exact clearance is found.
+    max_judged = 400
+    max_paths = 10  # so many paths are kept
+    min_entry_distance_m = 0.015  # entries closer together count as one
     geometric_cost = (
         rays.lengths_m / limits.max_length_m + angles_rad / limits.max_angle_rad
     )
-    judged = np.argsort(geometric_cost)[:MAX_JUDGED]
+    judged = np.argsort(geometric_cost)[:max_judged]
     clearance_m = [
         min(
             nearest.distance_m
@@ -399,14 +387,14 @@ def _rank(
         for entry_m in rays.entries_m[judged]
     ]
     cost = geometric_cost[judged] + limits.space.needed_m / np.maximum(
-        clearance_m, MIN_CLEARANCE_m
+        clearance_m, min_clearance_m
     )
     paths: list[SkinPath] = []
     for place in np.argsort(cost):
         number = judged[place]
         entry_m = rays.entries_m[number]
         is_new = all(
-            np.linalg.norm(entry_m - path.entry_m) >= MIN_ENTRY_DISTANCE_m
+            np.linalg.norm(entry_m - path.entry_m) >= min_entry_distance_m
             for path in paths
         )
         if is_new:
@@ -414,7 +402,7 @@ def _rank(
             paths.append(
                 _describe_path(labels, entry_m, target, angle_rad, float(cost[place]))
             )
-        if len(paths) == MAX_PATHS:
+        if len(paths) == max_paths:
             break
     return paths
 
@@ -423,8 +411,10 @@ def _describe_path(
     labels: "Labels", entry_m: Array, target: Array, angle_rad: float, cost: float
 ) -> SkinPath:
     """Return a path with its layers and clearances; it begins at the first tissue."""
+    # So much air the path of a found entry may begin with: skin lies between voxels.
+    max_gap_m = 3e-3
     layers = find_layers(labels, entry_m, target)
-    if layers[0].name == UNLABELLED and layers[0].exit_m < MAX_GAP_m:
+    if layers[0].name == UNLABELLED and layers[0].exit_m < max_gap_m:
         axis = (target - entry_m) / np.linalg.norm(target - entry_m)
         entry_m = entry_m + layers[0].exit_m * axis
         layers = find_layers(labels, entry_m, target)

@@ -28,10 +28,6 @@ from needleforce.needle_on_plan import PlannedPath
 
 M_PER_MM = 1e-3
 
-MAX_STDS = 3.0
-"""Touches further from the skin than so many standard deviations contradict the
-transform."""
-
 
 class StatedTransform(NamedTuple):
     """A transform, and what is known of it.
@@ -140,6 +136,9 @@ def _touch_distances_m(
         CommandError: The file holds no touches of the skin.
         RegistrationError: The touches contradict the transform.
     """
+    # Touches further from the skin than so many standard deviations contradict the
+    # transform.
+    max_stds = 3.0
     if stated.touches is None:
         say("warning: the transform was not checked: --touches FILE checks it")
         return np.zeros(0)
@@ -152,7 +151,7 @@ def _touch_distances_m(
     distances_m = skin_distances_m(fit, labels.skin(), touches_m)
     expected_mm = float(np.hypot(std_mm, stated.touch_std_mm))
     rms_mm = float(np.sqrt((distances_m**2).mean())) / M_PER_MM
-    if rms_mm > MAX_STDS * expected_mm:
+    if rms_mm > max_stds * expected_mm:
         raise RegistrationError(
             f"the touches lie {rms_mm:.1f} mm (rms) from the skin under this "
             f"transform, and {expected_mm:.1f} mm are expected by --transform-std and "
