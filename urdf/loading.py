@@ -19,7 +19,6 @@ from urdf.errors import (
     InputError,
     MissingPackageError,
     UnknownNameError,
-    UrdfCode,
     finite_array,
 )
 from urdf.inertia_check import check_inertia
@@ -205,7 +204,8 @@ def example_robot_path(name: str) -> Path:
     if name not in _EXAMPLES:
         raise UnknownNameError(
             f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}",
-            UrdfCode.ROBOT,
+            "Give one of the names that the message lists; `load_urdf` loads "
+            "any other.",
         )
     # Conda puts shared data below the prefix of Python, pip into a cmeel wheel.
     prefixes = [Path(sys.prefix)]

@@ -13,7 +13,6 @@ from urdf.errors import (
     InputError,
     UnknownNameError,
     UnsupportedJointError,
-    UrdfCode,
     finite_array,
     read_only,
 )
@@ -254,7 +253,9 @@ def require_invertible(robot: Robot) -> None:
     raise InertiaError(
         f"the mass matrix of robot {robot.model.name!r} is not positive definite; "
         f"joints that move no inertia: {', '.join(massless) or 'none alone'}",
-        UrdfCode.MASSLESS,
+        "Give the links mass, centre and inertia; lock their joints with "
+        "`locked_joints`, or all that the log does not have with "
+        "`keep_joints`; `check_inertias=False` goes on without their weight.",
     )
 
 

@@ -7,7 +7,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import VolumeError
 from needleforce.anatomy.slabs import slabs_of
 from needleforce.anatomy.volume import Volume
 
@@ -52,7 +52,7 @@ def find_body(
             f"no body in a scan of {lowest:g} to {scan.values.max():g}: "
             f"expected a CT in Hounsfield units with air, below {BODY_HU:g}, around "
             f"the patient{reason}",
-            AnatomyCode.SCAN,
+            "Give a CT in Hounsfield units that holds air around the patient.",
         )
     body = _without_couch(body, scan)
     # Lungs are open at the top of a scan, so holes are filled section by section.

@@ -16,7 +16,12 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
 from foundation.jit import compile_waiting, compiled, compiled_inside
-from needleforce.anatomy.errors import AnatomyCode, PlanError, VolumeError
+from needleforce.anatomy.errors import (
+    EXPORT_VOLUME,
+    OTHER_PATH,
+    PlanError,
+    VolumeError,
+)
 from needleforce.anatomy.segmentation import Segmentation
 from needleforce.anatomy.structures import Structure
 
@@ -116,7 +121,7 @@ class VoxelBoxes:
         if np.abs(directions.T @ directions - np.eye(3)).max() > 1e-6:
             raise VolumeError(
                 "the axes of the labels' grid are not orthogonal: resample them",
-                AnatomyCode.GEOMETRY,
+                EXPORT_VOLUME,
             )
         self._origin_m = grid.origin_m
         self._directions = directions
@@ -385,5 +390,5 @@ def require_clear_path(
         raise PlanError(
             f"the path {'; '.join(map(describe_clearance, obstacles))}: obstacles must "
             f"stay {space} away",
-            AnatomyCode.OBSTACLE,
+            OTHER_PATH,
         )

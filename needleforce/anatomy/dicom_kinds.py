@@ -4,7 +4,7 @@ import struct
 from pathlib import Path
 from typing import NamedTuple
 
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 
 START_BYTES = 1024
 """The group of the file's own description lies within."""
@@ -57,7 +57,7 @@ def refuse_contours(path: Path) -> None:
         "structure set in the DICOM module; in Segmentations, under Representations, "
         "create Binary labelmap and make it the source; save the segmentation as "
         ".seg.nrrd (File, Save Data), and give that file",
-        AnatomyCode.LABELS,
+        EXPORT_LABELS,
     )
 
 

@@ -7,7 +7,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import (
+    EXPORT_VOLUME,
+    ONE_SERIES,
+    VolumeError,
+)
 
 STEP_TOLERANCE = 0.01
 """Fraction of the usual step by which a slice may miss its place in an even stack."""
@@ -74,7 +78,7 @@ def read_series(folder: Path) -> Any:
                 f"; give the folder of one, or copy it to its own:{choice}"
                 * bool(choice)
             ),
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     (files,) = series
     _require_one_scan(folder, files)
@@ -109,7 +113,7 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     if np.ptp([item.geometry for item in slices], axis=0).any():
         raise VolumeError(
             f"{folder}: slices differ in size, spacing or orientation: mixed series",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     axes = slices[0].axes
     to_slice_axes = np.vstack((axes, np.cross(axes[0], axes[1]))).T
@@ -119,7 +123,7 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     if usual_mm < min_step_mm:
         raise VolumeError(
             f"{folder}: one slice, or all at the same place: expected one scan",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     tolerance_mm = min(
         max(STEP_TOLERANCE * usual_mm, rounding_mm), max_step_tolerance * usual_mm
@@ -132,7 +136,7 @@ def _require_one_scan(folder: Path, files: Any) -> None:
             f"{folder}: slices are {middle_mm:.3f} mm apart, but "
             f"{distances_mm[worst]:.3f} mm after {Path(files[worst]).name}: a slice is "
             "missing or doubled",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     total_mm = np.abs(stack.step_mm[:2]).max() * (len(slices) - 1)
     is_straight = np.abs(stack.residuals_mm[:, :2]).max() <= tolerance_mm
@@ -142,7 +146,7 @@ def _require_one_scan(folder: Path, files: Any) -> None:
             f"{folder}: slices are sheared (gantry tilt): resample the scan with "
             f"`dcm2niix -z y -f ct -o . {folder}` (pip install dcm2niix), and give "
             "ct_Tilt_1.nii.gz",
-            AnatomyCode.GEOMETRY,
+            EXPORT_VOLUME,
         )
 
 
@@ -188,13 +192,13 @@ def _read_slice(name: str) -> _Slice:
             f"{name} is an Enhanced (multi-frame) DICOM of {count} frames, expected "
             "one slice per file: convert it with dcm2niix, or export it from 3D Slicer "
             "as .nrrd",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     for tag in SLICE_TAGS:
         if not reader.HasMetaDataKey(tag):
             raise VolumeError(
                 f"{name} has no DICOM tag {tag}: expected slices of one scan",
-                AnatomyCode.SERIES,
+                ONE_SERIES,
             )
         numbers += [float(text) for text in reader.GetMetaData(tag).split("\\")]
     return _Slice(np.array(numbers[:3]), np.array(numbers[3:]))

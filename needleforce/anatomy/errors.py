@@ -1,6 +1,6 @@
 """Errors of anatomy: one base; each of the others is also a standard exception."""
 
-from foundation.errors import CodedError, ErrorCode
+from foundation.errors import ErrorCode, NeedleforceError
 
 
 class AnatomyCode(ErrorCode):
@@ -138,7 +138,7 @@ class AnatomyCode(ErrorCode):
     )
 
 
-class AnatomyError(CodedError):
+class AnatomyError(NeedleforceError):
     """Base of all errors of this package."""
 
     usual_code = AnatomyCode.VOLUME

@@ -11,7 +11,7 @@ import zlib
 from pathlib import Path
 from xml.etree import ElementTree
 
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 
 
 def read_header_names(path: Path) -> dict[int, str]:
@@ -36,7 +36,7 @@ def read_header_names(path: Path) -> dict[int, str]:
         except (ElementTree.ParseError, KeyError, ValueError) as error:
             raise VolumeError(
                 f"the table of labels in the header of {path} cannot be read: {error}",
-                AnatomyCode.LABELS,
+                EXPORT_LABELS,
             ) from error
     return {value: name for value, name in names.items() if name}
 

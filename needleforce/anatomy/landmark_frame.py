@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, RegistrationError
+from needleforce.anatomy.errors import TOUCH_LANDMARKS, RegistrationError
 from needleforce.anatomy.markups import RAS_TO_LPS
 from needleforce.anatomy.structures import words_of
 from needleforce.anatomy.surface import Surface
@@ -87,7 +87,7 @@ def require_lps(landmarks: SkinLandmarks) -> list[str]:
             f"the landmarks lie {1e3 * off_m:.0f} mm from the skin of the CT on "
             f"average, expected less than {1e3 * other_ct_m:.0f}: they belong to "
             "another CT, or to no points of the skin; give those of the plan's CT",
-            AnatomyCode.LANDMARKS,
+            TOUCH_LANDMARKS,
         )
     has_sides = _require_sides(landmarks)
     doubts = _check_touches(landmarks)
@@ -110,7 +110,7 @@ def _refusal(finding: str) -> RegistrationError:
     cause = "the file says LPS and holds RAS, or the reverse"
     return RegistrationError(
         f"{finding}: {cause}; negate them (`needleforce register --negate-xy`)",
-        AnatomyCode.LANDMARKS,
+        TOUCH_LANDMARKS,
     )
 
 

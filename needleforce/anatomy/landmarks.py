@@ -13,7 +13,11 @@ from numpy.typing import ArrayLike
 from scipy.stats import chi2
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, RegistrationError, require_deviation
+from needleforce.anatomy.errors import (
+    TOUCH_LANDMARKS,
+    RegistrationError,
+    require_deviation,
+)
 from needleforce.anatomy.landmark_check import find_equal_order, find_order
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
@@ -106,7 +110,8 @@ def fit_landmarks(
     if not landmarks.fit(std_m):
         raise RegistrationError(
             _find_cause(landmarks, std_m, residual_rms_m),
-            AnatomyCode.MISFITTING_LANDMARKS,
+            "Check the order and the place of the landmarks, touch them "
+            "again, or give the `std_m` of a touch.",
         )
     _require_one_order(landmarks, std_m)
     noise = _estimate_noise(fit.squares_m2, count, std_m, is_std_known=is_std_known)
@@ -166,7 +171,7 @@ def _require_one_order(landmarks: _Landmarks, std_m: float) -> None:
         raise RegistrationError(
             f"the landmarks fit as well in another order ({numbers}): they lie "
             "symmetrically; touch one more, off the symmetry",
-            AnatomyCode.LANDMARKS,
+            TOUCH_LANDMARKS,
         )
 
 

@@ -28,7 +28,12 @@ from needleforce.cli.patient.touch_file import (
     write_touches,
 )
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
-from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, say
+from needleforce.cli.terminal import (
+    CHECK_ARM,
+    CommandError,
+    progress_bar,
+    say,
+)
 from needleforce.recordings.output import require_place
 from residual import VirtualForceSensor
 from urdf import Robot
@@ -139,7 +144,7 @@ def record_touches(
         raise CommandError(
             f"nothing was touched: the force never rose by {contact_N:g} N while the "
             "tip rested for a second",
-            CommandCode.ARM,
+            CHECK_ARM,
         )
     write_touches(output, file)
     say(
@@ -183,7 +188,7 @@ def _touches(
     time_s = 0.0
     for sample in samples_until_stopped(arm, options, is_paced=False):
         if sample.tau_Nm is None:
-            raise CommandError(NO_TORQUES, CommandCode.ARM)
+            raise CommandError(NO_TORQUES, CHECK_ARM)
         wrench = sensor.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
         )
