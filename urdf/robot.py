@@ -9,6 +9,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from urdf.errors import (
+    GIVE_INERTIA,
     InertiaError,
     InputError,
     UnknownNameError,
@@ -253,9 +254,7 @@ def require_invertible(robot: Robot) -> None:
     raise InertiaError(
         f"the mass matrix of robot {robot.model.name!r} is not positive definite; "
         f"joints that move no inertia: {', '.join(massless) or 'none alone'}",
-        "Give the links mass, centre and inertia; lock their joints with "
-        "`locked_joints`, or all that the log does not have with "
-        "`keep_joints`; `check_inertias=False` goes on without their weight.",
+        GIVE_INERTIA,
     )
 
 

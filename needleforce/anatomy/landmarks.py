@@ -10,7 +10,6 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import (
@@ -50,7 +49,7 @@ class _Landmarks(NamedTuple):
         # Probability that good landmarks do not fit: no refusal is wrong in a life.
         false_refusal = 1e-6
         degrees = 3 * len(self.model_m) - 6
-        return float(std_m**2 * chi2.isf(false_refusal, degrees))
+        return float(std_m**2 * chdtri(degrees, false_refusal))
 
 
 class _Noise(NamedTuple):
@@ -154,7 +153,7 @@ def _estimate_noise(
     degrees = 3.0 * count - 6.0
     if count == 3 and not is_std_known:
         return _Noise(np.nan, degrees)
-    if chi2.sf(squares_m2 / std_m**2, degrees) < doubtful_fit:
+    if chdtrc(degrees, squares_m2 / std_m**2) < doubtful_fit:
         return _Noise(squares_m2 / degrees, degrees_of_one)
     if count == 3:
         return _Noise(std_m**2, np.inf)

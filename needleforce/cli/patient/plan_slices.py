@@ -14,6 +14,20 @@ from needleforce.anatomy import Labels, Layer, Structure, Volume
 PIXEL_m = 7e-4
 """Size of a pixel."""
 
+BESIDE_m = 0.08
+"""How far the planes along the path reach to either side."""
+
+BEFORE_m = 0.025
+"""How far they begin before the skin."""
+
+BEHIND_m = 0.05
+"""How far they reach behind the target."""
+
+PROBE_HALF_m = 0.045
+"""Half the edge of a slice across the path."""
+
+PROBE_SLICES = 6
+"""Slices across the path, from the skin to the target."""
 
 WINDOW_HU = (-160.0, 240.0)
 """From black to white: soft tissue."""
@@ -21,7 +35,13 @@ WINDOW_HU = (-160.0, 240.0)
 AIR_HU = -1000.0
 """Of what lies outside the scan."""
 
+MIN_PIXELS = 40
+"""Structures with fewer pixels in a plane get no outline."""
 
+PLAIN = ("fat", "lean", "body", "skin")
+"""Structures without an outline: the CT shows them, and they surround everything."""
+
+HEAD_UP = np.array([0.0, 0.0, 1.0])
 BACK = np.array([0.0, 1.0, 0.0])
 MAX_COSINE = 0.9
 """Of the angle between the path and the direction that is up; above it another one
@@ -29,6 +49,9 @@ is."""
 
 PATH_COLOUR = "#ffd400"
 """Of the needle: seen on grey by all."""
+
+RUPTURE_COLOUR = "#56b4e9"
+"""Of what was found on the way."""
 
 M_TO_MM = 1e3
 
@@ -110,38 +133,55 @@ class Plane(NamedTuple):
 
 def path_frame(path: DrawnPath) -> PathFrame:
     """Return the directions of a path: up is to the head, as far as it can be."""
-    head_up = np.array([0.0, 0.0, 1.0])
     axis = (path.target_m - path.entry_m) / path.length_m
-    towards = BACK if abs(axis @ head_up) > MAX_COSINE else head_up
+    towards = BACK if abs(axis @ HEAD_UP) > MAX_COSINE else HEAD_UP
     up = towards - (towards @ axis) * axis
     up /= np.linalg.norm(up)
     return PathFrame(axis, np.cross(axis, up), up)
 
 
-def draw_along(case: ScannedBody, path: DrawnPath, place: Path) -> Path:
-    """Draw the two planes that hold the path into a file; return its name."""
-    behind_m = 0.05  # how far they reach behind the target
-    before_m = 0.025  # how far they begin before the skin
-    beside_m = 0.08  # how far the planes along the path reach to either side
+def draw_along(
+    case: ScannedBody,
+    path: DrawnPath,
+    place: Path,
+    *,
+    ruptures_m: Sequence[float] = (),
+    tip_m: float | None = None,
+) -> Path:
+    """Draw the two planes that hold the path into a file; return its name.
+
+    Args:
+        case: CT and labels.
+        path: The path.
+        place: The file.
+        ruptures_m: Depths of ruptures below the entry.
+        tip_m: Depth at which the tip rests.
+    """
     import matplotlib.pyplot as plt
 
     frame = path_frame(path)
-    along_m = np.arange(-before_m, path.length_m + behind_m, PIXEL_m)
-    across_m = np.arange(-beside_m, beside_m, PIXEL_m)
-    figure, panels = plt.subplots(1, 2, figsize=(10.0, 6.2), layout="constrained")
+    along_m = np.arange(-BEFORE_m, path.length_m + BEHIND_m, PIXEL_m)
+    across_m = np.arange(-BESIDE_m, BESIDE_m, PIXEL_m)
+    figure, panels = plt.subplots(1, 2, figsize=(6.4, 3.9), layout="constrained")
     structures: dict[str, Structure] = {}
     directions = {"towards side": frame.side, "towards head": frame.up}
     for axes, (name, direction) in zip(panels, directions.items(), strict=True):
         plane = _cut(case, path.entry_m, frame.axis, direction, along_m, across_m)
         structures |= _draw_plane(axes, case.labels, plane)
         length_mm = M_TO_MM * path.length_m
-        axes.plot([0.0, 0.0], [-M_TO_MM * before_m, length_mm], color=PATH_COLOUR)
+        axes.plot([0.0, 0.0], [-M_TO_MM * BEFORE_m, length_mm], color=PATH_COLOUR)
         axes.plot(0.0, length_mm, "o", mfc="none", mec=PATH_COLOUR, ms=10)
         for layer in path.layers[:-1]:
             axes.plot([-4.0, 4.0], [M_TO_MM * layer.exit_m] * 2, color=PATH_COLOUR)
+        for depth_m in ruptures_m:
+            axes.plot(
+                [-7.0, 7.0], [M_TO_MM * depth_m] * 2, color=RUPTURE_COLOUR, lw=2.5
+            )
+        if tip_m is not None:
+            axes.plot(0.0, M_TO_MM * tip_m, "x", color=RUPTURE_COLOUR, ms=10, mew=2)
         axes.set(xlabel=f"{name} [mm]", ylabel="depth below the entry [mm]")
     _add_legend(figure, structures)
-    figure.savefig(place, dpi=130)
+    figure.savefig(place, dpi=200)
     plt.close(figure)
     return place
 
@@ -157,16 +197,14 @@ def draw_probe_view(
         needed_m: Radius that stays clear about the path.
         place: The file.
     """
-    probe_slices = 6  # slices across the path, from the skin to the target
-    probe_half_m = 0.045  # half the edge of a slice across the path
     import matplotlib.pyplot as plt
     from matplotlib.patches import Circle
 
     frame = path_frame(path)
-    span_m = np.arange(-probe_half_m, probe_half_m, PIXEL_m)
-    figure, panels = plt.subplots(2, 3, figsize=(10.0, 7.2), layout="constrained")
+    span_m = np.arange(-PROBE_HALF_m, PROBE_HALF_m, PIXEL_m)
+    figure, panels = plt.subplots(2, 3, figsize=(6.4, 5.4), layout="constrained")
     structures: dict[str, Structure] = {}
-    depths_m = np.linspace(0.0, path.length_m, probe_slices)
+    depths_m = np.linspace(0.0, path.length_m, PROBE_SLICES)
     for axes, depth_m in zip(panels.flat, depths_m.tolist(), strict=True):
         centre_m = path.entry_m + depth_m * frame.axis
         # Rows run downwards in a picture, and up is to the head.
@@ -179,10 +217,10 @@ def draw_probe_view(
         axes.set(
             title=f"{M_TO_MM * depth_m:.0f} mm", xlabel="side [mm]", ylabel="head [mm]"
         )
-        axes.set_ylim(M_TO_MM * probe_half_m, -M_TO_MM * probe_half_m)
+        axes.set_ylim(M_TO_MM * PROBE_HALF_m, -M_TO_MM * PROBE_HALF_m)
         axes.yaxis.set_major_formatter(lambda value, _: f"{0.0 - value:.0f}")
     _add_legend(figure, structures)
-    figure.savefig(place, dpi=130)
+    figure.savefig(place, dpi=200)
     plt.close(figure)
     return place
 
@@ -229,9 +267,6 @@ def _voxels(labels: Labels, number: int) -> int:
 
 def _draw_plane(axes: Any, labels: Labels, plane: Plane) -> dict[str, Structure]:
     """Draw a plane of the CT with the outlines of structures; return these by name."""
-    # Structures without an outline: the CT shows them, and they surround everything.
-    plain = ("fat", "lean", "body", "skin")
-    min_pixels = 40  # structures with fewer pixels in a plane get no outline
     axes.imshow(
         plane.values_HU,
         cmap="gray",
@@ -243,7 +278,7 @@ def _draw_plane(axes: Any, labels: Labels, plane: Plane) -> dict[str, Structure]
     drawn: dict[str, Structure] = {}
     for number, item in enumerate(labels.structures):
         is_owned = plane.owners == number
-        if item.name in plain or np.count_nonzero(is_owned) < min_pixels:
+        if item.name in PLAIN or np.count_nonzero(is_owned) < MIN_PIXELS:
             continue
         axes.contour(
             M_TO_MM * plane.columns_m,
@@ -274,7 +309,7 @@ def _add_legend(figure: Any, structures: dict[str, Structure]) -> None:
     figure.legend(
         handles=lines,
         loc="outside lower center",
-        ncols=6,
+        ncols=5,
         fontsize=8,
         facecolor="0.25",
         labelcolor="white",
