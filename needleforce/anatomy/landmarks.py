@@ -10,6 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.special import chdtrc, chdtri
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import (
