@@ -256,9 +256,9 @@ class LoopWatch:
         kept = self._cycles_since(0.0)
         signals = self._history[kept, :, rows]
         is_swing = self._times_s[kept] >= begun_s
-        extents = np.ptp(signals[self._times_s[kept] >= before_s, ERROR], axis=0)
+        extents = np.ptp(signals[is_swing, ERROR], axis=0)
         # Errors of an approach at the limits swing, too, beside one that shrinks.
-        is_largest = extents[row - rows.start] == extents.max()
+        is_largest = extents[row - rows.start] > 0.7 * extents.max()
         longest_s = min(last_s - before_s, self._max_delay_s)
         if not is_largest or (
             find_excited_fraction(self._times_s[kept], signals, is_swing, longest_s)
@@ -275,14 +275,13 @@ class LoopWatch:
     def _find_standstill(self) -> LoopFailure | None:
         """Return why the most important task that asks for motion gets none."""
         kept = self._cycles_since(self._time_s - self._standstill_s)
-        first, middle, last = kept[[0, kept.size // 2, -1]]
-        motions = self._history[[middle, last]] - self._history[first]
-        asked = motions[:, ASKED]
+        places = kept[np.linspace(0, kept.size - 1, 7).astype(int)]
+        motions = self._history[places] - self._history[places[0]]
+        asked = motions[[3, 6], ASKED]  # in the first half, and in all
         moved = motions[:, MOVED]
-        joints_rad = self._joint_history_rad[[middle, last]]
-        joints_rad -= self._joint_history_rad[first]
-        led_rad = joints_rad[1, 0]
-        moved_rad = np.linalg.norm(joints_rad[:, 1], axis=1).max()
+        led_rad, moved_rad = (
+            self._joint_history_rad[places] - self._joint_history_rad[places[0]]
+        ).swapaxes(0, 1)
         for rows in self._rows_of_tasks:
             distance = float(np.linalg.norm(asked[1, rows]))
             if distance <= MIN_ASKED:
@@ -295,11 +294,12 @@ class LoopWatch:
             progress = float(np.linalg.norm(moved[:, rows], axis=1).max())
             if not is_steady or progress >= min(1.0, PROGRESS_FRACTION * distance):
                 return None
-            led = self._per_row[0, rows] * (self._jacobian[rows] @ led_rad)
+            led = self._per_row[0, rows] * (self._jacobian[rows] @ led_rad[-1])
             is_commanded = float(np.linalg.norm(led)) > MIN_ASKED
-            stands_rad = PROGRESS_FRACTION * float(np.linalg.norm(led_rad))
-            if is_commanded and moved_rad < stands_rad:
-                return self._report_no_progress(led_rad)
+            followed_rad = np.linalg.norm(moved_rad, axis=1).max()
+            stands_rad = PROGRESS_FRACTION * np.linalg.norm(led_rad[-1])
+            if is_commanded and followed_rad < stands_rad:
+                return self._report_no_progress(led_rad[-1])
             served_fraction = float(led @ direction) / distance
             return self._find_obstacle(rows, direction, served_fraction)
         return None

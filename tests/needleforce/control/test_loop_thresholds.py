@@ -23,6 +23,7 @@ DT_s = 1e-3
 def watch(
     *,
     error_rad,
+    second_error_rad=lambda _: 0.0,
     moved_rad=lambda _: 0.0,
     commanded_rad_s=lambda _: 0.0,
     gain_per_s=10.0,
@@ -30,6 +31,7 @@ def watch(
     direction=(1.0, 0.0),
     seconds=0.25,
     delay_s=None,
+    is_limited=False,
 ):
     """Return how a loop fails whose errors, motions and commands are given in time.
 
@@ -44,6 +46,7 @@ def watch(
     for k in range(round(seconds / DT_s)):
         q_rad = start_rad + moved_rad(k * DT_s) * first
         task.goal_rad = q_rad + error_rad(k * DT_s) * way
+        task.goal_rad[1] += second_error_rad(k * DT_s)
         stack.fill([task], SimpleNamespace(q_rad=q_rad))
         failure = loop.update(
             [task],
@@ -52,7 +55,7 @@ def watch(
             commanded_rad_s(k * DT_s) * first,
             DT_s,
             ahead_rad=np.zeros(7),
-            is_limited=False,
+            is_limited=is_limited,
         )
         if failure is not None:
             return str(failure.kind)
@@ -91,6 +94,22 @@ def test_an_unknown_delay_is_45_ms_at_most(omega, kind):
 def test_a_known_delay_may_be_off_by_a_half_and_5_ms(delay_s, kind):
     """Here it is 31 ms: 1.5 times 20 and 5 ms are enough, 1.5 times 10 and 5 not."""
     assert shaken(1.0, 50.0, delay_s=delay_s) == kind
+
+
+@pytest.mark.parametrize(("slope_rad_s", "kind"), [(0.16, "oscillates"), (0.21, "")])
+def test_swings_beside_an_error_that_changes_by_more_than_1_4_of_them(
+    slope_rad_s, kind
+):
+    """As in an approach at the limits; they have 20 mrad, and take some 0.15 s."""
+    seen = shaken(
+        1.0,
+        60.0,
+        second_error_rad=lambda t: slope_rad_s * t,
+        commanded_rad_s=lambda t: -0.6 * math.sin(60.0 * (t - DT_s)),
+        is_limited=True,
+    )
+
+    assert seen == kind
 
 
 def swing(extents, swing_s=0.05, rest_s=0.0):
