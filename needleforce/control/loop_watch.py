@@ -154,7 +154,7 @@ class LoopWatch:
         self._joint_history_rad = np.zeros((HISTORY, 2, joints))
         self._extremes = np.zeros((size, 4, 2))
         self._per_row = np.zeros((5, size))
-        self._last_rad = q_rad.copy()
+        self._joint_history_rad[-1, 1] = q_rad
         self._tasks = list[Task]()
 
     def _take_tasks(self, tasks: Sequence[Task]) -> None:
@@ -225,13 +225,14 @@ class LoopWatch:
             self._jacobian,
             self._rates,
             self._per_row,
-            np.array((dt_s * last_rad_s, q_rad - self._last_rad, ahead_rad)),
+            q_rad,
+            last_rad_s,
+            ahead_rad,
             self._time_s,
             dt_s,
             self._was_limited,
         )
         self._cycles += 1
-        self._last_rad = q_rad.copy()
         self._was_limited = is_limited
         failure = None
         if row >= 0 and self._time_s >= self._next_swings_s:
@@ -301,7 +302,8 @@ class LoopWatch:
             if is_commanded and followed_rad < stands_rad:
                 return self._report_no_progress(led_rad[-1])
             served_fraction = float(led @ direction) / distance
-            return self._find_obstacle(rows, direction, served_fraction)
+            q_rad = self._joint_history_rad[places[-1], 1]
+            return self._find_obstacle(q_rad, rows, direction, served_fraction)
         return None
 
     def _report_no_progress(self, led_rad: Array) -> LoopFailure:
@@ -314,13 +316,12 @@ class LoopWatch:
         )
 
     def _find_obstacle(
-        self, rows: slice, direction: Array, served_fraction: float
+        self, q_rad: Array, rows: slice, direction: Array, served_fraction: float
     ) -> LoopFailure | None:
         """Return the joint that keeps a task from moving its rows in a direction.
 
         So much of what the task asks for has been commanded.
         """
-        q_rad = self._last_rad
         push = self._find_free_motion(q_rad, rows, direction)
         # Positions are noisy, and a joint comes to its stop more and more slowly.
         above = q_rad > self._limits.position_upper_rad - 1e-3
@@ -421,7 +422,9 @@ def add_cycle(
     jacobian: Matrix,
     rates: Vector,
     per_row: WrittenMatrix,
-    motions_rad: Matrix,
+    q_rad: Vector,
+    last_rad_s: Vector,
+    ahead_rad: Vector,
     time_s: float,
     dt_s: float,
     was_limited: bool,
@@ -430,30 +433,32 @@ def add_cycle(
 
     Args:
         history: Signals of the rows, shape (HISTORY, 5, m).
-        joint_history_rad: Sums of what was commanded and measured, (HISTORY, 2, n).
+        joint_history_rad: Sums of commanded motion, and positions, (HISTORY, 2, n).
         extremes: See `follow_swings`.
         cycles: How many there were before.
         jacobian: J, shape (m, n).
         rates: v, shape (m,).
         per_row: Counts per unit, K, w, and in counts per second what is asked for and
             K e in the cycle that begins, shape (5, m); the last two are written.
-        motions_rad: Commanded and measured in the cycle that ends, and how far the
-            tasks' joints are ahead of the measured ones, shape (3, n).
+        q_rad: Measured positions, shape (n,).
+        last_rad_s: Velocity commanded in the cycle that ends, shape (n,).
+        ahead_rad: How far the joints of the tasks are ahead, shape (n,).
         time_s: Its end.
         dt_s: Its duration.
         was_limited: Whether a joint was at a limit in it.
     """
     index = cycles % HISTORY
     before = (cycles - 1) % HISTORY  # holds zeros in the first cycle
-    for j in range(jacobian.shape[1]):
-        for i in range(2):
-            sum_rad = joint_history_rad[before, i, j]
-            joint_history_rad[index, i, j] = sum_rad + motions_rad[i, j]
+    last_rad = joint_history_rad[before, 1]
+    for j in range(q_rad.size):
+        sum_rad = joint_history_rad[before, 0, j]
+        joint_history_rad[index, 0, j] = sum_rad + dt_s * last_rad_s[j]
+        joint_history_rad[index, 1, j] = q_rad[j]
     sums = history[before]
     for k in range(rates.size):
-        led = dot(jacobian[k], motions_rad[0])
-        moved = dot(jacobian[k], motions_rad[1])
-        ahead = dot(jacobian[k], motions_rad[2])
+        led = dt_s * dot(jacobian[k], last_rad_s)
+        moved = dot(jacobian[k], q_rad) - dot(jacobian[k], last_rad)
+        ahead = dot(jacobian[k], ahead_rad)
         scale = per_row[0, k]
         asked = dt_s * per_row[3, k]
         fed_back = dt_s * per_row[4, k]

@@ -484,9 +484,11 @@ def solve_bounded_level(level: Level, bounds: Matrix, start: Vector) -> Array:
     velocity = start.copy()
     asked = np.minimum(np.maximum(level.unbounded, bounds[0]), bounds[1])
     lost = np.where(level.unbounded != asked, 1.0, 0.0)
-    for _ in range(MAX_STAND_IN_SOLUTIONS):
+    for solution in range(MAX_STAND_IN_SOLUTIONS):
         errors = rates - multiply_vector(rows, asked)
         damping_rows = damp_stand_ins(rows, errors, level.free, lost)
+        if solution > 0 and not len(damping_rows):
+            break
         rows = np.vstack((rows, damping_rows))
         damped_rates = multiply_vector(damping_rows, level.unbounded)
         rates = np.concatenate((rates, damped_rates))
