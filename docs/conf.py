@@ -23,7 +23,6 @@ extensions = [
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
     "api_pages",
-    "code_pages",
     "command_pages",
     "docstrings",
     "mathml",

@@ -31,7 +31,7 @@ import msgspec
 import numpy as np
 
 from foundation.arrays import Array
-from foundation.errors import CodedError, StateCode
+from foundation.errors import NeedleforceError
 
 STATE_FORMAT = "needleforce-state"
 """Name of the file format."""
@@ -42,14 +42,21 @@ STATE_VERSION = 3
 MAX_NUMBER = 1e30
 """No number of a state is larger; its square can still be calculated with."""
 
+OWN_SNAPSHOT = "Give a file that `write_snapshot` wrote."
+SAME_KIND = "Restore it with an object of the class whose `snapshot` was taken."
+SAME_SETTINGS = (
+    "Build the object with the robot and the settings of the snapshot, then `restore` "
+    "it."
+)
+
 MAX_FILE_BYTES = 64 << 20
 """A state has one or two megabytes; a wrong file is not read to its end."""
 
 
-class StateError(CodedError, ValueError):
+class StateError(NeedleforceError, ValueError):
     """A state that is damaged, or a file that holds none; the message says where."""
 
-    usual_code = StateCode.DAMAGED
+    usual_advice = "Take an older snapshot, or start and tare anew."
 
 
 class Envelope(msgspec.Struct, forbid_unknown_fields=True):
@@ -248,12 +255,12 @@ def read_sealed_state(path: str | os.PathLike[str], kinds: dict[str, Any]) -> An
         content = file.read(MAX_FILE_BYTES + 1)
     if len(content) > MAX_FILE_BYTES:
         size = f"more than {MAX_FILE_BYTES >> 20} MB, a state has one or two"
-        raise StateError(f"{path} holds no state: it has {size}", StateCode.FILE)
+        raise StateError(f"{path} holds no state: it has {size}", OWN_SNAPSHOT)
     try:
         envelope = msgspec.msgpack.decode(content, type=Envelope)
     except (msgspec.MsgspecError, RecursionError, UnicodeDecodeError) as error:
         raise StateError(
-            f"{path} holds no state, or is cut short: {error}", StateCode.FILE
+            f"{path} holds no state, or is cut short: {error}", OWN_SNAPSHOT
         ) from error
     _check_envelope(envelope, path, kinds)
     try:
@@ -272,13 +279,13 @@ def _check_envelope(
         raise StateError(
             f"{path} holds no state: its format is {envelope.format!r}, expected "
             f"{STATE_FORMAT!r}",
-            StateCode.FILE,
+            OWN_SNAPSHOT,
         )
     if envelope.version != STATE_VERSION:
         raise StateError(
             f"{path} has version {envelope.version}, this package reads version "
             f"{STATE_VERSION}",
-            StateCode.VERSION,
+            "Resume it with the package that wrote it.",
         )
     if envelope.sha256 != hashlib.sha256(envelope.data).hexdigest():
         raise StateError(f"{path} is damaged: its bytes do not have its sha256")
@@ -286,5 +293,5 @@ def _check_envelope(
         known = ", ".join(kinds)
         raise StateError(
             f"{path} holds the state of a {envelope.kind!r}, expected one of {known}",
-            StateCode.KIND,
+            SAME_KIND,
         )

@@ -15,7 +15,6 @@ from foundation.arrays import Array
 from groundtruth.errors import (
     PlantError,
     PlantModelError,
-    SimulationCode,
     require_fraction,
 )
 from groundtruth.plant_model import PlantModel, TICK_s, drawn_factors
@@ -420,7 +419,7 @@ class ArmPlant:
         if mujoco is None:
             raise PlantError(
                 "the simulated arm needs mujoco, which is not installed",
-                SimulationCode.LIBRARY,
+                "Install it: pip install 'needleforce[demo]'.",
             )
         self._model = arm_model(bodies, SUBSTEP_s)
         self._data = mujoco.MjData(self._model)

@@ -6,55 +6,19 @@ All have one base; each is also a builtin error, so that both can be caught.
 import math
 from collections.abc import Callable
 
-from foundation.errors import CodedError, ErrorCode
-from foundation.extras import install_command
+from foundation.errors import NeedleforceError
 
 
-class SimulationCode(ErrorCode):
-    """Kinds of errors of the simulated ground truth."""
-
-    TISSUE = (
-        "NF-SIMULATION-TISSUE",
-        "A layer, a membrane or a sample of depth is none that tissue can have.",
-        "Give what the message expects, in SI units.",
-    )
-    MOTION = (
-        "NF-SIMULATION-MOTION",
-        "The motion cannot be carried out by the needle or the arm.",
-        "Change start, travel or speed of the motion.",
-    )
-    SCENARIO = (
-        "NF-SIMULATION-SCENARIO",
-        "There is no scenario of that name.",
-        "Give one of the names that the message lists; `SCENARIOS` has them all.",
-    )
-    PLANT_MODEL = (
-        "NF-SIMULATION-PLANT-MODEL",
-        "There is no plant model of that name, or its numbers cannot be.",
-        "Give one of `PLANT_MODELS`, or correct the field that the message names.",
-    )
-    ARM = (
-        "NF-SIMULATION-ARM",
-        "The simulated arm cannot run, or has left its commanded motion.",
-        "Use softer tissue, a slower motion, or the settings that the message expects.",
-    )
-    LIBRARY = (
-        "NF-SIMULATION-LIBRARY",
-        "The simulated arm needs a library that is not installed.",
-        f"Install it: {install_command('demo')}.",
-    )
-
-
-class GroundTruthError(CodedError):
+class GroundTruthError(NeedleforceError):
     """Base of every error this package raises on purpose."""
 
-    usual_code = SimulationCode.ARM
+    usual_advice = (
+        "Use softer tissue, a slower motion, or the settings that the message expects."
+    )
 
 
 class TissueError(GroundTruthError, ValueError):
     """A layer, membrane or friction that no tissue can have, or an unusable sample."""
-
-    usual_code = SimulationCode.TISSUE
 
 
 class MotionError(GroundTruthError, ValueError):
@@ -63,19 +27,23 @@ class MotionError(GroundTruthError, ValueError):
     It has no travel or no rate, or is out of the arm's reach.
     """
 
-    usual_code = SimulationCode.MOTION
+    usual_advice = "Change start, travel or speed of the motion."
 
 
 class ScenarioError(GroundTruthError, LookupError):
     """An unknown scenario or tissue law; the message lists the known ones."""
 
-    usual_code = SimulationCode.SCENARIO
+    usual_advice = (
+        "Give one of the names that the message lists; `SCENARIOS` has them all."
+    )
 
 
 class PlantModelError(GroundTruthError, ValueError):
     """An unknown plant model, an impossible noise, or links that cannot be blended."""
 
-    usual_code = SimulationCode.PLANT_MODEL
+    usual_advice = (
+        "Give one of `PLANT_MODELS`, or correct the field that the message names."
+    )
 
 
 class PlantError(GroundTruthError, RuntimeError):

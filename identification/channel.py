@@ -139,7 +139,8 @@ def _with_offset(
     offset_N = in_air.posterior.offset
     means = state.mixture.means.copy()
     means[:, OFFSET] += offset_N - state.posterior.offset
-    return state._replace(
+    return replace(
+        state,
         mixture=state.mixture._replace(means=means),
         posterior=replace(state.posterior, offset=offset_N),
     )

@@ -9,10 +9,9 @@ from copy import deepcopy
 from dataclasses import replace
 from typing import Any, NamedTuple, Protocol
 
-from foundation.errors import StateCode
 from foundation.jit import compile_waiting
 from foundation.records import as_record, from_record, read_field
-from foundation.state import StateError, check_state
+from foundation.state import SAME_KIND, StateError, check_state
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import (
@@ -310,7 +309,7 @@ class Identifier:
             raise InvalidSnapshotError(
                 f"expected a Snapshot taken with {self._config}, got "
                 f"{type(snapshot).__name__}",
-                StateCode.KIND,
+                SAME_KIND,
             )
         reference = Identifier(self._config).snapshot()
         try:

@@ -10,7 +10,6 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from foundation.errors import Suspicion
 from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
-from identification.errors import IdentificationCode
 from identification.estimate import Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
 from identification.published.offline import read_column
@@ -89,7 +88,7 @@ class SignCheck:
             hints.append(
                 Suspicion(
                     f"depth spans {span_m:.3g} m; is it in millimetres?",
-                    IdentificationCode.DEPTH_UNIT,
+                    "Give `depth_m` in metres.",
                 )
             )
         if start_m is None or span_m < MIN_TRAVEL_M:
@@ -97,7 +96,7 @@ class SignCheck:
                 Suspicion(
                     f"depth moves by {span_m * 1e3:.3g} mm only; there is nothing to "
                     "identify",
-                    IdentificationCode.NO_TRAVEL,
+                    "Give `depth_m` in metres, of a recording that has an insertion.",
                 )
             )
             return tuple(hints)
@@ -110,7 +109,7 @@ class SignCheck:
                 Suspicion(
                     "the force is negative while the needle goes in; it must be "
                     "positive when tissue pushes back",
-                    IdentificationCode.FORCE_SIGN,
+                    "Negate `force_N`.",
                 )
             )
         is_withdrawn = start_m - self._shallowest_m > WITHDRAWN_FRACTION * span_m
@@ -118,14 +117,14 @@ class SignCheck:
             hints.append(
                 Suspicion(
                     "depth falls before it rises; it must grow into the tissue",
-                    IdentificationCode.DEPTH_SIGN,
+                    "Negate `depth_m`, unless the recording begins with a withdrawal.",
                 )
             )
         if self._agreement < 0.0:
             hints.append(
                 Suspicion(
                     "speed has the sign opposite to the change of depth",
-                    IdentificationCode.SPEED_SIGN,
+                    "Negate `speed_m_s` or `depth_m`, or leave the speed out.",
                 )
             )
         return tuple(hints)

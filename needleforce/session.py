@@ -9,7 +9,14 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from foundation.errors import CodedError, ErrorCode, StateCode
+from foundation.errors import NeedleforceError
+from foundation.state import (
+    OWN_SNAPSHOT,
+    SAME_KIND,
+    SAME_SETTINGS,
+    StateError,
+    check_state,
+)
 from identification import MULTILAYER as DEFAULT_IDENTIFIER
 from identification import (
     Estimate,
@@ -90,29 +97,16 @@ CHECKPOINT_PERIOD_S = 0.25
 it is detected."""
 
 
-class SessionCode(ErrorCode):
-    """Kinds of errors of a session."""
-
-    SETTING = (
-        "NF-SESSION-SETTING",
-        "A setting of the session cannot work.",
-        "Give what the message expects; `load_lwr` and `load_urdf` make a robot, "
-        "`SensorConfig` holds the settings of the sensor.",
-    )
-    PLAN = (
-        "NF-SESSION-PLAN",
-        "The snapshot is of a session that follows another plan, or none.",
-        "Call `follow` with the plan of the snapshot, or None, before `restore`.",
-    )
-
-
-class InsertionError(CodedError):
+class InsertionError(NeedleforceError):
     """Base of a session's errors.
 
     Errors of `residual` and `identification` pass through a session unchanged.
     """
 
-    usual_code = SessionCode.SETTING
+    usual_advice = (
+        "Give what the message expects; `load_lwr` and `load_urdf` make a robot, "
+        "`SensorConfig` holds the settings of the sensor."
+    )
 
 
 class SessionSettingError(InsertionError, ValueError):
@@ -122,13 +116,13 @@ class SessionSettingError(InsertionError, ValueError):
 class SnapshotMismatchError(InsertionError, ValueError):
     """A snapshot that cannot be restored here; nothing has changed."""
 
-    usual_code = StateCode.DAMAGED
+    usual_advice = "Take an older snapshot, or start and tare anew."
 
 
 class SnapshotFileError(InsertionError, ValueError):
     """A file that is no snapshot, or one of a version that cannot be read."""
 
-    usual_code = StateCode.FILE
+    usual_advice = OWN_SNAPSHOT
 
 
 class SessionEstimate(NamedTuple):
@@ -620,7 +614,7 @@ class InsertionSession:
         if not isinstance(snapshot, SessionSnapshot):
             raise SnapshotMismatchError(
                 f"expected a SessionSnapshot, got {type(snapshot).__name__}",
-                StateCode.KIND,
+                SAME_KIND,
             )
         if not (
             isinstance(snapshot.plan, PlanMemory)
@@ -631,7 +625,7 @@ class InsertionSession:
             raise SnapshotMismatchError(
                 f"the snapshot is of speed_lag_s {snapshot.speed_lag_s:g}, this "
                 f"session has {self._speed_lag_s:g}",
-                StateCode.OTHER,
+                SAME_SETTINGS,
             )
         if snapshot.plan.fingerprint != self._plan.memory.fingerprint:
             difference = (
@@ -640,7 +634,9 @@ class InsertionSession:
                 else "without a plan"
             )
             raise SnapshotMismatchError(
-                f"the snapshot is of a session {difference}", SessionCode.PLAN
+                f"the snapshot is of a session {difference}",
+                "Call `follow` with the plan of the snapshot, or None, "
+                "before `restore`.",
             )
 
     def _check_parts(self, snapshot: SessionSnapshot) -> "PlanState | None":
@@ -651,7 +647,7 @@ class InsertionSession:
         """
         try:
             self._check_identifiers(snapshot)
-            _check_numbers(snapshot)
+            self._check_own_part(snapshot)
             return self._plan.evaluate(snapshot.plan)
         except (IdentificationError, InsertionError):
             raise
@@ -673,6 +669,21 @@ class InsertionSession:
         travel = snapshot.travel
         for _ in range(_TRIAL_UPDATES):
             trial.update(travel.depth_m, travel.speed_m_s, 0.0, _TRIAL_STEP_S)
+
+    def _check_own_part(self, snapshot: SessionSnapshot) -> None:
+        """Refuse values that cannot be in what is the session's own.
+
+        Sensor and identifiers check their parts, the plan's follower its own.
+        """
+        here = self.snapshot()
+        for name in ("zero", "travel", "unused_s", "jumps", "jump_std_N", "time_s"):
+            check_state(getattr(snapshot, name), getattr(here, name), name)
+        check_state(snapshot.insertion, here.insertion, "insertion")
+        for channel in snapshot.channels:
+            check_state(channel, place="channel")
+            check_state(channel.entry, here.zero, "channel.entry")
+        if snapshot.time_s < 0.0:
+            raise StateError(f"time_s is {snapshot.time_s:g}, expected no less than 0")
 
     def _zero_depth(self) -> None:
         """Count depth from where the tip is, along the needle's present direction."""
@@ -1102,38 +1113,3 @@ def _check_settings(robot: object, sensor_config: object, speed_lag_s: object) -
         raise SessionSettingError(
             f"speed_lag_s is {speed_lag_s!r}, expected a finite number >= 0"
         )
-
-
-def _check_numbers(snapshot: SessionSnapshot) -> None:
-    """Raise `SnapshotMismatchError` for a zero, a travel or a time that cannot be."""
-    insertion = snapshot.insertion
-    lines = [insertion.line, *(channel.entry for channel in snapshot.channels)]
-    quantities = (
-        *snapshot.travel,
-        snapshot.unused_s,
-        snapshot.jump_std_N,
-        snapshot.time_s,
-        insertion.deepest_m,
-        insertion.highest_m,
-        insertion.line_depth_m,
-        *_numbers_of(insertion.channel),
-        *np.ravel([snapshot.zero, *lines]),
-        *np.ravel([channel[1:4] for channel in snapshot.channels]),
-    )
-    if (
-        np.shape(snapshot.zero) != (2, 3)
-        or not isinstance(snapshot.travel, TipTravel)
-        or not isinstance(insertion, InsertionProgress)
-        or not np.isfinite(quantities).all()
-        or snapshot.time_s < 0.0
-    ):
-        raise SnapshotMismatchError("the snapshot is damaged: zero, travel or time")
-
-
-def _numbers_of(old: OldChannel | None) -> tuple[float, ...]:
-    """Return the numbers of the channel that an insertion goes on in."""
-    if old is None:
-        return ()
-    lengths_m = (old.begin_m, old.end_m, old.checked_m)
-    forces_N = (old.force_std_in_air_N, old.excess_N)
-    return (*lengths_m, *old.friction, *forces_N, old.in_air_s)

@@ -15,9 +15,6 @@ PACKAGES = ("foundation", "urdf", "residual", "identification", "groundtruth")
 _BESIDE = os.path.dirname(os.path.dirname(os.path.abspath(__file__)))
 """Folder in which they lie."""
 
-CODE = "NF-COMMAND-HIDDEN"
-"""Code of this error; `foundation.errors`, where the others stand, may be hidden."""
-
 USAGE = 2
 """Exit code of a command after one line that says what is wrong."""
 
@@ -35,11 +32,11 @@ def refuse_hidden_packages() -> None:
         if place is None:
             continue
         message = (
-            f"{CODE}: {place} hides the package {name!r} of needleforce. Rename it, or "
+            f"{place} hides the package {name!r} of needleforce. Rename it, or "
             "work in another folder"
         )
         if _is_command():
-            sys.stderr.write(f"error {message}\n")
+            sys.stderr.write(f"error: {message}\n")
             raise SystemExit(USAGE)
         raise ImportError(message, name=name, path=place)
 

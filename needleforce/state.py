@@ -8,8 +8,7 @@ so the kind that a file names also says which method it is of.
 import os
 from typing import Any, NamedTuple, get_type_hints
 
-from foundation.errors import StateCode
-from foundation.state import StateError, read_sealed_state, seal_state
+from foundation.state import SAME_KIND, StateError, read_sealed_state, seal_state
 from identification import MultilayerConfig, PublishedConfig
 from identification import Snapshot as IdentifierSnapshot
 from identification.multilayer.method import MultilayerState
@@ -44,7 +43,7 @@ def write_snapshot(snapshot: AnySnapshot, path: str | os.PathLike[str]) -> None:
     try:
         content = seal_state(snapshot, _kind_of(snapshot))
     except StateError as error:
-        raise SnapshotFileError(str(error), error.code) from error
+        raise SnapshotFileError(str(error), error.advice) from error
     with whole_file(path) as file:
         file.write(content)
 
@@ -65,7 +64,7 @@ def read_snapshot(path: str | os.PathLike[str]) -> AnySnapshot:
     try:
         state = read_sealed_state(path, _TYPES)
     except StateError as error:
-        raise SnapshotFileError(str(error), error.code) from error
+        raise SnapshotFileError(str(error), error.advice) from error
     return _widened(state)
 
 
@@ -80,7 +79,7 @@ def _kind_of(snapshot: AnySnapshot) -> str:
     raise SnapshotFileError(
         "expected what snapshot() of a session, a sensor or an identifier returns, "
         f"got a {type(snapshot).__name__}",
-        StateCode.KIND,
+        SAME_KIND,
     )
 
 
@@ -92,7 +91,7 @@ def _method_of(identifier: IdentifierSnapshot) -> str:
     raise SnapshotFileError(
         f"the identifier's settings are a {type(identifier.config).__name__}, expected "
         f"those of one of the methods {', '.join(_METHODS)}",
-        StateCode.KIND,
+        SAME_KIND,
     )
 
 

@@ -7,7 +7,7 @@ import numpy as np
 
 from residual.bias.model import BiasPrior, TareKind
 from residual.checks.input import check_choice, check_positive, shown
-from residual.errors import ConfigurationError, SensorCode
+from residual.errors import FRICTION_OF_JOINTS, ConfigurationError
 from residual.joint_friction import FrictionModel
 from residual.momentum_observer import Alignment
 from residual.tool_kinematics import check_offset, unit_axis
@@ -117,7 +117,7 @@ class SensorConfig:
             raise ConfigurationError(
                 f"friction is {self.friction!r}, expected a JointFriction or another "
                 "object that gives a torque(dq), or None",
-                SensorCode.FRICTION,
+                FRICTION_OF_JOINTS,
             )
 
     def _check_switches(self) -> None:

@@ -7,7 +7,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from residual.checks.input import check_positive
-from residual.errors import ConfigurationError, SensorCode
+from residual.errors import FRICTION_OF_JOINTS, ConfigurationError
 from urdf.errors import InputError, finite_array
 
 MAX_EXPONENT = 700.0
@@ -37,14 +37,14 @@ def _freeze_vectors(owner: object, names: tuple[str, ...]) -> None:
             array = finite_array(np.atleast_1d(getattr(owner, name)), (-1,), name)
         except (InputError, ValueError) as error:
             raise ConfigurationError(
-                f"{error}: one finite number per joint", SensorCode.FRICTION
+                f"{error}: one finite number per joint", FRICTION_OF_JOINTS
             ) from error
         object.__setattr__(owner, name, array)
     sizes = {getattr(owner, name).size for name in names}
     if len(sizes) > 1:
         raise ConfigurationError(
             f"{', '.join(names)} differ in length: {sorted(sizes)}",
-            SensorCode.FRICTION,
+            FRICTION_OF_JOINTS,
         )
 
 
@@ -74,7 +74,7 @@ class JointFriction:
         _freeze_vectors(self, ("viscous_Nms", "coulomb_Nm", "offset_Nm"))
         if (self.viscous_Nms < 0).any() or (self.coulomb_Nm < 0).any():
             raise ConfigurationError(
-                "viscous_Nms and coulomb_Nm must not be negative", SensorCode.FRICTION
+                "viscous_Nms and coulomb_Nm must not be negative", FRICTION_OF_JOINTS
             )
         check_positive("reversal_speed_rad_s", self.reversal_speed_rad_s)
 
@@ -132,11 +132,11 @@ def check_friction(friction: FrictionModel, joints: int) -> None:
         ]
     except ValueError as error:
         raise ConfigurationError(
-            f"friction does not fit {joints} joints: {error}", SensorCode.FRICTION
+            f"friction does not fit {joints} joints: {error}", FRICTION_OF_JOINTS
         ) from error
     for torque in torques:
         if np.shape(torque) != (joints,) or not np.isfinite(torque).all():
             raise ConfigurationError(
                 f"friction gives {torque!r}, expected {joints} finite numbers",
-                SensorCode.FRICTION,
+                FRICTION_OF_JOINTS,
             )

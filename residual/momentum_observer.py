@@ -38,7 +38,7 @@ from residual.checks.input import (
     read_rows,
     round_step,
 )
-from residual.errors import ConfigurationError, SensorCode
+from residual.errors import ConfigurationError
 from residual.joint_friction import FrictionModel, check_friction
 from urdf import Robot
 
@@ -524,6 +524,6 @@ def _shared_rows(vectors: Any) -> Array:
     if rows[-1].ctypes.data != final.ctypes.data:
         raise ConfigurationError(
             "this version of pinocchio lays out its workspace in another way",
-            SensorCode.PINOCCHIO,
+            "Install a version of Pinocchio that the package's requirements name.",
         )
     return rows

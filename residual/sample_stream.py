@@ -15,7 +15,7 @@ from residual.checks.input import ROUNDING_S, check_rows, read_rows
 from residual.checks.outliers import FaultDetector, GuardState
 from residual.checks.stuck_signals import NoiseProbe, white_noise
 from residual.config import SensorConfig
-from residual.errors import SampleError, SensorCode
+from residual.errors import SampleError
 from residual.momentum_observer import MomentumObserver, MomentumState
 from residual.tool_kinematics import ToolKinematics
 from residual.velocity_filter import VelocityEstimator, VelocityState
@@ -183,7 +183,9 @@ class SampleStream:
         if (dq is None) == self.has_velocity:
             raise SampleError(
                 "dq was given before and is missing now, or the reverse",
-                SensorCode.MIXED,
+                "Keep to `update` or to `update_external_torque`, and to "
+                "velocities or none; or call `start_tare_recording` or "
+                "`reset` first.",
             )
         values = (q, torque) if dq is None else (q, dq, torque)
         rows = read_rows(self._names, values, self._joints)

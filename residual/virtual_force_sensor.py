@@ -9,10 +9,10 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from foundation.errors import StateCode
 from foundation.jit import compile_waiting
+from foundation.state import SAME_KIND, SAME_SETTINGS
 from residual.bias.estimator import BiasEstimator
-from residual.bias.model import Tare
+from residual.bias.model import Tare, TareBlocks
 from residual.bias.separation import JointSeparation
 from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.checks.input import SampleClock, long_step_message
@@ -22,7 +22,6 @@ from residual.config import DEFAULT, SensorConfig
 from residual.errors import (
     ConfigurationError,
     SampleError,
-    SensorCode,
     SnapshotError,
     TareError,
     VelocityError,
@@ -333,6 +332,16 @@ class VirtualForceSensor:
         """
         return self._offset.explain_saturation(self._contact)
 
+    def judge_motion(self, motion: TareBlocks) -> float | None:
+        """Return how probable a recorded motion is if this arm has made it.
+
+        That is a logarithm, but for a constant. None where a tare of it is refused.
+
+        Args:
+            motion: That of a `TorqueDiagnosis`, perhaps of another arm's model.
+        """
+        return self._offset.judge_motion(motion, self._contact)
+
     def _with_likely_causes(self, error: TareError) -> str:
         """Return the message of a refused tare with what may have caused it."""
         texts = [f"{self.question} If not, {error}" if self.question else str(error)]
@@ -447,20 +456,20 @@ class VirtualForceSensor:
         """
         if not isinstance(state, SensorState):
             raise SnapshotError(
-                f"expected a SensorState, got {type(state).__name__}", StateCode.KIND
+                f"expected a SensorState, got {type(state).__name__}", SAME_KIND
             )
         if state.robot != self._digest:
             raise SnapshotError(
                 "the snapshot is of another robot (joints, links, payload, frames or "
                 "limits differ)",
-                StateCode.OTHER,
+                SAME_SETTINGS,
             )
         config = settings_text(self._config, self._robot.nv)
         if state.config != config:
             raise SnapshotError(
                 f"the snapshot is of other settings: {state.config}, this sensor has "
                 f"{config}",
-                StateCode.OTHER,
+                SAME_SETTINGS,
             )
         check_sensor_state(type(self)(self._robot, self._config), state)
         self.restore_unchecked(deepcopy(state))
@@ -527,7 +536,9 @@ class VirtualForceSensor:
             raise SampleError(
                 "measured and external torques were mixed; a tare is of one kind of "
                 "torque",
-                SensorCode.MIXED,
+                "Keep to `update` or to `update_external_torque`, and to "
+                "velocities or none; or call `start_tare_recording` or "
+                "`reset` first.",
             )
         return SampleStream(
             self._robot,
@@ -655,6 +666,10 @@ class VirtualForceSensor:
 
 def _velocity_error(fault: str) -> VelocityError:
     """Return the error of a tare with a `residual.checks.velocity.velocity_fault`."""
-    is_missing = is_velocity_missing(fault)
-    code = SensorCode.VELOCITY_MISSING if is_missing else SensorCode.VELOCITY
-    return VelocityError(f"{fault} No tare would hold", code)
+    advice = ""
+    if is_velocity_missing(fault):
+        advice = (
+            "Pass `dq=None` in every sample, and velocities are estimated from `q`; "
+            "`tare(ignore_contact=True)` tares as it is."
+        )
+    return VelocityError(f"{fault} No tare would hold", advice)

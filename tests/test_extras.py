@@ -131,6 +131,6 @@ def test_a_missing_module_is_one_line_with_the_command(capsys):
 
     assert run_command(work) == FAILED
     assert capsys.readouterr().err == (
-        "error NF-COMMAND-LIBRARY: trimesh.remesh is not installed. Install it: "
+        "error: trimesh.remesh is not installed. Install it: "
         f"{install_command('patient')}\n"
     )

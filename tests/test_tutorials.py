@@ -77,7 +77,7 @@ def test_the_commands_of_a_recording_print_what_is_shown(
     for arguments, answer in commands(name):
         code, printed = print_of(arguments if answer else shortened(arguments), capsys)
 
-        assert code == (2 if answer.startswith("error ") else 0)
+        assert code == (2 if answer.startswith("error: ") else 0)
 
         for shown in answer.splitlines():
             start = shown.removesuffix("...").rstrip()

@@ -17,7 +17,7 @@ import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
-from urdf.errors import InputError, UnknownNameError, UrdfCode, UrdfFileError
+from urdf.errors import InputError, UnknownNameError, UrdfFileError
 from urdf.xml_reader import read_links_and_joints
 
 _MOMENTS = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in Pinocchio's order
@@ -124,7 +124,7 @@ def read_numbers(
     if text is None:
         raise UrdfFileError(
             f"{owner}: <{element.tag}> needs <{tag}> with the number {key}",
-            UrdfCode.NUMBER,
+            "Write digits with a decimal point: no commas, formulas, units or blanks.",
         )
     words = [text] if count == 1 else [word for word in text.split(" ") if word]
     numbers = [float(word) for word in words if _NUMBER.fullmatch(word)]
@@ -135,7 +135,7 @@ def read_numbers(
         raise UrdfFileError(
             f'{owner}: <{element.tag}> <{tag} {key}="{text}"> is not {expected}; the '
             "URDF reader would drop it",
-            UrdfCode.NUMBER,
+            "Write digits with a decimal point: no commas, formulas, units or blanks.",
         )
     return numbers
 

@@ -4,90 +4,28 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from foundation.errors import CodedError, ErrorCode
-from foundation.extras import install_command
+from foundation.errors import NeedleforceError
+
+PLAIN_URDF = "Give the path of a plain URDF file; expand a xacro file first."
+KEEP_JOINTS = (
+    "Name the joints of the log with `keep_joints`; for a real robot raise "
+    "`urdf.xml_reader.MAX_JOINTS` or `urdf.joint_choice.MAX_MOVING_JOINTS`."
+)
+GIVE_INERTIA = (
+    "Give the links mass, centre and inertia; lock their joints with `locked_joints`, "
+    "or all that the log does not have with `keep_joints`; `check_inertias=False` goes "
+    "on without their weight."
+)
 
 
-class UrdfCode(ErrorCode):
-    """Kinds of errors of robot descriptions."""
-
-    FILE = (
-        "NF-URDF-FILE",
-        "The robot's description cannot be read.",
-        "Give the path of a plain URDF file; expand a xacro file first.",
-    )
-    FORMAT = (
-        "NF-URDF-FORMAT",
-        "The file is not a robot description that can be loaded.",
-        "Correct the file; `check_urdf` of ROS names further mistakes.",
-    )
-    SIZE = (
-        "NF-URDF-SIZE",
-        "The description is larger than that of any known robot.",
-        "Name the joints of the log with `keep_joints`; for a real robot raise "
-        "`urdf.xml_reader.MAX_JOINTS` or `urdf.joint_choice.MAX_MOVING_JOINTS`.",
-    )
-    NUMBER = (
-        "NF-URDF-NUMBER",
-        "An inertial entry of the description holds no plain number.",
-        "Write digits with a decimal point: no commas, formulas, units or blanks.",
-    )
-    NAME = (
-        "NF-URDF-NAME",
-        "The robot has no link, joint or frame of that name.",
-        "Give one of the names that the message lists.",
-    )
-    ROBOT = (
-        "NF-URDF-ROBOT",
-        "No robot of that name is known.",
-        "Give one of the names that the message lists; `load_urdf` loads any other.",
-    )
-    TOOL_FRAME = (
-        "NF-URDF-TOOL-FRAME",
-        "The robot has no single last link that could carry the tool.",
-        "Give `tool_frame`, the frame at the needle's tip.",
-    )
-    JOINT = (
-        "NF-URDF-JOINT",
-        "Joints do not have one position and one velocity each.",
-        "Name the joints of the log with `keep_joints`: all others are locked; or lock "
-        "single ones with `locked_joints`.",
-    )
-    INERTIA = (
-        "NF-URDF-INERTIA",
-        "The inertial parameters are none that a rigid body can have.",
-        "Check the numbers, their units and the axes they are expressed in; "
-        "`check_inertias=False` accepts them.",
-    )
-    MASSLESS = (
-        "NF-URDF-MASSLESS",
-        "Links move without inertia, so their weight is missing.",
-        "Give the links mass, centre and inertia; lock their joints with "
-        "`locked_joints`, or all that the log does not have with `keep_joints`; "
-        "`check_inertias=False` goes on without their weight.",
-    )
-    ARGUMENT = (
-        "NF-URDF-ARGUMENT",
-        "An argument has the wrong shape, is not finite, or is out of its range.",
-        "Give what the message expects, in SI units.",
-    )
-    PACKAGE = (
-        "NF-URDF-PACKAGE",
-        "The package with that robot's description is not installed.",
-        f"Install it: {install_command('robots')}.",
-    )
-
-
-class UrdfError(CodedError):
+class UrdfError(NeedleforceError):
     """Base of every error raised by `urdf`."""
-
-    usual_code = UrdfCode.ARGUMENT
 
 
 class UrdfFileError(UrdfError, ValueError):
     """A robot description is missing, unreadable, malformed or too large."""
 
-    usual_code = UrdfCode.FORMAT
+    usual_advice = "Correct the file; `check_urdf` of ROS names further mistakes."
 
 
 class UnknownNameError(UrdfError, LookupError):
@@ -96,19 +34,23 @@ class UnknownNameError(UrdfError, LookupError):
     The message lists those that do.
     """
 
-    usual_code = UrdfCode.NAME
-
 
 class InertiaError(UrdfError, ValueError):
     """Inertial parameters that no rigid body can have."""
 
-    usual_code = UrdfCode.INERTIA
+    usual_advice = (
+        "Check the numbers, their units and the axes they are expressed in; "
+        "`check_inertias=False` accepts them."
+    )
 
 
 class UnsupportedJointError(UrdfError, ValueError):
     """A joint whose position and velocity do not have one number each."""
 
-    usual_code = UrdfCode.JOINT
+    usual_advice = (
+        "Name the joints of the log with `keep_joints`: all others are locked; "
+        "or lock single ones with `locked_joints`."
+    )
 
 
 class InputError(UrdfError, ValueError):
@@ -118,7 +60,7 @@ class InputError(UrdfError, ValueError):
 class MissingPackageError(UrdfError, ImportError):
     """An optional data package is not installed; the advice says how to install it."""
 
-    usual_code = UrdfCode.PACKAGE
+    usual_advice = "Install it: pip install 'needleforce[robots]'."
 
 
 def read_only(array: ArrayLike) -> Array:

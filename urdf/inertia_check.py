@@ -19,7 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
-from urdf.errors import InertiaError, UrdfCode
+from urdf.errors import GIVE_INERTIA, InertiaError
 from urdf.payload import MAX_PARAMETER, rounding_of
 from urdf.robot import Robot
 
@@ -133,8 +133,8 @@ def check_inertia(
     reasons = findings.reasons()
     has_inertia = len(findings.missing) < robot.nv
     if reasons and not (accept and has_inertia):
-        code = UrdfCode.MASSLESS if findings.missing else UrdfCode.INERTIA
-        raise InertiaError(f"{source}: {reasons}", code)
+        advice = GIVE_INERTIA if findings.missing else ""
+        raise InertiaError(f"{source}: {reasons}", advice)
     warning = findings.warning()
     return f"{source}: {warning}" if warning else ""
 

@@ -13,7 +13,12 @@ import pinocchio as pin
 
 from foundation.arrays import Array
 from urdf.description import link_of, read_description, read_numbers
-from urdf.errors import InputError, UnknownNameError, UnsupportedJointError, UrdfCode
+from urdf.errors import (
+    KEEP_JOINTS,
+    InputError,
+    UnknownNameError,
+    UnsupportedJointError,
+)
 
 MAX_MOVING_JOINTS = 200
 """Most joints that may move: the workspace that Pinocchio allocates grows with their
@@ -149,7 +154,7 @@ def _single_end(joints: Sequence[Element], links: Sequence[str], source: str) ->
     raise UnknownNameError(
         f"{source}: there is no single last link that could carry the tool; it ends "
         f"in: {', '.join(likely) or 'none'}",
-        UrdfCode.TOOL_FRAME,
+        "Give `tool_frame`, the frame at the needle's tip.",
     )
 
 
@@ -243,7 +248,7 @@ def _require_one_number(joints: Iterable[Element], source: str) -> None:
         raise UnsupportedJointError(
             f"{source}: {len(joints)} joints move, expected {MAX_MOVING_JOINTS} at "
             "most: those that the log has",
-            UrdfCode.SIZE,
+            KEEP_JOINTS,
         )
 
 

@@ -19,7 +19,6 @@ from urdf.errors import (
     InputError,
     MissingPackageError,
     UnknownNameError,
-    UrdfCode,
     finite_array,
 )
 from urdf.inertia_check import check_inertia
@@ -133,8 +132,7 @@ def load_lwr(
     return load_example("lwr4plus", payload=payload, gravity_m_s2=gravity_m_s2)
 
 
-# File in urdf/data, or below robots/ of example-robot-data.
-_EXAMPLES = {
+EXAMPLES = {
     "panda": "panda_description/urdf/panda.urdf",
     "ur3": "ur_description/urdf/ur3_robot.urdf",
     "ur5": "ur_description/urdf/ur5_robot.urdf",
@@ -144,6 +142,8 @@ _EXAMPLES = {
     "ur10e": "ur10e.urdf",
     "lwr4plus": "lwr4plus.urdf",
 }
+"""File of each known arm, in urdf/data or below robots/ of example-robot-data."""
+
 # Of these, the first that an arm has is its tool frame.
 _TOOL_FRAMES = (
     "panda_hand_tcp",
@@ -202,10 +202,11 @@ def example_robot_path(name: str) -> Path:
     finger joints locked; the UR arms need ``tool_frame`` (``tool0``). Names and errors
     as there.
     """
-    if name not in _EXAMPLES:
+    if name not in EXAMPLES:
         raise UnknownNameError(
-            f"there is no example robot {name!r}; robots: {', '.join(_EXAMPLES)}",
-            UrdfCode.ROBOT,
+            f"there is no example robot {name!r}; robots: {', '.join(EXAMPLES)}",
+            "Give one of the names that the message lists; `load_urdf` loads "
+            "any other.",
         )
     # Conda puts shared data below the prefix of Python, pip into a cmeel wheel.
     prefixes = [Path(sys.prefix)]
@@ -215,8 +216,8 @@ def example_robot_path(name: str) -> Path:
         )
     folders = [prefix / "share" / _PACKAGE / "robots" for prefix in prefixes]
     for folder in (Path(str(files("urdf.data"))), *folders):
-        if (folder / _EXAMPLES[name]).is_file():
-            return folder / _EXAMPLES[name]
+        if (folder / EXAMPLES[name]).is_file():
+            return folder / EXAMPLES[name]
     raise MissingPackageError(
         f"the description of {name!r} comes with {_PACKAGE}, which is not installed"
     )
@@ -231,7 +232,7 @@ def _last_link(model: pin.Model, source: str) -> str:
         raise UnknownNameError(
             f"{source}: there is no single last link that could carry the tool; it "
             f"ends in: {', '.join(ends) or 'none'}",
-            UrdfCode.TOOL_FRAME,
+            "Give `tool_frame`, the frame at the needle's tip.",
         )
     return ends[0]
 

@@ -9,11 +9,11 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from urdf.errors import (
+    GIVE_INERTIA,
     InertiaError,
     InputError,
     UnknownNameError,
     UnsupportedJointError,
-    UrdfCode,
     finite_array,
     read_only,
 )
@@ -255,7 +255,7 @@ def require_invertible(robot: Robot) -> None:
     raise InertiaError(
         f"the mass matrix of robot {robot.model.name!r} is not positive definite; "
         f"joints that move no inertia: {', '.join(massless) or 'none alone'}",
-        UrdfCode.MASSLESS,
+        GIVE_INERTIA,
     )
 
 

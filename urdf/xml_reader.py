@@ -10,7 +10,7 @@ from string import hexdigits
 from xml.etree.ElementTree import Element
 from xml.parsers import expat
 
-from urdf.errors import UrdfCode, UrdfFileError
+from urdf.errors import KEEP_JOINTS, PLAIN_URDF, UrdfFileError
 
 MAX_JOINTS = 499
 """Most joints of a robot, fixed ones included; more are refused while the file is read.
@@ -134,13 +134,13 @@ class _Collector:
         raise UrdfFileError(
             f"{self._source}: has more than {MAX_JOINTS} joints or {MAX_JOINTS + 1} "
             "links, expected the description of one robot",
-            UrdfCode.SIZE,
+            KEEP_JOINTS,
         )
 
 
 def _xacro_error(source: str) -> UrdfFileError:
     return UrdfFileError(
-        f"{source}: is a xacro file, expected a plain URDF", UrdfCode.FILE
+        f"{source}: is a xacro file, expected a plain URDF", PLAIN_URDF
     )
 
 
@@ -150,17 +150,17 @@ def _read_text(path: Path) -> str:
         if not path.is_file():
             raise UrdfFileError(
                 f"{path}: there is no such file; expected the path of a URDF file",
-                UrdfCode.FILE,
+                PLAIN_URDF,
             )
         if path.stat().st_size > MAX_BYTES:
             raise UrdfFileError(
                 f"{path}: is larger than any robot description ({MAX_BYTES} bytes)",
-                UrdfCode.SIZE,
+                KEEP_JOINTS,
             )
         return _decode(path.read_bytes())
     except (OSError, UnicodeDecodeError) as error:
         raise UrdfFileError(
-            f"{path!s:.200}: cannot be read as text: {error}", UrdfCode.FILE
+            f"{path!s:.200}: cannot be read as text: {error}", PLAIN_URDF
         ) from error
 
 

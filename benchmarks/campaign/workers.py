@@ -24,7 +24,7 @@ from typing import Annotated, TypeVar
 from cyclopts import Parameter
 from cyclopts.validators import Number
 
-from benchmarks import BenchmarkCode, BenchmarkError
+from benchmarks import START_CLUSTER, BenchmarkError
 
 THREAD_SETTINGS = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS")
 AHEAD = 2
@@ -156,15 +156,13 @@ def _on_cluster(
         client = Client(address, timeout=CONNECT_S, set_as_default=False)
     except (OSError, ValueError) as error:
         raise BenchmarkError(
-            f"no Dask scheduler at {address}: {error}", BenchmarkCode.CLUSTER
+            f"no Dask scheduler at {address}: {error}", START_CLUSTER
         ) from error
     with client:
         try:
             client.wait_for_workers(1, timeout=CONNECT_S)
         except TimeoutError as error:
-            raise BenchmarkError(
-                f"{address} has no workers", BenchmarkCode.CLUSTER
-            ) from error
+            raise BenchmarkError(f"{address} has no workers", START_CLUSTER) from error
         futures = client.map(work, jobs, pure=False)
         order = {future.key: index for index, future in enumerate(futures)}
         coming = as_completed(futures, loop=client.loop)
@@ -187,4 +185,4 @@ def _on_cluster(
             why = (
                 f"lost the cluster at {address}; --resume goes on with what was written"
             )
-            raise BenchmarkError(why, BenchmarkCode.CLUSTER) from error
+            raise BenchmarkError(why, START_CLUSTER) from error

@@ -8,7 +8,7 @@ fills a block reports as well. One more may look for moving tissue.
 """
 
 import math
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from enum import Enum
 from typing import NamedTuple
 
@@ -261,8 +261,12 @@ DONE = Stage.DONE
 """The stage of most samples: its own name is found in a fourth of the time."""
 
 
-class MultilayerState(NamedTuple):
-    """All that the method remembers; immutable.
+@dataclass(slots=True)
+class MultilayerState:
+    """All that the method remembers. Its parts are immutable: a copy shares them.
+
+    Mixture, contact and posterior are those of a snapshot: at work the method keeps
+    them in records that compiled functions write into.
 
     Attributes:
         mixture: Of hypotheses.
@@ -295,28 +299,28 @@ class MultilayerState(NamedTuple):
     mixture: MixtureState
     contact: NeedleContact
     posterior: ShaftPosterior
-    levels: NoiseLevels = NoiseLevels()
-    tissue: TissueMotion = TissueMotion()
-    speed_filter: SpeedFilter = FIRST_SPEED_FILTER
-    texture: Texture = Texture()
-    block: Block = Block()
-    stage: Stage = Stage.DONE
-    is_report_due: bool = False
-    is_layer_due: bool = False
-    deepest_mm: float = -FAR_MM
-    branched_mm: float = -FAR_MM
-    resumed: float = 0.0
-    force_std_in_air_N: float = 0.0
-    pull: NeedlePull = NeedlePull()
-    rest_force: RestForce = NEVER_AT_REST
-    tissue_pull: TissuePull = TissuePull()
-    hard_contact: HardContactState = HardContactState()
-    ruptures: int = 0
-    alarm: Rupture | None = None
-    provisional: Rupture | None = None
-    rupture_probability: float = 0.0
-    layers: tuple[LayerEstimate, ...] = ()
-    rupture_state: RuptureState = RuptureState.NO_RUPTURE
+    levels: NoiseLevels
+    tissue: TissueMotion
+    speed_filter: SpeedFilter
+    texture: Texture
+    block: Block
+    stage: Stage
+    is_report_due: bool
+    is_layer_due: bool
+    deepest_mm: float
+    branched_mm: float
+    resumed: float
+    force_std_in_air_N: float
+    pull: NeedlePull
+    rest_force: RestForce
+    tissue_pull: TissuePull
+    hard_contact: HardContactState
+    ruptures: int
+    alarm: Rupture | None
+    provisional: Rupture | None
+    rupture_probability: float
+    layers: tuple[LayerEstimate, ...]
+    rupture_state: RuptureState
 
     @property
     def is_at_work(self) -> bool:
@@ -326,7 +330,33 @@ class MultilayerState(NamedTuple):
 
 def first_state() -> MultilayerState:
     """Return the state before the first sample."""
-    return MultilayerState(first_mixture().state, NeedleContact(), ShaftPosterior())
+    return MultilayerState(
+        mixture=first_mixture().state,
+        contact=NeedleContact(),
+        posterior=ShaftPosterior(),
+        levels=NoiseLevels(),
+        tissue=TissueMotion(),
+        speed_filter=FIRST_SPEED_FILTER,
+        texture=Texture(),
+        block=Block(),
+        stage=Stage.DONE,
+        is_report_due=False,
+        is_layer_due=False,
+        deepest_mm=-FAR_MM,
+        branched_mm=-FAR_MM,
+        resumed=0.0,
+        force_std_in_air_N=0.0,
+        pull=NeedlePull(),
+        rest_force=NEVER_AT_REST,
+        tissue_pull=TissuePull(),
+        hard_contact=HardContactState(),
+        ruptures=0,
+        alarm=None,
+        provisional=None,
+        rupture_probability=0.0,
+        layers=(),
+        rupture_state=RuptureState.NO_RUPTURE,
+    )
 
 
 class Likeliest(NamedTuple):
@@ -368,70 +398,45 @@ class MultilayerMethod:
     @property
     def state(self) -> MultilayerState:
         """All that it remembers."""
-        return MultilayerState(
+        return replace(
+            self._state,
             mixture=self._memory.mixture.state,
             contact=from_record(NeedleContact, self._contact),
             posterior=from_record(ShaftPosterior, self._posterior),
-            levels=self._levels,
-            tissue=self._tissue,
-            speed_filter=self._speed_filter,
-            texture=self._texture,
-            block=self._block,
-            stage=self._stage,
-            is_report_due=self._is_report_due,
-            is_layer_due=self._is_layer_due,
-            deepest_mm=self._deepest_mm,
-            branched_mm=self._branched_mm,
-            resumed=self._resumed,
-            force_std_in_air_N=self._force_std_in_air_N,
-            pull=self._pull,
-            rest_force=self._rest_force,
-            tissue_pull=self._tissue_pull,
-            hard_contact=self._hard_contact,
-            ruptures=self._ruptures,
-            alarm=self._alarm,
-            provisional=self._provisional,
-            rupture_probability=self.rupture_probability,
-            layers=self.layers,
-            rupture_state=self.rupture_state,
         )
+
+    @property
+    def rupture_state(self) -> RuptureState:
+        """Where it stands with respect to a rupture."""
+        return self._state.rupture_state
+
+    @property
+    def rupture_probability(self) -> float:
+        """Probability of one rupture more than the alarms have reported, now."""
+        return self._state.rupture_probability
+
+    @property
+    def layers(self) -> tuple[LayerEstimate, ...]:
+        """Layers traversed."""
+        return self._state.layers
 
     @property
     def _is_tissue_moving(self) -> bool:
         """Whether tissue overtakes the needle of late."""
-        return self._tissue_pull.is_moving(self._block.time_s)
+        return self._state.tissue_pull.is_moving(self._state.block.time_s)
 
     def restore(self, state: MultilayerState) -> None:
         """Go on from a state."""
         mean, covariance, innovation = state.speed_filter
+        self._state = replace(
+            state,
+            speed_filter=SpeedFilter(np.array(mean), np.array(covariance), innovation),
+        )
         self._memory = MixtureMemory(state.mixture.mixture)
         self._contact = as_record(state.contact)
         self._posterior = as_record(state.posterior)
-        self._read_contact()
         self.events = NO_EVENTS
-        self._levels = state.levels
-        self._tissue = state.tissue
-        self._speed_filter = SpeedFilter(
-            np.array(mean), np.array(covariance), innovation
-        )
-        self._texture = state.texture
-        self._block = state.block
-        self._stage = state.stage
-        self._is_report_due = state.is_report_due
-        self._is_layer_due = state.is_layer_due
-        self._resumed = state.resumed
-        self._deepest_mm = state.deepest_mm
-        self._branched_mm = state.branched_mm
-        self._force_std_in_air_N = state.force_std_in_air_N
-        self._pull = state.pull
-        self._rest_force = state.rest_force
-        self._tissue_pull = state.tissue_pull
-        self._hard_contact = state.hard_contact
-        self.rupture_state = state.rupture_state
-        self._ruptures = state.ruptures
-        self._alarm = state.alarm
-        self._provisional = state.provisional
-        self.rupture_probability = state.rupture_probability
+        self._read_contact()
         self._keep_layers(state.layers)
         self._summarise_faults()
 
@@ -443,16 +448,18 @@ class MultilayerMethod:
 
     def _summarise_faults(self) -> None:
         """Keep what is wrong with force and tissue since the last block."""
-        self.is_pulled = self._pull.is_foreign or self._rest_force.is_foreign
+        self.is_pulled = (
+            self._state.pull.is_foreign or self._state.rest_force.is_foreign
+        )
         self.warnings = TissueWarning.NONE
         if self._is_tissue_moving:
             self.warnings |= TissueWarning.TISSUE_MOVES
-        if self._hard_contact.is_hard:
+        if self._state.hard_contact.is_hard:
             self.warnings |= TissueWarning.HARD_CONTACT
 
     def _keep_layers(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those traversed, with what every sample needs."""
-        self.layers = layers
+        self._state.layers = layers
         self._layer_rows = np.zeros((len(layers), LAYER_COLUMNS))
         for row, layer in zip(self._layer_rows, layers, strict=True):
             coulomb_N = (layer.coulomb_N_per_m or 0.0) * layer.thickness_m
@@ -468,7 +475,7 @@ class MultilayerMethod:
     def update(self, sample: Sample) -> Outputs:
         """Use one sample; return what to report of it beside the events."""
         arm_m_s = sample.speed_m_s
-        if self._tissue.is_known:
+        if self._state.tissue.is_known:
             sample = self._seen_by_tissue(sample)
         is_full, outputs = update_sample(
             self._posterior,
@@ -488,9 +495,9 @@ class MultilayerMethod:
         self.events = NO_EVENTS
         if not (
             is_full
-            or self._is_report_due
-            or self._is_layer_due
-            or self._stage is not DONE
+            or self._state.is_report_due
+            or self._state.is_layer_due
+            or self._state.stage is not DONE
         ):
             return self._with_doubt(outputs)
         self._work(sample, is_full=is_full)
@@ -513,10 +520,10 @@ class MultilayerMethod:
         mixture = self._memory.mixture
         rupture_s = read_column(mixture.history, "rupture_s")
         ruptures = read_column(mixture.assumptions, "ruptures")
-        is_recent = (rupture_s > self._block.time_s - age_s) & (ruptures > 0.0)
+        is_recent = (rupture_s > self._state.block.time_s - age_s) & (ruptures > 0.0)
         mixture.log_weights[is_recent] -= SMALL_RELEASE_PENALTY
         ruptures[is_recent] = np.minimum(ruptures[is_recent] - 1.0, most)
-        self._is_report_due = True
+        self._state.is_report_due = True
 
     def _estimate(self, sample: Sample) -> Outputs:
         """Return what to report of a sample by what is known now."""
@@ -535,15 +542,15 @@ class MultilayerMethod:
 
         In a swing tip force and friction go up and down about their means.
         """
-        if self._tissue_pull.doubt_N > 0.0:
-            outputs = self._tissue_pull.widen(outputs)
-        if self._block.swing_std_N > 0.0:
-            outputs = widen_forces(outputs, self._block.swing_std_N)
+        if self._state.tissue_pull.doubt_N > 0.0:
+            outputs = self._state.tissue_pull.widen(outputs)
+        if self._state.block.swing_std_N > 0.0:
+            outputs = widen_forces(outputs, self._state.block.swing_std_N)
         return outputs
 
     def _seen_by_tissue(self, sample: Sample) -> Sample:
         """Return a sample as the tissue, which moves, meets the needle."""
-        motion = self._tissue.motion_at(sample.clock_s)
+        motion = self._state.tissue.motion_at(sample.clock_s)
         place_m = motion.place_mm / MM_PER_M
         return sample._replace(
             depth_m=sample.depth_m - place_m,
@@ -551,82 +558,75 @@ class MultilayerMethod:
             raw_depth_m=sample.raw_depth_m - place_m,
         )
 
-    @property
-    def _is_at_work(self) -> bool:
-        """Whether something is left to do for the last block."""
-        return (
-            self._stage is not Stage.DONE or self._is_report_due or self._is_layer_due
-        )
-
     def _work(self, sample: Sample, *, is_full: bool) -> None:
         """Do the next part of the last block's work; if a block is full, all of it."""
         if not is_full:
             self._do_next_part(sample)
             return
-        while self._is_at_work:  # blocks are of one or two samples
+        while self._state.is_at_work:  # blocks are of one or two samples
             self._do_next_part(sample)
         self._use_block(sample)
-        if not self._is_report_due:
+        if not self._state.is_report_due:
             # The needle does not advance: the next sample has nothing to add.
             self._report(sample)
 
     def _do_next_part(self, sample: Sample) -> None:
         """Do the next part of what is left to do for the last block."""
-        if self._is_report_due:
-            self._is_report_due = False
+        if self._state.is_report_due:
+            self._state.is_report_due = False
             self._report(sample)
-        elif self._is_layer_due:
-            self._is_layer_due = False
-            if self._alarm is not None:
-                self._report_layer(self._alarm, sample.force_std_N)
-        elif self._stage is Stage.FIND_MOTION:
-            self._stage = Stage.DONE
+        elif self._state.is_layer_due:
+            self._state.is_layer_due = False
+            if self._state.alarm is not None:
+                self._report_layer(self._state.alarm, sample.force_std_N)
+        elif self._state.stage is Stage.FIND_MOTION:
+            self._state.stage = Stage.DONE
             self._find_motion(sample.clock_s)
         else:
-            if self._stage is Stage.BRANCH and self._memory.size <= MAX_KEPT:
+            if self._state.stage is Stage.BRANCH and self._memory.size <= MAX_KEPT:
                 self._branch()
-            self._memory.prune(self._block.depth_mm)
-            self._stage = self._stage_after_pruning(sample.clock_s)
+            self._memory.prune(self._state.block.depth_mm)
+            self._state.stage = self._stage_after_pruning(sample.clock_s)
 
     def _stage_after_pruning(self, since_reset_s: float) -> Stage:
         """Return what is left to do for a block once its mixture is pruned."""
-        is_due = self._tissue.is_due(since_reset_s)
+        is_due = self._state.tissue.is_due(since_reset_s)
         return Stage.FIND_MOTION if is_due else Stage.DONE
 
     def _find_motion(self, since_reset_s: float) -> None:
         """Do a unit of the search for the tissue's motion."""
-        old_tissue = self._tissue
+        old_tissue = self._state.tissue
         if not old_tissue.is_due(since_reset_s):
             return  # a rupture, or the way out of the tissue, has ended its window
-        self._tissue = old_tissue.worked(since_reset_s)
-        if self._tissue.fit is not old_tissue.fit:
+        self._state.tissue = old_tissue.worked(since_reset_s)
+        if self._state.tissue.fit is not old_tissue.fit:
             # The needle stays where it is in the tissue that is now known to be
             # elsewhere.
             old_place_mm = old_tissue.motion_at(since_reset_s).place_mm
-            place_mm = self._tissue.motion_at(since_reset_s).place_mm
+            place_mm = self._state.tissue.motion_at(since_reset_s).place_mm
             by_mm = old_place_mm - place_mm
             shift_depth(self._contact, by_mm / MM_PER_M)
-            self._deepest_mm = self._deepest_mm + by_mm
-            self._branched_mm = self._branched_mm + by_mm
+            self._state.deepest_mm = self._state.deepest_mm + by_mm
+            self._state.branched_mm = self._state.branched_mm + by_mm
 
     def _branch(self) -> None:
         """Begin components of what may have happened in the block's travel."""
-        block = self._block
+        block = self._state.block
         travel_mm = block.speed_mm_s * block.duration_s
         begin = block._replace(depth_mm=block.depth_mm - 0.5 * travel_mm)
         is_fast = block.speed_mm_s > MIN_BRANCHING_FRACTION * block.usual_speed_mm_s
-        if is_fast and begin.depth_mm - self._branched_mm >= MIN_BRANCH_MM:
-            levels = self._levels.beside(self._tissue, block.time_s)
+        if is_fast and begin.depth_mm - self._state.branched_mm >= MIN_BRANCH_MM:
+            levels = self._state.levels.beside(self._state.tissue, block.time_s)
             tissue_speed_std = self._tissue_speed_std(block, levels)
             self._memory.branch(
-                begin, self._branched_mm, tissue_speed_std, self._ruptures
+                begin, self._state.branched_mm, tissue_speed_std, self._state.ruptures
             )
-            self._branched_mm = begin.depth_mm
+            self._state.branched_mm = begin.depth_mm
 
     def _use_block(self, sample: Sample) -> None:
         """Let every component predict the force of the block, and learn from it."""
         clock_s = sample.clock_s
-        last = self._block
+        last = self._state.block
         filtered = self._take_block(clock_s, last)
         is_gap = filtered.duration_s > max(self._gap_s, GAP_BLOCKS * last.duration_s)
         is_met = bool(read_field(self._posterior, "in_contact"))
@@ -634,19 +634,19 @@ class MultilayerMethod:
         fresh_mm = self._fresh_travel_mm(filtered)
         if filtered.is_swing is not last.is_swing:
             # Blocks of another length show other noise.
-            self._levels = self._levels._replace(differences=NO_DIFFERENCES)
+            self._state.levels = self._state.levels._replace(differences=NO_DIFFERENCES)
         likeliest = self._likeliest()
-        levels = self._levels.beside(self._tissue, clock_s)
+        levels = self._state.levels.beside(self._state.tissue, clock_s)
         block = self._with_own_speed(filtered, levels, likeliest, is_gap=is_gap)
-        self._deepest_mm = max(self._deepest_mm, block.depth_mm)
+        self._state.deepest_mm = max(self._state.deepest_mm, block.depth_mm)
         self._predict(block, fresh_mm, levels, likeliest)
-        self._stage = self._stage_after_pruning(clock_s)
+        self._state.stage = self._stage_after_pruning(clock_s)
         is_cutting = (is_advancing or not is_met) and not is_gap
         if not is_gap:
             self._watch_pull(block, sample, is_advancing=is_cutting)
-        if is_cutting and self._pull.is_pulled:
-            self._levels = self._levels.restarted()
-            self._texture = self._texture.restarted()
+        if is_cutting and self._state.pull.is_pulled:
+            self._state.levels = self._state.levels.restarted()
+            self._state.texture = self._state.texture.restarted()
         elif is_cutting:
             in_tissue_mm = fresh_mm if is_met else 0.0
             block = self._learn_from(
@@ -655,18 +655,18 @@ class MultilayerMethod:
             penalise_implausible(
                 self._memory.store, self._memory.size, block, is_advancing
             )
-            self._stage = Stage.BRANCH if is_advancing else Stage.PRUNE
+            self._state.stage = Stage.BRANCH if is_advancing else Stage.PRUNE
         else:
             self._pause(block, fresh_mm, is_gap=is_gap)
         if not is_met:
-            self._force_std_in_air_N = sample.force_std_N
+            self._state.force_std_in_air_N = sample.force_std_N
         net_N = block.force_N - float(self._memory.store.means[0, OFFSET])
-        model_error_N = self._texture.model_error(net_N, sample.force_std_N)
-        self._block = block._replace(model_error_N=model_error_N)
+        model_error_N = self._state.texture.model_error(net_N, sample.force_std_N)
+        self._state.block = block._replace(model_error_N=model_error_N)
         if not is_gap:
-            is_even = is_advancing and self._resumed < SETTLED
+            is_even = is_advancing and self._state.resumed < SETTLED
             self._watch_tissue(sample, is_met=is_met, is_even=is_even)
-            self._tissue = self._tissue.with_block(filtered, is_met=is_met)
+            self._state.tissue = self._state.tissue.with_block(filtered, is_met=is_met)
         self._summarise_faults()
 
     def _learn_from(
@@ -683,13 +683,13 @@ class MultilayerMethod:
         Returns:
             The block with the noise of its force.
         """
-        self._resumed *= math.exp(-fresh_mm / RESUMED_MM)
+        self._state.resumed *= math.exp(-fresh_mm / RESUMED_MM)
         levels = self._learn_noise(block, filtered_speed, clock_s)
         block = block._replace(noise_std_N=levels.noise_std_N)
         self._correct(block, levels, likeliest.assumptions)
-        self._is_report_due = True
+        self._state.is_report_due = True
         force_N = block.force_N - block.force_by_speed_N
-        self._texture = self._texture.with_force(force_N, in_tissue_mm)
+        self._state.texture = self._state.texture.with_force(force_N, in_tissue_mm)
         return block
 
     def _watch_pull(self, block: Block, sample: Sample, *, is_advancing: bool) -> None:
@@ -699,21 +699,21 @@ class MultilayerMethod:
         """
         store = self._memory.store
         value_N = block.force_N - float(store.means[0, OFFSET])
-        old_pull = self._pull
+        old_pull = self._state.pull
         was_pulled = old_pull.is_pulled
-        self._pull = old_pull.with_force(
+        self._state.pull = old_pull.with_force(
             self._net_force(block, sample, value_N, is_advancing=is_advancing)
         )
-        if self._pull.is_pulled and not was_pulled:
-            self._doubt_fall(sample, block.time_s - self._pull.peak_s + ONSET_S)
+        if self._state.pull.is_pulled and not was_pulled:
+            self._doubt_fall(sample, block.time_s - self._state.pull.peak_s + ONSET_S)
         elif self._is_fall_undone(sample, old_pull.recent_N, value_N):
-            self._pull = self._pull._replace(is_foreign=True)
+            self._state.pull = self._state.pull._replace(is_foreign=True)
             self._doubt_alarm(sample)
-        if self._pull.is_new_zero(block.time_s):
-            self.doubt_zero(self._pull.fall_N)
-            self._pull = self._pull.restarted()
+        if self._state.pull.is_new_zero(block.time_s):
+            self.doubt_zero(self._state.pull.fall_N)
+            self._state.pull = self._state.pull.restarted()
         if is_advancing:
-            self._rest_force = NEVER_AT_REST
+            self._state.rest_force = NEVER_AT_REST
         elif read_field(self._posterior, "in_contact"):
             self._watch_rest(block, sample, value_N)
 
@@ -722,7 +722,7 @@ class MultilayerMethod:
 
         A rupture leaves friction, and what it has released does not come back at once.
         """
-        alarm = self._alarm
+        alarm = self._state.alarm
         if alarm is None or recent_N >= 0.0:
             return False
         if sample.time_s - alarm.alarm_s > UNDONE_S:
@@ -733,14 +733,14 @@ class MultilayerMethod:
 
     def _doubt_alarm(self, sample: Sample) -> None:
         """Take the rupture of the last alarm for less likely than none."""
-        if self._alarm is not None:
-            self._doubt_fall(sample, sample.time_s - self._alarm.time_s + ONSET_S)
+        if self._state.alarm is not None:
+            self._doubt_fall(sample, sample.time_s - self._state.alarm.time_s + ONSET_S)
 
     def _doubt_fall(self, sample: Sample, age_s: float) -> None:
         """Take ruptures of a fall for less likely than none, that of an alarm too."""
-        alarm = self._alarm
+        alarm = self._state.alarm
         is_alarm = alarm is not None and sample.time_s - alarm.time_s < age_s
-        self._doubt_ruptures(age_s, self._ruptures - is_alarm)
+        self._doubt_ruptures(age_s, self._state.ruptures - is_alarm)
 
     def _net_force(
         self, block: Block, sample: Sample, value_N: float, *, is_advancing: bool
@@ -760,7 +760,7 @@ class MultilayerMethod:
             time_s=block.time_s,
             duration_s=block.duration_s,
             is_advancing=is_advancing,
-            behind_mm=self._deepest_mm - block.depth_mm,
+            behind_mm=self._state.deepest_mm - block.depth_mm,
             is_met=contact_m is not None,
             is_outside=contact_m is not None
             and block.depth_mm < MM_PER_M * contact_m - OUTSIDE_MM,
@@ -788,10 +788,10 @@ class MultilayerMethod:
 
         The last alarm is doubted where its fall goes on at rest, or is undone there.
         """
-        alarm = self._alarm
-        was_foreign = self._rest_force.is_foreign
+        alarm = self._state.alarm
+        was_foreign = self._state.rest_force.is_foreign
         alarm_age_s = math.inf if alarm is None else sample.time_s - alarm.alarm_s
-        self._rest_force = self._rest_force.with_force(
+        self._state.rest_force = self._state.rest_force.with_force(
             HeldForce(
                 value_N,
                 block.noise_std_N,
@@ -799,22 +799,22 @@ class MultilayerMethod:
                 block.depth_mm,
                 block.depth_std_mm,
                 block.duration_s,
-                has_ruptured=alarm_age_s - self._rest_force.rest_s < STOPPED_S,
+                has_ruptured=alarm_age_s - self._state.rest_force.rest_s < STOPPED_S,
             )
         )
-        if alarm is None or was_foreign or not self._rest_force.is_foreign:
+        if alarm is None or was_foreign or not self._state.rest_force.is_foreign:
             return
         zero_N = block.force_N - value_N
-        fall_N = alarm.force_N - zero_N - self._rest_force.mean_N
-        is_undone = self._rest_force.change_N > UNDONE_FRACTION * fall_N > 0.0
-        if self._rest_force.falls_on or is_undone:
+        fall_N = alarm.force_N - zero_N - self._state.rest_force.mean_N
+        is_undone = self._state.rest_force.change_N > UNDONE_FRACTION * fall_N > 0.0
+        if self._state.rest_force.falls_on or is_undone:
             self._doubt_alarm(sample)
 
     def _fresh_travel_mm(self, block: Block) -> float:
         """Return the travel of a block beyond the deepest point so far."""
-        if self._deepest_mm == -FAR_MM:
+        if self._state.deepest_mm == -FAR_MM:
             return 0.0
-        return max(block.depth_mm - self._deepest_mm, 0.0)
+        return max(block.depth_mm - self._state.deepest_mm, 0.0)
 
     def _watch_tissue(self, sample: Sample, *, is_met: bool, is_even: bool) -> None:
         """Look for tissue that pulls, and for a hard contact, with the last block.
@@ -824,46 +824,46 @@ class MultilayerMethod:
             is_met: Whether the needle is in tissue.
             is_even: Whether the needle has advanced evenly.
         """
-        block = self._block
+        block = self._state.block
         store = self._memory.store
         zero_N = float(store.means[0, OFFSET])
         zero_variance_N2 = float(store.covariances[0, OFFSET, OFFSET])
         variance_N2 = (
-            self._levels.variances.white
+            self._state.levels.variances.white
             + sample.force_std_N**2
             + block.motion_variance_N2
         )
-        doubt_N = self._tissue_pull.doubt_N
-        self._tissue_pull = self._tissue_pull.with_zero(
+        doubt_N = self._state.tissue_pull.doubt_N
+        self._state.tissue_pull = self._state.tissue_pull.with_zero(
             zero_N, zero_variance_N2, is_met=is_met
         ).with_force(
             block,
             variance_N2,
-            self._tissue.amplitude_mm,
+            self._state.tissue.amplitude_mm,
             is_sliding=is_even
             and block.deflection > MIN_SLIDING_DEFLECTION
-            and not self._pull.is_foreign,
+            and not self._state.pull.is_foreign,
         )
-        if self._tissue_pull.doubt_N > doubt_N:
+        if self._state.tissue_pull.doubt_N > doubt_N:
             self._doubt_layers(sample.time_s)
-        self._hard_contact = self._hard_contact.with_force(
+        self._state.hard_contact = self._state.hard_contact.with_force(
             block,
             block.force_N - zero_N,
             self._config.hard_contact_N_per_m / MM_PER_M,
             is_even=is_even and is_met and not self._is_tissue_moving,
         )
-        if self._hard_contact.is_new:
+        if self._state.hard_contact.is_new:
             contact = HardContact(
                 alarm_s=sample.time_s,
                 depth_m=sample.depth_m,
                 force_N=block.force_N,
-                growth_N_per_m=MM_PER_M * self._hard_contact.growth_N_per_mm,
+                growth_N_per_m=MM_PER_M * self._state.hard_contact.growth_N_per_mm,
             )
             self.events = self.events._replace(hard_contact=contact)
 
     def _doubt_layers(self, time_s: float) -> None:
         """Take back that layers are final whose ruptures motion may have made."""
-        doubt_N = self._tissue_pull.doubt_N
+        doubt_N = self._state.tissue_pull.doubt_N
         self._keep_layers(
             tuple(
                 with_doubt(layer, doubt_N)
@@ -925,13 +925,15 @@ class MultilayerMethod:
         A needle that swings does if the mean place of a swing lies deeper than that of
         the swing before.
         """
-        if block.is_swing and self._block.is_swing:
+        if block.is_swing and self._state.block.is_swing:
             mean_speed = self._mean_speed_of_swings(block)
             usual_speed = MIN_ADVANCING_FRACTION * block.usual_speed_mm_s
             return mean_speed > max(CREEP_MM_S, usual_speed)
         creep = CREEP_MM_S + 2.0 * block.speed_std_mm_s
         min_speed = max(creep, MIN_ADVANCING_FRACTION * block.usual_speed_mm_s)
-        channel_mm = self._deepest_mm - CHANNEL_MM - CHANNEL_SIGMAS * block.depth_std_mm
+        channel_mm = (
+            self._state.deepest_mm - CHANNEL_MM - CHANNEL_SIGMAS * block.depth_std_mm
+        )
         return block.speed_mm_s > min_speed and block.depth_mm > channel_mm
 
     def _mean_speed_of_swings(self, block: Block) -> float:
@@ -939,7 +941,7 @@ class MultilayerMethod:
 
         Depths before the filter show it, which takes a swing for noise.
         """
-        last = self._block
+        last = self._state.block
         travel_mm = block.unfiltered_depth_mm - last.unfiltered_depth_mm
         return travel_mm / (block.time_s - last.time_s)
 
@@ -952,7 +954,7 @@ class MultilayerMethod:
         is_gap: bool,
     ) -> Block:
         """Return a block with the needle's own speed, and the noise of its force."""
-        last = self._block
+        last = self._state.block
         own_speed = self._own_speed(block, is_gap=is_gap)
         speed_change = own_speed - last.speed_mm_s
         added_N = likeliest.damping(block.depth_mm) * speed_change
@@ -964,12 +966,12 @@ class MultilayerMethod:
 
     def _own_speed(self, block: Block, *, is_gap: bool) -> float:
         """Return the needle's own speed, less jitter and the tissue's speed."""
-        tissue = self._tissue
+        tissue = self._state.tissue
         motion = Motion(0.0, 0.0)
         if tissue.is_known:
             motion = tissue.motion_at(block.time_s)
-        own_speed, self._speed_filter = filter_speed(
-            FIRST_SPEED_FILTER if is_gap else self._speed_filter,
+        own_speed, self._state.speed_filter = filter_speed(
+            FIRST_SPEED_FILTER if is_gap else self._state.speed_filter,
             block.unfiltered_depth_mm + motion.place_mm,
             block.speed_mm_s + motion.speed_mm_s,
             block.depth_std_mm,
@@ -983,7 +985,7 @@ class MultilayerMethod:
         deadband = SPEED_DEADBAND_SIGMAS * block.speed_std_mm_s
         relative = own_speed - motion.speed_mm_s
         return min(
-            max(self._block.speed_mm_s, relative - deadband), relative + deadband
+            max(self._state.block.speed_mm_s, relative - deadband), relative + deadband
         )
 
     def _likeliest(self) -> Likeliest:
@@ -1017,7 +1019,7 @@ class MultilayerMethod:
             tip_N + TRAVERSED_ERROR_FRACTION * abs(traversed_N)
         )
         heartbeat_N2 = levels.variances.heartbeat
-        if likeliest.assumptions.medium != AIR and not self._tissue.is_known:
+        if likeliest.assumptions.medium != AIR and not self._state.tissue.is_known:
             # Before a few beats have been seen nobody knows whether the tissue moves.
             heartbeat_N2 = max(heartbeat_N2, (UNKNOWN_MOTION_MM * slope) ** 2)
         noise = ProcessNoise(
@@ -1040,13 +1042,13 @@ class MultilayerMethod:
         are.
         """
         if self._is_layer_open and not self._is_series:
-            self._levels = self._levels.restarted()
+            self._state.levels = self._state.levels.restarted()
         else:
             force_N = block.force_N - block.force_by_speed_N
-            self._levels = self._levels.with_force(
+            self._state.levels = self._state.levels.with_force(
                 force_N, block.duration_s, filtered_speed
             )
-        return self._levels.beside(self._tissue, since_reset_s)
+        return self._state.levels.beside(self._state.tissue, since_reset_s)
 
     def _correct(
         self, block: Block, levels: NoiseLevels, assumptions: Assumptions
@@ -1056,7 +1058,7 @@ class MultilayerMethod:
         likeliest = Likeliest(mean, assumptions)
         # A speed is as late as its filter: where it changes it is off by a block's
         # change.
-        speed_change = block.speed_mm_s - self._block.speed_mm_s
+        speed_change = block.speed_mm_s - self._state.block.speed_mm_s
         speed_std = math.hypot(2.0 * block.speed_std_mm_s, speed_change)
         damping = likeliest.damping(block.depth_mm)
         step_s = levels.differences.step
@@ -1064,7 +1066,7 @@ class MultilayerMethod:
         variance_N2 = max(white_N2, MIN_WHITE_VARIANCE_N2) + (damping * speed_std) ** 2
         variance_N2 = variance_N2 + block.motion_variance_N2
         if assumptions.medium != AIR:
-            unsettled = max(self._unsettled_deflection(block), self._resumed)
+            unsettled = max(self._unsettled_deflection(block), self._state.resumed)
             net_N = block.force_N - mean[OFFSET]
             variance_N2 += (UNSETTLED_FRACTION * unsettled * net_N) ** 2
         correct(self._memory.store, self._memory.size, block, variance_N2)
@@ -1074,14 +1076,14 @@ class MultilayerMethod:
 
         From one swing to the next only its change is.
         """
-        if block.is_swing and self._block.is_swing:
-            return abs(block.deflection - self._block.deflection)
+        if block.is_swing and self._state.block.is_swing:
+            return abs(block.deflection - self._state.block.deflection)
         return 1.0 - block.deflection
 
     def _pause(self, block: Block, fresh_mm: float, *, is_gap: bool) -> None:
         """Learn nothing from a block: after a gap, at rest, in the own channel."""
-        self._levels = self._levels.restarted()
-        self._texture = self._texture.restarted()
+        self._state.levels = self._state.levels.restarted()
+        self._state.texture = self._state.texture.restarted()
         slow_mm = MIN_BRANCHING_FRACTION * block.speed_mm_s * block.duration_s
         if is_gap and fresh_mm > slow_mm > 0.0:
             self._branch_in_gap(block, fresh_mm)
@@ -1089,12 +1091,12 @@ class MultilayerMethod:
         # Tissue that overtakes a needle which goes on turns its friction, but relaxes
         # nothing.
         tissue_speed = -math.inf
-        if self._tissue.is_known:
-            tissue_speed = self._tissue.motion_at(block.time_s).speed_mm_s
+        if self._state.tissue.is_known:
+            tissue_speed = self._state.tissue.motion_at(block.time_s).speed_mm_s
         own_speed = block.speed_mm_s + tissue_speed
         is_slow = own_speed < MIN_BRANCHING_FRACTION * block.usual_speed_mm_s
         is_rest = is_gap or is_slow
-        self._resumed = 1.0 if is_rest else max(self._resumed, REVERSAL)
+        self._state.resumed = 1.0 if is_rest else max(self._state.resumed, REVERSAL)
 
     def _branch_in_gap(self, block: Block, fresh_mm: float) -> None:
         """Begin components of what may have happened in a gap while the needle went on.
@@ -1110,7 +1112,7 @@ class MultilayerMethod:
             ago_s = fraction * block.duration_s
             depth_mm = block.depth_mm - block.speed_mm_s * ago_s
             row = regressor(store.assumptions[0], block._replace(depth_mm=depth_mm))
-            self._block = block._replace(
+            self._state.block = block._replace(
                 time_s=end_s,
                 duration_s=2.0 * ago_s,
                 force_before_N=float(row @ store.means[0]),
@@ -1151,54 +1153,56 @@ class MultilayerMethod:
     @property
     def _is_layer_open(self) -> bool:
         """Whether the layer of the last alarm is not among the layers yet."""
-        if self._alarm is None:
+        if self._state.alarm is None:
             return False
-        return layers_traversed(self.layers) < self._alarm.layer
+        return layers_traversed(self.layers) < self._state.alarm.layer
 
     @property
     def _is_series(self) -> bool:
         """Whether the last alarm came so soon that a heart may have raised both."""
-        if self._alarm is None:
+        if self._state.alarm is None:
             return False
         times_before_s = [
             layer.rupture.time_s
             for layer in self.layers
-            if layer.layer < self._alarm.layer
+            if layer.layer < self._state.alarm.layer
         ]
         if not times_before_s:
             return False
-        return self._alarm.time_s - times_before_s[-1] < SERIES_S
+        return self._state.alarm.time_s - times_before_s[-1] < SERIES_S
 
     def _report(self, sample: Sample) -> None:
         """Raise or retract an alarm, and summarise the mixture for the next samples."""
-        alarm = self._alarm
-        evidence = weigh_evidence(self._memory.mixture, alarm, self._ruptures)
-        count = count_ruptures(evidence, self._ruptures, self._block)
-        self.rupture_probability = min(count.more, 1.0)
+        alarm = self._state.alarm
+        evidence = weigh_evidence(self._memory.mixture, alarm, self._state.ruptures)
+        count = count_ruptures(evidence, self._state.ruptures, self._state.block)
+        self._state.rupture_probability = min(count.more, 1.0)
         if self._is_layer_open:
-            self.rupture_state = RuptureState.FORCE_DROP_MEASURING
+            self._state.rupture_state = RuptureState.FORCE_DROP_MEASURING
         elif count.more > EXPECTING_PROBABILITY:
-            self.rupture_state = RuptureState.EXPECTED
+            self._state.rupture_state = RuptureState.EXPECTED
         else:
-            self.rupture_state = RuptureState.NO_RUPTURE
+            self._state.rupture_state = RuptureState.NO_RUPTURE
         if self._is_rupture(evidence, count, sample.clock_s):
             self._raise_alarm(evidence, sample, count)
             # The next sample reports again: this one has had enough to do.
-            self._is_report_due = True
+            self._state.is_report_due = True
             return
         if alarm is not None and count.fewer > RETRACTING_PROBABILITY:
             self._retract(alarm, count)
         elif alarm is not None and self.events.rupture is None:
-            self._is_layer_due = self._is_layer_due or self._is_layer_report_due(alarm)
+            self._state.is_layer_due = (
+                self._state.is_layer_due or self._is_layer_report_due(alarm)
+            )
         self._update_provisional(evidence, sample, count)
-        rupture = self._alarm
+        rupture = self._state.alarm
         if rupture is None and self.layers:
             rupture = self.layers[-1].rupture
         update_posterior(
             self._posterior,
             evidence,
-            self._block,
-            self._ruptures,
+            self._state.block,
+            self._state.ruptures,
             layers_traversed(self.layers) + self._is_layer_open,
             0.0 if rupture is None else MM_PER_M * rupture.speed_m_s,
         )
@@ -1209,15 +1213,15 @@ class MultilayerMethod:
     ) -> bool:
         """Return whether to raise an alarm."""
         component = count.likeliest_with_more
-        if count.more <= self._config.alarm_probability or self._pull.may_pull:
+        if count.more <= self._config.alarm_probability or self._state.pull.may_pull:
             return False
         mixture = evidence.mixture
         rupture_mm = float(read_column(mixture.history, "rupture_mm")[component])
         if not self._is_settled(rupture_mm):
             return False
-        tissue = self._tissue
+        tissue = self._state.tissue
         return not may_be_braking(
-            mixture, component, self._block, since_reset_s, tissue
+            mixture, component, self._state.block, since_reset_s, tissue
         )
 
     def _is_settled(self, rupture_mm: float) -> bool:
@@ -1225,10 +1229,10 @@ class MultilayerMethod:
 
         A stop lets the force fall.
         """
-        since_mm = self._block.depth_mm - rupture_mm
-        resumed_mm = -RESUMED_MM * math.log(max(self._resumed, MIN_RESUMED))
+        since_mm = self._state.block.depth_mm - rupture_mm
+        resumed_mm = -RESUMED_MM * math.log(max(self._state.resumed, MIN_RESUMED))
         is_before_stop = since_mm < resumed_mm
-        return resumed_mm > 0.0 and (is_before_stop or self._resumed < SETTLED)
+        return resumed_mm > 0.0 and (is_before_stop or self._state.resumed < SETTLED)
 
     def _raise_alarm(
         self, evidence: Evidence, sample: Sample, count: RuptureCount
@@ -1239,21 +1243,21 @@ class MultilayerMethod:
         if layers and not (layers[-1].is_final or self._is_tissue_moving):
             identified_layer = replace(layers[-1], is_final=True)
             self._keep_layers((*layers[:-1], identified_layer))
-        self._alarm = report_rupture(
+        self._state.alarm = report_rupture(
             evidence,
             count.likeliest_with_more,
             layers_traversed(layers) + 1,
             count.more,
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
         )
-        self._ruptures = int(evidence.ruptures[count.likeliest_with_more])
-        self._provisional = None
-        self.rupture_state = RuptureState.DETECTED
-        self.events = Events(self._alarm, identified_layer)
+        self._state.ruptures = int(evidence.ruptures[count.likeliest_with_more])
+        self._state.provisional = None
+        self._state.rupture_state = RuptureState.DETECTED
+        self.events = Events(self._state.alarm, identified_layer)
         # Every beat may raise an alarm until it is known: then the window has to grow
         # across them.
-        if not self._is_series or self._tissue.is_known:
-            self._tissue = self._tissue.restarted(sample.clock_s)
+        if not self._is_series or self._state.tissue.is_known:
+            self._state.tissue = self._state.tissue.restarted(sample.clock_s)
 
     def _update_provisional(
         self, evidence: Evidence, sample: Sample, count: RuptureCount
@@ -1263,11 +1267,11 @@ class MultilayerMethod:
         Unlike an alarm it does not wait until the speed shows whether the needle
         brakes.
         """
-        if self._provisional is not None:
+        if self._state.provisional is not None:
             if count.more < UNLIKELY_PROBABILITY:
-                retracted = replace(self._provisional, probability=count.more)
+                retracted = replace(self._state.provisional, probability=count.more)
                 self.events = self.events._replace(provisional_retracted=retracted)
-                self._provisional = None
+                self._state.provisional = None
             return
         component = count.likeliest_with_more
         if count.more <= self._config.provisional_probability:
@@ -1275,47 +1279,49 @@ class MultilayerMethod:
         history = evidence.mixture.history
         if not self._is_settled(float(read_column(history, "rupture_mm")[component])):
             return
-        self._provisional = report_rupture(
+        self._state.provisional = report_rupture(
             evidence,
             component,
             layers_traversed(self.layers) + self._is_layer_open + 1,
             count.more,
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
         )
-        self.events = self.events._replace(provisional=self._provisional)
+        self.events = self.events._replace(provisional=self._state.provisional)
 
     def _retract(self, alarm: Rupture, count: RuptureCount) -> None:
         """Retract an alarm: the force has come back, and no rupture was there."""
         retracted = replace(alarm, probability=1.0 - count.fewer)
         self.events = self.events._replace(retracted=retracted)
         self._keep_layers(self.layers if self._is_layer_open else self.layers[:-1])
-        self._ruptures = min(count.likeliest, self._ruptures - 1)
-        self._alarm = None
+        self._state.ruptures = min(count.likeliest, self._state.ruptures - 1)
+        self._state.alarm = None
 
     def _is_layer_final(self, alarm: Rupture) -> bool:
         """Return whether the last layer is final now, so far behind its rupture."""
         if self._is_tissue_moving:
             return False
-        travel_m = self._block.depth_mm / MM_PER_M - alarm.depth_m
+        travel_m = self._state.block.depth_mm / MM_PER_M - alarm.depth_m
         is_far = not 0.0 <= travel_m < FINAL_M
         return is_far and not self._is_layer_open and not self.layers[-1].is_final
 
     def _is_layer_report_due(self, alarm: Rupture) -> bool:
         """Return whether the last layer is reported or revised now."""
         if self._is_layer_open:
-            travel_m = self._block.depth_mm / MM_PER_M - alarm.depth_m
+            travel_m = self._state.block.depth_mm / MM_PER_M - alarm.depth_m
             return travel_m >= PROVISIONAL_M
-        is_revised = self._block.time_s % REVISE_S < self._block.duration_s
+        is_revised = self._state.block.time_s % REVISE_S < self._state.block.duration_s
         return is_revised or self._is_layer_final(alarm)
 
     def _report_layer(self, alarm: Rupture, force_std_N: float) -> None:
         """Report the layer that the last rupture ended, or revise it."""
-        evidence = weigh_evidence(self._memory.mixture, alarm, self._ruptures)
+        evidence = weigh_evidence(self._memory.mixture, alarm, self._state.ruptures)
         # What the force's slow error grew by since the air is in the friction, and the
         # force model's.
-        grown_N2 = max(force_std_N**2 - self._force_std_in_air_N**2, 0.0)
-        doubt_N = math.hypot(self._tissue_pull.doubt_N, self._block.swing_std_N)
-        variance_N2 = grown_N2 + self._block.model_error_N**2 + doubt_N**2
+        grown_N2 = max(force_std_N**2 - self._state.force_std_in_air_N**2, 0.0)
+        doubt_N = math.hypot(
+            self._state.tissue_pull.doubt_N, self._state.block.swing_std_N
+        )
+        variance_N2 = grown_N2 + self._state.block.model_error_N**2 + doubt_N**2
         if self._is_layer_open:
             self._report_new_layer(alarm, evidence, variance_N2)
         else:
@@ -1325,16 +1331,16 @@ class MultilayerMethod:
         self, alarm: Rupture, evidence: Evidence, variance_N2: float
     ) -> None:
         """Report the layer that the last rupture ended, provisionally."""
-        friction = friction_of_last_layer(evidence, self._ruptures, variance_N2)
+        friction = friction_of_last_layer(evidence, self._state.ruptures, variance_N2)
         if friction is None:
             return
-        layer = report_layer(evidence, alarm, self._ruptures, friction)
+        layer = report_layer(evidence, alarm, self._state.ruptures, friction)
         if layer is not None:
-            if self._tissue_pull.doubt_N > 0.0:
-                layer = with_doubt(layer, self._tissue_pull.doubt_N)
+            if self._state.tissue_pull.doubt_N > 0.0:
+                layer = with_doubt(layer, self._state.tissue_pull.doubt_N)
             self._keep_layers((*self.layers, layer))
             self.events = self.events._replace(identified_layer=layer)
-            self.rupture_state = RuptureState.FRICTION_IDENTIFIED
+            self._state.rupture_state = RuptureState.FRICTION_IDENTIFIED
 
     def _revise_layers(
         self, alarm: Rupture, evidence: Evidence, variance_N2: float
@@ -1342,11 +1348,11 @@ class MultilayerMethod:
         """Revise the last two layers, and report the last one once it is final."""
         layers = list(self.layers)
         is_final = self._is_layer_final(alarm)
-        friction = friction_of_last_layer(evidence, self._ruptures, variance_N2)
+        friction = friction_of_last_layer(evidence, self._state.ruptures, variance_N2)
         if friction is not None:
             layers[-1] = with_friction(layers[-1], friction)
         if is_final:
-            probability = partial_rupture_probability(evidence, self._ruptures)
+            probability = partial_rupture_probability(evidence, self._state.ruptures)
             rupture = replace(
                 layers[-1].rupture,
                 is_final=True,
@@ -1354,7 +1360,7 @@ class MultilayerMethod:
             )
             layers[-1] = replace(layers[-1], is_final=True, rupture=rupture)
             self.events = self.events._replace(identified_layer=layers[-1])
-        friction = friction_of_layer_before(evidence, self._ruptures, variance_N2)
+        friction = friction_of_layer_before(evidence, self._state.ruptures, variance_N2)
         if friction is not None and len(layers) > 1:
             layers[-2] = with_friction(layers[-2], friction)
         self._keep_layers(tuple(layers))

@@ -13,7 +13,7 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.arrays import Array
 from identification.config import Model
 from identification.errors import (
-    IdentificationCode,
+    RIGHT_SPANS,
     InvalidConfigError,
     InvalidLogError,
 )
@@ -52,18 +52,18 @@ class LayerSpan:
         values = (self.start_s, self.start_depth_m, self.thickness_m, self.rupture_s)
         if not np.all(np.isfinite(values)):
             raise InvalidConfigError(
-                f"layer span has non-finite values: {values}", IdentificationCode.SPANS
+                f"layer span has non-finite values: {values}", RIGHT_SPANS
             )
         if self.thickness_m <= 0:
             raise InvalidConfigError(
                 f"thickness_m must be positive, got {self.thickness_m}",
-                IdentificationCode.SPANS,
+                RIGHT_SPANS,
             )
         if self.rupture_s <= self.start_s:
             raise InvalidConfigError(
                 f"a layer must rupture after it starts: start {self.start_s} s, "
                 f"rupture {self.rupture_s} s",
-                IdentificationCode.SPANS,
+                RIGHT_SPANS,
             )
 
 
@@ -94,7 +94,7 @@ def regression_matrix(
     if not layers:
         raise InvalidConfigError(
             "at least one layer is needed to build a regression matrix",
-            IdentificationCode.SPANS,
+            RIGHT_SPANS,
         )
     columns = []
     for layer in layers:

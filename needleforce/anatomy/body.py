@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy import ndimage
 
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import VolumeError
 from needleforce.anatomy.slabs import slabs_of
 from needleforce.anatomy.volume import Volume
 
@@ -53,7 +53,7 @@ def find_body(
             f"no body in a scan of {scan.values.min():g} to {scan.values.max():g}: "
             f"expected a CT in Hounsfield units with air, below {BODY_HU:g}, around "
             "the patient",
-            AnatomyCode.SCAN,
+            "Give a CT in Hounsfield units that holds air around the patient.",
         )
     # Lungs are open at the top of a scan, so holes are filled section by section.
     head_axis = int(np.abs(scan.grid.axes_m[2]).argmax())

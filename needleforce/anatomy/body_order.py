@@ -12,7 +12,7 @@ from typing import TYPE_CHECKING, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import VolumeError
 from needleforce.anatomy.structures import words_of
 
 if TYPE_CHECKING:
@@ -111,7 +111,8 @@ def _refuse(wrong: list[_Order], count: int, reason: str) -> None:
     raise VolumeError(
         f"{worst.first} does not lie {where} {worst.second}, {len(wrong)} of {count} "
         f"such pairs of structures are wrong: {reason}",
-        AnatomyCode.ORDER,
+        "Export labels and scan again with their directions; where the "
+        "patient's organs are exchanged, state the situs inversus.",
     )
 
 
@@ -124,7 +125,9 @@ def _require_situs(orders: list[_Order], *, situs_inversus: bool) -> None:
                 reason = "a situs inversus was stated, and this is none"
             raise VolumeError(
                 f"{order.first} does not lie left of {order.second}: {reason}",
-                AnatomyCode.ORDER,
+                "Export labels and scan again with their directions; where "
+                "the patient's organs are exchanged, state the situs "
+                "inversus.",
             )
 
 

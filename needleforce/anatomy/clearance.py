@@ -17,7 +17,12 @@ from numpy.typing import ArrayLike, NDArray
 from scipy.spatial import KDTree
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, PlanError, VolumeError
+from needleforce.anatomy.errors import (
+    EXPORT_VOLUME,
+    OTHER_PATH,
+    PlanError,
+    VolumeError,
+)
 from needleforce.anatomy.outer_voxels import Ball, OuterVoxels
 from needleforce.anatomy.segmentation import Segmentation
 from needleforce.anatomy.structures import Structure
@@ -149,7 +154,7 @@ class VoxelBoxes:
         if np.abs(directions.T @ directions - np.eye(3)).max() > ORTHOGONAL:
             raise VolumeError(
                 "the axes of the labels' grid are not orthogonal: resample them",
-                AnatomyCode.GEOMETRY,
+                EXPORT_VOLUME,
             )
         self._labels = outer.labels
         self._origin_m = grid.origin_m
@@ -404,7 +409,7 @@ def require_clear_path(
         raise PlanError(
             f"the path {'; '.join(map(describe_clearance, obstacles))}: obstacles must "
             f"stay {space} away",
-            AnatomyCode.OBSTACLE,
+            OTHER_PATH,
         )
 
 

@@ -4,7 +4,7 @@ import struct
 from pathlib import Path
 from typing import NamedTuple
 
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 
 PREAMBLE_BYTES = 128
 """Of a DICOM file, before ``DICM``."""
@@ -62,7 +62,7 @@ def refuse_contours(path: Path) -> None:
         "structure set in the DICOM module; in Segmentations, under Representations, "
         "create Binary labelmap and make it the source; save the segmentation as "
         ".seg.nrrd (File, Save Data), and give that file",
-        AnatomyCode.LABELS,
+        EXPORT_LABELS,
     )
 
 

@@ -14,7 +14,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.extras import install_command
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import (
+    COPY_AGAIN,
+    EXPORT_LABELS,
+    EXPORT_VOLUME,
+    VolumeError,
+)
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.mask_folder import MAX_NAMES, first_free
 from needleforce.anatomy.segment_names import NamedSegment, Term, name_structures
@@ -86,7 +91,7 @@ def read_dicom_segmentation(path: Path, max_bytes: int) -> Labels:
         raise VolumeError(
             f"{path} holds fractional segments, whose borders are not stated: export "
             "it as a binary segmentation",
-            AnatomyCode.LABELS,
+            EXPORT_LABELS,
         )
     stack = _find_stack(file)
     if stack is None:  # rounded positions with gaps: the step has to be found first
@@ -97,14 +102,14 @@ def read_dicom_segmentation(path: Path, max_bytes: int) -> Labels:
         raise VolumeError(
             f"{path}: its frames do not lie evenly, one behind the other, and make no "
             "volume",
-            AnatomyCode.GEOMETRY,
+            EXPORT_VOLUME,
         )
     segments = _read_segments(file)
     _require_size(path, stack.geometry.spatial_shape, len(segments), max_bytes)
     try:
         joined = _join(file, segments, stack)
     except (RuntimeError, ValueError, EOFError, OSError) as error:
-        raise VolumeError(f"{path} is damaged: {error}", AnatomyCode.DAMAGED) from error
+        raise VolumeError(f"{path} is damaged: {error}", COPY_AGAIN) from error
     affine = M_PER_MM * stack.geometry.affine
     grid = Grid(tuple(stack.geometry.spatial_shape), affine[:3, 3], affine[:3, :3])
     structures = name_structures(
@@ -132,9 +137,7 @@ def _open(path: Path) -> Any:
     try:
         return highdicom.seg.segread(str(path))
     except Exception as error:  # of damaged files: whatever is met first
-        raise VolumeError(
-            f"cannot read {path}: {error}", AnatomyCode.DAMAGED
-        ) from error
+        raise VolumeError(f"cannot read {path}: {error}", COPY_AGAIN) from error
 
 
 def _find_stack(file: Any) -> _Stack | None:
@@ -188,7 +191,7 @@ def _require_size(
         raise VolumeError(
             f"{path} has {tuple(shape)} voxels, {size_bytes / BYTES_PER_GB:.3g} GB: "
             f"more than the limit of {max_bytes / BYTES_PER_GB:.3g} GB",
-            AnatomyCode.SIZE,
+            "Crop or resample it, or store it in a smaller type.",
         )
 
 

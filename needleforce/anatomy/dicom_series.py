@@ -6,7 +6,11 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import (
+    EXPORT_VOLUME,
+    ONE_SERIES,
+    VolumeError,
+)
 
 MIN_STEP_mm = 1e-3
 """Slices that are nearer to each other lie at the same place."""
@@ -73,7 +77,7 @@ def read_series(folder: Path) -> Any:
     if len(series) != 1:
         raise VolumeError(
             f"{folder} holds {len(series)} DICOM series: expected one",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
     _require_one_scan(folder, files)
@@ -87,7 +91,7 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     if np.ptp([item.geometry for item in slices], axis=0).any():
         raise VolumeError(
             f"{folder}: slices differ in size, spacing or orientation: mixed series",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     axes = slices[0].axes
     to_slice_axes = np.vstack((axes, np.cross(axes[0], axes[1]))).T
@@ -97,7 +101,7 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     if usual_mm < MIN_STEP_mm:
         raise VolumeError(
             f"{folder}: one slice, or all at the same place: expected one scan",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     tolerance_mm = min(
         max(STEP_TOLERANCE * usual_mm, ROUNDING_mm), MAX_STEP_TOLERANCE * usual_mm
@@ -110,7 +114,7 @@ def _require_one_scan(folder: Path, files: Any) -> None:
             f"{folder}: slices are {middle_mm:.3f} mm apart, but "
             f"{distances_mm[worst]:.3f} mm after {Path(files[worst]).name}: a slice is "
             "missing or doubled",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     total_mm = np.abs(stack.step_mm[:2]).max() * (len(slices) - 1)
     is_straight = np.abs(stack.residuals_mm[:, :2]).max() <= tolerance_mm
@@ -118,7 +122,7 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     if not is_straight or total_mm > max_total_mm:
         raise VolumeError(
             f"{folder}: slices are sheared (gantry tilt): resample the scan",
-            AnatomyCode.GEOMETRY,
+            EXPORT_VOLUME,
         )
 
 
@@ -158,13 +162,13 @@ def _read_slice(name: str) -> _Slice:
             f"{name} is an Enhanced (multi-frame) DICOM of {count} frames, expected "
             "one slice per file: convert it with dcm2niix, or export it from 3D Slicer "
             "as .nrrd",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     for tag in SLICE_TAGS:
         if not reader.HasMetaDataKey(tag):
             raise VolumeError(
                 f"{name} has no DICOM tag {tag}: expected slices of one scan",
-                AnatomyCode.SERIES,
+                ONE_SERIES,
             )
         numbers += [float(text) for text in reader.GetMetaData(tag).split("\\")]
     return _Slice(np.array(numbers[:3]), np.array(numbers[3:]))

@@ -18,7 +18,11 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import (
+    COPY_AGAIN,
+    EXPORT_VOLUME,
+    VolumeError,
+)
 
 START_BYTES = 136
 """Of a NIfTI file; its spacing lies within."""
@@ -93,14 +97,14 @@ def require_whole_nifti(
         raise VolumeError(
             f"{path} does not say how it lies (neither qform nor sform): left and "
             "right are unknown",
-            AnatomyCode.GEOMETRY,
+            EXPORT_VOLUME,
         )
     metre = 1  # of the lowest three bits; 2 is the millimetre, 0 is not stated
     if int(header.get("xyzt_units", "0")) & 7 == metre:
         raise VolumeError(
             f"{path}: its unit is the metre (xyzt_units), expected millimetres: export "
             "it in millimetres",
-            AnatomyCode.GEOMETRY,
+            EXPORT_VOLUME,
         )
     pixdim = _read_pixdim(start)
     stated_mm = pixdim[1:]
@@ -112,7 +116,7 @@ def require_whole_nifti(
             f"{path}: its header states a spacing of {stated_mm.tolist()} mm (pixdim), "
             f"and its matrix (sform) one of {np.round(matrix_mm, 4).tolist()}: "
             "expected the same",
-            AnatomyCode.GEOMETRY,
+            EXPORT_VOLUME,
         )
     if has_matrix:
         handedness = -1.0 if pixdim[0] < 0.0 else 1.0
@@ -160,7 +164,7 @@ def _require_one_place(
             "its sform is sheared: the cosine of two of its axes is "
             f"{largest_cosine:.3f}"
         )
-    raise VolumeError(f"{path}: {reason}", AnatomyCode.GEOMETRY)
+    raise VolumeError(f"{path}: {reason}", EXPORT_VOLUME)
 
 
 def _sform_mm(header: Mapping[str, str]) -> Array:
@@ -205,7 +209,7 @@ def _read_start(path: Path, header: Mapping[str, str]) -> bytes:
             raise EOFError(f"{file_bytes} bytes of {expected_bytes:.0f}")
     except (EOFError, zlib.error, gzip.BadGzipFile) as error:
         raise VolumeError(
-            f"{path} ends early or is damaged: {error}", AnatomyCode.DAMAGED
+            f"{path} ends early or is damaged: {error}", COPY_AGAIN
         ) from error
     return start
 
@@ -268,4 +272,4 @@ def require_placed_nrrd(path: Path) -> None:
         reason = f"its space units are {units}: expected mm"
     else:
         return
-    raise VolumeError(f"{path}: {reason}", AnatomyCode.GEOMETRY)
+    raise VolumeError(f"{path}: {reason}", EXPORT_VOLUME)

@@ -11,7 +11,7 @@ import zlib
 from pathlib import Path
 from xml.etree import ElementTree
 
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 
 HEADER_BYTES = 348
 """Of NIfTI-1, before the four bytes that say whether extensions follow."""
@@ -47,7 +47,7 @@ def read_header_names(path: Path) -> dict[int, str]:
         except (ElementTree.ParseError, KeyError, ValueError) as error:
             raise VolumeError(
                 f"the table of labels in the header of {path} cannot be read: {error}",
-                AnatomyCode.LABELS,
+                EXPORT_LABELS,
             ) from error
     return {value: name for value, name in names.items() if name}
 

@@ -11,7 +11,7 @@ from scipy import ndimage
 from foundation.arrays import Array
 from needleforce.anatomy.body import find_body
 from needleforce.anatomy.clearance import Clearance, find_clearances
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 from needleforce.anatomy.path_layers import Layer, find_layers
 from needleforce.anatomy.resampling import resample_nearest
 from needleforce.anatomy.scan_agreement import NO_SCAN, check_against_scan
@@ -80,7 +80,7 @@ class Labels:
         if not by_name:
             raise VolumeError(
                 "no voxel is labelled: expected at least one structure",
-                AnatomyCode.LABELS,
+                EXPORT_LABELS,
             )
         return cls(volumes, grid, tuple(by_name.values()))
 
@@ -90,7 +90,6 @@ class Labels:
             raise VolumeError(
                 f"no structure with voxels is named {name!r}; there are "
                 f"{', '.join(by_name)}",
-                AnatomyCode.STRUCTURE,
             )
         return by_name[name]
 
@@ -289,4 +288,4 @@ class Labels:
 
 def _twice(name: str) -> VolumeError:
     """Return the error of two structures with one name."""
-    return VolumeError(f"two structures are named {name!r}", AnatomyCode.LABELS)
+    return VolumeError(f"two structures are named {name!r}", EXPORT_LABELS)

@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from foundation.arrays import Array
 from needleforce.anatomy.registration import (
@@ -123,7 +123,7 @@ def _leave_out(model: Array, robot: Array, number: int, std_m: float) -> _LeftOu
     jacobian = displacement_jacobian(moved_m[number] - pivot_m)
     factor = np.eye(3) + jacobian @ np.linalg.solve(rows.T @ rows, jacobian.T)
     squares = error_m @ np.linalg.solve(factor, error_m) / std_m**2
-    return _LeftOut(distance_m, float(chi2.sf(squares, 3)))
+    return _LeftOut(distance_m, float(chdtrc(3, squares)))
 
 
 def find_equal_order(

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, RegistrationError
+from needleforce.anatomy.errors import TOUCH_LANDMARKS, RegistrationError
 from needleforce.anatomy.markups import RAS_TO_LPS
 from needleforce.anatomy.structures import words_of
 from needleforce.anatomy.surface import Surface
@@ -103,7 +103,7 @@ def require_lps(landmarks: SkinLandmarks) -> list[str]:
             f"the landmarks lie {1e3 * off_m:.0f} mm from the skin of the CT on "
             f"average, expected less than {1e3 * OTHER_CT_m:.0f}: they belong to "
             "another CT, or to no points of the skin; give those of the plan's CT",
-            AnatomyCode.LANDMARKS,
+            TOUCH_LANDMARKS,
         )
     has_sides = _require_sides(landmarks)
     doubts = _check_touches(landmarks)
@@ -125,7 +125,7 @@ def _refusal(finding: str) -> RegistrationError:
     """Return the refusal for a finding."""
     return RegistrationError(
         f"{finding}: {_CAUSE}; negate them (`needleforce register --negate-xy`)",
-        AnatomyCode.LANDMARKS,
+        TOUCH_LANDMARKS,
     )
 
 

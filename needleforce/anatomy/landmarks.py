@@ -10,10 +10,14 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, RegistrationError, require_deviation
+from needleforce.anatomy.errors import (
+    TOUCH_LANDMARKS,
+    RegistrationError,
+    require_deviation,
+)
 from needleforce.anatomy.landmark_check import find_equal_order, find_order
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
@@ -61,7 +65,7 @@ class _Landmarks(NamedTuple):
     def max_squares_m2(self, std_m: float) -> float:
         """Return the largest sum of squares that good landmarks leave."""
         degrees = 3 * len(self.model_m) - 6
-        return float(std_m**2 * chi2.isf(FALSE_REFUSAL, degrees))
+        return float(std_m**2 * chdtri(degrees, FALSE_REFUSAL))
 
 
 class _Noise(NamedTuple):
@@ -121,7 +125,8 @@ def fit_landmarks(
     if not landmarks.fit(std_m):
         raise RegistrationError(
             _find_cause(landmarks, std_m, residual_rms_m),
-            AnatomyCode.MISFITTING_LANDMARKS,
+            "Check the order and the place of the landmarks, touch them "
+            "again, or give the `std_m` of a touch.",
         )
     _require_one_order(landmarks, std_m)
     noise = _estimate_noise(fit.squares_m2, count, std_m, is_std_known=is_std_known)
@@ -157,7 +162,7 @@ def _estimate_noise(
     degrees = 3.0 * count - 6.0
     if count == 3 and not is_std_known:
         return _Noise(np.nan, degrees)
-    if chi2.sf(squares_m2 / std_m**2, degrees) < DOUBTFUL_FIT:
+    if chdtrc(degrees, squares_m2 / std_m**2) < DOUBTFUL_FIT:
         return _Noise(squares_m2 / degrees, DEGREES_OF_ONE)
     if count == 3:
         return _Noise(std_m**2, np.inf)
@@ -174,7 +179,7 @@ def _require_one_order(landmarks: _Landmarks, std_m: float) -> None:
         raise RegistrationError(
             f"the landmarks fit as well in another order ({numbers}): they lie "
             "symmetrically; touch one more, off the symmetry",
-            AnatomyCode.LANDMARKS,
+            TOUCH_LANDMARKS,
         )
 
 

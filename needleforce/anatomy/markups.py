@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import SAVE_MARKUPS, VolumeError
 from needleforce.files import whole_file
 
 SCHEMA = (
@@ -105,12 +105,12 @@ def read_markup(path: Path | str) -> Markup:
         raise VolumeError(
             f"cannot read {path}: {error}; expected points or a line that 3D Slicer "
             "saved as .mrk.json",
-            AnatomyCode.MARKUPS,
+            SAVE_MARKUPS,
         ) from error
     if len(file.markups) != 1:
         raise VolumeError(
             f"{path} holds {len(file.markups)} markups: expected one",
-            AnatomyCode.MARKUPS,
+            SAVE_MARKUPS,
         )
     markup = file.markups[0]
     scale_m = UNITS_m.get(markup.units)
@@ -119,7 +119,7 @@ def read_markup(path: Path | str) -> Markup:
         raise VolumeError(
             f"{path} is in {markup.frame!r} and {markup.units!r}: expected LPS or RAS, "
             f"and one of {', '.join(UNITS_m)}",
-            AnatomyCode.MARKUPS,
+            SAVE_MARKUPS,
         )
     placed = [
         point
@@ -127,17 +127,17 @@ def read_markup(path: Path | str) -> Markup:
         if point.position is not None and point.status not in UNPLACED
     ]
     if not placed:
-        raise VolumeError(f"{path} holds no placed point", AnatomyCode.MARKUPS)
+        raise VolumeError(f"{path} holds no placed point", SAVE_MARKUPS)
     names = tuple(point.label or str(n) for n, point in enumerate(placed, 1))
     if len(set(names)) < len(names):
         raise VolumeError(
             f"{path}: two points have one name: {', '.join(names)}",
-            AnatomyCode.MARKUPS,
+            SAVE_MARKUPS,
         )
     positions = np.array([point.position for point in placed], dtype=float)
     points_m = scale_m * factors * positions
     if not np.isfinite(points_m).all():
-        raise VolumeError(f"{path}: a point is not finite", AnatomyCode.MARKUPS)
+        raise VolumeError(f"{path}: a point is not finite", SAVE_MARKUPS)
     return Markup(names, points_m, markup.kind == "Line")
 
 

@@ -7,7 +7,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import (
+    EXPORT_LABELS,
+    LABELS_OF_SCAN,
+    VolumeError,
+)
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.volume import Grid, Volume
@@ -67,7 +71,7 @@ def _as_mask(scan: Volume, grid: Grid, path: Path) -> NDArray[np.bool_]:
         raise VolumeError(
             f"{path} holds {scan.values.min():g} to {scan.values.max():g}: expected a "
             "mask of two values, as every file in a folder of masks",
-            AnatomyCode.LABELS,
+            EXPORT_LABELS,
         )
     is_same = scan.grid.shape == grid.shape
     if is_same:
@@ -78,7 +82,7 @@ def _as_mask(scan: Volume, grid: Grid, path: Path) -> NDArray[np.bool_]:
     if not is_same:
         raise VolumeError(
             f"{path} lies on another grid than the other masks of its folder",
-            AnatomyCode.OTHER_SCAN,
+            LABELS_OF_SCAN,
         )
     return mask
 

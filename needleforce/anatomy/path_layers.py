@@ -17,7 +17,11 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, VolumeError, require_deviation
+from needleforce.anatomy.errors import (
+    TWO_POINTS,
+    VolumeError,
+    require_deviation,
+)
 from needleforce.anatomy.segmentation import Segmentation
 from needleforce.anatomy.voxel_walk import Crossing, find_crossings
 
@@ -226,24 +230,24 @@ def _checked_path(
     if not has_shape or not np.all(np.isfinite([entry, target])):
         raise VolumeError(
             f"entry {entry_m} and target {target_m}: expected two points of 3 numbers",
-            AnatomyCode.PATH,
+            TWO_POINTS,
         )
     grid = labels.grid
     start, end = grid.indices(np.array([entry, target]))
     if np.any(end < -0.5) or np.any(end > np.array(grid.shape) - 0.5):
         raise VolumeError(
-            f"the target {target.tolist()} m lies outside the volume", AnatomyCode.PATH
+            f"the target {target.tolist()} m lies outside the volume", TWO_POINTS
         )
     outside_m = np.maximum(-start, start - grid.shape) * grid.spacing_m
     if outside_m.max() > MAX_OUTSIDE_m:
         raise VolumeError(
             f"the entry {entry.tolist()} lies {outside_m.max():.3g} m outside the "
             "volume: expected metres, not millimetres",
-            AnatomyCode.PATH,
+            TWO_POINTS,
         )
     if np.linalg.norm(end - start) == 0.0:
         raise VolumeError(
-            f"entry and target are the same point {entry.tolist()}", AnatomyCode.PATH
+            f"entry and target are the same point {entry.tolist()}", TWO_POINTS
         )
     return _Path(start, end - start, float(np.linalg.norm(target - entry)))
 

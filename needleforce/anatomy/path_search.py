@@ -24,7 +24,7 @@ from needleforce.anatomy.clearance import (
     VoxelBoxes,
     find_clearances,
 )
-from needleforce.anatomy.errors import AnatomyCode, PlanError, VolumeError
+from needleforce.anatomy.errors import TWO_POINTS, PlanError, VolumeError
 from needleforce.anatomy.outer_voxels import Ball, OuterVoxels
 from needleforce.anatomy.path_layers import UNLABELLED, Layer, find_layers
 
@@ -173,7 +173,7 @@ def find_paths(
         raise VolumeError(
             f"the target {np.round(1e3 * target, 1).tolist()} mm (LPS) lies outside "
             "the body that the CT shows",
-            AnatomyCode.PATH,
+            TWO_POINTS,
         )
     rejected: Counter[str] = Counter()
     rays = _cast_rays(labels, inside, target, limits.max_length_m)
@@ -191,7 +191,11 @@ def find_paths(
     outer = OuterVoxels(labels)
     clear = _clear_rays(outer, avoided, rays, target, limits, rejected, progress)
     if not clear.any():
-        raise PlanError(_describe_no_path(rejected), AnatomyCode.NO_PATH)
+        raise PlanError(
+            _describe_no_path(rejected),
+            "Allow a longer or a flatter path or a smaller margin, avoid "
+            "less, or choose another target.",
+        )
     ranked = _rank(
         outer, avoided, rays.chosen(clear), angles_rad[clear], target, limits
     )
@@ -224,7 +228,7 @@ def judge_path(
     if not _are_inside(labels, inside, target[None])[0] or not len(rays.lengths_m):
         raise VolumeError(
             "the line does not lead from outside the body to a target inside it",
-            AnatomyCode.PATH,
+            TWO_POINTS,
         )
     angles_rad = _skin_angles_rad(labels, inside, rays)
     avoided = [one for one in labels.structures if one.is_obstacle or one.is_risk]
@@ -257,7 +261,7 @@ def orient_line(labels: "Labels", ends_m: Array) -> LineEnds:
     """
     length_m = float(np.linalg.norm(ends_m[1] - ends_m[0]))
     if not length_m > 0.0:
-        raise VolumeError("both ends of the line are one point", AnatomyCode.PATH)
+        raise VolumeError("both ends of the line are one point", TWO_POINTS)
     inside = _inside_body(labels)
     reach_m = float(np.linalg.norm(np.ptp(labels.grid.corners_m(), axis=0)))
     distances_m = [np.inf, np.inf]  # from the target, through the entry, to the skin
@@ -274,7 +278,7 @@ def orient_line(labels: "Labels", ends_m: Array) -> LineEnds:
         raise VolumeError(
             "neither end of the line lies inside the body, with the skin behind the "
             "other one",
-            AnatomyCode.PATH,
+            TWO_POINTS,
         )
     return LineEnds(ends_m[entry], ends_m[1 - entry])
 

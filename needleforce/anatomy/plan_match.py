@@ -14,7 +14,11 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, PlanError, require_deviation
+from needleforce.anatomy.errors import (
+    OTHER_PATH,
+    PlanError,
+    require_deviation,
+)
 from needleforce.anatomy.path_layers import UNLABELLED, Layer
 from needleforce.anatomy.rupture_model import (
     Match,
@@ -288,9 +292,7 @@ def _require_passable(layers: Sequence[Layer], accepted: frozenset[str]) -> None
         if layer.is_obstacle and layer.name not in accepted
     ]
     if obstacles:
-        raise PlanError(
-            f"the path runs through {', '.join(obstacles)}", AnatomyCode.OBSTACLE
-        )
+        raise PlanError(f"the path runs through {', '.join(obstacles)}", OTHER_PATH)
 
 
 def _require_boundaries(depths_m: Array, stds_m: Array) -> None:

@@ -18,7 +18,12 @@ from needleforce.anatomy.body_order import require_body_order
 from needleforce.anatomy.dicom_kinds import find_label_objects, refuse_contours
 from needleforce.anatomy.dicom_segmentation import read_dicom_segmentation
 from needleforce.anatomy.dicom_series import read_series
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import (
+    EXPORT_LABELS,
+    EXPORT_VOLUME,
+    ONE_SERIES,
+    VolumeError,
+)
 from needleforce.anatomy.file_checks import require_placed_nrrd, require_whole_nifti
 from needleforce.anatomy.label_names import read_header_names
 from needleforce.anatomy.labels import Labels
@@ -151,7 +156,7 @@ def _read_structures(place: Path, max_bytes: int) -> Labels:
         raise VolumeError(
             f"{place} holds {len(objects.segmentations)} DICOM segmentations: expected "
             "one; give the file",
-            AnatomyCode.SERIES,
+            ONE_SERIES,
         )
     if objects.segmentations:
         return read_dicom_segmentation(objects.segmentations[0], max_bytes)
@@ -201,7 +206,7 @@ def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
             raise VolumeError(
                 f"{path} holds {values.flat[int(off.argmax())]:.9g}: expected labels, "
                 "which are whole numbers",
-                AnatomyCode.LABELS,
+                EXPORT_LABELS,
             )
         values = whole
         max_label = values.max()
@@ -209,7 +214,7 @@ def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
         raise VolumeError(
             f"{path} holds {values.min():g} to {values.max():g}: expected labels from "
             "0 to 65535",
-            AnatomyCode.LABELS,
+            EXPORT_LABELS,
         )
     kind = np.uint8 if max_label < MAX_UINT8_LABELS else np.uint16
     return copy_in_order(values, kind)
@@ -222,7 +227,7 @@ def _require_all_named(labels: Labels) -> None:
     if loose:
         raise VolumeError(
             f"{loose} voxels have labels of no segment: its header is damaged",
-            AnatomyCode.LABELS,
+            EXPORT_LABELS,
         )
 
 
@@ -233,7 +238,7 @@ def _name_labels(
     if len(volumes) > 1:
         raise VolumeError(
             "several labels per voxel and no segments: expected a .seg.nrrd file",
-            AnatomyCode.LABELS,
+            EXPORT_LABELS,
         )
     values = range(1, int(volumes[0].max()) + 1)
     return [
@@ -256,7 +261,7 @@ def _read_image(path: Path, max_bytes: int) -> _Image:
     if not MIN_DIAGONAL_m < diagonal_m < MAX_DIAGONAL_m:
         raise VolumeError(
             f"{path} measures {diagonal_m:.3g} m: expected a file in millimetres",
-            AnatomyCode.GEOMETRY,
+            EXPORT_VOLUME,
         )
     header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
     # SimpleITK copies the fields of a NIfTI file into an NRRD file that it writes.
@@ -271,7 +276,7 @@ def _read_image(path: Path, max_bytes: int) -> _Image:
                 f"{path} is one DICOM file: expected the folder of a series, one slice "
                 "per file; convert a multi-frame file with dcm2niix, or export it from "
                 "3D Slicer as .nrrd",
-                AnatomyCode.SERIES,
+                ONE_SERIES,
             )
         raise VolumeError(
             f"{path}: whether a file of this kind says how it lies, and is whole, is "
@@ -336,7 +341,7 @@ def _require_size(path: Path, reader: Any, max_bytes: int) -> None:
         raise VolumeError(
             f"{path} has {reader.GetSize()} voxels, {GB_PER_BYTE * size_bytes:.3g} GB: "
             f"more than the limit of {GB_PER_BYTE * max_bytes:.3g} GB",
-            AnatomyCode.SIZE,
+            "Crop or resample it, or store it in a smaller type.",
         )
 
 

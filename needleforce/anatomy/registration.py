@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scipy.stats import f as f_law
+from scipy.special import fdtri
 
 from foundation.arrays import Array
 
@@ -116,7 +116,7 @@ class Registration:
         covariance = self.covariance_at(point_m) + MIN_VARIANCE_m2 * np.eye(3)
         hotelling_t2 = error_m @ np.linalg.solve(covariance, error_m)
         degrees = min(self.degrees, MAX_DEGREES)
-        return bool(hotelling_t2 <= 3.0 * f_law.ppf(level, 3, degrees))
+        return bool(hotelling_t2 <= 3.0 * fdtri(3, degrees, level))
 
 
 class RigidFit(NamedTuple):

@@ -8,7 +8,7 @@ from typing import Any
 
 import msgspec
 
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.segment_names import AUTOMATIC, tell_apart
 from needleforce.anatomy.structures import Structure
@@ -45,7 +45,6 @@ def rename(labels: Labels, names: Mapping[Any, str] | Path | str) -> Labels:
         raise VolumeError(
             f"no structure is called {', '.join(unknown)}: there are "
             f"{', '.join(item.name for item in structures)}",
-            AnatomyCode.STRUCTURE,
         )
     old_names = [item.name for item in structures]
     new_names = tell_apart([_new_name(item, stated) for item in structures], old_names)
@@ -64,7 +63,7 @@ def _read_names(names: Mapping[Any, str] | Path | str) -> dict[str, str]:
         by_key = msgspec.convert(stated, dict[Any, str])
     except (OSError, ValueError, msgspec.ValidationError) as error:
         raise VolumeError(
-            f"cannot read names from {names}: {error}", AnatomyCode.LABELS
+            f"cannot read names from {names}: {error}", EXPORT_LABELS
         ) from error
     return {str(key): name for key, name in by_key.items()}
 

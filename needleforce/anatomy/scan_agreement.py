@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import LABELS_OF_SCAN, VolumeError
 from needleforce.anatomy.structures import Structure, words_of
 from needleforce.anatomy.volume import Grid, Volume
 
@@ -174,7 +174,7 @@ def check_against_scan(labels: CheckedLabels, scan: Volume) -> str:
                 f"in the scan, and only {100.0 * fraction:.0f} % of it lies between "
                 f"{kind.low_HU:.0f} and {kind.high_HU:.0f} HU: the labels are mirrored "
                 "or shifted, of another patient, or the scan is no CT",
-                AnatomyCode.OTHER_SCAN,
+                LABELS_OF_SCAN,
             )
     _require_best_place(covers, scan)
     return ""
@@ -200,7 +200,7 @@ def _require_best_place(covers: Sequence[_Cover], scan: Volume) -> None:
             f"the labels fit the scan better by {100.0 * gains[best]:.0f} "
             f"% of their voxels when they are moved by {shift_mm} mm: origin, spacing "
             "or directions of one of the files are wrong",
-            AnatomyCode.OTHER_SCAN,
+            LABELS_OF_SCAN,
         )
 
 
@@ -260,7 +260,7 @@ def _require_place(labels: CheckedLabels, scan: Volume) -> None:
         raise VolumeError(
             f"the labels' grid is as large as the scan's and lies {shift:.1f} voxels "
             "beside it: origin, spacing or directions of one of the files are wrong",
-            AnatomyCode.OTHER_SCAN,
+            LABELS_OF_SCAN,
         )
     for item in labels.structures:
         indices = scan.grid.indices(labels.grid.corners_m(item.box))
@@ -269,5 +269,5 @@ def _require_place(labels: CheckedLabels, scan: Volume) -> None:
             raise VolumeError(
                 f"{item.name} lies {outside:.0f} voxels outside the scan: the labels "
                 "belong to another scan, or lost their origin when they were cropped",
-                AnatomyCode.OTHER_SCAN,
+                LABELS_OF_SCAN,
             )

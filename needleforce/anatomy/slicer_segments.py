@@ -11,7 +11,7 @@ from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 from needleforce.anatomy.segment_names import (
     NamedSegment,
     Term,
@@ -59,13 +59,13 @@ def read_segments(header: Mapping[str, str], volumes: int) -> list[Structure]:
             raise VolumeError(
                 f"segment {segment.name} lies in layer {segment.volume}; the file has "
                 f"{volumes}",
-                AnatomyCode.LABELS,
+                EXPORT_LABELS,
             )
         place = (segment.volume, segment.value)
         if place in places:
             raise VolumeError(
                 f"segment {segment.name} has the label {segment.value} of another",
-                AnatomyCode.LABELS,
+                EXPORT_LABELS,
             )
         places.add(place)
     structures = name_structures(
@@ -93,7 +93,7 @@ def _read_segment(
     if "ID" not in fields:
         raise VolumeError(
             f"{prefix}ID is not in its header: expected {count} segments from 0 on",
-            AnatomyCode.LABELS,
+            EXPORT_LABELS,
         )
     name = fields.get("Name", fields["ID"])
     # Slicer up to 4.10 states neither layer nor label: each component is a segment.
@@ -109,7 +109,7 @@ def _read_segment(
     except ValueError as error:
         raise VolumeError(
             f"segment {name}: {error}; expected numbers in its header",
-            AnatomyCode.LABELS,
+            EXPORT_LABELS,
         ) from error
 
 

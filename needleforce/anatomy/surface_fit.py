@@ -18,7 +18,11 @@ from scipy.spatial.distance import cdist
 from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, RegistrationError, require_deviation
+from needleforce.anatomy.errors import (
+    TOUCH_MORE,
+    RegistrationError,
+    require_deviation,
+)
 from needleforce.anatomy.patient_motion import (
     Innovation,
     PatientMotion,
@@ -147,7 +151,7 @@ def fit_surface(
         raise RegistrationError(
             f"softness_m={softness_m!r}: expected 0 or some millimetres, in metres, "
             "below 0.02",
-            AnatomyCode.DEVIATION,
+            "Give it in metres, above zero and below 0.1.",
         )
     pivot_m = touches.mean(axis=0)
     prior = _prior_of(start, pivot_m, softness_m)
@@ -163,14 +167,16 @@ def fit_surface(
         raise RegistrationError(
             f"{100.0 * outliers:.0f} % of the touches do not lie on the surface: the "
             "patient has moved, it is another organ, or the start is too far away",
-            AnatomyCode.MISFITTING_SURFACE,
+            "Check that it is this organ and that the patient has not moved; "
+            "register by landmarks again.",
         )
     if fit.median_m > problem.noise_m:
         raise RegistrationError(
             f"half of the touches lie {1e3 * fit.median_m:.1f} mm or more from the "
             f"surface, expected {1e3 * problem.noise_m:.1f} at most: the patient has "
             "moved, it is another organ, or touch_std_m is too small",
-            AnatomyCode.MISFITTING_SURFACE,
+            "Check that it is this organ and that the patient has not moved; "
+            "register by landmarks again.",
         )
     if check:
         _require_no_sliding(problem, fit)
@@ -185,12 +191,12 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     if touches.ndim != 2 or touches.shape[1:] != (3,) or not np.isfinite(touches).all():
         raise RegistrationError(
             f"touches of shape {touches.shape}: expected finite (n, 3)",
-            AnatomyCode.TOUCHES,
+            TOUCH_MORE,
         )
     if len(touches) < MIN_TOUCHES:
         raise RegistrationError(
             f"too few touches: {len(touches)}, expected {MIN_TOUCHES} or more",
-            AnatomyCode.TOUCHES,
+            TOUCH_MORE,
         )
     max_spread_m = 5.0  # beyond it the unit is not the metre
     spread_m = float(np.linalg.norm(np.ptp(touches, axis=0)))
@@ -200,13 +206,13 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
         raise RegistrationError(
             f"the touches spread over {spread_m:.3g} m, the surface over "
             f"{extent_m:.3g} m: millimetres for metres?",
-            AnatomyCode.TOUCHES,
+            TOUCH_MORE,
         )
     _, width_m, _ = rms_extents_m(touches)
     if width_m < MIN_WIDTH_m:
         raise RegistrationError(
             f"the touches spread over {1e3 * spread_m:.3g} mm, near a point or a line",
-            AnatomyCode.TOUCHES,
+            TOUCH_MORE,
         )
     return touches
 
@@ -478,7 +484,8 @@ def _require_no_sliding(problem: _Problem, fit: _Fit) -> None:
                 f"the surface slides or spins on itself: pushed {1e3 * push_m:g} mm "
                 f"along its weakest direction, the solution stays {1e3 * away_m:.1f} "
                 "mm away and fits as well",
-                AnatomyCode.AMBIGUOUS_SURFACE,
+                "Touch a part with edges or another shape, or register by "
+                "landmarks again.",
             )
 
 
@@ -492,7 +499,8 @@ def _require_no_better(problem: _Problem, fit: _Fit) -> None:
             raise RegistrationError(
                 f"another solution, {1e3 * away_m:.0f} mm away, fits better: the start "
                 "lies outside the basin",
-                AnatomyCode.AMBIGUOUS_SURFACE,
+                "Touch a part with edges or another shape, or register by "
+                "landmarks again.",
             )
 
 
@@ -596,7 +604,7 @@ def _require_still(motion: PatientMotion, problem: _Problem) -> None:
         f"landmarks and touches contradict each other: the patient has probably moved "
         f"{when}, by some {1e3 * size_m:.0f} mm; hold him still, and touch landmarks "
         "and skin again",
-        AnatomyCode.MOVED,
+        "Hold the patient still, and touch landmarks and skin again.",
     )
 
 

@@ -11,7 +11,7 @@ from typing import Any, Literal, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import AnatomyCode, VolumeError
+from needleforce.anatomy.errors import SAVE_TRANSFORM, VolumeError
 from needleforce.anatomy.markups import RAS_TO_LPS
 
 TransformSource = Literal["slicer", "itk"]
@@ -59,7 +59,7 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
         raise VolumeError(
             f"{path} holds a {transform.GetName()}: expected a rigid motion in three "
             "dimensions",
-            AnatomyCode.TRANSFORM,
+            SAVE_TRANSFORM,
         )
     matrix, shift_mm = _affine_of(transform)
     stretches = np.linalg.svd(matrix, compute_uv=False)
@@ -67,11 +67,11 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
         raise VolumeError(
             f"{path} stretches by {stretches.min():.4g} to {stretches.max():.4g}: "
             "expected a rigid motion; fit it again without scaling and shear",
-            AnatomyCode.TRANSFORM,
+            SAVE_TRANSFORM,
         )
     if np.linalg.det(matrix) < 0.0:
         raise VolumeError(
-            f"{path} is a mirror image: expected a rigid motion", AnatomyCode.TRANSFORM
+            f"{path} is a mirror image: expected a rigid motion", SAVE_TRANSFORM
         )
     left, _, right = np.linalg.svd(matrix)
     rotation = left @ right
@@ -83,7 +83,7 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
         raise VolumeError(
             f"{path} carries the CT {np.linalg.norm(translation_m):.3g} m away: "
             "expected a file in millimetres",
-            AnatomyCode.TRANSFORM,
+            SAVE_TRANSFORM,
         )
     return RigidTransform(rotation, translation_m)
 
@@ -136,5 +136,5 @@ def _open(path: Path) -> Any:
         )
     raise VolumeError(
         f"cannot read {path}: {reason}; expected a transform as .h5 or .tfm",
-        AnatomyCode.TRANSFORM,
+        SAVE_TRANSFORM,
     )

@@ -36,7 +36,7 @@ from needleforce.cli import (
     view,
 )
 from needleforce.cli.application import app
-from needleforce.cli.terminal import CommandCode, CommandError, run_command
+from needleforce.cli.terminal import CommandError, run_command
 
 __all__ = [
     "app",
@@ -73,7 +73,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise CommandError(
                 f"{empty[0]!r}: nothing is given there, expected a name or a value (a "
                 "variable of the shell may not be set)",
-                CommandCode.USAGE,
+                "--help lists what a command takes",
             )
         try:
             command, bound, _ = app.parse_args(
@@ -84,7 +84,7 @@ def main(argv: Sequence[str] | None = None) -> int:
             raise CommandError(
                 f"{unused}: not expected here; a command takes one name, and options "
                 "begin with --",
-                CommandCode.USAGE,
+                "--help lists what a command takes",
             ) from error
         return command(*bound.args, **bound.kwargs) or 0
 

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 from needleforce.cli.shared_options import RobotOptions
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.cli.terminal import OTHER_ROBOT, CommandError
 from urdf import UnknownNameError
 from urdf.joint_choice import joints_towards, movable_joints
 
@@ -52,7 +52,7 @@ def joints_to_keep(
             f"--lock-others: the log has the joints {', '.join(joints.names)}, the "
             f"robot {', '.join(movable)}: none of one name; name the robot's in the "
             "order of the log with joints = [...] in the file of --mapping",
-            CommandCode.ROBOT,
+            OTHER_ROBOT,
         )
     if joints.number == len(movable):
         return tuple(movable)
@@ -68,7 +68,7 @@ def joints_to_keep(
             f"--lock-others: the log has {joints.number} columns per joint signal and "
             f"names no joints, on the way to the tool move {len(route)}: "
             f"{', '.join(route)}",
-            CommandCode.ROBOT,
+            OTHER_ROBOT,
         )
     return route[len(route) - joints.number :]
 

@@ -40,7 +40,12 @@ from needleforce.cli.plan_binding import (
     check_registration,
     path_sha256,
 )
-from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, say
+from needleforce.cli.terminal import (
+    GIVE_PLAN,
+    CommandError,
+    progress_bar,
+    say,
+)
 from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene
 
@@ -275,7 +280,7 @@ def read_plan(
             else plan.accepted_obstacles,
         )
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
-        raise CommandError(f"{path}: {error}", CommandCode.PLAN) from error
+        raise CommandError(f"{path}: {error}", GIVE_PLAN) from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
     return LoadedPlan(
         scene._replace(

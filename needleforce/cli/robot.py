@@ -21,7 +21,7 @@ from needleforce.cli.kept_joints import (
     parse_lock,
 )
 from needleforce.cli.shared_options import RobotOptions, SensorOptions
-from needleforce.cli.terminal import CommandCode, CommandError, say
+from needleforce.cli.terminal import CommandError, say
 from needleforce.cli.toml_tables import NOTHING, convert_table
 from needleforce.recordings.channels import read_toml
 from residual import (
@@ -226,7 +226,6 @@ def payload_from_options(
         raise CommandError(
             f"{mapping}: payload is {type(value).__name__}, expected a table, a file, "
             "needle or none",
-            CommandCode.FILE,
         )
     return _payload_from_table(value, where)
 
@@ -237,7 +236,6 @@ def _payload_from_table(table: Mapping[str, Any], where: str) -> Payload | Needl
         if len(table) > 1 or not isinstance(table["needle"], dict):
             raise CommandError(
                 f"{where}: expected a table [needle] alone, or mass_kg and com_m",
-                CommandCode.FILE,
             )
         return convert_table(NeedleTool, table["needle"], f"{where}: [needle]")
     for name in ("mass_kg", "com_m"):
@@ -245,7 +243,6 @@ def _payload_from_table(table: Mapping[str, Any], where: str) -> Payload | Needl
             raise CommandError(
                 f"{where}: {name} is missing; a payload has mass_kg, com_m and "
                 "inertia_kg_m2, or is a table [needle]",
-                CommandCode.FILE,
             )
     point_mass = {"inertia_kg_m2": [[0.0] * 3] * 3}
     return convert_table(Payload, {**point_mass, **table}, where)
@@ -307,7 +304,6 @@ def with_friction(robot: Robot, path: str | None) -> RobotWithFriction:
         raise CommandError(
             f"{path} has {', '.join(tables)}; expected one table of {known}, and "
             f"{_ROTOR_INERTIA} if it counts",
-            CommandCode.FILE,
         )
     friction = None
     for name, table in tables.items():
@@ -350,7 +346,6 @@ def sensor_config(
             raise CommandError(
                 f"{options.config}: unknown key 'friction'; joint friction stands in "
                 "the file of --friction",
-                CommandCode.FILE,
             )
         config = convert_table(SensorConfig, table, options.config, config)
     settings = {

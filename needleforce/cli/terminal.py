@@ -9,7 +9,7 @@ from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from types import FrameType
 
-from foundation.errors import CodedError, ErrorCode
+from foundation.errors import NeedleforceError
 from foundation.extras import extra_of, install_command
 from needleforce.cli.advice import describe_error
 
@@ -29,68 +29,24 @@ Progress = Callable[[float], None]
 """Takes the fraction of a piece of work that is done."""
 
 
-class CommandCode(ErrorCode):
-    """Kinds of errors of a command line; the advice is the command's own."""
-
-    USAGE = (
-        "NF-COMMAND-USAGE",
-        "The command line has a word, an option or a value that is not expected.",
-        "--help lists what a command takes",
-    )
-    OPTION = (
-        "NF-COMMAND-OPTION",
-        "The value of an option cannot be, or options contradict each other.",
-        "Give what the message expects; --help says what each option means",
-    )
-    FILE = (
-        "NF-COMMAND-FILE",
-        "A file that an option names has an unknown key, or a value that cannot be.",
-        "Correct the file",
-    )
-    ROBOT = (
-        "NF-COMMAND-ROBOT",
-        "The log or the arm has another number of joints than the robot.",
-        "Name another robot with --robot or --urdf FILE, where --lock-others locks "
-        "every joint that the log does not have and --lock JOINT a single one; or name "
-        "the columns with --q",
-    )
-    TARE = (
-        "NF-COMMAND-TARE",
-        "The log has no usable window for the tare.",
-        "Choose where the needle is free with --tare START:END, in seconds such as 0:4 "
-        "or +0:+4 from the log's first stamp; --no-tare goes without",
-    )
-    ARM = (
-        "NF-COMMAND-ARM",
-        "The arm sends nothing that can be used.",
-        "Check that the arm runs, and that it sends to this machine and port",
-    )
-    PLAN = (
-        "NF-COMMAND-PLAN",
-        "The plan's file cannot be read, or holds no plan that can be followed.",
-        "Give plan.json, or the folder that holds it beside labels.nii.gz",
-    )
-    HIDDEN = (
-        "NF-COMMAND-HIDDEN",
-        "A file or folder of the user hides a package of this project.",
-        "Rename it, or work in another folder",
-    )
-    LIBRARY = (
-        "NF-COMMAND-LIBRARY",
-        "The command needs a library that is not installed.",
-        f"Install it: {install_command('{extra}')}",
-    )
-    OUTPUT = (
-        "NF-COMMAND-OUTPUT",
-        "Standard output or another output of the command cannot be written.",
-        "Make room on the disk, or give another place",
-    )
+OTHER_ROBOT = (
+    "Name another robot with --robot or --urdf FILE, where --lock-others locks "
+    "every joint that the log does not have and --lock JOINT a single one; or "
+    "name the columns with --q"
+)
+CHOOSE_TARE = (
+    "Choose where the needle is free with --tare START:END, in seconds such as "
+    "0:4 or +0:+4 from the log's first stamp; --no-tare goes without"
+)
+CHECK_ARM = "Check that the arm runs, and that it sends to this machine and port"
+GIVE_PLAN = "Give plan.json, or the folder that holds it beside labels.nii.gz"
+OTHER_PLACE = "Make room on the disk, or give another place"
 
 
-class CommandError(CodedError, ValueError):
+class CommandError(NeedleforceError, ValueError):
     """An option, a file named by one, or a log that does not fit the robot."""
 
-    usual_code = CommandCode.OPTION
+    usual_advice = "--help says what each option means"
 
 
 class _Terminated(BaseException):
@@ -129,7 +85,7 @@ def run_command(work: Callable[[], int]) -> int:
         if is_terminated:
             say("terminated")
             return TERMINATED
-        say(f"error {_describe_failure(error)}")
+        say(f"error: {_describe_failure(error)}")
         return FAILED
 
 
@@ -137,10 +93,10 @@ def _describe_failure(error: BaseException) -> str:
     """Return a foreseen failure in one line; raise what was not foreseen."""
     if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name)):
         reason = f"{error.name} is not installed"
-        error = CommandError(reason, CommandCode.LIBRARY, extra=extra)
+        error = CommandError(reason, f"Install it: {install_command(extra)}")
     if type(error).__module__.partition(".")[0] == "cyclopts":
-        error = CommandError(str(error), CommandCode.USAGE)
-    if isinstance(error, CodedError):
+        error = CommandError(str(error), "--help lists what a command takes")
+    if isinstance(error, NeedleforceError):
         try:
             write_out("")
         except OSError:  # what a full disk has refused would be tried again at the end
@@ -151,7 +107,7 @@ def _describe_failure(error: BaseException) -> str:
     # A failure without a file is one of standard output; others say which file.
     _close_output()
     reason = f"cannot write standard output: {error.strerror or error}"
-    return describe_error(CommandError(reason, CommandCode.OUTPUT))
+    return describe_error(CommandError(reason, OTHER_PLACE))
 
 
 def require_modules(command: str, modules: Iterable[str]) -> None:
@@ -168,8 +124,7 @@ def require_modules(command: str, modules: Iterable[str]) -> None:
         if find_spec(module) is None:
             raise CommandError(
                 f"{command} needs {module}, which is not installed",
-                CommandCode.LIBRARY,
-                extra=str(extra_of(module)),
+                f"Install it: {install_command(str(extra_of(module)))}",
             )
 
 

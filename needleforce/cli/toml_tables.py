@@ -9,7 +9,7 @@ import msgspec
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.cli.terminal import CommandError
 
 T = TypeVar("T")
 
@@ -30,9 +30,7 @@ def convert_table(kind: type[T], table: Any, where: str, preset: Any = None) -> 
         CommandError: A key is unknown, or its value does not fit.
     """
     if not isinstance(table, dict):
-        raise CommandError(
-            f"{where} is {type(table).__name__}, expected a table", CommandCode.FILE
-        )
+        raise CommandError(f"{where} is {type(table).__name__}, expected a table")
     _require_known_keys(kind, table, where)
     values = {} if preset is None else asdict(preset)
     for name, value in table.items():
@@ -54,9 +52,7 @@ def convert_table(kind: type[T], table: Any, where: str, preset: Any = None) -> 
             choices = get_args(get_type_hints(kind)[key])
             problem += f", expected {' or '.join(map(repr, choices))}"
         problem = problem.replace("null", repr(NOTHING)).replace("object", "table")
-        raise CommandError(
-            f"{where}: {key}{': ' if key else ''}{problem}", CommandCode.FILE
-        ) from error
+        raise CommandError(f"{where}: {key}{': ' if key else ''}{problem}") from error
 
 
 def _require_known_keys(kind: Any, table: Mapping[str, Any], where: str) -> None:
@@ -69,7 +65,6 @@ def _require_known_keys(kind: Any, table: Mapping[str, Any], where: str) -> None
             hint = f"did you mean {near[0]}? " if near else ""
             raise CommandError(
                 f"{where}: unknown key {name!r}; {hint}known are: {', '.join(known)}",
-                CommandCode.FILE,
             )
         if is_dataclass(hints[name]) and isinstance(value, dict):
             _require_known_keys(hints[name], value, f"{where}: {name}")

@@ -6,7 +6,7 @@ no acceleration or jerk the values are ours, and say so.
 
 from typing import NamedTuple
 
-from needleforce.control.errors import ControlCode, SettingError
+from needleforce.control.errors import RIGHT_LIMITS, SettingError
 
 
 class ArmLimits(NamedTuple):
@@ -94,6 +94,6 @@ def limits_of_arm(name: str) -> ArmLimits:
     if name not in ARM_LIMITS:
         raise SettingError(
             f"no limits of an arm {name!r}, expected one of {', '.join(ARM_LIMITS)}",
-            ControlCode.LIMITS,
+            RIGHT_LIMITS,
         )
     return ARM_LIMITS[name]

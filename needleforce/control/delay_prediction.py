@@ -13,7 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.control.errors import ControlCode, SettingError
+from needleforce.control.errors import SettingError
 from needleforce.control.setting_checks import require_positive
 
 MAX_DELAY_s = 0.3
@@ -48,7 +48,6 @@ class DelayPrediction:
         if delay_s > MAX_DELAY_s:
             raise SettingError(
                 f"delay_s is {delay_s:g}, expected at most {MAX_DELAY_s:g} seconds",
-                ControlCode.SETTING,
             )
         self._delay_s = float(delay_s)
         self._rest = _Mark(0.0, np.zeros(joints))

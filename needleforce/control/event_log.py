@@ -10,7 +10,7 @@ from typing import Any
 
 import msgspec
 
-from needleforce.control.errors import ControlCode, SettingError
+from needleforce.control.errors import OWN_EVENT_LOG, SettingError
 from needleforce.control.state_machine import State, transition
 
 MCAP_TOPIC = "/needleforce/events"
@@ -73,7 +73,7 @@ class EventLog:
         except (ValueError, RecursionError) as error:
             raise SettingError(
                 f"data of {event.event} cannot be written as JSON: {error}",
-                ControlCode.EVENT_LOG,
+                OWN_EVENT_LOG,
             ) from error
         self.events.append(event)
 
@@ -127,7 +127,8 @@ def _import_mcap(module: str) -> Any:
         return import_module(f"mcap.{module}")
     except ImportError:
         raise SettingError(
-            "MCAP files need mcap, which is not installed", ControlCode.LIBRARY
+            "MCAP files need mcap, which is not installed",
+            "Install it: pip install 'needleforce[recordings]'.",
         ) from None
 
 
@@ -150,12 +151,12 @@ def read_events(path: str | Path) -> list[LoggedEvent]:
         except msgspec.DecodeError as error:
             raise SettingError(
                 f"{path}, line {number} is no event: {line[:80]!r}",
-                ControlCode.EVENT_LOG,
+                OWN_EVENT_LOG,
             ) from error
         if event.seq not in (0, events[-1].seq + 1 if events else 0):
             raise SettingError(
                 f"{path}, line {number}: event {event.seq} is out of order",
-                ControlCode.EVENT_LOG,
+                OWN_EVENT_LOG,
             )
         events.append(event)
     return events
@@ -174,7 +175,7 @@ def _mcap_messages(data: bytes, path: str | Path) -> list[bytes]:
     except Exception as error:  # whatever the library makes of a damaged file
         raise SettingError(
             f"{path} is no MCAP file, or a damaged one: {error!r}",
-            ControlCode.EVENT_LOG,
+            OWN_EVENT_LOG,
         ) from error
 
 

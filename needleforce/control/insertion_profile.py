@@ -17,7 +17,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from identification.estimate import Estimate
-from needleforce.control.errors import ControlCode, SettingError
+from needleforce.control.errors import SettingError
 from needleforce.control.manager import Situation
 from needleforce.control.rupture_counter import RuptureCounter
 from needleforce.control.setting_checks import require_positive
@@ -130,7 +130,7 @@ def depth_of(
             f"the target lies {1e3 * depth_m:.1f} mm ahead and {1e3 * miss_m:.1f} mm "
             "beside the needle's line, expected ahead and within "
             f"{1e3 * tolerance_m:g} mm",
-            ControlCode.TARGET,
+            "Align the needle with the plan first.",
         )
     return depth_m
 

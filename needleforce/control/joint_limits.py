@@ -8,7 +8,7 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Matrix, Vector, WrittenMatrix
 from foundation.jit import compiled
 from needleforce.control.arm_limits import limits_of_arm
-from needleforce.control.errors import ControlCode, SettingError
+from needleforce.control.errors import RIGHT_LIMITS, SettingError
 from needleforce.control.setting_checks import require_positive
 from urdf import Robot
 
@@ -155,7 +155,7 @@ class Limits:
         if joint_count != robot.nv:
             raise SettingError(
                 f"limits of {joint_count} joints ({name}), the robot has {robot.nv}",
-                ControlCode.LIMITS,
+                RIGHT_LIMITS,
             )
         return cls(
             robot,
@@ -182,12 +182,12 @@ def _limit_rates(
     except (TypeError, ValueError):
         raise SettingError(
             f"limits must be one number or {joint_count}, one per joint",
-            ControlCode.LIMITS,
+            RIGHT_LIMITS,
         ) from None
     if not (np.isfinite(jerk).all() and (jerk > 0.0).all()):
         raise SettingError(
             f"jerk_rad_s3 is {jerk_rad_s3!r}, expected positive numbers",
-            ControlCode.LIMITS,
+            RIGHT_LIMITS,
         )
     jerk = RATE_HEADROOM * jerk
     acceleration = np.minimum(RATE_HEADROOM * acceleration, jerk * cycle_s)
@@ -201,7 +201,7 @@ def _one_per_joint(joint_count: int, *limits: ArrayLike) -> JointLimits:
     except ValueError:
         raise SettingError(
             f"limits must be one number or {joint_count}, one per joint",
-            ControlCode.LIMITS,
+            RIGHT_LIMITS,
         ) from None
     return JointLimits(*np.array(rows, dtype=np.float64))
 
@@ -233,7 +233,7 @@ def _require_usable(limits: JointLimits, robot: Robot, margin_rad: float) -> Non
     for is_wrong, complaint in complaints:
         if is_wrong.any():
             joints = ", ".join(np.array(robot.joint_names)[is_wrong])
-            raise SettingError(f"joints {joints}: {complaint}", ControlCode.LIMITS)
+            raise SettingError(f"joints {joints}: {complaint}", RIGHT_LIMITS)
 
 
 @compiled

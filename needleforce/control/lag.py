@@ -25,7 +25,7 @@ from scipy.optimize import minimize_scalar
 from foundation.arrays import Array
 from needleforce.control.controller import Command, Controller
 from needleforce.control.delay_prediction import MAX_DELAY_s
-from needleforce.control.errors import ControlCode, ControlError, SettingError
+from needleforce.control.errors import ControlError, SettingError
 from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import ArmSample
 from needleforce.control.setting_checks import require_positive
@@ -183,7 +183,8 @@ def measure_delay(
             f"{joint} moved by {100.0 * fit.followed:.0f} % of its commands, which "
             f"explain {100.0 * max(explained, 0.0):.0f} % of its motion: expected an "
             "arm that follows velocities and that nothing touches",
-            ControlCode.LAG,
+            "Let the arm take commands, with nothing touching it, away from "
+            "its limits.",
         )
     noise_s = fit.noise_of_delay(np.gradient(commanded_rad, times_s))
     parts = np.array_split(np.flatnonzero(command_rad_s), WINDOWS)
@@ -348,7 +349,8 @@ class LagProbe:
         if self.state is not ProbeState.DONE:
             raise ControlError(
                 f"the delay is not measured: {self.reason or self.state}",
-                ControlCode.LAG,
+                "Let the arm take commands, with nothing touching it, away "
+                "from its limits.",
             )
         count = len(self._commands_rad_s)
         times_s = np.array(self._times_s[:count])

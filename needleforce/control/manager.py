@@ -8,7 +8,7 @@ import math
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
-from needleforce.control.errors import ControlCode, SettingError
+from needleforce.control.errors import SettingError
 from needleforce.control.event_log import EventLog, LoggedEvent
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
@@ -309,5 +309,5 @@ def _require_session(session: Any, limits: Any) -> None:
         raise SettingError(
             f"the session's needle is {config.insertion_axis} of frame {config.frame}; "
             "motions are along z of the robot's tool frame",
-            ControlCode.FRAME,
+            "Load the robot with a `tool_frame` whose z axis is the needle.",
         )

@@ -22,7 +22,7 @@ import numpy as np
 
 from needleforce.control.controller import Command, Controller
 from needleforce.control.elbow_swivel import ElbowSwivel
-from needleforce.control.errors import ControlCode, ControlError, SettingError
+from needleforce.control.errors import ControlError, SettingError
 from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import Arm, ArmSample
 from needleforce.control.setting_checks import require_positive
@@ -151,7 +151,6 @@ class TareStroke:
             raise SettingError(
                 f"swings is {motion.swings:g}, expected a whole number: the elbow ends "
                 "where it began",
-                ControlCode.SETTING,
             )
         self.state = StrokeState.WAITING
         self.reason = ""
@@ -295,14 +294,18 @@ def tare_with_stroke(
             return
     raise ControlError(
         f"no tare: the arm's samples ended while the motion was {stroke.state}",
-        ControlCode.TARE_STROKE,
+        "Let the arm take commands, in free air, with room for a stroke and a swivel.",
     )
 
 
 def _end_tare(stroke: TareStroke, session: "InsertionSession") -> bool:
     """Start a tare where the arm rests after its motion; return whether it is done."""
     if stroke.state is StrokeState.FAILED:
-        raise ControlError(f"no tare: {stroke.reason}", ControlCode.TARE_STROKE)
+        raise ControlError(
+            f"no tare: {stroke.reason}",
+            "Let the arm take commands, in free air, with room for a stroke "
+            "and a swivel.",
+        )
     if session.tared or session.taring:
         return session.tared
     if session.tare_refusal is not None:

@@ -75,7 +75,7 @@ class ControllerLink(DatagramLink, ABC):
                 self.report.outages += not is_silent
                 is_silent = True
                 self._lose_controller()
-                self.peer = None  # after an outage it may come back on another port
+                self._forget_port()  # after an outage it may come back on another
                 continue
 
             reading = self._process(data)

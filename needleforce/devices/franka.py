@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike
 
 from needleforce.devices.checked_arm import ArmSignals, CheckedArm
 from needleforce.devices.datagram_link import LOOPBACK
-from needleforce.devices.errors import DeviceCode, LinkError, import_client
+from needleforce.devices.errors import LinkError, import_client
 from needleforce.devices.franka_versions import (
     FER_LIBRARY,
     FR3_LIBRARY,
@@ -84,9 +84,7 @@ class _FrankaArm(CheckedArm):
         except self._errors() as error:
             mismatch = describe_mismatch(host, library)
             if mismatch:
-                raise LinkError(
-                    f"no Franka arm at {host}: {mismatch}", DeviceCode.VERSION
-                ) from error
+                raise LinkError(f"no Franka arm at {host}: {mismatch}") from error
 
             raise LinkError(
                 f"no Franka arm at {host}: {error}; is its FCI activated, and does no "
@@ -159,7 +157,11 @@ class _FrankaArm(CheckedArm):
 
     def _stopped_error(self, error: BaseException) -> LinkError:
         """Return the error of an arm that has stopped by itself."""
-        return LinkError(f"the Franka arm has stopped: {error}", DeviceCode.STOPPED)
+        return LinkError(
+            f"the Franka arm has stopped: {error}",
+            "Release it at its own panel, see to the cause that the message "
+            "names, and open the connection again.",
+        )
 
 
 class Fr3Arm(_FrankaArm):

@@ -10,7 +10,7 @@ from contextlib import suppress
 from typing import Any
 
 from foundation.arrays import Array
-from needleforce.devices.errors import DeviceCode, LinkError, import_client
+from needleforce.devices.errors import LinkError, import_client
 
 JOINTS = 6
 
@@ -116,7 +116,8 @@ class UrControl:
                 "the UR arm has stopped: its program has ended, after "
                 f"{1.0 / WATCHDOG_HZ:g} s without a cycle of this one, a protective "
                 "stop, or by its panel",
-                DeviceCode.STOPPED,
+                "Release it at its own panel, see to the cause that the "
+                "message names, and open the connection again.",
             )
 
         self._silent_cycles += 1

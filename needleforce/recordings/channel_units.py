@@ -9,7 +9,7 @@ from typing import NamedTuple
 
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import parse_column_name, written_unit
-from needleforce.recordings.errors import RecordingCode, UnitError
+from needleforce.recordings.errors import UnitError
 from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.table import Table
 
@@ -152,9 +152,7 @@ def units_of_columns(
         fault, advised = _contradiction(channel, name, statements, spec.unit)
         if fault:
             raise UnitError(
-                f"{channel.name}: {fault}",
-                RecordingCode.UNIT,
-                **advice_places(channel, columns, advised),
+                f"{channel.name}: {fault}", advise_unit(channel, columns, advised)
             )
 
         units.append(_stated_unit(channel, name, statements, spec.unit))
@@ -231,12 +229,13 @@ def _contradiction(
     ), stated
 
 
-def advice_places(
-    channel: Channel, columns: Sequence[str], unit: str
-) -> dict[str, str]:
-    """Return what an advice on a channel's unit names: the option and its value."""
-    value = f"{column_pattern(columns)}:{unit}"
-    return {**channel.places, "value": shlex.quote(value), "unit": unit}
+def advise_unit(channel: Channel, columns: Sequence[str], unit: str) -> str:
+    """Return how to say in which unit the columns of a channel are."""
+    value = shlex.quote(f"{column_pattern(columns)}:{unit}")
+    return (
+        f"Give {channel.name} its `unit` in the `mapping`, as {value} does; a `scale` "
+        "may stand for a unit that is not known."
+    )
 
 
 def column_pattern(columns: Sequence[str]) -> str:

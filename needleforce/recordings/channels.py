@@ -91,15 +91,14 @@ class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             msgspec.structs.force_setattr(self, "usual_unit", self.si_unit)
 
     @property
-    def places(self) -> dict[str, str]:
-        """What an advice about this channel names: the channel, and its option.
+    def option(self) -> str:
+        """Option of the commands that names its columns.
 
-        What only this package writes has no option of its own, only an entry in the
-        mapping.
+        What only this package writes has none of its own, only an entry in the file of
+        ``--mapping``.
         """
         has_option = not self.name.startswith("force_")
-        option = self.name.replace("_", "-") if has_option else "mapping"
-        return {"channel": self.name, "option": f"--{option}"}
+        return f"--{self.name.replace('_', '-') if has_option else 'mapping'}"
 
     @property
     def si_unit(self) -> str:

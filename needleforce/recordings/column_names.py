@@ -11,7 +11,7 @@ from itertools import islice
 from typing import NamedTuple
 
 from needleforce.recordings.channels import Channel, Knowledge, normalised_name
-from needleforce.recordings.errors import ColumnError, RecordingCode
+from needleforce.recordings.errors import ColumnError
 from needleforce.recordings.table import Table
 from needleforce.recordings.units import Units
 
@@ -302,12 +302,19 @@ def _only_candidate(
     return next(iter(candidates.values()), [])
 
 
+def advise_column(channel: Channel) -> str:
+    """Return how to say which columns a channel is."""
+    return (
+        f"Name it under `{channel.name}` in the `mapping`: "
+        "`ColumnMapping(channels=...)`."
+    )
+
+
 def several_fit(channel: Channel, names: Iterable[str]) -> ColumnError:
     """Return the error for a channel that several columns would fit."""
     return ColumnError(
         f"{channel.name}: several columns would fit ({', '.join(names)})",
-        RecordingCode.COLUMN,
-        **channel.places,
+        advise_column(channel),
     )
 
 

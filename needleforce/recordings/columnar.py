@@ -12,8 +12,8 @@ from typing import IO, Any
 import numpy as np
 
 from needleforce.recordings.errors import (
+    RECOVER,
     FormatError,
-    RecordingCode,
     file_errors,
     optional_library,
     require_size,
@@ -49,7 +49,7 @@ def read_npz(path: Path, max_bytes: int) -> Table:
                 f"{path} is not an npz archive, or it is cut short: an npz file ends "
                 "with its table of contents, so that nothing can be read without its "
                 "end",
-                RecordingCode.CUT,
+                RECOVER,
             ) from error
 
 
@@ -140,7 +140,7 @@ def read_arrow(path: Path, max_bytes: int) -> Table:
             f"{path} is not a {kind} file, or it is damaged or cut short: such a file "
             "ends with its table of contents, so that nothing can be read without its "
             f"end ({error})",
-            RecordingCode.CUT,
+            RECOVER,
         ) from error
 
 

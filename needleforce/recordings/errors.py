@@ -5,161 +5,45 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
 
-from foundation.errors import CodedError, ErrorCode
-from foundation.extras import install_command
+from foundation.errors import NeedleforceError
 
 MAX_BYTES = 2 << 30
 """Memory that a recording may take by default; a small damaged file can ask for any."""
 
 
-class RecordingCode(ErrorCode):
-    """Kinds of errors of recordings: files, columns, mappings, logs."""
-
-    ACCESS = (
-        "NF-RECORDING-ACCESS",
-        "A file cannot be opened or written.",
-        "Check the name, the permissions and the space that is left.",
-    )
-    SUFFIX = (
-        "NF-RECORDING-SUFFIX",
-        "The ending of the file's name is none of a known format.",
-        "Name it .csv, .csv.gz, .npz, .parquet or .mcap; a bag may also be .db3, .bag "
-        "or a folder.",
-    )
-    CONVERT = (
-        "NF-RECORDING-CONVERT",
-        "The format is not read, but can be converted to one that is.",
-        "To convert it, {command}",
-    )
-    LIBRARY = (
-        "NF-RECORDING-LIBRARY",
-        "The format needs libraries that are not installed.",
-        f"Install them: {install_command('recordings')}.",
-    )
-    FOLLOW = (
-        "NF-RECORDING-FOLLOW",
-        "This file cannot be followed while it grows.",
-        "Record CSV or MCAP (ros2 bag record -s mcap) and name the file itself, or "
-        "read it when it is complete.",
-    )
-    CHANGED = (
-        "NF-RECORDING-CHANGED",
-        "The file was replaced, shortened or removed while it was followed.",
-        "Start again.",
-    )
-    OUTPUT = (
-        "NF-RECORDING-OUTPUT",
-        "An output would replace the log or another output, or its folder is missing.",
-        "Give each output a place of its own, in a folder that exists.",
-    )
-    EXISTS = (
-        "NF-RECORDING-EXISTS",
-        "A file of that name is there, and would be lost.",
-        "Give another name, or set `overwrites`.",
-    )
-    FORMAT = (
-        "NF-RECORDING-FORMAT",
-        "Nothing usable could be read from the file.",
-        "Give a header with the names of the columns and rows of numbers; a damaged "
-        "file has to be written anew.",
-    )
-    CUT = (
-        "NF-RECORDING-CUT",
-        "The file is damaged or ends early.",
-        "Copy it again; messages of an SQLite bag may be recovered with: sqlite3 FILE "
-        ".recover.",
-    )
-    BAG = (
-        "NF-RECORDING-BAG",
-        "A bag holds nothing that can be read, or in a form that cannot.",
-        "Unpack compressed files (zstd -d, ros2 bag convert), or record the topics "
-        "with numbers again.",
-    )
-    SIZE = (
-        "NF-RECORDING-SIZE",
-        "The recording takes more memory than is allowed.",
-        "If the file is trusted, raise `max_bytes`.",
-    )
-    COLUMN = (
-        "NF-RECORDING-COLUMN",
-        "No column, or more than one, could be the channel that is needed.",
-        "Name it under `{channel}` in the `mapping`: `ColumnMapping(channels=...)`.",
-    )
-    NAME = (
-        "NF-RECORDING-NAME",
-        "No column, element, joint or topic has the name that was given.",
-        "Give a name that the message lists, a pattern such as q_* or a unit such as "
-        "z:mm.",
-    )
-    PARTIAL = (
-        "NF-RECORDING-PARTIAL",
-        "A channel that may be left out has no values for some joints.",
-        "Leave it out with `ColumnSpec(columns=LEFT_OUT)` under `{channel}` in the "
-        "`mapping`, or name its columns there.",
-    )
-    HEADERLESS = (
-        "NF-RECORDING-HEADERLESS",
-        "The file has no header, so that no column has a name.",
-        "Name column_1, column_2 and so on under {channel} and others in the "
-        "`mapping`, each with its `unit`.",
-    )
-    UNIT = (
-        "NF-RECORDING-UNIT",
-        "The unit of a column is not known, or is contradicted by the file.",
-        "Give {channel} its `unit` in the `mapping`; a `scale` may stand for a unit "
-        "that is not known.",
-    )
-    TIME_COLUMN = (
-        "NF-RECORDING-TIME-COLUMN",
-        "No column of time stamps was found.",
-        "Name it under `time` in the `mapping`, or give `rate_hz`.",
-    )
-    TIME = (
-        "NF-RECORDING-TIME",
-        "The time stamps do not advance, or are none.",
-        "Give time stamps that increase; name their unit in the `mapping`, or give "
-        "`rate_hz` instead.",
-    )
-    MAPPING = (
-        "NF-RECORDING-MAPPING",
-        "The mapping of columns contradicts itself, or has unknown channels, keys or "
-        "units.",
-        "Correct the `ColumnMapping`: a channel has `columns`, `unit` and `scale`.",
-    )
-    LOG = (
-        "NF-RECORDING-LOG",
-        "The columns do not form a log: they are empty, or their lengths differ.",
-        "Give columns of numbers with one value, or one row, for each time stamp.",
-    )
-    JOINTS = (
-        "NF-RECORDING-JOINTS",
-        "The channels differ in the number of joints.",
-        "Name the columns of all joints under each channel of the `mapping`.",
-    )
-    ARMS = (
-        "NF-RECORDING-ARMS",
-        "Joints of more than one arm would fit the robot's.",
-        "Choose one with `joints` in the `mapping`, such as `('{pattern}',)`.",
-    )
-    WRITE = (
-        "NF-RECORDING-WRITE",
-        "A table cannot be written in this form.",
-        "Give equal columns of numbers with names of their own; a bag needs `t_s`.",
-    )
+KNOWN_SUFFIX = (
+    "Name it .csv, .csv.gz, .npz, .parquet or .mcap; a bag may also be .db3, "
+    ".bag or a folder."
+)
+START_AGAIN = "Start again."
+OWN_PLACES = "Give each output a place of its own, in a folder that exists."
+RECOVER = (
+    "Copy it again; messages of an SQLite bag may be recovered with: sqlite3 "
+    "FILE .recover."
+)
+UNPACK = (
+    "Unpack compressed files (zstd -d, ros2 bag convert), or record the topics "
+    "with numbers again."
+)
+EQUAL_COLUMNS = (
+    "Give equal columns of numbers with names of their own; a bag needs `t_s`."
+)
 
 
-class RecordingError(CodedError):
+class RecordingError(NeedleforceError):
     """Base of all errors raised by `needleforce.recordings`."""
 
-    usual_code = RecordingCode.FORMAT
+    usual_advice = (
+        "Give a header with the names of the columns and rows of numbers; a "
+        "damaged file has to be written anew."
+    )
 
 
 class FileAccessError(RecordingError, OSError):
     """A file cannot be opened, or its suffix names no known format."""
 
-    usual_code = RecordingCode.ACCESS
+    usual_advice = "Check the name, the permissions and the space that is left."
 
 
 class FormatError(RecordingError, ValueError):
@@ -169,41 +53,42 @@ class FormatError(RecordingError, ValueError):
 class ColumnError(RecordingError, LookupError):
     """A column was not found, or more than one would fit."""
 
-    usual_code = RecordingCode.NAME
+    usual_advice = (
+        "Give a name that the message lists, a pattern such as q_* or a unit "
+        "such as z:mm."
+    )
 
 
 class UnitError(RecordingError, ValueError):
     """The unit of a column is not known, or contradicted by names, rows or values."""
 
-    usual_code = RecordingCode.UNIT
+    usual_advice = (
+        "Give {channel} its `unit` in the `mapping`; a `scale` may stand for a "
+        "unit that is not known."
+    )
 
 
 class MappingError(RecordingError, ValueError):
     """A column mapping contradicts itself or uses unknown channels, keys or units."""
 
-    usual_code = RecordingCode.MAPPING
+    usual_advice = (
+        "Correct the `ColumnMapping`: a channel has `columns`, `unit` and `scale`."
+    )
 
 
 class LogError(RecordingError, ValueError):
     """Data do not form a log: lengths differ, no usable time, no finite value."""
 
-    usual_code = RecordingCode.LOG
+    usual_advice = (
+        "Give columns of numbers with one value, or one row, for each time stamp."
+    )
 
 
-class FaultCount(NamedTuple):
-    """How often one kind of fault occurred.
+class FaultCounts(dict[str, tuple[int, str]]):
+    """What is wrong with a recording: kinds of faults in words, how often, where first.
 
-    Attributes:
-        occurrences: How often it occurred.
-        first: Where it occurred first, in words; empty where that says nothing.
+    The place is empty where it says nothing.
     """
-
-    occurrences: int
-    first: str
-
-
-class FaultCounts(dict[str, FaultCount]):
-    """What is wrong with a recording: kinds of faults in words, and how often each."""
 
     def note(self, fault: str, where: str, count: int = 1) -> None:
         """Count a fault.
@@ -213,8 +98,8 @@ class FaultCounts(dict[str, FaultCount]):
             where: Its place in the file; the first place of each kind is reported.
             count: How often it occurred.
         """
-        known = self.get(fault, FaultCount(0, ""))
-        self[fault] = FaultCount(known.occurrences + count, known.first or where)
+        known_count, first = self.get(fault, (0, ""))
+        self[fault] = (known_count + count, first or where)
 
     def lines(self) -> tuple[str, ...]:
         """Return one line for each kind of fault that occurred."""
@@ -237,7 +122,7 @@ def require_size(size: int, limit: int, subject: str) -> None:
         raise FormatError(
             f"{subject} takes {size / 1e6:.3g} MB unpacked, more than the limit of "
             f"{limit / 1e6:.3g} MB",
-            RecordingCode.SIZE,
+            "If the file is trusted, raise `max_bytes`.",
         )
 
 
@@ -256,7 +141,8 @@ def optional_library(module: str, user: str) -> ModuleType:
     except ImportError as error:
         library = module.partition(".")[0]
         raise FileAccessError(
-            f"{user} need {library}, which is not installed", RecordingCode.LIBRARY
+            f"{user} need {library}, which is not installed",
+            "Install them: pip install 'needleforce[recordings]'.",
         ) from error
 
 

@@ -11,7 +11,7 @@ from os.path import commonprefix
 from typing import NamedTuple
 
 from needleforce.recordings.channels import Channel, JointRules
-from needleforce.recordings.errors import ColumnError, RecordingCode
+from needleforce.recordings.errors import ColumnError
 from needleforce.recordings.mapping import ColumnMapping
 
 _SEPARATOR = re.compile(r"[^A-Za-z0-9]")
@@ -113,10 +113,10 @@ def choose_match(
     )
     prefix, _, suffix = matches[0].pattern.partition("*")
     prefixes = {match.pattern.partition("*")[0] for match in matches}
+    pattern = f"{prefix}*" if len(prefixes) > 1 else f"*{suffix}"
     raise ColumnError(
         f"{where}: the robot's joints may be {listed}; expected one of them",
-        RecordingCode.ARMS,
-        pattern=f"{prefix}*" if len(prefixes) > 1 else f"*{suffix}",
+        f"Choose one with `joints` in the `mapping`, such as `('{pattern}',)`.",
     )
 
 

@@ -11,7 +11,7 @@ from needleforce.recordings.channel_units import (
     ChannelUnit,
     ColumnUnit,
     UnitOrigin,
-    advice_places,
+    advise_unit,
     describe_columns,
     units_of_columns,
 )
@@ -21,7 +21,6 @@ from needleforce.recordings.errors import (
     FaultCounts,
     LogError,
     MappingError,
-    RecordingCode,
     UnitError,
 )
 from needleforce.recordings.mapping import LEFT_OUT, ColumnSpec
@@ -142,8 +141,7 @@ class Signal:
         if is_large and self._has_origin(UnitOrigin.ASSUMED):
             raise UnitError(
                 f"{self._describe_size()}. The file states no unit",
-                RecordingCode.UNIT,
-                **advice_places(self.channel, self.columns, self._likely_unit()),
+                advise_unit(self.channel, self.columns, self._likely_unit()),
             )
 
     def report_implausible(self) -> tuple[str, ...]:
@@ -303,5 +301,6 @@ def require_equal_sizes(
             for key, count in joint_counts.items()
         )
         raise LogError(
-            f"channels differ in the number of joints: {listed}", RecordingCode.JOINTS
+            f"channels differ in the number of joints: {listed}",
+            "Name the columns of all joints under each channel of the `mapping`.",
         )

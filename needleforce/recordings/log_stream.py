@@ -9,15 +9,14 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import ChannelUnit, advice_places
+from needleforce.recordings.channel_units import ChannelUnit, advise_unit
 from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import columns_in_other_units
+from needleforce.recordings.column_names import advise_column, columns_in_other_units
 from needleforce.recordings.errors import (
     MAX_BYTES,
     ColumnError,
     FaultCounts,
     LogError,
-    RecordingCode,
     RecordingError,
     UnitError,
     require_size,
@@ -43,9 +42,6 @@ from needleforce.recordings.time_stamps import (
     start_of_clock,
     to_seconds,
 )
-
-MAX_CHUNK_ROWS = 1 << 14
-"""Of a file that is held as a whole so many rows are worked on at a time."""
 
 ROW = "row"
 """Name of the numbers of rows in the file, beside the keys of channels."""
@@ -134,10 +130,13 @@ class LogStream:
         self.tool_mass = head.tool_mass or tool_mass_in(head)
         self._request = self._request.with_layout(head)
         layout = self._request.find_layout(head)
-        if layout is not None and layout.note:
-            self._report([f"{layout.name}: {layout.note}"])
+        note = f"{layout.name}: {layout.note}" if layout and layout.note else ""
+        self._report([note] if note else [])
+        try:
+            self._find_channels(head)
+        except RecordingError as error:  # the note may say why
+            raise (error.reworded(f"{error}. {note}") if note else error) from error
 
-        self._find_channels(head)
         has_stamps = self._request.mapping.rate_hz is None
         if has_stamps:
             self._signals = {"t_s": self._find_time(head), **self._signals}
@@ -195,7 +194,9 @@ class LogStream:
         self._report(self._faults.lines())
         if not self._kept_count:
             raise LogError(
-                f"of {self._row_count} rows none has a time stamp", RecordingCode.TIME
+                f"of {self._row_count} rows none has a time stamp",
+                "Give time stamps that increase; name their unit in the "
+                "`mapping`, or give `rate_hz` instead.",
             )
 
         self._require_plausible()
@@ -220,7 +221,7 @@ class LogStream:
 
         raise ColumnError(
             f"no time column found. Columns are: {table.describe()}{table.left_out()}",
-            RecordingCode.TIME_COLUMN,
+            "Name it under `time` in the `mapping`, or give `rate_hz`.",
         )
 
     def _find_channels(self, table: Table) -> None:
@@ -286,8 +287,9 @@ class LogStream:
             first = self._row_count + 1.0
             values[ROW] = np.arange(first, first + row_count)
             self._row_count += row_count
-            for start in range(0, row_count, MAX_CHUNK_ROWS):
-                end = start + MAX_CHUNK_ROWS
+            max_chunk_rows = 1 << 14  # of a file that is held as a whole
+            for start in range(0, row_count, max_chunk_rows):
+                end = start + max_chunk_rows
                 part = {key: array[start:end] for key, array in values.items()}
                 watched = self._watched(part)
                 if len(watched["t_s"]):
@@ -407,8 +409,8 @@ def _require_all_joints(channel: Channel, head: Array) -> None:
         raise ColumnError(
             f"{channel.name} has no finite value at joint {numbers} in the first "
             f"{len(head)} rows",
-            RecordingCode.PARTIAL,
-            **channel.places,
+            "Leave it out with `ColumnSpec(columns=LEFT_OUT)` under "
+            f"`{channel.name}` in the `mapping`, or name its columns there.",
         )
 
 
@@ -421,8 +423,7 @@ def _not_found(
         return UnitError(
             f"{channel.name}: column {name!r} is in {unit!r}, which is no known unit "
             f"of {channel.name}; expected one of {', '.join(channel.units)}",
-            RecordingCode.UNIT,
-            **advice_places(channel, [name], f"{channel.si_unit}:FACTOR"),
+            advise_unit(channel, [name], f"{channel.si_unit}:FACTOR"),
         )
 
     if not table.has_header:
@@ -433,8 +434,7 @@ def _not_found(
         f"no column found for {channel.name} ({channel.meaning}); usual names are "
         f"{', '.join(channel.spellings)}. {f'Nor for {also}. ' if also else ''}"
         f"Columns are: {table.describe()}{table.left_out()}",
-        RecordingCode.COLUMN,
-        **channel.places,
+        advise_column(channel),
     )
 
 
@@ -454,13 +454,12 @@ def _no_header(
             columns = f"column_{{{first}..{last}}}"
 
         value = shlex.quote(f"{columns}:{channel.usual_unit}")
-        options.append(f"{channel.places['option']} {value}")
+        options.append(f"{channel.option} {value}")
         first = last + 1
 
     return ColumnError(
         f"no column is known to be {', '.join(each.name for each in missing)}: the "
         f"file has no header. Columns are: {table.describe()}{table.left_out()}",
-        RecordingCode.HEADERLESS,
-        options=" ".join(options),
-        **missing[0].places,
+        "Name columns by their number, with their units, in the `mapping`, or as in "
+        + " ".join(options),
     )

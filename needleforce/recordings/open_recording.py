@@ -14,9 +14,9 @@ from needleforce.recordings.channels import KNOWLEDGE, Knowledge
 from needleforce.recordings.columnar import ARROW_SUFFIXES, read_arrow, read_npz
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
+    KNOWN_SUFFIX,
     MAX_BYTES,
     FileAccessError,
-    RecordingCode,
     RecordingError,
     file_errors,
     readable_path,
@@ -258,14 +258,12 @@ def _binary_tables(
 
         if conversion:
             raise FileAccessError(
-                f"{path} is not read as it is",
-                RecordingCode.CONVERT,
-                command=conversion,
+                f"{path} is not read as it is", f"To convert it, {conversion}"
             )
 
         raise FileAccessError(
             f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}",
-            RecordingCode.SUFFIX,
+            KNOWN_SUFFIX,
         )
 
 
@@ -274,11 +272,13 @@ def _require_followable(path: Path) -> None:
     if path.is_dir():
         raise FileAccessError(
             f"{path} is a folder, which cannot be followed while it grows",
-            RecordingCode.FOLLOW,
+            "Record CSV or MCAP (ros2 bag record -s mcap) and name the file "
+            "itself, or read it when it is complete.",
         )
 
     if not path.name.lower().endswith(".mcap"):
         raise FileAccessError(
             f"{path} cannot be followed while it grows; only CSV and MCAP can",
-            RecordingCode.FOLLOW,
+            "Record CSV or MCAP (ros2 bag record -s mcap) and name the file "
+            "itself, or read it when it is complete.",
         )

@@ -12,18 +12,17 @@ from numpy.typing import ArrayLike
 from needleforce.files import whole_file
 from needleforce.recordings.bags.messages import METADATA, is_bag
 from needleforce.recordings.errors import (
+    EQUAL_COLUMNS,
+    KNOWN_SUFFIX,
+    OWN_PLACES,
     FileAccessError,
     LogError,
-    RecordingCode,
     file_errors,
 )
 from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
 from needleforce.recordings.table import TableColumns, TableLabels
 from needleforce.recordings.writers import WRITERS, Append, Writer, csv_writer
-
-_GROWING_SUFFIXES = (".csv", ".mcap")
-"""Formats that live rows are written in as they come."""
 
 
 def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
@@ -38,14 +37,14 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
             ) from error
 
     if not arrays:
-        raise LogError("no columns to write", RecordingCode.WRITE)
+        raise LogError("no columns to write", EQUAL_COLUMNS)
 
     first = next(iter(arrays.values()))
     row_count = len(first) if first.ndim else 0
     for name, values in arrays.items():
         if not name.strip() or name.startswith("#"):
             raise LogError(
-                f"column name {name!r} is empty or starts with '#'", RecordingCode.WRITE
+                f"column name {name!r} is empty or starts with '#'", EQUAL_COLUMNS
             )
 
         is_numeric = values.dtype.kind in "fiub"
@@ -53,7 +52,7 @@ def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
             raise LogError(
                 f"column {name!r} has shape {values.shape} and type {values.dtype}; "
                 f"expected numbers of shape ({row_count},) or ({row_count}, k)",
-                RecordingCode.WRITE,
+                EQUAL_COLUMNS,
             )
 
     return arrays
@@ -132,7 +131,7 @@ def open_table(
         writer = _find_writer(Path(path))
         if not overwrites:
             _require_new(Path(path))
-        is_growing = is_live and name.lower().endswith(_GROWING_SUFFIXES)
+        is_growing = is_live and name.lower().endswith((".csv", ".mcap"))
         file = whole_file(path, is_in_place=is_growing, overwrites=overwrites)
 
     with ExitStack() as files:
@@ -154,12 +153,12 @@ def _find_writer(path: Path) -> Writer:
 
     if path.name.lower().endswith(".db3"):
         raise FileAccessError(
-            f"cannot write {path}: bags are written as .mcap only", RecordingCode.SUFFIX
+            f"cannot write {path}: bags are written as .mcap only", KNOWN_SUFFIX
         )
 
     raise FileAccessError(
         f"{path} has no known suffix; known are: {', '.join(WRITERS)}",
-        RecordingCode.SUFFIX,
+        KNOWN_SUFFIX,
     )
 
 
@@ -220,13 +219,11 @@ def require_place(path: Path) -> None:
         if not path.parent.is_dir():
             raise FileAccessError(
                 f"cannot write {path}: there is no folder {path.parent}",
-                RecordingCode.OUTPUT,
+                OWN_PLACES,
             )
 
         if path.is_dir():
-            raise FileAccessError(
-                f"cannot write {path}: it is a folder", RecordingCode.OUTPUT
-            )
+            raise FileAccessError(f"cannot write {path}: it is a folder", OWN_PLACES)
 
 
 def _require_new(path: Path) -> None:
@@ -237,7 +234,9 @@ def _require_new(path: Path) -> None:
     """
     with file_errors(path, "write"):
         if path.is_file():
-            raise FileAccessError(f"{path} exists", RecordingCode.EXISTS)
+            raise FileAccessError(
+                f"{path} exists", "Give another name, or set `overwrites`."
+            )
 
 
 def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> None:
@@ -255,7 +254,7 @@ def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> No
             if _overlap(path, other_path):
                 raise FileAccessError(
                     f"{option} and {other_option} both write to {path}",
-                    RecordingCode.OUTPUT,
+                    OWN_PLACES,
                 )
 
     if source is not None and source.exists():
@@ -267,16 +266,14 @@ def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> No
 def _require_apart(path: Path, source: Path) -> None:
     """Raise `FileAccessError` if writing to a path would harm a recording."""
     if path.exists() and path.samefile(source):
-        raise FileAccessError(
-            f"cannot write {path}: it is the log itself", RecordingCode.OUTPUT
-        )
+        raise FileAccessError(f"cannot write {path}: it is the log itself", OWN_PLACES)
 
     folder = source.resolve().parent
     is_in_bag = source.is_file() and is_bag(source) and (folder / METADATA).exists()
     if _overlap(path, folder if is_in_bag else source):
         raise FileAccessError(
             f"cannot write {path}: it and the log {source} lie one inside the other",
-            RecordingCode.OUTPUT,
+            OWN_PLACES,
         )
 
 

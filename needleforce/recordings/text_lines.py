@@ -9,16 +9,10 @@ from itertools import chain
 
 from needleforce.recordings.channels import Knowledge
 from needleforce.recordings.column_names import known_names
-from needleforce.recordings.errors import FormatError, RecordingCode
+from needleforce.recordings.errors import KNOWN_SUFFIX, FormatError
 from needleforce.recordings.follow import BINARY, MAX_BLOCK_BYTES, head_of
 
 _GZIP_MAGIC = b"\x1f\x8b"
-
-SNIFFED_BYTES = 1024
-"""So many first bytes of a text are waited for to see its encoding."""
-
-MAX_SNIFFED_BYTES = 1 << 16
-"""So many of what has come by then are looked at."""
 
 _CUT_SHORT = "the compressed file is cut short"
 _DAMAGED = "the compressed file is damaged"
@@ -64,9 +58,10 @@ class TextLines:
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the lines, without their ends; `FormatError` if there is no text."""
-        _, blocks = head_of(self._plain_blocks(), SNIFFED_BYTES)
+        # A kilobyte is waited for to see the encoding, and as much looked at as came.
+        _, blocks = head_of(self._plain_blocks(), 1024)
         head = next(blocks, b"")
-        encoding = _encoding(head[:MAX_SNIFFED_BYTES], self._knowledge)
+        encoding = _encoding(head[: 1 << 16], self._knowledge)
         if not encoding.startswith("utf"):
             self.warnings.append(f"the file is not UTF-8; it was read as {encoding}")
 
@@ -118,7 +113,7 @@ class TextLines:
         head, blocks = head_of(self._blocks)
         if head in BINARY:
             kind = BINARY[head][1:]
-            raise FormatError(f"it is {kind}, not text", RecordingCode.SUFFIX)
+            raise FormatError(f"it is {kind}, not text", KNOWN_SUFFIX)
 
         yield from self._gunzip(blocks) if head.startswith(_GZIP_MAGIC) else blocks
 

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
-from needleforce.recordings.errors import FaultCounts, LogError, RecordingCode
+from needleforce.recordings.errors import FaultCounts, LogError
 
 NS_PER_S = 1_000_000_000
 
@@ -231,7 +231,8 @@ class RowClock:
             raise LogError(
                 f"no usable time: of {self._row_count} samples none is later than the "
                 "first; at least two time stamps must advance",
-                RecordingCode.TIME,
+                "Give time stamps that increase; name their unit in the "
+                "`mapping`, or give `rate_hz` instead.",
             )
 
         return self._faults.lines()

@@ -19,9 +19,10 @@ from pathlib import Path
 from typing import Any, NamedTuple
 from urllib.parse import parse_qs, urlsplit
 
+from foundation.extras import install_command
 from needleforce.scene.page_policy import VISERS_LOADER, page_policy, with_nonce
 from needleforce.scene.page_text import text_html
-from needleforce.scene.state_ring import SceneCode, SceneError
+from needleforce.scene.state_ring import SceneError
 
 LOOPBACK_NAMES = frozenset(("local" + "host", "127.0.0.1", "::1"))
 """Hosts by which a page of this machine is opened; the first is written in two parts
@@ -136,7 +137,7 @@ def _require_bare_name(name: str) -> None:
         bare = _name_of(name if "//" in name else f"//{name}")
         raise SceneError(
             f"browsers name no host {name!r}: expected {bare or 'such as robot.lab'}",
-            SceneCode.HOST,
+            "Give a name or an address alone, without scheme and port.",
         )
 
 
@@ -163,7 +164,7 @@ def open_server(host: str, port: int, label: str, access: PageAccess) -> Any:
         import viser
     except ImportError as error:
         raise SceneError(
-            "viser is not installed", SceneCode.LIBRARY, extra="scene"
+            "viser is not installed", f"Install it: {install_command('scene')}"
         ) from error
 
     _require_known(viser.__version__)
@@ -201,8 +202,7 @@ def _unguarded(version: str, reason: str) -> SceneError:
     """Return the error of a version of viser that would answer any page."""
     return SceneError(
         f"viser {version} cannot be guarded against foreign pages: {reason}",
-        SceneCode.LIBRARY,
-        extra="scene",
+        f"Install it: {install_command('scene')}",
     )
 
 

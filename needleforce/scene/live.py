@@ -15,8 +15,8 @@ from numpy.typing import ArrayLike
 
 from needleforce.scene.nodes import EMPTY, PlanScene
 from needleforce.scene.state_ring import (
+    FREE_PORT,
     Closing,
-    SceneCode,
     SceneError,
     StateRing,
     view_row,
@@ -100,7 +100,7 @@ def open_viewer(robot: Robot, plan: PlanScene = EMPTY, **settings: Any) -> LiveV
         reason = f"no page: {answer}"
         if isinstance(answer, SceneError):
             raise answer.reworded(reason)
-        raise SceneError(reason, SceneCode.PAGE)
+        raise SceneError(reason, FREE_PORT)
 
     return LiveView(ring, process, pipe, answer)
 

@@ -12,8 +12,9 @@ import msgspec
 import numpy as np
 from numpy.typing import ArrayLike
 
+from foundation.extras import install_command
 from needleforce.depth_zero import DepthZero, find_depth_zero
-from needleforce.scene.state_ring import Closing, SceneCode, SceneError
+from needleforce.scene.state_ring import FREE_PORT, Closing, SceneError
 
 PORT = 18944
 """Where Slicer connects, unless another port is given."""
@@ -48,7 +49,7 @@ class SlicerOutput(Closing):
             import pyigtl
         except ImportError as error:
             raise SceneError(
-                "pyigtl is not installed", SceneCode.LIBRARY, extra="slicer"
+                "pyigtl is not installed", f"Install it: {install_command('slicer')}"
             ) from error
 
         self._igtl: Any = pyigtl
@@ -58,7 +59,7 @@ class SlicerOutput(Closing):
             )
         except (OSError, OverflowError) as error:
             raise SceneError(
-                f"port {port}: {error}; expected a free one, 0 to 65535", SceneCode.PAGE
+                f"port {port}: {error}; expected a free one, 0 to 65535", FREE_PORT
             ) from error
 
         self._send = partial(self._server.send_message, wait=False)

@@ -15,8 +15,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from foundation.errors import CodedError, ErrorCode
-from foundation.extras import install_command
+from foundation.errors import NeedleforceError
 from needleforce.depth_zero import ZERO_NAMES, find_depth_zero
 
 ROWS = 4096
@@ -222,40 +221,13 @@ def view_row(estimate: Any, q_rad: ArrayLike) -> tuple[float, ...]:
     return (*row, *np.asarray(q_rad, dtype=float).tolist())
 
 
-class SceneCode(ErrorCode):
-    """Kinds of errors of the 3-D scene and its outputs."""
-
-    CONTENT = (
-        "NF-SCENE-CONTENT",
-        "There is nothing that the scene could show, or it cannot be placed.",
-        "Give rows of an insertion, and two points for a plan.",
-    )
-    PAGE = (
-        "NF-SCENE-PAGE",
-        "The page of the scene cannot be opened.",
-        "Give an address of this machine and a free port.",
-    )
-    HOST = (
-        "NF-SCENE-HOST",
-        "A name by which the page may be opened is no name of a host.",
-        "Give a name or an address alone, without scheme and port.",
-    )
-    WRITE = (
-        "NF-SCENE-WRITE",
-        "The scene cannot be written to a file.",
-        "Give a place that can be written to.",
-    )
-    LIBRARY = (
-        "NF-SCENE-LIBRARY",
-        "The scene needs a library that is not installed.",
-        f"Install it: {install_command('{extra}')}.",
-    )
+FREE_PORT = "Give an address of this machine and a free port."
 
 
-class SceneError(CodedError):
+class SceneError(NeedleforceError):
     """A page or an output that cannot be opened, or what cannot be shown."""
 
-    usual_code = SceneCode.CONTENT
+    usual_advice = "Give rows of an insertion, and two points for a plan."
 
 
 class Closing(AbstractContextManager[Any]):

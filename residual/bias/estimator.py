@@ -15,11 +15,12 @@ from residual.bias.joint_states import joint_states_step
 from residual.bias.model import BiasModel, Tare, TareBlocks
 from residual.bias.separation import JointSeparation, separate_causes
 from residual.bias.tare_check import check_free_of_contact
-from residual.bias.tare_request import FittedTare, TareRequest
+from residual.bias.tare_request import TareRequest
 from residual.bias.torque_diagnosis import TorqueDiagnosis
+from residual.bias.torque_fit import compute_motion
 from residual.checks.input import ROUNDING_S
 from residual.config import SensorConfig
-from residual.errors import SensorCode, TareError
+from residual.errors import TareError
 from residual.estimate import FORGOTTEN, TARE_EXPIRED
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
@@ -35,14 +36,12 @@ slowly."""
 MAX_SATURATED = 64
 """Rejected samples of saturated torques that are kept, to say why they are so large."""
 
-MAX_GROWTH_RATIO = 0.1
-"""Growth of a variance by motion, relative to itself, at which the covariance is
-renewed at once."""
-
 SMOOTHING_S = 0.05
 """Lag of a low-pass for the acceleration, (velocity - lagged velocity) / lag: encoder
 noise in it stays below a tenth of the torque sensor's noise, and a motion of 2 Hz loses
 a sixth."""
+
+_FittedTare = tuple[Tare, TorqueDiagnosis | None]
 
 
 @dataclass(slots=True, eq=False)
@@ -377,7 +376,8 @@ class BiasEstimator:
         )
         covariance += np.diag(memory.motion_Nm2)
         memory.covariance_s = memory.now_s
-        tolerated_growth = MAX_GROWTH_RATIO * covariance.diagonal()
+        # By a tenth more: the covariance is then renewed at once.
+        tolerated_growth = 0.1 * covariance.diagonal()
         memory.max_motion_Nm2 = memory.motion_Nm2 + tolerated_growth
         return covariance
 
@@ -417,7 +417,8 @@ class BiasEstimator:
         if memory.tared:
             raise TareError(
                 "already tared, and nothing was recorded since",
-                SensorCode.TARED_ALREADY,
+                "Call `start_tare_recording`, move in free air, then call "
+                "`tare` again.",
             )
         if not len(memory.recorder.sums):
             reason = (
@@ -426,7 +427,8 @@ class BiasEstimator:
             )
             raise TareError(
                 "; ".join(filter(None, (reason, self.warning))),
-                SensorCode.NO_FREE_MOTION,
+                "Call `update` in free air first, in steps no longer than "
+                "`max_gap_s`, then `tare`.",
             )
         blocks = memory.recorder.blocks(memory.now_s, self._config.tare_window_s)
         if not is_external:
@@ -509,7 +511,7 @@ class BiasEstimator:
 
     def _resume_work(
         self, request: TareRequest, wrench: WrenchEstimator
-    ) -> Steps[FittedTare]:
+    ) -> Steps[_FittedTare]:
         """Return a fit of which the steps that are done have been done."""
         work = self._fit_in_steps(request, wrench)
         for _ in range(request.done):
@@ -518,11 +520,11 @@ class BiasEstimator:
 
     def _fit_in_steps(
         self, request: TareRequest, wrench: WrenchEstimator
-    ) -> Steps[FittedTare]:
+    ) -> Steps[_FittedTare]:
         """Fit a tare and look for contacts; see `continue_tare`."""
         fit = yield from FreeMotionFit.in_steps(self._basis, request.blocks)
         if request.ignore_contact:
-            return FittedTare(fit.tare, None)
+            return fit.tare, None
         diagnosis = yield from check_free_of_contact(
             self._robot,
             fit,
@@ -535,14 +537,13 @@ class BiasEstimator:
         if diagnosis is not None and tare.kind == "model":
             tare = tare._replace(scale_std=diagnosis.scale_doubt)
         yield  # who takes the tare has work of its own in that tick
-        return FittedTare(tare, diagnosis)
+        return tare, diagnosis
 
-    def _take(self, request: TareRequest, fitted: FittedTare) -> Tare:
+    def _take(self, request: TareRequest, fitted: _FittedTare) -> Tare:
         """Subtract a fitted tare from now on, as old as its request; return it."""
         memory = self.memory
-        tare = fitted.tare
+        tare, self.diagnosis = fitted
         memory.tare = tare
-        self.diagnosis = fitted.diagnosis
         memory.tared = True
         memory.tared_s = request.started_s
         memory.leapt_s -= request.leapt_s
@@ -580,20 +581,37 @@ class BiasEstimator:
             scatter_Nm2=torque_Nm.var(axis=0),
         )
         try:
-            fit = finish(FreeMotionFit.in_steps(self._basis, blocks))
-            check = check_free_of_contact(
-                self._robot,
-                fit,
-                wrench,
-                self._config.contact_force_N,
-                is_external=False,
-                adds_gravity=self._config.torque_is_gravity_compensated,
-                is_whole=False,
-            )
-            finish(check)
+            self._check_motion(blocks, wrench, is_whole=False)
         except TareError as error:
-            return None if error.code is SensorCode.CONTACT else error
+            seen = error.diagnosis
+            return error if seen is None or seen.is_certain or seen.advice else None
         return None
+
+    def judge_motion(self, motion: TareBlocks, wrench: WrenchEstimator) -> float | None:
+        """Return how probable a motion is; see `VirtualForceSensor.judge_motion`."""
+        adds_gravity = self._config.torque_is_gravity_compensated
+        order = range(self._joints)
+        own = compute_motion(self._robot, motion, order, adds_gravity=adds_gravity)
+        try:
+            diagnosis = self._check_motion(own, wrench, is_whole=True)
+        except TareError:
+            return None
+        return None if diagnosis is None else diagnosis.log_evidence
+
+    def _check_motion(
+        self, blocks: TareBlocks, wrench: WrenchEstimator, *, is_whole: bool
+    ) -> TorqueDiagnosis | None:
+        """Refuse a motion that `tare` would refuse; see `check_free_of_contact`."""
+        check = check_free_of_contact(
+            self._robot,
+            finish(FreeMotionFit.in_steps(self._basis, blocks)),
+            wrench,
+            self._config.contact_force_N,
+            is_external=False,
+            adds_gravity=self._config.torque_is_gravity_compensated,
+            is_whole=is_whole,
+        )
+        return finish(check)
 
     def start_tare_recording(self) -> None:
         """Record free motion anew; the tare in force stays until the next."""
@@ -605,7 +623,7 @@ class BiasEstimator:
 
     def reset(self) -> None:
         """Forget everything."""
-        self._work: Steps[FittedTare] | None = None
+        self._work: Steps[_FittedTare] | None = None
         self.diagnosis: TorqueDiagnosis | None = None
         self._saturated: list[tuple[Array, Array]] = []
         still = np.zeros(self._joints)

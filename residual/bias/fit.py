@@ -7,6 +7,7 @@ The size of hysteresis is not learnt: in air it is so similar to friction that e
 would take half of the other.
 """
 
+from collections.abc import Callable, Sequence
 from typing import NamedTuple, Self
 
 import numpy as np
@@ -19,43 +20,17 @@ from foundation.steps import Steps
 from residual.bias.coloured_noise import NoiseRoot, invert_covariance
 from residual.bias.model import BiasModel, Tare, TareBlocks
 
-BLOCKS_PER_STEP = 8
-"""Blocks whose columns are computed in one step."""
-
 LEARNT = ("links", "friction", "drift")
 """Groups of columns whose size is learnt, as is the random walk's; offset and ripple
 show directly in the data."""
-
-OCTAVES = np.arange(-2.0, 5.1)
-"""Exponents of the sizes that are tried: powers of two, relative to the prior's."""
-
-OCTAVES_STD = 1.5
-"""Prior deviation of that exponent: it holds sizes that the motion does not show."""
-
-MAX_SWEEPS = 3
-"""Passes over the groups, one at a time."""
-
-WALK_TERMS = 8
-"""Terms of the Karhunen-Loeve series of a random walk: 96 % of its variance."""
-
-MIN_WALK_S = 1e-3
-"""Shortest motion for which a random walk is fitted."""
-
-CONTACT_STD_N = 100.0
-"""Prior deviation of a contact's force: practically any."""
 
 MIN_BLOCKS = 8
 """Fewest blocks for a variance from their differences: seven give it to two thirds of
 itself, fewer may give nearly zero by chance, and the blocks would get too much
 weight."""
 
-BATCHES = (1, 2, 4)
-"""Numbers of blocks that are averaged to see coloured noise: a filter of 8 Hz outlasts
-two blocks."""
-
-MIN_WAVELENGTHS = 4.0
-"""Travel of a joint, in correlation lengths of the waviness, in which the fit does not
-take a wave for a slope."""
+Octaves = tuple[float, ...]
+"""Exponents of two of sizes, relative to the prior's."""
 
 
 class JointRows(NamedTuple):
@@ -127,10 +102,11 @@ class FreeMotionFit:
         if contact is None:
             contact = np.zeros((*blocks.q_rad.shape, 0))
         has_walk = basis.kind == "model" and not fit._has_few_blocks
-        terms = WALK_TERMS if has_walk else 0
+        # Eight terms of the series have 96 % of a random walk's variance.
+        terms = 8 if has_walk else 0
         walk = _walk_columns(blocks.age_s, terms)
         walk_std = np.repeat(np.sqrt(basis.walk_Nm2_per_s()), terms)
-        contact_std = np.full(contact.shape[2], CONTACT_STD_N)
+        contact_std = np.full(contact.shape[2], 100.0)  # N: practically any force
         std = np.concatenate((basis.std, contact_std, walk_std))
         groups: dict[str, slice] = {}
         if learn and not fit._has_few_blocks:
@@ -186,7 +162,7 @@ class FreeMotionFit:
         yield from self._set_noise(white, np.zeros_like(white))
         remaining = yield from self._solve(std, groups)
         yield
-        density = white if is_few else resolution + _noise_density(remaining, BATCHES)
+        density = white if is_few else resolution + _noise_density(remaining, (1, 2, 4))
         wave = _wave_variance(remaining, density, np.ptp(blocks.q_rad, axis=0), basis)
         yield from self._set_noise(density, wave)
         self._remaining = yield from self._solve(std, groups)
@@ -300,7 +276,7 @@ def _joint_rows_of(basis: BiasModel, blocks: TareBlocks) -> Steps[list[JointRows
     columns: list[Array] = []
     for k, q in enumerate(blocks.q_rad):
         columns.append(basis.columns(q, blocks.states[k], float(blocks.age_s[k])))
-        if k % BLOCKS_PER_STEP == 0:
+        if k % 8 == 0:
             yield
     joint_rows: list[JointRows] = []
     for joint in range(basis.joints):
@@ -327,7 +303,7 @@ def _walk_columns(age_s: Array, terms: int) -> Array:
 
     It is zero at the tare's end.
     """
-    span_s = max(float(-age_s.min()), MIN_WALK_S)
+    span_s = max(float(-age_s.min()), 1e-3)
     rate = (np.arange(terms) + 0.5) * np.pi / span_s
     return np.sqrt(2.0 / span_s) / rate * np.sin(-age_s[:, None] * rate)
 
@@ -349,23 +325,44 @@ def _likeliest_sizes(
 
     They are relative to the prior's, by name.
     """
-    known: dict[tuple[float, ...], float] = {}
-    octaves = dict.fromkeys(groups, 0.0)
-    for _ in range(MAX_SWEEPS):
-        octaves_before = dict(octaves)
-        for name in groups:
-            candidates = [octaves | {name: float(octave)} for octave in OCTAVES]
-            for candidate in candidates:
-                key = tuple(candidate.values())
-                if key not in known:
-                    scaled = _scale_groups(std, groups, _sizes_of(candidate))
-                    log = _log_likelihood(information, evidence, scaled)
-                    known[key] = log - 0.5 * np.square(key).sum() / OCTAVES_STD**2
+
+    def log_at(octaves: Octaves) -> float:
+        sizes = {name: 2.0**one for name, one in zip(groups, octaves, strict=True)}
+        log = _log_likelihood(information, evidence, _scale_groups(std, groups, sizes))
+        # The deviation of 1.5 holds sizes that the motion does not show.
+        return log - 0.5 * np.square(octaves).sum() / 1.5**2
+
+    grids = [np.arange(-2.0, 5.1)] * len(groups)
+    octaves = yield from search_octaves(log_at, (0.0,) * len(groups), grids, sweeps=3)
+    return {name: 2.0**one for name, one in zip(groups, octaves, strict=True)}
+
+
+def search_octaves(
+    log_at: Callable[[Octaves], float],
+    start: Octaves,
+    grids: Sequence[Array],
+    *,
+    sweeps: int,
+) -> Steps[Octaves]:
+    """Return the exponents of sizes that are most probable, found one at a time.
+
+    Args:
+        log_at: Returns the logarithm of the probability.
+        start: Exponents from which the search starts.
+        grids: What is tried for each.
+        sweeps: Passes over all of them.
+    """
+    known: dict[Octaves, float] = {}
+    best = start
+    for _ in range(sweeps):
+        for place, grid in enumerate(grids):
+            tried = [(*best[:place], float(one), *best[place + 1 :]) for one in grid]
+            for octaves in tried:
+                if octaves not in known:
+                    known[octaves] = log_at(octaves)
                     yield
-            octaves = max(candidates, key=lambda one: known[tuple(one.values())])
-        if octaves == octaves_before:
-            break
-    return _sizes_of(octaves)
+            best = max(tried, key=lambda octaves: known[octaves])
+    return best
 
 
 def _log_likelihood(information: Array, evidence: Array, std: Array) -> float:
@@ -376,10 +373,6 @@ def _log_likelihood(information: Array, evidence: Array, std: Array) -> float:
     root = np.linalg.cholesky(normal)
     whitened = solve_triangular(root, std * evidence, lower=True, check_finite=False)
     return float(0.5 * whitened @ whitened - np.log(root.diagonal()).sum())
-
-
-def _sizes_of(octaves: dict[str, float]) -> dict[str, float]:
-    return {name: 2.0**octave for name, octave in octaves.items()}
 
 
 def _noise_density(residual: Array, batches: tuple[int, ...]) -> Array:
@@ -409,7 +402,7 @@ def _wave_variance(
     one kind.
     """
     own = np.maximum((remaining**2).mean(axis=0) - white, 0.0)
-    has_moved = travel_rad > MIN_WAVELENGTHS * basis.prior.wave_rad
+    has_moved = travel_rad > 4.0 * basis.prior.wave_rad
     if not has_moved.any():
         return own
     per_range = np.mean(own[has_moved] / basis.effort_Nm[has_moved] ** 2)

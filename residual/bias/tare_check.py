@@ -6,16 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import Array
-from foundation.errors import Alternative, Suspicion
+from foundation.errors import Suspicion
 from foundation.steps import Steps
 from residual.bias.fit import FreeMotionFit, JointRows
 from residual.bias.model import BiasModel, TareBlocks
-from residual.bias.torque_diagnosis import (
-    ContactReading,
-    TorqueDiagnosis,
-    diagnose_torques,
-)
-from residual.errors import SensorCode, TareError, named_joints
+from residual.bias.torque_diagnosis import TorqueDiagnosis, diagnose_torques
+from residual.errors import TareError, named_joints
 from urdf import Robot
 
 if TYPE_CHECKING:
@@ -27,41 +23,9 @@ SIGMAS = 5.0
 INTERVALS = 24
 """Parts of the motion; a contact begins and ends with one of them."""
 
-IMPLAUSIBLE_SIZE = 32.0
-"""Drift or walk of so many times the prior's: so does a needle in tissue, no sensor."""
 
-MAX_REMAINING_RATIO = 0.2
-"""Fraction of the residual, rms, that an explanation may leave over; offsets are among
-it."""
-
-MIN_OFFSETS = 3.0
-"""Residual, in prior deviations of the offset, beyond which a cause is sought."""
-
-FACTOR_TOLERANCE = 0.15
-"""Relative distance within which a factor is one with a known reason."""
-
-STILL_RAD = 1e-9
-"""Travel of a position that does not change: the rounding of a mean."""
-
-MOVED_RAD = 0.01
-"""Travel of a joint that moves every encoder."""
-
-EVIDENCE_RATIO = 1e-9
-"""Singular values of the information of forces below this fraction of the largest are
-rounding: they stay at zero."""
-
-MIN_SPAN_S = 1e-9
-"""Shortest time in which a force grows."""
-
-
-POSTURES_PER_STEP = 16
-"""Postures of which a Jacobian is computed in one step."""
-
-INTERVALS_PER_STEP = 2
-"""Intervals whose force is estimated in one step."""
-
-RANGES_PER_STEP = 5
-"""Ranges of intervals whose force is fitted in one step."""
+MAX_OFFSETS = 3.0
+"""Residual, in prior deviations of the offset, up to which offsets may be its cause."""
 
 
 class AxialForce(NamedTuple):
@@ -74,23 +38,6 @@ class AxialForce(NamedTuple):
 
     force_N: float
     std_N: float
-
-
-NO_FORCE = AxialForce(0.0, 0.0)
-"""No contact is seen."""
-
-
-class ContactInterval(NamedTuple):
-    """The likeliest interval of a contact during a recorded motion of m blocks.
-
-    Attributes:
-        is_clear: Which blocks show how large its force is: not those in which it begins
-            or ends, shape (m,).
-        torque: Torque per newton on the tip in it, zero outside, shape (m, n, 3).
-    """
-
-    is_clear: NDArray[np.bool_]
-    torque: Array
 
 
 def check_free_of_contact(
@@ -134,25 +81,22 @@ def check_free_of_contact(
         fit, torque, wrench, contact_force_N, is_whole=is_whole
     )
     if contacts and (missing := _missing_positions(blocks)):
-        raise TareError(f"{_describe_contact(contacts)}{missing.text}", missing.code)
+        raise TareError(f"{_describe_contact(contacts)}{missing.text}", missing.advice)
     if is_external:
         cause = explain_external_residual(basis, blocks)
         if contacts or cause:
-            cause = cause or _CONTACT
-            raise TareError(f"{_describe_contact(contacts)}{cause.text}", cause.code)
+            text = cause.text if cause else "the needle seems to be in contact"
+            advice = cause.advice if cause else ""
+            raise TareError(f"{_describe_contact(contacts)}{text}", advice)
         return None
 
-    def retare(corrected: TareBlocks) -> Steps[ContactReading]:
+    def passes(corrected: TareBlocks) -> Steps[bool]:
         trial = yield from FreeMotionFit.in_steps(basis, corrected)
+        tip_torque = yield from tip_torques(corrected, wrench)
         found = yield from find_contacts(
-            trial, torque, wrench, contact_force_N, is_whole=is_whole
+            trial, tip_torque, wrench, contact_force_N, is_whole=is_whole
         )
-        if found:
-            force = found[0]
-        else:
-            force = yield from largest_standing_force(basis, corrected, wrench)
-        is_usual = _offsets_of(basis, corrected) <= MIN_OFFSETS
-        return ContactReading(force.force_N, force.std_N, not found and is_usual)
+        return not found and _offsets_of(basis, corrected) <= MAX_OFFSETS
 
     levers_m = torque @ wrench.kinematics.axis_in_tool
     diagnosis = yield from diagnose_torques(
@@ -162,32 +106,31 @@ def check_free_of_contact(
         adds_gravity=adds_gravity,
         is_suspicious=bool(contacts),
         axial_lever_m=np.abs(levers_m).max(axis=0),
-        retare=retare,
+        passes=passes,
     )
     if not contacts and not diagnosis.is_certain:
         return diagnosis
-    causes = [one.cause for one in diagnosis.findings]
-    if not causes:
-        raise TareError(
-            f"{_describe_contact(contacts)}{_CONTACT.text}", diagnosis=diagnosis
+    texts = [diagnosis.describe_torques()]
+    if diagnosis.advice is not None:
+        texts.append(
+            "one explanation fits, and the tare is accepted with it: "
+            f"{diagnosis.advice.text}"
         )
-    first, *others = causes
-    texts = filter(None, (diagnosis.describe(), diagnosis.describe_unchecked()))
+    elif diagnosis.is_certain:
+        texts.append(
+            "the torques are of another kind, but no single unit, sign, order or "
+            "direction of gravity is the only explanation"
+        )
+    else:
+        texts.append(
+            "the needle is in contact, or payload, friction or torques are not those "
+            "of the model, and no single cause explains it: tare where the needle is "
+            "free"
+        )
     raise TareError(
-        f"{_describe_contact(contacts)}{'. '.join(texts)}",
-        first.code,
-        alternatives=tuple(Alternative(one.code, one.places) for one in others),
+        f"{_describe_contact(contacts)}{'; '.join(texts)}",
         diagnosis=diagnosis,
-        **first.places,
     )
-
-
-_CONTACT = Suspicion(
-    "the needle seems to be in contact, or the payload is wrong, or friction is larger "
-    "than expected, or the torques have several faults at once",
-    SensorCode.CONTACT,
-)
-"""What is said where nothing else explains a contact."""
 
 
 def _describe_contact(contacts: list[AxialForce]) -> str:
@@ -217,9 +160,9 @@ def find_contacts(
 
     Arguments are those of `check_free_of_contact`; the torque is of `tip_torques`.
     """
-    standing = yield from find_standing_contact(fit.basis, fit.blocks, wrench)
+    standing = yield from largest_standing_force(fit.basis, fit.blocks, wrench)
     forces = [standing]
-    if is_whole and standing == NO_FORCE:
+    if is_whole and abs(standing.force_N) <= SIGMAS * standing.std_N:
         forces = yield from find_passing_contacts(fit, torque, wrench)
     return [
         force
@@ -228,29 +171,18 @@ def find_contacts(
     ]
 
 
-def find_standing_contact(
-    basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
-) -> Steps[AxialForce]:
-    """Return the axial force that no error of the prior's size makes, if there is one.
-
-    The gain of the wrench estimator is overwritten.
-    """
-    force = yield from largest_standing_force(basis, blocks, wrench)
-    return force if abs(force.force_N) > SIGMAS * force.std_N else NO_FORCE
-
-
 def largest_standing_force(
     basis: BiasModel, blocks: TareBlocks, wrench: "WrenchEstimator"
 ) -> Steps[AxialForce]:
-    """Return the axial force that is largest relative to its deviation.
+    """Return the axial force that is largest relative to its deviation at the prior.
 
     The gain of the wrench estimator is overwritten.
     """
     prior = basis.prior_tare
-    force = NO_FORCE
+    force = AxialForce(0.0, 0.0)
     excess = 0.0
     for number, interval in enumerate(split_into_intervals(len(blocks.age_s))):
-        if number % INTERVALS_PER_STEP == 0:
+        if number % 2 == 0:
             yield
         k = interval[len(interval) // 2]
         q = blocks.q_rad[k]
@@ -285,7 +217,8 @@ def find_passing_contacts(
     interval = yield from likeliest_interval(at_prior, torque)
     constant = yield from _fit_contact(fit, interval, learn=True)
     sizes = [constant.sizes.get(name, 0.0) for name in ("drift", "walk")]
-    if max(sizes) >= IMPLAUSIBLE_SIZE:
+    # So does a needle in tissue drift or walk, no sensor.
+    if max(sizes) >= 32.0:
         constant = yield from _fit_contact(fit, interval, learn=False)
     growing_torque = yield from likeliest_growing_contact(at_prior, torque)
     growing = yield from FreeMotionFit.in_steps(
@@ -298,17 +231,17 @@ def find_passing_contacts(
 
 
 def _fit_contact(
-    fit: FreeMotionFit, interval: ContactInterval, *, learn: bool
+    fit: FreeMotionFit, interval: tuple[NDArray[np.bool_], Array], *, learn: bool
 ) -> Steps[FreeMotionFit]:
     """Return a fit with a contact of constant force in an interval."""
-    is_clear = interval.is_clear
+    is_clear, torque = interval
     joint_rows = [JointRows(own, rows[is_clear]) for own, rows in fit.joint_rows]
     yield
     return (
         yield from FreeMotionFit.in_steps(
             fit.basis,
             fit.blocks.select(is_clear),
-            interval.torque[is_clear],
+            torque[is_clear],
             learn=learn,
             joint_rows=joint_rows,
         )
@@ -321,7 +254,7 @@ def tip_torques(blocks: TareBlocks, wrench: "WrenchEstimator") -> Steps[Array]:
     for k, q in enumerate(blocks.q_rad):
         wrench.kinematics.update(q)
         torque[k] = wrench.kinematics.jacobian[:3].T
-        if k % POSTURES_PER_STEP == 0:
+        if k % 16 == 0:
             yield
     return torque
 
@@ -331,10 +264,18 @@ def split_into_intervals(blocks: int) -> list[NDArray[np.intp]]:
     return np.array_split(np.arange(blocks), min(INTERVALS, blocks))
 
 
-def likeliest_interval(fit: FreeMotionFit, torque: Array) -> Steps[ContactInterval]:
+def likeliest_interval(
+    fit: FreeMotionFit, torque: Array
+) -> Steps[tuple[NDArray[np.bool_], Array]]:
     """Return the interval in which a constant contact is likeliest.
 
-    The torque per newton on the tip, along three axes, has the shape (m, n, 3).
+    Args:
+        fit: The fit without a contact.
+        torque: Torque per newton on the tip, along three axes, shape (m, n, 3).
+
+    Returns:
+        Which blocks show how large its force is, not those in which it begins or ends,
+        shape (m,); and the torque, zero outside the interval.
     """
     q = fit.blocks.q_rad
     intervals = split_into_intervals(len(q))
@@ -353,7 +294,7 @@ def likeliest_interval(fit: FreeMotionFit, torque: Array) -> Steps[ContactInterv
     if not (is_clear & is_touched).any():  # as short as its edges
         is_clear[is_touched] = True
     yield
-    return ContactInterval(is_clear, is_touched[:, None, None] * torque)
+    return is_clear, is_touched[:, None, None] * torque
 
 
 def likeliest_growing_contact(fit: FreeMotionFit, torque: Array) -> Steps[Array]:
@@ -365,7 +306,7 @@ def likeliest_growing_contact(fit: FreeMotionFit, torque: Array) -> Steps[Array]
     age_s = fit.blocks.age_s[:, None]
     starts = np.linspace(0, len(age_s), INTERVALS, endpoint=False, dtype=int)
     starts_s = age_s[starts, 0]
-    span_s = np.maximum(age_s[-1] - starts_s, MIN_SPAN_S)
+    span_s = np.maximum(age_s[-1] - starts_s, 1e-9)
     growth = np.maximum(age_s - starts_s, 0.0) / span_s
     torques = np.empty((*torque.shape[:2], len(starts), 3))
     for joint in range(torque.shape[1]):
@@ -377,14 +318,15 @@ def likeliest_growing_contact(fit: FreeMotionFit, torque: Array) -> Steps[Array]
     for number in range(len(starts)):
         own = slice(3 * number, 3 * number + 3)
         gains.append(_evidence_gain(information[own, own], evidence[own]))
-        if number % RANGES_PER_STEP == 0:
+        if number % 5 == 0:
             yield
     return torques[:, :, int(np.argmax(gains))]
 
 
 def _evidence_gain(information: Array, evidence: Array) -> float:
     """Return how much likelier a force makes the motion; twice its log likelihood."""
-    force = np.linalg.lstsq(information, evidence, rcond=EVIDENCE_RATIO)[0]
+    # Singular values below 1e-9 of the largest are rounding.
+    force = np.linalg.lstsq(information, evidence, rcond=1e-9)[0]
     return float(evidence @ force)
 
 
@@ -407,7 +349,7 @@ def _best_range(information: Array, evidence: Array) -> Steps[tuple[int, int]]:
             if gain > best_gain:
                 best_range = (first, end)
                 best_gain = gain
-            if end % RANGES_PER_STEP == 0:
+            if end % 5 == 0:
                 yield
     return best_range
 
@@ -418,30 +360,28 @@ def explain_external_residual(basis: BiasModel, blocks: TareBlocks) -> Suspicion
     None where they may be external torques.
     """
     scale = basis.prior.offset_fraction * basis.effort_Nm
-    size = _rms(blocks.residual_Nm / scale)
-    if size <= MIN_OFFSETS:
-        return None
-    gravity = np.array([basis.gravity_Nm(q) for q in blocks.q_rad]) / scale
     residual = blocks.residual_Nm / scale
-    if not gravity.any():
+    size = _rms(residual)
+    gravity = np.array([basis.gravity_Nm(q) for q in blocks.q_rad]) / scale
+    if size <= MAX_OFFSETS or not gravity.any():
         return None
     factor = float(np.vdot(residual, gravity) / np.vdot(gravity, gravity))
-    if _rms(residual - factor * gravity) >= MAX_REMAINING_RATIO * size:
+    # Offsets are among what gravity leaves over.
+    is_gravity = _rms(residual - factor * gravity) < 0.2 * size
+    if not is_gravity or abs(abs(factor) - 1.0) >= 0.15:
         return None
-    for known_factor, reason in _GRAVITY_FACTORS.items():
-        if abs(factor / known_factor - 1.0) < FACTOR_TOLERANCE:
-            text = f"the residual is {factor:.2f} times gravity's torque g(q)"
-            return reason._replace(text=f"{text}: {reason.text}")
-    return None
-
-
-_GRAVITY_FACTORS = {
-    1.0: Suspicion("it seems to be the measured torque", SensorCode.TORQUE_KIND),
-    -1.0: Suspicion(
-        "it seems to be the negated measured torque", SensorCode.TORQUE_KIND_SIGN
-    ),
-}
-"""What an external torque is that is such a multiple of gravity's."""
+    text = (
+        f"the residual is {factor:.2f} times gravity's torque g(q): it seems to be the"
+    )
+    if factor > 0.0:
+        return Suspicion(
+            f"{text} measured torque",
+            "Call `update` instead of `update_external_torque`.",
+        )
+    return Suspicion(
+        f"{text} negated measured torque",
+        "Negate them and call `update` instead of `update_external_torque`.",
+    )
 
 
 def _rms(values: Array) -> float:
@@ -451,11 +391,12 @@ def _rms(values: Array) -> float:
 def _missing_positions(blocks: TareBlocks) -> Suspicion | None:
     """Return which positions never changed while others did; None if there are none."""
     travel_rad = np.ptp(blocks.q_rad, axis=0)
-    still_joints = np.flatnonzero(travel_rad < STILL_RAD)
-    if not still_joints.size or travel_rad.max() <= MOVED_RAD:
+    still_joints = np.flatnonzero(travel_rad < 1e-9)
+    if not still_joints.size or travel_rad.max() <= 0.01:
         return None
     return Suspicion(
         f"q at {named_joints(still_joints)} never changed, others did: it seems to be "
         "missing, unless the needle is in contact",
-        SensorCode.POSITIONS,
+        "Check that `q` holds every joint; if these joints do rest, tare "
+        "without contact.",
     )

@@ -1,10 +1,8 @@
 """A tare that is being fitted: what it is fitted to, and how far it has come."""
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
-from residual.bias.model import Tare, TareBlocks
-from residual.bias.torque_diagnosis import TorqueDiagnosis
+from residual.bias.model import TareBlocks
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -34,15 +32,3 @@ class TareRequest:
         if self.steps_per_tick < 1 or self.done < 0:
             return f"{self.done} steps done, {self.steps_per_tick} per tick"
         return ""
-
-
-class FittedTare(NamedTuple):
-    """A tare with what its motion shows of the torques.
-
-    Attributes:
-        tare: The tare.
-        diagnosis: See `BiasEstimator.diagnosis`.
-    """
-
-    tare: Tare
-    diagnosis: TorqueDiagnosis | None

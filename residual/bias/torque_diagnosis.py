@@ -1,124 +1,85 @@
-"""What a recorded free motion says about the torques: scale, signs, order, payload.
+"""What a free motion shows of the torques, and the one correction that explains it.
 
-A first look fits one factor for all joints and tries each cause with sizes at hand.
-Where one of them makes the motion more probable than no cause, all are fitted
-(`residual.bias.torque_hypotheses`). Those that cannot be told from the best are tried:
-the torque is corrected as the advice says, and the tare is taken again. Only what then
-passes is a finding.
+The ways in which torques are commonly wrong are fitted to the motion one by one
+(`residual.bias.torque_fit`). One of them is advised where no other comes near it, and
+where the tare passes with the motion corrected so; what was seen is said in any case.
 """
 
 import math
-from collections.abc import Callable
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator
+from dataclasses import dataclass, replace
+from itertools import combinations
 from typing import NamedTuple
 
 import numpy as np
+from scipy.optimize import linear_sum_assignment
 
 from foundation.arrays import Array
 from foundation.steps import Steps
 from residual.bias.model import BiasModel, TareBlocks
-from residual.bias.torque_evidence import TorqueEvidence
-from residual.bias.torque_hypotheses import (
-    MAX_SCALE_STD,
-    SCALE_STD,
-    Hypothesis,
-    HypothesisTests,
-    gravity_columns_of,
-)
-from residual.bias.torque_texts import (
-    Cause,
-    describe_hypothesis,
-    round_factors,
-    tell_apart,
-)
+from residual.bias.torque_fit import START_OCTAVES, Correction, TorqueFit
 from residual.errors import named_joints
 from urdf import Robot
+from urdf.payload_rating import rated_payload_kg
 
 SIGMAS = 3.0
-"""A factor so many of its own deviations from 1 is named."""
+"""What is so many of its own deviations from what was expected, deviates."""
 
-CERTAIN = 10.0
-"""Logarithm of the odds from which a cause is certain: 1 to 20 000."""
+CLEAR_LOG = 5.0
+"""Logarithm of the odds from which an explanation is clearly better than another: 1 to
+150."""
 
-LIKELY = 5.0
-"""Logarithm of the odds from which a cause is named; two causes nearer to each other
-than this cannot be told apart."""
+CERTAIN_LOG = 10.0
+"""The same from which torques are refused where no contact is seen: 1 to 20 000."""
 
-LEFT_SIGMAS = 1.0
-"""A cause that is not certain may leave a force of so many deviations over: one that
-explains the motion hardly better than none, and leaves more, hides another."""
+FAULT_LOG = 3.0
+"""The same against any fault: one tare in 20 has one."""
 
-UNLIKELY = 10.0
-"""Logarithm of the odds against a cause up to which it is tried where a tare is refused
-anyhow."""
+MAX_SCALE_STD = 0.25
+"""A factor that is known less well than this, relative to itself, is none."""
 
-LIKELY_PAIR = 15.0
-"""The same between causes that are alike: a factor and a payload both act along
-gravity, so that small errors of friction and inertia decide between them."""
+PAYLOAD_STD = np.array([2.0, 0.3, 0.3, 0.3])
+"""Prior deviations of a payload that was left out: mass [kg], first moments [kg m]."""
 
-PAIR = frozenset({"scale", "payload"})
-"""Two kinds that are alike: both act along gravity."""
+GEARS = (50, 80, 100, 120, 160)
+"""Ratios of harmonic drives in makers' catalogues."""
 
-CURRENTS = frozenset({"scale", "joint scales"})
-"""Two that are alike, too: one factor for all joints, and one for each."""
+UNITS = {
+    -1.0: "the wrong sign",
+    1e-3: "kNm read as Nm",
+    1e-2: "per cent, or the motor side of a gear of 1:100",
+    1e2: "Ncm read as Nm",
+    1e3: "mNm read as Nm",
+} | {
+    1.0 / gear: f"the motor side of a gear of 1:{gear}" for gear in GEARS if gear != 100
+}
+"""Measured over true torque of all joints, and what makes it so."""
 
-TWO_FAULTS = frozenset({"scale and payload", "sign and scale", "payload and sign"})
-"""Kinds that are two faults at once."""
-
-MOUNTING = frozenset({"sign", "direction"})
-"""Two kinds that are alike: an arm that hangs has the opposite torques at rest."""
-
-SAME_FACTOR_RATIO = 0.1
-"""Factors of joints that differ by less are one factor."""
-
-MAX_FINDINGS = 3
-"""Causes that a message names."""
-
-MAX_TRIALS = 5
-"""Causes that are tried on the motion itself."""
-
-PRIOR_SCALE_STD = 0.1
-"""Deviation of a torque sensor's scale where the motion shows nothing of it."""
-
-PLAUSIBLE_RATIO = 2.0
-"""A factor beyond this is no poor calibration or description: the tare is refused."""
-
-LEVER_M = 5e-3
-"""A joint with a smaller lever hardly feels a force along the needle."""
-
-CHECKED_STD = 0.5
-"""Deviation of a joint's factor, relative to 1, up to which its sign has been
-checked."""
+RATED_UNITS = {
+    parts * sign: f"{word} of each joint's effort limit"
+    for parts, word in ((1.0, "a fraction"), (1e2, "per cent"), (1e3, "per mille"))
+    for sign in (1.0, -1.0)
+}
+"""The same of torque over the effort limits."""
 
 
-class ContactReading(NamedTuple):
-    """What the sensor reads in a free motion, and whether the tare passes.
+class Explanation(NamedTuple):
+    """A way in which torques may be wrong, fitted to a motion.
 
     Attributes:
-        force_N: Force along the needle.
-        std_N: Its standard deviation.
-        passes: Whether no contact is seen, and the residual is one of free motion.
+        kind: What is wrong: unit, scale (of all), scales (of each joint), signs,
+            gravity, direction, order or payload; none where nothing is.
+        correction: What makes the motion right.
+        log: Logarithm of its probability, but for a constant.
+        scale: Measured over true torque of all joints.
+        text: What is known of it, in words.
     """
 
-    force_N: float
-    std_N: float
-    passes: bool
-
-
-class Finding(NamedTuple):
-    """A cause that was tried: with it corrected the tare passes.
-
-    Attributes:
-        hypothesis: The cause.
-        cause: The cause in words.
-        reading: What the sensor reads with the cause corrected.
-        log_odds: Logarithm of its probability relative to that of no cause.
-    """
-
-    hypothesis: Hypothesis
-    cause: Cause
-    reading: ContactReading
-    log_odds: float
+    kind: str
+    correction: Correction
+    log: float
+    scale: float = 1.0
+    text: str = ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -129,17 +90,17 @@ class TorqueDiagnosis:
         scale: Measured torque over that of the model, all joints together.
         scale_std: Its standard deviation; links, offsets and friction are unknown.
         joint_scale: The same of each joint, shape (n,).
-        joint_scale_std: Its standard deviation, relative to the size that the first
-            finding makes it, shape (n,).
+        joint_scale_std: Its standard deviation, shape (n,).
         axial_lever_m: Largest torque per newton along the needle of each joint in the
             motion, shape (n,).
         payload_kg: Mass that the model lacks behind the last joint.
         payload_std_kg: Its standard deviation.
-        rating_kg: What the arm may carry.
-        findings: Causes that cannot be told apart, the most probable first; none where
-            nothing seems to be wrong.
-        is_certain: Whether the first one is so probable and so large that the tare is
-            refused.
+        motion: The motion.
+        log_evidence: Logarithm of its probability as it was given, but for a constant.
+        advice: The one explanation that fits, with which the tare passes, and what to
+            do in its text; None where nothing seems to be wrong, or several fit.
+        is_certain: Whether the torques are certainly of another kind, so that the tare
+            is refused.
     """
 
     scale: float
@@ -149,8 +110,9 @@ class TorqueDiagnosis:
     axial_lever_m: Array
     payload_kg: float
     payload_std_kg: float
-    rating_kg: float
-    findings: tuple[Finding, ...]
+    motion: TareBlocks
+    log_evidence: float
+    advice: Explanation | None
     is_certain: bool
 
     @property
@@ -166,7 +128,8 @@ class TorqueDiagnosis:
     @property
     def scale_doubt(self) -> float:
         """Standard deviation of the scale of a force, relative to the force."""
-        known_std = 1.0 / math.hypot(1.0 / self.scale_std, 1.0 / PRIOR_SCALE_STD)
+        # Where the motion shows nothing of it: a torque sensor's scale is within 10 %.
+        known_std = 1.0 / math.hypot(1.0 / self.scale_std, 1.0 / 0.1)
         if not self.scale_deviates:
             return known_std
         return math.hypot(known_std, self.scale - 1.0)
@@ -174,12 +137,13 @@ class TorqueDiagnosis:
     @property
     def unchecked_joints(self) -> list[int]:
         """Indices of joints whose torque shows neither sign nor scale."""
-        return np.flatnonzero(self.joint_scale_std > CHECKED_STD).tolist()
+        return np.flatnonzero(self.joint_scale_std > 0.5).tolist()
 
     def describe_unchecked(self) -> str:
         """Return what the motion cannot show; empty if it shows every joint."""
         unseen = self.unchecked_joints
-        with_lever = [joint for joint in unseen if self.axial_lever_m[joint] > LEVER_M]
+        # A joint with less than 5 mm hardly feels a force along the needle.
+        with_lever = [joint for joint in unseen if self.axial_lever_m[joint] > 5e-3]
         without = [joint for joint in unseen if joint not in with_lever]
         texts: list[str] = []
         if with_lever:
@@ -190,22 +154,27 @@ class TorqueDiagnosis:
             texts.append(f"{named_joints(without)} not checked ({reason})")
         return ", ".join(texts)
 
-    def describe(self) -> str:
-        """Return what is doubtful in one line; empty if nothing is."""
-        return describe_findings(self.findings)
-
-
-def describe_findings(findings: tuple[Finding, ...]) -> str:
-    """Return causes with what the tare reads once each is corrected."""
-    texts = [
-        f"{one.cause.text} (corrected, the sensor reads {one.reading.force_N:.2f} +/- "
-        f"{one.reading.std_N:.2f} N in the tare)"
-        for one in findings
-    ]
-    text = "; or ".join(texts)
-    if len(findings) > 1:
-        text += f". {tell_apart({one.cause.code for one in findings})}"
-    return text
+    def describe_torques(self) -> str:
+        """Return what was seen: expected and measured torque of each joint."""
+        residual_Nm = self.motion.residual_Nm
+        torque_Nm = self.motion.torque_Nm
+        expected_Nm = (residual_Nm + torque_Nm).mean(axis=0)
+        pairs = zip(expected_Nm, torque_Nm.mean(axis=0), strict=True)
+        joints = ", ".join(
+            f"{number}: {expected:.2f} / {measured:.2f}"
+            for number, (expected, measured) in enumerate(pairs, 1)
+        )
+        rms_Nm = float(np.sqrt(np.square(residual_Nm).mean()))
+        text = (
+            f"mean torque by joint, expected / measured: {joints} Nm; residual "
+            f"{rms_Nm:.3g} Nm rms"
+        )
+        if not self.is_scale_known:
+            return text
+        return (
+            f"{text}; all together tau is {self.scale:.3g} +/- {self.scale_std:.2g} "
+            "times what the model expects"
+        )
 
 
 def diagnose_torques(
@@ -216,7 +185,7 @@ def diagnose_torques(
     adds_gravity: bool,
     is_suspicious: bool,
     axial_lever_m: Array,
-    retare: Callable[[TareBlocks], Steps[ContactReading]],
+    passes: Callable[[TareBlocks], Steps[bool]],
 ) -> Steps[TorqueDiagnosis]:
     """Return what a free motion shows of the torques.
 
@@ -225,202 +194,326 @@ def diagnose_torques(
         basis: Model of its bias.
         blocks: The motion.
         adds_gravity: Whether gravity is added to the measured torque.
-        is_suspicious: Whether a contact is seen: then all causes are fitted.
+        is_suspicious: Whether a contact is seen: then all explanations are fitted.
         axial_lever_m: See `TorqueDiagnosis`.
-        retare: Takes the tare of a corrected motion.
+        passes: Returns whether a corrected motion is free of contact.
     """
-    evidence = yield from TorqueEvidence.in_steps(basis, blocks)
-    yield
-    columns = yield from gravity_columns_of(robot, blocks.lagged_q_rad)
-    tests = HypothesisTests(robot, evidence, columns, adds_gravity=adds_gravity)
-    yield
-    as_given = yield from tests.evaluate("none", tests.as_given)
-    sizes = evidence.sizes
-    joints = robot.nv
-    model_Nm = tests.model_Nm
-    difference_Nm = tests.difference_Nm(tests.as_given)
-    ones = np.ones(joints)
-    common = yield from evidence.evaluate(
-        difference_Nm, ones, model_Nm[:, :, None], np.array([SCALE_STD])
+    fit = yield from TorqueFit.in_steps(robot, basis, blocks, adds_gravity=adds_gravity)
+    as_given = fit.as_given
+    nothing = yield from fit.evaluate(as_given)
+    common = yield from fit.evaluate(as_given, fit.model_Nm[:, :, None], np.ones(1))
+    each = yield from fit.evaluate(
+        as_given, fit.model_Nm[:, :, None] * np.eye(robot.nv), np.ones(robot.nv)
     )
-    load = yield from tests.missing_payload()
-    findings: tuple[Finding, ...] = ()
+    load = yield from fit.evaluate(
+        as_given, fit.payload_columns, PAYLOAD_STD, sizes=START_OCTAVES
+    )
+    deviates = any(
+        bool((np.abs(one.extra) > SIGMAS * one.extra_std).any())
+        for one in (common, each, load)
+    )
+    advice = None
     is_certain = False
-    scale = 1.0 - float(common.extra[0])
-    scale_std = float(common.extra_std[0])
-    deviates = abs(scale - 1.0) > SIGMAS * scale_std
-    has_cause = is_suspicious or deviates
-    if not has_cause:
-        has_cause = yield from tests.has_better(as_given, sizes)
-    if has_cause:
-        hypotheses = yield from tests.all()
-        chosen = _choose(hypotheses, is_suspicious=is_suspicious)
-        findings = yield from _try(chosen, tests, retare)
-        is_certain = _is_certain(findings)
-    correction = findings[0].hypothesis.correction if findings else tests.as_given
-    each = yield from evidence.evaluate(
-        tests.difference_Nm(correction),
-        correction.factors,
-        model_Nm[:, :, None] * np.eye(joints),
-        np.full(joints, SCALE_STD),
-        order=correction.order,
-    )
+    if is_suspicious or deviates:
+        found = [Explanation("none", as_given, nothing.log)]
+        found += yield from _fit_explanations(fit, basis)
+        best = max(found, key=lambda one: one.log)
+        # Factors of all joints have every unit and sign among them: no rival to one.
+        rivals = [one for one in found if one is not best and one.kind != "scales"]
+        is_alone = all(one.log < best.log - CLEAR_LOG for one in rivals)
+        near = [best, *(one for one in rivals if one.log > best.log - CERTAIN_LOG)]
+        is_harmful = not any(_is_harmless(one, as_given) for one in near)
+        is_candidate = best.kind != "none" and (is_alone or is_harmful)
+        if is_candidate and (yield from passes(fit.corrected_motion(best.correction))):
+            is_certain = is_harmful
+            if is_alone and best.kind not in ("scale", "scales"):
+                advice = best._replace(text=_describe(best, fit))
     return TorqueDiagnosis(
-        scale=scale,
-        scale_std=scale_std,
-        joint_scale=(1.0 - each.extra) / correction.factors,
+        scale=1.0 - float(common.extra[0]),
+        scale_std=float(common.extra_std[0]),
+        joint_scale=1.0 - each.extra,
         joint_scale_std=each.extra_std,
         axial_lever_m=axial_lever_m,
-        payload_kg=load.mass_kg,
-        payload_std_kg=load.std_kg,
-        rating_kg=tests.rating_kg,
-        findings=findings,
+        payload_kg=-float(load.extra[0]),
+        payload_std_kg=float(load.extra_std[0]),
+        motion=blocks,
+        log_evidence=nothing.log,
+        advice=advice,
         is_certain=is_certain,
     )
 
 
-_SIMPLER = {
-    "joint scales": ("sign", "joint signs", "rated"),
-    "joint signs": ("sign",),
-}
-"""Kinds that are a simpler kind and more: not named where the simpler one will do."""
-
-
-class _Choice(NamedTuple):
-    """A hypothesis that is tried.
-
-    Attributes:
-        hypothesis: The hypothesis.
-        log_odds: Logarithm of its odds against no cause.
-    """
-
-    hypothesis: Hypothesis
-    log_odds: float
-
-
-def _choose(ranked: list[Hypothesis], *, is_suspicious: bool) -> list[_Choice]:
-    """Return the causes that may explain a motion, the most probable first.
-
-    Args:
-        ranked: All hypotheses, the most probable first.
-        is_suspicious: Whether a contact is seen, so that something is wrong.
-    """
-    nothing = next(one for one in ranked if one.kind == "none").log_evidence
-    causes = [one for one in ranked if one.kind != "none"]
-    # What is refused anyhow may have an improbable cause: the trial decides.
-    needed = nothing + (-UNLIKELY if is_suspicious else LIKELY)
-    limits = {
-        one.kind: one.log_evidence - LIKELY_PAIR
-        for one in causes
-        if one.kind in PAIR and one.log_evidence > needed
-    }
-    beside = min(limits.values(), default=math.inf)
-    chosen = [
-        one
-        for one in causes
-        if one.log_evidence > needed or (one.kind in PAIR and one.log_evidence > beside)
-    ]
-    scaled = next((one for one in causes if one.kind == "scale"), None)
-    if scaled is not None and not chosen and _deviates(scaled):
-        chosen = [
-            one
-            for one in causes
-            if one.kind in ("scale", "payload")
-            and one.log_evidence > scaled.log_evidence - LIKELY
-        ]
-    return [_Choice(one, one.log_evidence - nothing) for one in chosen]
-
-
-def _deviates(hypothesis: Hypothesis) -> bool:
-    """Return whether a factor is not 1 by more than three deviations."""
-    std = hypothesis.scale_std
-    return abs(hypothesis.scale - 1.0) > SIGMAS * std and std < (
-        MAX_SCALE_STD * hypothesis.scale
-    )
-
-
-def _try(
-    chosen: list[_Choice],
-    tests: HypothesisTests,
-    retare: Callable[[TareBlocks], Steps[ContactReading]],
-) -> Steps[tuple[Finding, ...]]:
-    """Return the causes with which the tare passes once they are corrected."""
-    findings: list[Finding] = []
-    trials = 0
-    # Two faults at once are the last to be thought of.
-    simple = [one for one in chosen if one.hypothesis.kind not in TWO_FAULTS]
-    double = [one for one in chosen if one.hypothesis.kind in TWO_FAULTS]
-    best: _Choice | None = None
-    for choice in (*simple, *double):
-        if trials == MAX_TRIALS or len(findings) == MAX_FINDINGS:
-            break
-        if not _is_worth_a_trial(choice, best, findings, tests):
-            continue
-        hypothesis, log_odds = choice
-        best = best or choice
-        advised = round_factors(hypothesis)
-        trials += 1
-        reading = yield from retare(tests.corrected_motion(advised.correction))
-        leaves_little = abs(reading.force_N) <= LEFT_SIGMAS * reading.std_N
-        if reading.passes and (leaves_little or log_odds >= CERTAIN):
-            cause = describe_hypothesis(advised, tests)
-            findings.append(Finding(advised, cause, reading, log_odds))
-    ranked = sorted(findings, key=lambda one: -one.log_odds)
-    return tuple(
-        one for one in ranked if one.log_odds > ranked[0].log_odds - LIKELY_PAIR
-    )
-
-
-def _is_worth_a_trial(
-    choice: _Choice,
-    best: _Choice | None,
-    findings: list[Finding],
-    tests: HypothesisTests,
-) -> bool:
-    """Return whether a cause may be the one, beside those that were tried.
-
-    Args:
-        choice: The cause.
-        best: The most probable one that was tried, whether it passed or not: where it
-            did not, one that is far less probable is no better for passing.
-        findings: Causes that passed.
-        tests: Of the motion.
-    """
-    hypothesis, log_odds = choice
-    kind = hypothesis.kind
-    if kind in ("scale", "scale and payload") and not _deviates(hypothesis):
-        return False
-    if kind == "joint scales" and _has_one_factor(hypothesis, tests):
-        return False
-    kinds = {one.hypothesis.kind for one in findings}
-    if kinds & {kind, *_SIMPLER.get(kind, ())}:
-        return False
-    if best is None:
+def _is_harmless(explanation: Explanation, as_given: Correction) -> bool:
+    """Return whether forces can be measured all the same, only less certainly."""
+    if explanation.kind in ("none", "payload"):
         return True
-    if kind in TWO_FAULTS:
-        return log_odds > best.log_odds + (LIKELY if findings else -LIKELY)
-    is_alike = {kind, best.hypothesis.kind} in (PAIR, CURRENTS, MOUNTING)
-    return log_odds > best.log_odds - (LIKELY_PAIR if is_alike else LIKELY)
+    is_toggled = explanation.correction.adds_gravity is not as_given.adds_gravity
+    # A factor up to 2 is a poor calibration, or masses that are off.
+    return (
+        explanation.kind == "scale" and 0.5 < explanation.scale < 2.0 and not is_toggled
+    )
 
 
-def _has_one_factor(hypothesis: Hypothesis, tests: HypothesisTests) -> bool:
-    """Return whether the joints that show their factor have the same."""
-    factors = hypothesis.correction.factors[tests.visible]
-    middle = float(np.median(factors))
-    return bool((np.abs(factors / middle - 1.0) < SAME_FACTOR_RATIO).all())
+def _fit_explanations(fit: TorqueFit, basis: BiasModel) -> Steps[list[Explanation]]:
+    """Return what may be wrong with the torques, each fitted to the motion."""
+    as_given = fit.as_given
+    toggled = replace(as_given, adds_gravity=not as_given.adds_gravity)
+    # Where gravity is added to torque that has it, something else may be wrong, too.
+    starts = [as_given, toggled] if as_given.adds_gravity else [as_given]
+    found: list[Explanation] = []
+    gravity = yield from fit.evaluate(toggled)
+    found.append(Explanation("gravity", toggled, gravity.log))
+    for start in starts:
+        own = yield from _fit_factors(fit, start, np.ones(fit.robot.nv), UNITS)
+        if np.ptp(fit.effort_Nm) > 0.0:
+            rated = yield from _fit_factors(fit, start, fit.effort_Nm, RATED_UNITS)
+            own += [one for one in rated if one.kind == "unit"]
+        own += yield from _fit_joint_scales(fit, start)
+        own += yield from _fit_orders(fit, start)
+        own += yield from _fit_orders_of_all(fit, basis, start)
+        if not start.adds_gravity:
+            own += yield from _fit_direction(fit, start)
+        if not as_given.adds_gravity:
+            own += yield from _fit_payload(fit)
+        # Beside gravity that is added twice these are a second fault.
+        log = 0.0 if start is as_given else FAULT_LOG
+        found += [one._replace(log=one.log - log) for one in own]
+    return [one._replace(log=one.log - FAULT_LOG) for one in found]
 
 
-def _is_certain(findings: tuple[Finding, ...]) -> bool:
-    """Return whether the first cause is so probable and large that a tare is wrong."""
-    if not findings or findings[0].log_odds < CERTAIN:
-        return False
-    for finding in findings:
-        kind = finding.hypothesis.kind
-        scale = finding.hypothesis.scale
-        if kind == "payload" or finding.log_odds < CERTAIN:
-            return False
-        is_small = 1.0 / PLAUSIBLE_RATIO < scale < PLAUSIBLE_RATIO
-        is_scaled = kind in ("scale", "scale and payload")
-        if is_scaled and is_small and not finding.hypothesis.is_toggled:
-            return False
-    return True
+def _fit_factors(
+    fit: TorqueFit, start: Correction, base: Array, units: dict[float, str]
+) -> Steps[list[Explanation]]:
+    """Return one factor for all joints, and the units that are near to it.
+
+    Measured torque is the factor times the true one over ``base``, shape (n,).
+    """
+    start = replace(start, factors=base)
+    weights = 1.0 / np.square(fit.effort_Nm)
+    model_Nm = fit.model_Nm - (fit.gravity_Nm if start.adds_gravity else 0.0)
+    size = max(float((weights * np.square(model_Nm)).sum()), 1e-300)
+    scale = float((weights * fit.measured_Nm * base * model_Nm).sum()) / size
+    std = math.inf
+    log = -math.inf
+    for _ in range(4):
+        scale = math.copysign(min(max(abs(scale), 1e-4), 1e4), scale)
+        correction = replace(start, factors=base / scale)
+        now = yield from fit.evaluate(correction, model_Nm[:, :, None], np.ones(1))
+        std = float(now.extra_std[0])
+        # Factors from 1e-4 to 1e4 are equally probable by their logarithm.
+        log = now.log - math.log(math.log(1e8))
+        scale *= min(max(1.0 - float(now.extra[0]), 1.0 / 3.0), 3.0)
+    if std > MAX_SCALE_STD:
+        return []
+    found: list[Explanation] = []
+    for unit, text in units.items():
+        # Torque sensors of an arm have a scale within some per cent.
+        if abs(scale / unit - 1.0) < SIGMAS * std + 0.05:
+            correction = replace(start, factors=base / unit)
+            now = yield from fit.evaluate(correction)
+            found.append(Explanation("unit", correction, now.log, unit, text))
+    if found or abs(scale - 1.0) < SIGMAS * std:
+        return found
+    return [Explanation("scale", replace(start, factors=base / scale), log, scale)]
+
+
+def _fit_joint_scales(fit: TorqueFit, start: Correction) -> Steps[list[Explanation]]:
+    """Return a factor for each joint, and the signs that some joints' torques have."""
+    joints = fit.robot.nv
+    model_Nm = fit.model_Nm - (fit.gravity_Nm if start.adds_gravity else 0.0)
+    each = yield from fit.evaluate(
+        start, model_Nm[:, :, None] * np.eye(joints), np.ones(joints)
+    )
+    scale = 1.0 - each.extra
+    # Factors of either sign from 1e-4 to 1e4 are equally probable at every joint.
+    width = 2.0 * math.log(1e8) / math.sqrt(2.0 * math.pi)
+    log = each.log - joints * math.log(width)
+    found = [Explanation("scales", replace(start, factors=1.0 / scale), log)]
+    is_known = np.abs(scale) > 2.0 * each.extra_std
+    is_turned = is_known & (scale < 0.0)
+    if 0 < np.count_nonzero(is_turned) < np.count_nonzero(is_known):
+        correction = replace(start, factors=np.where(is_turned, -1.0, 1.0))
+        now = yield from fit.evaluate(correction)
+        log = now.log - joints * math.log(2.0)
+        found.append(Explanation("signs", correction, log))
+    return found
+
+
+def _fit_payload(fit: TorqueFit) -> Steps[list[Explanation]]:
+    """Return the explanation of a mass behind the last joint; none if it is absurd."""
+    robot = fit.robot
+    now = yield from fit.evaluate(fit.as_given, fit.payload_columns, PAYLOAD_STD)
+    missing = -now.extra
+    mass_kg = float(missing[0])
+    given_kg = 0.0 if robot.payload is None else robot.payload.mass_kg
+    # The model cannot have much more mass too much there than it has.
+    least_kg = -1.2 * float(robot.model.inertias[robot.nv].mass) - 0.1
+    most_kg = 1.3 * rated_payload_kg(robot) - given_kg
+    moment = float(np.linalg.norm(missing[1:]) - np.linalg.norm(now.extra_std[1:]))
+    # No hand or tool has its centre of mass more than 0.5 m from the last joint.
+    is_far = moment > 0.5 * (abs(mass_kg) + float(now.extra_std[0]))
+    if is_far or not least_kg <= mass_kg <= most_kg:
+        return []
+    missing, text = _round_payload(robot, missing)
+    correction = replace(fit.as_given, payload=missing)
+    return [Explanation("payload", correction, now.log, text=text)]
+
+
+def _round_payload(robot: Robot, missing: Array) -> tuple[Array, str]:
+    """Return what a model lacks, and the payload on the flange, both rounded.
+
+    The payload is written as the lines of a file.
+    """
+    placement = robot.bare_model.frames[robot.frame_id(robot.flange_frame)].placement
+    given_kg = 0.0 if robot.payload is None else robot.payload.mass_kg
+    given_kgm = np.zeros(3)
+    if robot.payload is not None:
+        given_kgm = given_kg * np.array(robot.payload.com_m)
+    mass_kg = round(float(missing[0]) + given_kg, 2)
+    if mass_kg <= 0.0:
+        return missing, "none at all; --without LINK leaves a hand out"
+    moment = placement.rotation.T @ (missing[1:] - missing[0] * placement.translation)
+    com_m = np.round((moment + given_kgm) / mass_kg, 3) + 0.0
+    more_kg = mass_kg - given_kg
+    more_kgm = placement.rotation @ (mass_kg * com_m - given_kgm)
+    rounded = np.append(more_kg, more_kgm + more_kg * placement.translation)
+    com = ", ".join(f"{one:.3f}" for one in com_m)
+    return rounded, f"mass_kg = {mass_kg:.2f} and com_m = [{com}], a line each"
+
+
+def _fit_direction(fit: TorqueFit, start: Correction) -> Steps[list[Explanation]]:
+    """Return the explanation that gravity points elsewhere, if it does."""
+    given = np.array(fit.robot.gravity_m_s2)
+    size = float(np.linalg.norm(given))
+    if size == 0.0:
+        return []
+    now = yield from fit.evaluate(start, fit.gravity_columns, np.full(3, 10.0))
+    gravity = given - now.extra
+    length = float(np.linalg.norm(gravity))
+    if length < 0.5 * size:
+        return []
+    # An uneven table turns gravity by less than 0.03 rad: components below are zero.
+    gravity = gravity * (size / length)
+    is_small = np.abs(gravity) < 2.0 * now.extra_std + 0.03 * size
+    if not is_small.all():
+        gravity = np.where(is_small, 0.0, gravity)
+        gravity = np.round(gravity * (size / np.linalg.norm(gravity)), 2) + 0.0
+    if float(np.linalg.norm(gravity - given)) < 0.03 * size:
+        return []
+    correction = replace(start, gravity_m_s2=gravity)
+    again = yield from fit.evaluate(correction)
+    # On a wall or a ceiling are six directions; slopes are as probable all round the
+    # sphere, and the fit says how widely.
+    spread = min(max(float(np.median(now.extra_std)) / size, 1e-3), 1.0)
+    is_slope = np.count_nonzero(gravity) > 1
+    log = again.log - (2.0 * math.log(2.0 / spread) if is_slope else math.log(6.0))
+    return [Explanation("direction", correction, log)]
+
+
+def _fit_orders(fit: TorqueFit, start: Correction) -> Steps[list[Explanation]]:
+    """Return the two most probable orders of the torques alone."""
+    orders = list(dict.fromkeys(_orders_of(fit)))
+    quick: list[tuple[float, Correction]] = []
+    for order in orders:
+        correction = replace(start, order=order)
+        now = yield from fit.evaluate(correction, sizes=(1.0, 0.0, 2.0, 2.0))
+        quick.append((now.log, correction))
+    quick.sort(key=lambda one: -one[0])
+    found: list[Explanation] = []
+    for _, correction in quick[:2]:
+        now = yield from fit.evaluate(correction)
+        moved = np.count_nonzero(np.array(correction.order) != fit.as_given.order)
+        # Two joints are one exchange of so many; each further joint is one more.
+        log = now.log - (moved - 1) * math.log(len(orders))
+        found.append(Explanation("order", correction, log))
+    return found
+
+
+def _orders_of(fit: TorqueFit) -> Iterator[tuple[int, ...]]:
+    """Yield exchanges of two joints, turns of all, and the order nearest the model."""
+    identity = fit.as_given.order
+    for first, second in combinations(identity, 2):
+        order = list(identity)
+        order[first] = second
+        order[second] = first
+        yield tuple(order)
+    apart = fit.model_Nm[:, :, None] - fit.measured_Nm[:, None, :]
+    cost = np.square(apart / fit.effort_Nm[:, None]).mean(axis=0)
+    # Of equal orders the one that moves fewest joints is meant.
+    cost = cost + 1e-6 * cost.max() * (1.0 - np.eye(len(cost)))
+    assigned = tuple(int(one) for one in linear_sum_assignment(cost)[1])
+    turns = [
+        identity[::-1],
+        (*identity[1:], identity[0]),
+        (identity[-1], *identity[:-1]),
+    ]
+    for order in (*turns, assigned):
+        if order != identity:
+            yield order
+
+
+def _fit_orders_of_all(
+    fit: TorqueFit, basis: BiasModel, start: Correction
+) -> Steps[list[Explanation]]:
+    """Return orders in which positions, velocities and torques may stand.
+
+    Drivers of ROS sort joints by name; others count them from the hand.
+    """
+    robot = fit.robot
+    names = list(robot.joint_names)
+    alphabet = sorted(names)
+    by_name = tuple(alphabet.index(name) for name in names)
+    found: list[Explanation] = []
+    for order in {by_name, start.order[::-1]} - {start.order}:
+        correction = replace(start, order=order, is_order_of_all=True)
+        motion = fit.corrected_motion(correction)
+        yield
+        ordered = yield from TorqueFit.in_steps(
+            robot, basis, motion, adds_gravity=start.adds_gravity
+        )
+        now = yield from ordered.evaluate(ordered.as_given)
+        text = "the alphabet's" if order == by_name else "reversed"
+        found.append(Explanation("order", correction, now.log - 1.0, text=text))
+    return found
+
+
+def _describe(explanation: Explanation, fit: TorqueFit) -> str:
+    """Return what seems to be wrong, and what makes it right."""
+    correction = explanation.correction
+    factors = correction.factors
+    numbers = _list_numbers(np.array(correction.order) + 1)
+    turned = np.flatnonzero(factors < 0.0)
+    joints = "" if len(turned) == len(factors) else f" of {named_joints(turned)}"
+    mass_kg = float(correction.payload[0])
+    fault = "lacks about {:.2g} kg" if mass_kg > 0.0 else "has about {:.2g} kg too much"
+    product = f"multiply it by {_list_numbers(np.unique(factors))}"
+    if np.ptp(factors) > 0.0:
+        product = f"multiply it by {_list_numbers(factors)}"
+    given = [fit.robot.joint_names[k] for k in np.argsort(correction.order)]
+    texts = {
+        "gravity": "",
+        "unit": f"tau is {explanation.text}: {product}",
+        "signs": f"tau{joints} has the wrong sign: {product}",
+        "order": f"tau has the joints in another order: take its numbers {numbers}",
+        "all": f"q, dq and tau have the joints in {explanation.text} order, "
+        f"{', '.join(given)}: take their numbers {numbers}",
+        "payload": f"the model {fault.format(abs(mass_kg))} at the flange, unless the "
+        f"needle is in contact: the payload is {explanation.text}",
+    }
+    if correction.gravity_m_s2 is not None:
+        gravity = _list_numbers(correction.gravity_m_s2)
+        texts["direction"] = f"gravity in base axes is ({gravity}) m/s^2"
+    kind = "all" if correction.is_order_of_all else explanation.kind
+    if explanation.scale == -1.0 and kind == "unit":
+        kind = "signs"
+    toggled = ""
+    if correction.adds_gravity and not fit.as_given.adds_gravity:
+        toggled = "tau leaves gravity out: set torque_is_gravity_compensated=True"
+    if fit.as_given.adds_gravity and not correction.adds_gravity:
+        toggled = "tau has gravity in it: set torque_is_gravity_compensated=False"
+    return "; ".join(filter(None, (texts[kind], toggled)))
+
+
+def _list_numbers(values: Array) -> str:
+    """Return numbers with commas between them."""
+    return ", ".join(f"{one:.6g}" for one in values)

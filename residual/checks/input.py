@@ -13,9 +13,9 @@ import numpy as np
 
 from foundation.arrays import Array
 from residual.errors import (
+    NEXT_TIME_STEP,
     ConfigurationError,
     SampleError,
-    SensorCode,
     named_joints,
 )
 
@@ -73,16 +73,16 @@ def check_interval(dt_s: Any) -> float:
     if not 0.0 < step_s < math.inf:
         raise SampleError(
             f"dt_s is {shown(dt_s)} s, expected a finite positive time step",
-            SensorCode.CLOCK,
+            NEXT_TIME_STEP,
         )
     if step_s < MIN_STEP_S:
         raise SampleError(
-            f"dt_s is {step_s:.4g} s, shorter than any clock ticks", SensorCode.CLOCK
+            f"dt_s is {step_s:.4g} s, shorter than any clock ticks", NEXT_TIME_STEP
         )
     if step_s > MAX_STEP_S:
         raise SampleError(
             f"dt_s is {step_s:.4g} s, more than a day: the clock was set",
-            SensorCode.CLOCK,
+            NEXT_TIME_STEP,
         )
     return step_s
 
@@ -288,7 +288,7 @@ class SampleClock:
             raise SampleError(
                 f"dt_s is {dt_s!r} s after a clock that went back by "
                 f"{-self.missed_s:.3g} s; rejected until it has caught up",
-                SensorCode.CLOCK,
+                NEXT_TIME_STEP,
             )
         return min(elapsed_s, MAX_STEP_S)
 
@@ -312,6 +312,7 @@ def known_limits(limits: Array, instead: float) -> Array:
         raise ConfigurationError(
             f"effort limits at {named_joints(absurd)} are {limits[absurd].tolist()}, "
             f"expected at least {MIN_EFFORT_LIMIT:g} Nm, or 0 where it is unknown",
-            SensorCode.LIMITS,
+            "Correct the effort limits in the robot's description; 0 where "
+            "one is unknown.",
         )
     return np.where((limits > 0.0) & (limits < MAX_PLAUSIBLE), limits, instead)

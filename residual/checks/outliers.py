@@ -25,7 +25,7 @@ from residual.checks.stuck_signals import (
     is_noise_resolved,
     white_noise,
 )
-from residual.errors import SampleError, SensorCode, named_joints
+from residual.errors import SampleError, named_joints
 from residual.estimate import SensorWarning
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
@@ -330,7 +330,7 @@ class FaultDetector:
             raise SampleError(
                 f"{' and '.join(frozen)} of all joints repeat bit for bit although "
                 "they are noisy",
-                SensorCode.FROZEN,
+                "Check the sensors and the connection to the robot.",
                 SensorWarning.FROZEN,
             )
 
@@ -452,7 +452,8 @@ class FaultDetector:
             )
             raise SampleError(
                 f"tau is at the effort limit at {named_joints(clipped)}: {reason}",
-                SensorCode.SATURATED,
+                "Unload the arm, or correct the effort limits in the robot's "
+                "description.",
                 SensorWarning.SATURATED,
             )
 
@@ -480,7 +481,7 @@ class FaultDetector:
         raise SampleError(
             f"a signal jumped further than an arm can at {joints}; held back unless it "
             f"stays for {STAYED_S:g} s",
-            SensorCode.SPIKE,
+            "Skip the sample; if it recurs, check the cables and the sensor.",
             SensorWarning.SPIKE,
         )
 

@@ -11,7 +11,6 @@ from hypothesis import strategies as st
 
 from groundtruth import insert_needle
 from identification import Identifier, replay
-from identification.errors import IdentificationCode
 from identification.log_replay import HEAD_ROWS, ReplayStream, SignCheck
 from needleforce.recordings.time_stamps import RowClock
 
@@ -92,24 +91,24 @@ def test_a_mostly_still_clock_has_a_usual_step():
 
 def test_wrong_speed_sign_and_still_depth_get_hints(columns):
     _, depth_m, force_N, speed_m_s = columns
-    for depth, speed, words, code in (
+    for depth, speed, words, advice in (
         (
             depth_m,
             np.append(np.inf, -speed_m_s[1:]),
             "speed has the sign opposite",
-            IdentificationCode.SPEED_SIGN,
+            "Negate `speed_m_s` or `depth_m`, or leave the speed out.",
         ),
         (
             0.0 * depth_m,
             speed_m_s,
             "there is nothing to identify",
-            IdentificationCode.NO_TRAVEL,
+            "Give `depth_m` in metres, of a recording that has an insertion.",
         ),
     ):
         check = SignCheck()
         check.update(depth, speed, force_N)
         assert words in check.hints()[-1].text
-        assert check.hints()[-1].code is code
+        assert check.hints()[-1].advice == advice
 
 
 @pytest.mark.slow

@@ -105,7 +105,7 @@ def nudged(value):
 def test_all_that_a_method_remembers_is_in_the_next_snapshot(in_tissue):
     snapshot = in_tissue[MULTILAYER].snapshot()
     identifier = Identifier()
-    for name in snapshot.state._fields:
+    for name in (field.name for field in fields(snapshot.state)):
         changed = copy_with(snapshot.state, name, nudged(getattr(snapshot.state, name)))
         identifier.resume(snapshot._replace(state=changed))
         kept = getattr(identifier.snapshot().state, name)

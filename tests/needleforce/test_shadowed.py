@@ -88,9 +88,7 @@ def test_the_command_says_it_in_one_line(tmp_path):
     assert done.returncode == 2
     assert done.stdout == ""
     (line,) = done.stderr.splitlines()
-    assert line.startswith(
-        f"error NF-COMMAND-HIDDEN: {tmp_path / 'residual.py'} hides the package"
-    )
+    assert line.startswith(f"error: {tmp_path / 'residual.py'} hides the package")
     assert line.endswith(CURE)
 
 

@@ -241,7 +241,7 @@ WRONG = {
     "two joints": (
         lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]],
         {},
-        "joint 2 reads as joint 4's",
+        "take its numbers 1, 4, 3, 2, 5, 6, 7",
     ),
 }
 
@@ -254,6 +254,9 @@ def test_a_refused_tare_names_the_likely_torques(lwr, kind, preset):
     q, dq, tau = signals(lwr, 3.0)
     sensor = VirtualForceSensor(lwr, replace(preset, **settings))
     feed(sensor, zip(q, dq, bend(gravity_of(lwr, q), tau), strict=True))
+    if kind == "wrong sign" and preset is PUBLISHED:
+        # In its short window the arm rests: one that hangs has the same torques.
+        words = "no single unit, sign, order or direction of gravity"
 
     with pytest.raises(TareError, match=words):
         sensor.tare()

@@ -15,7 +15,8 @@ from groundtruth.rig_arm import SimulatedArm
 from needleforce.cli.robot import LWR, robot_from_options
 from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
 from needleforce.cli.terminal import (
-    CommandCode,
+    CHECK_ARM,
+    OTHER_ROBOT,
     CommandError,
     progress_bar,
     say,
@@ -117,7 +118,7 @@ def open_arm(
             raise CommandError(
                 f"{name} has {arm.joints} joints, the robot that describes it "
                 f"{robot.nv}",
-                CommandCode.ROBOT,
+                OTHER_ROBOT,
             )
         yield ConnectedArm(arm, robot)
 
@@ -142,11 +143,12 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
             f"{name} simulates an LWR 4+ with its needle, expected no options of the "
             "robot"
         )
-    from needleforce.cli.patient.simulated_patient import insert_into_patient, is_plan
+    from needleforce.cli.patient.case_files import read_plan_fields
+    from needleforce.simulation.patient import insert_into_patient
 
     with progress_bar("simulating"):
-        if is_plan(scenario):
-            run = insert_into_patient(Path(scenario))
+        if scenario.endswith(".json"):
+            run = insert_into_patient(read_plan_fields(Path(scenario)))
         else:
             run = simulate(scenario, plant="clean")
     signals = run.signals
@@ -176,7 +178,7 @@ def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
     if kind not in ROBOTS:
         raise CommandError(
             f"{name} does not say what arm it is, expected --urdf FILE",
-            CommandCode.ROBOT,
+            OTHER_ROBOT,
         )
     say(
         f"{name} is taken for the arm {ROBOTS[kind]!r}; --robot or --urdf names another"
@@ -276,7 +278,7 @@ def require_samples(arm_name: str, arm: Any) -> None:
     hint = getattr(arm, "hint", "")
     if hint:
         message += f"; {hint}"
-    raise CommandError(message, CommandCode.ARM)
+    raise CommandError(message, CHECK_ARM)
 
 
 def _say_sender(arm: Any) -> None:

@@ -7,7 +7,12 @@ from typing import Any
 from foundation.jit import compile_waiting
 from needleforce.cli.arms.arm_connection import limits_of, open_arm
 from needleforce.cli.shared_options import RobotOptions
-from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
+from needleforce.cli.terminal import (
+    CHECK_ARM,
+    CommandError,
+    say,
+    write_out,
+)
 from needleforce.control.lag import (
     Delay,
     LagProbe,
@@ -64,14 +69,13 @@ def _ask(arm_name: str) -> None:
     if not sys.stdin.isatty():
         raise CommandError(
             f"{arm_name} would move and nobody can be asked: give --yes",
-            CommandCode.OPTION,
         )
     say(
         f"All joints of {arm_name} will move for 4 s, the tip by at most 5 mm either "
         "way. The needle must be in free air, and the stop button at hand."
     )
     if input("Move? [y/N] ").strip().lower() not in ("y", "yes"):
-        raise CommandError("not confirmed: nothing has moved", CommandCode.OPTION)
+        raise CommandError("not confirmed: nothing has moved")
 
 
 def _move(arm: Any, arm_name: str, probe: LagProbe) -> None:
@@ -87,7 +91,7 @@ def _move(arm: Any, arm_name: str, probe: LagProbe) -> None:
                 raise CommandError(
                     f"{arm_name} took no command in {MAX_WAIT_S:g} s: let it take "
                     "commands at its own panel",
-                    CommandCode.ARM,
+                    CHECK_ARM,
                 )
         is_over = probe.state in (ProbeState.DONE, ProbeState.FAILED)
         if is_over and not command.dq_rad_s.any():

@@ -15,7 +15,7 @@ from needleforce.cli.arms.arm_connection import (
     open_arm,
 )
 from needleforce.cli.shared_options import MotorConstants, RobotOptions
-from needleforce.cli.terminal import CommandCode, CommandError, say
+from needleforce.cli.terminal import CHECK_ARM, CommandError, say
 from needleforce.control.tare_stroke import TareMotion, tare_with_stroke
 from needleforce.devices.link import LinkReport
 from needleforce.session import InsertionSession
@@ -146,7 +146,7 @@ def open_tared_arm(
             yield TaredArm(connected.arm, connected.robot, session)
         return
     if name.startswith("ur:") and constants_Nm_A is None:
-        raise CommandError(f"{name}: {NO_TORQUES}", CommandCode.ARM)
+        raise CommandError(f"{name}: {NO_TORQUES}", CHECK_ARM)
     if not stroke.is_confirmed:
         _ask(name, stroke.motion)
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
@@ -165,12 +165,11 @@ def _ask(name: str, motion: TareMotion) -> None:
     if not sys.stdin.isatty():
         raise CommandError(
             f"{name} would move and nobody can be asked: give --yes",
-            CommandCode.OPTION,
         )
     say(f"{_describe(name, motion)} The needle must be in free air, with room for the")
     say("elbow beside the arm, and the stop button at hand.")
     if input("Move? [y/N] ").strip().lower() not in ("y", "yes"):
-        raise CommandError("not confirmed: nothing has moved", CommandCode.OPTION)
+        raise CommandError("not confirmed: nothing has moved")
 
 
 def _describe(name: str, motion: TareMotion) -> str:

@@ -17,11 +17,16 @@ from needleforce.cli.arms.arm_connection import (
     samples_until_stopped,
 )
 from needleforce.cli.arms.arm_stroke import TareOptions, open_tared_arm
-from needleforce.cli.auto_tare import SessionTare
+from needleforce.cli.auto_tare import auto_tare
 from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
-from needleforce.cli.terminal import CommandCode, CommandError, say, write_out
+from needleforce.cli.terminal import (
+    CHECK_ARM,
+    CommandError,
+    say,
+    write_out,
+)
 from needleforce.depth_zero import DepthZero, find_depth_zero
 from needleforce.devices import NetFT
 from needleforce.devices.rdt_status import describe_status
@@ -289,7 +294,7 @@ def watch_arm(
     Raises:
         CommandError: The arm sends nothing, or no torques.
     """
-    tare = SessionTare(taring.after_s)
+    tare = auto_tare(taring.after_s)
     constants_Nm_A = options.motor_constants
     plan = load_plan(plan_path, situs_inversus=situs_inversus)
     with (
@@ -306,7 +311,7 @@ def watch_arm(
         display = Display(arm, reference, panel)
         for sample in samples_until_stopped(arm, options):
             if sample.tau_Nm is None:
-                raise CommandError(f"{arm_name}: {NO_TORQUES}", CommandCode.ARM)
+                raise CommandError(f"{arm_name}: {NO_TORQUES}", CHECK_ARM)
             estimate = session.update(
                 sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
             )

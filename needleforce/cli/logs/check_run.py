@@ -8,17 +8,17 @@ import msgspec
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.cli.advice import advise
+from needleforce.cli.advice import describe_error
 from needleforce.cli.logs.force_result import ForceResult
 from needleforce.cli.logs.log_session import LogSession
 from needleforce.cli.logs.replay_setup import prepare
 from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
-from needleforce.cli.logs.torque_columns import with_torque_option
 from needleforce.cli.logs.torque_summary import (
     describe_doubt,
     describe_missing_mass,
     describe_scale,
+    with_cure,
 )
 from needleforce.cli.shared_options import (
     JointColumns,
@@ -31,7 +31,8 @@ from needleforce.recordings.log_stream import LogChunk
 from residual import TareError
 from residual.bias.separation import JointSeparation, advise_motion
 from residual.bias.torque_diagnosis import TorqueDiagnosis
-from residual.errors import SensorCode, named_joints
+from residual.errors import named_joints
+from urdf.payload_rating import rated_payload_kg
 
 DOUBTFUL = 1
 """Exit code where something in the log is doubtful."""
@@ -105,7 +106,7 @@ class TorqueNumbers(msgspec.Struct):
         missing_mass_kg: Mass that the model lacks at the flange.
         missing_mass_std_kg: Its standard deviation.
         rated_payload_kg: What the arm may carry.
-        codes: Of the causes that cannot be told apart, the most probable first.
+        advice: Kind of the one explanation that fits; empty where none does.
     """
 
     scale: float
@@ -115,7 +116,7 @@ class TorqueNumbers(msgspec.Struct):
     missing_mass_kg: float
     missing_mass_std_kg: float
     rated_payload_kg: float
-    codes: list[str]
+    advice: str
 
 
 class LogCheck(msgspec.Struct):
@@ -198,8 +199,9 @@ def check_log(log: LogSession, replay: SensorReplay) -> LogCheck:
     replay.finish(is_whole=not log.is_stopped())
     refusal = None
     if replay.refusal is not None:
-        refusal = with_torque_option(replay.refusal, log)
+        refusal = with_cure(replay.refusal, log, replay)
     diagnosis = replay.sensor.diagnosis if refusal is None else refusal.diagnosis
+    rating_kg = rated_payload_kg(replay.robot)
     lines = [
         *_log_lines(log, replay, result),
         *signals.lines(),
@@ -210,7 +212,7 @@ def check_log(log: LogSession, replay: SensorReplay) -> LogCheck:
         log=log.name,
         lines=lines,
         warnings=[*log.warnings, *replay.robot.warnings],
-        torque=None if diagnosis is None else _numbers_of(diagnosis),
+        torque=None if diagnosis is None else _numbers_of(diagnosis, rating_kg),
     )
 
 
@@ -329,7 +331,7 @@ def _torque_lines(
 ) -> Iterator[CheckLine]:
     """Yield the lines on tare, signs and order, scale, payload."""
     if refusal is not None:
-        text = f"{refusal.code}: {refusal}. {advise(refusal)}"
+        text = describe_error(refusal)
         yield CheckLine("tare", Outcome.DOUBTFUL, text)
     elif replay.tare is None or replay.tare.tare is None:
         yield CheckLine("tare", Outcome.UNCHECKED, "none was taken")
@@ -345,20 +347,31 @@ def _torque_lines(
         for topic in topics:
             yield CheckLine(topic, Outcome.UNCHECKED, reason)
         return
-    doubt = "" if refusal is not None else describe_doubt(diagnosis, log)
+    is_taken = refusal is None
+    doubt = describe_doubt(diagnosis, log, replay) if is_taken else ""
     if doubt:
         yield CheckLine("torque", Outcome.DOUBTFUL, doubt)
-    yield _sign_line(diagnosis)
-    outcome = Outcome.DOUBTFUL if diagnosis.scale_deviates else Outcome.VERIFIED
+    yield _sign_line(diagnosis, is_taken=is_taken)
+    yield _scale_line(diagnosis, is_taken=is_taken)
+    rating_kg = rated_payload_kg(replay.robot)
+    yield _payload_line(diagnosis, rating_kg, is_taken=is_taken)
+
+
+def _scale_line(diagnosis: TorqueDiagnosis, *, is_taken: bool) -> CheckLine:
+    """Return the line on the factor of all torques."""
+    outcome = Outcome.VERIFIED if is_taken else Outcome.UNCHECKED
+    text = f"tau is {describe_scale(diagnosis)}"
+    if is_taken:
+        doubt_percent = 100.0 * diagnosis.scale_doubt
+        text += (
+            "; the standard deviation of a force has "
+            f"{doubt_percent:.2g} % of the force for it"
+        )
     if not diagnosis.is_scale_known:
         outcome = Outcome.UNCHECKED
-    doubt_percent = 100.0 * diagnosis.scale_doubt
-    text = (
-        f"tau is {describe_scale(diagnosis)}; the standard deviation of a force has "
-        f"{doubt_percent:.2g} % of the force for it"
-    )
-    yield CheckLine("scale", outcome, text)
-    yield _payload_line(diagnosis, refusal)
+    elif diagnosis.scale_deviates:
+        outcome = Outcome.DOUBTFUL
+    return CheckLine("scale", outcome, text)
 
 
 def _separation_lines(
@@ -379,21 +392,14 @@ def _separation_lines(
     yield CheckLine("hysteresis", Outcome.VERIFIED, text)
 
 
-def _sign_line(diagnosis: TorqueDiagnosis) -> CheckLine:
+def _sign_line(diagnosis: TorqueDiagnosis, *, is_taken: bool) -> CheckLine:
     """Return the line on order and signs of the joints."""
     topic = "order and signs"
-    faults = [
-        one.cause.text
-        for one in diagnosis.findings
-        if one.cause.code in (SensorCode.JOINT_ORDER, SensorCode.TORQUE_SIGN)
-    ]
-    if faults:
-        return CheckLine(topic, Outcome.DOUBTFUL, "; or ".join(faults))
-    joints = len(diagnosis.joint_scale)
+    advice = diagnosis.advice
+    if advice is not None and (advice.kind in ("signs", "order") or advice.scale < 0.0):
+        return CheckLine(topic, Outcome.DOUBTFUL, advice.text)
     unchecked = diagnosis.unchecked_joints
-    checked = [joint for joint in range(joints) if joint not in unchecked]
-    if not checked:
-        return CheckLine(topic, Outcome.UNCHECKED, diagnosis.describe_unchecked())
+    checked = [k for k in range(len(diagnosis.joint_scale)) if k not in unchecked]
     opposed = [joint for joint in checked if diagnosis.joint_scale[joint] < 0.0]
     following = [joint for joint in checked if joint not in opposed]
     texts: list[str] = []
@@ -403,18 +409,22 @@ def _sign_line(diagnosis: TorqueDiagnosis) -> CheckLine:
         texts.append(f"{named_joints(following)}: torque follows gravity")
     if unchecked:
         texts.append(diagnosis.describe_unchecked())
-    outcome = Outcome.DOUBTFUL if opposed else Outcome.VERIFIED
+    outcome = Outcome.VERIFIED if is_taken and checked else Outcome.UNCHECKED
+    if opposed:
+        outcome = Outcome.DOUBTFUL
     return CheckLine(topic, outcome, "; ".join(texts))
 
 
-def _payload_line(diagnosis: TorqueDiagnosis, refusal: TareError | None) -> CheckLine:
+def _payload_line(
+    diagnosis: TorqueDiagnosis, rating_kg: float, *, is_taken: bool
+) -> CheckLine:
     """Return the line on the payload.
 
     Where a tare was refused for another cause, the mass that would explain the torques
     is none that is missing.
     """
-    codes = [one.cause.code for one in diagnosis.findings]
-    if refusal is not None and SensorCode.PAYLOAD not in codes:
+    advice = diagnosis.advice
+    if not is_taken and (advice is None or advice.kind != "payload"):
         reason = "the tare was refused; what it names must be right first"
         return CheckLine("payload", Outcome.UNCHECKED, reason)
     text = describe_missing_mass(diagnosis)
@@ -423,11 +433,11 @@ def _payload_line(diagnosis: TorqueDiagnosis, refusal: TareError | None) -> Chec
         return CheckLine("payload", Outcome.UNCHECKED, reason)
     is_missing = abs(diagnosis.payload_kg) > 3.0 * diagnosis.payload_std_kg
     outcome = Outcome.DOUBTFUL if is_missing else Outcome.VERIFIED
-    rating = f"the arm is taken to carry at most {diagnosis.rating_kg:.3g} kg"
+    rating = f"the arm is taken to carry at most {rating_kg:.3g} kg"
     return CheckLine("payload", outcome, f"{text}; {rating}")
 
 
-def _numbers_of(diagnosis: TorqueDiagnosis) -> TorqueNumbers:
+def _numbers_of(diagnosis: TorqueDiagnosis, rating_kg: float) -> TorqueNumbers:
     """Return the numbers of a tare."""
     return TorqueNumbers(
         scale=diagnosis.scale,
@@ -436,6 +446,6 @@ def _numbers_of(diagnosis: TorqueDiagnosis) -> TorqueNumbers:
         joint_scale_std=diagnosis.joint_scale_std.tolist(),
         missing_mass_kg=diagnosis.payload_kg,
         missing_mass_std_kg=diagnosis.payload_std_kg,
-        rated_payload_kg=diagnosis.rating_kg,
-        codes=[one.cause.code.label for one in diagnosis.findings],
+        rated_payload_kg=rating_kg,
+        advice="" if diagnosis.advice is None else diagnosis.advice.kind,
     )

@@ -17,8 +17,7 @@ from needleforce.cli.logs.replay_setup import (
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
-from needleforce.cli.logs.torque_columns import with_torque_option
-from needleforce.cli.logs.torque_summary import describe_doubt
+from needleforce.cli.logs.torque_summary import describe_doubt, with_cure
 from needleforce.cli.plan_file import LoadedPlan
 from needleforce.cli.robot import (
     payload_from_options,
@@ -35,7 +34,7 @@ from needleforce.cli.terminal import write_out
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import TableLabels
-from residual import SensorConfig, Status, TareError
+from residual import SensorConfig, SensorWarning, Status, TareError
 
 
 def run(
@@ -132,15 +131,30 @@ def estimate_forces(
             result.count_bad_stamps(log.bad_stamp_count)
             replay.finish(is_whole=not log.is_stopped())
     except TareError as error:
-        raise with_torque_option(error, log) from error
-    if doubt := describe_doubt(replay.sensor.diagnosis, log):
-        log.warn(f"torque: {doubt}")
+        raise with_cure(error, log, replay) from error
+    _warn_of_torques(log, replay, result)
     result.rows = overview.columns()
     if layers is None or not result.counts[Status.OK]:
         return ForcePage(result)
     found = identify_layers(chunks, log.name, layers)
     found = replace(found, zero=watch.zero or found.zero)
     return ForcePage(result, LayerPage(found), watch.compare(found.layers))
+
+
+def _warn_of_torques(
+    log: LogSession, replay: SensorReplay, result: ForceResult
+) -> None:
+    """Warn of what the tare, and the rows after it, show to be wrong with torques."""
+    if doubt := describe_doubt(replay.sensor.diagnosis, log, replay):
+        log.warn(f"torque: {doubt}")
+    mismatched = result.warnings[SensorWarning.MODEL_MISMATCH]
+    # A knock mismatches for a moment; a wrong arm or payload does most of the time.
+    if mismatched > 0.1 * result.counts[Status.OK]:
+        log.warn(
+            f"model mismatch in {mismatched} of {result.counts[Status.OK]} rows: their "
+            "torques are not those of a force on the needle's tip of this arm; check "
+            "--robot, --payload and the factor of --tau, and what else touched the arm"
+        )
 
 
 def _tracked_columns(config: SensorConfig) -> list[str]:

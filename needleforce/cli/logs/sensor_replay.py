@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from foundation.arrays import Array
 from needleforce.cli.logs.tare_schedule import TareSchedule, TareWindow
 from needleforce.cli.shared_options import SensorOptions
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.cli.terminal import OTHER_ROBOT, CommandError
 from needleforce.recordings.log_stream import LogChunk
 from residual import (
     SensorConfig,
@@ -69,7 +69,7 @@ def require_joints(q_rad: Array, robot: Robot) -> None:
         raise CommandError(
             f"the log has {columns} columns per joint signal, the robot has "
             f"{len(names)} joints: {', '.join(names)}",
-            CommandCode.ROBOT,
+            OTHER_ROBOT,
         )
 
 

@@ -5,7 +5,7 @@ from collections import Counter
 from typing import NamedTuple
 
 from needleforce.cli.shared_options import SensorOptions
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.cli.terminal import CHOOSE_TARE, CommandError
 from residual import Status, TareError, VirtualForceSensor
 from residual.bias.model import Tare
 
@@ -52,7 +52,7 @@ def parse_tare_window(text: str, first_s: float) -> TareWindow:
     """
     start, colon, end = text.partition(":")
     if not colon:
-        raise CommandError(f"--tare {text}: expected START:END", CommandCode.TARE)
+        raise CommandError(f"--tare {text}: expected START:END", CHOOSE_TARE)
     start_s = _parse_log_time(text, start, first_s) if start.strip() else first_s
     return TareWindow(start_s, _parse_log_time(text, end, first_s))
 
@@ -66,7 +66,7 @@ def _parse_log_time(option: str, text: str, first_s: float) -> float:
     if not math.isfinite(time_s):
         raise CommandError(
             f"--tare {option}: {text!r} is no time, expected START:END",
-            CommandCode.TARE,
+            CHOOSE_TARE,
         )
     return first_s + time_s if text.strip().startswith("+") else time_s
 
@@ -175,7 +175,7 @@ class TareSchedule:
                 f"the log ends before the filters have settled and {AUTOMATIC_S:g} s "
                 "of free motion were seen, so it cannot be tared"
                 f"{self._rejections_since_start}",
-                CommandCode.TARE,
+                CHOOSE_TARE,
             )
 
     @property
@@ -194,7 +194,7 @@ class TareSchedule:
                 f"--tare {self._options.tare}: START must come before END in a log "
                 f"whose first stamp is {first}; if the unit is wrong, say --time "
                 "COLUMN:UNIT",
-                CommandCode.TARE,
+                CHOOSE_TARE,
             )
         if self._first_s < window.end_s <= last_s and window.start_s < last_s:
             return
@@ -203,7 +203,7 @@ class TareSchedule:
             log = f"starts at {first}"
         raise CommandError(
             f"--tare {self._options.tare}: lies outside the log, which {log}",
-            CommandCode.TARE,
+            CHOOSE_TARE,
         )
 
     def _refuse_saturated(self) -> None:
@@ -223,7 +223,7 @@ class TareSchedule:
                 f"no tare from {window}{window.note}: the filters had not settled by "
                 f"then"
                 f"{self._rejections_since_start}",
-                CommandCode.TARE,
+                CHOOSE_TARE,
             )
         try:
             tare = self._sensor.tare(ignore_contact=self._options.force_tare)

@@ -1,80 +1,80 @@
-"""The option ``--tau`` that corrects the torques of a log, to be copied as it is."""
+"""Options that correct the torques of a log, to be copied as they are."""
 
 import re
 import shlex
 from collections.abc import Sequence
-from copy import copy
 
-from foundation.errors import Alternative
 from needleforce.cli.logs.log_session import LogSession
-from residual import TareError
-from residual.bias.torque_texts import CONTAINS_GRAVITY
+from needleforce.recordings.channel_units import ChannelUnit
+from residual.bias.torque_diagnosis import Explanation
+from residual.bias.torque_fit import Correction
 
 _NUMBERED = re.compile(r"^(?P<head>.*?)(?P<number>\d+)(?P<tail>\D*)$")
 """A column name with a number, its last."""
 
-OPTION_DIGITS = 6
-"""Digits of a factor that is the product of an advice and a mapping."""
 
+def correcting_options(advice: Explanation, log: LogSession) -> str:
+    """Return the options that correct a log as an advice says.
 
-def with_torque_option(error: TareError, log: LogSession) -> TareError:
-    """Return the error with an advice that names the columns of the log.
-
-    An advice of factors or of an order of the joints becomes the option that does it,
-    with the unit and the factors that the columns have already.
+    Columns keep the units and the factors that they have already.
 
     Args:
-        error: Of the tare.
+        advice: The advice.
         log: The log, of which rows were read.
     """
-    named = copy(error)
-    named.places = with_option(error.places, log)
-    named.alternatives = tuple(
-        Alternative(one.code, with_option(one.places, log))
-        for one in error.alternatives
-    )
-    return named
+    correction = advice.correction
+    options: list[str] = []
+    if correction.gravity_m_s2 is not None:
+        numbers = " ".join(f"{one:.4g}" for one in correction.gravity_m_s2)
+        options.append(f"--gravity {numbers} without --mount")
+    if advice.kind == "payload":
+        options.append("--payload FILE with these lines")
+    if advice.kind in ("unit", "signs", "order"):
+        options += _column_options(correction, log)
+    # The text speaks of gravity where it is not treated as it was.
+    if "torque_is_gravity_compensated=True" in advice.text:
+        options.append("--gravity-compensated")
+    if "torque_is_gravity_compensated=False" in advice.text:
+        options.append("the same options without --gravity-compensated")
+    return " and ".join(options)
 
 
-def with_option(places: dict[str, str], log: LogSession) -> dict[str, str]:
-    """Return the places of an advice with that of the option, if it has factors."""
-    if not places.keys() & {"factors", "order"}:
-        return places
-    option = torque_option(places, log)
-    if CONTAINS_GRAVITY in places:
-        option += " without --gravity-compensated"
-    return places | {"tau_option": option}
+def _column_options(correction: Correction, log: LogSession) -> list[str]:
+    """Return one option that names the columns of every channel that is corrected."""
+    ones = [1.0] * len(correction.order)
+    factors = {"tau": correction.factors.tolist()}
+    if correction.is_order_of_all:
+        factors |= {"q": ones, "dq": ones}
+    options = [
+        f"--{one.channel} "
+        + _column_option(one, correction.order, factors[one.channel])
+        for one in log.units
+        if one.channel in factors
+    ]
+    return [" ".join(options)]
 
 
-def torque_option(places: dict[str, str], log: LogSession) -> str:
-    """Return the value of ``--tau`` for an advice.
-
-    Args:
-        places: With ``factors``, one or one for each joint, or with ``order``.
-        log: The log, of which rows were read.
-    """
-    channel = next(one for one in log.units if one.channel == "tau")
+def _column_option(
+    channel: ChannelUnit, order: Sequence[int], factors: list[float]
+) -> str:
+    """Return columns in another order with their unit and a further factor each."""
     columns = list(channel.columns)
-    units = {column.unit for column in channel.units}
-    unit = units.pop() if len(units) == 1 else "Nm"
-    order = [int(one) - 1 for one in places.get("order", "").split(",") if one]
-    if order:
+    scales = channel.scale
+    known = list(scales) if isinstance(scales, tuple) else [scales] * len(order)
+    if list(order) != sorted(order):
         if len(columns) == 1:
             columns = [f"{columns[0]}[{joint}]" for joint in range(len(order))]
         columns = [columns[joint] for joint in order]
-    factors = [float(one) for one in places.get("factors", "1").split(",")]
-    known = channel.scale
-    scales = list(known) if isinstance(known, tuple) else [known]
-    if order and len(scales) > 1:
-        scales = [scales[joint] for joint in order]
-    size = max(len(factors), len(scales))
-    factors = factors * (size // len(factors))
-    scales = scales * (size // len(scales))
-    products = [a * b for a, b in zip(factors, scales, strict=True)]
+    products = [
+        factor * known[joint] for factor, joint in zip(factors, order, strict=True)
+    ]
     if len(set(products)) == 1:
         products = products[:1]
-    text = ",".join(f"{one:.{OPTION_DIGITS}g}" for one in products)
-    ending = "" if text == "1" and unit == "Nm" else f":{unit}:{text}"
+    text = ",".join(f"{one:.6g}" for one in products)
+    units = {column.unit for column in channel.units}
+    unit = units.pop() if len(units) == 1 else ""
+    is_plain = text == "1" and unit in ("", "Nm", "rad", "rad/s")
+    ending = "" if is_plain else f":{unit or 'Nm'}:{text}"
     return shlex.quote(f"{pattern_of(columns)}{ending}")
 
 

@@ -11,7 +11,12 @@ import numpy as np
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
 from needleforce.cli.patient.structure_names import StructureNames
 from needleforce.cli.plan_file import PLAN
-from needleforce.cli.terminal import CommandCode, CommandError, staged_progress
+from needleforce.cli.terminal import (
+    GIVE_PLAN,
+    OTHER_PLACE,
+    CommandError,
+    staged_progress,
+)
 from needleforce.files import whole_file
 
 PLAN_VERSION = 2
@@ -80,13 +85,13 @@ def read_plan_fields(place: Path) -> dict[str, Any]:
     try:
         fields = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
     except (OSError, msgspec.MsgspecError) as error:
-        raise CommandError(f"{path}: {error}", CommandCode.PLAN) from error
+        raise CommandError(f"{path}: {error}", GIVE_PLAN) from error
     if fields.get("version") != PLAN_VERSION:
         raise CommandError(
             f"{path} has version {fields.get('version')}: expected {PLAN_VERSION}, as "
             "`needleforce plan` writes it; earlier ones do not say what they were made "
             "of",
-            CommandCode.PLAN,
+            GIVE_PLAN,
         )
     return fields
 
@@ -104,7 +109,7 @@ def case_of_plan(place: Path) -> PatientCase:
         raise CommandError(
             f"{path} names no CT and labels: expected a plan that `needleforce plan` "
             "wrote",
-            CommandCode.PLAN,
+            GIVE_PLAN,
         )
     folder = path.parent
     structures = fields.get("structures") or None
@@ -130,7 +135,7 @@ def write_plan_fields(path: Path, fields: Mapping[str, Any]) -> None:
             file.write(msgspec.json.format(content, indent=1) + b"\n")
     except OSError as error:
         raise CommandError(
-            f"cannot write {path}: {error.strerror}", CommandCode.OUTPUT
+            f"cannot write {path}: {error.strerror}", OTHER_PLACE
         ) from error
 
 

@@ -11,7 +11,7 @@ from foundation.arrays import Array
 from needleforce.anatomy import FreeSpace, Labels, PlanError, require_clear_path
 from needleforce.anatomy.clearance import describe_clearance, too_near
 from needleforce.anatomy.deepest_point import deepest_point_m
-from needleforce.anatomy.errors import AnatomyCode
+from needleforce.anatomy.errors import OTHER_PATH
 from needleforce.anatomy.labels import DENSE
 from needleforce.anatomy.markups import read_markup, write_markup
 from needleforce.anatomy.path_search import (
@@ -271,7 +271,7 @@ def _require_clear_line(
             f"the line {'; '.join(map(describe_clearance, near))}: these must stay "
             f"{space} away, as from an offered path; --passable names what the "
             "needle may pass",
-            AnatomyCode.OBSTACLE,
+            OTHER_PATH,
         )
 
 

@@ -35,7 +35,6 @@ from needleforce.cli.patient.register_report import (
 from needleforce.cli.patient.touch_file import TouchFile, read_touches
 from needleforce.cli.plan_file import PLAN
 from needleforce.cli.terminal import (
-    CommandCode,
     CommandError,
     require_modules,
     say,
@@ -233,14 +232,12 @@ def _pair_landmarks(markup: Markup, touched: TouchFile, evidence: Evidence) -> _
     if len(set(names)) < len(names):
         raise CommandError(
             f"{evidence.touches}: a landmark was touched twice: {', '.join(names)}",
-            CommandCode.FILE,
         )
     unknown = [name for name in names if name not in place_by_name]
     if unknown:
         raise CommandError(
             f"{evidence.touches} has landmarks {', '.join(unknown)} that are not in "
             f"{evidence.landmarks}: there are {', '.join(markup.names)}",
-            CommandCode.FILE,
         )
     model_m = np.array([place_by_name[name] for name in names]).reshape(-1, 3)
     if evidence.is_xy_negated:
@@ -255,7 +252,6 @@ def _require_touches(touches_m: Array) -> None:
         raise CommandError(
             f"{len(touches_m)} touches of the skin: expected {MIN_TOUCHES} or more; "
             "--landmarks-only goes without, by the landmarks alone",
-            CommandCode.FILE,
         )
 
 

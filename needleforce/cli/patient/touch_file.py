@@ -8,7 +8,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.cli.patient.case_files import write_plan_fields
-from needleforce.cli.terminal import CommandCode, CommandError
+from needleforce.cli.terminal import CommandError
 
 VERSION = 1
 """Of the file."""
@@ -55,12 +55,10 @@ def read_touches(path: Path) -> TouchFile:
     except (OSError, msgspec.MsgspecError) as error:
         raise CommandError(
             f"{path}: {error}; expected what `needleforce touch` writes",
-            CommandCode.FILE,
         ) from error
     if touched.version != VERSION:
         raise CommandError(
             f"{path} has version {touched.version}: expected {VERSION}",
-            CommandCode.FILE,
         )
     return touched
 

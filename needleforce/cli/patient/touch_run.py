@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from foundation.arrays import Array
 from needleforce.anatomy.markups import read_markup
+from needleforce.anatomy.touch_detector import TipTouch, TouchDetector
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ConnectedArm,
@@ -19,8 +20,7 @@ from needleforce.cli.arms.arm_connection import (
     require_samples,
     samples_until_stopped,
 )
-from needleforce.cli.patient.simulated_patient import is_plan, touch_patient
-from needleforce.cli.patient.touch_detector import TipTouch, TouchDetector
+from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
 from needleforce.cli.patient.touch_file import (
     VERSION,
     LandmarkTouch,
@@ -28,8 +28,14 @@ from needleforce.cli.patient.touch_file import (
     write_touches,
 )
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
-from needleforce.cli.terminal import CommandCode, CommandError, progress_bar, say
+from needleforce.cli.terminal import (
+    CHECK_ARM,
+    CommandError,
+    progress_bar,
+    say,
+)
 from needleforce.recordings.output import require_place
+from needleforce.simulation.patient import touch_patient
 from residual import VirtualForceSensor
 from urdf import Robot
 
@@ -142,7 +148,7 @@ def record_touches(
         raise CommandError(
             f"nothing was touched: the force never rose by {contact_N:g} N while the "
             "tip rested for a second",
-            CommandCode.ARM,
+            CHECK_ARM,
         )
     write_touches(output, file)
     say(
@@ -165,9 +171,13 @@ def _open_touching_arm(
         landmarks: Points that the simulated arm touches first, if any.
     """
     kind, _, plan = name.partition(":")
-    if kind == "sim" and is_plan(plan):
+    if kind == "sim" and plan.endswith(".json"):
+        points_m = np.zeros((0, 3))
+        if landmarks is not None:
+            points_m = read_markup(landmarks).points_m
+        labels = case_of_plan(Path(plan)).labels
         with progress_bar("simulating"):
-            simulated = touch_patient(Path(plan), landmarks)
+            simulated = touch_patient(read_plan_fields(Path(plan)), labels, points_m)
         yield ConnectedArm(simulated.arm, simulated.robot)
         return
     with open_arm(name, robot, options.motor_constants) as connected:
@@ -185,7 +195,7 @@ def _touches(
     time_s = 0.0
     for sample in samples_until_stopped(arm, options, is_paced=False):
         if sample.tau_Nm is None:
-            raise CommandError(NO_TORQUES, CommandCode.ARM)
+            raise CommandError(NO_TORQUES, CHECK_ARM)
         wrench = sensor.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
         )

@@ -8,7 +8,6 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.anatomy import Registration, RegistrationError, read_transform
-from needleforce.anatomy.errors import AnatomyCode
 from needleforce.anatomy.transform_file import RigidTransform, TransformSource
 from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
 from needleforce.cli.patient.register_report import FitReport, skin_distances_m
@@ -152,6 +151,8 @@ def _touch_distances_m(
             f"transform, and {expected_mm:.1f} mm are expected by --transform-std and "
             "--touch-std: it is the inverse, in other axes, of another patient, or "
             "less accurate than stated",
-            AnatomyCode.MISFITTING_TRANSFORM,
+            "Name the other source if the transform may be the inverse; "
+            "check that it belongs to this CT and that the patient has not "
+            "moved, or register by landmarks.",
         )
     return distances_m

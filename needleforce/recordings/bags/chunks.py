@@ -10,7 +10,11 @@ from collections.abc import Sequence
 from contextlib import suppress
 from typing import Any
 
-from needleforce.recordings.errors import FormatError, RecordingCode, optional_library
+from needleforce.recordings.errors import (
+    UNPACK,
+    FormatError,
+    optional_library,
+)
 
 
 def unpack_chunk(
@@ -31,7 +35,7 @@ def unpack_chunk(
         raise FormatError(
             f"has chunks compressed with {compression!r}; "
             f"{' and '.join(compressions)} can be read",
-            RecordingCode.BAG,
+            UNPACK,
         )
 
     stream = _open(packed, compression)

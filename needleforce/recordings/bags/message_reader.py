@@ -15,8 +15,8 @@ from needleforce.recordings.bags.messages import (
 from needleforce.recordings.bags.ros1_file import Ros1Reader
 from needleforce.recordings.bags.sqlite_file import sqlite_messages
 from needleforce.recordings.errors import (
+    UNPACK,
     FormatError,
-    RecordingCode,
     file_errors,
     optional_library,
     readable_path,
@@ -47,7 +47,7 @@ def read_messages(
     if not files:
         raise FormatError(
             f"{path} is a folder without .mcap, .db3 or .bag files",
-            RecordingCode.BAG,
+            UNPACK,
         )
 
     limit = max_bytes // 8  # for one chunk or message

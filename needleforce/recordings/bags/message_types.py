@@ -11,7 +11,11 @@ import numpy as np
 
 from needleforce.recordings.bags.messages import CDR, ROS1, BagTopic
 from needleforce.recordings.channels import KNOWLEDGE, MessageLayout
-from needleforce.recordings.errors import FormatError, RecordingCode, optional_library
+from needleforce.recordings.errors import (
+    UNPACK,
+    FormatError,
+    optional_library,
+)
 from needleforce.recordings.time_stamps import NS_PER_S
 
 STANDARD = "ROS2_HUMBLE"
@@ -93,7 +97,7 @@ def _types_of(kind: str, definition: str, encoding: str) -> Any:
     if kind not in standard.fielddefs:
         raise FormatError(
             f"holds messages of the type {kind}, without its definition",
-            RecordingCode.BAG,
+            UNPACK,
         )
 
     return standard
@@ -199,7 +203,7 @@ class TopicDecoder:
         if topic.encoding not in (CDR, ROS1):
             raise FormatError(
                 f"is encoded as {topic.encoding!r}; ROS 2 has {CDR!r}",
-                RecordingCode.BAG,
+                UNPACK,
             )
 
         self._kind = topic.kind
@@ -280,7 +284,7 @@ class TopicDecoder:
     def decode(self, data: bytes) -> MessageContent:
         """Decode a message; `FormatError` if it does not fit its type."""
         if data.startswith(_ZSTD_MAGIC):
-            raise FormatError("is compressed message by message", RecordingCode.BAG)
+            raise FormatError("is compressed message by message", UNPACK)
 
         try:
             message = self._deserialize(data, self._kind)

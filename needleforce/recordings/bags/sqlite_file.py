@@ -6,14 +6,12 @@ from typing import Any
 
 from needleforce.recordings.bags.messages import BagTopic, RawMessage, require_magic
 from needleforce.recordings.errors import (
+    KNOWN_SUFFIX,
+    RECOVER,
     FileAccessError,
     FormatError,
-    RecordingCode,
     optional_library,
 )
-
-SQLITE_MAGIC = b"SQLite format 3\x00"
-"""How the file begins."""
 
 
 def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
@@ -33,11 +31,12 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
         raise FileAccessError(
             f"cannot read {path}: a bag in an SQLite file needs a path without ?, # "
             "and %, and the suffix .db3 in small letters",
-            RecordingCode.SUFFIX,
+            KNOWN_SUFFIX,
         )
 
     with path.open("rb") as stream:
-        require_magic(stream.read(len(SQLITE_MAGIC)), SQLITE_MAGIC, "SQLite")
+        magic = b"SQLite format 3\x00"
+        require_magic(stream.read(len(magic)), magic, "SQLite")
 
     faults += _journal_faults(path)
     # What reading damaged content may end in, beside the errors of the libraries.
@@ -64,9 +63,7 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
                 "is not a bag: it has no tables messages and topics"
             ) from error
 
-        raise FormatError(
-            f"is cut short or damaged ({error})", RecordingCode.CUT
-        ) from error
+        raise FormatError(f"is cut short or damaged ({error})", RECOVER) from error
 
 
 def _journal_faults(path: Path) -> list[str]:

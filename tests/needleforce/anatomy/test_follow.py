@@ -324,4 +324,4 @@ def test_a_plan_that_says_too_little_is_refused(plan, why, arm, tmp_path, capsys
     said = capsys.readouterr().err
 
     assert re.search(why, said)
-    assert said.startswith("error NF-COMMAND-PLAN: ")
+    assert said.startswith("error: ")

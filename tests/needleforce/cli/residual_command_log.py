@@ -52,7 +52,7 @@ def refusal(argv, capsys):
         if not line.startswith(("warning: ", "needleforce: compiling"))
     ]
     assert len(lines) == 1, printed.err
-    assert re.match(r"error NF(-[A-Z]+)+: \S", lines[0])
+    assert re.match(r"error: \S", lines[0])
     return lines[0]
 
 

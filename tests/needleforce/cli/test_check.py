@@ -1,6 +1,7 @@
 """`needleforce check`: what a log and its tare verify, as a table and as JSON."""
 
 import json
+import shlex
 
 import numpy as np
 import pytest
@@ -8,6 +9,8 @@ import pytest
 from needleforce.cli import main
 from needleforce.recordings import write_table
 from tests.needleforce.cli.residual_command_log import insertion
+from tests.residual.residual_signals import swing
+from urdf import load_example
 
 pytestmark = pytest.mark.slow
 
@@ -44,20 +47,68 @@ def test_a_sound_log_is_verified(tmp_path, capsys, columns):
 
 
 def test_a_doubt_is_named_with_the_option_that_cures_it(tmp_path, capsys, columns):
-    bent = columns | {"tau_Nm": 0.3 * columns["tau_Nm"]}
+    bent = columns | {"tau_Nm": 0.01 * columns["tau_Nm"]}
     code, lines, found = check(tmp_path, capsys, bent)
 
     assert code == 1
     assert lines["tare"]["outcome"] == "doubtful"
-    assert "NF-SENSOR-TORQUE-SCALE" in lines["tare"]["text"]
-    assert "--tau tau_Nm:Nm:3.3" in lines["tare"]["text"]
-    assert found["torque"]["codes"] == ["NF-SENSOR-TORQUE-SCALE"]
+    assert "--tau tau_Nm:Nm:100" in lines["tare"]["text"]
+    assert found["torque"]["advice"] == "unit"
+    assert not {"order and signs", "scale", "payload"} & {
+        topic for topic, line in lines.items() if line["outcome"] == "verified"
+    }
     # The mass that would explain these torques is none that is missing.
     assert lines["payload"]["outcome"] == "not verified"
     assert "kg" not in lines["payload"]["text"]
     # The rows after the refused tare were read, too.
     assert lines["rejected"]["outcome"] == "verified"
     assert lines["rate"]["text"].startswith("4000 rows")
+
+
+def test_a_factor_that_is_no_unit_is_measured_and_not_advised(
+    tmp_path, capsys, columns
+):
+    bent = columns | {"tau_Nm": 0.3 * columns["tau_Nm"]}
+    code, lines, found = check(tmp_path, capsys, bent)
+
+    assert code == 1
+    assert "--tau" not in lines["tare"]["text"]
+    assert "0.3 +/-" in lines["scale"]["text"]
+    assert lines["scale"]["outcome"] == "doubtful"
+    assert found["torque"]["advice"] == ""
+
+
+def signals_of_ur5e():
+    """Columns of a UR5e without a payload that swings freely."""
+    middle = [0.3, -1.2, 1.4, -1.0, -1.3, 0.4]
+    t, q, dq, tau = swing(load_example("ur5e"), seconds=4.0, rate_hz=250, middle=middle)
+    tau = tau + 0.02 * np.random.default_rng(1000).normal(size=tau.shape)
+    return {"t_s": t, "q_rad": q, "dq_rad_s": dq, "tau_Nm": tau}
+
+
+def test_a_wrong_arm_is_named_and_nothing_else_advised(tmp_path, capsys):
+    _, lines, _ = check(tmp_path, capsys, signals_of_ur5e(), "--robot", "ur5")
+
+    assert "give --robot ur5e" in lines["tare"]["text"]
+    assert "--payload" not in lines["tare"]["text"]
+    assert "--tau" not in lines["tare"]["text"]
+
+
+def test_joints_sorted_by_name_are_put_in_order_by_the_advice(tmp_path, capsys):
+    columns = signals_of_ur5e()
+    for name in ("q_rad", "dq_rad_s", "tau_Nm"):
+        columns[name] = columns[name][:, [2, 1, 0, 3, 4, 5]]
+    _, lines, _ = check(tmp_path, capsys, columns, "--robot", "ur5e")
+    options = lines["tare"]["text"].partition(". Give ")[2].partition(". ")[0]
+
+    assert options.startswith("--q ")
+    assert lines["order and signs"]["outcome"] == "doubtful"
+
+    words = shlex.split(options)
+    code, lines, _ = check(tmp_path, capsys, columns, "--robot", "ur5e", *words)
+
+    assert code == 0
+    assert lines["order and signs"]["outcome"] == "verified"
 
 
 def test_a_joint_of_the_other_sign_is_doubtful(tmp_path, capsys, columns):
@@ -80,7 +131,7 @@ def test_exchanged_joints_are_listed_by_column_in_the_robots_order(
     _, lines, _ = check(tmp_path, capsys, bent)
     expected = "torque1,torque4,torque3,torque2,torque5,torque6,torque7"
 
-    assert f"--tau {expected};" in lines["tare"]["text"]
+    assert f"--tau {expected}." in lines["tare"]["text"]
     assert lines["order and signs"]["outcome"] == "doubtful"
 
 

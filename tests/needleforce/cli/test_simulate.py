@@ -10,8 +10,8 @@ import pytest
 from groundtruth import SCENARIOS
 from needleforce.cli import main
 from needleforce.cli.logs import simulated_log as command
-from needleforce.cli.logs.simulated_log import truth_table
 from needleforce.recordings import read_log, read_table
+from needleforce.simulation import truth_table
 from tests.insertion_run import cut, short_run
 from tests.needleforce.cli.residual_command_log import refusal
 
@@ -193,7 +193,7 @@ def test_missing_mujoco_is_named_with_its_package(capsys, monkeypatch, tmp_path)
         ["simulate", "free-motion", "-o", str(tmp_path / "x.csv")], capsys
     )
 
-    assert message.startswith("error NF-SIMULATION-LIBRARY: the simulated arm needs")
+    assert message.startswith("error: the simulated arm needs")
     assert "mujoco" in message
     assert "pip install" in message
 

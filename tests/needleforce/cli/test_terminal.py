@@ -52,13 +52,12 @@ def _open_output(monkeypatch):
         (
             CommandError("no such\noption"),
             FAILED,
-            "error NF-COMMAND-OPTION: no such option. Give what the message expects; "
-            "--help says what each option means\n",
+            "error: no such option. --help says what each option means\n",
         ),
         (
             FileAccessError("no such\nfile"),
             FAILED,
-            "error NF-RECORDING-ACCESS: no such file. Check the name, the permissions "
+            "error: no such file. Check the name, the permissions "
             "and the space that is left\n",
         ),
         (KeyboardInterrupt(), INTERRUPTED, "interrupted\n"),
@@ -66,7 +65,7 @@ def _open_output(monkeypatch):
         (
             OSError(28, "disk full"),
             FAILED,
-            "error NF-COMMAND-OUTPUT: cannot write standard output: disk full. Make "
+            "error: cannot write standard output: disk full. Make "
             "room on the disk, or give another place\n",
         ),
     ],

@@ -54,7 +54,9 @@ def test_the_command_in_the_error_converts_the_file(tmp_path, name, write):
     with pytest.raises(FileAccessError) as caught:
         read_table(tmp_path / name)
 
-    advice, _, command = caught.value.places["command"].partition(": ")
+    advice, _, command = caught.value.advice.removeprefix("To convert it, ").partition(
+        ": "
+    )
     program, *arguments = shlex.split(command)
 
     assert (advice, program) == ("run in its folder", "python")
@@ -74,4 +76,4 @@ def test_a_spreadsheet_is_refused_with_what_to_do(tmp_path):
     with pytest.raises(FileAccessError) as caught:
         read_table(path)
 
-    assert caught.value.places["command"].startswith("save the sheet as CSV")
+    assert caught.value.advice.startswith("To convert it, save the sheet as CSV")

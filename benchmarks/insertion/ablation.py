@@ -1,0 +1,222 @@
+"""What each part of the identifier beside its mixture buys: each off in turn.
+
+The needle alone, in perturbed worlds, is enough: these parts see depth, speed and force
+only. Some kinds more than `perturbations` has: a hub that somebody pulls or pushes, and
+a needle that brakes while nobody measures its speed.
+"""
+
+import math
+import time
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import ExitStack, contextmanager
+from dataclasses import replace
+from typing import Any
+from unittest.mock import patch
+
+import numpy as np
+from numpy.typing import NDArray
+
+from benchmarks.insertion.methods import identify
+from benchmarks.insertion.metrics import (
+    coverage_metrics,
+    enhanced_metrics,
+    event_metrics,
+)
+from benchmarks.insertion.robustness import perturbed_needle
+from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, make_figures
+from foundation.records import read_column
+from identification.estimate import SampleStatus
+from identification.multilayer import method as multilayer
+from identification.multilayer.hard_contact import HardContactState
+from identification.multilayer.mixture import MixtureMemory
+from identification.multilayer.needle_pull import NeedlePull
+from identification.multilayer.noise_levels import Texture
+from identification.multilayer.rest_force import RestForce
+from identification.multilayer.tissue_motion import TissueMotion
+from identification.multilayer.tissue_pull import TissuePull
+
+SCENARIO = "stack-constant"
+
+KINDS = (
+    "none",
+    "force-noise",
+    "tremor",
+    "heart-and-breath",
+    "free-breathing",
+    "stop-and-go",
+    "reversals",
+    "slow",
+    "fast",
+    "texture",
+    "release",
+    "kept",
+    "braking-unmeasured",
+    "hub-pulled",
+    "hub-pushed-at-rest",
+)
+"""Worlds. `kept` has ruptures that release a part of the force only;
+`braking-unmeasured` is `stop-and-go` without a measured speed."""
+
+
+def _unchanged(state: Any, *_: object, **__: object) -> Any:
+    """Return a state as it was: what it watches for is never seen."""
+    return state
+
+
+def _no_swing() -> Any:
+    """Let no speed before the filter reach the method: the needle never swings."""
+    update = multilayer.MultilayerMethod.update
+
+    def update_without(self: Any, sample: Any) -> Any:
+        return update(self, sample._replace(raw_speed_m_s=0.0))
+
+    return patch.object(multilayer.MultilayerMethod, "update", update_without)
+
+
+def _no_partial_ruptures() -> Any:
+    """Drop every component that takes a rupture for a partial one."""
+    branch = MixtureMemory.branch
+
+    def branch_without(self: Any, *arguments: Any) -> None:
+        branch(self, *arguments)
+        mixture = self.mixture
+        was_partial = read_column(mixture.history, "was_partial") > 0.0
+        mixture.log_weights[was_partial] = -1e9
+
+    return patch.object(MixtureMemory, "branch", branch_without)
+
+
+def _no_own_speed() -> Any:
+    """Give the force model the filtered speed."""
+
+    def own_speed(state: Any, depth: float, speed: float, *_: float) -> Any:
+        return speed, state
+
+    return patch.object(multilayer, "filter_speed", own_speed)
+
+
+PARTS: Mapping[str, Callable[[], tuple[Any, ...]]] = {
+    "nothing": tuple,
+    "swing": lambda: (_no_swing(),),
+    "pull": lambda: (patch.object(NeedlePull, "with_force", _unchanged),),
+    "rest": lambda: (patch.object(RestForce, "with_force", _unchanged),),
+    "tissue pull": lambda: (
+        patch.object(TissuePull, "with_zero", _unchanged),
+        patch.object(TissuePull, "with_force", _unchanged),
+    ),
+    "hard contact": lambda: (patch.object(HardContactState, "with_force", _unchanged),),
+    "motion search": lambda: (
+        patch.object(TissueMotion, "is_due", lambda self, time_s: False),
+    ),
+    "texture": lambda: (patch.object(Texture, "with_force", _unchanged),),
+    "own speed": lambda: (_no_own_speed(),),
+    "waiting for the speed": lambda: (
+        patch.object(multilayer, "may_be_braking", lambda *_: False),
+    ),
+    "partial ruptures": lambda: (_no_partial_ruptures(),),
+}
+"""Parts by name, with what switches each off."""
+
+CASES = tuple(PARTS)
+"""One part a case; the first is all of them at work."""
+
+RESTING_m_s = 1e-4
+"""Below this speed the needle rests."""
+
+
+@contextmanager
+def switched_off(part: str) -> Iterator[None]:
+    """Switch one of `PARTS` off."""
+    with ExitStack() as stack:
+        for switch in PARTS[part]():
+            stack.enter_context(switch)
+        yield
+
+
+def _with_hub_force(
+    signal: NeedleSignal, truth: InsertionTruth, force_N: float, *, at_rest: bool
+) -> tuple[NeedleSignal, NDArray[np.bool_]]:
+    """Add a force at the hub, twice for up to a second; return when it acts as well."""
+    speed_m_s = np.abs(truth.speed_m_s)
+    is_chosen = truth.is_insertion & ((speed_m_s < RESTING_m_s) == at_rest)
+    times_s = truth.t_s[is_chosen]
+    total_N = signal.force_N.copy()
+    acts = np.zeros(len(total_N), dtype=bool)
+    for fraction in (0.35, 0.75):
+        begin_s = times_s[int(fraction * len(times_s))]
+        onset = np.clip((truth.t_s - begin_s) / 0.1, 0.0, 1.0)
+        end = np.clip((begin_s + 1.0 - truth.t_s) / 0.1, 0.0, 1.0)
+        hub_N = force_N * onset * end * is_chosen
+        total_N += hub_N
+        acts |= np.abs(hub_N) > 0.5 * abs(force_N)
+    return replace(signal, force_N=total_N), acts
+
+
+def insert_in_world(
+    kind: str, seed: int
+) -> tuple[NeedleSignal, InsertionTruth, NDArray[np.bool_]]:
+    """Insert the needle alone in a world of one of `KINDS`.
+
+    Returns:
+        Its signal, the truth, and when a foreign force acts.
+    """
+    world = {
+        "hub-pulled": "none",
+        "hub-pushed-at-rest": "stop-and-go",
+        "braking-unmeasured": "stop-and-go",
+    }.get(kind, kind)
+    signal, truth = perturbed_needle(world, SCENARIO, seed)
+    acts = np.zeros(len(signal.t_s), dtype=bool)
+    if kind == "hub-pulled":
+        signal, acts = _with_hub_force(signal, truth, -1.0, at_rest=False)
+    elif kind == "hub-pushed-at-rest":
+        signal, acts = _with_hub_force(signal, truth, 1.0, at_rest=True)
+    elif kind == "braking-unmeasured":
+        signal = replace(signal, speed_m_s=None)
+    return signal, truth, acts
+
+
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
+    """Identify insertions of all kinds without the part that is the job's case."""
+    recalls: list[float] = []
+    false_alarms = 0.0
+    delays_ms: list[float] = []
+    tip_rms_N: list[float] = []
+    covered: list[float] = []
+    said: list[float] = []
+    begin_s = 0.0
+    processor_s = 0.0
+    for number, kind in enumerate(KINDS):
+        signal, truth, acts = insert_in_world(kind, job.seed)
+        begin_s = time.process_time()
+        with switched_off(job.case):
+            item = identify(signal, truth, "ours")
+        processor_s += time.process_time() - begin_s
+        events = event_metrics(item, truth)
+        recalls.append(events["rupture_recall"])
+        false_alarms += events["false_alarms"]
+        delays_ms.append(events.get("rupture_delay_ms", math.nan))
+        tip_rms_N.append(enhanced_metrics(item, truth).get("tip_rmse_N", math.nan))
+        covered.append(coverage_metrics(item, truth)["tip_coverage_moving_2sigma"])
+        if acts.any():
+            is_pulled = [
+                estimate.status is SampleStatus.NEEDLE_PULLED
+                for estimate in item.result.estimates
+            ]
+            said.append(float(np.mean(np.array(is_pulled)[acts[item.start :]])))
+        progress((number + 1) / len(KINDS))
+    yield from make_figures(
+        {
+            "ablation_recall": float(np.mean(recalls)),
+            "ablation_false_alarms": false_alarms,
+            "ablation_delay_ms": float(np.nanmedian(delays_ms)),
+            "ablation_tip_rmse_N": float(np.nanmean(tip_rms_N)),
+            "ablation_tip_coverage_2sigma": float(np.mean(covered)),
+            "ablation_foreign_force_said": float(np.mean(said)),
+            "ablation_processor_s": processor_s,
+        },
+        "ft",
+        "ours",
+    )
