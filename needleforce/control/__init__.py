@@ -9,8 +9,8 @@ Not a medical device: nothing here is claimed beyond the simulation it is measur
 
 Reading order: `ports` (what lies outside), `tasks`, `arm_limits`, `joint_limits`,
 `controller` (one tick), `delay_prediction`, `loop_watch` (whether its loop has failed),
-`swings`, `lag` (its delay and gain), `priority_solver`, `state_machine`, `monitors`,
-`manager`, `event_log`, `rupture_counter`, `insertion_profile`, `elbow_swivel`,
+`lag` (its delay and gain), `priority_solver`, `state_machine`, `monitors`, `manager`,
+`event_log`, `rupture_counter`, `insertion_profile`, `elbow_swivel`,
 `tare_stroke`, `guidance`, `handle_watch`, `passivity`, `teleoperation_sides`,
 `teleoperation`.
 """
