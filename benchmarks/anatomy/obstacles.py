@@ -62,7 +62,7 @@ def _judge_paths(
     labels: Labels, name: str, rng: np.random.Generator
 ) -> Iterator[Figure]:
     """Judge paths from outside the ribs to the middle of the chest."""
-    boxes = VoxelBoxes(labels, [labels["rib_left_8"]])
+    boxes = VoxelBoxes(labels, labels["rib_left_8"])
     ribs = np.argwhere(labels.volumes[0] == labels["rib_left_8"].value)
     last = np.array(labels.grid.shape) - 1.0
     through = missed = free = near = wrong = 0
@@ -70,7 +70,7 @@ def _judge_paths(
         fractions = np.array([rng.uniform(size=3), rng.uniform(0.35, 0.65, 3)])
         entry_m, target_m = labels.grid.points_m(fractions * last)
         distance_m = sampled_distance_m(labels, ribs, entry_m, target_m)
-        is_refused = bool(boxes.nearer_than(entry_m, target_m, SPACE.needed_m)[0])
+        is_refused = boxes.nearest(entry_m, target_m, SPACE.needed_m) is not None
         if distance_m == 0.0:
             through += 1
             layers = labels.layers_along(entry_m, target_m)

@@ -22,7 +22,7 @@ from needleforce.control.joint_limits import (
     SLACK_rad_s,
     write_velocity_bounds,
 )
-from needleforce.control.loop_watch import LoopFailure, LoopWatch
+from needleforce.control.loop_watch import FailureKind, LoopFailure, LoopWatch
 from needleforce.control.ports import ArmSample
 from needleforce.control.priority_solver import Solver, Stack, hierarchical
 from needleforce.control.setting_checks import as_vector
@@ -54,7 +54,9 @@ class CommandStatus(StrEnum):
     BRAKING = "braking"  # no task: as slow as the limits allow
     SKIPPED = "skipped"  # sample or task invalid: braking without them
     OSCILLATES = "oscillates"  # the loop swings by itself, see `loop_watch`
-    HELD_BACK = "held back"  # by limits, for long: tasks come no nearer to their goals
+    AT_LIMIT = "at limit"  # a joint at its stop keeps a task from moving
+    SINGULAR = "singular"  # joints cannot move the needle as a task asks, in this pose
+    NO_PROGRESS = "no progress"  # the arm does not follow its commands
 
 
 class Command(NamedTuple):
@@ -78,8 +80,7 @@ class Command(NamedTuple):
     @property
     def loop_failure(self) -> str:
         """How the loop has failed, for `Beside`; empty if it has not."""
-        has_failed = self.status in (CommandStatus.OSCILLATES, CommandStatus.HELD_BACK)
-        return self.reason if has_failed else ""
+        return self.reason if self.status in tuple(FailureKind) else ""
 
 
 class Controller:
@@ -91,8 +92,8 @@ class Controller:
         solve: Strict priority within limits; another one to compare with, not to move
             an arm.
         stops_failed_loop: Whether the arm brakes and rests until `reset` once its loop
-            oscillates or limits hold it back for long; otherwise the command of that
-            tick says so, and the motion goes on.
+            oscillates or a task stands still; otherwise the command of that tick says
+            so, and the motion goes on.
         delay_s: From command to measured motion, as `needleforce lag` prints it; None
             if it is not known. Tasks then act on where the arm will be when the command
             does, and a hand that shakes the arm is told from an oscillation at any
@@ -134,7 +135,7 @@ class Controller:
         self._solve = solve
         self._stops_failed_loop = stops_failed_loop
         self._needs_simulation = limits.rates is None and not allow_unlimited_jerk
-        self._watch = LoopWatch(delay_s)
+        self._watch = LoopWatch(robot, limits.joints, delay_s)
         self._prediction = DelayPrediction(joints, delay_s or 0.0)
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()

@@ -38,8 +38,6 @@ AIR_HU = -1000.0
 NOISE_HU = 12.0
 """Standard deviation of the CT's noise."""
 
-SEGMENTED = ("vertebra", "rib_right", "stomach", "liver", "vessel", "lesion")
-"""Organs with labels, as a segmentation of organs has them."""
 
 BULGES = (
     Ellipsoid(
@@ -78,6 +76,8 @@ def write_torso_case(folder: Path, seed: int) -> Grid:
     Returns:
         The grid of the CT.
     """
+    # Organs with labels, as a segmentation of organs has them.
+    segmented = ("vertebra", "rib_right", "stomach", "liver", "vessel", "lesion")
     organs = analytic_torso().shapes
     torso = Torso((*organs[:1], *BULGES, *organs[1:]))
     half = np.ceil(torso["fat"].reach_m / SPACING_m).astype(int) + MARGIN_VOXELS
@@ -87,7 +87,7 @@ def write_torso_case(folder: Path, seed: int) -> Grid:
     voxels = torso.voxels(grid.shape, grid.origin_m, grid.axes_m)
     scan_HU = draw_scan(torso, voxels, np.random.default_rng(seed))
     _write_image(folder / "ct.nii.gz", scan_HU, grid)
-    names = {value: name for value, name in enumerate(SEGMENTED, 1)}
+    names = {value: name for value, name in enumerate(segmented, 1)}
     numbers = {body.name: number for number, body in enumerate(torso.shapes, 1)}
     labels = np.zeros_like(voxels)
     for value, name in names.items():

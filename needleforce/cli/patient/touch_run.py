@@ -39,9 +39,6 @@ from needleforce.simulation.patient import touch_patient
 from residual import VirtualForceSensor
 from urdf import Robot
 
-KEY_s = 0.05
-"""Time between two looks at the keyboard."""
-
 M_TO_MM = 1e3
 
 
@@ -188,6 +185,7 @@ def _touches(
     arm: Any, model: Robot, options: ArmOptions, contact_N: float
 ) -> Iterator[TipTouch | None]:
     """Yield touches as they come, None where the last one is undone."""
+    key_s = 0.05  # time between two looks at the keyboard
     sensor = VirtualForceSensor(model)
     detector = TouchDetector(contact_N)
     data = model.create_data()
@@ -207,7 +205,7 @@ def _touches(
         time_s += sample.dt_s
         if time_s < next_key_s:
             continue
-        next_key_s = time_s + KEY_s
+        next_key_s = time_s + key_s
         key = _read_key()
         if key == "q":
             return
