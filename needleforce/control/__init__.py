@@ -7,13 +7,8 @@ Not a medical device: nothing here is claimed beyond the simulation it is measur
 
 Reading order: `ports` (what lies outside), `tasks`, `arm_limits`, `joint_limits`,
 `controller` (one tick), `delay_prediction`, `loop_watch` (whether its loop has failed),
-<<<<<<< HEAD
-`swings`, `lag` (its delay and gain), `priority_solver`, `state_machine`, `monitors`,
+`lag` (its delay and gain), `priority_solver`, `state_machine`, `monitors`,
 `manager`, `run`, `event_log`, `rupture_counter`, `insertion_profile`, `elbow_swivel`,
-=======
-`lag` (its delay and gain), `priority_solver`, `state_machine`, `monitors`, `manager`,
-`event_log`, `rupture_counter`, `insertion_profile`, `elbow_swivel`,
->>>>>>> main
 `tare_stroke`, `guidance`, `handle_watch`, `passivity`, `teleoperation_sides`,
 `teleoperation`.
 """
