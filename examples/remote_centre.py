@@ -20,7 +20,8 @@ def draw_circle(holds_entry):
     """Return x, y of the tip and the needle's distance from the entry, (3, n) [mm]."""
     trocar = Trocar(behind_tip_m=ENTRY_m)
     arm = SimulatedArm(plant="clean", contacts=[trocar], duration_s=TURN_s + 0.5)
-    controller = control.Controller(arm.robot, arm.limits)
+    limits = control.Limits.of_arm(arm.robot, arm.preset)
+    controller = control.Controller(arm.robot, limits)
     tool = controller.tool
     tool.update(next(arm).q_rad)
     start_m = tool.tip_m

@@ -35,7 +35,7 @@ SAYS = {
     ),
     "csv_to_layers": r"(layer \d: [234]\d\.\d mm, \d+ N/m, friction .* N\n){3}$",
     "estimated_velocity": r"late by 10 ms;.*\n0\.00\d\d rad/s, .* 0\.01\d\d rad/s",
-    "hand_guidance": r"pushed for a second, the tip moved [1-9]\d\d mm",
+    "hand_guidance": r"pushed for a second, the tip moved [1-9]\d+ mm",
     "known_push": r"after 0\.2 s within 0\.0000\d Nm",
     "landmarks": r"at the target: expected 1\.\d mm, is [01]\.\d mm",
     "noise_spectrum": r"noise 0\.02\d N unsmoothed, 0\.01\d N smoothed",
