@@ -142,11 +142,12 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
             f"{name} simulates an LWR 4+ with its needle, expected no options of the "
             "robot"
         )
-    from needleforce.cli.patient.simulated_patient import insert_into_patient, is_plan
+    from needleforce.cli.patient.case_files import read_plan_fields
+    from needleforce.simulation.patient import insert_into_patient
 
     with progress_bar("simulating"):
-        if is_plan(scenario):
-            run = insert_into_patient(Path(scenario))
+        if scenario.endswith(".json"):
+            run = insert_into_patient(read_plan_fields(Path(scenario)))
         else:
             run = simulate(scenario, plant="clean")
     signals = run.signals
