@@ -1,12 +1,12 @@
 """Estimators against ground truth, on simulated insertions and on real recordings.
 
 Reading order: `catalogue` (what can be run), `jobs` (a piece of work and its result),
-`results` (rows, metrics, their file), `targets` (what the numbers should be),
-`headline` (the figures that may not become worse). Then the
-rooms: `insertion` (force and identification against ground truth), `control` (the
-needle in closed loop), `anatomy` (CT, registration, paths), `faults` (what broken
-signals do), `performance` (what an update costs), `campaign` (who does the jobs, and
-what is kept of them), `report` (tables, figures, the page).
+`results` (rows and their file), `judging` (metrics, what they should be, what has
+become worse), `headline` (the figures that may not become worse). Then the rooms:
+`insertion` (force and identification against ground truth), `control` (the needle in
+closed loop), `anatomy` (CT, registration, paths), `faults` (what broken signals do),
+`performance` (what an update costs), `campaign` (who does the jobs, and what is kept of
+them), `report` (tables, figures, the page).
 
 Not part of the installed packages: run it from the repository, ``python -m benchmarks
 --help``. Every error message is one line for the person at the keyboard.
@@ -51,6 +51,6 @@ class ResultsError(BenchmarkError, ValueError):
 
 
 class UnknownMetricError(BenchmarkError, KeyError):
-    """A number was measured that `metrics.csv` does not list."""
+    """A number was measured that `judged.toml` does not list."""
 
-    usual_advice = "Add it to benchmarks/metrics.csv"
+    usual_advice = "Add it to benchmarks/judged.toml"

@@ -1,28 +1,30 @@
 """Every benchmark by name, from a request to jobs, and what becomes of a job."""
 
-from collections.abc import Mapping, Sequence
+import tomllib
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from importlib import import_module
 from pathlib import Path
 from traceback import format_exc
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 from benchmarks import BenchmarkError, DataError, UnknownIdError
-from benchmarks.anatomy.study import ANATOMY
-from benchmarks.control.study import CONTROL
-from benchmarks.faults.study import FAULTS
 from benchmarks.insertion.perturbations import MIXED, PERTURBATIONS, PERTURBED
-from benchmarks.insertion.recorded import bovine, liver, panda, ur10e
-from benchmarks.insertion.recorded.bovine import run_bovine_real
-from benchmarks.insertion.recorded.liver import run_liver_real
-from benchmarks.insertion.recorded.on_arm import run_bovine_on_arm, run_liver_on_arm
-from benchmarks.insertion.recorded.panda import run_panda_liver, run_panda_real
-from benchmarks.insertion.recorded.ur10e import run_ur10e_payload
 from benchmarks.insertion.robustness import SCENARIOS as ROBUST
 from benchmarks.insertion.robustness import run_robustness
-from benchmarks.insertion.simulated import NEEDLE, run_simulated
-from benchmarks.jobs import RECORDING, Benchmark, Job, Outcome, Progress
+from benchmarks.insertion.simulated import run_simulated
+from benchmarks.jobs import (
+    NEEDLE,
+    RECORDING,
+    Benchmark,
+    Drawing,
+    Job,
+    Outcome,
+    Progress,
+)
+from benchmarks.judging import TISSUE, metric
 from benchmarks.report.published_figures import NEEDED
-from benchmarks.targets import TISSUE
+from benchmarks.results import Figure
 from groundtruth import PLANT_MODELS, SCENARIOS, GroundTruthError
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from needleforce.plots import FiguresError
@@ -30,30 +32,31 @@ from needleforce.recordings import RecordingError
 from residual import ResidualError
 from urdf import UrdfError
 
-# The two of the published Figure 5, the other speed of each, and the organs: under a
-# minute.
-QUICK = (
-    "gel-25-sinusoidal",
-    "gel-70-constant",
-    "stack-sinusoidal",
-    "stack-glove-constant",
-    "liver-constant",
-    "abdomen-sinusoidal",
-)
 PLANTS = (*PLANT_MODELS, NEEDLE)
-_SIMULATED = (
-    *(
-        Benchmark(
+
+
+def simulated_benchmarks() -> Iterator[Benchmark]:
+    """Yield the insertions, then the drawn ones, then those in perturbed worlds."""
+    # The two of the published Figure 5, the other speed of each, and the organs: under
+    # a minute.
+    quick = {
+        "gel-25-sinusoidal",
+        "gel-70-constant",
+        "stack-sinusoidal",
+        "stack-glove-constant",
+        "liver-constant",
+        "abdomen-sinusoidal",
+    }
+    for item in SCENARIOS.values():
+        yield Benchmark(
             id=item.id,
             title=item.title,
             run=run_simulated,
-            is_default=item.id in QUICK,
+            is_default=item.id in quick,
             possible=PLANTS if item.layers else tuple(PLANT_MODELS),
         )
-        for item in SCENARIOS.values()
-    ),
-    *(
-        Benchmark(
+    for name, drawn in ((RANDOM_STACK, "speed"), (RANDOM_TISSUE, "speed, tissue law")):
+        yield Benchmark(
             id=name,
             title=f"layers, motion and {drawn} drawn anew for every seed",
             run=run_simulated,
@@ -61,98 +64,77 @@ _SIMULATED = (
             plants=(NEEDLE,),
             possible=PLANTS,
         )
-        for name, drawn in (
-            (RANDOM_STACK, "speed"),
-            (RANDOM_TISSUE, "speed, tissue law"),
-        )
-    ),
-)
-_ROBUSTNESS = tuple(
-    Benchmark(
-        id=PERTURBED + name,
-        title=title,
-        run=run_robustness,
-        is_default=False,
-        plants=plants,
-        possible=plants,
-        group="robustness",
-    )
-    for name, title, plants in (
+    title_of_mixed = "one of these scenarios, three perturbations at a time"
+    for name, title, worlds in (
         *(
             (name, f"{name} in perturbed worlds", tuple(PERTURBATIONS))
             for name in ROBUST
         ),
-        (MIXED, "one of these scenarios, three perturbations at a time", (MIXED,)),
-    )
-)
-_TITLES = {
-    "panda-real": "residual of a real Panda in free motion",
-    "panda-liver": "real liver force on a Panda's real torques; one insertion per seed",
-    "ur10e-payload": "weight of a known payload from the currents of a real UR10e",
-    "liver-real": "friction in 19 insertions into liver against the pull-out force",
-    "bovine-real": "the ruptures of an insertion into real bovine liver",
-}
-_RECORDED = tuple(
-    Benchmark(id=name, title=_TITLES[name], run=run, needs=folders, recordings=count)
-    for name, run, folders, count in (
-        ("panda-real", run_panda_real, (panda.FOLDER,), 1),
-        (
-            "panda-liver",
-            run_panda_liver,
-            (panda.FOLDER, liver.FOLDER),
-            len(liver.NUMBERS),
-        ),
-        ("ur10e-payload", run_ur10e_payload, (ur10e.FOLDER,), 1),
-        ("liver-real", run_liver_real, (liver.FOLDER,), 1),
-        ("bovine-real", run_bovine_real, (bovine.FOLDER,), 1),
-    )
-)
-_ON_ARM = (
-    Benchmark(
-        id="liver-on-arm",
-        title="recorded liver forces at the tip of the simulated arm; one a seed",
-        run=run_liver_on_arm,
-        needs=(liver.FOLDER,),
-        is_on_arm=True,
-        recordings=len(liver.NUMBERS),
-        is_default=False,
-        plants=("clean", "fri"),
-    ),
-    Benchmark(
-        id="bovine-on-arm",
-        title="the recorded bovine liver force at the tip of the simulated arm",
-        run=run_bovine_on_arm,
-        needs=(bovine.FOLDER,),
-        is_on_arm=True,
-        is_default=False,
-        plants=("clean", "fri"),
-    ),
-)
+        (MIXED, title_of_mixed, (MIXED,)),
+    ):
+        yield Benchmark(
+            id=PERTURBED + name,
+            title=title,
+            run=run_robustness,
+            is_default=False,
+            plants=worlds,
+            possible=worlds,
+            group="robustness",
+        )
+
+
+def read_benchmarks() -> Iterator[Benchmark]:
+    """Yield the benchmarks of `catalogue.toml`."""
+    text = Path(__file__).with_suffix(".toml").read_text(encoding="utf-8")
+    for family in tomllib.loads(text).values():
+        for name, part in family.pop("parts").items():
+            yield make_benchmark(name, **(family | part))
+
+
+def make_benchmark(
+    part: str,
+    *,
+    package: str,
+    name: str,
+    module: str = "",
+    function: str = "run",
+    has_cases: bool = False,
+    **fields: Any,
+) -> Benchmark:
+    """Return a benchmark of a module, which is imported when it runs.
+
+    Args:
+        part: Its name in the family.
+        package: Of the module.
+        name: Stands before the part in the benchmark's name.
+        module: If it has not the part's name.
+        function: That does a job.
+        has_cases: Whether the module names cases.
+        fields: Of the benchmark.
+    """
+    path = f"{__package__}.{package}.{module or part}"
+
+    def run(job: Job, progress: Progress) -> Iterable[Figure | Drawing]:
+        return getattr(import_module(path), function)(job, progress)
+
+    def find_cases() -> Sequence[str]:
+        return import_module(path).CASES if has_cases else ("",)
+
+    return Benchmark(id=f"{name}{part}", run=run, find_cases=find_cases, **fields)
+
+
 BENCHMARKS: Mapping[str, Benchmark] = {
-    item.id: item
-    for item in (
-        *_SIMULATED,
-        *_ROBUSTNESS,
-        *_RECORDED,
-        *_ON_ARM,
-        *CONTROL,
-        *ANATOMY,
-        *FAULTS,
-    )
+    item.id: item for item in (*simulated_benchmarks(), *read_benchmarks())
 }
 """By name."""
-
-
 ALL = "all"
 """Names all benchmarks that belong to no group."""
-STUDIES = ("control", "anatomy")
-"""Groups of which a part may be named, as control-priority."""
 IDS: Mapping[str, Sequence[str]] = {
     "tissue": TISSUE,
     "robustness": tuple(PERTURBED + name for name in ROBUST),
 } | {
     group: tuple(item.id for item in BENCHMARKS.values() if item.group == group)
-    for group in STUDIES
+    for group in ("control", "anatomy")
 }
 """Names of several benchmarks."""
 
@@ -270,7 +252,7 @@ def describe_missing(benchmark: Benchmark, request: Request) -> str:
     return f"the folder {', '.join(absent)} in {request.data}" if absent else ""
 
 
-def chosen_plants(benchmark: Benchmark, request: Request) -> tuple[str, ...]:
+def chosen_plants(benchmark: Benchmark, request: Request) -> Sequence[str]:
     """Return the plants a benchmark runs on, each once.
 
     There are none when it needs an arm and none was named.
@@ -325,13 +307,17 @@ def run_job(job: Job, progress: Progress = lambda fraction: None) -> Outcome:
 
     The reason of an unforeseen error is its traceback.
     """
+    rows = []
+    drawings = []
     try:
-        result = benchmark_named(job.benchmark).run(job, progress)
-        rows = tuple(
-            item.row(job.scenario, job.plant, job.seed) for item in result.measurements
-        )
+        for item in benchmark_named(job.benchmark).run(job, progress):
+            if isinstance(item, Drawing):
+                drawings.append(item)
+            else:
+                metric(item.metric)
+                rows.append(item.row(job.scenario, job.plant, job.seed))
     except KNOWN as error:
         return Outcome(job=job, failure=f"{type(error).__name__}: {error}")
     except Exception:  # it must not take hours of others with it
         return Outcome(job=job, failure=format_exc())
-    return Outcome(job=job, rows=rows, drawings=result.drawings)
+    return Outcome(job=job, rows=tuple(rows), drawings=tuple(drawings))

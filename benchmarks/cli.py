@@ -10,8 +10,6 @@ from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
-from functools import partial
-from itertools import product
 from pathlib import Path
 from time import perf_counter
 from typing import TYPE_CHECKING, Annotated, Literal
@@ -26,21 +24,16 @@ from needleforce.cli.terminal import progress_bar, run_command, say
 if TYPE_CHECKING:
     from rich.console import Console
 
-    from benchmarks.catalogue import Plan
-    from benchmarks.headline import FigureChange, HeadlineFile
-    from benchmarks.jobs import Outcome
+    from benchmarks.headline import HeadlineFile
+    from benchmarks.jobs import Job, Outcome
+    from benchmarks.judging import Comparison
+    from benchmarks.results import Row
 
 DATA_VARIABLE = "NEEDLEFORCE_DATA"
 EXTRAS = dict.fromkeys(
     ("rich", "mujoco", "matplotlib", "pandas", "psutil"), "bench"
 ) | {"distributed": "cluster"}
 """Which extra brings a package that may be missing."""
-READING_AID = (
-    "How far estimates are from the truth, which a simulation knows. ours: this "
-    "toolkit; published: the method of Ferro et al. on the same signals. Force ft: of "
-    "a force sensor at the needle; virtual: estimated from joint torques."
-)
-"""Stands above the tables of a run."""
 FAILURE = 1
 """Exit code of a command that has done its work, and found what the help names."""
 USAGE = 2
@@ -127,7 +120,7 @@ def list_benchmarks() -> None:
         ),
         caption="* runs when nothing is named; 'tissue' names the scenarios with "
         "tissue, 'robustness' the worlds in which they are perturbed, 'control' and "
-        "'anatomy' their parts, 'all' all others but the faults",
+        "'anatomy' their parts, 'all' all others but faults and speed",
     )
     console = new_console()
     console.print(table.rich())
@@ -172,7 +165,7 @@ def run(
     Args:
         ids: Names of the list; or several at once: tissue, robustness, control
             (closed loop, 30 minutes a seed), anatomy, or all (but robustness, control,
-            anatomy and faults); default: a quick set.
+            anatomy, faults and speed); default: a quick set.
         plant: ideal, clean, fri, degraded, or needle (no arm), with commas between
             several; may be given more than once. Default: clean; for drawn scenarios
             needle; for control clean and fri. Of robustness, names of perturbations
@@ -189,34 +182,36 @@ def run(
     from benchmarks.catalogue import Request, make_plan
     from benchmarks.report.page import write_report
     from benchmarks.report.tables import new_console
-    from benchmarks.targets import evaluate
     from needleforce.plots import PAGE, whole_folder
 
-    check_output(output, workers)
+    if output.resume and output.json is None:
+        raise BenchmarkError("--resume goes on with the file of --json")
+    if workers.cluster and output.report is not None:
+        raise BenchmarkError("--report draws on this machine: use it without --cluster")
     plants = plant_names(plant)
     console = new_console()
     # The folder first: better before minutes of work than after.
     with whole_folder(output.report) as folder:
         plan = make_plan(Request(ids, plants, seeds, first_seed, data, folder))
-        outcomes = run_plan(plan, workers, output, console)
-        rows = [row for outcome in outcomes for row in outcome.rows]
+        outcomes = run_jobs_shown(plan.jobs, workers, console, output)
         print_outcomes(console, outcomes, plan.skipped, with_targets=targets)
         if folder is not None:
             drawings = [drawing for outcome in outcomes for drawing in outcome.drawings]
+            rows = [row for outcome in outcomes for row in outcome.rows]
             write_report(folder, rows, drawings, with_targets=targets)
     if output.report is not None:
         console.print(f"Figures and tables: {output.report / PAGE}", soft_wrap=True)
+    return exit_code(outcomes, is_strict=strict)
+
+
+def exit_code(outcomes: Sequence["Outcome"], *, is_strict: bool) -> int:
+    """Return that of a failed job or, if strict, of a missed target; else 0."""
+    from benchmarks.judging import evaluate
+
     has_failed = any(outcome.failure is not None for outcome in outcomes)
-    has_missed = strict and not all(target.is_met for target in evaluate(rows))
+    rows = [row for outcome in outcomes for row in outcome.rows]
+    has_missed = is_strict and not all(target.is_met for target in evaluate(rows))
     return FAILURE if has_failed or has_missed else 0
-
-
-def check_output(output: OutputOptions, workers: Workers) -> None:
-    """Refuse options that contradict each other, with `BenchmarkError`."""
-    if output.resume and output.json is None:
-        raise BenchmarkError("--resume goes on with the file of --json")
-    if workers.cluster and output.report is not None:
-        raise BenchmarkError("--report draws on this machine: use it without --cluster")
 
 
 def plant_names(plant: Sequence[str]) -> list[str]:
@@ -232,38 +227,52 @@ def plant_names(plant: Sequence[str]) -> list[str]:
     return names
 
 
-def run_plan(
-    plan: "Plan", workers: Workers, output: OutputOptions, console: "Console"
+def run_jobs_shown(
+    jobs: Sequence["Job"],
+    workers: Workers,
+    console: "Console",
+    output: OutputOptions = _OUTPUT,
 ) -> list["Outcome"]:
-    """Do all jobs of a plan beside a bar of progress; print how long it took."""
+    """Do all jobs beside a bar of progress; print how long it took."""
     from benchmarks.campaign.runs import run_jobs
 
     begin_s = perf_counter()
-    with progress_of(len(plan.jobs)) as update:
+    with progress_of(len(jobs)) as update:
         outcomes = run_jobs(
-            plan.jobs, workers, update, output.json, is_resumed=output.resume
+            jobs, workers, update, output.json, is_resumed=output.resume
         )
-    console.print(f"{len(plan.jobs)} runs in {perf_counter() - begin_s:.0f} s")
+    console.print(f"{len(jobs)} runs in {perf_counter() - begin_s:.0f} s")
     return outcomes
+
+
+def print_rows(
+    console: "Console", rows: Sequence["Row"], *, with_targets: bool
+) -> None:
+    """Print the answer, how to read the tables, and the tables."""
+    from benchmarks.report.tables import answer, result_tables
+
+    sentences = answer(rows)
+    if sentences:
+        console.print(
+            f"{sentences}\nHow far estimates are from the truth, which a simulation "
+            "knows. ours: this toolkit; published: the method of Ferro et al. on the "
+            "same signals. Force ft: of a force sensor at the needle; virtual: "
+            "estimated from joint torques.\n"
+        )
+    for table in result_tables(rows, with_targets=with_targets):
+        console.print(table.rich())
 
 
 def print_outcomes(
     console: "Console",
     outcomes: Sequence["Outcome"],
-    skipped: Sequence[str],
+    skipped: Sequence[str] = (),
     *,
     with_targets: bool,
 ) -> None:
-    """Print how to read the tables, the tables, what failed and what was left out."""
-    from benchmarks.report.summary import answer
-    from benchmarks.report.tables import result_tables
-
+    """Print the tables of jobs, what failed and what was left out."""
     rows = [row for outcome in outcomes for row in outcome.rows]
-    tables = result_tables(rows, with_targets=with_targets)
-    if tables:
-        console.print(f"{answer(rows)}\n{READING_AID}\n".lstrip())
-    for table in tables:
-        console.print(table.rich())
+    print_rows(console, rows, with_targets=with_targets)
     print_failures(console, outcomes)
     if skipped:
         reason = f"Skipped for want of recordings (--data DIR or {DATA_VARIABLE})"
@@ -288,9 +297,9 @@ def compare(old: Path, new: Path) -> int:
         old: Results of the earlier run.
         new: Results of the later run.
     """
+    from benchmarks.judging import Change, compare_rows
     from benchmarks.report.tables import comparison_table, new_console
     from benchmarks.results import read_results
-    from benchmarks.targets import Change, compare_rows
 
     comparisons = compare_rows(read_results(old), read_results(new))
     if not comparisons:
@@ -299,11 +308,14 @@ def compare(old: Path, new: Path) -> int:
     changed = [item for item in comparisons if item.change is not Change.SAME]
     if changed:
         console.print(comparison_table(changed).rich())
-    counts = Counter(item.change for item in comparisons)
-    console.print(
-        ", ".join(f"{counts[change]} {change}" for change in Change if counts[change])
-    )
+    console.print(count_changes(comparisons))
     return FAILURE if any(item.is_failure for item in comparisons) else 0
+
+
+def count_changes(comparisons: Sequence["Comparison"]) -> str:
+    """Return how many numbers are the same, better, worse and so on."""
+    counts = Counter(item.change for item in comparisons)
+    return ", ".join(f"{counts[change]} {change}" for change in sorted(counts))
 
 
 @app.command(name="headline")
@@ -326,34 +338,34 @@ def keep_headline(
         workers: Who does the insertions; the times are measured here.
     """
     from benchmarks import headline
-    from benchmarks.performance.kdl_peer import KdlAbsentError, kdl_library
+    from benchmarks.performance import kdl
     from benchmarks.report.tables import new_console
 
     path = headline.HEADLINE_FILE if file is None else file
     # Before minutes of work: whether there is a file to compare with.
     old = None if write else headline.read_headline(path)
-    kdl = None
+    library = None
     try:
-        kdl = kdl_library()
-    except KdlAbsentError as error:
+        library = kdl.kdl_library()
+    except kdl.KdlAbsentError as error:
         if write:
             raise
         say(f"skipped: {error}")
     console = new_console()
-    outcomes = run_plan(headline.plan_insertions(), workers, _OUTPUT, console)
+    outcomes = run_jobs_shown(headline.plan_insertions().jobs, workers, console)
     print_failures(console, outcomes)
     figures = headline.insertion_figures(
         row for outcome in outcomes for row in outcome.rows
     )
-    absent = () if kdl is not None else (headline.OF_KDL,)
+    absent = () if library is not None else (headline.OF_KDL,)
     known = () if old is None else old.figures
     with progress_bar("timing") as update:
-        times = headline.measure_times(update, kdl)
+        times = headline.measure_times(update, library)
     changes = headline.compare_figures(known, [*figures, *times], absent)
     names = {figure.name for figure in times}
-    if any(item.is_failure and item.figure.name in names for item in changes):
+    if any(item.is_failure and item.name in names for item in changes):
         with progress_bar("timing once more") as update:
-            times = headline.keep_lesser(times, headline.measure_times(update, kdl))
+            times = headline.keep_lesser(times, headline.measure_times(update, library))
     figures += times
     measured = headline.describe_code(figures)
     changes = headline.compare_figures(known, figures, absent)
@@ -370,10 +382,11 @@ def print_changes(
     console: "Console",
     old: "HeadlineFile",
     measured: "HeadlineFile",
-    changes: Sequence["FigureChange"],
+    changes: Sequence["Comparison"],
 ) -> None:
     """Print which figures changed, the failures last, and what else is not the same."""
-    from benchmarks.targets import Change
+    from benchmarks.judging import Change
+    from benchmarks.report.tables import show_value
 
     for name, version in measured.versions.items():
         if old.versions.get(name) != version:
@@ -381,14 +394,12 @@ def print_changes(
             console.print(f"The file was measured with {name} {before}, now {version}")
     changed = [item for item in changes if item.change is not Change.SAME]
     for item in sorted(changed, key=lambda item: item.is_failure):
+        values = f"{show_value(item.old)} -> {show_value(item.new)} {item.unit}"
         style = "red" if item.is_failure else "green"
-        console.print(str(item), style=style, markup=False, soft_wrap=True)
-    counts = Counter(item.change for item in changes)
-    summary = ", ".join(
-        f"{counts[change]} {change}" for change in Change if counts[change]
-    )
-    console.print(f"Against {old.commit}: {summary}")
-    if counts[Change.BETTER] or counts[Change.NEW]:
+        line = f"{item.change}: {item.name}: {values}"
+        console.print(line, style=style, markup=False, soft_wrap=True)
+    console.print(f"Against {old.commit}: {count_changes(changes)}")
+    if {Change.BETTER, Change.NEW} & {item.change for item in changed}:
         console.print("Keep what is better: python -m benchmarks headline --write")
 
 
@@ -398,7 +409,7 @@ def show_results(
     page: Path | None = None,
     targets: bool = False,
 ) -> None:
-    """Print the summary of runs; write all tables to a page.
+    """Print the tables of runs, as they were printed then; write them to a page.
 
     Of a scenario on a plant that several files hold, the last one counts.
 
@@ -407,29 +418,22 @@ def show_results(
         page: Write all tables there.
         targets: Show too, on that page as well, whether the targets are met.
     """
-    from benchmarks.report.summary import results_page, summary_table
-    from benchmarks.report.tables import new_console
+    from benchmarks.report.tables import new_console, results_page
     from benchmarks.results import read_merged
 
     rows = read_merged(files)
     # Folders of one machine mean nothing to a reader.
     command = " ".join(["python -m benchmarks results", *(path.name for path in files)])
-    try:
-        if page is not None:
-            page.write_text(
-                results_page(
-                    rows,
-                    f"{command} --page {page.name}{' --targets' if targets else ''}",
-                    with_targets=targets,
-                ),
-                encoding="utf-8",
-            )
-    except OSError as error:
-        raise ResultsError(
-            f"cannot write {error.filename}: {error.strerror}"
-        ) from error
-    table = summary_table(rows).choose_targets(are_shown=targets)
-    new_console().print(table.rich())
+    if page is not None:
+        command += f" --page {page.name}{' --targets' if targets else ''}"
+        text = results_page(rows, command, with_targets=targets)
+        try:
+            page.write_text(text, encoding="utf-8")
+        except OSError as error:
+            raise ResultsError(
+                f"cannot write {error.filename}: {error.strerror}"
+            ) from error
+    print_rows(new_console(), rows, with_targets=targets)
 
 
 @app.command(name="figures")
@@ -443,9 +447,9 @@ def publish_figures(*files: Annotated[Path, Parameter(required=True)]) -> None:
         files: Results from run --json, all of one commit without changes.
     """
     from benchmarks.report.figures import fill_figures, write_figures
-    from benchmarks.results import read_commit, read_merged
+    from benchmarks.results import read_file, read_merged
 
-    commits = {read_commit(path) or "unknown" for path in files}
+    commits = {read_file(path)[1].commit or "unknown" for path in files}
     if len(commits) > 1 or commits & {"unknown"} or "-dirty" in "".join(commits):
         raise ResultsError(
             f"the files are of commit {', '.join(sorted(commits))}; expected one, "
@@ -467,6 +471,8 @@ def time_updates(
 ) -> int:
     """Time the estimators beside their bare dynamics. Takes about 75 s.
 
+    The same as running the benchmarks speed-ticks and so on, one by one, here.
+
     Args:
         soak: Instead, many ticks of the chain (four minutes): growth of memory, cost at
             the end.
@@ -479,32 +485,53 @@ def time_updates(
         targets: Show what the numbers should be too, and whether they are.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.performance.control_speed import control_speed_report
-    from benchmarks.performance.long_runs import run_soak, soak_table
-    from benchmarks.performance.speed import measure_speed, speed_report
+    from benchmarks.performance.kdl import KdlAbsentError, kdl_library
+
+    if loop is not None and not 0.0 < loop < math.inf:
+        raise BenchmarkError(f"--loop {loop:g}: expected a positive number of seconds")
+    if soak:
+        return run_alone("speed-soak", [f"{ticks} ticks"], targets, strict)
+    if loop is not None:
+        beside = ("alone", "with the scene", "with a recorder")
+        cases = [f"{loop:g} s {kind}" for kind in (beside if scene else beside[:1])]
+        return run_alone("speed-loop", cases, targets, strict)
+    if kdl:
+        try:
+            kdl_library()
+        except KdlAbsentError as error:
+            say(f"skipped: {error}")
+            return 0
+        return run_alone("speed-kdl", [""], targets, strict)
+    name = "speed-control" if control else "speed-ticks"
+    return run_alone(name, [""], targets, strict)
+
+
+def run_alone(
+    benchmark: str,
+    cases: Sequence[str],
+    with_targets: bool,
+    is_strict: bool,
+    data: Path | None = None,
+) -> int:
+    """Run cases one by one in this process, print their tables, return the exit code.
+
+    Args:
+        benchmark: Its name.
+        cases: Its cases.
+        with_targets: Whether what the numbers should be is shown too.
+        is_strict: Whether a missed target is a failure.
+        data: Folder for it.
+    """
+    from benchmarks.jobs import NO_PLANT, Job
     from benchmarks.report.tables import new_console
 
-    with progress_bar("timing") as update:
-        if soak:
-            soak_result = run_soak(ticks, update)
-            tables = [soak_table(soak_result, ticks)]
-            is_met = soak_result.is_met
-        elif loop is not None:
-            from benchmarks.performance.device_loop import loop_table
-
-            tables = [loop_table(loop, with_scene=scene, progress=update)]
-            is_met = True
-        elif kdl:
-            from benchmarks.performance.kdl_peer import compare_with_kdl
-
-            tables, is_met = compare_with_kdl(update)
-        elif control:
-            tables, is_met = control_speed_report(update)
-        else:
-            tables, is_met = speed_report(measure_speed(update))
-    for table in tables:
-        new_console().print(table.choose_targets(are_shown=targets).rich())
-    return FAILURE if strict and not is_met else 0
+    console = new_console()
+    jobs = [
+        Job(benchmark=benchmark, case=case, plant=NO_PLANT, data=data) for case in cases
+    ]
+    outcomes = run_jobs_shown(jobs, Workers(workers=1), console)
+    print_outcomes(console, outcomes, with_targets=with_targets)
+    return exit_code(outcomes, is_strict=is_strict)
 
 
 @app.command(name="faults")
@@ -554,24 +581,9 @@ def stream_recordings(
         targets: Show what the numbers should be too, and whether they are.
         strict: Exit with 1 if a target is missed.
     """
-    from benchmarks.performance.long_runs import (
-        MIN_SECONDS,
-        RECORDINGS,
-        measure_stream,
-        stream_table,
-    )
-    from benchmarks.report.tables import new_console
+    from benchmarks.performance.stream import name_cases
 
-    if seconds < MIN_SECONDS:
-        raise BenchmarkError(
-            f"--seconds must be at least {MIN_SECONDS:g}: the tare takes half"
-        )
-    cases = list(product(RECORDINGS, format or [".csv"]))
-    with progress_of(len(cases)) as update:
-        speeds = [
-            measure_stream(*case, seconds, folder, partial(update, index))
-            for index, case in enumerate(cases)
-        ]
-    table = stream_table(speeds).choose_targets(are_shown=targets)
-    new_console().print(table.rich())
-    return FAILURE if strict and not all(speed.is_met for speed in speeds) else 0
+    cases = name_cases(seconds, format)
+    if folder is not None and not folder.is_dir():
+        raise BenchmarkError(f"--folder {folder}: expected a folder that there is")
+    return run_alone("speed-stream", cases, targets, strict, folder)

@@ -1,12 +1,11 @@
-"""One thing that can be run by name, a job of it, and the job's result."""
+"""One thing that can be run by name, a job of it, and what becomes of the job."""
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import NamedTuple
 
 from benchmarks import DataError
-from benchmarks.results import Measurement, Row
+from benchmarks.results import Figure, Row
 from groundtruth import PLANT_MODELS
 from needleforce.plots import PageFigure
 
@@ -14,28 +13,15 @@ RECORDING = "recording"
 """The plant of a benchmark on real data."""
 NO_PLANT = "no-arm"
 """The plant of a benchmark in which no arm plays a part."""
+NEEDLE = "needle"
+"""The plant of a simulation without an arm."""
 Progress = Callable[[float], None]
 """Takes the fraction done, 0 to 1."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class Fact:
-    """One number of a figure, the published one beside those of our runs.
-
-    Attributes:
-        what: With the unit.
-        published: As printed there, or said in the text.
-        here: From our runs, by the head of its column.
-    """
-
-    what: str
-    published: str
-    here: tuple[tuple[str, str], ...]
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
 class Job:
-    """One benchmark on one plant with one seed.
+    """One case of a benchmark, on one plant with one seed.
 
     It is a piece of work for a process of its own.
 
@@ -72,12 +58,17 @@ class Job:
     @property
     def where(self) -> str:
         """Plant and seed, or recording, in words."""
-        words = {RECORDING: "recording", "needle": "needle without an arm, seed"}
+        words = {RECORDING: "recording", NEEDLE: "needle without an arm, seed"}
         return f"{words.get(self.plant, f'{self.plant} plant, seed')} {self.seed}"
 
     def __str__(self) -> str:
         """One line for people."""
         return f"{self.scenario}, {self.plant}, seed {self.seed}"
+
+
+Fact = dict[str, str]
+"""One number below a figure, by the head of its column: without a head what it is, then
+the published one and those of our runs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,18 +91,6 @@ class Drawing:
     facts: tuple[Fact, ...] = ()
 
 
-class JobResult(NamedTuple):
-    """What running a job gives.
-
-    Attributes:
-        measurements: Its numbers.
-        drawings: The figures it has drawn.
-    """
-
-    measurements: list[Measurement]
-    drawings: tuple[Drawing, ...] = ()
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Outcome:
     """What became of a job.
@@ -129,11 +108,6 @@ class Outcome:
     failure: str | None = None
 
 
-def one_case() -> Sequence[str]:
-    """Return the cases of a benchmark that has only one, without a name."""
-    return ("",)
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Benchmark:
     """One thing that can be run by name.
@@ -141,9 +115,10 @@ class Benchmark:
     Attributes:
         id: Permanent name.
         title: One line for people.
-        run: Does a job of it.
-        find_cases: Names of its cases, each a job of its own; it may import what only
-            they need.
+        run: Does a job of it: yields its numbers and, where the job wants them, what
+            it has drawn.
+        find_cases: Returns the names of its cases, each a job of its own; it may import
+            what only they need.
         needs: Folders of recordings it reads; none for a simulation.
         uses_data: Whether it measures more where there is a folder of recordings.
         is_on_arm: Whether its recordings act on a simulated arm, one of its plants.
@@ -158,17 +133,17 @@ class Benchmark:
 
     id: str
     title: str
-    run: Callable[[Job, Progress], JobResult]
-    find_cases: Callable[[], Sequence[str]] = one_case
-    needs: tuple[str, ...] = ()
+    run: Callable[[Job, Progress], Iterable[Figure | Drawing]]
+    find_cases: Callable[[], Sequence[str]] = lambda: ("",)
+    needs: Sequence[str] = ()
     uses_data: bool = False
     is_on_arm: bool = False
     recordings: int = 1
     first_seed: int = 0
     group: str = ""
     is_default: bool = True
-    plants: tuple[str, ...] = ("clean",)
-    possible: tuple[str, ...] = tuple(PLANT_MODELS)
+    plants: Sequence[str] = ("clean",)
+    possible: Sequence[str] = tuple(PLANT_MODELS)
 
     @property
     def is_recorded(self) -> bool:
@@ -179,7 +154,7 @@ class Benchmark:
     def has_plants(self) -> bool:
         """Whether an arm, or the needle without one, plays a part."""
         is_simulated = self.is_on_arm or not self.is_recorded
-        return is_simulated and self.possible != (NO_PLANT,)
+        return is_simulated and tuple(self.possible) != (NO_PLANT,)
 
 
 def progress_part(progress: Progress, start: float, end: float) -> Progress:

@@ -1,24 +1,15 @@
-"""One number of the results, files of them, and every metric a row may carry.
+"""One number of the results, and files of them."""
 
-Columns of `metrics.csv`: `name` ends with the unit, see `UNITS`; `table` is the table
-of `benchmarks.report.tables` that shows the metric (``none``: it stands in the results
-only);
-`best`, `tolerance` and `relative_tolerance` say which change is one for the worse;
-`meaning` is one line. A relative tolerance of 1 marks a number shown for reference, by
-which nothing is judged.
-"""
-
-import csv
 import math
 import subprocess
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from pathlib import Path
 from sys import intern
 from typing import Literal, NamedTuple, SupportsFloat
 
 import msgspec
 
-from benchmarks import ResultsError, UnknownMetricError
+from benchmarks import ResultsError
 
 Source = Literal["ft", "virtual"]
 """Which force: read by the F/T sensor, or estimated from joint signals. Studies without
@@ -49,29 +40,33 @@ METHOD_NAMES: Mapping[str, str] = {
 }
 """Methods as people read them."""
 
+UNITS = {
+    "_Ns_per_m": "Ns/m",
+    "_mm_per_rad": "mm/rad",
+    "_mm_per_s": "mm/s",
+    "_rad_per_s": "rad/s",
+    "_rad": "rad",
+    "_mJ": "mJ",
+    "_voxel": "voxel",
+    "_GB": "GB",
+    "_MB": "MB",
+    "_kB": "kB",
+    "_Hz": "Hz",
+    "_Nm": "Nm",
+    "_N": "N",
+    "_mm": "mm",
+    "_us": "us",
+    "_ms": "ms",
+    "_pct": "%",
+    "_s": "s",
+}
+"""By the end of a metric's name; a name that ends otherwise is that of a fraction or
+a count."""
 
-class RowKey(NamedTuple):
-    """What makes two rows of two runs comparable.
 
-    Attributes:
-        scenario: As in `Row`.
-        plant: As in `Row`.
-        seed: As in `Row`.
-        source: As in `Row`.
-        method: As in `Row`.
-        metric: As in `Row`.
-    """
-
-    scenario: str
-    plant: str
-    seed: int
-    source: str
-    method: str
-    metric: str
-
-    def __str__(self) -> str:
-        """One line for people."""
-        return " ".join(map(str, self))
+def unit_of(metric: str) -> str:
+    """Return the unit of a metric; ``1`` for none."""
+    return next((unit for end, unit in UNITS.items() if metric.endswith(end)), "1")
 
 
 class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -84,7 +79,7 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         seed: Seed of a simulation, number of the recording for real data.
         source: See `Source`.
         method: See `Method`.
-        metric: A name of `metrics.csv`.
+        metric: A name of `judged.toml`.
         value: The number; nan where it could not be determined.
         unit: Its unit.
     """
@@ -99,15 +94,53 @@ class Row(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     unit: str
 
     @property
-    def key(self) -> RowKey:
-        """All but value and unit."""
-        return RowKey(
-            self.scenario, self.plant, self.seed, self.source, self.method, self.metric
-        )
+    def key(self) -> tuple[str | int, ...]:
+        """All but value and unit: what makes rows of two runs comparable."""
+        return tuple(getattr(self, name) for name in KEYS)
 
 
 NAMES = Row.__struct_fields__
-TEXTS = tuple(name for name in NAMES if name not in ("seed", "value"))
+KEYS = NAMES[:6]
+
+
+class Figure(NamedTuple):
+    """One measured number, before it is known which job it belongs to.
+
+    Attributes:
+        metric: A name of `judged.toml`.
+        value: The number; nan where it could not be determined.
+        source: See `Source`.
+        method: See `Method`.
+    """
+
+    metric: str
+    value: SupportsFloat
+    source: str = "virtual"
+    method: Method = "ours"
+
+    def row(self, scenario: str, plant: str, seed: int) -> Row:
+        """Return the row of a job's results."""
+        return Row(
+            scenario=scenario,
+            plant=plant,
+            seed=seed,
+            source=self.source,
+            method=self.method,
+            metric=self.metric,
+            value=float(self.value),
+            unit=unit_of(self.metric),
+        )
+
+
+def make_figures(
+    values: Mapping[str, SupportsFloat],
+    source: str = "virtual",
+    method: Method = "ours",
+) -> list[Figure]:
+    """Return numbers by name as those of one source and method."""
+    return [Figure(name, value, source, method) for name, value in values.items()]
+
+
 Runs = Mapping[str, int] | None  # how many rows each has given, where that is known
 SIGNIFICANT_DIGITS = 6
 """More would only record rounding."""
@@ -124,32 +157,25 @@ def to_json(rows: Iterable[Row], runs: Runs = None, commit: str = "") -> bytes:
     return b'{"schema": 1, "rows": [\n  %b\n]%b}\n' % (lines, more)
 
 
+def _line(row: Row) -> bytes:
+    """Return a row as JSON, with six digits."""
+    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}")
+    return msgspec.json.encode(msgspec.structs.replace(row, value=value))
+
+
 def find_commit() -> str:
     """Return the commit of this project, empty where it is no clone.
 
     Of a clone in which files are changed it ends with ``-dirty``.
     """
-    folder = Path(__file__).resolve().parents[1]
-    command = [
-        "git",
-        "-C",
-        str(folder),
-        "describe",
-        "--always",
-        "--dirty",
-        "--abbrev=8",
-    ]
+    folder = str(Path(__file__).resolve().parents[1])
+    describe = ["describe", "--always", "--dirty", "--abbrev=8"]
+    command = ["git", "-C", folder, *describe]
     try:
         answer = subprocess.run(command, capture_output=True, text=True, check=True)
     except (OSError, subprocess.CalledProcessError):
         return ""
     return answer.stdout.strip()
-
-
-def _line(row: Row) -> bytes:
-    """Return a row as JSON, with six digits."""
-    value = float(f"{row.value:.{SIGNIFICANT_DIGITS}g}")
-    return msgspec.json.encode(msgspec.structs.replace(row, value=value))
 
 
 def write_results(
@@ -174,59 +200,63 @@ class _Line(Row, frozen=True, kw_only=True):
     value: float | None  # pyright: ignore[reportIncompatibleVariableOverride]
 
 
-class _File(msgspec.Struct):
-    """A file of results."""
+class ResultsFile(msgspec.Struct):
+    """A file of results.
+
+    Attributes:
+        schema: Of the file.
+        rows: Each as it stands there.
+        runs: How many rows each run has given.
+        commit: Of the code that gave them; empty if unknown.
+    """
 
     schema: Literal[1]
     rows: list[msgspec.Raw]
+    runs: dict[str, int] = {}
     commit: str = ""
 
 
 _decode_line = msgspec.json.Decoder(_Line).decode
 
 
-def read_results(path: str | Path) -> list[Row]:
-    """Read rows from a file; null becomes nan.
+def read_file(path: str | Path) -> tuple[list[Row], ResultsFile]:
+    """Read rows from a file, and what stands beside them; null becomes nan.
 
     Raises:
         ResultsError: The file cannot be read, is not JSON of this schema, lacks a
             field, or has two rows with one key.
     """
     try:
-        lines = msgspec.json.decode(Path(path).read_bytes(), type=_File).rows
-        rows = [_row(_decode_line(line)) for line in lines]
+        file = msgspec.json.decode(Path(path).read_bytes(), type=ResultsFile)
+        rows = [_row(_decode_line(line)) for line in file.rows]
     except OSError as error:
         raise ResultsError(f"cannot read {path}: {error.strerror}") from error
     except msgspec.ValidationError as error:
         raise ResultsError(f"{path} is not a file of results: {error}") from error
     except (msgspec.DecodeError, ValueError) as error:
         raise ResultsError(f"{path} is not JSON: {error}") from error
-    keys: set[RowKey] = set()
+    keys = set()
     for row in rows:
         if row.key in keys:
-            raise ResultsError(f"{path} has more than one row for: {row.key}")
+            named = " ".join(map(str, row.key))
+            raise ResultsError(f"{path} has more than one row for: {named}")
         keys.add(row.key)
-    return rows
+    return rows, file
 
 
 def _row(line: _Line) -> Row:
     """Return the row of a line; each text is kept once: a campaign has millions."""
-    texts = {name: intern(getattr(line, name)) for name in TEXTS}
+    texts = {
+        name: intern(getattr(line, name)) for name in (*KEYS, "unit") if name != "seed"
+    }
     return Row(
         seed=line.seed, value=math.nan if line.value is None else line.value, **texts
     )
 
 
-def read_commit(path: str | Path) -> str:
-    """Return the commit of the code that gave a file of results; empty if unknown.
-
-    Raises:
-        ResultsError: The file cannot be read, or is not one of results.
-    """
-    try:
-        return msgspec.json.decode(Path(path).read_bytes(), type=_File).commit
-    except (OSError, msgspec.DecodeError) as error:
-        raise ResultsError(f"cannot read {path}: {error}") from error
+def read_results(path: str | Path) -> list[Row]:
+    """Read rows from a file, see `read_file`."""
+    return read_file(path)[0]
 
 
 def read_merged(paths: Sequence[str | Path]) -> list[Row]:
@@ -238,137 +268,3 @@ def read_merged(paths: Sequence[str | Path]) -> list[Row]:
         for row in rows:
             by_scenario[row.scenario, row.plant].append(row)
     return [row for rows in by_scenario.values() for row in rows]
-
-
-UNITS = {
-    "_Ns_per_m": "Ns/m",
-    "_mm_per_rad": "mm/rad",
-    "_mm_per_s": "mm/s",
-    "_rad_per_s": "rad/s",
-    "_rad": "rad",
-    "_mJ": "mJ",
-    "_voxel": "voxel",
-    "_GB": "GB",
-    "_Nm": "Nm",
-    "_N": "N",
-    "_mm": "mm",
-    "_ms": "ms",
-    "_pct": "%",
-    "_s": "s",
-}
-"""By the end of a metric's name; a name that ends otherwise is that of a fraction or
-a count."""
-
-
-class Metric(msgspec.Struct, frozen=True, kw_only=True):
-    """One kind of number.
-
-    Attributes:
-        name: As in the results.
-        table: The table that shows it.
-        meaning: One line.
-        best: The value wished for: 0 for an error, 1 for a recall, 0.95 for a coverage.
-        tolerance: Absolute worsening that is not called a regression, in the metric's
-            unit.
-        relative_tolerance: The same as a fraction of the old distance from ``best``;
-            the larger of the two counts.
-    """
-
-    name: str
-    table: str
-    meaning: str
-    best: float
-    tolerance: float
-    relative_tolerance: float
-
-    @property
-    def unit(self) -> str:
-        """As in the results; ``1`` for none."""
-        return next(
-            (unit for end, unit in UNITS.items() if self.name.endswith(end)), "1"
-        )
-
-    @property
-    def may_be_undefined(self) -> bool:
-        """Whether nan is a result: without an alarm there is no precision."""
-        return self.name == "rupture_precision"
-
-    def is_regression(self, old: float, new: float) -> bool:
-        """Return whether the new value is worse beyond tolerance.
-
-        A number that is not finite always is.
-        """
-        if not (math.isfinite(old) and math.isfinite(new)):
-            return not math.isfinite(new)
-        allowed = max(self.tolerance, self.relative_tolerance * abs(old - self.best))
-        return abs(new - self.best) - abs(old - self.best) > allowed
-
-
-def table_lines(path: Path) -> Iterator[dict[str, str]]:
-    """Yield the lines of one of this package's data tables by column.
-
-    ``#`` begins a comment line.
-    """
-    with path.open(encoding="utf-8", newline="") as lines:
-        yield from csv.DictReader(line for line in lines if not line.startswith("#"))
-
-
-METRICS: Mapping[str, Metric] = {
-    line["name"]: msgspec.convert(line, Metric, strict=False)
-    for line in table_lines(Path(__file__).with_name("metrics.csv"))
-}
-"""By name."""
-
-
-def metric(name: str) -> Metric:
-    """Return the metric of that name.
-
-    Raises:
-        UnknownMetricError: There is none.
-    """
-    try:
-        return METRICS[name]
-    except KeyError:
-        raise UnknownMetricError(
-            f"no metric {name!r}; known: {', '.join(METRICS)}"
-        ) from None
-
-
-class Measurement(NamedTuple):
-    """One measured number, before it is known which job it belongs to.
-
-    Attributes:
-        source: See `Source`.
-        method: See `Method`.
-        metric: A name of `metrics.csv`.
-        value: The number; nan where it could not be determined.
-    """
-
-    source: str
-    method: Method
-    metric: str
-    value: float
-
-    def row(self, scenario: str, plant: str, seed: int) -> Row:
-        """Return the row of a job's results.
-
-        Raises:
-            UnknownMetricError: `metrics.csv` lacks the metric.
-        """
-        return Row(
-            scenario=scenario,
-            plant=plant,
-            seed=seed,
-            source=self.source,
-            method=self.method,
-            metric=self.metric,
-            value=float(self.value),
-            unit=metric(self.metric).unit,
-        )
-
-
-def our_measurement(
-    metric: str, value: SupportsFloat, source: str = "virtual"
-) -> Measurement:
-    """Return a number of our method, by default on the virtual sensor's force."""
-    return Measurement(source, "ours", metric, float(value))

@@ -26,7 +26,8 @@ tasks = []
 moved_s = rested_s = 0.0
 rows = []
 with arm:  # at its end a real arm is braked
-    for sample in arm:
+    for tick in control.run(arm, controller):
+        sample = tick.sample
         signals = (sample.q_rad, sample.dq_rad_s, sample.tau_Nm)
         estimate = session.update(*signals, sample.dt_s)
         if not tasks:
@@ -42,7 +43,7 @@ with arm:  # at its end a real arm is braked
             session.start_tare()  # fitted beside the next 1000 ticks or so
         if estimate.status is Status.OK:
             rows.append((moved_s, estimate.wrench.axial))
-        arm.send(controller.update(sample, tasks).dq_rad_s)
+        tick.tasks = tasks
         if moved_s > 2.0 * STROKE_s:
             break
 plt.plot(*np.transpose(rows))

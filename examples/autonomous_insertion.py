@@ -24,18 +24,13 @@ posture = control.Posture(arm.home_rad)
 # The program asks for a speed along the needle in each state.
 plan = control.InsertionPlan(speed_m_s=5e-3, depth_m=0.06, layer=1)
 program = control.InsertionProfile(plan)
-beside = control.Beside()
 rows = []
-for sample in arm:
-    manager.heartbeat()  # this program is alive
-    state = manager.update(sample, beside)
+for tick in control.run(arm, controller, manager):
+    state = tick.situation
     step = program.update(state)
     if step.event:
         manager.request(step.event)
-    tasks = [shaft, control.AxialSpeed(step.speed_m_s), posture]
-    command = controller.update(sample, tasks)
-    taken = arm.send(command.dq_rad_s)
-    beside = control.Beside(taken, command.dq_rad_s, loop_failure=command.loop_failure)
+    tick.tasks = [shaft, control.AxialSpeed(step.speed_m_s), posture]
     rows.append((arm.time_s, arm.truth.depth_m, str(state.state)))
     if state.state == "dwell" and state.state_s > 0.3:
         break
@@ -48,3 +43,6 @@ plt.ylabel("depth [mm]")
 plt.legend()
 plt.show()
 print(f"rests {1e3 * arm.truth.depth_m:.1f} mm deep, in state {state.state}")
+rupture = next(one for one in arm.tissue_truth().ruptures if one.layer == 1)
+past_mm = 1e3 * (depths_m.max() - rupture.onset_m)
+print(f"went {past_mm:.2f} mm past the rupture that it stops for")

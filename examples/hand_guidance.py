@@ -24,7 +24,8 @@ line = control.Fixture.here(controller.tool)
 guidance = control.Guidance(arm.robot)
 sensor = VirtualForceSensor(arm.robot, SensorConfig(smooth_momentum=False))
 tips_m = []
-for sample in arm:
+for tick in control.run(arm, controller):
+    sample = tick.sample
     wrench = sensor.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
     if arm.time_s < TARE_s:  # move along the needle: the tare learns from it
         speed_m_s = -0.05 * np.sin(2.0 * np.pi * arm.time_s / TARE_s)
@@ -36,7 +37,7 @@ for sample in arm:
         noise_Nm = sensor.residual_std_Nm
         lead = guidance.update(wrench.residual, noise_Nm, sample.dt_s, is_valid=is_ok)
         tasks = [lead]
-    arm.send(controller.update(sample, tasks).dq_rad_s)
+    tick.tasks = tasks
     tips_m.append(arm.truth.tip_m)
 
 moved_mm = 1e3 * (np.array(tips_m) - tips_m[0])

@@ -19,6 +19,7 @@ TARE_s = 2.4  # after a rest
 arm = SimulatedArm("stack-glove-constant", standoff_m=0.045, duration_s=9.0)
 device = HapticMaster(Operator(wish_m=lambda t_s: (0.0, 0.0, HAND_SPEED_m_s * t_s)))
 session = InsertionSession(arm.robot)
+manager = control.Manager(session, control.SafetyLimits(axial_N=6.0))
 limits = control.Limits.of_arm(arm.robot, arm.preset)
 controller = control.Controller(arm.robot, limits)
 controller.tool.update(arm.home_rad)
@@ -26,8 +27,8 @@ shaft = control.Fixture.here(controller.tool)
 posture = control.Posture(arm.home_rad)
 teleoperation = control.Teleoperation(motion_scale=0.4, shown="tip")
 rows = []
-for sample in arm:
-    estimate = session.update(sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s)
+for tick in control.run(arm, controller, manager):
+    sample, estimate = tick.sample, tick.situation.estimate
     if session.tared:
         move = teleoperation.update(device.read(), estimate, sample.dt_s)
         device.render(move.force_N)  # passive at the hand, whatever the line does
@@ -37,8 +38,7 @@ for sample in arm:
         speed_m_s = 0.02 if arm.time_s < STROKE_s else 0.0
         if arm.time_s > TARE_s:
             session.start_tare()  # it rests for about a second
-    tasks = [shaft, control.AxialSpeed(speed_m_s), posture]
-    arm.send(controller.update(sample, tasks).dq_rad_s)
+    tick.tasks = [shaft, control.AxialSpeed(speed_m_s), posture]
 
 times_s, axial_N, shown_N = zip(*rows, strict=True)
 plt.plot(times_s, axial_N, label="force on the needle")
@@ -48,3 +48,4 @@ plt.ylabel("force [N]")
 plt.legend()
 plt.show()
 print(f"{1e3 * arm.truth.depth_m:.1f} mm deep, {teleoperation.shown_N:.2f} N shown")
+print(f"least energy that the hand had given: {1e3 * device.least_energy_J:.3f} mJ")

@@ -30,8 +30,8 @@ def drive(with_fixture):
         tasks = [fixture, joystick, posture]
     start_m = arm.truth.tip_m
     path_mm = []
-    for sample in arm:
-        arm.send(controller.update(sample, tasks).dq_rad_s)
+    for tick in control.run(arm, controller):
+        tick.tasks = tasks
         path_mm.append(1e3 * (arm.truth.tip_m - start_m))
     return np.array(path_mm).T
 

@@ -9,9 +9,9 @@ package; each is imported when it is first used, so that ``import needleforce`` 
 next to nothing.
 
 Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
-it), `needle_on_plan` (whether the needle is on it), `state` (stop and resume); then the
-packages `recordings`, `plots`, `cli`, `control` (what moves the needle), `anatomy`
-(what it enters).
+it), `needle_on_plan` (whether the needle is on it), `session_replay` (over a
+recording), `state` (stop and resume); then the packages `recordings`, `plots`, `cli`,
+`control` (what moves the needle), `anatomy` (what it enters), `simulation`.
 """
 
 from importlib import import_module
@@ -31,6 +31,8 @@ if TYPE_CHECKING:
     from needleforce.session import InsertionSession as InsertionSession
     from needleforce.session import SessionEstimate as SessionEstimate
     from needleforce.session import SessionSnapshot as SessionSnapshot
+    from needleforce.session_replay import AutoTare as AutoTare
+    from needleforce.session_replay import replay_session as replay_session
     from needleforce.state import SnapshotFileError as SnapshotFileError
     from needleforce.state import read_snapshot as read_snapshot
     from needleforce.state import write_snapshot as write_snapshot
@@ -63,6 +65,7 @@ _NAMES_OF = {
         "SessionEstimate",
         "SessionSnapshot",
     ),
+    "needleforce.session_replay": ("AutoTare", "replay_session"),
     "needleforce.state": (
         "SnapshotFileError",
         "read_snapshot",

@@ -38,19 +38,9 @@ CERTAIN_STDS = 2.0
 """So many standard deviations beyond what is measured the needle may be: within them
 it must stay within its tolerance, or nobody can tell that it is on the plan."""
 
-PAST_STDS = 2.0
-"""Beyond so many standard deviations the tip is past the target: a needle that stops
-once too early does less harm than one that goes on."""
 
 TIP_STD_m = 0.1e-3
 """Standard deviation of the needle's tip in the robot's base: repeatability of arms."""
-
-AXIS_STD_rad = 1e-3
-"""Standard deviation of the needle's direction in the robot's base."""
-
-REGISTERED_RADIUS_m = 0.1
-"""Landmarks and touches lie some 100 mm around a path: where a registration states one
-standard deviation for all directions, its rotation has that over this distance."""
 
 
 OFF_PLAN = "off plan"
@@ -166,7 +156,11 @@ class PlannedPath:
             target_m: Target in the robot's base, (3,).
             std_m: Standard deviation of the registration along each axis.
         """
-        rotation_rad = std_m / REGISTERED_RADIUS_m
+        # Landmarks and touches lie some 100 mm around a path: where a registration
+        # states one standard deviation for all directions, its rotation has that over
+        # this distance.
+        registered_radius_m = 0.1
+        rotation_rad = std_m / registered_radius_m
         variances = [rotation_rad**2] * 3 + [std_m**2] * 3
         entry = np.array(entry_m, dtype=float)
         return cls(entry, np.array(target_m, dtype=float), np.diag(variances), entry)
@@ -198,6 +192,9 @@ class PlannedPath:
             tip_m: Tip of the needle in the robot's base, (3,).
             axis: Its direction, of length one, (3,).
         """
+        # Beyond so many standard deviations the tip is past the target: a needle that
+        # stops once too early does less harm than one that goes on.
+        past_stds = 2.0
         uncertainty = self._uncertainty
         planned = uncertainty.axis
         from_entry = (tip_m - self.entry_m).tolist()
@@ -210,7 +207,7 @@ class PlannedPath:
         tip_std_m = uncertainty.std_m(depth_m)
         angle_std_rad = uncertainty.angle_std_rad
         to_target_m = uncertainty.length_m - depth_m
-        past_m = max(self.margin_m, PAST_STDS * uncertainty.along_std_m)
+        past_m = max(self.margin_m, past_stds * uncertainty.along_std_m)
         is_off_plan = (
             entry_m > max(self.margin_m, STDS * entry_std_m)
             or tip_distance_m > max(self.margin_m, STDS * tip_std_m)
@@ -400,6 +397,8 @@ class _PathCovariance:
     """
 
     def __init__(self, path: PlannedPath) -> None:
+        # Standard deviation of the needle's direction in the robot's base.
+        axis_std_rad = 1e-3
         axis = path.axis
         least = np.eye(3)[int(np.abs(axis).argmin())]
         across = np.cross(axis, least)
@@ -417,7 +416,7 @@ class _PathCovariance:
         self.along_std_m = math.hypot(
             math.sqrt(max(float(along @ path.covariance @ along), 0.0)), TIP_STD_m
         )
-        self.angle_std_rad = math.hypot(_largest_std(square), AXIS_STD_rad)
+        self.angle_std_rad = math.hypot(_largest_std(square), axis_std_rad)
         self._constant: list[list[float]] = constant.tolist()
         self._linear: list[list[float]] = (mixed + mixed.T).tolist()
         self._square: list[list[float]] = square.tolist()

@@ -20,11 +20,6 @@ from residual.tool_kinematics import ToolKinematics
 if TYPE_CHECKING:
     from needleforce.anatomy import NeedleClearance, PlanState
 
-STEP_m = 0.1e-3
-"""Travel after which the plan is evaluated again, besides at events.
-
-An evaluation takes much longer than a tick."""
-
 
 class Plan(Protocol):
     """Interface of a plan to follow; `needleforce.anatomy.PlanMatch` is one.
@@ -252,11 +247,14 @@ class PlanFollower:
             depth_m: Depth of the tip at this sample [m].
             identifier: Gives the depth of first contact.
         """
+        # Travel after which the plan is evaluated again, besides at events. An
+        # evaluation takes much longer than a tick.
+        step_m = 0.1e-3
         if self._plan is None or not np.isfinite(depth_m):
             return
         memory = self.memory
         ruptures = _after_events(memory.ruptures, identification)
-        has_moved = memory.depth_m is None or abs(depth_m - memory.depth_m) >= STEP_m
+        has_moved = memory.depth_m is None or abs(depth_m - memory.depth_m) >= step_m
         if ruptures == memory.ruptures and not has_moved:
             return
         was_evaluated = memory.depth_m is not None

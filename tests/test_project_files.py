@@ -55,7 +55,8 @@ def test_the_workflow_runs_the_checks_on_every_supported_python():
     classifiers = [item.rpartition(" :: ")[2] for item in PROJECT["classifiers"]]
 
     assert [item for item in classifiers if re.match(r"3\.\d", item)] == MINOR_VERSIONS
-    assert PROJECT["requires-python"] == f">={MINOR_VERSIONS[0]}"
+    assert MINOR_VERSIONS == ["3.11", "3.12", "3.13"]
+    assert PROJECT["requires-python"] == ">=3.11,<3.14"
 
 
 def test_a_bug_report_asks_for_the_doctors_findings():

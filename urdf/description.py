@@ -26,7 +26,6 @@ _MOMENTS = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in Pinocchio's order
 _NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 # What Pinocchio takes for a limit of a joint that has none; replaced by infinity.
-_UNLIMITED = "1e9"
 
 
 def read_description(path: Path, without: Iterable[str] = ()) -> Element:
@@ -179,6 +178,7 @@ def _complete_limits(joint: Element) -> bool:
         Whether its position has limits: not that of a continuous joint, nor where they
         are absent or leave no room, as where an exporter has written zeros.
     """
+    unlimited = "1e9"
     limit = joint.find("limit")
     if limit is None:
         limit = Element("limit")
@@ -193,8 +193,8 @@ def _complete_limits(joint: Element) -> bool:
         joint.set("type", "revolute")
         is_limited = False
     if not is_limited:
-        limit.set("lower", f"-{_UNLIMITED}")
-        limit.set("upper", _UNLIMITED)
+        limit.set("lower", f"-{unlimited}")
+        limit.set("upper", unlimited)
     return is_limited
 
 

@@ -23,12 +23,6 @@ from urdf.errors import GIVE_INERTIA, InertiaError
 from urdf.payload import MAX_PARAMETER, rounding_of
 from urdf.robot import Robot
 
-ROUNDING_KG_M2 = 1e-6
-"""A part of a moment that cannot be, below this, is the rounding of a written table."""
-
-NEGLIGIBLE_KG_M2 = 1e-12
-"""Below this, a milligram at a millimetre, it is the rounding of a computation."""
-
 TOLERATED_RATIO = 0.05
 """The same, relative to the largest moment of the body, or to the largest that a joint
 of the arm turns: no description is known more exactly."""
@@ -52,8 +46,11 @@ class BodyFault(NamedTuple):
 
     def is_large(self, limit_kg_m2: float) -> bool:
         """Return whether it is more than rounding, a few percent, and a limit."""
+        # A part of a moment that cannot be, below this, is the rounding of a written
+        # table.
+        rounding_kg_m2 = 1e-6
         own_limit_kg_m2 = TOLERATED_RATIO * self.largest_kg_m2
-        return self.moment_kg_m2 > max(ROUNDING_KG_M2, own_limit_kg_m2, limit_kg_m2)
+        return self.moment_kg_m2 > max(rounding_kg_m2, own_limit_kg_m2, limit_kg_m2)
 
 
 @dataclass(slots=True)
@@ -162,15 +159,13 @@ def find_inertia_faults(robot: Robot, bodies: Mapping[str, Array]) -> InertiaFin
     return findings
 
 
-NO_FAULT = BodyFault("", 0.0, 0.0)
-"""A rigid body can have the inertia."""
-
-
 def fault_of(parameters: Array) -> BodyFault | None:
     """Return why no rigid body has ten parameters, shape (10,); None if one has.
 
     Rounding of the written table is no fault.
     """
+    # Below this, a milligram at a millimetre, it is the rounding of a computation.
+    negligible_kg_m2 = 1e-12
     if not np.all(np.abs(parameters) <= MAX_PARAMETER):
         text = f"a number above {MAX_PARAMETER:g} in SI units"
         return BodyFault(text, np.inf, 0.0)
@@ -183,7 +178,7 @@ def fault_of(parameters: Array) -> BodyFault | None:
     largest_kg_m2 = float(moments[2])
     excess_kg_m2 = largest_kg_m2 - float(moments[0] + moments[1])
     shown = ", ".join(f"{moment:.4g}" for moment in moments)
-    slack_kg_m2 = max(NEGLIGIBLE_KG_M2, rounding_of(parameters, largest_kg_m2))
+    slack_kg_m2 = max(negligible_kg_m2, rounding_of(parameters, largest_kg_m2))
     if moments[0] < -slack_kg_m2:
         impossible_kg_m2 = max(-float(moments[0]), excess_kg_m2)
         text = f"principal moments {shown} kg m^2 are not positive definite"
@@ -199,9 +194,10 @@ def fault_of(parameters: Array) -> BodyFault | None:
 
 def _fault_together(inertia: pin.Inertia) -> BodyFault | None:
     """Return what is wrong with all links of a joint together; None without mass."""
+    no_fault = BodyFault("", 0.0, 0.0)  # a rigid body can have the inertia
     if inertia.mass == 0.0:
         return None
-    return fault_of(inertia.toDynamicParameters()) or NO_FAULT
+    return fault_of(inertia.toDynamicParameters()) or no_fault
 
 
 def _links_moved_by(model: pin.Model, joint: int) -> list[str]:

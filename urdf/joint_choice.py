@@ -4,7 +4,7 @@ A joint that is welded becomes a fixed one at a position, before there is a mode
 its kind does not matter, nor a name that a link has too, nor how many there are.
 """
 
-from collections.abc import Collection, Iterable, Mapping, Sequence
+from collections.abc import Collection, Iterable, Mapping
 from pathlib import Path
 from xml.etree.ElementTree import Element
 
@@ -54,9 +54,9 @@ def joints_towards(
     """
     root = read_description(path, without)
     joints = root.findall("joint")
-    links = [link.get("name", "") for link in root.findall("link")]
     if frame is None:
-        return _route_to(joints, _single_end(joints, links, str(path)))
+        return _route_to(joints, last_link(root, str(path)))
+    links = [link.get("name", "") for link in root.findall("link")]
     child_of_joint = {joint.get("name"): link_of(joint, "child") for joint in joints}
     link = frame if frame in links else child_of_joint.get(frame)
     if link is None:
@@ -138,12 +138,14 @@ def _route_to(joints: Iterable[Element], link: str) -> tuple[str, ...]:
     return tuple(reversed(route))
 
 
-def _single_end(joints: Sequence[Element], links: Sequence[str], source: str) -> str:
+def last_link(root: Element, source: str) -> str:
     """Return the only link that joints move and that carries no other.
 
     Of several, the message lists those that about as many joints move as any: not the
     sensors of a base.
     """
+    joints = root.findall("joint")
+    links = [link.get("name", "") for link in root.findall("link")]
     parents = {link_of(joint, "parent") for joint in joints}
     ends = {link: len(_route_to(joints, link)) for link in links if link not in parents}
     moved_by = {link: count for link, count in ends.items() if count}

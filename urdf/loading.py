@@ -22,7 +22,7 @@ from urdf.errors import (
     finite_array,
 )
 from urdf.inertia_check import check_inertia
-from urdf.joint_choice import weld_joints
+from urdf.joint_choice import last_link, weld_joints
 from urdf.payload import NeedleTool, Payload, require_mass, require_physical
 from urdf.robot import (
     STANDARD_GRAVITY_M_S2,
@@ -107,7 +107,7 @@ def load_urdf(
     bodies = read_bodies(root, source)
     model = build_model(root, source)
     require_simple_joints(model)
-    flange_frame = tool_frame if tool_frame is not None else _last_link(model, source)
+    flange_frame = tool_frame if tool_frame is not None else last_link(root, source)
     robot = assemble_robot(model, flange_frame, tool_placement, payload, gravity_m_s2)
     warning = check_inertia(robot, bodies, source, accept=not check_inertias)
     if check_inertias:
@@ -154,7 +154,6 @@ _TOOL_FRAMES = (
     "flange",
 )
 _FINGERS = ("panda_finger_joint1", "panda_finger_joint2")
-_PACKAGE = "example-robot-data"
 
 
 def load_example(
@@ -202,6 +201,7 @@ def example_robot_path(name: str) -> Path:
     finger joints locked; the UR arms need ``tool_frame`` (``tool0``). Names and errors
     as there.
     """
+    package = "example-robot-data"
     if name not in EXAMPLES:
         raise UnknownNameError(
             f"there is no example robot {name!r}; robots: {', '.join(EXAMPLES)}",
@@ -212,29 +212,15 @@ def example_robot_path(name: str) -> Path:
     prefixes = [Path(sys.prefix)]
     with suppress(metadata.PackageNotFoundError):
         prefixes.insert(
-            0, Path(str(metadata.distribution(_PACKAGE).locate_file("cmeel.prefix")))
+            0, Path(str(metadata.distribution(package).locate_file("cmeel.prefix")))
         )
-    folders = [prefix / "share" / _PACKAGE / "robots" for prefix in prefixes]
+    folders = [prefix / "share" / package / "robots" for prefix in prefixes]
     for folder in (Path(str(files("urdf.data"))), *folders):
         if (folder / EXAMPLES[name]).is_file():
             return folder / EXAMPLES[name]
     raise MissingPackageError(
-        f"the description of {name!r} comes with {_PACKAGE}, which is not installed"
+        f"the description of {name!r} comes with {package}, which is not installed"
     )
-
-
-def _last_link(model: pin.Model, source: str) -> str:
-    """Return the name of the one moving link that carries no other."""
-    inner = {0, *(frame.parentFrame for frame in model.frames)}
-    frames = enumerate(model.frames)
-    ends = [f.name for index, f in frames if index not in inner and f.parentJoint != 0]
-    if len(ends) != 1:
-        raise UnknownNameError(
-            f"{source}: there is no single last link that could carry the tool; it "
-            f"ends in: {', '.join(ends) or 'none'}",
-            "Give `tool_frame`, the frame at the needle's tip.",
-        )
-    return ends[0]
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)

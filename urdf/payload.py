@@ -25,7 +25,6 @@ from urdf.errors import InertiaError, InputError, finite_array, read_only
 # A thin rod in a table of a few digits may miss the boundary by this fraction.
 _ROUNDING = 1e-6
 # Of the inertia about the origin, lost in doubles when m c^2 is subtracted.
-_CANCELLATION = 1e-12
 MAX_PARAMETER = 1e9
 """In kg, kg m, kg m^2: beyond any link, and no product of them overflows."""
 
@@ -37,8 +36,9 @@ def rounding_of(parameters: Array, largest_kg_m2: float) -> float:
         parameters: The ten parameters of a body, shape (10,).
         largest_kg_m2: The largest of its principal moments.
     """
+    cancellation = 1e-12
     about_origin = float(np.sum(np.abs(parameters[[4, 6, 9]])))
-    return _ROUNDING * abs(largest_kg_m2) + _CANCELLATION * about_origin
+    return _ROUNDING * abs(largest_kg_m2) + cancellation * about_origin
 
 
 def require_mass(parameters: Array, owner: str) -> None:
@@ -174,7 +174,6 @@ class Payload:
 
 
 _SENSOR_MASS_KG = 0.236
-_MAX_NUMBER = 1e6  # kg, m or kg/m^3: beyond any tool, and no product of them overflows
 _MAY_BE_ZERO = (
     "sensor_mass_kg",
     "sensor_height_m",
@@ -228,11 +227,12 @@ class NeedleTool:
     hub_diameter_m: float = 0.030
 
     def __post_init__(self) -> None:
+        max_number = 1e6
         for item in fields(self):
             value = float(
                 finite_array(getattr(self, item.name), (), f"NeedleTool {item.name}")
             )
-            if not 0.0 <= value <= _MAX_NUMBER or (
+            if not 0.0 <= value <= max_number or (
                 value == 0.0 and item.name not in _MAY_BE_ZERO
             ):
                 raise InputError(

@@ -26,12 +26,8 @@ from urdf.robot import Robot
 _LENGTH_M = 0.1
 _UNITS = np.array([1.0, *[_LENGTH_M] * 3])
 # Below this a payload is none: its centre of mass would be noise over noise.
-_NO_MASS_KG = 1e-6
 # Singular values below this part of the largest are not determined.
-_RANK_TOLERANCE = 1e-8
 # A parameter with a larger part outside the determined axes is unknown.
-_UNKNOWN_PART = 1e-6
-_REWEIGHTINGS = 3  # Rounds, when the noise of the joints is not given
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -102,6 +98,7 @@ def identify_payload_static(
     Raises:
         InputError: Wrong shapes, differing lengths, NaN, or noise that is not positive.
     """
+    no_mass_kg = 1e-6
     q = finite_array(q_rad, (-1, robot.nv), "q_rad")
     tau = finite_array(tau_Nm, q.shape, "tau_Nm")
     regressor, unexplained = _payload_equation(robot, q, tau)
@@ -116,7 +113,7 @@ def identify_payload_static(
     parameters = solution.parameters * _UNITS
     mass_kg = 0.0
     com_m = np.zeros(3)
-    if parameters[0] >= _NO_MASS_KG:
+    if parameters[0] >= no_mass_kg:
         mass_kg = parameters[0]
         com_m = parameters[1:] / parameters[0]
     return PayloadEstimate(
@@ -159,6 +156,7 @@ def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Ar
 
     It is the given one, or else as large as the residual of a fit at that joint.
     """
+    reweightings = 3
     std = np.ones(target.shape[1])
     if given is not None:
         std = finite_array(given, std.shape, "torque_noise_std_Nm")
@@ -167,7 +165,7 @@ def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Ar
                 f"torque_noise_std_Nm must be positive at every joint: {std.tolist()}"
             )
         return std
-    for _ in range(_REWEIGHTINGS):
+    for _ in range(reweightings):
         fit = regressor @ _solve(regressor, target, std).parameters
         rms = np.sqrt(np.mean((target - fit) ** 2, axis=0))
         # A joint that fits to rounding must not outweigh the others without bound.
@@ -198,11 +196,12 @@ class _Solution(NamedTuple):
         Args:
             variance: Of one weighted equation.
         """
+        unknown_part = 1e-6
         axes = self.axes
         rank = self.rank
         inverse_squares = self.singular_values[:rank] ** -2.0
         covariance = (axes[:rank].T * inverse_squares) @ axes[:rank] * variance
-        unknown = np.linalg.norm(axes[rank:], axis=0) > _UNKNOWN_PART
+        unknown = np.linalg.norm(axes[rank:], axis=0) > unknown_part
         covariance[unknown, :] = covariance[:, unknown] = 0.0
         covariance[unknown, unknown] = np.inf
         return covariance
@@ -216,12 +215,13 @@ def _solve(regressor: Array, target: Array, std: Array) -> _Solution:
         target: Shape (n, nv).
         std: Noise of each joint, shape (nv,).
     """
+    rank_tolerance = 1e-8
     matrix = (regressor / std[:, None]).reshape(target.size, -1)
     # The axes are complete also where there are fewer equations than unknowns.
     left_vectors, values, axes = np.linalg.svd(
         matrix, full_matrices=target.size < matrix.shape[1]
     )
-    rank = int(np.sum(values > _RANK_TOLERANCE * max(values[0], 1e-300)))
+    rank = int(np.sum(values > rank_tolerance * max(values[0], 1e-300)))
     projections = ((target / std).ravel() @ left_vectors)[:rank]
     parameters = axes[:rank].T @ (projections / values[:rank])
     return _Solution(parameters, values, axes, rank)

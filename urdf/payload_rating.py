@@ -46,16 +46,6 @@ EFFORT_FRACTION = 0.3
 """Fraction of the shoulder's torque that the rated payload takes with the arm
 outstretched; the arm itself takes most of the rest."""
 
-UNKNOWN_RATING_KG = 50.0
-"""Rating of an arm whose description has no effort limits: anything a small arm
-carries."""
-
-MIN_RATING_KG = 0.5
-"""Least rating from effort limits."""
-
-KNOWN_EFFORT_NM = 1e4
-"""Effort limits from here on are placeholders [Nm]."""
-
 
 def rated_payload_kg(robot: Robot) -> float:
     """Return how much an arm may carry.
@@ -64,6 +54,11 @@ def rated_payload_kg(robot: Robot) -> float:
     estimated from the effort limits: what takes `EFFORT_FRACTION` of the strongest
     joint's torque at the reach of the arm.
     """
+    known_effort_Nm = 1e4  # effort limits from here on are placeholders [Nm]
+    min_rating_kg = 0.5  # least rating from effort limits
+    # Rating of an arm whose description has no effort limits: anything a small arm
+    # carries.
+    unknown_rating_kg = 50.0
     name = robot.model.name.lower().replace("-", "_")
     known = [
         part
@@ -73,13 +68,13 @@ def rated_payload_kg(robot: Robot) -> float:
     if known:
         return RATED_PAYLOADS_KG[max(known, key=len)]
     efforts = robot.effort_limit_Nm
-    is_known = (efforts > 0.0) & (efforts < KNOWN_EFFORT_NM)
+    is_known = (efforts > 0.0) & (efforts < known_effort_Nm)
     reach_m = sum(_joint_distances_m(robot.bare_model))
     if not is_known.any() or reach_m == 0.0:
-        return UNKNOWN_RATING_KG
+        return unknown_rating_kg
     gravity = float(np.linalg.norm(robot.gravity_m_s2)) or STANDARD_GRAVITY_M_S2
     rating_kg = EFFORT_FRACTION * float(efforts[is_known].max()) / (gravity * reach_m)
-    return max(rating_kg, MIN_RATING_KG)
+    return max(rating_kg, min_rating_kg)
 
 
 def _joint_distances_m(model: pin.Model) -> list[float]:

@@ -24,8 +24,6 @@ STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
 
 SENSOR_FRAME = "ft_sensor"
 """Frame that a needle tool adds in the sensor's measuring plane."""
-TIP_FRAME = "needle_tip"
-"""Frame that a needle tool adds at its tip."""
 TOOL_FRAME = "tool"
 """Frame that a tool placement adds."""
 
@@ -216,6 +214,7 @@ def assemble_robot(
 
     Arguments and errors are those of `urdf.load_urdf`.
     """
+    tip_frame = "needle_tip"  # frame that a needle tool adds at its tip
     if payload is not None and not isinstance(payload, Payload | NeedleTool):
         raise InputError(
             f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"
@@ -234,11 +233,11 @@ def assemble_robot(
     body = payload
     if isinstance(body, NeedleTool):
         heights = {SENSOR_FRAME: body.sensor_height_m} if body.has_sensor else {}
-        heights[TIP_FRAME] = body.tip_in_flange_m[2]
+        heights[tip_frame] = body.tip_in_flange_m[2]
         for name, height_m in heights.items():
             along_z = pin.SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
             _add_frame(model, name, flange_frame, along_z, "a NeedleTool")
-        tool_frame = TIP_FRAME
+        tool_frame = tip_frame
         body = body.payload
     return Robot(
         bare_model=model, tool_frame=tool_frame, flange_frame=flange_frame, payload=body

@@ -1,30 +1,29 @@
 """`needleforce demo abdomen` over seeds: how far from the target the tip stops."""
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.anatomy.study import CT_FOLDER
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
-from needleforce.cli.demos.abdomen_insertion import insert
+from benchmarks.anatomy import CT_FOLDER
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
+from needleforce.simulation.planned_insertion import insert
 
 RUNS = 20
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield the errors on the analytic torso, and on the CT where it is there."""
     places = {"analytic torso": None} | (
-        {} if data is None else {"CT": data / CT_FOLDER}
+        {} if job.data is None else {"CT": job.data / CT_FOLDER}
     )
     for number, (name, folder) in enumerate(places.items()):
         errors = []
         for k in range(RUNS):
-            errors.append(insert(folder, seed + k).errors_m)
+            errors.append(insert(folder, job.seed + k).errors_m)
             progress((number + (k + 1) / RUNS) / len(places))
         by_plan_mm, corrected_mm = 1e3 * np.sqrt(np.mean(np.square(errors), axis=0))
         worst_mm = 1e3 * float(np.max(errors, axis=0)[1])
-        yield our_measurement("target_error_by_plan_rms_mm", by_plan_mm, name)
-        yield our_measurement("target_error_rms_mm", corrected_mm, name)
-        yield our_measurement("target_error_max_mm", worst_mm, name)
+        yield Figure("target_error_by_plan_rms_mm", by_plan_mm, name)
+        yield Figure("target_error_rms_mm", corrected_mm, name)
+        yield Figure("target_error_max_mm", worst_mm, name)

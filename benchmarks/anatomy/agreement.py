@@ -5,15 +5,14 @@ stored in any direction.
 """
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.anatomy.study import CT_FOLDER
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.anatomy import CT_FOLDER
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from groundtruth.torso import analytic_torso
 from needleforce.anatomy import (
     Grid,
@@ -71,13 +70,13 @@ class LabelledScan(NamedTuple):
         return True
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield how many right labels pass, and how many wrong ones are refused."""
     sources: dict[str, Callable[[np.random.Generator], LabelledScan]] = {
         "torso": draw_torso
     }
-    if data is not None:
-        folder = data / CT_FOLDER
+    if job.data is not None:
+        folder = job.data / CT_FOLDER
         ct = read_volume(folder / "ct.nii.gz")
         labels = read_labels(folder / "labels.nii.gz")
         sources["CT"] = lambda rng: draw_part(ct, labels, rng)
@@ -85,7 +84,7 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
         accepted = 0
         refused = dict.fromkeys((*FAULTS, "negated affine"), 0)
         for turn in range(CASES):
-            rng = np.random.default_rng([seed, 22, number, turn])
+            rng = np.random.default_rng([job.seed, 22, number, turn])
             case = draw(rng)
             accepted += case.is_accepted(case.values)
             for fault, spoil in FAULTS.items():
@@ -96,10 +95,10 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
             place = Grid(grid.shape, turned @ grid.origin_m, turned @ grid.axes_m)
             refused["negated affine"] += not case.is_accepted(case.values, place)
             progress((number + (turn + 1) / CASES) / len(sources))
-        yield our_measurement("labels_accepted_pct", 100.0 * accepted / CASES, name)
+        yield Figure("labels_accepted_pct", 100.0 * accepted / CASES, name)
         for fault, count in refused.items():
             percent = 100.0 * count / CASES
-            yield our_measurement("labels_refused_pct", percent, f"{name}, {fault}")
+            yield Figure("labels_refused_pct", percent, f"{name}, {fault}")
 
 
 def draw_torso(rng: np.random.Generator) -> LabelledScan:

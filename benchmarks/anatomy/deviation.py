@@ -4,64 +4,48 @@ Registrations err by a rotation and a shift drawn from the covariance that they 
 """
 
 from collections.abc import Iterator
-from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 from scipy.spatial.transform import Rotation
 
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from needleforce.needle_on_plan import PlannedPath
 
 INSERTIONS = 1000
 DRAWS = 100
 STDS_mm = (0.1, 0.2, 0.3)
 """Error of the registration at the entry, rms of three axes."""
-DEPTHS = np.linspace(-0.1, 1.0, 12)
-"""Of the tip, in lengths of the path."""
-LANDMARK_RADIUS_m = 0.1
-
-
-class Fault(NamedTuple):
-    """How the needle is off the plan.
-
-    Attributes:
-        aside_m: Of the planned path.
-        turn_deg: About the entry.
-    """
-
-    aside_m: float = 0.0
-    turn_deg: float = 0.0
 
 
 FAULTS = {
-    "2 mm aside": Fault(aside_m=2e-3),
-    "5 mm aside": Fault(aside_m=5e-3),
-    "50 mm aside": Fault(aside_m=50e-3),
-    "turned by 2 degrees": Fault(turn_deg=2.0),
-    "turned by 10 degrees": Fault(turn_deg=10.0),
+    "2 mm aside": (2e-3, 0.0),
+    "5 mm aside": (5e-3, 0.0),
+    "50 mm aside": (50e-3, 0.0),
+    "turned by 2 degrees": (0.0, 2.0),
+    "turned by 10 degrees": (0.0, 10.0),
 }
+"""How the needle is off the plan: aside of the path [m], turned about the entry
+[degrees]."""
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield how many needles are found off the plan."""
-    del data
     for number, std_mm in enumerate(STDS_mm):
-        rng = np.random.default_rng([seed, 23, number])
+        rng = np.random.default_rng([job.seed, 23, number])
         name = f"registration {std_mm:g} mm"
-        accused = sum(is_found(std_mm, Fault(), rng) for _ in range(INSERTIONS))
-        yield our_measurement("on_plan_accused", accused, name)
+        accused = sum(is_found(std_mm, 0.0, 0.0, rng) for _ in range(INSERTIONS))
+        yield Figure("on_plan_accused", accused, name)
         for fault_name, fault in FAULTS.items():
-            found = sum(is_found(std_mm, fault, rng) for _ in range(DRAWS))
+            found = sum(is_found(std_mm, *fault, rng) for _ in range(DRAWS))
             percent = 100.0 * found / DRAWS
-            yield our_measurement(
-                "off_plan_found_pct", percent, f"{name}, {fault_name}"
-            )
+            yield Figure("off_plan_found_pct", percent, f"{name}, {fault_name}")
         progress((number + 1) / len(STDS_mm))
 
 
-def is_found(std_mm: float, fault: Fault, rng: np.random.Generator) -> bool:
+def is_found(
+    std_mm: float, aside_m: float, turn_deg: float, rng: np.random.Generator
+) -> bool:
     """Return whether an insertion is found off the plan at any depth."""
     std_m = 1e-3 * std_mm / np.sqrt(3.0)
     entry_m = rng.normal(0.0, 0.3, 3)
@@ -69,7 +53,7 @@ def is_found(std_mm: float, fault: Fault, rng: np.random.Generator) -> bool:
     axis /= np.linalg.norm(axis)
     target_m = entry_m + rng.uniform(0.05, 0.12) * axis
     pivot_m = entry_m + rng.normal(0.0, 0.03, 3)
-    turn_std = std_m / LANDMARK_RADIUS_m
+    turn_std = std_m / 0.1  # landmarks lie 0.1 m away
     turn = turn_std * rng.normal(size=3)
     shift_m = std_m * rng.normal(size=3)
     planned_entry_m, planned_target_m = (
@@ -80,7 +64,9 @@ def is_found(std_mm: float, fault: Fault, rng: np.random.Generator) -> bool:
     path = PlannedPath(planned_entry_m, planned_target_m, covariance, pivot_m)
     across = np.cross(axis, rng.normal(size=3))
     across /= np.linalg.norm(across)
-    needle = Rotation.from_rotvec(np.radians(fault.turn_deg) * across).apply(axis)
-    depths_m = DEPTHS * np.linalg.norm(target_m - entry_m)
-    tips_m = entry_m + fault.aside_m * across + depths_m[:, None] * needle
+    needle = Rotation.from_rotvec(np.radians(turn_deg) * across).apply(axis)
+    # Of the tip, in lengths of the path.
+    depths = np.linspace(-0.1, 1.0, 12)
+    depths_m = depths * np.linalg.norm(target_m - entry_m)
+    tips_m = entry_m + aside_m * across + depths_m[:, None] * needle
     return any(path.deviation(tip_m, needle).is_off_plan for tip_m in tips_m)

@@ -16,9 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks import RUN_ALONE, BenchmarkError, DataError
-from benchmarks.anatomy.study import CT_FOLDER
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.anatomy import CT_FOLDER
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from needleforce.anatomy import Grid, read_labels, read_volume
 
 FINER = 4
@@ -34,26 +34,24 @@ TARGET = "liver"
 """Of the planned path."""
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield time and memory of surfaces and plan, and what the surfaces are like."""
-    if data is None:
+    if job.data is None:
         raise DataError("anatomy-fullsize needs the recordings")
     with TemporaryDirectory() as folder:
         labels = Path(folder) / "labels.nii.gz"
-        voxels = _write_finer(data / CT_FOLDER / "labels.nii.gz", labels)
+        voxels = _write_finer(job.data / CT_FOLDER / "labels.nii.gz", labels)
         yield from _measure_surfaces(labels, voxels, progress)
         scan = Path(folder) / "ct.nii.gz"
-        rng = np.random.default_rng(seed)
-        _write_finer_scan(data / CT_FOLDER / "ct.nii.gz", scan, rng)
-        names = (data / CT_FOLDER / "labels.json").read_bytes()
+        rng = np.random.default_rng(job.seed)
+        _write_finer_scan(job.data / CT_FOLDER / "ct.nii.gz", scan, rng)
+        names = (job.data / CT_FOLDER / "labels.json").read_bytes()
         (Path(folder) / "labels.json").write_bytes(names)
         yield from _measure_plan(Path(folder))
     progress(1.0)
 
 
-def _measure_surfaces(
-    path: Path, voxels: int, progress: Progress
-) -> Iterator[Measurement]:
+def _measure_surfaces(path: Path, voxels: int, progress: Progress) -> Iterator[Figure]:
     """Measure how long it takes to read labels and to make all surfaces."""
     command = [sys.executable, "-m", "benchmarks.anatomy.fullsize", str(path)]
     with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as child:
@@ -74,10 +72,10 @@ def _measure_surfaces(
         "triangles": triangles,
     }
     for metric, value in values.items():
-        yield our_measurement(metric, value, "CT, finer")
+        yield Figure(metric, value, "CT, finer")
 
 
-def _measure_plan(folder: Path) -> Iterator[Measurement]:
+def _measure_plan(folder: Path) -> Iterator[Figure]:
     """Measure how long the command `plan` takes, from its start to its last file."""
     command = [sys.executable, "-m", "benchmarks.anatomy.fullsize", "plan"]
     command += ["--target", TARGET, "--ct", str(folder / "ct.nii.gz")]
@@ -93,7 +91,7 @@ def _measure_plan(folder: Path) -> Iterator[Measurement]:
         "plan_memory_GB": gigabytes,
     }
     for metric, value in values.items():
-        yield our_measurement(metric, value, "CT, finer")
+        yield Figure(metric, value, "CT, finer")
 
 
 def _require_success(work: str, code: int) -> None:

@@ -9,14 +9,13 @@ have moved beneath the skin.
 import math
 from collections.abc import Iterator
 from itertools import pairwise
-from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.insertion.signals import JointSignals
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from groundtruth import simulate
 from groundtruth.scenarios import RANDOM_STACK, scenario
 from needleforce import InsertionSession
@@ -27,33 +26,14 @@ PLANS = 5
 """Insertions, and plans for each; it takes half an hour."""
 OFFSET_STD_m = 3e-3
 BOUNDARY_STD_m = 0.5e-3
-SAME_m = 3e-3
-"""A rupture is that of a boundary if its release began so close to it."""
-
-
-class Case(NamedTuple):
-    """What the match is given.
-
-    Attributes:
-        name: In the results.
-        withheld: Part of the ruptures.
-        stated: Deviation of the offset, of the true one.
-        is_skin_right: Only what lies beneath the surface is off.
-    """
-
-    name: str
-    withheld: float = 0.0
-    stated: float = 1.0
-    is_skin_right: bool = False
-
-
-CASES = (
-    Case("as stated"),
-    Case("30 % withheld", withheld=0.3),
-    Case("deviation stated twice too large", stated=2.0),
-    Case("deviation stated half", stated=0.5),
-    Case("organs shifted beneath the skin", is_skin_right=True),
-)
+CASES = {
+    "as stated": {},
+    "30 % withheld": {"withheld": 0.3},
+    "deviation stated twice too large": {"stated": 2.0},
+    "deviation stated half": {"stated": 0.5},
+    "organs shifted beneath the skin": {"is_skin_right": True},
+}
+"""What is not as it should be, see `match_plan`."""
 
 
 class Event(NamedTuple):
@@ -74,33 +54,11 @@ class Event(NamedTuple):
     contact_m: float
 
 
-class Scores(NamedTuple):
-    """What came of the plans of one case.
-
-    Attributes:
-        offset_errors_m: After three ruptures.
-        is_right: Whether the boundary is, rupture by rupture.
-        is_inside: Whether the interval covers the true offset, likewise.
-    """
-
-    offset_errors_m: list[float]
-    is_right: list[bool]
-    is_inside: list[bool]
+Insertion = tuple[np.ndarray, list[Event]]
+"""True boundaries below the surface [m], the surface first, and what was reported."""
 
 
-class Found(NamedTuple):
-    """The ruptures of one insertion.
-
-    Attributes:
-        boundaries_m: True ones, below the surface, the surface first.
-        events: In order.
-    """
-
-    boundaries_m: np.ndarray
-    events: list[Event]
-
-
-def ruptures_of(seed: int) -> Found:
+def ruptures_of(seed: int) -> Insertion:
     """Push a needle through a drawn stack, and collect what the session reports."""
     run = simulate(scenario(RANDOM_STACK, seed), "clean", seed)
     session = InsertionSession(run.robot)
@@ -122,7 +80,8 @@ def ruptures_of(seed: int) -> Found:
                     key=lambda one: abs(one.onset_m - depth),
                     default=None,
                 )
-                is_same = near is not None and abs(near.onset_m - depth) < SAME_m
+                # That of a boundary if its release began within 3 mm of it.
+                is_same = near is not None and abs(near.onset_m - depth) < 3e-3
                 layer = near.layer if near is not None and is_same else -1
                 is_retracted = rupture is identification.retracted
                 contact = rupture.contact_depth_m + zero
@@ -130,42 +89,55 @@ def ruptures_of(seed: int) -> Found:
                     Event(estimate.depth_m + zero, depth, layer, is_retracted, contact)
                 )
     thickness = [layer.thickness_m for layer in run.scenario.layers]
-    return Found(np.cumsum([0.0, *thickness]), events)
+    return np.cumsum([0.0, *thickness]), events
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield the numbers of every case."""
-    del data
     insertions = []
     for k in range(STACKS):
-        insertions.append(ruptures_of(seed + k))
+        insertions.append(ruptures_of(job.seed + k))
         progress((k + 1) / STACKS)
-    for case in CASES:
-        rng = np.random.default_rng([seed, 11])
-        scores = Scores([], [], [])
-        for insertion in insertions:
-            for _ in range(PLANS):
-                match_plan(insertion, case, rng, scores)
-        errors_m = scores.offset_errors_m
-        rms_mm = 1e3 * np.sqrt(np.mean(np.square(errors_m))) if errors_m else math.nan
-        right_pct = 100.0 * np.mean(scores.is_right)
-        coverage = np.mean(scores.is_inside)
-        yield our_measurement("plan_offset_rms_mm", rms_mm, case.name)
-        yield our_measurement("plan_boundary_right_pct", right_pct, case.name)
-        yield our_measurement("plan_interval_coverage_95", coverage, case.name)
+    for name, case in CASES.items():
+        rng = np.random.default_rng([job.seed, 11])
+        matches = [
+            item
+            for insertion in insertions
+            for _ in range(PLANS)
+            for item in match_plan(insertion, rng, **case)
+        ]
+        is_right, is_inside, offset_errors_m = np.array(matches).T
+        errors_m = offset_errors_m[np.isfinite(offset_errors_m)]
+        rms_mm = 1e3 * np.sqrt(np.mean(errors_m**2)) if len(errors_m) else math.nan
+        yield Figure("plan_offset_rms_mm", rms_mm, name)
+        yield Figure("plan_boundary_right_pct", 100.0 * np.mean(is_right), name)
+        yield Figure("plan_interval_coverage_95", np.mean(is_inside), name)
 
 
 def match_plan(
-    insertion: Found, case: Case, rng: np.random.Generator, scores: Scores
-) -> None:
-    """Match one insertion with a plan that is drawn, and append what came of it."""
+    insertion: Insertion,
+    rng: np.random.Generator,
+    *,
+    withheld: float = 0.0,
+    stated: float = 1.0,
+    is_skin_right: bool = False,
+) -> Iterator[tuple[bool, bool, float]]:
+    """Match one insertion with a plan that is drawn; yield what came of each rupture.
+
+    Whether the boundary is right and the interval covers the true offset, and the error
+    of the offset [m], nan but after three ruptures.
+
+    Args:
+        insertion: What was reported in it.
+        rng: Draws the plan.
+        withheld: Part of the ruptures.
+        stated: Deviation of the offset that the match is given, of the true one.
+        is_skin_right: Only what lies beneath the surface is off.
+    """
+    boundaries_m, events = insertion
     offset = OFFSET_STD_m * float(rng.normal())
-    edges = (
-        insertion.boundaries_m
-        - offset
-        + BOUNDARY_STD_m * rng.normal(size=len(insertion.boundaries_m))
-    )
-    if case.is_skin_right:
+    edges = boundaries_m - offset + BOUNDARY_STD_m * rng.normal(size=len(boundaries_m))
+    if is_skin_right:
         edges[0] += offset
     if (np.diff(edges) <= 5e-4).any():
         return
@@ -173,17 +145,15 @@ def match_plan(
         Layer(str(k), start, end, BOUNDARY_STD_m, BOUNDARY_STD_m, False)
         for k, (start, end) in enumerate(pairwise([*edges, edges[-1] + 0.05]))
     ]
-    match = PlanMatch(layers, case.stated * OFFSET_STD_m)
+    match = PlanMatch(layers, stated * OFFSET_STD_m)
     ruptures = []
-    for event in insertion.events:
+    for event in events:
         if event.is_retracted:
             ruptures = [depth for depth in ruptures if depth != event.depth_m]
-        if event.is_retracted or rng.random() < case.withheld:
+        if event.is_retracted or rng.random() < withheld:
             continue
         ruptures.append(event.depth_m)
         state = match.state(event.tip_m, ruptures, contact_m=event.contact_m)
         low, high = match.interval_m(event.tip_m, ruptures, contact_m=event.contact_m)
-        scores.is_right.append(state.matched == event.layer)
-        scores.is_inside.append(low <= offset <= high)
-        if len(ruptures) == 3:
-            scores.offset_errors_m.append(state.offset_m - offset)
+        error_m = state.offset_m - offset if len(ruptures) == 3 else math.nan
+        yield state.matched == event.layer, low <= offset <= high, error_m

@@ -6,14 +6,13 @@ comes to it.
 """
 
 from collections.abc import Iterator
-from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import special_ortho_group
 
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from needleforce.anatomy import FreeSpace, Grid, Labels, Structure, VoxelBoxes
 
@@ -21,20 +20,14 @@ SLICES_mm = (1.0, 2.0, 3.0, 5.0, 10.0)
 PATHS = 1000
 """For each distance of the slices."""
 SPACE = FreeSpace(needle_radius_m=0.8e-3, margin_m=2e-3, std_m=1e-3)
-EXTENT_m = np.array([0.14, 0.14, 0.14])
-CHEST_m = 0.05
-"""Radius on which the ribs lie."""
-PITCH_m = 0.024
-"""Distance from rib to rib."""
 SAMPLING_m = 0.2e-3
 """Distance of points on a path; by so much distances measured with them err."""
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield the numbers of every distance of slices."""
-    del data
     for number, slices_mm in enumerate(SLICES_mm):
-        rng = np.random.default_rng([seed, 21, number])
+        rng = np.random.default_rng([job.seed, 21, number])
         labels = draw_chest(1e-3 * np.array([1.5, 1.5, slices_mm]), rng)
         name = f"slices {slices_mm:g} mm"
         yield from _judge_paths(labels, name, rng)
@@ -43,17 +36,20 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
 
 def draw_chest(spacing_m: Array, rng: np.random.Generator) -> Labels:
     """Label thin ribs around a lung, on a grid that lies anyhow."""
-    shape = tuple(np.ceil(EXTENT_m / spacing_m).astype(int).tolist())
+    extent_m = np.full(3, 0.14)
+    chest_m = 0.05  # radius on which the ribs lie
+    pitch_m = 0.024  # from rib to rib
+    shape = tuple(np.ceil(extent_m / spacing_m).astype(int).tolist())
     places = np.stack(np.meshgrid(*map(np.arange, shape), indexing="ij"), axis=-1)
-    places_m = places * spacing_m - 0.5 * EXTENT_m + spacing_m * rng.uniform(size=3)
+    places_m = places * spacing_m - 0.5 * extent_m + spacing_m * rng.uniform(size=3)
     radius_m = np.linalg.norm(places_m[..., :2], axis=-1)
     angle = np.arctan2(places_m[..., 1], places_m[..., 0])
     height_m = places_m[..., 2] - rng.uniform(-0.02, 0.02) * angle
     thickness_m = rng.uniform(1e-3, 4e-3)
     width_m = rng.uniform(3e-3, 9e-3)
-    values = (radius_m < CHEST_m - thickness_m).astype(np.uint8)
-    is_rib = np.abs(radius_m - CHEST_m) < 0.5 * thickness_m
-    is_rib &= np.mod(height_m, PITCH_m) < width_m
+    values = (radius_m < chest_m - thickness_m).astype(np.uint8)
+    is_rib = np.abs(radius_m - chest_m) < 0.5 * thickness_m
+    is_rib &= np.mod(height_m, pitch_m) < width_m
     values[is_rib] = 2
     rotation = special_ortho_group.rvs(3, random_state=rng)
     grid = Grid(shape, rng.normal(0.0, 0.1, 3), rotation * spacing_m)
@@ -64,9 +60,9 @@ def draw_chest(spacing_m: Array, rng: np.random.Generator) -> Labels:
 
 def _judge_paths(
     labels: Labels, name: str, rng: np.random.Generator
-) -> Iterator[Measurement]:
+) -> Iterator[Figure]:
     """Judge paths from outside the ribs to the middle of the chest."""
-    boxes = VoxelBoxes(labels, [labels["rib_left_8"]])
+    boxes = VoxelBoxes(labels, labels["rib_left_8"])
     ribs = np.argwhere(labels.volumes[0] == labels["rib_left_8"].value)
     last = np.array(labels.grid.shape) - 1.0
     through = missed = free = near = wrong = 0
@@ -74,7 +70,7 @@ def _judge_paths(
         fractions = np.array([rng.uniform(size=3), rng.uniform(0.35, 0.65, 3)])
         entry_m, target_m = labels.grid.points_m(fractions * last)
         distance_m = sampled_distance_m(labels, ribs, entry_m, target_m)
-        is_refused = bool(boxes.nearer_than(entry_m, target_m, SPACE.needed_m)[0])
+        is_refused = boxes.nearest(entry_m, target_m, SPACE.needed_m) is not None
         if distance_m == 0.0:
             through += 1
             layers = labels.layers_along(entry_m, target_m)
@@ -84,10 +80,10 @@ def _judge_paths(
             free += 1
             near += is_refused
             wrong += is_refused and distance_m > SPACE.needed_m + SAMPLING_m
-    yield our_measurement("bone_paths", through, name)
-    yield our_measurement("bone_paths_missed", missed, name)
-    yield our_measurement("near_paths_refused_pct", 100.0 * near / free, name)
-    yield our_measurement("clear_paths_refused_pct", 100.0 * wrong / free, name)
+    yield Figure("bone_paths", through, name)
+    yield Figure("bone_paths_missed", missed, name)
+    yield Figure("near_paths_refused_pct", 100.0 * near / free, name)
+    yield Figure("clear_paths_refused_pct", 100.0 * wrong / free, name)
 
 
 def sampled_distance_m(

@@ -2,15 +2,14 @@
 
 from collections.abc import Iterator, Sequence
 from itertools import groupby, pairwise
-from pathlib import Path
 from time import perf_counter
 from typing import NamedTuple, SupportsFloat
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from groundtruth.torso import Stretch, Torso, analytic_torso
 from needleforce.anatomy import Grid, Labels, Layer, Structure
 from needleforce.anatomy.path_layers import UNLABELLED
@@ -50,13 +49,12 @@ class Measured(NamedTuple):
     seconds: float
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield the numbers of every spacing."""
-    del data
     for number, (name, spacing_mm) in enumerate(SPACINGS_MM.items()):
         paths: list[Measured] = []
         for turn in range(TORSOS):
-            rng = np.random.default_rng([seed, number, turn])
+            rng = np.random.default_rng([job.seed, number, turn])
             torso = analytic_torso(rng)
             labels = scan_of(torso, spacing_mm, rng)
             layers_of(labels, *random_path(torso, rng))  # the first call imports
@@ -66,7 +64,7 @@ def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measur
             ]
             progress((number + (turn + 1) / TORSOS) / len(SPACINGS_MM))
         for metric, value in path_metrics(paths).items():
-            yield our_measurement(metric, value, name)
+            yield Figure(metric, value, name)
 
 
 def path_metrics(paths: Sequence[Measured]) -> dict[str, SupportsFloat]:

@@ -6,7 +6,6 @@ Spleen and stomach were not looked at when the covariance was set.
 """
 
 from collections.abc import Callable, Iterator
-from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -14,9 +13,9 @@ from scipy.ndimage import gaussian_filter, map_coordinates
 from scipy.spatial.transform import Rotation
 from scipy.stats import special_ortho_group
 
-from benchmarks.anatomy.study import CT_FOLDER
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.anatomy import CT_FOLDER
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from needleforce.anatomy import (
     Grid,
@@ -60,20 +59,20 @@ SKIN_m = np.array([0.16, 0.11, 0.15])
 """Half axes of the torso on which landmarks lie."""
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield the figures; those of organs need the CT."""
-    rng = np.random.default_rng([seed, 7])
+    rng = np.random.default_rng([job.seed, 7])
     yield from _landmarks(rng)
     progress(0.2)
     yield from _refusals(rng)
-    yield from _one_landmark_off(np.random.default_rng([seed, 9]))
+    yield from _one_landmark_off(np.random.default_rng([job.seed, 9]))
     progress(0.3)
     yield from _symmetric(rng)
     progress(0.5)
-    if data is None:
+    if job.data is None:
         return
-    labels = read_labels(data / CT_FOLDER / "labels.nii.gz")
-    yield from _far_starts(labels, np.random.default_rng([seed, 8]))
+    labels = read_labels(job.data / CT_FOLDER / "labels.nii.gz")
+    yield from _far_starts(labels, np.random.default_rng([job.seed, 8]))
     for number, name in enumerate(ORGANS):
         yield from _organ(labels, name, rng)
         progress(0.5 + 0.5 * (number + 1) / len(ORGANS))
@@ -102,7 +101,7 @@ def pose(rng: np.random.Generator) -> Pose:
     return special_ortho_group.rvs(3, random_state=rng), 0.5 * rng.normal(size=3)
 
 
-def _landmarks(rng: np.random.Generator) -> Iterator[Measurement]:
+def _landmarks(rng: np.random.Generator) -> Iterator[Figure]:
     """Measure landmarks: how good the stated errors are."""
     for name, is_known in (
         ("deviation known", True),
@@ -128,11 +127,11 @@ def _landmarks(rng: np.random.Generator) -> Iterator[Measurement]:
             stated.append(registration.tre_m(TARGET_m))
         cover = float(np.mean(inside))
         ratio = _rms(error) / _rms(stated)
-        yield our_measurement("landmark_region_coverage_95", cover, name)
-        yield our_measurement("landmark_error_ratio", ratio, name)
+        yield Figure("landmark_region_coverage_95", cover, name)
+        yield Figure("landmark_error_ratio", ratio, name)
 
 
-def _one_landmark_off(rng: np.random.Generator) -> Iterator[Measurement]:
+def _one_landmark_off(rng: np.random.Generator) -> Iterator[Figure]:
     """Measure the region at the target where one landmark is off, or the refusals."""
     for off_mm in OFF_mm:
         inside: list[bool] = []
@@ -157,8 +156,8 @@ def _one_landmark_off(rng: np.random.Generator) -> Iterator[Measurement]:
             inside.append(registration.region_contains(TARGET_m, truth))
         name = f"one {off_mm} mm off"
         refused_pct = 100.0 * refused / (OFF_DRAWS * len(OFF_COUNTS))
-        yield our_measurement("landmark_off_coverage_95", float(np.mean(inside)), name)
-        yield our_measurement("landmark_off_refused_pct", refused_pct, name)
+        yield Figure("landmark_off_coverage_95", float(np.mean(inside)), name)
+        yield Figure("landmark_off_refused_pct", refused_pct, name)
 
 
 def _rms(values: list[Any]) -> float:
@@ -183,7 +182,7 @@ FAULTS: dict[str, tuple[str, Callable[[Array, np.random.Generator], Array]]] = {
 }
 
 
-def _refusals(rng: np.random.Generator) -> Iterator[Measurement]:
+def _refusals(rng: np.random.Generator) -> Iterator[Figure]:
     """Measure how often wrong landmarks are refused, and with the right reason."""
     for name, (word, spoil) in FAULTS.items():
         hits = 0
@@ -203,7 +202,7 @@ def _refusals(rng: np.random.Generator) -> Iterator[Measurement]:
                 hits += bool(word) and word in str(error)
         percent = 100.0 * hits / REFUSAL_DRAWS
         outcome = "accepted" if name == "good" else "refused"
-        yield our_measurement(f"landmarks_{outcome}_pct", percent, name)
+        yield Figure(f"landmarks_{outcome}_pct", percent, name)
 
 
 def touch(mesh: Any, front: Array | None, rng: np.random.Generator) -> Array:
@@ -234,7 +233,7 @@ def rough(points: Array, truth: Pose, rng: np.random.Generator) -> Registration:
     return Registration(turned, shift, np.eye(6), np.zeros(3), np.inf, 0.0)
 
 
-def _symmetric(rng: np.random.Generator) -> Iterator[Measurement]:
+def _symmetric(rng: np.random.Generator) -> Iterator[Figure]:
     """Measure how often touches of a symmetric form are refused."""
     import trimesh
 
@@ -263,10 +262,10 @@ def _symmetric(rng: np.random.Generator) -> Iterator[Measurement]:
                 refused += 1
         percent = 100.0 * refused / SYMMETRIC_FITS
         outcome = "wrongly_refused" if "corner" in name else "refused"
-        yield our_measurement(f"touches_{outcome}_pct", percent, name)
+        yield Figure(f"touches_{outcome}_pct", percent, name)
 
 
-def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Measurement]:
+def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Figure]:
     """Measure what becomes of starts outside the basin."""
     mesh, model = truth_and_model(labels, ORGANS[0], rng)
     center = mesh.center_mass
@@ -294,13 +293,11 @@ def _far_starts(labels: Labels, rng: np.random.Generator) -> Iterator[Measuremen
         wrong += int(error_m > RIGHT_m)
     safe_pct = 100.0 * (1.0 - wrong / FAR_STARTS)
     refused_pct = 100.0 * refused / FAR_STARTS
-    yield our_measurement("far_starts_refused_or_right_pct", safe_pct, ORGANS[0])
-    yield our_measurement("far_starts_refused_pct", refused_pct, ORGANS[0])
+    yield Figure("far_starts_refused_or_right_pct", safe_pct, ORGANS[0])
+    yield Figure("far_starts_refused_pct", refused_pct, ORGANS[0])
 
 
-def _organ(
-    labels: Labels, name: str, rng: np.random.Generator
-) -> Iterator[Measurement]:
+def _organ(labels: Labels, name: str, rng: np.random.Generator) -> Iterator[Figure]:
     """Measure touches of an organ: errors, true and stated."""
     errors = []
     inside = []
@@ -326,9 +323,9 @@ def _organ(
             )
             inside.append(registration.region_contains(center, place))
     refused_pct = 100.0 * refused / (MODELS * FITS)
-    yield our_measurement("organ_error_p95_mm", np.quantile(errors, 0.95), name)
-    yield our_measurement("organ_region_coverage_95", np.mean(inside), name)
-    yield our_measurement("touches_wrongly_refused_pct", refused_pct, name)
+    yield Figure("organ_error_p95_mm", np.quantile(errors, 0.95), name)
+    yield Figure("organ_region_coverage_95", np.mean(inside), name)
+    yield Figure("touches_wrongly_refused_pct", refused_pct, name)
 
 
 def truth_and_model(

@@ -10,9 +10,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from benchmarks.anatomy.study import CT_FOLDER
-from benchmarks.jobs import Progress
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.anatomy import CT_FOLDER
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from groundtruth.torso import Ellipsoid
 from needleforce.anatomy import (
     Grid,
@@ -29,20 +29,20 @@ MIN_VOXELS = 500
 FORMATS = ("DICOM", "label.nii.gz", "label.nrrd", "label.seg.nrrd")
 
 
-def measure(seed: int, data: Path | None, progress: Progress) -> Iterator[Measurement]:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Yield the numbers of all formats, both spacings and, with data, the CT."""
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(job.seed)
     yield from _centroids(rng)
     progress(0.3)
     for spacing_mm in (1.0, 3.0):
         yield from _ellipsoids(spacing_mm, rng)
         progress(0.5 + 0.1 * spacing_mm)
-    if data is not None:
-        yield from _real_ct(data / CT_FOLDER)
+    if job.data is not None:
+        yield from _real_ct(job.data / CT_FOLDER)
     progress(1.0)
 
 
-def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Measurement]:
+def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Figure]:
     """Measure surfaces of drawn ellipsoids."""
     truth = []
     voxels = []
@@ -61,11 +61,11 @@ def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Measure
     source = f"ellipsoids, {spacing_mm:g} mm"
     pooled_voxel = np.sqrt(np.mean(np.square(rms)))
     closed_pct = 100.0 * np.mean(closed)
-    yield our_measurement("volume_error_max_pct", max(truth), source)
-    yield our_measurement("voxel_volume_error_max_pct", max(voxels), source)
-    yield our_measurement("surface_distance_rms_voxel", pooled_voxel, source)
-    yield our_measurement("surface_distance_max_voxel", max(rms), source)
-    yield our_measurement("watertight_pct", closed_pct, source)
+    yield Figure("volume_error_max_pct", max(truth), source)
+    yield Figure("voxel_volume_error_max_pct", max(voxels), source)
+    yield Figure("surface_distance_rms_voxel", pooled_voxel, source)
+    yield Figure("surface_distance_max_voxel", max(rms), source)
+    yield Figure("watertight_pct", closed_pct, source)
 
 
 def label_ellipsoid(
@@ -97,7 +97,7 @@ def _volume_error(labels: Labels, surface: Surface) -> float:
     return 100.0 * abs(surface.mesh.volume / voxels_m3 - 1.0)
 
 
-def _real_ct(folder: Path) -> Iterator[Measurement]:
+def _real_ct(folder: Path) -> Iterator[Figure]:
     """Measure the surfaces of the CT."""
     scan = read_volume(folder / "ct.nii.gz")
     labels = read_labels(folder / "labels.nii.gz", folder / "labels.json", scan)
@@ -105,13 +105,13 @@ def _real_ct(folder: Path) -> Iterator[Measurement]:
     surfaces = labels.surfaces(judged).values()
     closed = float(100.0 * np.mean([surface.mesh.is_volume for surface in surfaces]))
     worst = max(_volume_error(labels, surface) for surface in surfaces)
-    yield our_measurement("watertight_pct", closed, "CT")
-    yield our_measurement("voxel_volume_error_max_pct", worst, "CT")
+    yield Figure("watertight_pct", closed, "CT")
+    yield Figure("voxel_volume_error_max_pct", worst, "CT")
     triangles = sum(len(surface.triangles) for surface in surfaces)
-    yield our_measurement("triangles", triangles, "CT")
+    yield Figure("triangles", triangles, "CT")
 
 
-def _centroids(rng: np.random.Generator) -> Iterator[Measurement]:
+def _centroids(rng: np.random.Generator) -> Iterator[Figure]:
     """Measure the centroid of a part as every format gives it back."""
     errors: dict[str, list[float]] = {name: [] for name in FORMATS}
     with TemporaryDirectory() as folder:
@@ -126,7 +126,7 @@ def _centroids(rng: np.random.Generator) -> Iterator[Measurement]:
                     1e3 * float(np.abs(labels.centroid_m("part") - truth_m).max())
                 )
     for name, errors_mm in errors.items():
-        yield our_measurement("centroid_error_max_mm", max(errors_mm), name)
+        yield Figure("centroid_error_max_mm", max(errors_mm), name)
 
 
 def oblique_image(

@@ -1,5 +1,5 @@
 """Runs of many jobs.
 
 Reading order: `workers` (who does the jobs), `runs` (what is kept of them, and
-resumed), `intervals` (how well an average is known).
+resumed).
 """

@@ -10,16 +10,12 @@ from functools import partial
 from pathlib import Path
 from time import perf_counter
 
-import msgspec
-
 from benchmarks import ResultsError
 from benchmarks.campaign.workers import DIED, Workers, answers
 from benchmarks.catalogue import run_job
 from benchmarks.jobs import Job, Outcome
-from benchmarks.results import find_commit, read_results, write_results
+from benchmarks.results import find_commit, read_file, write_results
 
-JobProgress = Callable[[int, float], None]
-"""Takes the index of a job and the fraction of it that is done, 0 to 1."""
 MIN_PAUSE_S = 2.0
 PAUSE_RATIO = 50.0
 """Between two writings of the file, and at least so many times as long as one takes: of
@@ -29,7 +25,7 @@ a long campaign it is hundreds of megabytes."""
 def run_jobs(
     jobs: Sequence[Job],
     workers: Workers,
-    on_progress: JobProgress,
+    on_progress: Callable[[int, float], None],
     results: Path | None = None,
     *,
     is_resumed: bool = False,
@@ -39,7 +35,8 @@ def run_jobs(
     Args:
         jobs: Each once.
         workers: Who does them.
-        on_progress: Is called as jobs end, of a serial run also meanwhile.
+        on_progress: Takes the index of a job and the fraction of it that is done, as
+            jobs end, of a serial run also meanwhile.
         results: Where their rows are written while they come, and at the end, or when
             the run is interrupted; each time whole.
         is_resumed: Whether jobs all of whose rows stand there are not done again.
@@ -73,29 +70,17 @@ def run_jobs(
     return [outcomes[index] for index in range(len(jobs))]
 
 
-class _Counts(msgspec.Struct):
-    """What stands in a file of results beside its rows: how many each run has given."""
-
-    runs: dict[str, int] = {}
-
-
-def _counts(path: Path) -> dict[str, int]:
-    """Return how many rows each run has given, as a file states it."""
-    try:
-        return msgspec.json.decode(path.read_bytes(), type=_Counts).runs
-    except msgspec.ValidationError as error:
-        raise ResultsError(f"{path} is not a file of results: {error}") from error
-
-
 def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
     """Return what an interrupted run has left, by the index of the job.
 
     A run that draws, or that has not the number of rows which it gave, is not in it.
     """
-    counts = _counts(path) if path.exists() else {}
+    if not path.exists():
+        return {}
+    earlier_rows, file = read_file(path)
     named = {(job.scenario, job.plant, job.seed): job for job in order}
     rows: dict[Job, list] = {}
-    for row in read_results(path) if path.exists() else ():
+    for row in earlier_rows:
         job = named.get((row.scenario, row.plant, row.seed))
         if job is None:
             raise ResultsError(
@@ -107,7 +92,7 @@ def _earlier(path: Path, order: dict[Job, int]) -> dict[int, Outcome]:
     return {
         order[job]: Outcome(job=job, rows=tuple(run_rows))
         for job, run_rows in rows.items()
-        if job.drawings is None and counts.get(str(job)) == len(run_rows)
+        if job.drawings is None and file.runs.get(str(job)) == len(run_rows)
     }
 
 

@@ -9,21 +9,17 @@ from collections.abc import Iterator, Mapping, Sequence
 
 import numpy as np
 
-from benchmarks.control.loop import STANDOFF_M, Insertion
-from benchmarks.results import Measurement, Source, our_measurement
-from groundtruth.rig_arm import Servo, SimulatedArm
+from benchmarks.control.loop import OPEN_N, SERVOS, STANDOFF_M, Insertion
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, Source
+from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm, Wall
 from needleforce.control import InsertionPlan, SafetyLimits
 
-SERVOS: Mapping[str, Servo] = {"S": "stiff", "I": "impedance"}
 SOURCES: Mapping[str, Source] = {"virtual": "virtual", "F/T": "ft"}
 """In the results, by the sensor of a case."""
 RUPTURE_SPEEDS_MM_S = (2.3, 5.0, 10.0, 20.0)
 BONE_SPEEDS_MM_S = (5.0, 20.0)
-LIMIT_N = 2.0
-OPEN_N = 20.0
-"""Force limit against bone, and one that no tissue here reaches."""
-SIDE_N = 2.0
 LOST = {
     "torques": "tau_Nm",
     "positions": "q_rad",
@@ -31,14 +27,7 @@ LOST = {
     "commands": "command",
 }
 STRUCK_M = 15e-3
-LOST_S = 0.3
-"""Depth, from the tare, at which a side force or a loss begins; and how long a loss
-takes."""
-SIDE_MM_S = 5.0
-AT_REST_M_S = 1e-3
-"""Speed with a push from the side, and the one below which the needle counts as
-stopped: an arm with a soft servo goes on to settle."""
-LAYERS = 3
+"""Depth, from the tare, at which a side force or a loss begins."""
 
 CASES = (
     *(
@@ -53,28 +42,28 @@ CASES = (
 )
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of one run.
 
     The layer at whose end it must stop goes round with the seed.
     """
-    servo, kind, *options = case.split()
+    servo, kind, *options = job.case.split()
     if kind == "rupture":
-        return _rupture(servo, options[0], float(options[1]), plant, seed)
+        return _rupture(servo, options[0], float(options[1]), job.plant, job.seed)
     if kind == "bone":
-        return _bone(servo, float(options[0]), plant, seed)
+        return _bone(servo, float(options[0]), job.plant, job.seed)
     return (
-        _side(servo, plant, seed)
+        _side(servo, job.plant, job.seed)
         if kind == "side"
-        else _lost(servo, options[0], plant, seed)
+        else _lost(servo, options[0], job.plant, job.seed)
     )
 
 
 def _rupture(
     servo: str, sensor: str, mm_s: float, plant: str, seed: int
-) -> Iterator[Measurement]:
+) -> Iterator[Figure]:
     """Insert through layers, and stop after a rupture."""
-    layer = 1 + seed % LAYERS
+    layer = 1 + seed % 3
     rig = SimulatedArm(
         "stack-glove-constant", plant, seed, servo=SERVOS[servo], standoff_m=STANDOFF_M
     )
@@ -91,37 +80,38 @@ def _rupture(
     ]
     surplus = len(ends) - layer
     is_passed = surplus > 0 or not run.ended_s
-    yield our_measurement("stopped_without_rupture", surplus < 0, source)
-    yield our_measurement("rupture_passed_by", is_passed, source)
+    yield Figure("stopped_without_rupture", surplus < 0, source)
+    yield Figure("rupture_passed_by", is_passed, source)
     if surplus == 0 and run.ended_s:
         start = round(1e3 * ends[-1].onset_s)
         depths_m = rig.depths_m[start:]
         travel_mm = 1e3 * float(depths_m.max() - depths_m[0])
         stop_ms = 1e3 * run.ended_s - start
-        yield our_measurement("travel_past_rupture_mm", travel_mm, source)
-        yield our_measurement("stop_after_rupture_ms", stop_ms, source)
+        yield Figure("travel_past_rupture_mm", travel_mm, source)
+        yield Figure("stop_after_rupture_ms", stop_ms, source)
 
 
-def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Measurement]:
+def _bone(servo: str, mm_s: float, plant: str, seed: int) -> Iterator[Figure]:
     """Insert until the needle hits bone."""
     wall = Wall(distance_m=STRUCK_M)
     rig = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
     plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.05)
     deepest_m = 0.0
-    run = Insertion(rig, plan, SafetyLimits(axial_N=LIMIT_N))
+    limit_N = 2.0
+    run = Insertion(rig, plan, SafetyLimits(axial_N=limit_N))
     for _ in run:
         deepest_m = max(deepest_m, wall.penetration_m)
-    over_N = wall.stiffness_N_per_m * deepest_m - LIMIT_N
-    yield our_measurement("bone_force_excess_N", over_N)
+    over_N = wall.stiffness_N_per_m * deepest_m - limit_N
+    yield Figure("bone_force_excess_N", over_N)
 
 
-def _side(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Insert into gel, and push the hub from the side."""
     pushed_s = [np.inf]
     hand = HandOnArm(
-        at="hub", force_N=lambda t_s: (SIDE_N if t_s >= pushed_s[0] else 0.0, 0.0, 0.0)
+        at="hub", force_N=lambda t_s: (2.0 if t_s >= pushed_s[0] else 0.0, 0.0, 0.0)
     )
-    run = _in_gel(servo, plant, seed, SIDE_MM_S, [hand])
+    run = _in_gel(servo, plant, seed, 5.0, [hand])
     moving_s = 0.0
     for situation in run:
         if (
@@ -130,15 +120,17 @@ def _side(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
             and situation.estimate.depth_m > STRUCK_M
         ):
             pushed_s[0] = run.rig.time_s
-        if abs(run.rig.truth.speed_m_s) > AT_REST_M_S:
+        # Below 1 mm/s it counts as stopped: an arm with a soft servo goes on to settle.
+        if abs(run.rig.truth.speed_m_s) > 1e-3:
             moving_s = run.rig.time_s
     stop_ms = 1e3 * (moving_s - pushed_s[0])
-    yield our_measurement("stop_after_side_push_ms", stop_ms)
+    yield Figure("stop_after_side_push_ms", stop_ms)
 
 
-def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Measurement]:
+def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Figure]:
     """Insert into gel, and lose a signal for a while."""
     run = _in_gel(servo, plant, seed, 20.0)
+    lost_s = 0.3
     start = 0
     for situation in run:
         if (
@@ -147,10 +139,10 @@ def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Measurement]
             and situation.estimate.depth_m > STRUCK_M
         ):
             start = round(1e3 * run.rig.time_s)
-            run.rig.lose(LOST[what], LOST_S)
-    depths_m = run.rig.depths_m[start : start + round(1e3 * LOST_S)]
+            run.rig.lose(LOST[what], lost_s)
+    depths_m = run.rig.depths_m[start : start + round(1e3 * lost_s)]
     travel_mm = 1e3 * float(depths_m.max() - depths_m[0])
-    yield our_measurement("travel_in_loss_mm", travel_mm)
+    yield Figure("travel_in_loss_mm", travel_mm)
 
 
 def _in_gel(

@@ -14,14 +14,14 @@ mean nothing without it.
 
 import math
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
 from functools import partial
-from typing import Literal
 
 import numpy as np
 
+from benchmarks.control.loop import SERVOS
 from benchmarks.control.published import solve_published
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, Method
 from foundation.arrays import Array
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
@@ -38,14 +38,10 @@ from needleforce.control.tasks import (
     TipVelocity,
 )
 
-SERVOS: dict[str, Literal["stiff", "impedance"]] = {"S": "stiff", "I": "impedance"}
 MILLI = 1e3
-
 GAIN_per_s = 30.0
-PUSHED_GAIN_per_s = 60.0
 """K of the constraints. Noise of the measured positions passes the loop and grows with
-the root of K; what a push displaces falls with K. A needle in a fixture is held by a
-hand, so it gets more."""
+the root of K; what a push displaces falls with K."""
 SETTLE_s = 0.6
 """Rest before a constraint is set at the mean of what is measured in its second half.
 After 0.3 s joint impedance still moves by 0.01 mm under the 1 N on the tip."""
@@ -54,56 +50,54 @@ RADIUS_m = 0.02
 PERIOD_s = 8.0
 FADE_s = 1.0
 INSERTION_m = 0.1
-INSERTION_m_s = 0.01
-SIDEWAYS_m_s = 0.02
-SIDEWAYS_Hz = 0.5
-STANDOFF_m = 5e-3
-PUSH_s = 0.05
-"""In which a hand's push comes up."""
-TURN_rad = 0.5
-TURN_s = 3.0
+VARIANTS = {
+    "rcm": ("", "_kinematic", "_elbow", "_published"),
+    "fixture": ("", "_pushed", "_kinematic", "_published"),
+    "decoupled": ("", "_kinematic"),
+}
+"""What is different in the cases of a constraint: the arm has a kinematic error, a hand
+pushes, the published recursion solves."""
+CASES = tuple(
+    f"{kind}{variant} {servo}"
+    for kind, variants in VARIANTS.items()
+    for variant in variants
+    for servo in SERVOS
+)
 
 
-@dataclass(kw_only=True)
 class ClosedLoop:
-    """An arm, its controller and the clock of one test.
+    """An arm that has come to rest, and its controller, which knows where that is.
 
-    Attributes:
+    Args:
         servo: One of `SERVOS`.
-        plant: Plant model.
-        seed: Of all that is drawn.
+        job: Plant model and seed.
         scenario: Tissue in front of the needle; None for none.
         contacts: Hands, trocars and walls.
         has_kinematic_error: Whether the joints are not where the model has them.
         solver: What serves the stack of tasks.
-        rig: The arm, and what is true of it.
-        control: The controller.
     """
 
-    servo: str
-    plant: str
-    seed: int
-    scenario: str | None = None
-    contacts: Sequence[Contact] = ()
-    has_kinematic_error: bool = False
-    solver: Solver = hierarchical
-    rig: SimulatedArm = field(init=False)
-    control: Controller = field(init=False)
-
-    def __post_init__(self) -> None:
-        """Let the arm come to rest, and the controller know where that is."""
-        plant_model = PLANT_MODELS[self.plant]
+    def __init__(
+        self,
+        servo: str,
+        job: Job,
+        *,
+        scenario: str | None = None,
+        contacts: Sequence[Contact] = (),
+        has_kinematic_error: bool = False,
+        solver: Solver = hierarchical,
+    ) -> None:
+        plant = PLANT_MODELS[job.plant]
+        self.seed = job.seed
         self.rig = SimulatedArm(
-            self.scenario,
-            with_kinematic_error(plant_model)
-            if self.has_kinematic_error
-            else plant_model,
-            self.seed,
-            servo=SERVOS[self.servo],
-            contacts=self.contacts,
-            standoff_m=STANDOFF_m,
+            scenario,
+            with_kinematic_error(plant) if has_kinematic_error else plant,
+            job.seed,
+            servo=SERVOS[servo],
+            contacts=contacts,
+            standoff_m=5e-3,
         )
-        self.control = Controller(self.rig.robot, Limits(self.rig.robot), self.solver)
+        self.control = Controller(self.rig.robot, Limits(self.rig.robot), solver)
         still = [next(self.rig).q_rad for _ in range(round(SETTLE_s * MILLI))]
         self.control.tool.update(np.mean(still[len(still) // 2 :], axis=0))
 
@@ -172,54 +166,25 @@ def _trocar_and_force(seed: int) -> list[Contact]:
     return [Trocar(behind_tip_m=BEHIND_TIP_m), force]
 
 
-def rcm(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Measure the circle."""
-    error, off = _circle(
-        ClosedLoop(
-            servo=servo, plant=plant, seed=seed, contacts=_trocar_and_force(seed)
-        )
-    )
-    yield our_measurement("rcm_error_max_mm", MILLI * error.max())
-    yield our_measurement("rcm_error_rms_mm", MILLI * _rms(error))
-    yield our_measurement("rcm_tip_error_max_mm", MILLI * off.max())
+def measure_rcm(new: "NewLoop", job: Job, variant: str) -> Iterator[Figure]:
+    """Measure the circle; on the elbow a hand pushes with 30 N.
 
-
-def rcm_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Measure the circle on an arm with kinematic error."""
-    contacts = _trocar_and_force(seed)
-    test = ClosedLoop(
-        servo=servo, plant=plant, seed=seed, contacts=contacts, has_kinematic_error=True
-    )
-    worst = MILLI * _circle(test)[0].max()
-    yield our_measurement("rcm_error_max_mm", worst)
-
-
-def rcm_elbow(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Run the circle while a hand pushes the elbow.
-
-    It pushes with 30 N, which come within 50 ms, for 1 s, every 2 s.
+    They come within 50 ms, for 1 s, every 2 s.
     """
-    side = across(seed + 1)
+    contacts = _trocar_and_force(job.seed)
+    if variant == "_elbow":
+        side = across(job.seed + 1)
 
-    def push(t_s: float) -> Array:
-        phase = (t_s - SETTLE_s - FADE_s) % 2.0 if t_s > SETTLE_s + FADE_s else 0.0
-        return 30.0 * min(phase / PUSH_s, max((1.0 - phase) / PUSH_s, 0.0), 1.0) * side
+        def push(t_s: float) -> Array:
+            phase = (t_s - SETTLE_s - FADE_s) % 2.0 if t_s > SETTLE_s + FADE_s else 0.0
+            return 30.0 * min(phase / 0.05, max((1.0 - phase) / 0.05, 0.0), 1.0) * side
 
-    contacts = [*_trocar_and_force(seed), HandOnArm(at="elbow", force_N=push)]
-    error, _ = _circle(
-        ClosedLoop(servo=servo, plant=plant, seed=seed, contacts=contacts)
-    )
-    yield our_measurement("rcm_error_max_mm", MILLI * error.max())
-
-
-def rcm_published(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Measure the circle by the published recursion."""
-    contacts = _trocar_and_force(seed)
-    test = ClosedLoop(
-        servo=servo, plant=plant, seed=seed, contacts=contacts, solver=solve_published
-    )
-    worst = MILLI * _circle(test)[0].max()
-    yield Measurement("virtual", "published", "rcm_error_max_mm", worst)
+        contacts.append(HandOnArm(at="elbow", force_N=push))
+    error, off = _circle(new(contacts=contacts))
+    yield Figure("rcm_error_max_mm", MILLI * error.max(), method=method_of(variant))
+    if not variant:
+        yield Figure("rcm_error_rms_mm", MILLI * _rms(error))
+        yield Figure("rcm_tip_error_max_mm", MILLI * off.max())
 
 
 def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, float]:
@@ -229,16 +194,18 @@ def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, floa
     true = rig.truth
     line_m = true.tip_m
     axis = true.rotation[:, 2]
-    fixture = Fixture(tool.tip_m, tool.rotation, PUSHED_GAIN_per_s)
+    # A needle in a fixture is held by a hand, so it gets more gain.
+    fixture = Fixture(tool.tip_m, tool.rotation, 60.0)
     inwards = tool.axis
     aside = across(test.seed + 2)
     user = TipVelocity((0.0, 0.0, 0.0))
     posture = Posture(rig.home_rad)
-    seconds = INSERTION_m / INSERTION_m_s
+    speed_m_s = 0.01
+    seconds = INSERTION_m / speed_m_s
 
     def stack(t_s: float) -> Sequence[Task]:
-        speed = INSERTION_m_s * min(t_s / 0.1, (seconds - t_s) / 0.1, 1.0)
-        wish = SIDEWAYS_m_s * math.sin(2.0 * math.pi * SIDEWAYS_Hz * t_s)
+        speed = speed_m_s * min(t_s / 0.1, (seconds - t_s) / 0.1, 1.0)
+        wish = 0.02 * math.sin(2.0 * math.pi * 0.5 * t_s)  # sideways, at 0.5 Hz
         user.rate = speed * inwards + wish * aside
         return (fixture, user, posture) if with_fixture else (user, posture)
 
@@ -248,61 +215,30 @@ def _insertion(test: ClosedLoop, with_fixture: bool = True) -> tuple[Array, floa
     return error, float((rig.truth.tip_m - line_m) @ axis)
 
 
-def fixture(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Measure 100 mm of stack-glove along the fixture, and without it."""
-    new = partial(
-        ClosedLoop, servo=servo, plant=plant, seed=seed, scenario="stack-glove-constant"
-    )
-    error, travel = _insertion(new())
-    yield our_measurement("fixture_error_max_mm", MILLI * error.max())
-    yield our_measurement("fixture_error_rms_mm", MILLI * _rms(error))
-    yield our_measurement("fixture_travel_mm", MILLI * travel)
-    error, _ = _insertion(new(), with_fixture=False)
-    yield our_measurement("no_fixture_error_max_mm", MILLI * error.max())
+def measure_fixture(new: "NewLoop", job: Job, variant: str) -> Iterator[Figure]:
+    """Measure 100 mm of stack-glove along the fixture, and without it.
 
-
-def fixture_pushed(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Measure the fixture while the hub is pushed.
-
-    The hand pushes with 5 N across, on and off every second.
+    A hand on the hub pushes with 5 N across, on and off every second.
     """
-    side = across(seed + 3)
+    side = across(job.seed + 3)
 
     def push(t_s: float) -> Array:
         return (
             5.0 if t_s > SETTLE_s and math.floor(t_s - SETTLE_s) % 2 else 0.0
         ) * side
 
-    hand = HandOnArm(at="hub", force_N=push)
-    scenario = "stack-glove-constant"
-    test = ClosedLoop(
-        servo=servo, plant=plant, seed=seed, scenario=scenario, contacts=[hand]
-    )
-    error, _ = _insertion(test)
-    yield our_measurement("fixture_error_max_mm", MILLI * error.max())
-    yield our_measurement("fixture_error_rms_mm", MILLI * _rms(error))
-
-
-def fixture_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Measure the fixture on an arm with kinematic error."""
-    scenario = "stack-glove-constant"
-    test = ClosedLoop(
-        servo=servo, plant=plant, seed=seed, scenario=scenario, has_kinematic_error=True
-    )
-    worst = MILLI * _insertion(test)[0].max()
-    yield our_measurement("fixture_error_max_mm", worst)
-
-
-def fixture_published(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Measure the published recursion: what remains of the travel, too."""
-    scenario = "stack-glove-constant"
-    test = ClosedLoop(
-        servo=servo, plant=plant, seed=seed, scenario=scenario, solver=solve_published
-    )
-    error, travel = _insertion(test)
-    worst = MILLI * error.max()
-    yield Measurement("virtual", "published", "fixture_error_max_mm", worst)
-    yield Measurement("virtual", "published", "fixture_travel_mm", MILLI * travel)
+    contacts = [HandOnArm(at="hub", force_N=push)] if variant == "_pushed" else []
+    new = partial(new, scenario="stack-glove-constant", contacts=contacts)
+    error, travel = _insertion(new())
+    method = method_of(variant)
+    yield Figure("fixture_error_max_mm", MILLI * error.max(), method=method)
+    if variant in ("", "_pushed"):
+        yield Figure("fixture_error_rms_mm", MILLI * _rms(error))
+    if variant in ("", "_published"):  # what remains of the travel, too
+        yield Figure("fixture_travel_mm", MILLI * travel, method=method)
+    if not variant:
+        error, _ = _insertion(new(), with_fixture=False)
+        yield Figure("no_fixture_error_max_mm", MILLI * error.max())
 
 
 def _turn(test: ClosedLoop) -> float:
@@ -314,31 +250,21 @@ def _turn(test: ClosedLoop) -> float:
     axis = np.random.default_rng([test.seed, 5]).standard_normal(3)
     axis /= np.linalg.norm(axis)
     no_speed = np.zeros(3)
+    turn_rad = 0.5
+    turn_s = 3.0
 
     def stack(t_s: float) -> Sequence[Task]:
-        fraction = min(t_s / TURN_s, 1.0)
-        rate = TURN_rad / TURN_s * 30.0 * (fraction * (1.0 - fraction)) ** 2
+        fraction = min(t_s / turn_s, 1.0)
+        rate = turn_rad / turn_s * 30.0 * (fraction * (1.0 - fraction)) ** 2
         motion.move(tool, no_speed, rate * axis, 1.0 / MILLI)
         return motion, posture
 
     error = test.run(
-        TURN_s + 0.5,
+        turn_s + 0.5,
         stack,
         lambda: float(np.linalg.norm(test.rig.truth.tip_m - start_m)),
     )
-    return error.max() / TURN_rad
-
-
-def decoupled(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Measure the turn about the tip."""
-    test = ClosedLoop(servo=servo, plant=plant, seed=seed)
-    yield our_measurement("turn_tip_error_mm_per_rad", MILLI * _turn(test))
-
-
-def decoupled_kinematic(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Measure the turn about the tip on an arm with kinematic error."""
-    test = ClosedLoop(servo=servo, plant=plant, seed=seed, has_kinematic_error=True)
-    yield our_measurement("turn_tip_error_mm_per_rad", MILLI * _turn(test))
+    return error.max() / turn_rad
 
 
 def _rms(error: Array) -> float:
@@ -346,25 +272,30 @@ def _rms(error: Array) -> float:
     return float(np.sqrt(np.mean(np.square(error))))
 
 
-MEASURES: dict[str, Callable[[str, str, int], Iterator[Measurement]]] = {
-    measure.__name__: measure
-    for measure in (
-        rcm,
-        rcm_kinematic,
-        rcm_elbow,
-        rcm_published,
-        fixture,
-        fixture_pushed,
-        fixture_kinematic,
-        fixture_published,
-        decoupled,
-        decoupled_kinematic,
+def method_of(variant: str) -> Method:
+    """Return whose solver serves the stack of tasks."""
+    return "published" if variant == "_published" else "ours"
+
+
+NewLoop = Callable[..., ClosedLoop]
+"""Makes a loop of a case; it takes scenario and contacts."""
+
+
+def run(job: Job, _: Progress) -> Iterator[Figure]:
+    """Yield the numbers of one case."""
+    name, servo = job.case.split()
+    kind, mark, variant = name.partition("_")
+    variant = mark + variant
+    new = partial(
+        ClosedLoop,
+        servo,
+        job,
+        has_kinematic_error=variant == "_kinematic",
+        solver=solve_published if variant == "_published" else hierarchical,
     )
-}
-CASES = tuple(f"{name} {servo}" for name in MEASURES for servo in SERVOS)
-
-
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
-    """Return the numbers of one case."""
-    name, servo = case.split()
-    return MEASURES[name](servo, plant, seed)
+    if kind == "rcm":
+        yield from measure_rcm(new, job, variant)
+    elif kind == "fixture":
+        yield from measure_fixture(new, job, variant)
+    else:
+        yield Figure("turn_tip_error_mm_per_rad", MILLI * _turn(new()))

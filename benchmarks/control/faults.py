@@ -10,24 +10,21 @@ import math
 from collections.abc import Callable, Iterator, Mapping
 from enum import StrEnum
 from functools import partial
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from benchmarks.control.autonomous import OPEN_N, SERVOS
-from benchmarks.control.loop import STANDOFF_M, Insertion
+from benchmarks.control.loop import OPEN_N, SERVOS, STANDOFF_M, Insertion
 from benchmarks.faults.injection import SHOULDER
-from benchmarks.faults.study import UNKNOWN_KG
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.faults.study import without_part
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.control import InsertionPlan, SafetyLimits, Situation, State
 from needleforce.control.insertion_profile import Step
-from urdf import Payload, Robot, load_lwr
+from urdf import load_lwr
 
 SPEED_M_S = 5e-3
-DEPTH_M = 25e-3
-STRUCK_M = 15e-3
-WATCHED_S = 1.5
 
 SampleChange = Callable[[int, ArmSample, ArmSample], ArmSample]
 """Returns what becomes of sample k of a fault; the last argument is the first one."""
@@ -93,117 +90,67 @@ class Reaction(StrEnum):
     EITHER = "either"
 
 
-class SignalFault(NamedTuple):
-    """What is wrong with samples.
-
-    Attributes:
-        change: What becomes of them.
-        duration_s: For how long.
-        expected: What the needle must do.
-    """
-
-    change: SampleChange
-    duration_s: float
-    expected: Reaction
-
-
-class Loss(NamedTuple):
-    """Samples that do not come.
-
-    Attributes:
-        duration_s: For how long.
-        expected: What the needle must do.
-    """
-
-    duration_s: float
-    expected: Reaction
-
-
 EFFORT_LIMIT_NM = float(load_lwr().effort_limit_Nm[SHOULDER])
-SIGNALS: Mapping[str, SignalFault] = {
-    name: SignalFault(change, duration_s, expected)
-    for name, change, duration_s, expected in (
-        (
-            "one torque NaN, 1 sample",
-            partial(replace_torque, value=math.nan),
-            1e-3,
-            Reaction.GO_ON,
-        ),
-        (
-            "one torque infinite, 100 ms",
-            partial(replace_torque, value=math.inf),
-            0.1,
-            Reaction.STOP,
-        ),
-        (
-            "one torque NaN, 1 s",
-            partial(replace_torque, value=math.nan),
-            1.0,
-            Reaction.STOP,
-        ),
-        ("all signals frozen, 200 ms", freeze, 0.2, Reaction.STOP),
-        ("all signals frozen, 2 s", freeze, 2.0, Reaction.STOP),
-        ("one torque frozen, 2 s", replace_torque, 2.0, Reaction.EITHER),
-        ("clock jitter of 0.2 ms, 1 s", jitter, 1.0, Reaction.GO_ON),
-        ("time stamps repeated, 1 s", repeat_stamp, 1.0, Reaction.GO_ON),
-        ("clock 20 ms back and forth", turn_clock_back, 2e-3, Reaction.GO_ON),
-        ("clock set back by an hour", set_clock_back, 1e-3, Reaction.GO_ON),
-        (
-            "position spike of 0.05 rad",
-            partial(add_spike, q_rad=0.05),
-            1e-3,
-            Reaction.GO_ON,
-        ),
-        (
-            "torque spike of 30 Nm",
-            partial(add_spike, tau_Nm=30.0),
-            1e-3,
-            Reaction.GO_ON,
-        ),
-        (
-            "ten torque spikes of 6 Nm, 1 s",
-            partial(add_spike, tau_Nm=6.0),
-            1.0,
-            Reaction.GO_ON,
-        ),
-        (
-            "one torque saturated, 500 ms",
-            partial(replace_torque, value=-EFFORT_LIMIT_NM),
-            0.5,
-            Reaction.STOP,
-        ),
-    )
+SIGNALS: Mapping[str, tuple[SampleChange, float, Reaction]] = {
+    "one torque NaN, 1 sample": (
+        partial(replace_torque, value=math.nan),
+        1e-3,
+        Reaction.GO_ON,
+    ),
+    "one torque infinite, 100 ms": (
+        partial(replace_torque, value=math.inf),
+        0.1,
+        Reaction.STOP,
+    ),
+    "one torque NaN, 1 s": (
+        partial(replace_torque, value=math.nan),
+        1.0,
+        Reaction.STOP,
+    ),
+    "all signals frozen, 200 ms": (freeze, 0.2, Reaction.STOP),
+    "all signals frozen, 2 s": (freeze, 2.0, Reaction.STOP),
+    "one torque frozen, 2 s": (replace_torque, 2.0, Reaction.EITHER),
+    "clock jitter of 0.2 ms, 1 s": (jitter, 1.0, Reaction.GO_ON),
+    "time stamps repeated, 1 s": (repeat_stamp, 1.0, Reaction.GO_ON),
+    "clock 20 ms back and forth": (turn_clock_back, 2e-3, Reaction.GO_ON),
+    "clock set back by an hour": (set_clock_back, 1e-3, Reaction.GO_ON),
+    "position spike of 0.05 rad": (
+        partial(add_spike, q_rad=0.05),
+        1e-3,
+        Reaction.GO_ON,
+    ),
+    "torque spike of 30 Nm": (partial(add_spike, tau_Nm=30.0), 1e-3, Reaction.GO_ON),
+    "ten torque spikes of 6 Nm, 1 s": (
+        partial(add_spike, tau_Nm=6.0),
+        1.0,
+        Reaction.GO_ON,
+    ),
+    "one torque saturated, 500 ms": (
+        partial(replace_torque, value=-EFFORT_LIMIT_NM),
+        0.5,
+        Reaction.STOP,
+    ),
 }
-"""Faults of signals by name."""
-LOSSES: Mapping[str, Loss] = {
-    "1 ms lost": Loss(1e-3, Reaction.GO_ON),
-    "10 ms lost": Loss(0.01, Reaction.GO_ON),
-    "100 ms lost": Loss(0.1, Reaction.STOP),
-    "500 ms lost": Loss(0.5, Reaction.STOP),
+"""What becomes of samples, for how long [s], and what the needle must do."""
+LOSSES: Mapping[str, tuple[float, Reaction]] = {
+    "1 ms lost": (1e-3, Reaction.GO_ON),
+    "10 ms lost": (0.01, Reaction.GO_ON),
+    "100 ms lost": (0.1, Reaction.STOP),
+    "500 ms lost": (0.5, Reaction.STOP),
 }
-"""Losses of samples by name."""
+"""For how long samples do not come [s], and what the needle must do."""
 REFUSED = "commands refused, 500 ms"
-REFUSED_S = 0.5
 DEVICE_GONE = "haptic device gone"
-WRONG_PAYLOAD = f"payload {1e3 * UNKNOWN_KG:g} g wrong"
-OTHERS: Mapping[str, Reaction] = {
+WRONG_PAYLOAD = "payload 100 g wrong"
+EXPECTED: Mapping[str, Reaction] = {
+    **{name: reaction for name, (_, _, reaction) in SIGNALS.items()},
+    **{name: reaction for name, (_, reaction) in LOSSES.items()},
     REFUSED: Reaction.STOP,
     DEVICE_GONE: Reaction.STOP,
     WRONG_PAYLOAD: Reaction.EITHER,
 }
 """What the needle must do, by the name of the fault."""
-CASES = tuple(
-    f"{servo} {fault}" for servo in SERVOS for fault in (*SIGNALS, *LOSSES, *OTHERS)
-)
-
-
-def expected_reaction(fault: str) -> Reaction:
-    """Return what the needle must do after a fault."""
-    if fault in SIGNALS:
-        return SIGNALS[fault].expected
-    if fault in LOSSES:
-        return LOSSES[fault].expected
-    return OTHERS[fault]
+CASES = tuple(f"{servo} {fault}" for servo in SERVOS for fault in EXPECTED)
 
 
 class Led(Insertion):
@@ -218,85 +165,65 @@ class Led(Insertion):
         return super()._step(situation, *beside)
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of one fault."""
-    servo, fault = case.split(" ", 1)
+    servo, fault = job.case.split(" ", 1)
     rig = SimulatedArm(
         "gel-70-constant",
-        plant,
-        seed,
+        job.plant,
+        job.seed,
         servo=SERVOS[servo],
         standoff_m=STANDOFF_M,
         duration_s=15.0,
     )
     kind = Led if fault == DEVICE_GONE else Insertion
-    run = kind(
+    robot = rig.robot
+    insertion = kind(
         rig,
-        InsertionPlan(speed_m_s=SPEED_M_S, depth_m=DEPTH_M),
+        InsertionPlan(speed_m_s=SPEED_M_S, depth_m=25e-3),
         SafetyLimits(axial_N=OPEN_N),
-        known=lighter(rig.robot) if fault == WRONG_PAYLOAD else rig.robot,
+        known=without_part(robot) if fault == WRONG_PAYLOAD else robot,
     )
-    run.has_device = kind is Led
-    reaction = watch(run, fault)
-    expected = expected_reaction(fault)
-    has_stopped = bool(reaction.reason)
-    is_wrong = expected is not Reaction.EITHER and has_stopped != (
-        expected is Reaction.STOP
-    )
-    yield our_measurement("fault_reaction_wrong", is_wrong)
-    yield our_measurement("fault_speed_max_mm_per_s", reaction.fastest_mm_s)
-    if math.isfinite(reaction.struck_s):
-        depth_m = rig.depths_m[round(1e3 * reaction.struck_s) :]
-        must_rest = expected is Reaction.STOP
-        course_m = 0.0 if must_rest else SPEED_M_S * 1e-3 * np.arange(len(depth_m))
-        ahead_mm = 1e3 * float(np.max(depth_m - depth_m[0] - course_m))
-        yield our_measurement("fault_travel_excess_mm", ahead_mm)
-
-
-class Watched(NamedTuple):
-    """What an insertion did after a fault.
-
-    Attributes:
-        struck_s: When the fault began, on the rig's clock; infinite if it did not.
-        fastest_mm_s: Fastest speed of the tip since.
-        reason: Of a stop; empty without one.
-    """
-
-    struck_s: float
-    fastest_mm_s: float
-    reason: str
-
-
-def watch(run: Insertion, fault: str) -> Watched:
-    """Run an insertion through a fault."""
+    insertion.has_device = kind is Led
     struck_s = math.inf
     fastest_m_s = 0.0
-    reason = ""
-    for situation in run:
+    has_stopped = False
+    for situation in insertion:
         is_inside = situation.state in (State.INSERTION, State.TELEOP)
-        depth_m = situation.estimate.depth_m
-        if math.isinf(struck_s) and is_inside and depth_m > STRUCK_M:
-            struck_s = run.rig.time_s
-            begin_fault(run, fault)
-        if run.rig.time_s > struck_s:
-            fastest_m_s = max(fastest_m_s, abs(run.rig.truth.speed_m_s))
+        is_deep = situation.estimate.depth_m > 15e-3
+        if math.isinf(struck_s) and is_inside and is_deep:
+            struck_s = rig.time_s
+            begin_fault(insertion, fault)
+        if rig.time_s > struck_s:
+            fastest_m_s = max(fastest_m_s, abs(rig.truth.speed_m_s))
         if situation.state in (State.STOPPED, State.FAULTED):
-            reason = situation.reason
-        if run.rig.time_s > struck_s + WATCHED_S:
+            has_stopped = bool(situation.reason)
+        if rig.time_s > struck_s + 1.5:
             break
-    return Watched(struck_s, 1e3 * fastest_m_s, reason)
+    expected = EXPECTED[fault]
+    must_rest = expected is Reaction.STOP
+    is_wrong = expected is not Reaction.EITHER and has_stopped != must_rest
+    yield Figure("fault_reaction_wrong", is_wrong)
+    yield Figure("fault_speed_max_mm_per_s", 1e3 * fastest_m_s)
+    if math.isfinite(struck_s):
+        depth_m = rig.depths_m[round(1e3 * struck_s) :]
+        course_m = 0.0 if must_rest else SPEED_M_S * 1e-3 * np.arange(len(depth_m))
+        ahead_mm = 1e3 * float(np.max(depth_m - depth_m[0] - course_m))
+        yield Figure("fault_travel_excess_mm", ahead_mm)
 
 
-def begin_fault(run: Insertion, fault: str) -> None:
+def begin_fault(insertion: Insertion, fault: str) -> None:
     """Let a fault begin."""
+    rig = insertion.rig
     if fault in SIGNALS:
-        run.rig.inject(ChangedSamples(SIGNALS[fault].change), SIGNALS[fault].duration_s)
+        change, duration_s, _ = SIGNALS[fault]
+        rig.inject(ChangedSamples(change), duration_s)
     elif fault in LOSSES:
-        run.rig.lose("sample", LOSSES[fault].duration_s)
+        rig.lose("sample", LOSSES[fault][0])
     elif fault == REFUSED:
-        run.rig.refuse_commands(REFUSED_S)
+        rig.refuse_commands(0.5)
     elif fault == DEVICE_GONE:
-        run.has_device = False
+        insertion.has_device = False
 
 
 class ChangedSamples:
@@ -312,15 +239,3 @@ class ChangedSamples:
         self._before = self._before or sample
         self._count = self._count + 1
         return self._change(self._count, sample, self._before)
-
-
-def lighter(robot: Robot) -> Robot:
-    """Return the robot with a payload that lacks `UNKNOWN_KG`."""
-    known = robot.payload
-    assert known is not None
-    fraction = 1.0 - UNKNOWN_KG / known.mass_kg
-    inertia = fraction * known.inertia_kg_m2
-    mass_kg = fraction * known.mass_kg
-    return robot.with_payload(
-        Payload(mass_kg=mass_kg, com_m=known.com_m, inertia_kg_m2=inertia)
-    )

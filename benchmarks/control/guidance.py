@@ -15,8 +15,10 @@ from typing import Literal
 
 import numpy as np
 
+from benchmarks.control.loop import SERVOS
 from benchmarks.insertion.methods import on_lwr
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm
@@ -36,20 +38,10 @@ CASES = (
     *(f"{what} {servo}" for what in ("drift", "force", "tissue") for servo in "SI"),
     *(f"stable {servo} {at}" for servo in "SI" for at in ("hub", "wrist", "elbow")),
 )
-SERVOS: dict[str, Literal["stiff", "impedance"]] = {"S": "stiff", "I": "impedance"}
 STIFFEST_N_per_m = {"S": 2000.0, "I": 1000.0}
-STROKE_m = 0.06
 STROKE_s = 4.0
-SPEED_m_s = 0.1
 HAND_N_per_m = 500.0
-DEEP_m = 0.04
-SIDE_N = 10.0
-REST_s = 0.5
-"""From so long on the hand rests. An arm further from it than it has pulled, 20 mm, has
-run away; it may then stand still because the sensor takes nothing in, so its swing
-alone says nothing."""
 DRIFT_s = 60.0
-FOR_GUIDANCE = replace(DEFAULT, smooth_momentum=False)
 
 
 class GuidedArm:
@@ -80,7 +72,8 @@ class GuidedArm:
             duration_s=self.begin_s + DRIFT_s + 1.0,
         )
         self.control = Controller(self.rig.robot, Limits(self.rig.robot))
-        self.sensor = VirtualForceSensor(self.rig.robot, on_lwr(FOR_GUIDANCE))
+        for_guidance = replace(DEFAULT, smooth_momentum=False)
+        self.sensor = VirtualForceSensor(self.rig.robot, on_lwr(for_guidance))
         self._above: list[Task] = []
         self._prepare(scenario is not None)
 
@@ -97,10 +90,10 @@ class GuidedArm:
             speed_m_s = 0.0
             if time_s < STROKE_s:
                 turn = 2.0 * math.pi * time_s / STROKE_s
-                speed_m_s = -math.pi * STROKE_m / STROKE_s * math.sin(turn)
+                speed_m_s = -math.pi * 0.06 / STROKE_s * math.sin(turn)
             elif not self.sensor.tared and time_s > STROKE_s + 0.1:
                 self.sensor.tare()
-            elif is_inserted and rig.truth.depth_m < DEEP_m:
+            elif is_inserted and rig.truth.depth_m < 0.04:
                 speed_m_s = 0.01
             stack = [line, AxialSpeed(speed_m_s), home]
             rig.send(control.update(sample, stack).dq_rad_s)
@@ -128,13 +121,13 @@ class GuidedArm:
                 return
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of one case."""
-    kind, servo, *at = case.split()
+    kind, servo, *at = job.case.split()
     run = {"drift": _drift, "force": _force, "tissue": _tissue, "stable": _stability}[
         kind
     ]
-    yield from run(servo, plant, seed, *at)
+    yield from run(servo, job.plant, job.seed, *at)
 
 
 def _across(seed: int) -> Array:
@@ -143,7 +136,7 @@ def _across(seed: int) -> Array:
     return np.array((math.cos(angle), math.sin(angle), 0.0))
 
 
-def _drift(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def _drift(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Guide without a hand."""
     arm = GuidedArm(servo, plant, seed)
     # The command that ended the stroke is braked first.
@@ -152,10 +145,10 @@ def _drift(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
         for now_s in arm.run(DRIFT_s)
         if now_s > 0.1
     )
-    yield our_measurement("idle_command_max_rad_per_s", fastest_rad_s)
+    yield Figure("idle_command_max_rad_per_s", fastest_rad_s)
 
 
-def _force(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def _force(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Pull slowly until the tip moves, and at 100 mm/s, across the needle."""
     across = _across(seed)
     arm = GuidedArm(servo, plant, seed)
@@ -163,23 +156,21 @@ def _force(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     arm.hand.force_N = lambda time_s: max(time_s - begin_s, 0.0) * across
     # What was left of the stroke's speed is gone by then.
     yields = (t for t in arm.run(5.0) if t > 0.1 and arm.control.last_rad_s.any())
-    yield our_measurement("breakaway_force_N", next(yields, math.nan))
+    yield Figure("breakaway_force_N", next(yields, math.nan))
     for stiffness in (HAND_N_per_m, STIFFEST_N_per_m[servo]):
         arm = GuidedArm(servo, plant, seed)
         arm.hand.stiffness_N_per_m = stiffness
-        arm.hand.path_m = lambda time_s: (
-            SPEED_m_s * max(time_s - begin_s - 0.1, 0.0) * across
-        )
+        arm.hand.path_m = lambda time_s: 0.1 * max(time_s - begin_s - 0.1, 0.0) * across
         led = np.array([arm.hand.applied_N for now_s in arm.run(1.4) if now_s > 0.6])
         if stiffness == HAND_N_per_m:
             mean_N = float(np.linalg.norm(led, axis=1).mean())
-            yield our_measurement("leading_force_N", mean_N)
+            yield Figure("leading_force_N", mean_N)
         else:
             swing_N = float(np.sqrt(led.var(axis=0).sum()))
-            yield our_measurement("leading_force_swing_rms_N", swing_N)
+            yield Figure("leading_force_swing_rms_N", swing_N)
 
 
-def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Measurement]:
+def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Figure]:
     """Let a stiff hand pull aside along each axis and rest."""
     worst_m = furthest_m = 0.0
     stiffness = STIFFEST_N_per_m[servo]
@@ -190,16 +181,19 @@ def _stability(servo: str, plant: str, seed: int, at: Place) -> Iterator[Measure
         arm.hand.path_m = lambda time_s, way=direction, begin_s=begin_s: (
             0.02 * min(max(time_s - begin_s, 0.0) / 0.4, 1.0) * way
         )
+        # After half a second the hand rests. An arm further from it than it has pulled,
+        # 20 mm, has run away; it may then stand still because the sensor takes nothing
+        # in, so its swing alone says nothing.
         stretch = np.array(
-            [arm.hand.stretch_m for now_s in arm.run(2.5) if now_s > REST_s]
+            [arm.hand.stretch_m for now_s in arm.run(2.5) if now_s > 0.5]
         )
         furthest_m = max(furthest_m, float(np.linalg.norm(stretch, axis=1).max()))
         worst_m = max(worst_m, float(np.ptp(stretch[-500:], axis=0).max()))
-    yield our_measurement("hand_swing_mm", 1e3 * worst_m)
-    yield our_measurement("hand_distance_max_mm", 1e3 * furthest_m)
+    yield Figure("hand_swing_mm", 1e3 * worst_m)
+    yield Figure("hand_distance_max_mm", 1e3 * furthest_m)
 
 
-def _tissue(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
+def _tissue(servo: str, plant: str, seed: int) -> Iterator[Figure]:
     """Push the hub across while the needle is in tissue."""
     across = _across(seed)
     arm = GuidedArm(servo, plant, seed, scenario="stack-glove-constant")
@@ -207,7 +201,7 @@ def _tissue(servo: str, plant: str, seed: int) -> Iterator[Measurement]:
     begin_s = arm.begin_s
     entry_m = truth.tip_m - truth.depth_m * truth.rotation[:, 2]
     arm.hand.force_N = lambda time_s: (
-        SIDE_N * min(max(time_s - begin_s, 0.0) / 0.2, 1.0) * across
+        10.0 * min(max(time_s - begin_s, 0.0) / 0.2, 1.0) * across
     )
     worst_m = max(arm.rig.distance_to_axis_m(entry_m) for _ in arm.run(2.0))
-    yield our_measurement("entry_deviation_max_mm", 1e3 * worst_m)
+    yield Figure("entry_deviation_max_mm", 1e3 * worst_m)

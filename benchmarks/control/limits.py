@@ -10,7 +10,7 @@ of `ARM_LIMITS`, errors those of true positions.
 
 import math
 from collections import deque
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from time import thread_time_ns
 from typing import NamedTuple
@@ -18,11 +18,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth.rig_arm import ArmSample
 from groundtruth.rig_contacts import distance_to_axis_m
-from needleforce.control.arm_limits import ARM_LIMITS, ArmLimits
 from needleforce.control.controller import Controller
 from needleforce.control.joint_limits import Limits
 from needleforce.control.tasks import (
@@ -31,31 +31,14 @@ from needleforce.control.tasks import (
     TipVelocity,
     ToolState,
 )
+from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from urdf import NeedleTool, Robot, load_example, load_lwr
 
 DURATION_s = 60.0
 """Of a run."""
 DEPTH_m = 0.01
 """Of the tip past the entry."""
-TILT_rad = math.radians(20.0)
-"""Half the angle of the cone."""
-TILT_s = 2.0
-"""Time of the tilt."""
-QUICK_TILT_s = 0.5
-"""The same where *quick*."""
-PERIOD_s = 8.0
-"""Of once round the cone."""
-TIP_GAIN_per_s = 10.0
-NOISE_rad = 1e-5
-LOST = 0.01
-"""Fraction of the cycles that are lost."""
-ROUNDING = 1e-6
-"""A limit is passed by more than this part of it: differences of doubles round."""
-MIN_TIMED = 10
-"""Fewest ticks at a limit, and away from one, for which the ratio of their times is
-reported: the first tick is slow."""
 MILLI = 1e3
-US_PER_NS = 1e-3
 
 
 class Arm(NamedTuple):
@@ -106,49 +89,21 @@ ARMS = {
 }
 
 
-class ConeCase(NamedTuple):
-    """One minute of motion: which arm, which delay, which tilt.
-
-    Attributes:
-        arm: A name of `ARMS`.
-        delay_ms: From command to motion.
-        is_quick: Whether the needle tilts in `QUICK_TILT_s`.
-        is_known: Whether the controller knows the delay.
-    """
-
-    arm: str
-    delay_ms: int = 0
-    is_quick: bool = False
-    is_known: bool = False
-
-    @property
-    def name(self) -> str:
-        """As results name it."""
-        quick = " quick" if self.is_quick else ""
-        known = " known" if self.is_known else ""
-        return f"{self.arm} {self.delay_ms}ms{quick}{known}"
-
-    @property
-    def tilt_s(self) -> float:
-        """Time of the tilt."""
-        return QUICK_TILT_s if self.is_quick else TILT_s
-
-
 LATE_ms = 10
 """A delay as networks and soft servos have it."""
-
-
-def _list_cases() -> Iterator[ConeCase]:
-    """Yield every case."""
-    for arm in ARMS:
-        for delay_ms in (0, LATE_ms):
-            for is_quick in (False, True):
-                yield ConeCase(arm, delay_ms, is_quick)
-        yield ConeCase(arm, LATE_ms, is_quick=True, is_known=True)
-
-
-_CASES = {case.name: case for case in _list_cases()}
-CASES = tuple(_CASES)
+CASES = tuple(
+    f"{arm} {rest}"
+    for arm in ARMS
+    for rest in (
+        "0ms",
+        "0ms quick",
+        f"{LATE_ms}ms",
+        f"{LATE_ms}ms quick",
+        f"{LATE_ms}ms quick known",
+    )
+)
+"""The arm, the delay from command to motion, whether the needle tilts quickly, whether
+the controller knows the delay."""
 
 
 @dataclass(frozen=True)
@@ -187,14 +142,14 @@ class Cone:
     def __init__(self, tool: ToolState, posture_rad: Array) -> None:
         self._axes = tool.rotation
         self.entry_m = tool.tip_m - DEPTH_m * tool.axis
-        self._tip = TipVelocity((0.0, 0.0, 0.0), tool.tip_m, TIP_GAIN_per_s)
+        self._tip = TipVelocity((0.0, 0.0, 0.0), tool.tip_m, 10.0)
         self.tasks = (RemoteCentre(self.entry_m), self._tip, Posture(posture_rad))
 
     def move_goal(self, t_s: float, tilt_s: float) -> None:
         """Set the goal of the tip at a time, with the time of the tilt."""
         grown = min(t_s / tilt_s, 1.0)
-        tilt_rad = TILT_rad * grown**2 * (3.0 - 2.0 * grown)
-        angle_rad = 2.0 * math.pi * t_s / PERIOD_s
+        tilt_rad = math.radians(20.0) * grown**2 * (3.0 - 2.0 * grown)
+        angle_rad = 2.0 * math.pi * t_s / 8.0  # once round in 8 s
         across = math.sin(tilt_rad)
         direction = np.array(
             (
@@ -206,14 +161,25 @@ class Cone:
         self._tip.goal_m = self.entry_m + DEPTH_m * self._axes @ direction
 
 
-def run_cone(case: ConeCase, rng: np.random.Generator) -> ConeRun:
-    """Move an arm onto the cone, and round it for `DURATION_s`."""
-    arm = ARMS[case.arm]
+def run_cone(
+    name: str, delay_ms: int, words: Sequence[str], rng: np.random.Generator
+) -> ConeRun:
+    """Move an arm onto the cone, and round it for `DURATION_s`.
+
+    Args:
+        name: A name of `ARMS`.
+        delay_ms: From command to motion.
+        words: ``quick``: the needle tilts in half a second instead of two; ``known``:
+            the controller knows the delay.
+        rng: Draws noise and losses.
+    """
+    arm = ARMS[name]
     robot = arm.load()
-    cycle_s = ARM_LIMITS[case.arm].cycle_s
-    delay_s = case.delay_ms / MILLI
-    limits = Limits.of_arm(robot, case.arm)
-    control = Controller(robot, limits, delay_s=delay_s if case.is_known else None)
+    cycle_s = ARM_LIMITS[name].cycle_s
+    tilt_s = 0.5 if "quick" in words else 2.0
+    delay_s = delay_ms / MILLI
+    limits = Limits.of_arm(robot, name)
+    control = Controller(robot, limits, delay_s=delay_s if "known" in words else None)
     truth = ToolState(robot)
     q_rad = np.array(arm.posture_rad)
     truth.update(q_rad)
@@ -227,14 +193,14 @@ def run_cone(case: ConeCase, rng: np.random.Generator) -> ConeRun:
     taken_us = list[float]()
     limited = list[bool]()
     for cycle in range(round(DURATION_s / cycle_s)):
-        cone.move_goal(cycle * cycle_s, case.tilt_s)
+        cone.move_goal(cycle * cycle_s, tilt_s)
         since_s += cycle_s
-        if rng.random() >= LOST:
-            measured_rad = q_rad + NOISE_rad * rng.standard_normal(robot.nv)
+        if rng.random() >= 0.01:  # else the cycle is lost
+            measured_rad = q_rad + 1e-5 * rng.standard_normal(robot.nv)
             sample = ArmSample(since_s, measured_rad, None, np.zeros(robot.nv))
             begin_ns = thread_time_ns()
             command = control.update(sample, cone.tasks)
-            taken_us.append((thread_time_ns() - begin_ns) * US_PER_NS)
+            taken_us.append(1e-3 * (thread_time_ns() - begin_ns))
             limited.append(command.is_limited)
             command_rad_s = command.dq_rad_s
             since_s = 0.0
@@ -265,8 +231,9 @@ def count_excess(run: ConeRun, preset: ArmLimits) -> dict[str, int]:
         "acceleration": np.abs(accelerations) / preset.acceleration_rad_s2,
         "jerk": np.abs(jerks) / preset.jerk_rad_s3,
     }
+    # Passed by more than a millionth: differences of doubles round.
     counts = {
-        name: int((ratio > 1.0 + ROUNDING).any(axis=1).sum())
+        name: int((ratio > 1.0 + 1e-6).any(axis=1).sum())
         for name, ratio in ratios.items()
     }
     is_below = run.positions_rad < run.robot.position_lower_rad
@@ -275,17 +242,18 @@ def count_excess(run: ConeRun, preset: ArmLimits) -> dict[str, int]:
     return counts
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of an arm at a delay; no plant plays a part."""
-    del plant
-    cone_case = _CASES[case]
-    run = run_cone(cone_case, np.random.default_rng(seed))
-    for limit, count in count_excess(run, ARM_LIMITS[cone_case.arm]).items():
-        yield our_measurement(f"ticks_above_{limit}_limit", count)
-    yield our_measurement("rcm_error_max_mm", MILLI * run.errors_m.max())
-    yield our_measurement("rcm_error_rms_mm", MILLI * np.sqrt(np.mean(run.errors_m**2)))
-    yield our_measurement("ticks_at_limit", run.is_limited.sum())
-    if MIN_TIMED <= run.is_limited.sum() <= run.is_limited.size - MIN_TIMED:
+    arm, delay, *words = job.case.split()
+    delay_ms = int(delay.removesuffix("ms"))
+    run = run_cone(arm, delay_ms, words, np.random.default_rng(job.seed))
+    for limit, count in count_excess(run, ARM_LIMITS[arm]).items():
+        yield Figure(f"ticks_above_{limit}_limit", count)
+    yield Figure("rcm_error_max_mm", MILLI * run.errors_m.max())
+    yield Figure("rcm_error_rms_mm", MILLI * np.sqrt(np.mean(run.errors_m**2)))
+    yield Figure("ticks_at_limit", run.is_limited.sum())
+    # The first tick is slow: ten at a limit, and away from one, are needed.
+    if 10 <= run.is_limited.sum() <= run.is_limited.size - 10:
         limited_us = np.median(run.taken_us[run.is_limited])
         ratio = limited_us / np.median(run.taken_us[~run.is_limited])
-        yield our_measurement("tick_ratio_at_limit", ratio)
+        yield Figure("tick_ratio_at_limit", ratio)

@@ -3,13 +3,13 @@
 Rig, manager, program and controller take turns.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from typing import Any
 
 import numpy as np
 
 from benchmarks.insertion.methods import on_lwr
-from groundtruth.rig_arm import SimulatedArm
+from groundtruth.rig_arm import Servo, SimulatedArm
 from identification import Estimate, Identifier, SampleStatus
 from needleforce import InsertionSession
 from needleforce.control import (
@@ -30,13 +30,12 @@ from needleforce.control.insertion_profile import Step
 from residual import DEFAULT, Status
 from urdf import Robot
 
+SERVOS: Mapping[str, Servo] = {"S": "stiff", "I": "impedance"}
+"""Inner loops, by their letter in the names of cases."""
 STANDOFF_M = 5e-3
 """Height of the tip above the tissue where it is tared."""
-GAIN_PER_S = 20.0
-"""Of the fixture: with a higher one, positions rounded to 1.75e-4 rad shake the
-needle."""
-REST_S = 0.15
-"""After the end of an insertion; the arm has come to rest by then."""
+OPEN_N = 20.0
+"""A force limit that no tissue here reaches."""
 
 
 class Insertion:
@@ -49,7 +48,8 @@ class Insertion:
         with_ft: Take the rig's F/T sensor for force and identification, zeroed over the
             tare stroke, over which the needle's weight and inertia do not show.
         known: The robot as the session is to know it, if not as it is.
-        rest_s: Time after the end of the insertion for which it goes on.
+        rest_s: Time after the end of the insertion for which it goes on; the arm has
+            come to rest after 0.15 s.
 
     Attributes:
         manager: Of the run.
@@ -65,7 +65,7 @@ class Insertion:
         *,
         with_ft: bool = False,
         known: Robot | None = None,
-        rest_s: float = REST_S,
+        rest_s: float = 0.15,
     ) -> None:
         session = InsertionSession(
             rig.robot if known is None else known, on_lwr(DEFAULT)
@@ -89,7 +89,8 @@ class Insertion:
         beside = Beside()
         control = Controller(rig.robot, Limits(rig.robot))
         control.tool.update(rig.home_rad)
-        line = Fixture.here(control.tool, GAIN_PER_S)
+        # With a higher gain, positions rounded to 1.75e-4 rad shake the needle.
+        line = Fixture.here(control.tool, 20.0)
         posture = Posture(rig.home_rad)
         was_inside = False
         dq_rad_s = np.zeros(rig.robot.nv)

@@ -9,7 +9,6 @@ numbers that are none; an ideal arm integrates what was commanded before.
 """
 
 from collections.abc import Iterator, Sequence
-from typing import NamedTuple
 
 import numpy as np
 import pink  # pyright: ignore[reportMissingImports]
@@ -18,7 +17,8 @@ from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
 from scipy.optimize import nnls
 
 from benchmarks.control.published import solve_published
-from benchmarks.results import Measurement, Method, our_measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, Method
 from foundation.arrays import Array
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
@@ -50,17 +50,14 @@ TICKS = 50_000
 """Of one seed: with 20 seeds 1e5 stacks and 1e6 ticks."""
 POSTURES = ("regular", "singular")
 """Kinds of drawn postures, in this order; the second is within 0.01 rad of one."""
-SINGULAR_JOINTS = (1, 3, 5)
-"""Near zero the LWR is stretched, or two of its axes are one."""
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of one case and seed; no plant plays a part."""
-    del plant
-    rng = np.random.default_rng(seed)
+    rng = np.random.default_rng(job.seed)
     robot = load_lwr(payload=NeedleTool())
     measures = {"leak": leaks, "cascade": cascades, "hostile": hostile_ticks}
-    return measures[case](robot, rng)
+    return measures[job.case](robot, rng)
 
 
 class RandomStacks:
@@ -78,7 +75,8 @@ class RandomStacks:
         joints = self.limits.joints
         q = rng.uniform(joints.position_lower_rad, joints.position_upper_rad)
         if is_singular:
-            joint = rng.choice(SINGULAR_JOINTS)
+            # Near zero the LWR is stretched, or two of its axes are one.
+            joint = rng.choice((1, 3, 5))
             q[joint] = rng.choice((-1.0, 1.0)) * 10.0 ** rng.uniform(-9.0, -2.0)
         return q
 
@@ -129,7 +127,7 @@ def solved(
     return stack, solve(stack)[0]
 
 
-def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
+def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """Yield how far lower tasks move what higher ones get."""
     solvers: dict[Method, Solver] = {"ours": hierarchical, "published": solve_published}
     for method, solver in solvers.items():
@@ -146,7 +144,7 @@ def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
                 )
                 worst[is_singular] = max(worst[is_singular], leak)
         for posture, leak in zip(POSTURES, worst, strict=True):
-            yield Measurement("virtual", method, f"task_leak_{posture}_rad_per_s", leak)
+            yield Figure(f"task_leak_{posture}_rad_per_s", leak, method=method)
 
 
 class Rows(PinkTask):
@@ -170,7 +168,7 @@ class Rows(PinkTask):
         return self.jacobian
 
 
-def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
+def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """Yield how much better each level could be within what is left to it.
 
     Each is judged where it ends. The levels below keep what it has got, see `leaks`,
@@ -188,61 +186,58 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
         configuration = pink.Configuration(
             robot.model, robot.create_data(), stacks.tool.q_rad
         )
-        for gain in level_gains(stack, velocity, configuration):
-            if gain.by_qp is None:
+        for by_qp, at_most in level_gains(stack, velocity, configuration):
+            if by_qp is None:
                 unsolved += 1
             else:
-                gains[kind] = max(gains[kind], gain.by_qp)
-            bounds[kind] = max(bounds[kind], gain.at_most)
+                gains[kind] = max(gains[kind], by_qp)
+            bounds[kind] = max(bounds[kind], at_most)
     for kind, posture in enumerate(POSTURES):
-        yield our_measurement(f"cascade_gain_{posture}_rad_per_s", gains[kind])
-        yield our_measurement(f"duality_gain_{posture}_rad_per_s", bounds[kind])
-    yield our_measurement("cascade_levels_unsolved", unsolved)
-
-
-class LevelGain(NamedTuple):
-    """By how much the norm of what a level misses can fall.
-
-    Attributes:
-        by_qp: By a QP of its own; None where that was not solved.
-        at_most: By duality.
-    """
-
-    by_qp: float | None
-    at_most: float
+        yield Figure(f"cascade_gain_{posture}_rad_per_s", gains[kind])
+        yield Figure(f"duality_gain_{posture}_rad_per_s", bounds[kind])
+    yield Figure("cascade_levels_unsolved", unsolved)
 
 
 def level_gains(
     stack: Stack, velocity: Array, configuration: pink.Configuration
-) -> Iterator[LevelGain]:
-    """Yield how much better each level could be, as long as anything is free."""
+) -> Iterator[tuple[float | None, float]]:
+    """Yield how much better each level could be, as long as anything is free.
+
+    By how much the norm of what it misses falls by a QP of its own, None where that was
+    not solved, and at most, by duality.
+    """
     above = np.zeros((0, velocity.size))
     for level in solved_levels(stack, velocity):
+        rows, rates, end = level
         free = _free(above)
-        above = np.vstack((above, level.rows))
+        above = np.vstack((above, rows))
         if not free.size:
             return
-        lower = np.fmin(stack.bounds[0] - level.velocity, 0.0)
-        upper = np.fmax(stack.bounds[1] - level.velocity, 0.0)
+        lower = np.fmin(stack.bounds[0] - end, 0.0)
+        upper = np.fmax(stack.bounds[1] - end, 0.0)
         room = np.array([lower, upper])
-        missing = level.rates - level.rows @ level.velocity
+        missing = rates - rows @ end
         change = solve_level_by_qp(level, free, room, configuration)
         by_qp = None
         if change is not None:
-            better = missing - level.rows @ _within(room, change)
+            better = missing - rows @ _within(room, change)
             by_qp = float(np.linalg.norm(missing) - np.linalg.norm(better))
-        yield LevelGain(by_qp, _most_gain(missing, level.rows, free, room))
+        yield by_qp, _most_gain(missing, rows, free, room)
 
 
 def solve_level_by_qp(
-    level: "Level", free: Array, room: Array, configuration: pink.Configuration
+    level: "tuple[Array, Array, Array]",
+    free: Array,
+    room: Array,
+    configuration: pink.Configuration,
 ) -> Array | None:
     """Return the change of velocity that serves a level best; None if unsolved."""
-    task = Rows(level.rows, level.rates)
+    rows, rates, velocity = level
+    task = Rows(rows, rates)
     qp = pink.build_ik(configuration, [task], 1.0, 1e-12, [])
     problem = qpsolvers.Problem(
         free.T @ qp.P @ free,
-        free.T @ (qp.P @ level.velocity + qp.q),
+        free.T @ (qp.P @ velocity + qp.q),
         np.vstack((free, -free)),
         np.concatenate((room[1], -room[0])),
     )
@@ -250,18 +245,9 @@ def solve_level_by_qp(
     return None if solution.x is None else free @ solution.x
 
 
-class Level(NamedTuple):
-    """One level of a stack.
-
-    Attributes:
-        rows: Of length one.
-        rates: What the rows are to give.
-        velocity: Joint velocities at its end.
-    """
-
-    rows: Array
-    rates: Array
-    velocity: Array
+Level = tuple[Array, Array, Array]
+"""Rows of a level, of length one, what they are to give, and the joint velocities at
+its end."""
 
 
 def solved_levels(stack: Stack, velocity: Array) -> Iterator[Level]:
@@ -274,7 +260,7 @@ def solved_levels(stack: Stack, velocity: Array) -> Iterator[Level]:
         level = rows / length[:, None], rates / length
         if free.size and not all_met:
             end, free = solve_level(*level, free, stack.bounds, end)
-        yield Level(*level, velocity if all_met else end)
+        yield *level, velocity if all_met else end
 
 
 def _most_gain(missing: Array, rows: Array, free: Array, room: Array) -> float:
@@ -310,7 +296,7 @@ def _within(room: Array, way: Array) -> Array:
     return min(float(parts.min(initial=1.0)), 1.0) * way
 
 
-def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Measurement]:
+def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     """Yield how far commands pass a limit, and how many ticks have no answer."""
     stacks = RandomStacks(robot, rng)
     control = Controller(robot, stacks.limits)
@@ -340,28 +326,17 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Measuremen
         speed = np.abs(dq) - robot.velocity_limit_rad_s
         over = np.maximum(over, [beyond.max(), speed.max(), change.max()])
         last_rad_s = dq
-    yield our_measurement("hostile_position_excess_rad", over[0])
-    yield our_measurement("hostile_speed_excess_rad_per_s", over[1])
-    yield our_measurement("hostile_speed_change_excess_rad_per_s", over[2])
-    yield our_measurement("hostile_ticks_without_answer", silent)
+    yield Figure("hostile_position_excess_rad", over[0])
+    yield Figure("hostile_speed_excess_rad_per_s", over[1])
+    yield Figure("hostile_speed_change_excess_rad_per_s", over[2])
+    yield Figure("hostile_ticks_without_answer", silent)
 
 
-class HostileSample(NamedTuple):
-    """A sample that may be wrong.
+def hostile_sample(q: Array, rng: np.random.Generator) -> tuple[float, float, Array]:
+    """Draw time that passes, time that is reported, and positions.
 
-    Attributes:
-        elapsed_s: Time that passes.
-        dt_s: Time that is reported.
-        q_rad: Positions that are reported.
+    They are late, leap, or are none.
     """
-
-    elapsed_s: float
-    dt_s: float
-    q_rad: Array
-
-
-def hostile_sample(q: Array, rng: np.random.Generator) -> HostileSample:
-    """Draw a sample of positions that are late, leap, or are none."""
     elapsed_s = float(rng.choice((1e-3, 5e-3, 0.02), p=(0.99, 0.007, 0.003)))
     dt_s = elapsed_s
     seen_rad = q + 1e-5 * rng.standard_normal(q.size)
@@ -372,4 +347,4 @@ def hostile_sample(q: Array, rng: np.random.Generator) -> HostileSample:
         seen_rad = seen_rad + 0.05 * rng.standard_normal(q.size)
     elif kind < 0.015:
         seen_rad = seen_rad[:3] if kind < 0.0125 else np.full(q.size, np.nan)
-    return HostileSample(elapsed_s, dt_s, seen_rad)
+    return elapsed_s, dt_s, seen_rad

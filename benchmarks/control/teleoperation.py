@@ -8,33 +8,26 @@ from collections.abc import Iterator
 
 import numpy as np
 
-from benchmarks.results import Measurement, our_measurement
-from groundtruth.plant_model import PLANT_MODELS
-from groundtruth.rig_arm import Servo, SimulatedArm
-from groundtruth.rig_contacts import Wall
-from groundtruth.rig_operator import random_operator
-from needleforce.cli.demos.hand_driven import (
+from benchmarks.control.hand_driven import (
     STANDOFF_M,
     HandPlan,
     ruptures_felt,
     teleoperate,
 )
+from benchmarks.control.loop import SERVOS
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
+from groundtruth.plant_model import PLANT_MODELS
+from groundtruth.rig_arm import SimulatedArm
+from groundtruth.rig_contacts import Wall
+from groundtruth.rig_operator import random_operator
 from residual import DEFAULT, HAND_DRIVEN, SensorConfig
 
 DELAYS_MS = (0, 10, 50)
-SERVOS: dict[str, Servo] = {"S": "stiff", "I": "impedance"}
 CASES = (
     *(f"S tissue {delay}" for delay in DELAYS_MS),
     *(f"{servo} wall {delay}" for servo in SERVOS for delay in DELAYS_MS),
 )
-SCALES = (0.1, 0.2, 0.4, 1.0)
-SPEED_M_S = 4e-3
-TRAVEL_M = 111e-3
-"""The needle's speed if the hand had its will, and its travel: through the stack and
-beyond."""
-WALL_SPEED_M_S = 10e-3
-PRESSED_M = 20e-3
-MAX_DURATION_S = 90.0
 
 
 def _sensor(plant: str) -> SensorConfig:
@@ -43,14 +36,14 @@ def _sensor(plant: str) -> SensorConfig:
     return DEFAULT if sends_velocity else HAND_DRIVEN
 
 
-def measure(case: str, plant: str, seed: int) -> Iterator[Measurement]:
+def run(job: Job, _: Progress) -> Iterator[Figure]:
     """Yield the numbers of one run; hand and scale are drawn."""
-    servo, kind, delay = case.split()
-    rng = np.random.default_rng([seed, int(delay)])
-    scale = float(rng.choice(SCALES))
+    servo, kind, delay = job.case.split()
+    rng = np.random.default_rng([job.seed, int(delay)])
+    scale = float(rng.choice((0.1, 0.2, 0.4, 1.0)))
     if kind == "wall":
-        return _wall(servo, int(delay), plant, seed, scale, rng)
-    return _tissue(servo, int(delay), plant, seed, scale, rng)
+        return _wall(servo, int(delay), job.plant, job.seed, scale, rng)
+    return _tissue(servo, int(delay), job.plant, job.seed, scale, rng)
 
 
 def _tissue(
@@ -60,7 +53,7 @@ def _tissue(
     seed: int,
     scale: float,
     rng: np.random.Generator,
-) -> Iterator[Measurement]:
+) -> Iterator[Figure]:
     """Drive the needle through a stack."""
     arm = SimulatedArm(
         "stack-glove-constant",
@@ -68,11 +61,12 @@ def _tissue(
         seed,
         servo=SERVOS[servo],
         standoff_m=STANDOFF_M,
-        duration_s=MAX_DURATION_S,
+        duration_s=90.0,
     )
     run = teleoperate(
         arm,
-        HandPlan(SPEED_M_S, TRAVEL_M, scale),
+        # Speed if the hand had its will, and travel: through the stack and beyond.
+        HandPlan(4e-3, 111e-3, scale),
         seed=seed,
         delay_s=1e-3 * delay_ms,
         operator=lambda wish: random_operator(wish, rng),
@@ -83,17 +77,17 @@ def _tissue(
     recall = (
         float(np.mean([np.isfinite(item.delay_s) for item in felt])) if felt else 0.0
     )
-    yield our_measurement("port_energy_min_mJ", 1e3 * run.least_energy_J)
-    yield our_measurement("master_slave_drift_mm", 1e3 * abs(run.drift_m))
+    yield Figure("port_energy_min_mJ", 1e3 * run.least_energy_J)
+    yield Figure("master_slave_drift_mm", 1e3 * abs(run.drift_m))
     membranes = felt[:2]
     shown = min((item.shown_drop for item in membranes), default=0.0)
     raw = min((item.raw_drop for item in membranes), default=0.0)
-    yield our_measurement("membrane_contrast_shown", shown)
-    yield our_measurement("membrane_contrast_raw", raw)
+    yield Figure("membrane_contrast_shown", shown)
+    yield Figure("membrane_contrast_raw", raw)
     error_N = max((abs(item.error_N) for item in felt), default=np.nan)
-    yield our_measurement("shown_force_error_N", error_N)
-    yield our_measurement("felt_rupture_recall", recall)
-    yield our_measurement("felt_false_alarms", alarms)
+    yield Figure("shown_force_error_N", error_N)
+    yield Figure("felt_rupture_recall", recall)
+    yield Figure("felt_false_alarms", alarms)
 
 
 def _wall(
@@ -103,17 +97,17 @@ def _wall(
     seed: int,
     scale: float,
     rng: np.random.Generator,
-) -> Iterator[Measurement]:
+) -> Iterator[Figure]:
     """Drive the needle against a wall."""
     wall = Wall(distance_m=STANDOFF_M)
     arm = SimulatedArm(None, plant, seed, servo=SERVOS[servo], contacts=[wall])
     run = teleoperate(
         arm,
-        HandPlan(WALL_SPEED_M_S, PRESSED_M, scale),
+        HandPlan(10e-3, 20e-3, scale),
         seed=seed,
         shown="raw",
         delay_s=1e-3 * delay_ms,
         operator=lambda wish: random_operator(wish, rng),
         sensor=_sensor(plant),
     )
-    yield our_measurement("port_energy_min_mJ", 1e3 * run.least_energy_J)
+    yield Figure("port_energy_min_mJ", 1e3 * run.least_energy_J)

@@ -1,15 +1,16 @@
 """Does the fault guard hold back valid samples? Arms at their limits, hands, ruptures.
 
-``python -m benchmarks.faults.false_alarms`` counts them: a million samples each.
+``python -m benchmarks run faults-guard --seeds 125`` counts a million samples each.
 """
 
-import sys
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 import pinocchio as pin
 
 from benchmarks.insertion.signals import inverse_dynamics, tool_jacobians
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth import PLANT_MODELS
 from groundtruth.motion import Stroke
@@ -23,14 +24,7 @@ Motion = tuple[Array, Array, Array]
 (m, n)."""
 
 PERIOD_s = 1e-3
-MAX_ACCELERATION_RAD_S2 = 40.0
-"""Twice what the interface of a Panda allows its joints at most (7.5 to 20)."""
-LIMIT_RATIO = 0.9
-"""Fraction of the effort limits that a motion may need."""
 MIDDLE = np.array([0.1, 0.5, -0.2, -1.5, 0.3, 1.0, 0.2])
-SAMPLES = 4000
-RUNS = 125
-FIRST_SEED = 1000
 LEARNT_s = 0.8
 """By then the guard has learnt the noise of the signals."""
 
@@ -55,7 +49,8 @@ def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     """
     limit_rad_s = robot.velocity_limit_rad_s
     middle = MIDDLE + rng.uniform(-0.5, 0.5, robot.nv)
-    quickest = MAX_ACCELERATION_RAD_S2 / limit_rad_s
+    # 40 rad/s2: twice what the interface of a Panda allows its joints at most.
+    quickest = 40.0 / limit_rad_s
     omega = np.exp(rng.uniform(np.log(0.3 * quickest), np.log(quickest)))
     phase = rng.uniform(0.0, 2.0 * np.pi, robot.nv)
     t_s = PERIOD_s * np.arange(-2, count + 2, dtype=np.float64)[:, None]
@@ -65,7 +60,7 @@ def fast_motion(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
         q = middle + size * limit_rad_s / omega * np.sin(omega * t_s + phase)
         dq = np.gradient(q, PERIOD_s, axis=0)
         tau = inverse_dynamics(robot.model, q, dq, np.gradient(dq, PERIOD_s, axis=0))
-        if (np.abs(tau) < LIMIT_RATIO * robot.effort_limit_Nm).all():
+        if (np.abs(tau) < 0.9 * robot.effort_limit_Nm).all():
             return q[2:-2], dq[2:-2], tau[2:-2]
         omega = 0.8 * omega
 
@@ -126,6 +121,7 @@ KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = {
     "ruptures": ruptures,
 }
 """Valid signals, by name."""
+CASES = tuple(KINDS)
 
 
 def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
@@ -143,25 +139,15 @@ def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
     return count
 
 
-def main() -> int:
-    """Count them; an exit status of 1 if there are any."""
+def run(job: Job, _: Progress) -> Iterator[Figure]:
+    """Count the samples of a motion that are held back, with velocities and without."""
     robot = load_lwr(payload=NeedleTool())
-    total = 0
-    for name, make in KINDS.items():
-        rejected = 0
-        for seed in range(FIRST_SEED, FIRST_SEED + RUNS):
-            rng = np.random.default_rng(seed)
-            motion = sensed(make(robot, rng, SAMPLES), rng)
-            rejected += sum(
-                held_back(robot, motion, has_velocity=has_velocity)
-                for has_velocity in (True, False)
-            )
-        sys.stdout.write(
-            f"{name}: {rejected} of {2 * RUNS * SAMPLES} samples held back\n"
-        )
-        total += rejected
-    return int(total > 0)
-
-
-if __name__ == "__main__":
-    sys.exit(main())
+    rng = np.random.default_rng(job.seed)
+    samples = 4000
+    motion = sensed(KINDS[job.case](robot, rng, samples), rng)
+    rejected = sum(
+        held_back(robot, motion, has_velocity=has_velocity)
+        for has_velocity in (True, False)
+    )
+    yield Figure("guard_samples", 2 * samples)
+    yield Figure("guard_held_back", rejected)

@@ -4,7 +4,6 @@ import math
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
 from functools import partial
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -187,12 +186,6 @@ SIGNAL_FAULTS: Mapping[str, Injection] = {
 }
 """What sensors, wires and clocks do, by name."""
 
-WRIST = 5
-STOP_NM = 2.0
-"""Torque with which the wrist is pressed against its end stop."""
-TRAVEL_S = 3.0
-STAY_S = 1.0
-
 
 def loaded(
     run: Run, stream: FaultStream, at: int, samples: int, force_in_base_N: Array
@@ -218,17 +211,17 @@ def detour(
     """
     start_rad = stream.q_rad[0]
     way_rad = target_rad - start_rad
-    course = there_and_back()
-    q = course.fraction[:, None] * way_rad + start_rad
-    dq = course.rate_per_s[:, None] * way_rad + 0.0
-    ddq = course.change_per_s2[:, None] * way_rad + 0.0
+    fraction, rate_per_s, change_per_s2 = there_and_back()
+    q = fraction[:, None] * way_rad + start_rad
+    dq = rate_per_s[:, None] * way_rad + 0.0
+    ddq = change_per_s2[:, None] * way_rad + 0.0
     mass_seed, _ = np.random.SeedSequence(run.seed).spawn(2)
     level = PLANT_MODELS[run.plant]
     model = lwr_bodies(run.tool, level, np.random.default_rng(mass_seed)).model()
     # It begins at rest: the first torque is that of gravity.
     tau = inverse_dynamics(model, q, dq, ddq)
     offset_Nm = stream.tau_Nm[:20].mean(axis=0) - tau[0]
-    is_at_stop = course.fraction > 1.0 - 1e-9
+    is_at_stop = fraction > 1.0 - 1e-9
     tau += offset_Nm - is_at_stop[:, None] * stop_Nm
     rng = np.random.default_rng(0)
     motion = FaultStream(
@@ -247,36 +240,27 @@ def detour(
     return replace(motion, **joined)
 
 
-class Course(NamedTuple):
-    """Course of a motion of m samples, shape (m,) each.
+def there_and_back() -> tuple[Array, Array, Array]:
+    """Return a course: quintic out, a stay of a second, quintic back.
 
-    Attributes:
-        fraction: Of the way.
-        rate_per_s: Its derivative.
-        change_per_s2: The derivative of that.
+    The fraction of the way, its derivative [1/s], and the derivative of that, shape
+    (m,) each.
     """
-
-    fraction: Array
-    rate_per_s: Array
-    change_per_s2: Array
-
-
-def there_and_back() -> Course:
-    """Return a course: quintic out, a stay, quintic back."""
-    t_s = np.arange(0.0, 2.0 * TRAVEL_S + STAY_S, PERIOD_s, dtype=np.float64)
-    out, back = (
-        Stroke("quintic", at_s, TRAVEL_S, 0.0, 1.0) for at_s in (0.0, TRAVEL_S + STAY_S)
-    )
+    travel_s = 3.0
+    back_s = travel_s + 1.0
+    t_s = np.arange(0.0, back_s + travel_s, PERIOD_s, dtype=np.float64)
+    out, back = (Stroke("quintic", at_s, travel_s, 0.0, 1.0) for at_s in (0.0, back_s))
     fraction, rate_per_s = np.subtract(out.evaluate(t_s), back.evaluate(t_s))
-    return Course(fraction, rate_per_s, np.gradient(rate_per_s, PERIOD_s))
+    return fraction, rate_per_s, np.gradient(rate_per_s, PERIOD_s)
 
 
 def wrist_at_limit(run: Run, stream: FaultStream) -> FaultStream:
-    """Move the wrist to its upper limit, and press it against the stop."""
+    """Move the wrist to its upper limit, and press it against the stop with 2 Nm."""
+    wrist = 5
     target = stream.q_rad[0].copy()
     stop = np.zeros(run.robot.nv)
-    target[WRIST] = run.robot.position_upper_rad[WRIST]
-    stop[WRIST] = -STOP_NM
+    target[wrist] = run.robot.position_upper_rad[wrist]
+    stop[wrist] = -2.0
     return detour(run, stream, target, stop)
 
 
@@ -285,34 +269,27 @@ def stretched(run: Run, stream: FaultStream) -> FaultStream:
     return detour(run, stream, np.full(run.robot.nv, 0.01), np.zeros(run.robot.nv))
 
 
-SPEED_M_S = 5e-3
-STANDOFF_M = 5e-3
-FIRST_STOP_M = 15e-3
-TURN_M = 10e-3
-DEEPEST_M = 42e-3
-AGAIN_M = 20e-3
-TARE_M = 100e-3
-TARE_S = 4.0
-_TOP_M = -STANDOFF_M - TARE_M
+_TOP_M = -105e-3
+"""Where it begins: a tare stroke of 100 mm above 5 mm from the tissue."""
 _STROKES: tuple[tuple[str, float, Profile, float], ...] = (
     # Name of its end, where it leads, how, and how long it takes; a cruise has its own
     # speed.
     ("at rest", _TOP_M, "rest", 1.0),
-    ("down", -STANDOFF_M, "quintic", TARE_S),
-    ("up", _TOP_M, "quintic", TARE_S),
-    ("tared", -STANDOFF_M, "quintic", TARE_S),
-    ("stopped", FIRST_STOP_M, "cruise", math.nan),
-    ("moving", FIRST_STOP_M, "rest", 60.0),
-    ("turned", TURN_M, "cruise", math.nan),
-    ("returned", FIRST_STOP_M, "cruise", math.nan),
-    ("inserted", DEEPEST_M, "cruise", math.nan),
-    ("withdrawing", DEEPEST_M, "rest", 1.0),
-    ("withdrawn", -STANDOFF_M, "cruise", math.nan),
-    ("again", -STANDOFF_M, "rest", 1.0),
-    ("inside", AGAIN_M, "cruise", math.nan),
-    ("inside at rest", AGAIN_M, "rest", 1.0),
-    ("end", -STANDOFF_M, "cruise", math.nan),
-    ("after", -STANDOFF_M, "rest", 0.5),
+    ("down", -5e-3, "quintic", 4.0),
+    ("up", _TOP_M, "quintic", 4.0),
+    ("tared", -5e-3, "quintic", 4.0),
+    ("stopped", 15e-3, "cruise", math.nan),
+    ("moving", 15e-3, "rest", 60.0),
+    ("turned", 10e-3, "cruise", math.nan),
+    ("returned", 15e-3, "cruise", math.nan),
+    ("inserted", 42e-3, "cruise", math.nan),
+    ("withdrawing", 42e-3, "rest", 1.0),
+    ("withdrawn", -5e-3, "cruise", math.nan),
+    ("again", -5e-3, "rest", 1.0),
+    ("inside", 20e-3, "cruise", math.nan),
+    ("inside at rest", 20e-3, "rest", 1.0),
+    ("end", -5e-3, "cruise", math.nan),
+    ("after", -5e-3, "rest", 0.5),
 )
 PARTS = {
     "stopped for 60 s": ("stopped", "moving"),
@@ -332,7 +309,7 @@ def troubled_scenario() -> tuple[Scenario, dict[str, tuple[float, float]]]:
     moves: list[Move] = []
     at_m = _TOP_M
     for _, to_m, profile, given_s in _STROKES:
-        seconds = abs(to_m - at_m) / SPEED_M_S / 0.9 if profile == "cruise" else given_s
+        seconds = abs(to_m - at_m) / 5e-3 / 0.9 if profile == "cruise" else given_s
         moves.append(Move(profile, seconds, to_m - at_m))
         at_m = to_m
     strokes = chain_strokes(_TOP_M, moves)

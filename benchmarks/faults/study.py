@@ -17,14 +17,14 @@ from benchmarks.faults.injection import (
 )
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.insertion.signals import lagging
-from benchmarks.jobs import Benchmark, Job, JobResult, Progress, progress_part
-from benchmarks.report.frames import NOTHING
-from benchmarks.report.tables import ResultTable
-from benchmarks.results import Measurement, our_measurement
+from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.report.tables import NOTHING, ResultTable
+from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth import Run, simulate
 from needleforce import InsertionSession, SessionEstimate, SessionSnapshot
 from residual import DEFAULT, SensorWarning, Status, TareError
+from urdf import Robot
 
 SCENARIO = "gel-70-constant"
 PLANT = "clean"
@@ -38,8 +38,6 @@ CLOSE_N = 0.1
 UNSMOOTHED = replace(on_lwr(DEFAULT), force_bandwidth_per_s=None)  # its lag is known
 HOLD_S = 1.0
 """For so long after the fault, statuses and warnings count as caused by it."""
-UNKNOWN_KG = 0.1
-"""Mass that a wrong payload leaves out: a third of what the tool weighs."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -293,18 +291,23 @@ def tare_in_contact(run: Run, at: int) -> FaultResult:
 
 def wrong_payload(run: Run) -> FaultResult:
     """Insert with a tool heavier than the estimator knows, from the start."""
-    known = run.robot.payload
-    assert known is not None
-    mass_kg = known.mass_kg - UNKNOWN_KG
-    inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
-    lighter = replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2)
-    session = InsertionSession(run.robot.with_payload(lighter), UNSMOOTHED)
+    session = InsertionSession(without_part(run.robot), UNSMOOTHED)
     feed(
         session,
         FaultStream.of_run(run, 0, tare_index(run), np.zeros(len(run.signals.t_s))),
     )
     session.tare()
-    return _insert(session, run, f"payload {1e3 * UNKNOWN_KG:g} g wrong from the start")
+    return _insert(session, run, "payload 100 g wrong from the start")
+
+
+def without_part(robot: Robot) -> Robot:
+    """Return the robot with a payload that lacks 0.1 kg, a third of the tool."""
+    known = robot.payload
+    assert known is not None
+    mass_kg = known.mass_kg - 0.1
+    inertia_kg_m2 = mass_kg / known.mass_kg * known.inertia_kg_m2
+    lighter = replace(known, mass_kg=mass_kg, inertia_kg_m2=inertia_kg_m2)
+    return robot.with_payload(lighter)
 
 
 def _insert(session: InsertionSession, run: Run, name: str) -> FaultResult:
@@ -355,23 +358,8 @@ def fault_table(results: Sequence[FaultResult]) -> ResultTable:
     )
 
 
-def fault_measurements(results: Sequence[FaultResult]) -> list[Measurement]:
-    """Return the numbers of every fault, under its name as the source."""
-    return [
-        our_measurement(metric, value, source=result.name)
-        for result in results
-        for metric, value in (
-            ("fault_force_error_max_N", result.worst_N),
-            ("fault_force_error_max_sigma", result.worst_sigma),
-            ("fault_recovery_ms", 1e3 * result.recovery_s),
-            ("fault_outputs_not_finite", not result.is_finite),
-        )
-    ]
-
-
 WITHOUT_VELOCITY = "without velocity"
-FAULT_COUNT = 30
-"""About so many faults there are, for the progress."""
+CASES = ("", WITHOUT_VELOCITY)
 
 
 def measure_faults(
@@ -384,26 +372,20 @@ def measure_faults(
     results: list[FaultResult] = []
     for result in study.results():
         results.append(result)
-        progress(min(0.2 + 0.8 * len(results) / FAULT_COUNT, 1.0))
+        # There are about 30 faults.
+        progress(min(0.2 + 0.8 * len(results) / 30, 1.0))
     return results
 
 
-def run_faults(job: Job, progress: Progress) -> JobResult:
-    """Break the signals, with velocities from the arm or without."""
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
+    """Break the signals, with velocities from the arm or without.
+
+    The numbers of a fault stand under its name as the source.
+    """
     with_velocity = job.case != WITHOUT_VELOCITY
-    results = measure_faults(progress, with_velocity=with_velocity, seed=job.seed)
-    return JobResult(fault_measurements(results))
-
-
-FAULTS = (
-    Benchmark(
-        id="faults",
-        title="faults of signals in a running insertion: errors and recovery",
-        run=run_faults,
-        find_cases=lambda: ("", WITHOUT_VELOCITY),
-        group="faults",
-        is_default=False,
-        plants=(PLANT,),
-        possible=(PLANT,),
-    ),
-)
+    for result in measure_faults(progress, with_velocity=with_velocity, seed=job.seed):
+        name = result.name
+        yield Figure("fault_force_error_max_N", result.worst_N, name)
+        yield Figure("fault_force_error_max_sigma", result.worst_sigma, name)
+        yield Figure("fault_recovery_ms", 1e3 * result.recovery_s, name)
+        yield Figure("fault_outputs_not_finite", not result.is_finite, name)

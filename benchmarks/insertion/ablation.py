@@ -1,8 +1,8 @@
 """What each part of the identifier beside its mixture buys: each off in turn.
 
 The needle alone, in perturbed worlds, is enough: these parts see depth, speed and force
-only. Two kinds more than `perturbations` has: a hub that somebody pulls while the
-needle advances, and while it rests.
+only. Some kinds more than `perturbations` has: a hub that somebody pulls or pushes, and
+a needle that brakes while nobody measures its speed.
 """
 
 import math
@@ -10,17 +10,24 @@ import time
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import ExitStack, contextmanager
 from dataclasses import replace
-from typing import Any, NamedTuple
+from typing import Any
 from unittest.mock import patch
 
 import numpy as np
+from numpy.typing import NDArray
 
-from benchmarks.insertion.matching import is_visible, match
 from benchmarks.insertion.methods import identify
-from benchmarks.insertion.metrics import coverage_metrics, enhanced_metrics
+from benchmarks.insertion.metrics import (
+    coverage_metrics,
+    enhanced_metrics,
+    event_metrics,
+)
 from benchmarks.insertion.robustness import perturbed_needle
 from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, make_figures
 from foundation.records import read_column
+from identification.estimate import SampleStatus
 from identification.multilayer import method as multilayer
 from identification.multilayer.hard_contact import HardContactState
 from identification.multilayer.mixture import MixtureMemory
@@ -45,10 +52,12 @@ KINDS = (
     "texture",
     "release",
     "kept",
+    "braking-unmeasured",
     "hub-pulled",
-    "hub-pulled-at-rest",
+    "hub-pushed-at-rest",
 )
-"""`kept` has ruptures that release a part of the force only."""
+"""Worlds. `kept` has ruptures that release a part of the force only;
+`braking-unmeasured` is `stop-and-go` without a measured speed."""
 
 
 def _unchanged(state: Any, *_: object, **__: object) -> Any:
@@ -110,6 +119,12 @@ PARTS: Mapping[str, Callable[[], tuple[Any, ...]]] = {
 }
 """Parts by name, with what switches each off."""
 
+CASES = tuple(PARTS)
+"""One part a case; the first is all of them at work."""
+
+RESTING_m_s = 1e-4
+"""Below this speed the needle rests."""
+
 
 @contextmanager
 def switched_off(part: str) -> Iterator[None]:
@@ -120,75 +135,88 @@ def switched_off(part: str) -> Iterator[None]:
         yield
 
 
-class Figures(NamedTuple):
-    """What an insertion was identified like.
-
-    Attributes:
-        ruptures: True ones that can be seen.
-        found: Of these.
-        false_alarms: Alarms without one.
-        delay_ms: Median of the alarms.
-        tip_rmse_N: From the first layer's end on.
-        tip_covered: Part of the time within two deviations, moving.
-        at_rest_covered: The same at rest; nan where the needle never rests.
-        processor_s: Of the identification.
-    """
-
-    ruptures: int
-    found: int
-    false_alarms: int
-    delay_ms: float
-    tip_rmse_N: float
-    tip_covered: float
-    at_rest_covered: float
-    processor_s: float
-
-
-def _pulled(
-    signal: NeedleSignal, truth: InsertionTruth, *, at_rest: bool
-) -> NeedleSignal:
-    """Return the signal of a needle whose hub is pulled by 1 N for a second, twice."""
-    pull_N = 1.0
-    duration_s = 1.0
-    is_inside = truth.is_insertion
-    is_chosen = is_inside & ((np.abs(truth.speed_m_s) < 1e-4) == at_rest)
+def _with_hub_force(
+    signal: NeedleSignal, truth: InsertionTruth, force_N: float, *, at_rest: bool
+) -> tuple[NeedleSignal, NDArray[np.bool_]]:
+    """Add a force at the hub, twice for up to a second; return when it acts as well."""
+    speed_m_s = np.abs(truth.speed_m_s)
+    is_chosen = truth.is_insertion & ((speed_m_s < RESTING_m_s) == at_rest)
     times_s = truth.t_s[is_chosen]
-    force_N = signal.force_N.copy()
+    total_N = signal.force_N.copy()
+    acts = np.zeros(len(total_N), dtype=bool)
     for fraction in (0.35, 0.75):
         begin_s = times_s[int(fraction * len(times_s))]
-        ramp = np.clip((truth.t_s - begin_s) / 0.1, 0.0, 1.0)
-        ramp *= np.clip((begin_s + duration_s - truth.t_s) / 0.1, 0.0, 1.0)
-        force_N -= pull_N * ramp
-    return replace(signal, force_N=force_N)
+        onset = np.clip((truth.t_s - begin_s) / 0.1, 0.0, 1.0)
+        end = np.clip((begin_s + 1.0 - truth.t_s) / 0.1, 0.0, 1.0)
+        hub_N = force_N * onset * end * is_chosen
+        total_N += hub_N
+        acts |= np.abs(hub_N) > 0.5 * abs(force_N)
+    return replace(signal, force_N=total_N), acts
 
 
-def perturbed_signal(kind: str, seed: int) -> tuple[NeedleSignal, InsertionTruth]:
-    """Insert the needle alone in a world of one of `KINDS`."""
-    if not kind.startswith("hub-pulled"):
-        return perturbed_needle(kind, SCENARIO, seed)
-    at_rest = kind.endswith("at-rest")
-    world = "stop-and-go" if at_rest else "none"
+def insert_in_world(
+    kind: str, seed: int
+) -> tuple[NeedleSignal, InsertionTruth, NDArray[np.bool_]]:
+    """Insert the needle alone in a world of one of `KINDS`.
+
+    Returns:
+        Its signal, the truth, and when a foreign force acts.
+    """
+    world = {
+        "hub-pulled": "none",
+        "hub-pushed-at-rest": "stop-and-go",
+        "braking-unmeasured": "stop-and-go",
+    }.get(kind, kind)
     signal, truth = perturbed_needle(world, SCENARIO, seed)
-    return _pulled(signal, truth, at_rest=at_rest), truth
+    acts = np.zeros(len(signal.t_s), dtype=bool)
+    if kind == "hub-pulled":
+        signal, acts = _with_hub_force(signal, truth, -1.0, at_rest=False)
+    elif kind == "hub-pushed-at-rest":
+        signal, acts = _with_hub_force(signal, truth, 1.0, at_rest=True)
+    elif kind == "braking-unmeasured":
+        signal = replace(signal, speed_m_s=None)
+    return signal, truth, acts
 
 
-def identify_without(part: str, signal: NeedleSignal, truth: InsertionTruth) -> Figures:
-    """Identify an insertion with a part switched off."""
-    with switched_off(part):
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
+    """Identify insertions of all kinds without the part that is the job's case."""
+    recalls: list[float] = []
+    false_alarms = 0.0
+    delays_ms: list[float] = []
+    tip_rms_N: list[float] = []
+    covered: list[float] = []
+    said: list[float] = []
+    begin_s = 0.0
+    processor_s = 0.0
+    for number, kind in enumerate(KINDS):
+        signal, truth, acts = insert_in_world(kind, job.seed)
         begin_s = time.process_time()
-        item = identify(signal, truth, "ours")
-        processor_s = time.process_time() - begin_s
-    pairs = match(truth.ruptures, item.alarms)
-    seen = [pair for pair in pairs.found if is_visible(pair[0])]
-    delays_s = [alarm.alarm_s - rupture.onset_s for rupture, alarm in seen]
-    covered = coverage_metrics(item, truth)
-    return Figures(
-        ruptures=sum(map(is_visible, truth.ruptures)),
-        found=len(seen),
-        false_alarms=len(pairs.false),
-        delay_ms=1e3 * float(np.median(delays_s)) if delays_s else math.nan,
-        tip_rmse_N=enhanced_metrics(item, truth).get("tip_rmse_N", math.nan),
-        tip_covered=covered.get("tip_coverage_moving_2sigma", math.nan),
-        at_rest_covered=covered.get("tip_coverage_at_rest_2sigma", math.nan),
-        processor_s=processor_s,
+        with switched_off(job.case):
+            item = identify(signal, truth, "ours")
+        processor_s += time.process_time() - begin_s
+        events = event_metrics(item, truth)
+        recalls.append(events["rupture_recall"])
+        false_alarms += events["false_alarms"]
+        delays_ms.append(events.get("rupture_delay_ms", math.nan))
+        tip_rms_N.append(enhanced_metrics(item, truth).get("tip_rmse_N", math.nan))
+        covered.append(coverage_metrics(item, truth)["tip_coverage_moving_2sigma"])
+        if acts.any():
+            is_pulled = [
+                estimate.status is SampleStatus.NEEDLE_PULLED
+                for estimate in item.result.estimates
+            ]
+            said.append(float(np.mean(np.array(is_pulled)[acts[item.start :]])))
+        progress((number + 1) / len(KINDS))
+    yield from make_figures(
+        {
+            "ablation_recall": float(np.mean(recalls)),
+            "ablation_false_alarms": false_alarms,
+            "ablation_delay_ms": float(np.nanmedian(delays_ms)),
+            "ablation_tip_rmse_N": float(np.nanmean(tip_rms_N)),
+            "ablation_tip_coverage_2sigma": float(np.mean(covered)),
+            "ablation_foreign_force_said": float(np.mean(said)),
+            "ablation_processor_s": processor_s,
+        },
+        "ft",
+        "ours",
     )

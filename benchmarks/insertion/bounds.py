@@ -16,7 +16,6 @@ it, and the noise spectrum.
 
 import math
 from collections.abc import Sequence
-from typing import NamedTuple
 
 import numpy as np
 from scipy.linalg import cholesky, solve_triangular, toeplitz
@@ -77,13 +76,9 @@ VAGUE = 0.8
 are drawn within a factor of 10 or so, equally likely per octave."""
 
 
-class _Tip(NamedTuple):
-    """Where the tip cuts one layer: from the release above to the boundary below."""
-
-    onset_m: float
-    from_m: float
-    to_m: float
-    exit_N: float
+_Tip = tuple[float, float, float, float]
+"""Where the tip cuts one layer: its onset, from the release above to the boundary below
+[m], and the force at the exit [N]."""
 
 
 def friction_bounds(
@@ -107,13 +102,13 @@ def friction_bounds(
     # Without releases and membranes being pushed in: what they do is no part of the
     # model.
     is_modelled = depth >= exits[-1].onset_m + MEASURED_m / 6.0
-    for tip in tips:
-        is_modelled |= (depth >= tip.from_m) & (depth <= tip.to_m)
+    for _, from_m, to_m, _ in tips:
+        is_modelled |= (depth >= from_m) & (depth <= to_m)
     factor = cholesky(covariance[np.ix_(is_modelled, is_modelled)], lower=True)
     white = np.asarray(solve_triangular(factor, columns[is_modelled], lower=True))
     # Of the scales of friction, then of slope, bend and cutting force of each tip.
     fractions = np.array([VAGUE, BEND_FRACTION, max(cutting_fraction, 1e-6)])
-    of_tips = [max(tip.exit_N, 1e-3) * fractions for tip in tips]
+    of_tips = [max(exit_N, 1e-3) * fractions for *_, exit_N in tips]
     prior = np.diag(np.concatenate([np.full(len(tips), VAGUE), *of_tips]) ** -2.0)
     deviations = []
     for number, rupture in enumerate(exits):
@@ -123,25 +118,14 @@ def friction_bounds(
     return deviations
 
 
-class BlockColumns(NamedTuple):
-    """What the force depends on, as means over blocks of samples.
-
-    Attributes:
-        depth_m: Depth of m blocks, shape (m,).
-        columns: Friction of each layer, then slope, bend and cutting force of each
-            tip, shape (m, 4 L).
-        size: Samples of a block.
-    """
-
-    depth_m: Array
-    columns: Array
-    size: int
-
-
 def block_columns(
     truth: InsertionTruth, exits: Sequence[Rupture], tips: Sequence[_Tip]
-) -> BlockColumns:
-    """Return what the force depends on, over the insertion."""
+) -> tuple[Array, Array, int]:
+    """Return what the force depends on, as means over blocks of samples.
+
+    Depth of m blocks, shape (m,); friction of each of L layers, then slope, bend and
+    cutting force of each tip, shape (m, 4 L); samples of a block.
+    """
     inside = truth.is_insertion
     depth = truth.depth_m[inside]
     layers = [rupture.layer - 1 for rupture in exits]
@@ -151,7 +135,7 @@ def block_columns(
     )
     size = max(round(BLOCK_s / truth.period_s), -(-len(depth) // MAX_BLOCKS))
     blocks = _means(columns, size)
-    return BlockColumns(blocks[:, 0], blocks[:, 1:], size)
+    return blocks[:, 0], blocks[:, 1:], size
 
 
 def block_covariance(
@@ -173,7 +157,7 @@ def _tips(truth: InsertionTruth, exits: list[Rupture]) -> list[_Tip]:
         if rupture in exits:
             ends = truth.boundaries_m
             end = ends[rupture.layer - 1] if ends else rupture.onset_m
-            tips.append(_Tip(onset, begin, end, rupture.drop_N))
+            tips.append((onset, begin, end, rupture.drop_N))
         onset = rupture.onset_m
         begin = float(np.interp(rupture.end_s, truth.t_s, truth.depth_m))
     return tips
@@ -181,11 +165,12 @@ def _tips(truth: InsertionTruth, exits: list[Rupture]) -> list[_Tip]:
 
 def _tip_columns(depth_m: Array, tip: _Tip) -> Array:
     """Return slope, bend and cutting force, each 1 N at the far end, shape (n, 3)."""
-    travel = np.maximum(depth_m - tip.onset_m, 0.0)
-    way = travel / max(tip.to_m - tip.onset_m, 1e-6)
+    onset_m, from_m, to_m, _ = tip
+    travel = np.maximum(depth_m - onset_m, 0.0)
+    way = travel / max(to_m - onset_m, 1e-6)
     onset = np.minimum(travel / ONSET_m, 1.0)
     columns = np.column_stack([way, way * (1.0 - way), onset * (2.0 - onset)])
-    columns[(depth_m < tip.from_m) | (depth_m > tip.to_m)] = 0.0
+    columns[(depth_m < from_m) | (depth_m > to_m)] = 0.0
     return columns
 
 

@@ -1,15 +1,13 @@
 """Every number of an identification: ruptures, friction, forces, bounds."""
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from benchmarks.insertion.bounds import delay_bounds_s, friction_bounds, reading_error_N
-from benchmarks.insertion.layer_friction import friction_metrics, layer_frictions
-from benchmarks.insertion.matching import Matching, is_visible, match
 from benchmarks.insertion.methods import (
     ForceReading,
     Identified,
@@ -17,8 +15,15 @@ from benchmarks.insertion.methods import (
     force_lag_s,
 )
 from benchmarks.insertion.offline import offline_fit, offline_metrics
+from benchmarks.insertion.ruptures import (
+    Matching,
+    friction_metrics,
+    is_visible,
+    layer_frictions,
+    match,
+)
 from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
-from benchmarks.results import Measurement
+from benchmarks.results import Figure, make_figures
 from foundation.arrays import Array
 
 
@@ -38,19 +43,17 @@ class IdentifiedRun:
     sources: Sequence[Sequence[Identified]]
     ft: ForceReading | None = None
 
-    def measure(self) -> list[Measurement]:
+    def measure(self) -> list[Figure]:
         """Return every number of every method on every source."""
         return [
-            measurement
+            figure
             for identified in self.sources
             for item in identified
-            for measurement in measure_identification(item, self.truth)
+            for figure in measure_identification(item, self.truth)
         ]
 
 
-def measure_identification(
-    item: Identified, truth: InsertionTruth
-) -> Iterator[Measurement]:
+def measure_identification(item: Identified, truth: InsertionTruth) -> list[Figure]:
     """Measure one method on one signal.
 
     What the models can explain offline depends on neither method nor estimated force:
@@ -66,8 +69,7 @@ def measure_identification(
         values |= offline_metrics(item.signal, truth)
     if item.method == "ours":
         values |= bound_metrics(item.signal, truth)
-    for name, value in values.items():
-        yield Measurement(item.source, item.method, name, value)
+    return make_figures(values, item.source, item.method)
 
 
 def event_metrics(item: Identified, truth: InsertionTruth) -> dict[str, float]:
@@ -86,14 +88,15 @@ def rupture_metrics(matching: Matching, truth: InsertionTruth) -> dict[str, floa
     alarm, since then it is undefined. Medians over the ruptures found: alarm after
     onset, error of the estimated time, travel from onset to alarm.
     """
-    hard = [pair for pair in matching.found if is_visible(pair[0])]
-    missed = [rupture for rupture in matching.missed if is_visible(rupture)]
-    soft_found = len(matching.found) - len(hard)
-    soft = soft_found + len(matching.missed) - len(missed)
-    alarms = len(matching.found) + len(matching.false)
+    found, not_found, false = matching
+    hard = [pair for pair in found if is_visible(pair[0])]
+    missed = [rupture for rupture in not_found if is_visible(rupture)]
+    soft_found = len(found) - len(hard)
+    soft = soft_found + len(not_found) - len(missed)
+    alarms = len(found) + len(false)
     values = {
-        "rupture_precision": len(matching.found) / alarms if alarms else math.nan,
-        "false_alarms": float(len(matching.false)),
+        "rupture_precision": len(found) / alarms if alarms else math.nan,
+        "false_alarms": float(len(false)),
     }
     if hard or missed:
         values["rupture_recall"] = len(hard) / (len(hard) + len(missed))
@@ -129,10 +132,6 @@ def table_one(identified: Identified, truth: InsertionTruth) -> dict[str, float]
         ),
     }
 
-
-CLEAR_m = 2e-3
-"""Beyond the end of the last release: both methods wait for 1 mm of travel before they
-compensate, and another is left for their delay."""
 
 ADVANCING_m_s = 1e-4
 """Below this speed the needle rests."""
@@ -210,21 +209,14 @@ def _rms(values: Array) -> float:
     return float(np.sqrt(np.mean(values**2)))
 
 
-BEFORE_RUPTURE_s = 1.0
-"""Long enough for a needle at 2 mm/s to have pressed the tissue in visibly."""
-
-FALL_s = 0.3
-"""Within which a hand feels a fall of the force as a puncture."""
-
-
 def before_rupture_metrics(
     identified: Identified, truth: InsertionTruth
 ) -> dict[str, float]:
     """Measure the enhanced force in the last second before each visible rupture.
 
-    Its rms error over all of them, and its largest fall within `FALL_s` while the truth
-    rises: a puncture that a hand would feel and that is none. There are no entries
-    without a visible rupture.
+    In a second a needle at 2 mm/s presses the tissue in visibly. Its rms error over all
+    of them, and its largest fall within 0.3 s while the truth rises: a puncture that a
+    hand would feel and that is none. There are no entries without a visible rupture.
     """
     t_s = truth.t_s[identified.start :]
     enhanced_N = identified.series("enhanced_force_N")
@@ -232,11 +224,9 @@ def before_rupture_metrics(
     errors_N: list[Array] = []
     fall_N = 0.0
     for rupture in filter(is_visible, truth.ruptures):
-        begin, end = np.searchsorted(
-            t_s, (rupture.onset_s - BEFORE_RUPTURE_s, rupture.onset_s)
-        )
+        begin, end = np.searchsorted(t_s, (rupture.onset_s - 1.0, rupture.onset_s))
         errors_N.append((enhanced_N - true_N)[begin:end])
-        earlier = np.searchsorted(t_s, t_s[begin:end] - FALL_s)
+        earlier = np.searchsorted(t_s, t_s[begin:end] - 0.3)
         is_rising = true_N[begin:end] > true_N[earlier]
         falls_N = (enhanced_N[earlier] - enhanced_N[begin:end])[is_rising]
         fall_N = max(fall_N, falls_N.max(initial=0.0))
@@ -254,16 +244,13 @@ def beyond_last_exit(truth: InsertionTruth) -> NDArray[np.bool_]:
     end = int(np.searchsorted(truth.t_s, exits_s[-1])) if exits_s else len(truth.t_s)
     if end >= len(truth.t_s) or truth.layer.max() <= truth.layer_friction_N.shape[1]:
         return np.zeros(len(truth.t_s), dtype=bool)
-    is_clear = truth.depth_m > truth.depth_m[end] + CLEAR_m
+    # Both methods wait for 1 mm of travel before they compensate, and another is left
+    # for their delay.
+    is_clear = truth.depth_m > truth.depth_m[end] + 2e-3
     is_advancing = (truth.speed_m_s > ADVANCING_m_s) & (
         truth.t_s <= truth.insertion_end_s
     )
     return is_clear & is_advancing
-
-
-MEAN_ABSOLUTE = float(np.sqrt(2.0 / np.pi))
-"""Of a standard normal variable: the mean error of an estimator that reaches its
-bound."""
 
 
 def bound_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, float]:
@@ -279,11 +266,11 @@ def bound_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, floa
     exits = [rupture for rupture in truth.ruptures if rupture.layer > 0]
     counts = [rupture in visible for rupture in exits]
     values: dict[str, float] = {}
+    # The mean error of an estimator that reaches its bound, normally distributed.
+    mean_pct = 100.0 * float(np.sqrt(2.0 / np.pi))
     for name, is_white in (("", False), ("_white", True)) if any(counts) else ():
         bounds = np.array(friction_bounds(truth, error, is_white=is_white))[counts]
-        values[f"friction_bound{name}_pct"] = (
-            100.0 * MEAN_ABSOLUTE * float(np.mean(bounds))
-        )
+        values[f"friction_bound{name}_pct"] = mean_pct * float(np.mean(bounds))
     delays = delay_bounds_s(truth, visible, error, lag_s) if visible else []
     finite = [delay for delay in delays if delay < math.inf]
     if finite:

@@ -24,14 +24,7 @@ Range = tuple[float, float]
 
 
 class _Wave(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """One wave of the tissue's motion."""
-
-    amplitude_m: Range
-    frequency_hz: Range
-
-
-class _Tremor(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Trembling of the hand that holds the needle."""
+    """One wave of the tissue's motion, or the trembling of a hand."""
 
     amplitude_m: Range
     frequency_hz: Range
@@ -99,7 +92,7 @@ class Perturbation(
     tare_stroke_m: Range | None = None
     speed_m_s: Range | None = None
     steps: _Steps | None = None
-    tremor: _Tremor | None = None
+    tremor: _Wave | None = None
     waves: tuple[_Wave, ...] = ()
     tissue: dict[str, Range] = {}
     own_laws: bool = False
@@ -236,15 +229,11 @@ def _tissue_motion(waves: tuple[_Wave, ...], rng: Rng) -> TissueMotion:
     return TissueMotion(waves=tuple(waves_drawn))
 
 
-LAST_PIECE_m = 20e-3
-"""No rest where so little is left."""
-
-
 def _pieces(steps: _Steps, total_m: float, speed_m_s: float, rng: Rng) -> list[Move]:
     """Return the moves of an insertion with rests, and steps back."""
     moves: list[Move] = []
     place_m = reached_m = 0.0
-    while total_m - reached_m > LAST_PIECE_m:
+    while total_m - reached_m > 20e-3:  # no rest where so little is left
         reached_m += drawn(steps.every_m, rng)
         travel_m = reached_m - place_m
         back_m = drawn(steps.back_m, rng)

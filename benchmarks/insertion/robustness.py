@@ -12,8 +12,12 @@ from functools import lru_cache
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.insertion.as_run import identify_as_run
-from benchmarks.insertion.methods import METHODS, Identified, identify
+from benchmarks.insertion.methods import (
+    METHODS,
+    Identified,
+    identify,
+    identify_as_run,
+)
 from benchmarks.insertion.metrics import coverage_metrics, event_metrics
 from benchmarks.insertion.perturbations import (
     FT_ONLY,
@@ -34,8 +38,8 @@ from benchmarks.insertion.simulated import (
     read_sensors,
     simulated_metrics,
 )
-from benchmarks.jobs import Job, JobResult, Progress, progress_part
-from benchmarks.results import Measurement
+from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.results import Figure, make_figures
 from groundtruth import ForceNoise, PlantModel, Scenario, insert_needle, simulate
 from groundtruth.arm_motion import scenario_motion, scenario_path
 from groundtruth.plant_model import MINI45
@@ -97,7 +101,7 @@ def perturbed_needle(
     return signal, _at_samples(insertion_truth(run), received)
 
 
-def run_robustness(job: Job, progress: Progress) -> JobResult:
+def run_robustness(job: Job, progress: Progress) -> Iterator[Figure]:
     """Run ``robustness-...``: our method and the published one in a perturbed world.
 
     The world is that of the plant's name.
@@ -109,27 +113,24 @@ def run_robustness(job: Job, progress: Progress) -> JobResult:
         signal, truth = perturbed_needle(name, scenario, job.seed)
         as_run = identify_as_run(signal, truth, truth.speed_m_s)
         identified = [identify(signal, truth, "ours"), as_run]
-        return JobResult(list(_events(identified, truth)))
+        yield from _events(identified, truth)
+        return
     world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
     run = simulate(
         world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5)
     )
     methods = METHODS if name in GROUPS["plants"] else ("ours",)
     case = read_sensors(run, progress_part(progress, 0.5, 0.9), tuple(methods))
+    yield from simulated_metrics(case)
     identified = [item for source in identify_sources(case) for item in source]
-    return JobResult(
-        [*simulated_metrics(case), *_events(identified, insertion_truth(run))]
-    )
+    yield from _events(identified, insertion_truth(run))
 
 
-def _events(
-    identified: list[Identified], truth: InsertionTruth
-) -> Iterator[Measurement]:
+def _events(identified: list[Identified], truth: InsertionTruth) -> Iterator[Figure]:
     """Yield the numbers of ruptures, friction and coverage of every method."""
     for item in identified:
         values = event_metrics(item, truth) | coverage_metrics(item, truth)
-        for metric, value in values.items():
-            yield Measurement(item.source, item.method, metric, value)
+        yield from make_figures(values, item.source, item.method)
 
 
 @lru_cache(maxsize=1)

@@ -1,8 +1,7 @@
 """Signals that estimators get, and the ground truth that judges their estimates."""
 
 from dataclasses import dataclass
-from itertools import accumulate, starmap
-from typing import NamedTuple
+from itertools import accumulate
 
 import numpy as np
 import pinocchio as pin
@@ -165,23 +164,13 @@ class JointSignals:
             [None] * len(self.t_s) if self.dq_rad_s is None else list(self.dq_rad_s)
         )
         rows = zip(self.q_rad, velocities, self.tau_Nm, self.dt_s.tolist(), strict=True)
-        return list(starmap(JointSample, rows))
+        return list(rows)
 
 
-class JointSample(NamedTuple):
-    """One sample of an arm with j joints: arguments of an estimator's `update`.
-
-    Attributes:
-        q_rad: Positions, shape (j,).
-        dq_rad_s: Velocities, shape (j,), or None where the arm sends none.
-        tau_Nm: Torques, shape (j,).
-        dt_s: Time since the sample before.
-    """
-
-    q_rad: Array
-    dq_rad_s: Array | None
-    tau_Nm: Array
-    dt_s: float
+JointSample = tuple[Array, Array | None, Array, float]
+"""One sample of an arm with j joints, the arguments of an estimator's `update`:
+positions [rad], velocities [rad/s] or None where the arm sends none, torques [Nm],
+shape (j,) each, and the time since the sample before [s]."""
 
 
 @dataclass(frozen=True, slots=True, eq=False)

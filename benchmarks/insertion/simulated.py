@@ -1,22 +1,21 @@
 """Benchmarks on simulated insertions, by the arm and by the needle alone."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from pathlib import Path
 
 import numpy as np
 
-from benchmarks.insertion.as_run import identify_as_run
 from benchmarks.insertion.methods import (
     IDENTIFIERS,
     METHODS,
+    WARNINGS,
     ForceReading,
     Identified,
     SessionRun,
-    Warned,
     best_gain,
     ft_force,
     identify,
+    identify_as_run,
     residual_metrics,
     run_session,
     wrench_metrics,
@@ -28,63 +27,49 @@ from benchmarks.insertion.signals import (
     NeedleSignal,
     insertion_truth,
 )
-from benchmarks.jobs import Drawing, Job, JobResult, Progress, progress_part
+from benchmarks.jobs import NEEDLE, Drawing, Job, Progress, progress_part
 from benchmarks.report.force_plots import force_figures
 from benchmarks.report.identification_figures import draw_identification
 from benchmarks.report.published_figures import ENHANCED_FIGURES
-from benchmarks.results import Measurement, Method, our_measurement
+from benchmarks.results import Figure, Method
 from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simulate
 from groundtruth.plant_model import MINI45
 from groundtruth.scenarios import DRAWN
-from identification import PUBLISHED_KV, TissueWarning
-from residual import SensorWarning
-
-NEEDLE = "needle"
-"""The plant of a simulation without an arm."""
+from identification import PUBLISHED_KV
 
 
-def run_simulated(job: Job, progress: Progress) -> JobResult:
+def run_simulated(job: Job, progress: Progress) -> Iterator[Figure | Drawing]:
     """Simulate, read every sensor and identify; then measure; then draw."""
     chosen = scenario(job.benchmark, job.seed)
     if job.plant == NEEDLE:
-        return run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
+        yield from run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
+        return
     run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, 0.5))
     case = read_sensors(run, progress_part(progress, 0.5, 0.85))
-    identified = identify_case(case) if chosen.layers else None
-
-    measurements = simulated_metrics(case)
-    if identified is not None:
-        measurements += identified.measure()
-
-    drawings = ()
+    yield from simulated_metrics(case)
     if job.drawings is not None:
-        drawings = force_figures(job, job.drawings, case.truth, case.readings)
-        if identified is not None:
-            drawings += draw_identified(job, job.drawings, identified, measurements)
-    return JobResult(measurements, drawings)
+        yield from force_figures(job, job.drawings, case.truth, case.readings)
+    if chosen.layers:
+        truth = insertion_truth(run)
+        identified = IdentifiedRun(
+            truth=truth,
+            commanded_m_s=chosen.motion.speed_m_s(truth.t_s),
+            sources=identify_sources(case),
+            ft=case.ft,
+        )
+        yield from measure_and_draw(job, identified)
 
 
-def identify_case(case: "SimulatedCase") -> IdentifiedRun:
-    """Identify on both forces of a simulated arm."""
-    truth = insertion_truth(case.run)
-    return IdentifiedRun(
-        truth=truth,
-        commanded_m_s=case.run.scenario.motion.speed_m_s(truth.t_s),
-        sources=identify_sources(case),
-        ft=case.ft,
-    )
-
-
-def draw_identified(
-    job: Job,
-    folder: Path,
-    identified: IdentifiedRun,
-    measurements: Sequence[Measurement],
-) -> tuple[Drawing, ...]:
-    """Draw the figures of the identification, beside the numbers of the run."""
-    has_figure = (job.benchmark, "ft") in ENHANCED_FIGURES
-    kelvin_voigt = identify_kelvin_voigt(identified) if has_figure else None
-    return draw_identification(job, folder, identified, measurements, kelvin_voigt)
+def measure_and_draw(job: Job, identified: IdentifiedRun) -> Iterator[Figure | Drawing]:
+    """Yield the numbers of an identification; draw it beside them if wanted."""
+    figures = identified.measure()
+    yield from figures
+    if job.drawings is not None:
+        has_figure = (job.benchmark, "ft") in ENHANCED_FIGURES
+        kelvin_voigt = identify_kelvin_voigt(identified) if has_figure else None
+        yield from draw_identification(
+            job, job.drawings, identified, figures, kelvin_voigt
+        )
 
 
 def identify_kelvin_voigt(identified: IdentifiedRun) -> Identified:
@@ -170,31 +155,17 @@ def read_sensors(
     )
 
 
-def simulated_metrics(case: SimulatedCase) -> list[Measurement]:
-    """Measure residual and force of one simulated insertion."""
-    forces = [
-        item
-        for reading in case.readings
-        for item in wrench_metrics(reading, case.truth)
-    ]
-    refused = [
-        Measurement("virtual", method, "tare_refused", float(item.was_refused))
-        for method, item in case.sessions.items()
-    ]
+def simulated_metrics(case: SimulatedCase) -> Iterator[Figure]:
+    """Measure residual and force of one simulated insertion, and false warnings."""
+    yield from residual_metrics(case.run, case.signals)
+    for reading in case.readings:
+        yield from wrench_metrics(reading, case.truth)
+    for method, item in case.sessions.items():
+        yield Figure("tare_refused", item.was_refused, method=method)
     session = case.sessions.get("ours")
-    warned = [] if session is None else measure_warnings(session.warned)
-    return residual_metrics(case.run, case.signals) + forces + refused + warned
-
-
-def measure_warnings(warned: Warned) -> list[Measurement]:
-    """Return what a session warned of: falsely, but for some perturbed worlds."""
-    raised = {
-        "torque_jump_warned": SensorWarning.TORQUE_JUMP in warned.sensor,
-        "needle_pull_warned": warned.is_pulled,
-        "moving_tissue_warned": TissueWarning.TISSUE_MOVES in warned.tissue,
-        "hard_contact_warned": TissueWarning.HARD_CONTACT in warned.tissue,
-    }
-    return [our_measurement(name, is_raised) for name, is_raised in raised.items()]
+    if session is not None:
+        for name in WARNINGS:
+            yield Figure(name, name in session.warnings)
 
 
 def session_signal(
@@ -237,21 +208,16 @@ def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
     return [on_ft, on_virtual]
 
 
-NOISE_FACTOR = (0.5, 2.0)
-"""Range of the noise of drawn runs, of white noise and drift each: a better and a
-worse sensor."""
-
-
 def run_needle(
     job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
-) -> JobResult:
+) -> Iterator[Figure | Drawing]:
     """Identify alone, at half a second a run: insert, identify, measure.
 
     Without tissue there is nothing to identify. The seed is that of the noise, whose
     level may be drawn as well.
     """
     if not chosen.layers:
-        return JobResult([])
+        return
     noise = drawn_noise(np.random.default_rng([job.seed, 1])) if is_drawn else MINI45
     run = insert_needle(chosen, seed=job.seed, noise=noise)
     progress(0.2)
@@ -266,16 +232,13 @@ def run_needle(
         commanded_m_s=chosen.motion.speed_m_s(truth.t_s),
         sources=[identified],
     )
-    measurements = identified_run.measure()
-    drawings = ()
-    if job.drawings is not None:
-        drawings = draw_identified(job, job.drawings, identified_run, measurements)
-    return JobResult(measurements, drawings)
+    yield from measure_and_draw(job, identified_run)
 
 
 def drawn_noise(rng: np.random.Generator) -> ForceNoise:
     """Draw a sensor somewhat better or worse than the catalogued one."""
-    white, drift = np.exp(rng.uniform(*np.log(NOISE_FACTOR), size=2)).tolist()
+    # Factors on white noise and drift.
+    white, drift = np.exp(rng.uniform(*np.log((0.5, 2.0)), size=2)).tolist()
     return replace(
         MINI45,
         white_std_N=white * MINI45.white_std_N,

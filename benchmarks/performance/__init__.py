@@ -1,6 +1,6 @@
 """What an update costs, beside its bare dynamics and beside other libraries.
 
-Reading order: `speed` (single updates), `long_runs` (a million updates, long
-recordings), `control_speed` (control), `device_loop` (a 1 kHz loop), `kdl_peer` (orocos
+Reading order: `ticks` (single updates, also beside a tare), `control` (control), `soak`
+(a million updates), `stream` (long recordings), `loop` (a 1 kHz loop), `kdl` (orocos
 KDL).
 """

@@ -2,7 +2,7 @@
 
 `figures.toml` says which tables there are. A table has a line for each row and a column
 for each method; a cell joins the row's parts, each a statistic of one metric over all
-runs. Limits come from `targets.csv`. What the campaign gave stands in `figures.json`,
+runs. Limits come from `judged.toml`. What the campaign gave stands in `figures.json`,
 with its commit, and between the marks of each page:
 
     <!-- figures: NAME -->
@@ -14,14 +14,21 @@ import re
 from collections.abc import Iterable, Mapping, Sequence
 from fnmatch import fnmatchcase
 from pathlib import Path
-from typing import Literal
 
 import msgspec
 import numpy as np
 
 from benchmarks import ResultsError
-from benchmarks.results import METHOD_NAMES, Row, metric
-from benchmarks.targets import ANY, GROUPS, TARGETS, Statistic, Target
+from benchmarks.judging import (
+    ANY,
+    TARGETS,
+    Statistic,
+    Target,
+    expand_groups,
+    metric,
+    sum_up,
+)
+from benchmarks.results import METHOD_NAMES, Row
 
 ROOT = Path(__file__).resolve().parents[2]
 SPECS = ROOT / "benchmarks" / "figures.toml"
@@ -35,15 +42,15 @@ class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """One number of a cell.
 
     Attributes:
-        metric: A name of `metrics.csv`.
-        statistic: What of all runs is shown; ``deviation`` is the standard deviation.
+        metric: A name of `judged.toml`.
+        statistic: What of all runs is shown.
         form: Format of the number.
         unit: Follows it.
         scale: Factor on the value.
     """
 
     metric: str
-    statistic: Statistic | Literal["deviation"]
+    statistic: Statistic
     form: str
     unit: str = ""
     scale: float = 1.0
@@ -75,9 +82,7 @@ class RowSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     @property
     def names(self) -> tuple[str, ...]:
         """Names and patterns of its scenarios, groups written out."""
-        return tuple(
-            name for group in self.scenarios for name in GROUPS.get(group, (group,))
-        )
+        return expand_groups(self.scenarios)
 
 
 class TableSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -134,19 +139,8 @@ def select_values(
 
 def summarize_part(values: Sequence[float], part: Part) -> float:
     """Return the statistic of a part; nan if one value is not finite."""
-    array = np.array(values)
-    if not np.isfinite(array).all():
-        return float("nan")
-    if part.statistic == "median":
-        return float(np.median(array))
-    if part.statistic == "mean":
-        return float(np.mean(array))
-    if part.statistic == "deviation":
-        return float(np.std(array, ddof=1)) if array.size > 1 else float("nan")
-    distance = np.abs(array - metric(part.metric).best)
-    if part.statistic == "p90":
-        distance = np.where(distance <= np.quantile(distance, 0.9), distance, -1.0)
-    return float(array[int(np.argmax(distance))])
+    best = metric(part.metric).best
+    return sum_up(values, part.statistic, lambda value: abs(value - best))
 
 
 def find_target(spec: RowSpec, part: Part) -> Target | None:

@@ -13,9 +13,8 @@ import numpy as np
 from benchmarks.insertion.methods import ForceReading, force_lag_s
 from benchmarks.insertion.signals import ForceTruth
 from benchmarks.jobs import Drawing, Fact, Job
-from benchmarks.report.frames import NOTHING
-from benchmarks.report.published_figures import FORCE_PANELS
-from benchmarks.targets import PUBLISHED_RMSE_N
+from benchmarks.report.published_figures import FORCE_PANELS, PUBLISHED_RMSE_N
+from benchmarks.report.tables import NOTHING
 from foundation.arrays import Array
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette, save_page_figure
 
@@ -60,28 +59,19 @@ class RunFigures:
         """
         job = self.job
         figure, letter = panel
+        title = f"{chart.title}\n{job.benchmark}, {job.where}"
+        title = f"Figure {figure}{letter}: {title}" if figure else title.capitalize()
         number = f"figure-{figure}-" if figure else ""
-        path = (
-            self.folder / f"{number}{job.benchmark}-{job.plant}-{job.seed}-{kind}.svg"
-        )
+        name = f"{number}{job.benchmark}-{job.plant}-{job.seed}-{kind}.svg"
         shown = save_page_figure(
-            replace(chart, title=self._title(f"{figure}{letter}", chart.title)),
-            path,
+            replace(chart, title=title),
+            self.folder / name,
             alt=alt,
             caption=caption,
             is_alone=is_alone,
         )
         self.saved.append(
             Drawing(figure=figure, panel=letter, job=job, shown=shown, facts=facts)
-        )
-
-    def _title(self, number: str, what: str) -> str:
-        """Return what is shown, and below it of which run."""
-        run = f"{self.job.benchmark}, {self.job.where}"
-        return (
-            f"Figure {number}: {what}\n{run}"
-            if number
-            else f"{what}\n{run}".capitalize()
         )
 
 
@@ -95,13 +85,6 @@ STYLES: dict[tuple[str, str], tuple[str, LineStyle]] = {
 }
 """By source and method, in the order of drawing: dashed lines lie on continuous
 ones."""
-MARGIN_s = 2.0
-"""Shown before contact and after withdrawal."""
-MIN_SHOWN_PCT = 99.0
-"""Per cent of each error curve that its panel must hold."""
-CALM_RATIO = 3.0
-"""Limit of the error panel over the size of the smallest error: no wild curve
-flattens the rest."""
 
 
 def force_chart(
@@ -111,8 +94,9 @@ def force_chart(
 
     Over time since the sensors were zeroed [s], or over depth since contact [mm].
     """
-    first = max(truth.start_s - MARGIN_s, truth.zeroed_s)
-    shown = (truth.t_s > first) & (truth.t_s <= truth.end_s + MARGIN_s)
+    margin_s = 2.0  # shown before contact and after withdrawal
+    first = max(truth.start_s - margin_s, truth.zeroed_s)
+    shown = (truth.t_s > first) & (truth.t_s <= truth.end_s + margin_s)
     place = truth.t_s - truth.zeroed_s if over == "time" else 1e3 * truth.depth_m
     x = place[shown]
     true = truth.axial_N[shown]
@@ -164,12 +148,12 @@ def _thin(errors: Sequence[Curve]) -> tuple[Curve, ...]:
 
 
 def _error_limit(errors: Sequence[Curve]) -> float:
-    """Return half the height of the error panel.
+    """Return half the height of the error panel; it holds 99 % of each error.
 
-    No wild curve may flatten the others.
+    But no wild curve may flatten the others: three times the smallest error at most.
     """
-    sizes = [float(np.percentile(np.abs(curve.y), MIN_SHOWN_PCT)) for curve in errors]
-    limit = 1.2 * min(max(sizes), CALM_RATIO * min(sizes)) if sizes else 0.0
+    sizes = [float(np.percentile(np.abs(curve.y), 99.0)) for curve in errors]
+    limit = 1.2 * min(max(sizes), 3.0 * min(sizes)) if sizes else 0.0
     return limit or 1.0
 
 
@@ -260,11 +244,8 @@ def _facts(
             f"{within_pct:.1f}",
         ),
     )
+    heads = ("published", "published, here", "ours, here")
     return tuple(
-        Fact(
-            what=f"`{scenario}`: {quantity}",
-            published=in_publication,
-            here=(("published, here", by_published), ("ours, here", by_ours)),
-        )
-        for quantity, in_publication, by_published, by_ours in rows
+        {"": f"`{scenario}`: {quantity}"} | dict(zip(heads, numbers, strict=True))
+        for quantity, *numbers in rows
     )

@@ -1,26 +1,34 @@
 """The page: figures, tables and numbers of a run in one file."""
 
 import math
-import statistics
 from collections.abc import Iterable, Sequence
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
 
 import numpy as np
 
 from benchmarks.jobs import Drawing, Job
-from benchmarks.report.frames import CUMULATIVE, NOTHING, Frame, frame_of, select
+from benchmarks.judging import GELS
 from benchmarks.report.published_figures import (
     FRICTION_FIGURE,
     PUBLISHED_FIGURES,
     TABLE_ONE,
     PublishedFigure,
+    TABLE_ONE_Ns_per_m,
 )
-from benchmarks.report.summary import answer, results_page
-from benchmarks.report.tables import ResultTable, result_tables
+from benchmarks.report.tables import (
+    CUMULATIVE,
+    TABLES,
+    Frame,
+    ResultTable,
+    answer,
+    build_table,
+    frame_of,
+    result_tables,
+    results_page,
+    select,
+)
 from benchmarks.results import Row, to_json
-from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from foundation.arrays import Array
 from needleforce.plots import (
     Chart,
@@ -45,21 +53,13 @@ SPEEDS = {"constant": palette.BLUE, "sinusoidal": palette.VERMILION}
 PERCENTS = tuple(TABLE_ONE_Ns_per_m)
 
 
-class Estimate(NamedTuple):
-    """Which friction of a gel.
-
-    Attributes:
-        kind: ``true``, ``offline`` or ``online``.
-        source: See `benchmarks.results.Source`.
-        method: See `benchmarks.results.Method`.
-    """
-
-    kind: str
-    source: str = "ft"
-    method: str = "ours"
-
-
-TUNED = Estimate("online", "ft", "published-as-authors-ran")
+Estimate = tuple[str, str, str]
+"""Which friction of a gel: ``true``, ``offline`` or ``online``; source and method."""
+TRUE: Estimate = ("true", "ft", "ours")
+OFFLINE: Estimate = ("offline", "ft", "ours")
+TUNED: Estimate = ("online", "ft", "published-as-authors-ran")
+ONLINE: Estimate = ("online", "ft", "ours")
+VIRTUAL: Estimate = ("online", "virtual", "ours")
 
 
 def gel_friction(rows: Iterable[Row]) -> Frame | None:
@@ -81,95 +81,12 @@ def _best_plant(plants: set[str]) -> str:
     return next((plant for plant in PLANTS if plant in plants), "")
 
 
-def _values(gels: Frame, percent: int, estimate: Estimate, *speeds: str) -> list[float]:
-    """Return values of all seeds at the speeds, by default at both."""
+def _medians(gels: Frame, estimate: Estimate, speed: str) -> list[float]:
+    """Return the medians of all seeds at a speed, one per gel; nan for none."""
     kind, source, method = estimate
     mine = select(gels, metric=CUMULATIVE.format(kind), source=source, method=method)
-    names = [f"gel-{percent}-{speed}" for speed in speeds or SPEEDS]
-    return mine[mine["scenario"].isin(names)]["value"].tolist()
-
-
-def _medians(gels: Frame, estimate: Estimate, speed: str) -> list[float]:
-    """Return one per gel; nan where there is none."""
-    values_of_gels = [_values(gels, percent, estimate, speed) for percent in PERCENTS]
-    return [
-        statistics.median(values) if values else math.nan for values in values_of_gels
-    ]
-
-
-ONLINE = {
-    "published, tuned, F/T": TUNED,
-    "published, F/T": Estimate("online", "ft", "published-one-setting"),
-    "ours, F/T": Estimate("online"),
-    "ours, virtual": Estimate("online", "virtual"),
-}
-
-
-def gel_table(gels: Frame) -> PageTable:
-    """Return the published Table I beside ours.
-
-    Mean ± spread over both speeds (and seeds).
-    """
-    head = [
-        "gel",
-        "published\noffline",
-        "published\nonline",
-        "here\ntrue",
-        "here\noffline",
-    ]
-    head += [f"here online\n{words}" for words in ONLINE]
-    rows = []
-    for percent, known in TABLE_ONE_Ns_per_m.items():
-        offline = _values(gels, percent, Estimate("offline"))
-        online = [_values(gels, percent, estimate) for estimate in ONLINE.values()]
-        change_pct = 100.0 * (known.online / known.offline - 1.0)
-        rows.append(
-            (
-                f"{percent} %",
-                f"{known.offline} ± {known.offline_spread}",
-                f"{known.online} ± {known.online_spread} ({change_pct:+.0f} %)",
-                _cell(_values(gels, percent, Estimate("true"))),
-                _cell(offline),
-                *(_cell(values, offline) for values in online),
-            )
-        )
-    return PageTable(
-        caption="Cumulative friction of single gels [Ns/m]: mean ± spread over both "
-        "speeds (online: difference from offline)",
-        head=tuple(head),
-        rows=tuple(rows),
-        numeric=frozenset(range(1, len(head))),
-        note="The published spread is called a variance; its size and unit are those "
-        "of a standard deviation. Tuned: with the commanded speed and its authors' "
-        "settings; else with the measured speed, whose noise the published method "
-        "takes for excitation.",
-    )
-
-
-def _cell(values: Sequence[float], offline: Sequence[float] = ()) -> str:
-    """Return mean and spread of values, and their change from offline."""
-    if not values:
-        return NOTHING
-    mean = statistics.fmean(values)
-    spread = f" ± {statistics.pstdev(values):.0f}" if len(values) > 1 else ""
-    more = (
-        f" ({100.0 * (mean / statistics.fmean(offline) - 1.0):+.0f} %)"
-        if offline
-        else ""
-    )
-    return f"{mean:.0f}{spread}{more}"
-
-
-SERIES = {
-    "offline": (Estimate("offline"), "^"),
-    "ours, F/T": (Estimate("online"), "*"),
-    "ours, virtual": (Estimate("online", "virtual"), "D"),
-    "published": (TUNED, "x"),
-}
-"""With their markers."""
-PUBLISHED_PLACE = -0.36
-FIRST_PLACE = -0.2
-STEP = 0.14
+    names = [f"gel-{percent}-{speed}" for percent in PERCENTS]
+    return [float(select(mine, scenario=name)["value"].median()) for name in names]
 
 
 def friction_chart(title: str, gels: Frame) -> Chart:
@@ -178,37 +95,36 @@ def friction_chart(title: str, gels: Frame) -> Chart:
     From the left the published means of a gel, then ours.
     """
     places = np.arange(3.0)
+    first = -0.2
+    step = 0.14
     known = TABLE_ONE_Ns_per_m.values()
     grey = LineStyle(color=palette.GREY, marker="^", size_pt=6.0)
     star = replace(grey, marker="*", size_pt=8.0)
+    left = places - 0.36
     points: list[tuple[LineStyle, Array, Sequence[float] | Array, str]] = [
-        (
-            grey,
-            places + PUBLISHED_PLACE,
-            [gel.offline for gel in known],
-            "published, offline",
-        ),
-        (
-            star,
-            places + PUBLISHED_PLACE,
-            [gel.online for gel in known],
-            "published, online",
-        ),
+        (grey, left, [gel.offline for gel in known], "published, offline"),
+        (star, left, [gel.online for gel in known], "published, online"),
     ]
-    for k, (words, (estimate, marker)) in enumerate(SERIES.items()):
+    series = (
+        ("offline", OFFLINE, "^"),
+        ("ours, F/T", ONLINE, "*"),
+        ("ours, virtual", VIRTUAL, "D"),
+        ("published", TUNED, "x"),
+    )
+    for k, (words, estimate, marker) in enumerate(series):
         for speed, color in SPEEDS.items():
             style = LineStyle(
                 color=color, marker=marker, size_pt=7.0 if marker == "*" else 5.5
             )
             values = _medians(gels, estimate, speed)
             if np.isfinite(values).any():
-                x = places + FIRST_PLACE + k * STEP
+                x = places + first + k * step
                 points.append((style, x, values, f"{words}, {speed}"))
     # The truth: short lines across each group.
-    ends = np.array([FIRST_PLACE - 0.06, FIRST_PLACE + 3 * STEP + 0.06, math.nan])
+    ends = np.array([first - 0.06, first + 3 * step + 0.06, math.nan])
     for speed, style in zip(SPEEDS, (palette.TRUE, palette.TRUE_PART), strict=True):
         x = np.add.outer(places, ends).ravel()
-        values = np.repeat(_medians(gels, Estimate("true"), speed), 3)
+        values = np.repeat(_medians(gels, TRUE, speed), 3)
         points.append((style, x, values, f"ground truth, {speed}"))
     curves = [
         Curve(style=style, x=x, y=np.array(y), label=label)
@@ -233,7 +149,8 @@ def published_sections(
     for item in PUBLISHED_FIGURES:
         mine = chosen(drawings, item.number)
         if item.number == TABLE_ONE and gels is not None:
-            sections.append(_section(item, (), (gel_table(gels),), of_gels))
+            table = page_table(build_table(TABLES["table I"], gels))
+            sections.append(_section(item, (), (table,), of_gels))
         elif mine:
             here = {drawing.job.benchmark for drawing in mine}
             here = of_gels if item.number == FRICTION_FIGURE else here
@@ -309,11 +226,8 @@ def _facts(item: PublishedFigure, mine: Sequence[Drawing]) -> tuple[PageTable, .
     facts = [fact for drawing in mine for fact in drawing.facts]
     if not facts:
         return ()
-    head = ("", "published", *(head for head, _ in facts[0].here))
-    rows = tuple(
-        (fact.what, fact.published, *(value for _, value in fact.here))
-        for fact in facts
-    )
+    head = tuple(facts[0])
+    rows = tuple(tuple(fact.values()) for fact in facts)
     return (
         PageTable(caption=f"Figure {item.number}, in numbers", head=head, rows=rows),
     )

@@ -4,7 +4,7 @@ from pathlib import Path
 
 import msgspec
 
-from benchmarks.targets import GROUPS
+from benchmarks.judging import expand_groups
 
 FRICTION_FIGURE = "10"
 TABLE_ONE = "I"
@@ -50,31 +50,42 @@ class PublishedFigure(
         return f"python -m benchmarks run {' '.join(self.scenarios)} --report DIR"
 
 
+class PublishedFriction(msgspec.Struct, frozen=True):
+    """A line of Table I: mean and spread over both speeds [Ns/m]."""
+
+    offline: int
+    offline_spread: int
+    online: int
+    online_spread: int
+
+
 class _File(msgspec.Struct):
     """What `published_figures.toml` holds."""
 
     enhanced: str  # to compare in every figure of friction compensated online
+    rmse_N: dict[str, float]
+    table_one_Ns_per_m: dict[str, PublishedFriction]
     figures: list[PublishedFigure]
 
 
-def _read() -> tuple[PublishedFigure, ...]:
-    """Read the published figures."""
-    content = Path(__file__).with_name("published_figures.toml").read_bytes()
-    file = msgspec.toml.decode(content, type=_File)
-    return tuple(
-        msgspec.structs.replace(
-            item,
-            scenarios=tuple(
-                n for name in item.scenarios for n in GROUPS.get(name, (name,))
-            ),
-            see=f"{item.see} {file.enhanced}" if item.source else item.see,
-        )
-        for item in file.figures
+_FILE = msgspec.toml.decode(
+    Path(__file__).with_suffix(".toml").read_bytes(), type=_File
+)
+PUBLISHED_FIGURES = tuple(
+    msgspec.structs.replace(
+        item,
+        scenarios=expand_groups(item.scenarios),
+        see=f"{item.see} {_FILE.enhanced}" if item.source else item.see,
     )
-
-
-PUBLISHED_FIGURES = _read()
+    for item in _FILE.figures
+)
 """In the order of the page."""
+PUBLISHED_RMSE_N = _FILE.rmse_N
+"""Figure 5: virtual against real F/T sensor on a real LWR 4+, by scenario."""
+TABLE_ONE_Ns_per_m = {
+    int(percent): line for percent, line in _FILE.table_one_Ns_per_m.items()
+}
+"""Cumulative friction of single gels, by per cent of isinglass."""
 NEEDED = tuple(
     dict.fromkeys(name for item in PUBLISHED_FIGURES for name in item.scenarios)
 )

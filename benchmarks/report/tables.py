@@ -1,6 +1,6 @@
-"""The tables of a run: in the terminal, in the report and on the page of results.
+"""The one printer of tables: in the terminal, in the report, on pages of results.
 
-`tables.toml` says which tables there are. A table has a line for each group of rows;
+`tables.toml` says which tables a run has. A table has a line for each group of rows;
 each of its columns selects rows of the group and sums them up in a cell.
 """
 
@@ -8,51 +8,50 @@ import math
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
+from typing import Any
 
 import msgspec
+import numpy as np
+import pandas as pd
 from rich.console import Console
 from rich.markup import escape
 from rich.table import Table
 
 from benchmarks.insertion.perturbations import PERTURBED
-from benchmarks.report.frames import (
-    FORCE_ERROR,
-    NOT_FINITE,
-    NOTHING,
-    Format,
-    Frame,
-    frame_of,
-    select,
-    summarize,
-)
-from benchmarks.results import METRICS, NAMES, Row, metric
-from benchmarks.targets import (
-    PUBLISHED_RMSE_N,
-    TARGETS,
-    Comparison,
-    TABLE_ONE_Ns_per_m,
-    evaluate,
-)
+from benchmarks.judging import METRICS, Comparison, evaluate, metric
+from benchmarks.report.published_figures import PUBLISHED_RMSE_N, TABLE_ONE_Ns_per_m
+from benchmarks.results import KEYS, NAMES, Row
 
+NOTHING = "–"
+"""In a cell: there is no such number."""
+NOT_FINITE = "not finite"
+"""In a cell: a number that should be one is none."""
 COLORS = {"met": "green", "missed": "red", NOT_FINITE: "red"}
 """Of cells, by what they say."""
-TARGET_HEADS = ("target", "targets")
-"""Heads of the columns that say what a number should be."""
-MIN_WIDTH = 200
-"""Of a table that goes into a file or a pipe."""
+CUMULATIVE = "cumulative_friction_{}_Ns_per_m"
+"""Metric of the cumulative friction of a gel, by how it was identified."""
+FORCE_ERROR = "wrench_rmse_N"
+Frame = Any
+"""A pandas.DataFrame with the columns of `Row`; its annotations leave open what a
+selection is."""
 
 
 def new_console() -> Console:
     """Return a console as wide as the terminal, or as every table needs without one."""
     console = Console(highlight=False)
     if not console.is_terminal:
-        console.width = max(console.width, MIN_WIDTH)
+        console.width = max(console.width, 200)
     return console
 
 
 def met_mark(is_met: bool) -> str:
     """Return the cell that says whether a target is met."""
     return "met" if is_met else "missed"
+
+
+def show_value(value: float) -> str:
+    """Return a number with four digits, a dash for none."""
+    return NOTHING if math.isnan(value) else f"{value:.4g}"
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -78,22 +77,17 @@ class ResultTable:
     def choose_targets(self, *, are_shown: bool) -> "ResultTable":
         """Return it with or without the columns that say what a number should be.
 
-        Those are the columns headed ``target`` and the mark, without a head, after
-        them.
+        Those are the columns headed ``target``.
         """
         if are_shown:
             caption = f"{self.caption} {self.target_caption}".strip()
             return replace(self, caption=caption, target_caption="")
-        kept = [
-            number
-            for number, head in enumerate(self.heads)
-            if not _is_of_target(head, self.heads[number - 1] if number else "")
-        ]
+        kept = [k for k, head in enumerate(self.heads) if head != "target"]
         return replace(
             self,
-            heads=tuple(self.heads[number] for number in kept),
-            align="".join(self.align[number] for number in kept),
-            lines=tuple(tuple(line[number] for number in kept) for line in self.lines),
+            heads=tuple(self.heads[k] for k in kept),
+            align="".join(self.align[k] for k in kept),
+            lines=tuple(tuple(line[k] for k in kept) for line in self.lines),
             target_caption="",
         )
 
@@ -117,9 +111,87 @@ class ResultTable:
         ]
 
 
-def _is_of_target(head: str, head_before: str) -> bool:
-    """Return whether a column is one of targets, or the mark beside one."""
-    return head in TARGET_HEADS or (not head and head_before in TARGET_HEADS)
+def frame_of(rows: Iterable[Row]) -> Frame:
+    """Return rows as a frame, with the ratios that tables show as further metrics."""
+    rows = list(rows)
+    columns = {name: [getattr(row, name) for row in rows] for name in NAMES}
+    frame = pd.DataFrame(columns, dtype=None if rows else object)
+    ours = {"metric": FORCE_ERROR, "source": "virtual", "method": "ours"}
+    published = ours | {"method": "published-one-setting"}
+    best_gain = ours | {"method": "published-best-gain"}
+    online = {"metric": CUMULATIVE.format("online")}
+    offline = {"metric": CUMULATIVE.format("offline")}
+    change = ratio_of(frame, "online_change", online, offline)
+    return pd.concat(
+        [
+            frame,
+            ratio_of(frame, "wrench_rmse_ratio", ours, published),
+            ratio_of(frame, "wrench_best_K_ratio", ours, best_gain),
+            change.assign(value=change["value"] - 1.0),
+        ]
+    )
+
+
+def ratio_of(
+    frame: Frame,
+    name: str,
+    numerator: Mapping[str, str],
+    denominator: Mapping[str, str],
+) -> Frame:
+    """Return rows of a new metric: one selection over another, run by run."""
+    keys = [key for key in KEYS if key not in numerator]
+    values = {
+        place: select(frame, **selection).set_index(keys)["value"]
+        for place, selection in (("top", numerator), ("bottom", denominator))
+    }
+    pairs: Frame = pd.concat(values, axis=1, join="inner")
+    pairs = pairs[pairs["bottom"] != 0.0].copy()
+    pairs["value"] = pairs["top"] / pairs["bottom"]
+    fixed = dict(numerator) | {"metric": name}
+    return pairs.reset_index().assign(**fixed)[[*KEYS, "value"]]
+
+
+def select(frame: Frame, **wanted: str | None) -> Frame:
+    """Return the rows whose columns have these values; None for any."""
+    for name, value in wanted.items():
+        if value is not None:
+            frame = frame[frame[name] == value]
+    return frame
+
+
+def interval(
+    values: Any, seeds: Any, rng: np.random.Generator, *, is_mean: bool
+) -> tuple[float, float]:
+    """Return the 95 % bootstrap interval of the mean or the median of runs.
+
+    Percentile bootstrap (Efron 1979). Seeds are drawn, each with all its runs: what a
+    seed draws, they have in common. Of fewer than five too few different samples can be
+    drawn: then single runs are drawn.
+
+    Args:
+        values: One per run, finite, shape (n,).
+        seeds: Of the same runs.
+        rng: Draws the samples.
+        is_mean: Whether it is that of the mean.
+    """
+    labels = np.asarray(seeds)
+    if len(np.unique(labels)) < 5:
+        labels = np.arange(len(labels))
+    units = pd.Series(values).groupby(labels)
+    place = units.cumcount().to_numpy()
+    runs = np.full((units.ngroups, place.max() + 1), np.nan)
+    runs[units.ngroup(), place] = values
+    # Seeds may have different numbers of runs: what is missing is nan.
+    average = np.nanmean if is_mean else np.nanmedian
+
+    resamples = 2000
+    rows = min(max(10**6 // runs.size, 1), resamples)
+    averages = []
+    while len(averages) < resamples:
+        drawn = runs[rng.integers(len(runs), size=(rows, len(runs)))]
+        averages.extend(average(drawn.reshape(rows, -1), axis=1))
+    low, high = np.percentile(averages[:resamples], (2.5, 97.5))
+    return float(low), float(high)
 
 
 class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -149,10 +221,42 @@ class Column(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     has_interval: bool = False
     text: str = ""
 
-    @property
-    def format(self) -> Format:
-        """How several runs are summed up."""
-        return Format(self.form, self.scale, self.is_fraction, self.has_interval)
+    def show(self, group: Frame) -> str:
+        """Return the cell for a group of rows.
+
+        One value as it is; of several the middle, and in brackets the worst. The middle
+        is the median and the worst the farthest from the best value; of fractions it is
+        the mean, and the worst the least.
+        """
+        if self.text:
+            return TEXTS[self.text](group)
+        wanted = ("metric", "method", "source", "plant")
+        rows = select(group, **{name: getattr(self, name) for name in wanted})
+        known = METRICS.get(rows["metric"].iloc[0]) if len(rows) else None
+        if known is not None and known.may_be_undefined:
+            rows = rows.dropna(subset="value")
+        values = rows["value"] * self.scale
+        if values.empty:
+            return NOTHING
+        if not np.isfinite(values).all():
+            return NOT_FINITE
+        if len(values) == 1:
+            return format(values.iloc[0], self.form)
+        if self.is_fraction:
+            middle = values.mean()
+            worst = values.min()
+        else:
+            best = 0.0 if known is None else known.best
+            middle = values.median()
+            worst = values.iloc[int((values - best).abs().argmax())]
+        bounds = ""
+        if self.has_interval and values.nunique() > 1:
+            # Drawn anew from one seed: it depends on nothing but its own runs.
+            rng = np.random.default_rng(0)
+            ends = interval(values, rows["seed"], rng, is_mean=self.is_fraction)
+            low, high = (format(end, self.form) for end in ends)
+            bounds = f"[{low}, {high}] "
+        return f"{middle:{self.form}} {bounds}({worst:{self.form}})"
 
 
 class TableSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -162,7 +266,9 @@ class TableSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
         title: Stands above it.
         by: Columns of `Row` that make a group.
         columns: What is shown of a group.
-        shows: Name of the table in `metrics.csv`; groups without one of its metrics
+        heads: Above the columns that name a group, where they do not bear the field's
+            name.
+        shows: Name of the table in `judged.toml`; groups without one of its metrics
             are left out.
         caption: Stands below it.
         target_caption: Stands below it as well where targets are shown.
@@ -175,6 +281,7 @@ class TableSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     title: str
     by: tuple[str, ...]
     columns: tuple[Column, ...]
+    heads: dict[str, str] = {}
     shows: str = ""
     caption: str = ""
     target_caption: str = ""
@@ -198,7 +305,8 @@ class TableSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     def badness(self, group: Frame) -> tuple[float, ...]:
         """Return how far the worst run of a group is from the best value."""
         if self.worst_first == ("target",):
-            return (any_target_missed(group),)
+            texts = (column.show(group) for column in self.columns if column.text)
+            return (any("missed" in text for text in texts),)
         if self.worst_first == ("shortfall",):
             return shortfall(group)
         values = [
@@ -216,22 +324,28 @@ def build_table(spec: TableSpec, frame: Frame) -> ResultTable:
     groups.sort(key=lambda item: spec.badness(item[1]), reverse=True)
     lines = []
     for key, group in groups:
-        texts = [show_column(column, group) for column in spec.columns]
+        texts = [column.show(group) for column in spec.columns]
         if not spec.has_worst:
             texts = [text.partition(" (")[0] for text in texts]
-        lines.append((*group_heads(by, key, group), *texts, *unit_cells(by, group)))
+        names = dict(zip(by, map(str, key), strict=True))
+        if "metric" in by:
+            kind = metric(names["metric"])
+            names["metric"] = kind.meaning  # a metric is named by it
+            texts.append(kind.unit)
+        lines.append((*names.values(), *texts))
     has_metric = "metric" in by
+    heads = {"source": "force", "metric": "what"} | spec.heads
     return ResultTable(
         title=spec.title,
         heads=(
-            *(HEADS.get(name, name) for name in by),
+            *(heads.get(name, name) for name in by),
             *(column.head for column in spec.columns),
             *(["unit"] if has_metric else []),
         ),
         align="".join(
             [
                 *("l" if name == "metric" else "L" for name in by),
-                *("L" if column.text in LEFT else "r" for column in spec.columns),
+                *("L" if column.head == "target" else "r" for column in spec.columns),
                 *(["L"] if has_metric else []),
             ]
         ),
@@ -241,88 +355,33 @@ def build_table(spec: TableSpec, frame: Frame) -> ResultTable:
     )
 
 
-HEADS = {"source": "force", "metric": "what"}
-"""Above the columns that name a group, where they do not bear the field's name."""
-LEFT = ("force target", "limits")
-"""Texts of columns that are aligned left."""
-
-
-def show_column(column: Column, group: Frame) -> str:
-    """Return the cell of a column for a group of rows."""
-    if column.text:
-        return TEXTS[column.text](group)
-    rows = select(
-        group,
-        metric=column.metric,
-        method=column.method,
-        source=column.source,
-        plant=column.plant,
+def show_limits(group: Frame) -> str:
+    """Return the limits of a group's targets, and whether they are kept."""
+    known = group[group["metric"].isin(METRICS)]
+    rows = [Row(**record) for record in known[list(NAMES)].to_dict("records")]
+    return ", ".join(
+        f"{item.target.limits} {met_mark(item.is_met)}" for item in evaluate(rows)
     )
-    return summarize(rows, column.format)
-
-
-def group_heads(by: Sequence[str], key: Sequence[object], group: Frame) -> list[str]:
-    """Return the cells that name a group: a metric by its meaning."""
-    meaning = metric(group["metric"].iloc[0]).meaning if "metric" in by else ""
-    return [
-        meaning if name == "metric" else str(value)
-        for name, value in zip(by, key, strict=True)
-    ]
-
-
-def unit_cells(by: Sequence[str], group: Frame) -> list[str]:
-    """Return the unit, where a group is of one metric."""
-    return [metric(group["metric"].iloc[0]).unit] if "metric" in by else []
 
 
 def force_mark(group: Frame) -> str:
     """Return whether the runs of a scenario keep the limits of their RMSE."""
-    scenario = group["scenario"].iloc[0]
-    plant = group["plant"].iloc[0]
-    ours = select(group, source="virtual", method="ours")
-    is_kept: list[bool] = []
-    for target in TARGETS:
-        is_own = (target.metric, target.plant) == (FORCE_ERROR, plant)
-        if is_own and scenario in target.scenarios:
-            name = "wrench_rmse_ratio" if target.of_published else FORCE_ERROR
-            values = select(ours, metric=name)["value"]
-            of_median = target.statistic == "median" and len(values) > 0
-            judged = [values.median()] if of_median else values
-            is_kept += [target.is_met_by(value) for value in judged]
-    return met_mark(all(is_kept)) if is_kept else NOTHING
-
-
-def show_limits(group: Frame) -> str:
-    """Return the limits of a group's targets, and whether they are kept."""
-    rows = [Row(**record) for record in group[list(NAMES)].to_dict("records")]
-    evaluations = evaluate(rows)
-    return ", ".join(
-        f"{item.target.limits} {met_mark(item.is_met)}" for item in evaluations
-    )
-
-
-def any_target_missed(group: Frame) -> bool:
-    """Return whether a group misses one of its targets."""
-    if FORCE_ERROR in set(group["metric"]):
-        return force_mark(group) == met_mark(False)
-    return met_mark(False) in show_limits(group)
-
-
-SHORT_OF = {
-    "rupture_recall": 1.0,
-    "rupture_precision": 1.0,
-    "friction_coverage_online_2sigma": 0.95,
-    "wrench_coverage_2sigma": 0.95,
-}
-"""What our fractions should be."""
+    limits = show_limits(select(group, metric=FORCE_ERROR))
+    return met_mark("missed" not in limits) if limits else NOTHING
 
 
 def shortfall(group: Frame) -> tuple[float, float]:
     """Return how far our mean fractions fall short: the worst, and the sum."""
     ours = select(group, method="ours")
+    fractions = {
+        "rupture_recall": 1.0,
+        "rupture_precision": 1.0,
+        "friction_coverage_online_2sigma": 0.95,
+        "wrench_coverage_2sigma": 0.95,
+    }
     differences = [
         best - select(ours, metric=name, source=source)["value"].mean()
-        for name, best in SHORT_OF.items()
+        for name, best in fractions.items()
         for source in ("ft", "virtual")
         # Not shown: coverage is that of the virtual sensor.
         if (source, name) != ("ft", "wrench_coverage_2sigma")
@@ -345,6 +404,19 @@ def published_change(group: Frame) -> str:
     return f"{100.0 * (known.online / known.offline - 1.0):.0f}"
 
 
+def published_friction(group: Frame, how: str) -> str:
+    """Return the friction of the published Table I, with its spread.
+
+    The published spread is called a variance; its size and unit are those of a standard
+    deviation.
+    """
+    kind, *words = group["scenario"].iloc[0].split("-")
+    if kind != "gel":  # a drawn stack of one layer
+        return NOTHING
+    known = TABLE_ONE_Ns_per_m[int(words[0])]
+    return f"{getattr(known, how)} ± {getattr(known, f'{how}_spread')}"
+
+
 def real_arm_error(group: Frame) -> str:
     """Return the published error of a force on a real arm."""
     return str(PUBLISHED_RMSE_N.get(group["scenario"].iloc[0], NOTHING))
@@ -355,6 +427,8 @@ TEXTS: dict[str, Callable[[Frame], str]] = {
     "limits": show_limits,
     "real arm": real_arm_error,
     "published change": published_change,
+    "published offline": lambda group: published_friction(group, "offline"),
+    "published online": lambda group: published_friction(group, "online"),
     "runs": count_runs,
 }
 """What a column shows that is not a number of its group."""
@@ -370,7 +444,7 @@ def read_tables() -> dict[str, TableSpec]:
 
 
 TABLES: Mapping[str, TableSpec] = read_tables()
-"""In order, by the name in `metrics.csv`; a new kind of number gets its table in
+"""In order, by the name in `judged.toml`; a new kind of number gets its table in
 `tables.toml`."""
 
 
@@ -395,28 +469,27 @@ def target_table(rows: Iterable[Row]) -> ResultTable:
     )
 
 
-def comparison_table(comparisons: Iterable[Comparison]) -> ResultTable:
-    """Return what changed between two runs, failures first."""
+def comparison_table(
+    comparisons: Iterable[Comparison], title: str = "Changes", caption: str = ""
+) -> ResultTable:
+    """Return numbers of two measurements, failures first."""
     return ResultTable(
-        title="Changes",
-        heads=(*NAMES[:6], "old", "new", "unit", ""),
-        align="llllllrrlL",
+        title=title,
+        heads=("what", "old", "new", "unit", "may be worse by", ""),
+        align="LrrLrL",
         lines=tuple(
             (
-                *map(str, item.key),
+                item.name,
                 show_value(item.old),
                 show_value(item.new),
                 item.unit,
+                f"{item.allowed:.2g}",
                 str(item.change),
             )
             for item in sorted(comparisons, key=lambda item: not item.is_failure)
         ),
+        caption=caption,
     )
-
-
-def show_value(value: float) -> str:
-    """Return a number with four digits, a dash for none."""
-    return NOTHING if math.isnan(value) else f"{value:.4g}"
 
 
 def result_tables(
@@ -435,3 +508,78 @@ def result_tables(
     if with_targets:
         tables.append(target_table(rows))
     return [table for table in tables if table.lines]
+
+
+def answer(rows: Iterable[Row]) -> str:
+    """Return how far the force is off and which ruptures were found, in sentences.
+
+    An error is the median over the runs, a fraction their mean. The runs of the virtual
+    force sensor count or, without any, those of a force sensor at the needle. The text
+    is empty where there are neither.
+    """
+    frame = frame_of(rows)
+    is_virtual = not select(frame, source="virtual", method="ours").empty
+    chosen = select(frame, source="virtual" if is_virtual else "ft")
+    # With the kindest settings of the published method that the runs have.
+    settings = {
+        "published-best-gain": " with the gain that suits each run best",
+        "published-as-authors-ran": " as its authors ran it",
+        "published-one-setting": " with one setting",
+    }
+    sentences: list[str] = []
+    for name, words in (
+        (FORCE_ERROR, "Error of the axial force from joint torques, rms"),
+        ("rupture_recall", "Ruptures found"),
+        ("rupture_precision", "Alarms that are right"),
+    ):
+        if name == FORCE_ERROR and not is_virtual:
+            continue
+        shown = {}
+        for method in ("ours", *settings):
+            values = select(chosen, metric=name, method=method)["value"].dropna()
+            if not values.empty:
+                is_error = name == FORCE_ERROR
+                shown[method] = (
+                    f"{values.median():.3f} N"
+                    if is_error
+                    else f"{100.0 * values.mean():.0f} %"
+                )
+        if "ours" not in shown:
+            continue
+        text = f"{words}: {shown['ours']}"
+        kindest = next((method for method in settings if method in shown), None)
+        if kindest is not None:
+            text += f", by the published method{settings[kindest]} {shown[kindest]}"
+        sentences.append(f"{text}.")
+    return " ".join(sentences)
+
+
+def results_page(
+    rows: Sequence[Row], command: str, *, with_targets: bool = True
+) -> str:
+    """Return all tables of runs as a page.
+
+    Args:
+        rows: The runs.
+        command: The command line that writes the page.
+        with_targets: Whether what the numbers should be is shown too.
+    """
+    parts = [
+        "# Results",
+        "",
+        "Every number of the benchmark, the worst first. Simulated insertions have a "
+        "ground truth; `recording` is real data. A dash: there is no such number. "
+        "Written by",
+        "",
+        f"```sh\n{command}\n```",
+        "",
+    ]
+    # What is missed must not stand at the bottom of a long page.
+    for table in sorted(
+        result_tables(rows, with_targets=with_targets),
+        key=lambda table: table.title != "Targets",
+    ):
+        parts += [f"## {table.title}", ""]
+        parts += [table.caption, ""] if table.caption else []
+        parts += [*table.markdown(), ""]
+    return "\n".join(parts)

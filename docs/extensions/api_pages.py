@@ -49,6 +49,7 @@ PACKAGES = {
     "needleforce.devices": ApiPage("Arms, force sensors and haptic devices"),
     "needleforce.scene": ApiPage("The scene", ("live", "viewer")),
     "needleforce.plots": ApiPage("Charts and pages"),
+    "needleforce.simulation": ApiPage("Simulated insertions beside the truth"),
     "groundtruth": ApiPage("The simulated ground truth", ("simulation", "scenarios")),
 }
 """Packages that offer names, in the order of the site."""

@@ -1,53 +1,44 @@
 """Start the node beside an arm whose driver runs already.
 
-ros2 launch needleforce.launch.py urdf:=arm.urdf joint_states:=/arm/joint_states
+ros2 launch needleforce needleforce.launch.py joint_states:=/arm/joint_states
 """
 
 from launch import LaunchDescription
-from launch.actions import DeclareLaunchArgument, ExecuteProcess
-from launch.substitutions import (
-    LaunchConfiguration,
-    PathJoinSubstitution,
-    ThisLaunchFileDir,
-)
+from launch.actions import DeclareLaunchArgument, OpaqueFunction
+from launch.substitutions import LaunchConfiguration
+from launch_ros.actions import Node
 
 ARGUMENTS = {
-    "urdf": "Description of the arm, with its needle's tip as tool frame.",
-    "tool_frame": "Link whose z axis is the direction of insertion.",
-    "joint_states": "Topic of the arm's joint states.",
+    "urdf": ("", "Description of the arm; empty for the topic robot_description."),
+    "tool_frame": ("needle_tip", "Link whose z axis is the direction of insertion."),
+    "robot_description": ("robot_description", "Topic of the arm's description."),
+    "joint_states": ("joint_states", "Topic of the arm's joint states."),
+    "parameters": ("", "File of the node's parameters; empty for the defaults."),
 }
 
 
 def generate_launch_description():
-    given = {name: LaunchConfiguration(name) for name in ARGUMENTS}
-    settings = PathJoinSubstitution([ThisLaunchFileDir(), "parameters.yaml"])
-    node = ExecuteProcess(
-        cmd=[
-            "needleforce",
-            "ros2",
-            "--urdf",
-            given["urdf"],
-            "--tool-frame",
-            given["tool_frame"],
-            "--ros-args",
-            "--params-file",
-            settings,
-            "-r",
-            ["joint_states:=", given["joint_states"]],
-        ],
-        output="screen",
-    )
     declared = [
-        DeclareLaunchArgument("urdf", description=ARGUMENTS["urdf"]),
-        DeclareLaunchArgument(
-            "tool_frame",
-            default_value="needle_tip",
-            description=ARGUMENTS["tool_frame"],
-        ),
-        DeclareLaunchArgument(
-            "joint_states",
-            default_value="joint_states",
-            description=ARGUMENTS["joint_states"],
-        ),
+        DeclareLaunchArgument(name, default_value=default, description=text)
+        for name, (default, text) in ARGUMENTS.items()
     ]
-    return LaunchDescription([*declared, node])
+    return LaunchDescription([*declared, OpaqueFunction(function=start_node)])
+
+
+def start_node(context):
+    given = {name: LaunchConfiguration(name).perform(context) for name in ARGUMENTS}
+    arm = ["--tool-frame", given["tool_frame"]]
+    if given["urdf"]:
+        arm += ["--urdf", given["urdf"]]
+    node = Node(
+        package="needleforce",
+        executable="node",
+        name="needleforce",
+        output="screen",
+        arguments=arm,
+        parameters=[given["parameters"]] if given["parameters"] else [],
+        remappings=[
+            (topic, given[topic]) for topic in ("robot_description", "joint_states")
+        ],
+    )
+    return [node]

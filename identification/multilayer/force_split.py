@@ -531,7 +531,7 @@ def estimate_sample(
 
 
 @compiled
-def update_sample(  # noqa: PLR0913, a named tuple would cost Python a microsecond
+def update_sample(
     posteriors: list[ShaftPosterior],
     contacts: list[NeedleContact],
     layers: Matrix,

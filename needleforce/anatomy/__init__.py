@@ -9,7 +9,7 @@ Points are in the patient's frame LPS (x to the left, y to the back, z to the he
 metres. Stands alone: no robots, no forces. Not a medical device.
 
 Reading order: `volume`, `structures`, `labels`, `body`, `resampling`, `segmentation`,
-`voxel_walk`, `path_layers`, `outer_voxels`, `clearance`, `surface`, `slabs`, `reading`,
+`voxel_walk`, `path_layers`, `clearance`, `surface`, `slabs`, `reading`,
 `file_checks`, `dicom_series`, `dicom_kinds`, `dicom_segmentation`, `label_names`,
 `mask_folder`, `slicer_segments`, `segment_names`, `renaming`, `registration`,
 `landmark_check`, `landmarks`, `landmark_frame`, `patient_motion`, `surface_fit`,

@@ -2,28 +2,26 @@
 
 Every voxel counts as the box that it fills: no smoothing, so a rib of one voxel is as
 hard as a thick one. Distances are those of the straight line from entry to target to
-the nearest box of a structure, exact for boxes of any edges. A search tree of the
-voxels' centres rules out what is far: the centre of a box lies no further from the
-nearest of its points than half the box's diagonal.
+the nearest box of a structure. Voxels behind each other along an axis of the grid are
+one box, and a tree of boxes around boxes rules out what is far: every path visits some
+dozens of them, however many voxels there are.
 """
 
-from collections.abc import Callable, Iterable
+from collections.abc import Iterable
 from dataclasses import dataclass
-from functools import cached_property
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
-from scipy.spatial import KDTree
 
-from foundation.arrays import Array
+from foundation.arrays import Array, Matrix, Vector, WrittenVector
+from foundation.jit import compile_waiting, compiled, compiled_inside
 from needleforce.anatomy.errors import (
     EXPORT_VOLUME,
     OTHER_PATH,
     PlanError,
     VolumeError,
 )
-from needleforce.anatomy.outer_voxels import Ball, OuterVoxels
 from needleforce.anatomy.segmentation import Segmentation
 from needleforce.anatomy.structures import Structure
 
@@ -37,28 +35,7 @@ needle bends by as much."""
 STDS = 2.0
 """So many standard deviations of the registration are kept free, too."""
 
-ORTHOGONAL = 1e-6
-"""Cosine up to which axes of a grid count as orthogonal."""
-
-MAX_CLEARANCE_m = 0.1
-"""Structures further away than this are not listed."""
-
-ROUNDING = 1e-12
-"""A slope this much smaller than the steepest is none."""
-
-ROUNDING_m = 1e-9
-"""Distances from centres that differ by less are compared box by box."""
-
-PATHS_AT_ONCE = 500
-"""Paths of which the points are held in memory at once: some 10 MB."""
-
-MIN_DISTANCE_m = 1e-9
-"""Less is none: a path to a face of a box ends in it."""
-
 MM_PER_M = 1e3
-
-Search = Callable[[Array, Array], NDArray[np.intp]]
-"""Finds voxels that may be the nearest to a path, given its ends along the grid."""
 
 
 @dataclass(frozen=True)
@@ -80,17 +57,15 @@ class Clearance:
 
 
 class Approach(NamedTuple):
-    """Where paths come nearest to voxels.
+    """Where a path comes nearest to voxels.
 
     Attributes:
         distance_m: From the path, 0 inside a voxel.
         depth_m: From the path's first point.
-        owner: Index of the structure whose voxel it is.
     """
 
     distance_m: float
     depth_m: float
-    owner: int
 
 
 class FreeSpace(NamedTuple):
@@ -122,245 +97,251 @@ class FreeSpace(NamedTuple):
 
 
 class VoxelBoxes:
-    """The voxels of structures as boxes, and how near straight paths come to them.
+    """The voxels of a structure as boxes, and how near straight paths come to them.
 
-    Building it takes a while, a path some tenths of a millisecond to some
-    milliseconds: keep one for many paths.
+    Building it takes a while, a path some microseconds: keep one for many paths.
 
     Args:
-        labels: The segmentation, or the outer voxels of its structures.
-        structures: Those whose voxels count.
-        within: The ball in which voxels count, or all. How near a path comes is then
-            right up to the distance between the path and the ball's surface.
+        labels: The segmentation.
+        structure: Whose voxels count.
 
     Attributes:
-        structures: The same.
+        structure: The same.
+        tree: The boxes, see `nearest_box`.
 
     Raises:
         VolumeError: The axes of the grid are not orthogonal.
     """
 
-    def __init__(
-        self,
-        labels: Segmentation | OuterVoxels,
-        structures: Iterable[Structure],
-        within: Ball | None = None,
-    ) -> None:
-        outer = labels if isinstance(labels, OuterVoxels) else OuterVoxels(labels)
-        self.structures = tuple(structures)
-        grid = outer.labels.grid
+    def __init__(self, labels: Segmentation, structure: Structure) -> None:
+        self.structure = structure
+        grid = labels.grid
         spacing_m = grid.spacing_m
         directions = grid.axes_m / spacing_m
-        if np.abs(directions.T @ directions - np.eye(3)).max() > ORTHOGONAL:
+        if np.abs(directions.T @ directions - np.eye(3)).max() > 1e-6:
             raise VolumeError(
                 "the axes of the labels' grid are not orthogonal: resample them",
                 EXPORT_VOLUME,
             )
-        self._labels = outer.labels
         self._origin_m = grid.origin_m
         self._directions = directions
-        self._half_m = 0.5 * spacing_m
-        self._half_diagonal_m = float(np.linalg.norm(self._half_m))
-        indices = [outer.indices(item, within) for item in self.structures]
-        self._centres_m = np.concatenate([np.zeros((0, 3), np.int32), *indices]) * (
-            spacing_m
+        first, last = _runs(labels, structure)
+        order = _nearby_order(first + last)
+        self.tree = _box_tree(
+            0.5 * (first + last)[order] * spacing_m,
+            0.5 * (last - first + 1)[order] * spacing_m,
         )
-        self._owners = np.repeat(np.arange(len(indices)), list(map(len, indices)))
+        compile_waiting()
 
-    @cached_property
-    def _tree(self) -> KDTree:
-        return KDTree(self._centres_m, balanced_tree=False)
-
-    def nearest(self, entry_m: ArrayLike, target_m: ArrayLike) -> Approach | None:
-        """Return where a path comes nearest to a voxel; None if there is no voxel.
+    def nearest(
+        self, entry_m: ArrayLike, target_m: ArrayLike, within_m: float = np.inf
+    ) -> Approach | None:
+        """Return where a path comes nearest to a voxel; None if it is further away.
 
         Args:
             entry_m: First point of the path, (3,) in LPS.
             target_m: Last point, (3,).
+            within_m: Voxels further away than this are not looked for.
         """
-        return self._find_approach(entry_m, target_m, self._search_tree)
-
-    def _search_tree(self, entry: Array, target: Array) -> NDArray[np.intp]:
-        """Return which voxels may be the nearest to a path, by the search tree."""
-        samples = self._sample(entry[None], target[None])
-        bound_m = float(self._tree.query(samples.points_m)[0].min())
-        near = self._tree.query_ball_point(
-            samples.points_m,
-            bound_m + self._half_diagonal_m + 2.0 * float(samples.step_m[0]),
-        )
-        return np.unique(np.concatenate(near).astype(np.intp))
-
-    def nearest_once(self, entry_m: ArrayLike, target_m: ArrayLike) -> Approach | None:
-        """Return what `nearest` does, faster for the first paths.
-
-        It passes all voxels and builds no search tree.
-        """
-        return self._find_approach(entry_m, target_m, self._search_all)
-
-    def _search_all(self, entry: Array, target: Array) -> NDArray[np.intp]:
-        """Return which voxels may be the nearest to a path, by passing all."""
-        distances_m = _distances_to_points(entry, target, self._centres_m)
-        # No box is nearer than its centre by more than half its diagonal.
-        reach_m = distances_m.min() + self._half_diagonal_m + ROUNDING_m
-        return np.flatnonzero(distances_m <= reach_m)
-
-    def _find_approach(
-        self, entry_m: ArrayLike, target_m: ArrayLike, search: Search
-    ) -> Approach | None:
-        """Return where a path comes nearest to a voxel that a search offers."""
-        owner = self._structure_at(entry_m)
-        if owner is not None:
-            return Approach(0.0, 0.0, owner)
-        if not len(self._centres_m):
+        ends = self.along_grid(np.array([entry_m, target_m]))
+        distance_m, fraction = nearest_box(self.tree, ends, within_m)
+        if fraction < 0.0:
             return None
-        entry, target = self._along_grid(np.array([entry_m, target_m], float))
-        return self._nearest_of(search(entry, target), entry, target)
+        return Approach(distance_m, fraction * float(np.linalg.norm(ends[1] - ends[0])))
 
-    def nearer_than(
-        self, entries_m: ArrayLike, targets_m: ArrayLike, distance_m: float
-    ) -> NDArray[np.bool_]:
-        """Return which of many paths come nearer to a voxel than a distance.
-
-        Args:
-            entries_m: First points, (n, 3) in LPS.
-            targets_m: Last points, (n, 3), or (3,) for one that all share.
-            distance_m: The distance.
-        """
-        entries_m = np.atleast_2d(np.asarray(entries_m, float))
-        targets_m = np.broadcast_to(np.asarray(targets_m, float), entries_m.shape)
-        is_near = np.array(
-            [self._structure_at(entry_m) is not None for entry_m in entries_m], bool
-        )
-        if not len(self._centres_m):
-            return is_near
-        entries = self._along_grid(entries_m)
-        targets = self._along_grid(targets_m)
-        outside = np.flatnonzero(~is_near)
-        for first in range(0, len(outside), PATHS_AT_ONCE):
-            paths = outside[first : first + PATHS_AT_ONCE]
-            is_near[paths] = self._are_nearer(
-                entries[paths], targets[paths], distance_m
-            )
-        return is_near
-
-    def _are_nearer(
-        self, entries: Array, targets: Array, distance_m: float
-    ) -> NDArray[np.bool_]:
-        """Return which paths come nearer to a voxel than a distance.
-
-        Args:
-            entries: First points, in axes of the grid, (n, 3).
-            targets: Last points, (n, 3).
-            distance_m: The distance.
-        """
-        samples = self._sample(entries, targets)
-        reaches_m = distance_m + self._half_diagonal_m + samples.step_m
-        reach_m = float(reaches_m.max())
-        low_m = self._centres_m.min(axis=0) - reach_m
-        high_m = self._centres_m.max(axis=0) + reach_m
-        is_beside = np.all(
-            (samples.points_m > low_m) & (samples.points_m < high_m), axis=1
-        )
-        distances_m = np.full(len(samples.points_m), np.inf)
-        if is_beside.any():
-            distances_m[is_beside] = self._tree.query(
-                samples.points_m[is_beside], distance_upper_bound=reach_m
-            )[0]
-        nearest_m = np.minimum.reduceat(distances_m, samples.first)
-        is_near = nearest_m < distance_m
-        # In between, the centre is too far and the box around it may be near enough.
-        for path in np.flatnonzero(~is_near & (nearest_m < reaches_m)).tolist():
-            near = self._tree.query_ball_point(samples.of(path), reaches_m[path])
-            candidates = np.unique(np.concatenate(near).astype(int))
-            nearest = self._nearest_of(candidates, entries[path], targets[path])
-            is_near[path] = nearest.distance_m < distance_m
-        return is_near
-
-    def _along_grid(self, points_m: ArrayLike) -> Array:
-        """Return points (n, 3) in axes along those of the grid [m]."""
+    def along_grid(self, points_m: ArrayLike) -> Array:
+        """Return points of LPS, (n, 3), along the axes of the boxes."""
         return (np.asarray(points_m, float) - self._origin_m) @ self._directions
 
-    def _structure_at(self, point_m: ArrayLike) -> int | None:
-        """Return the index of a structure that holds a point; None for none."""
-        index = np.rint(self._labels.grid.indices(point_m)).astype(int)
-        if np.any(index < 0) or np.any(index >= self._labels.grid.shape):
-            return None
-        voxel = tuple(index.tolist())
-        for number, item in enumerate(self.structures):
-            if self._labels.volumes[item.volume][voxel] == item.value:
-                return number
-        return None
 
-    def _sample(self, entries: Array, targets: Array) -> "_Samples":
-        """Return points of paths (n, 3), so close that boxes are found by them."""
-        lengths_m = np.linalg.norm(targets - entries, axis=1)
-        intervals = np.ceil(lengths_m / (2.0 * self._half_diagonal_m)).astype(int)
-        intervals = np.maximum(intervals, 1)
-        ends = np.cumsum(intervals + 1)
-        first = ends - (intervals + 1)
-        path = np.repeat(np.arange(len(entries)), intervals + 1)
-        fractions = (np.arange(ends[-1]) - first[path]) / intervals[path]
-        return _Samples(
-            entries[path] + fractions[:, None] * (targets - entries)[path],
-            first,
-            0.5 * lengths_m / intervals,
-        )
-
-    def _nearest_of(
-        self, candidates: NDArray[np.intp], entry: Array, target: Array
-    ) -> Approach:
-        """Return the nearest approach to the boxes of some voxels.
-
-        Args:
-            candidates: Their numbers, growing.
-            entry: First point of the path, in axes of the grid.
-            target: Last point.
-        """
-        if not len(candidates):
-            return Approach(np.inf, np.nan, -1)
-        distances_m, fractions = _distances_to_boxes(
-            entry, target, self._centres_m[candidates], self._half_m
-        )
-        best = int(np.lexsort((fractions, distances_m))[0])
-        depth_m = float(fractions[best] * np.linalg.norm(target - entry))
-        owner = int(self._owners[candidates[best]])
-        return Approach(float(distances_m[best]), depth_m, owner)
+def _runs(labels: Segmentation, structure: Structure) -> tuple[Array, Array]:
+    """Return the indices (n, 3) of the first and last voxels of a structure's rows."""
+    mask = labels.volumes[structure.volume][structure.box] == structure.value
+    padded = np.pad(mask, ((0, 0), (0, 0), (1, 1))).view(np.int8)
+    change = np.diff(padded, axis=-1)  # 1 where a row begins, -1 behind its end
+    corner = np.array([side.start for side in structure.box])
+    first = np.argwhere(change == 1) + corner
+    last = np.argwhere(change == -1) + corner
+    last[:, 2] -= 1
+    return first.astype(float), last.astype(float)
 
 
-class _Samples(NamedTuple):
-    """Points of straight paths.
+def _nearby_order(places: Array) -> NDArray[np.intp]:
+    """Return an order of points (n, 3) in which neighbours come soon after each other.
 
-    Attributes:
-        points_m: Those of a path follow each other, (m, 3).
-        first: Number of each path's first one, (n,).
-        step_m: How far a path strays from the nearest of them, (n,).
+    Along a curve of Morton: by the bits of all three whole coordinates in turn.
     """
+    cells = (places - places.min(axis=0)).astype(np.int64)
+    key = np.zeros(len(cells), np.int64)
+    for bit in range(16):  # 32,768 voxels along an axis, in steps of half a voxel
+        for axis in range(3):
+            key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
+    return np.argsort(key)
 
-    points_m: Array
-    first: NDArray[np.intp]
-    step_m: Array
 
-    def of(self, path: int) -> Array:
-        """Return the points of one path."""
-        ends = np.append(self.first[1:], len(self.points_m))
-        return self.points_m[self.first[path] : ends[path]]
+def _box_tree(centres_m: Array, halves_m: Array) -> Matrix:
+    """Return a binary tree of boxes as rows of centre and half edges, (2 n, 6).
+
+    Row 1 holds all boxes, rows 2 i and 2 i + 1 share those in row i, and the last n
+    rows are the given boxes.
+
+    Args:
+        centres_m: Of boxes that lie near each other where their numbers are, (n, 3).
+        halves_m: Half their edges, (n, 3).
+    """
+    count = len(centres_m)
+    low_m = np.concatenate([np.zeros((count, 3)), centres_m - halves_m])
+    high_m = np.concatenate([np.zeros((count, 3)), centres_m + halves_m])
+    end = count
+    while end > 1:
+        begin = (end + 1) // 2
+        pairs = slice(2 * begin, 2 * end)
+        low_m[begin:end] = low_m[pairs].reshape(-1, 2, 3).min(axis=1)
+        high_m[begin:end] = high_m[pairs].reshape(-1, 2, 3).max(axis=1)
+        end = begin
+    return np.hstack([0.5 * (low_m + high_m), 0.5 * (high_m - low_m)])
+
+
+@compiled
+def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float]:
+    """Return the distance of a line segment from the nearest box, and where that is.
+
+    Args:
+        tree: See `_box_tree`.
+        ends: Of the segment, along the axes of the boxes, (2, 3).
+        within: Boxes further away do not count.
+
+    Returns:
+        The distance, and the fraction of the segment, the first of equal ones; -1 if
+        there is no box.
+    """
+    tie = 1e-9  # beside a flat face thousands of boxes are as near, but for rounding
+    entry = ends[0]
+    way = ends[1] - ends[0]
+    cuts = np.empty(6)
+    waiting = np.empty((64, 3))  # boxes to look into: number, distance, fraction
+    _measure_box(tree, 1, entry, way, cuts, waiting[0])
+    size = 1
+    nearest = within
+    found = -1.0
+    while size > 0:
+        size -= 1
+        number, distance, fraction = waiting[size]
+        is_tie = found >= 0.0 and distance > nearest - tie and fraction >= found
+        if distance > nearest or is_tie:
+            continue
+        left = 2 * int(number)
+        if left >= len(tree):
+            nearest = distance
+            found = fraction
+            continue
+        _measure_box(tree, left, entry, way, cuts, waiting[size])
+        _measure_box(tree, left + 1, entry, way, cuts, waiting[size + 1])
+        # The nearer one is looked into first: it goes last.
+        _, near, near_at = waiting[size]
+        _, far, far_at = waiting[size + 1]
+        if near < far or (near == far and near_at < far_at):
+            for k in range(3):
+                swapped = waiting[size, k]
+                waiting[size, k] = waiting[size + 1, k]
+                waiting[size + 1, k] = swapped
+        size += 2
+    return nearest, found
+
+
+@compiled_inside
+def _measure_box(
+    tree: Matrix,
+    number: int,
+    entry: Vector,
+    way: Vector,
+    cuts: WrittenVector,
+    measured: WrittenVector,
+) -> None:
+    """Write the number of a box, its distance from a segment, and where that is.
+
+    Args:
+        tree: Boxes as rows of centre and half edges.
+        number: Of the box.
+        entry: Start of the segment, (3,).
+        way: To its end, (3,).
+        cuts: Room for six numbers.
+        measured: Number, distance, and fraction of the segment, (3,).
+    """
+    box = tree[number]
+    fraction = _nearest_fraction(box, entry, way, cuts)
+    square = 0.0
+    for i in range(3):
+        excess = abs(entry[i] + fraction * way[i] - box[i]) - box[3 + i]
+        if excess > 1e-9:  # a path to a face of a box ends in it
+            square += excess * excess
+    measured[0] = number
+    measured[1] = np.sqrt(square)
+    measured[2] = fraction
+
+
+@compiled_inside
+def _nearest_fraction(
+    box: Vector, entry: Vector, way: Vector, cuts: WrittenVector
+) -> float:
+    """Return where a line segment is nearest to a box, as a fraction of its length.
+
+    The square of the distance, along the segment, is convex and of degree two between
+    the places where the segment passes the planes of the box's faces: its slope is
+    linear there, and where it changes sign lies the minimum.
+    """
+    square = 0.0
+    for i in range(3):
+        square += way[i] * way[i]
+        speed = way[i] if way[i] != 0.0 else 1.0  # beside a plane its cut is any place
+        cuts[2 * i] = (box[i] - box[3 + i] - entry[i]) / speed
+        cuts[2 * i + 1] = (box[i] + box[3 + i] - entry[i]) / speed
+    flat = -1e-12 * square  # a slope less steep than this is none
+    before = 0.0
+    after = 1.0
+    slope_before = _slope_at(box, entry, way, before)
+    slope_after = _slope_at(box, entry, way, after)
+    if slope_before >= flat:
+        return before
+    if slope_after < flat:
+        return after
+    for cut in cuts:
+        if before < cut < after:
+            slope = _slope_at(box, entry, way, cut)
+            if slope < flat:
+                before = cut
+                slope_before = slope
+            else:
+                after = cut
+                slope_after = slope
+    part = -slope_before / (slope_after - slope_before)
+    return before + min(part, 1.0) * (after - before)
+
+
+@compiled_inside
+def _slope_at(box: Vector, entry: Vector, way: Vector, fraction: float) -> float:
+    """Return half the slope of the square of the distance from a box."""
+    slope = 0.0
+    for i in range(3):
+        offset = entry[i] + fraction * way[i] - box[i]
+        slope += (offset - min(max(offset, -box[3 + i]), box[3 + i])) * way[i]
+    return slope
 
 
 def find_clearances(
-    labels: Segmentation | OuterVoxels,
-    structures: Iterable[Structure],
-    entry_m: ArrayLike,
-    target_m: ArrayLike,
+    boxes: Iterable[VoxelBoxes], entry_m: ArrayLike, target_m: ArrayLike
 ) -> list[Clearance]:
-    """Return how near a path comes to structures, the nearest first."""
-    outer = labels if isinstance(labels, OuterVoxels) else OuterVoxels(labels)
+    """Return how near a path comes to structures within 0.1 m, the nearest first."""
     clearances: list[Clearance] = []
-    for item in structures:
-        nearest = VoxelBoxes(outer, [item]).nearest_once(entry_m, target_m)
-        if nearest is not None and nearest.distance_m <= MAX_CLEARANCE_m:
+    for one in boxes:
+        nearest = one.nearest(entry_m, target_m, within_m=0.1)
+        if nearest is not None:
             clearances.append(
                 Clearance(
-                    item.name, nearest.distance_m, nearest.depth_m, item.is_obstacle
+                    one.structure.name,
+                    nearest.distance_m,
+                    nearest.depth_m,
+                    one.structure.is_obstacle,
                 )
             )
     return sorted(clearances, key=lambda one: (one.distance_m, one.depth_m))
@@ -411,73 +392,3 @@ def require_clear_path(
             f"stay {space} away",
             OTHER_PATH,
         )
-
-
-def _distances_to_points(entry: Array, target: Array, points: Array) -> Array:
-    """Return the distances of a line segment from points (n, 3), shape (n,)."""
-    way = target - entry
-    start = points - entry
-    fractions = np.clip(start @ way / max(float(way @ way), ROUNDING), 0.0, 1.0)
-    return np.linalg.norm(start - fractions[:, None] * way, axis=1)
-
-
-def _distances_to_boxes(
-    entry: Array, target: Array, centres: Array, half: Array
-) -> tuple[Array, Array]:
-    """Return the distances of a line segment from boxes, and where it is nearest.
-
-    The square of the distance, along the segment, is convex and of degree two between
-    the places where the segment passes the planes of the box's faces: its slope is
-    linear there, and where it changes sign lies the minimum.
-
-    Args:
-        entry: Start of the segment, (3,).
-        target: Its end, (3,).
-        centres: Of the boxes, (n, 3); their edges lie along the axes.
-        half: Half their edges, (3,).
-
-    Returns:
-        Distances (n,), and fractions (n,) of the segment.
-    """
-    way = target - entry
-    start = entry - centres
-    is_moving = way != 0.0
-    speed = np.where(is_moving, way, 1.0)
-    cuts = np.stack([(half - start) / speed, (-half - start) / speed], axis=-1)
-    cuts[:, ~is_moving] = 0.0
-    cuts = np.clip(cuts.reshape(len(centres), 6), 0.0, 1.0)
-    ends = np.broadcast_to([0.0, 1.0], (len(centres), 2))
-    fractions = np.sort(np.concatenate([cuts, ends], axis=1), axis=1)
-    slope = _excess(start, way, half, fractions) @ way  # (n, 8), grows along a row
-    last = fractions.shape[1] - 1
-    is_falling = slope < -ROUNDING * (way @ way)
-    after = np.clip(is_falling.sum(axis=1), 0, last)
-    before = np.maximum(after - 1, 0)
-    rows = np.arange(len(centres))
-    rise = slope[rows, after] - slope[rows, before]
-    part = np.where(
-        rise > 0.0, -slope[rows, before] / np.where(rise > 0.0, rise, 1.0), 1.0
-    )
-    part = np.clip(part, 0.0, 1.0)
-    nearest = fractions[rows, before] + part * (
-        fractions[rows, after] - fractions[rows, before]
-    )
-    gaps = _excess(start, way, half, nearest[:, None])[:, 0]
-    distances = np.linalg.norm(gaps, axis=1)
-    return np.where(distances < MIN_DISTANCE_m, 0.0, distances), nearest
-
-
-def _excess(start: Array, way: Array, half: Array, fractions: Array) -> Array:
-    """Return by how much points of segments lie outside boxes along each axis.
-
-    Args:
-        start: Of each segment, from the box's centre, (n, 3).
-        way: To its end, (3,).
-        half: Half the edges of the boxes, (3,).
-        fractions: Of the points on the segments, (n, m).
-
-    Returns:
-        Signed distances along the axes, 0 inside, (n, m, 3).
-    """
-    points = start[:, None] + fractions[..., None] * way
-    return points - np.clip(points, -half, half)

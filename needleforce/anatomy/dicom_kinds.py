@@ -6,14 +6,9 @@ from typing import NamedTuple
 
 from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 
-PREAMBLE_BYTES = 128
-"""Of a DICOM file, before ``DICM``."""
-
 START_BYTES = 1024
 """The group of the file's own description lies within."""
 
-SOP_CLASS_TAG = b"\x02\x00\x02\x00UI"
-"""Tag and type of the class of the object, always little-endian and explicit."""
 
 _STORAGE = "1.2.840.10008.5.1"
 _IMAGES = f"{_STORAGE}.4.1.1"
@@ -68,15 +63,18 @@ def refuse_contours(path: Path) -> None:
 
 def _read_class(path: Path) -> str:
     """Return the class of the object in a DICOM file; empty of other files."""
+    # Tag and type of the class of the object, always little-endian and explicit.
+    sop_class_tag = b"\x02\x00\x02\x00UI"
+    preamble_bytes = 128  # of a DICOM file, before ``DICM``
     try:
         with path.open("rb") as file:
             start = file.read(START_BYTES)
     except OSError:
         return ""  # what is wrong with the file is said where it is read
-    place = start.find(SOP_CLASS_TAG)
-    if start[PREAMBLE_BYTES : PREAMBLE_BYTES + 4] != b"DICM" or place < 0:
+    place = start.find(sop_class_tag)
+    if start[preamble_bytes : preamble_bytes + 4] != b"DICM" or place < 0:
         return ""
-    place += len(SOP_CLASS_TAG)
+    place += len(sop_class_tag)
     size = struct.unpack_from("<H", start, place)[0]
     text = start[place + 2 : place + 2 + size]
     return text.rstrip(b"\0 ").decode("ascii", "replace")

@@ -27,7 +27,6 @@ from needleforce.anatomy.volume import Grid
 
 M_PER_MM = 1e-3
 
-BYTES_PER_GB = 1e9
 
 STEP_TOLERANCE = 0.1
 """Fraction of the step between slices by which they may miss their places: scanners
@@ -186,11 +185,12 @@ def _require_size(
     path: Path, shape: Sequence[int], segments: int, max_bytes: int
 ) -> None:
     """Refuse a segmentation whose voxels take more memory than they may."""
+    bytes_per_gb = 1e9
     size_bytes = math.prod(shape) * _label_type(segments).itemsize
     if size_bytes > max_bytes:
         raise VolumeError(
-            f"{path} has {tuple(shape)} voxels, {size_bytes / BYTES_PER_GB:.3g} GB: "
-            f"more than the limit of {max_bytes / BYTES_PER_GB:.3g} GB",
+            f"{path} has {tuple(shape)} voxels, {size_bytes / bytes_per_gb:.3g} GB: "
+            f"more than the limit of {max_bytes / bytes_per_gb:.3g} GB",
             "Crop or resample it, or store it in a smaller type.",
         )
 

@@ -1,5 +1,6 @@
 """A DICOM series from a folder, and what is refused of it."""
 
+from collections.abc import Sequence
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -12,20 +13,9 @@ from needleforce.anatomy.errors import (
     VolumeError,
 )
 
-MIN_STEP_mm = 1e-3
-"""Slices that are nearer to each other lie at the same place."""
-
 STEP_TOLERANCE = 0.01
 """Fraction of the usual step by which a slice may miss its place in an even stack."""
 
-ROUNDING_mm = 0.06
-"""By so much scanners round positions of slices: to a tenth of a millimetre."""
-
-MAX_STEP_TOLERANCE = 0.15
-"""Of the usual step: a missing slice shifts the ends of a stack by more."""
-
-MAX_SHEAR_PIXELS = 0.5
-"""Over the whole stack, slices may be shifted by so much."""
 
 SLICE_TAGS = {
     "0020|0032": "position",
@@ -73,20 +63,52 @@ def read_series(folder: Path) -> Any:
     import SimpleITK
 
     reader = SimpleITK.ImageSeriesReader()
-    series = reader.GetGDCMSeriesIDs(str(folder))
+    folders = [folder, *sorted(path for path in folder.rglob("*") if path.is_dir())]
+    # CDs lay a series in DICOM/PA0/ST0/SE1 or the like.
+    series = [
+        reader.GetGDCMSeriesFileNames(str(place), identifier)
+        for place in folders
+        for identifier in reader.GetGDCMSeriesIDs(str(place))
+    ]
     if len(series) != 1:
+        choice = "".join(f"\n  {_describe_series(files)}" for files in series[:20])
         raise VolumeError(
-            f"{folder} holds {len(series)} DICOM series: expected one",
+            f"{folder} holds {len(series)} DICOM series: expected one"
+            + (
+                f"; give the folder of one, or copy it to its own:{choice}"
+                * bool(choice)
+            ),
             ONE_SERIES,
         )
-    files = reader.GetGDCMSeriesFileNames(str(folder), series[0])
+    (files,) = series
     _require_one_scan(folder, files)
     reader.SetFileNames(files)
     return reader.Execute()
 
 
+def _describe_series(files: Sequence[str]) -> str:
+    """Return in words where a series lies, and what its first file says of it."""
+    import SimpleITK
+
+    reader = SimpleITK.ImageFileReader()
+    reader.SetFileName(files[0])
+    reader.ReadImageInformation()
+    said = [
+        reader.GetMetaData(tag).strip()
+        for tag in ("0008|0060", "0008|103e")  # modality, description of the series
+        if reader.HasMetaDataKey(tag)
+    ]
+    return f"{Path(files[0]).parent}: {len(files)} files, {', '.join(said)}"
+
+
 def _require_one_scan(folder: Path, files: Any) -> None:
     """Refuse slices that are not those of one whole scan."""
+    max_shear_pixels = 0.5  # over the whole stack, slices may be shifted by so much
+    # Of the usual step: a missing slice shifts the ends of a stack by more.
+    max_step_tolerance = 0.15
+    # By so much scanners round positions of slices: to a tenth of a millimetre.
+    rounding_mm = 0.06
+    min_step_mm = 1e-3  # slices that are nearer to each other lie at the same place
     slices = [_read_slice(name) for name in files]
     if np.ptp([item.geometry for item in slices], axis=0).any():
         raise VolumeError(
@@ -98,13 +120,13 @@ def _require_one_scan(folder: Path, files: Any) -> None:
     positions_mm = np.array([item.position_mm for item in slices]) @ to_slice_axes
     stack = _fit_stack(positions_mm)
     usual_mm = abs(float(stack.step_mm[2]))
-    if usual_mm < MIN_STEP_mm:
+    if usual_mm < min_step_mm:
         raise VolumeError(
             f"{folder}: one slice, or all at the same place: expected one scan",
             ONE_SERIES,
         )
     tolerance_mm = min(
-        max(STEP_TOLERANCE * usual_mm, ROUNDING_mm), MAX_STEP_TOLERANCE * usual_mm
+        max(STEP_TOLERANCE * usual_mm, rounding_mm), max_step_tolerance * usual_mm
     )
     if np.abs(stack.residuals_mm[:, 2]).max() > tolerance_mm:
         distances_mm = np.abs(np.diff(positions_mm[:, 2]))
@@ -118,10 +140,12 @@ def _require_one_scan(folder: Path, files: Any) -> None:
         )
     total_mm = np.abs(stack.step_mm[:2]).max() * (len(slices) - 1)
     is_straight = np.abs(stack.residuals_mm[:, :2]).max() <= tolerance_mm
-    max_total_mm = MAX_SHEAR_PIXELS * slices[0].spacing_mm.min()
+    max_total_mm = max_shear_pixels * slices[0].spacing_mm.min()
     if not is_straight or total_mm > max_total_mm:
         raise VolumeError(
-            f"{folder}: slices are sheared (gantry tilt): resample the scan",
+            f"{folder}: slices are sheared (gantry tilt): resample the scan with "
+            f"`dcm2niix -z y -f ct -o . {folder}` (pip install dcm2niix), and give "
+            "ct_Tilt_1.nii.gz",
             EXPORT_VOLUME,
         )
 
@@ -154,6 +178,12 @@ def _read_slice(name: str) -> _Slice:
     reader = SimpleITK.ImageFileReader()
     reader.SetFileName(name)
     reader.ReadImageInformation()
+    modality = "0008|0060"
+    if reader.HasMetaDataKey(modality) and reader.GetMetaData(modality).strip() == "MR":
+        raise VolumeError(
+            f"{name} is MR (its modality): expected a CT, in whose Hounsfield units "
+            "body, bone and air are found"
+        )
     numbers: list[float] = []
     frames = "0028|0008"
     count = reader.GetMetaData(frames).strip() if reader.HasMetaDataKey(frames) else "1"

@@ -50,13 +50,10 @@ class PlanError(AnatomyError, ValueError):
     usual_advice = "Give two or more layers, and finite depths that grow, in metres."
 
 
-MAX_DEVIATION_m = 0.1
-"""A larger standard deviation is one in millimetres."""
-
-
 def require_deviation(name: str, value_m: float, error: type[AnatomyError]) -> None:
     """Refuse a standard deviation that is none, or in millimetres."""
-    if not 0.0 < value_m < MAX_DEVIATION_m:
+    max_deviation_m = 0.1  # a larger standard deviation is one in millimetres
+    if not 0.0 < value_m < max_deviation_m:
         raise error(
             f"{name}={value_m!r}: expected a positive standard deviation in metres, "
             "below 0.1",

@@ -27,19 +27,6 @@ from needleforce.anatomy.errors import (
 START_BYTES = 136
 """Of a NIfTI file; its spacing lies within."""
 
-SPACING_TOLERANCE = 0.01
-"""Relative difference of two spacings that mean the same."""
-
-MAX_DISAGREEMENT_VOXELS = 0.5
-"""By so much of the smallest spacing two statements of the place may differ."""
-
-MAX_SHEAR = 0.01
-"""Cosine of two axes up to which they count as orthogonal."""
-
-MAX_NRRD_HEADER_BYTES = 1 << 22
-"""The header of an NRRD file is shorter."""
-
-GZIP_MAGIC = b"\x1f\x8b"
 
 NRRD_SPACES = frozenset(
     (
@@ -56,10 +43,6 @@ NRRD_SPACES = frozenset(
 MILLIMETRES = frozenset(("mm", "millimeter", "millimetre"))
 
 
-FLOAT_KINDS = {"16": "f4", "64": "f8"}
-"""Types of numbers by the ``datatype`` of a NIfTI header, of those that can be NaN."""
-
-
 class _SpacingField(NamedTuple):
     """Where a NIfTI header holds ``pixdim``: handedness, then the spacing.
 
@@ -70,10 +53,6 @@ class _SpacingField(NamedTuple):
 
     kind: str
     offset: int
-
-
-SPACING_FIELDS = {348: _SpacingField("f4", 76), 540: _SpacingField("f8", 104)}
-"""By the first number in a NIfTI file, the size of its header: versions 1 and 2."""
 
 
 def require_whole_nifti(
@@ -91,6 +70,7 @@ def require_whole_nifti(
         VolumeError: The file ends early, is damaged, does not say how it lies, or
             states two spacings or places.
     """
+    spacing_tolerance = 0.01  # relative difference of two spacings that mean the same
     start = _read_start(path, header)
     has_matrix = header["sform_code"] != "0"
     if not has_matrix and header["qform_code"] == "0":
@@ -110,7 +90,7 @@ def require_whole_nifti(
     stated_mm = pixdim[1:]
     matrix_mm = _matrix_spacing_mm(header) if has_matrix else spacing_mm
     if not np.allclose(
-        [stated_mm, matrix_mm], spacing_mm, rtol=SPACING_TOLERANCE, atol=0.0
+        [stated_mm, matrix_mm], spacing_mm, rtol=spacing_tolerance, atol=0.0
     ):
         raise VolumeError(
             f"{path}: its header states a spacing of {stated_mm.tolist()} mm (pixdim), "
@@ -137,6 +117,9 @@ def _require_one_place(
         qform_axes_mm: Spacing, negative where the qform turns an axis round, (3,).
         shape: Voxels along each axis.
     """
+    max_shear = 0.01  # cosine of two axes up to which they count as orthogonal
+    # By so much of the smallest spacing two statements of the place may differ.
+    max_disagreement_voxels = 0.5
     sform_mm = _sform_mm(header)
     if header["qform_code"] != "0":
         qform_mm = _qform_mm(header, qform_axes_mm)
@@ -147,7 +130,7 @@ def _require_one_place(
         corner_distances_mm = np.linalg.norm(corners @ (sform_mm - qform_mm).T, axis=1)
         worst = corners[corner_distances_mm.argmax()]
         distance_mm = float(corner_distances_mm.max())
-        if distance_mm <= MAX_DISAGREEMENT_VOXELS * np.abs(qform_axes_mm).min():
+        if distance_mm <= max_disagreement_voxels * np.abs(qform_axes_mm).min():
             return
         reason = (
             f"its qform and sform disagree by {distance_mm:.3g} mm: voxel "
@@ -158,7 +141,7 @@ def _require_one_place(
     else:
         axes = sform_mm[:, :3] / np.linalg.norm(sform_mm[:, :3], axis=0)
         largest_cosine = float(np.abs(axes.T @ axes - np.eye(3)).max())
-        if largest_cosine <= MAX_SHEAR:
+        if largest_cosine <= max_shear:
             return
         reason = (
             "its sform is sheared: the cosine of two of its axes is "
@@ -190,16 +173,19 @@ def _qform_mm(header: Mapping[str, str], qform_axes_mm: Array) -> Array:
 
 def _read_start(path: Path, header: Mapping[str, str]) -> bytes:
     """Return the first bytes of a NIfTI file, once it is known to be whole."""
+    # Types of numbers by the ``datatype`` of a NIfTI header, of those that can be NaN.
+    float_kinds = {"16": "f4", "64": "f8"}
+    gzip_magic = b"\x1f\x8b"
     axes = int(header["dim[0]"])
     sizes = [int(header[f"dim[{axis}]"]) for axis in range(1, axes + 1)]
     data_bytes = np.prod(sizes) * int(header["bitpix"]) / 8
     expected_bytes = float(header["vox_offset"]) + data_bytes
     try:
         with path.open("rb") as raw:
-            is_packed = raw.peek(2)[:2] == GZIP_MAGIC
+            is_packed = raw.peek(2)[:2] == gzip_magic
             file = gzip.GzipFile(fileobj=raw) if is_packed else raw
             start = file.read(START_BYTES)
-            kind = FLOAT_KINDS.get(header["datatype"])
+            kind = float_kinds.get(header["datatype"])
             if kind is not None:
                 file.seek(int(float(header["vox_offset"])))
                 order = "<" if start[0] else ">"
@@ -236,9 +222,11 @@ def _require_finite(path: Path, file: io.BufferedIOBase, kind: np.dtype[Any]) ->
 
 def _read_pixdim(start: bytes) -> Array:
     """Return ``pixdim`` from the first bytes of a NIfTI file: handedness, spacing."""
+    # By the first number in a NIfTI file, the size of its header: versions 1 and 2.
+    spacing_fields = {348: _SpacingField("f4", 76), 540: _SpacingField("f8", 104)}
     order = "<" if start[0] else ">"
     header_bytes = int(np.frombuffer(start, f"{order}i4", 1)[0])
-    field = SPACING_FIELDS[header_bytes]
+    field = spacing_fields[header_bytes]
     return np.frombuffer(start, order + field.kind, 4, field.offset)
 
 
@@ -253,8 +241,9 @@ def require_placed_nrrd(path: Path) -> None:
     Raises:
         VolumeError: Space, directions or units are missing, or not the patient's.
     """
+    max_nrrd_header_bytes = 1 << 22  # the header of an NRRD file is shorter
     with path.open("rb") as file:
-        start = file.read(MAX_NRRD_HEADER_BYTES).decode("latin-1")
+        start = file.read(max_nrrd_header_bytes).decode("latin-1")
     header = re.split(r"\r?\n\r?\n", start, maxsplit=1)[0]
     fields = {
         key.lower(): text

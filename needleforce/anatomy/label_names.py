@@ -13,17 +13,6 @@ from xml.etree import ElementTree
 
 from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 
-HEADER_BYTES = 348
-"""Of NIfTI-1, before the four bytes that say whether extensions follow."""
-
-OFFSET_AT = 108
-"""Where the header says at which byte the voxels begin."""
-
-MAX_EXTENSION_BYTES = 1 << 22
-"""More than the names of a thousand labels take."""
-
-EXTENSION_HEAD_BYTES = 8
-
 
 def read_header_names(path: Path) -> dict[int, str]:
     """Return names by label from the extensions of a NIfTI file, if it has any.
@@ -54,23 +43,28 @@ def read_header_names(path: Path) -> dict[int, str]:
 
 def _read_extensions(path: Path) -> list[bytes]:
     """Return the contents of the extensions behind the header."""
+    extension_head_bytes = 8
+    max_extension_bytes = 1 << 22  # more than the names of a thousand labels take
+    offset_at = 108  # where the header says at which byte the voxels begin
+    # Of NIfTI-1, before the four bytes that say whether extensions follow.
+    header_bytes = 348
     try:
         with gzip.open(path) if path.name.endswith(".gz") else path.open("rb") as file:
-            header = file.read(HEADER_BYTES + 4)
-            if len(header) < HEADER_BYTES + 4 or not header[HEADER_BYTES]:
+            header = file.read(header_bytes + 4)
+            if len(header) < header_bytes + 4 or not header[header_bytes]:
                 return []
-            order = "<" if struct.unpack_from("<i", header)[0] == HEADER_BYTES else ">"
-            end = int(struct.unpack_from(f"{order}f", header, OFFSET_AT)[0])
-            length = min(max(end - HEADER_BYTES - 4, 0), MAX_EXTENSION_BYTES)
+            order = "<" if struct.unpack_from("<i", header)[0] == header_bytes else ">"
+            end = int(struct.unpack_from(f"{order}f", header, offset_at)[0])
+            length = min(max(end - header_bytes - 4, 0), max_extension_bytes)
             block = file.read(length)
     except (OSError, EOFError, zlib.error):
         return []  # what is wrong with the file is said where its voxels are read
     contents: list[bytes] = []
     place = 0
-    while place + EXTENSION_HEAD_BYTES <= len(block):
+    while place + extension_head_bytes <= len(block):
         size = struct.unpack_from(f"{order}i", block, place)[0]
-        if size < EXTENSION_HEAD_BYTES:
+        if size < extension_head_bytes:
             break
-        contents.append(block[place + EXTENSION_HEAD_BYTES : place + size])
+        contents.append(block[place + extension_head_bytes : place + size])
         place += size
     return contents

@@ -10,7 +10,7 @@ from scipy import ndimage
 
 from foundation.arrays import Array
 from needleforce.anatomy.body import find_body
-from needleforce.anatomy.clearance import Clearance, find_clearances
+from needleforce.anatomy.clearance import Clearance, VoxelBoxes, find_clearances
 from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 from needleforce.anatomy.path_layers import Layer, find_layers
 from needleforce.anatomy.resampling import resample_nearest
@@ -25,11 +25,6 @@ SHOWN_VOXEL_m = 3e-3
 DENSE = "dense_as_bone"
 """Name of what is as dense as bone in the CT and not labelled."""
 
-DENSE_HU = 200.0
-"""Soft tissue, with contrast medium too, seldom exceeds it; bone and metal do."""
-
-MIN_DENSE_m3 = 10e-9
-"""Smaller pieces are calcifications, or noise."""
 
 BODY_NAMES = frozenset(("lean", "fat", "body"))
 """What `Labels.with_body` adds: it names no structure."""
@@ -156,8 +151,11 @@ class Labels:
         Args:
             scan: The CT, in HU.
         """
+        min_dense_m3 = 10e-9  # smaller pieces are calcifications, or noise
+        # Soft tissue, with contrast medium too, seldom exceeds it; bone and metal do.
+        dense_HU = 200.0
         is_dense = resample_nearest(
-            (scan.values > DENSE_HU).astype(np.uint8), scan.grid, self.grid
+            (scan.values > dense_HU).astype(np.uint8), scan.grid, self.grid
         ).astype(bool)
         for item in self.structures:
             if item.name not in BODY_NAMES:
@@ -166,7 +164,7 @@ class Labels:
         pieces = np.zeros(self.grid.shape, np.int32)
         ndimage.label(is_dense, np.ones((3, 3, 3)), output=pieces)
         voxel_m3 = float(np.prod(self.grid.spacing_m))
-        is_large = np.bincount(pieces.ravel()) * voxel_m3 >= MIN_DENSE_m3
+        is_large = np.bincount(pieces.ravel()) * voxel_m3 >= min_dense_m3
         is_large[0] = False
         volume = np.take(is_large, pieces).astype(np.uint8)
         if not volume.any():
@@ -283,7 +281,8 @@ class Labels:
             chosen = [one for one in self.structures if one.is_obstacle or one.is_risk]
         else:
             chosen = [self[name] for name in names]
-        return find_clearances(self, chosen, entry_m, target_m)
+        boxes = [VoxelBoxes(self, one) for one in chosen]
+        return find_clearances(boxes, entry_m, target_m)
 
 
 def _twice(name: str) -> VolumeError:

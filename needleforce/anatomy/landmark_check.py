@@ -13,7 +13,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtrc
 
 from foundation.arrays import Array
 from needleforce.anatomy.registration import (
@@ -29,19 +29,10 @@ MIN_VERIFIED = 5
 DOUBTFUL = 0.01
 """A landmark whose residual would be exceeded less often is named."""
 
-MAX_ORDERED = 7
-"""Of more landmarks not all orders are tried: pairs are, see `landmarks`."""
 
 EQUAL_FIT = 10.0
 """Difference of the squares over the variance, in favour of the stated order, below
 which another order fits as well: the stated one is less than 150 times as likely."""
-
-EQUAL_FIT_OF_THREE = 2.0
-"""The same of three landmarks, of which two sides are often nearly equal."""
-
-MAX_GAP_STD = 8.0
-"""Distances between landmarks that differ by so many standard deviations rule an order
-out before it is fitted."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +114,7 @@ def _leave_out(model: Array, robot: Array, number: int, std_m: float) -> _LeftOu
     jacobian = displacement_jacobian(moved_m[number] - pivot_m)
     factor = np.eye(3) + jacobian @ np.linalg.solve(rows.T @ rows, jacobian.T)
     squares = error_m @ np.linalg.solve(factor, error_m) / std_m**2
-    return _LeftOut(distance_m, float(chi2.sf(squares, 3)))
+    return _LeftOut(distance_m, float(chdtrc(3, squares)))
 
 
 def find_equal_order(
@@ -136,7 +127,9 @@ def find_equal_order(
         robot: The same in the robot's base.
         std_m: Standard deviation of a landmark along each axis.
     """
-    equal_fit = EQUAL_FIT if len(model) > 3 else EQUAL_FIT_OF_THREE
+    # `EQUAL_FIT` of three landmarks, of which two sides are often nearly equal.
+    equal_fit_of_three = 2.0
+    equal_fit = EQUAL_FIT if len(model) > 3 else equal_fit_of_three
     max_squares_m2 = fit_rigidly(model, robot).squares_m2 + equal_fit * std_m**2
     return find_order(model, robot, std_m, max_squares_m2)
 
@@ -152,11 +145,16 @@ def find_order(
         std_m: Standard deviation of a landmark along each axis.
         max_squares_m2: Largest sum of the squares that it may leave.
     """
-    if len(model) > MAX_ORDERED:
+    # Distances between landmarks that differ by so many standard deviations rule an
+    # order out before it is fitted.
+    max_gap_std = 8.0
+    # Of more landmarks not all orders are tried: pairs are, see `landmarks`.
+    max_ordered = 7
+    if len(model) > max_ordered:
         return None
     model_gaps_m = _gaps_m(model)
     robot_gaps_m = _gaps_m(robot)
-    max_gap_m = MAX_GAP_STD * std_m
+    max_gap_m = max_gap_std * std_m
     stated = tuple(range(len(model)))
     for order in permutations(stated):
         chosen = np.array(order)

@@ -16,31 +16,10 @@ from needleforce.anatomy.markups import RAS_TO_LPS
 from needleforce.anatomy.structures import words_of
 from needleforce.anatomy.surface import Surface
 
-MIN_OFF_SKIN_m = 2e-3
-"""Landmarks this near to the skin are in the right frame, as far as it shows."""
-
-MAX_OFF_SKIN_m = 0.012
-"""Landmarks of the skin lie nearer to it."""
-
-OTHER_CT_m = 0.03
-"""Landmarks so far from the skin, on average, are those of another CT."""
-
-OTHER_FRAME_RATIO = 3.0
-"""So much nearer to the skin they are in the right frame than in the wrong one."""
-
-MIN_SIDE_m = 5e-3
-"""Landmarks nearer to the middle of the body say nothing of sides."""
-
 MIN_NEARER_m = 0.03
 """Touches are in the other frame if there they lie so much nearer to the entry: errors
 of the first registration and the choice of places make less."""
 
-NEARER_RATIO = 1.5
-"""Ratio of the two distances from the entry that touches of the other frame pass, too:
-far from the entry `MIN_NEARER_m` alone shows little."""
-
-FAR_FROM_ENTRY_m = 0.15
-"""Touches about the entry lie nearer to it."""
 
 LEFT = np.array([1.0, 0.0, 0.0])
 BACK = np.array([0.0, 1.0, 0.0])
@@ -55,8 +34,6 @@ SIDES = {
     "nipple": -BACK,
 }
 """Directions in LPS of words in the names of landmarks."""
-
-_CAUSE = "the file says LPS and holds RAS, or the reverse"
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,28 +68,35 @@ def require_lps(landmarks: SkinLandmarks) -> list[str]:
             state, or the touches nearer to the planned entry; or they lie far from the
             skin either way.
     """
+    # So much nearer to the skin they are in the right frame than in the wrong one.
+    other_frame_ratio = 3.0
+    # Landmarks so far from the skin, on average, are those of another CT.
+    other_ct_m = 0.03
+    max_off_skin_m = 0.012  # landmarks of the skin lie nearer to it
+    # Landmarks this near to the skin are in the right frame, as far as it shows.
+    min_off_skin_m = 2e-3
     off_m = _mean_distance_m(landmarks.points_m, landmarks.skin)
     other_m = _mean_distance_m(landmarks.points_m * RAS_TO_LPS, landmarks.skin)
-    if off_m > max(MIN_OFF_SKIN_m, OTHER_FRAME_RATIO * other_m):
+    if off_m > max(min_off_skin_m, other_frame_ratio * other_m):
         raise _refusal(
             f"the landmarks lie {1e3 * off_m:.1f} mm from the skin of the CT on "
             f"average, and {1e3 * other_m:.1f} mm with x and y negated"
         )
-    if off_m > OTHER_CT_m:
+    if off_m > other_ct_m:
         raise RegistrationError(
             f"the landmarks lie {1e3 * off_m:.0f} mm from the skin of the CT on "
-            f"average, expected less than {1e3 * OTHER_CT_m:.0f}: they belong to "
+            f"average, expected less than {1e3 * other_ct_m:.0f}: they belong to "
             "another CT, or to no points of the skin; give those of the plan's CT",
             TOUCH_LANDMARKS,
         )
     has_sides = _require_sides(landmarks)
     doubts = _check_touches(landmarks)
-    if off_m > MAX_OFF_SKIN_m:
+    if off_m > max_off_skin_m:
         doubts.append(
             f"the landmarks lie {1e3 * off_m:.0f} mm from the skin of the CT on "
             "average: whether they belong to this CT is not verified"
         )
-    is_shown_by_skin = other_m > max(MIN_OFF_SKIN_m, OTHER_FRAME_RATIO * off_m)
+    is_shown_by_skin = other_m > max(min_off_skin_m, other_frame_ratio * off_m)
     if not (is_shown_by_skin or has_sides or _has_touches(landmarks)):
         doubts.append(
             "whether the landmarks are in LPS is not verified: with x and y negated "
@@ -123,8 +107,9 @@ def require_lps(landmarks: SkinLandmarks) -> list[str]:
 
 def _refusal(finding: str) -> RegistrationError:
     """Return the refusal for a finding."""
+    cause = "the file says LPS and holds RAS, or the reverse"
     return RegistrationError(
-        f"{finding}: {_CAUSE}; negate them (`needleforce register --negate-xy`)",
+        f"{finding}: {cause}; negate them (`needleforce register --negate-xy`)",
         TOUCH_LANDMARKS,
     )
 
@@ -141,6 +126,7 @@ def _require_sides(landmarks: SkinLandmarks) -> bool:
     Returns:
         Whether any name states one.
     """
+    min_side_m = 5e-3  # landmarks nearer to the middle of the body say nothing of sides
     middle_m = 0.5 * (
         landmarks.skin.vertices_m.min(axis=0) + landmarks.skin.vertices_m.max(axis=0)
     )
@@ -150,8 +136,8 @@ def _require_sides(landmarks: SkinLandmarks) -> bool:
         for name, offset_m in named
         for word in sorted(words_of(name) & SIDES.keys())
     }
-    wrong = [name for name, one_m in aside_m.items() if one_m < -MIN_SIDE_m]
-    right = [name for name, one_m in aside_m.items() if one_m > MIN_SIDE_m]
+    wrong = [name for name, one_m in aside_m.items() if one_m < -min_side_m]
+    right = [name for name, one_m in aside_m.items() if one_m > min_side_m]
     if wrong and len(wrong) >= len(right):
         raise _refusal(
             f"landmarks {', '.join(wrong)} lie on the other side of the body than "
@@ -174,6 +160,10 @@ def _check_touches(landmarks: SkinLandmarks) -> list[str]:
     Returns:
         That they lie far from it, if they do.
     """
+    far_from_entry_m = 0.15  # touches about the entry lie nearer to it
+    # Ratio of the two distances from the entry that touches of the other frame pass,
+    # too: far from the entry `MIN_NEARER_m` alone shows little.
+    nearer_ratio = 1.5
     touches_m = landmarks.touches_m
     entry_m = landmarks.entry_m
     if touches_m is None or entry_m is None or not len(touches_m):
@@ -181,12 +171,12 @@ def _check_touches(landmarks: SkinLandmarks) -> list[str]:
     off_m = float(np.median(np.linalg.norm(touches_m - entry_m, axis=1)))
     other = np.linalg.norm(touches_m * RAS_TO_LPS - entry_m, axis=1)
     other_m = float(np.median(other))
-    if off_m > max(NEARER_RATIO * other_m, other_m + MIN_NEARER_m):
+    if off_m > max(nearer_ratio * other_m, other_m + MIN_NEARER_m):
         raise _refusal(
             f"by the landmarks half of the touches lie {1e3 * off_m:.0f} mm or more "
             f"from the planned entry, and {1e3 * other_m:.0f} mm with x and y negated"
         )
-    if off_m > FAR_FROM_ENTRY_m:
+    if off_m > far_from_entry_m:
         return [
             f"half of the touches lie {1e3 * off_m:.0f} mm or more from the planned "
             "entry: whether they belong to this plan is not verified"

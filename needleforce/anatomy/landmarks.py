@@ -10,7 +10,7 @@ from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
-from scipy.stats import chi2
+from scipy.special import chdtrc, chdtri
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import (
@@ -28,23 +28,6 @@ from needleforce.anatomy.registration import (
     rms_extents_m,
     rms_length,
 )
-
-FALSE_REFUSAL = 1e-6
-"""Probability that good landmarks do not fit: no refusal is wrong in a life."""
-
-STATED_DEGREES = 0.5
-"""Residuals for which a known deviation counts: all but those of the landmarks, or one
-of them that is off would leave the stated error as it is."""
-
-DOUBTFUL_FIT = 0.05
-"""Residuals that good landmarks exceed more seldom are taken for those of one landmark
-that is off."""
-
-DEGREES_OF_ONE = 3.0
-"""Degrees of freedom of one landmark that is off."""
-
-MIN_EXTENT_m = 1e-12
-"""Keeps the ratio of extents finite where all landmarks are at one place."""
 
 
 class _Landmarks(NamedTuple):
@@ -64,8 +47,10 @@ class _Landmarks(NamedTuple):
 
     def max_squares_m2(self, std_m: float) -> float:
         """Return the largest sum of squares that good landmarks leave."""
+        # Probability that good landmarks do not fit: no refusal is wrong in a life.
+        false_refusal = 1e-6
         degrees = 3 * len(self.model_m) - 6
-        return float(std_m**2 * chi2.isf(FALSE_REFUSAL, degrees))
+        return float(std_m**2 * chdtri(degrees, false_refusal))
 
 
 class _Noise(NamedTuple):
@@ -159,14 +144,21 @@ def _estimate_noise(
         std_m: Stated deviation along each axis.
         is_std_known: It counts, too.
     """
+    degrees_of_one = 3.0  # degrees of freedom of one landmark that is off
+    # Residuals that good landmarks exceed more seldom are taken for those of one
+    # landmark that is off.
+    doubtful_fit = 0.05
+    # Residuals for which a known deviation counts: all but those of the landmarks, or
+    # one of them that is off would leave the stated error as it is.
+    stated_degrees = 0.5
     degrees = 3.0 * count - 6.0
     if count == 3 and not is_std_known:
         return _Noise(np.nan, degrees)
-    if chi2.sf(squares_m2 / std_m**2, degrees) < DOUBTFUL_FIT:
-        return _Noise(squares_m2 / degrees, DEGREES_OF_ONE)
+    if chdtrc(degrees, squares_m2 / std_m**2) < doubtful_fit:
+        return _Noise(squares_m2 / degrees, degrees_of_one)
     if count == 3:
         return _Noise(std_m**2, np.inf)
-    stated = STATED_DEGREES if is_std_known else 0.0
+    stated = stated_degrees if is_std_known else 0.0
     variance_m2 = (squares_m2 + stated * std_m**2) / (degrees + stated)
     return _Noise(variance_m2, degrees + stated)
 
@@ -185,6 +177,8 @@ def _require_one_order(landmarks: _Landmarks, std_m: float) -> None:
 
 def _checked_landmarks(model_m: ArrayLike, robot_m: ArrayLike) -> _Landmarks:
     """Return landmarks that could register."""
+    # Keeps the ratio of extents finite where all landmarks are at one place.
+    min_extent_m = 1e-12
     model = np.asarray(model_m, dtype=float)
     robot = np.asarray(robot_m, dtype=float)
     if model.ndim != 2 or model.shape[1:] != (3,) or model.shape != robot.shape:
@@ -198,7 +192,7 @@ def _checked_landmarks(model_m: ArrayLike, robot_m: ArrayLike) -> _Landmarks:
         raise RegistrationError("a landmark is not finite")
     model_length_m, model_width_m, _ = rms_extents_m(model)
     robot_length_m, robot_width_m, _ = rms_extents_m(robot)
-    ratio = robot_length_m / max(model_length_m, MIN_EXTENT_m)
+    ratio = robot_length_m / max(model_length_m, min_extent_m)
     if not 1.0 / MAX_LENGTH_RATIO < ratio < MAX_LENGTH_RATIO:
         raise RegistrationError(
             f"the touched landmarks are {ratio:.3g} times as far apart as those of the "

@@ -23,16 +23,8 @@ SCHEMA = (
 
 RAS_TO_LPS = np.array([-1.0, -1.0, 1.0])
 
-FRAMES = {"LPS": np.ones(3), "0": RAS_TO_LPS, "1": np.ones(3), "RAS": RAS_TO_LPS}
-"""Factors to LPS by the name of a frame, and by the number in old files."""
-
-UNITS_m = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
-"""Metres per unit of length."""
 
 MM_PER_M = 1e3
-
-UNPLACED = ("undefined", "missing", "preview")
-"""States of control points that have no place."""
 
 
 class _ControlPoint(msgspec.Struct):
@@ -99,6 +91,12 @@ def read_markup(path: Path | str) -> Markup:
         VolumeError: Not readable, several lists, no points, a frame or a unit that is
             not known, or two points of one name.
     """
+    # States of control points that have no place.
+    unplaced = ("undefined", "missing", "preview")
+    # Metres per unit of length.
+    units_m = {"mm": 1e-3, "cm": 1e-2, "m": 1.0, "um": 1e-6}
+    # Factors to LPS by the name of a frame, and by the number in old files.
+    frames = {"LPS": np.ones(3), "0": RAS_TO_LPS, "1": np.ones(3), "RAS": RAS_TO_LPS}
     try:
         file = msgspec.json.decode(Path(path).read_bytes(), type=_File)
     except (OSError, msgspec.MsgspecError) as error:
@@ -113,18 +111,18 @@ def read_markup(path: Path | str) -> Markup:
             SAVE_MARKUPS,
         )
     markup = file.markups[0]
-    scale_m = UNITS_m.get(markup.units)
-    factors = FRAMES.get(str(markup.frame))
+    scale_m = units_m.get(markup.units)
+    factors = frames.get(str(markup.frame))
     if scale_m is None or factors is None:
         raise VolumeError(
             f"{path} is in {markup.frame!r} and {markup.units!r}: expected LPS or RAS, "
-            f"and one of {', '.join(UNITS_m)}",
+            f"and one of {', '.join(units_m)}",
             SAVE_MARKUPS,
         )
     placed = [
         point
         for point in markup.points
-        if point.position is not None and point.status not in UNPLACED
+        if point.position is not None and point.status not in unplaced
     ]
     if not placed:
         raise VolumeError(f"{path} holds no placed point", SAVE_MARKUPS)

@@ -19,8 +19,6 @@ from needleforce.anatomy.volume import Grid, Volume
 ENDINGS = (".nii.gz", ".nii", ".nrrd")
 """Of files with masks."""
 
-MAX_DIFFERENCE_VOXELS = 0.01
-"""Grids that differ by more are not the same."""
 
 MAX_NAMES = 255
 """As many masks as fit into one byte with 0 for none; more take two."""
@@ -66,6 +64,7 @@ def join_masks(masks: Sequence[Path], read: Callable[[Path], Volume]) -> Labels:
 
 def _as_mask(scan: Volume, grid: Grid, path: Path) -> NDArray[np.bool_]:
     """Return the voxels of a mask; refuse what is none, or lies elsewhere."""
+    max_difference_voxels = 0.01  # grids that differ by more are not the same
     mask = scan.values != 0
     if np.any(scan.values[mask] != scan.values.max()) or scan.values.min() < 0:
         raise VolumeError(
@@ -78,7 +77,7 @@ def _as_mask(scan: Volume, grid: Grid, path: Path) -> NDArray[np.bool_]:
         shift = np.abs(
             grid.indices(scan.grid.corners_m()) - grid.indices(grid.corners_m())
         )
-        is_same = bool(shift.max() <= MAX_DIFFERENCE_VOXELS)
+        is_same = bool(shift.max() <= max_difference_voxels)
     if not is_same:
         raise VolumeError(
             f"{path} lies on another grid than the other masks of its folder",

@@ -10,30 +10,15 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array
-from needleforce.anatomy.clearance import FreeSpace, VoxelBoxes
-from needleforce.anatomy.outer_voxels import OuterVoxels
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.jit import compile_waiting, compiled
+from needleforce.anatomy.clearance import FreeSpace, VoxelBoxes, nearest_box
 from needleforce.anatomy.registration import Registration
 from needleforce.anatomy.segmentation import Segmentation
 
-APPROACH_m = 0.05
-"""The way ahead of a tip further above the entry is not judged: an arm on its way to
-the patient points anywhere."""
+REACH_m = 0.1
+"""Structures further away than this are not reported."""
 
-STEP_m = 0.1e-3
-"""Motion of the needle after which a near structure is measured again."""
-
-STEP_FRACTION = 0.2
-"""A structure is measured again after this fraction of the distance that it has left
-above its margin: none comes nearer than its margin unnoticed, and far ones cost little.
-"""
-
-MIN_PART_m = 1e-4
-"""A shorter part of the needle is measured as one of this length."""
-
-CLOSER_m = 1e-3
-"""A structure that the plan itself passes nearer than its margin is too near only when
-the needle comes nearer by this much."""
 
 MM_PER_M = 1e3
 
@@ -79,18 +64,6 @@ class NeedleClearance(NamedTuple):
         return f"{part} passes {self.name} at {distance_mm:.1f} ± {std_mm:.1f} mm"
 
 
-class _Measured(NamedTuple):
-    """A distance, and where the part of the needle was to which it belongs.
-
-    Attributes:
-        ends_m: Of the part, in the model, (2, 3).
-        distance_m: To the structure.
-    """
-
-    ends_m: Array
-    distance_m: float
-
-
 class NeedleSurroundings:
     """The structures at risk around a planned path, in the robot's base.
 
@@ -116,15 +89,17 @@ class NeedleSurroundings:
         space: FreeSpace,
         leave_out: Iterable[str] = (),
     ) -> None:
+        # A structure that the plan itself passes nearer than its margin is too near
+        # only when the needle comes nearer by this much.
+        closer_m = 1e-3
         left_out = frozenset(leave_out)
-        outer = OuterVoxels(labels)
         self._structures = [
             item
             for item in labels.structures
             if (item.is_obstacle or item.is_risk) and item.name not in left_out
         ]
         self.names = tuple(item.name for item in self._structures)
-        self._boxes = [VoxelBoxes(outer, [item]) for item in self._structures]
+        boxes = [VoxelBoxes(labels, item) for item in self._structures]
         self._registration = registration
         self._entry_m = np.asarray(entry_m, dtype=float)
         way_m = np.asarray(target_m, dtype=float) - self._entry_m
@@ -132,63 +107,119 @@ class NeedleSurroundings:
         self._axis = way_m / self._length_m
         self._std_m = space.std_m
         kept_free_m = space.needle_radius_m + space.margin_m
-        planned_ends_m = np.array([entry_m, target_m], dtype=float)
-        planned_m = [_measure(boxes, planned_ends_m) for boxes in self._boxes]
-        self._needed_m = [
-            kept_free_m if distance_m > kept_free_m else distance_m - CLOSER_m
-            for distance_m in planned_m
-        ]
-        self._measured: dict[tuple[int, str], _Measured] = {}
+        planned = [one.nearest(entry_m, target_m, REACH_m) for one in boxes]
+        self._needed_m = np.array(
+            [
+                kept_free_m
+                if nearest is None or nearest.distance_m > kept_free_m
+                else nearest.distance_m - closer_m
+                for nearest in planned
+            ]
+        )
+        compile_waiting()
+        self._along_grid = boxes[0].along_grid if boxes else np.asarray
+        self._trees = np.concatenate([np.zeros((0, 6)), *(one.tree for one in boxes)])
+        self._begins = np.cumsum([0.0, *(len(one.tree) for one in boxes)])
+        self._distances_m = np.full((2, len(boxes)), np.inf)
+        self._measured_ends = np.full((2, len(boxes), 6), np.inf)
+        self._was_inside = False
+        self._found: tuple[NeedleClearance, ...] = ()
 
     def clearances(self, tip_m: Array, axis: Array) -> tuple[NeedleClearance, ...]:
-        """Return how near the needle comes to each structure, the nearest first.
+        """Return how near the needle comes to structures within 0.1 m, nearest first.
 
         Args:
             tip_m: Tip of the needle in the robot's base, (3,).
             axis: Its direction, of length one, (3,).
         """
+        # The way ahead of a tip further above the entry is not judged: an arm on its
+        # way to the patient points anywhere.
+        approach_m = 0.05
         tip = self._registration.to_model(tip_m)
         forward = axis @ self._registration.rotation
         depth_m = float((tip - self._entry_m) @ self._axis)
-        if depth_m < -APPROACH_m:
+        if depth_m < -approach_m:
             return ()
-        ahead_m = max(self._length_m - depth_m, MIN_PART_m)
-        ahead = np.array([tip, tip + ahead_m * forward])
-        inside = np.array([tip - max(depth_m, MIN_PART_m) * forward, tip])
+        # A shorter part of the needle is measured as one of 0.1 mm.
+        inside_m = max(depth_m, 1e-4) * forward
+        ahead_m = max(self._length_m - depth_m, 1e-4) * forward
+        ends = self._along_grid([tip - inside_m, tip, tip, tip + ahead_m])
+        measured = [
+            measure_again(
+                self._trees,
+                self._begins,
+                self._needed_m,
+                ends[2 * part : 2 * part + 2],
+                self._measured_ends[part],
+                self._distances_m[part],
+            )
+            for part in range(2)
+        ]
+        is_inside = depth_m > 0.0
+        if any(measured) or is_inside != self._was_inside:
+            self._was_inside = is_inside
+            self._found = self._clearances()
+        return self._found
+
+    def _clearances(self) -> tuple[NeedleClearance, ...]:
+        """Return the measured distances of structures within 0.1 m, nearest first."""
+        inside_m, ahead_m = self._distances_m.tolist()
+        if not self._was_inside:
+            inside_m = [np.inf] * len(inside_m)
         found = [
             NeedleClearance(
                 number=number,
                 name=item.name,
-                needle_m=self._distance_m(number, "inside", inside)
-                if depth_m > 0.0
-                else np.inf,
-                ahead_m=self._distance_m(number, "ahead", ahead),
+                needle_m=inside_m[number],
+                ahead_m=ahead_m[number],
                 std_m=self._std_m,
-                needed_m=self._needed_m[number],
+                needed_m=float(self._needed_m[number]),
                 is_obstacle=item.is_obstacle,
             )
             for number, item in enumerate(self._structures)
+            if min(inside_m[number], ahead_m[number]) < np.inf
         ]
         return tuple(sorted(found, key=lambda one: one.distance_m))
 
-    def _distance_m(self, number: int, part: str, ends_m: Array) -> float:
-        """Return the distance of a part of the needle from a structure.
 
-        A part of which no end has moved by more than a step cannot have come nearer by
-        more than that, and is not measured again.
-        """
-        last = self._measured.get((number, part))
-        if last is not None:
-            moved_m = float(np.linalg.norm(ends_m - last.ends_m, axis=1).max())
-            left_m = last.distance_m - self._needed_m[number]
-            if moved_m <= max(STEP_m, STEP_FRACTION * left_m):
-                return last.distance_m
-        distance_m = _measure(self._boxes[number], ends_m)
-        self._measured[number, part] = _Measured(ends_m, distance_m)
-        return distance_m
+@compiled
+def measure_again(
+    trees: Matrix,
+    begins: Vector,
+    needed: Vector,
+    ends: Matrix,
+    measured_ends: WrittenMatrix,
+    distances: WrittenVector,
+) -> int:
+    """Measure the distances of a straight part of the needle that may have changed.
 
+    None comes nearer than it must stay unnoticed, and far ones cost little. Returns how
+    many were measured.
 
-def _measure(boxes: VoxelBoxes, ends_m: Array) -> float:
-    """Return the distance of a straight part from voxels; infinite without any."""
-    nearest = boxes.nearest(ends_m[0], ends_m[1])
-    return np.inf if nearest is None else nearest.distance_m
+    Args:
+        trees: Boxes of all structures, see `clearance.nearest_box`.
+        begins: Row at which each structure's begin, and the end of the last, (n + 1,).
+        needed: How far from each the needle must stay, (n,).
+        ends: Of the part, along the axes of the boxes, (2, 3).
+        measured_ends: The ends with which each distance was measured, (n, 6).
+        distances: From each structure, infinite beyond `REACH_m`, (n,).
+    """
+    step = 0.1e-3  # of the needle, after which a near structure is measured again
+    step_fraction = 0.2  # of what is left above what is needed, for far ones
+    count = 0
+    for number in range(len(needed)):
+        moved = 0.0
+        for end in range(2):
+            square = 0.0
+            for i in range(3):
+                square += (ends[end, i] - measured_ends[number, 3 * end + i]) ** 2
+            moved = max(moved, np.sqrt(square))
+        left = min(distances[number], REACH_m) - needed[number]
+        if moved > max(step, step_fraction * left):
+            tree = trees[int(begins[number]) : int(begins[number + 1])]
+            nearest, fraction = nearest_box(tree, ends, REACH_m)
+            distances[number] = nearest if fraction >= 0.0 else np.inf
+            measured_ends[number, :3] = ends[0]
+            measured_ends[number, 3:] = ends[1]
+            count += 1
+    return count

@@ -35,15 +35,10 @@ between these are no layers."""
 WIDTH_VOXELS = 1.2
 """Standard deviation of the kernel."""
 
-REACH_VOXELS = 3
-"""Half the side of the cube in which voxels vote: two and a half standard
-deviations."""
 
 STEP_VOXELS = 0.5
 """Distance of points on the path."""
 
-MAX_OUTSIDE_m = 1.0
-"""Of the first point from the volume; beyond it the unit is not the metre."""
 
 VOTE_STD = 0.105
 """Standard deviation of the difference of two votes, from the voxels' size alone: of
@@ -51,9 +46,6 @@ the analytic torso's seeds below 1000, at 1 and 3 mm."""
 
 MIN_FALL = 1e-9
 """Keeps the place of a boundary finite where two labels have the same votes."""
-
-NORMAL_STEP_VOXELS = 0.5
-"""Distance at which the votes around a boundary show its normal."""
 
 
 @dataclass(frozen=True)
@@ -224,6 +216,8 @@ def _checked_path(
     labels: Segmentation, entry_m: ArrayLike, target_m: ArrayLike
 ) -> _Path:
     """Return the path between two points that lie where a needle's can."""
+    # Of the first point from the volume; beyond it the unit is not the metre.
+    max_outside_m = 1.0
     entry = np.asarray(entry_m, float)
     target = np.asarray(target_m, float)
     has_shape = entry.shape == (3,) and target.shape == (3,)
@@ -239,7 +233,7 @@ def _checked_path(
             f"the target {target.tolist()} m lies outside the volume", TWO_POINTS
         )
     outside_m = np.maximum(-start, start - grid.shape) * grid.spacing_m
-    if outside_m.max() > MAX_OUTSIDE_m:
+    if outside_m.max() > max_outside_m:
         raise VolumeError(
             f"the entry {entry.tolist()} lies {outside_m.max():.3g} m outside the "
             "volume: expected metres, not millimetres",
@@ -296,7 +290,10 @@ def _count_votes(
     Returns:
         Votes (n, candidates), whose rows sum to 1, and the candidates by rank.
     """
-    offsets = np.arange(-REACH_VOXELS, REACH_VOXELS + 1)
+    # Half the side of the cube in which voxels vote: two and a half standard
+    # deviations.
+    reach_voxels = 3
+    offsets = np.arange(-reach_voxels, reach_voxels + 1)
     voxels = np.rint(indices).astype(int)[:, :, None] + offsets  # (n, 3, 7)
     squares = ((voxels - indices[:, :, None]) / WIDTH_VOXELS) ** 2
     weights = _combine_axes(np.multiply, np.exp(-0.5 * squares)) * (
@@ -356,7 +353,9 @@ def _votes_per_m(
         indices: Of the boundaries, with fractions, shape (n, 3).
         boundaries: The same boundaries.
     """
-    steps = NORMAL_STEP_VOXELS * np.vstack((np.eye(3), -np.eye(3)))
+    # Distance at which the votes around a boundary show its normal.
+    normal_step_voxels = 0.5
+    steps = normal_step_voxels * np.vstack((np.eye(3), -np.eye(3)))
     around = indices[:, None] + steps
     votes, candidates = _count_votes(labels, around.reshape(-1, 3))
     votes = votes.reshape(len(indices), 6, len(candidates))

@@ -18,51 +18,18 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
-from needleforce.anatomy.clearance import (
-    Clearance,
-    FreeSpace,
-    VoxelBoxes,
-    find_clearances,
-)
+from needleforce.anatomy.clearance import Clearance, FreeSpace, VoxelBoxes
 from needleforce.anatomy.errors import TWO_POINTS, PlanError, VolumeError
-from needleforce.anatomy.outer_voxels import Ball, OuterVoxels
 from needleforce.anatomy.path_layers import UNLABELLED, Layer, find_layers
 
 if TYPE_CHECKING:
     from needleforce.anatomy.labels import Labels
-    from needleforce.anatomy.structures import Structure
 
 DIRECTIONS = 6000
 """Rays over the whole sphere: 2.6 degrees from one to the next, 5 mm at 110 mm."""
 
 STEP_VOXELS = 0.5
 """Step along a ray, in the smallest spacing of the voxels."""
-
-SKIN_REACH_m = 0.012
-"""Radius of the ball whose part outside the body gives the skin's normal: folds and
-voxels average out, the curvature of a flank does not."""
-
-NORMAL_POINTS = 1200
-"""Points in that ball."""
-
-MIN_ENTRY_DISTANCE_m = 0.015
-"""Entries closer together count as one."""
-
-MAX_PATHS = 10
-"""So many paths are kept."""
-
-MAX_JUDGED = 400
-"""Of so many rays, the shortest and steepest, the exact clearance is found."""
-
-NEAR_m = 0.03
-"""Structures that come no nearer than this to a path are looked for once more, among
-all voxels."""
-
-MAX_GAP_m = 3e-3
-"""So much air the path of a found entry may begin with: skin lies between voxels."""
-
-MIN_CLEARANCE_m = 1e-4
-"""Keeps the cost finite where a structure that need not be avoided is crossed."""
 
 
 USUAL_SPACE = FreeSpace(margin_m=5e-3)
@@ -188,17 +155,15 @@ def find_paths(
     )
     rays = rays.chosen(is_steep)
     angles_rad = angles_rad[is_steep]
-    outer = OuterVoxels(labels)
-    clear = _clear_rays(outer, avoided, rays, target, limits, rejected, progress)
+    boxes = [VoxelBoxes(labels, item) for item in avoided]
+    clear = _clear_rays(boxes, rays, target, limits, rejected, progress)
     if not clear.any():
         raise PlanError(
             _describe_no_path(rejected),
             "Allow a longer or a flatter path or a smaller margin, avoid "
             "less, or choose another target.",
         )
-    ranked = _rank(
-        outer, avoided, rays.chosen(clear), angles_rad[clear], target, limits
-    )
+    ranked = _rank(labels, boxes, rays.chosen(clear), angles_rad[clear], target, limits)
     return FoundPaths(tuple(ranked), rejected)
 
 
@@ -231,8 +196,12 @@ def judge_path(
             TWO_POINTS,
         )
     angles_rad = _skin_angles_rad(labels, inside, rays)
-    avoided = [one for one in labels.structures if one.is_obstacle or one.is_risk]
-    return _rank(OuterVoxels(labels), avoided, rays, angles_rad, target, limits)[0]
+    boxes = [
+        VoxelBoxes(labels, one)
+        for one in labels.structures
+        if one.is_obstacle or one.is_risk
+    ]
+    return _rank(labels, boxes, rays, angles_rad, target, limits)[0]
 
 
 class LineEnds(NamedTuple):
@@ -355,9 +324,13 @@ def _skin_angles_rad(labels: "Labels", inside: NDArray[np.bool_], rays: _Rays) -
 
     The normal points to the centroid of the part of a ball that lies outside the body.
     """
-    ball = _even_directions(NORMAL_POINTS)
-    radii = np.cbrt((np.arange(NORMAL_POINTS) * 0.618) % 1.0)
-    offsets_m = SKIN_REACH_m * radii[:, None] * ball
+    # Radius of the ball whose part outside the body gives the skin's normal: folds and
+    # voxels average out, the curvature of a flank does not.
+    skin_reach_m = 0.012
+    normal_points = 1200  # points in that ball
+    ball = _even_directions(normal_points)
+    radii = np.cbrt((np.arange(normal_points) * 0.618) % 1.0)
+    offsets_m = skin_reach_m * radii[:, None] * ball
     angles_rad = np.empty(len(rays.lengths_m))
     for number, entry_m in enumerate(rays.entries_m):
         outside = ~_are_inside(labels, inside, entry_m + offsets_m)
@@ -368,8 +341,7 @@ def _skin_angles_rad(labels: "Labels", inside: NDArray[np.bool_], rays: _Rays) -
 
 
 def _clear_rays(
-    outer: OuterVoxels,
-    avoided: Sequence["Structure"],
+    avoided: Sequence[VoxelBoxes],
     rays: _Rays,
     target: Array,
     limits: PathLimits,
@@ -379,94 +351,78 @@ def _clear_rays(
     """Return which rays keep their distance from all structures to avoid."""
     is_clear = np.ones(len(rays.lengths_m), bool)
     needed_m = limits.space.needed_m
-    within = Ball(target, limits.max_length_m + needed_m)
-    for number, item in enumerate(avoided):
-        if is_clear.any():
-            boxes = VoxelBoxes(outer, [item], within)
-            entries_m = rays.entries_m[is_clear]
-            is_near = boxes.nearer_than(entries_m, target, needed_m)
-            rejected[f"nearer than {1e3 * needed_m:.1f} mm to {item.name}"] += int(
-                is_near.sum()
-            )
-            is_clear[is_clear] = ~is_near
+    for number, boxes in enumerate(avoided):
+        reason = f"nearer than {1e3 * needed_m:.1f} mm to {boxes.structure.name}"
+        for ray in np.flatnonzero(is_clear):
+            if boxes.nearest(rays.entries_m[ray], target, needed_m) is not None:
+                is_clear[ray] = False
+                rejected[reason] += 1
         progress((number + 1) / len(avoided))
     return is_clear
 
 
 def _rank(
-    outer: OuterVoxels,
-    avoided: Sequence["Structure"],
+    labels: "Labels",
+    avoided: Sequence[VoxelBoxes],
     rays: _Rays,
     angles_rad: Array,
     target: Array,
     limits: PathLimits,
 ) -> list[SkinPath]:
     """Return the best paths, their entries apart from each other, the best first."""
+    # Keeps the cost finite where a structure that need not be avoided is crossed.
+    min_clearance_m = 1e-4
+    # Of so many rays, the shortest and steepest, the exact clearance is found.
+    max_judged = 400
+    max_paths = 10  # so many paths are kept
+    min_entry_distance_m = 0.015  # entries closer together count as one
     geometric_cost = (
         rays.lengths_m / limits.max_length_m + angles_rad / limits.max_angle_rad
     )
-    judged = np.argsort(geometric_cost)[:MAX_JUDGED]
-    clearance_m = _find_clearances_m(outer, avoided, rays.entries_m[judged], target)
+    judged = np.argsort(geometric_cost)[:max_judged]
+    clearance_m = [
+        min(
+            nearest.distance_m
+            for boxes in avoided
+            if (nearest := boxes.nearest(entry_m, target)) is not None
+        )
+        if avoided
+        else np.inf
+        for entry_m in rays.entries_m[judged]
+    ]
     cost = geometric_cost[judged] + limits.space.needed_m / np.maximum(
-        clearance_m, MIN_CLEARANCE_m
+        clearance_m, min_clearance_m
     )
     paths: list[SkinPath] = []
     for place in np.argsort(cost):
         number = judged[place]
         entry_m = rays.entries_m[number]
         is_new = all(
-            np.linalg.norm(entry_m - path.entry_m) >= MIN_ENTRY_DISTANCE_m
+            np.linalg.norm(entry_m - path.entry_m) >= min_entry_distance_m
             for path in paths
         )
         if is_new:
             angle_rad = float(angles_rad[number])
             paths.append(
-                _describe_path(outer, entry_m, target, angle_rad, float(cost[place]))
+                _describe_path(labels, entry_m, target, angle_rad, float(cost[place]))
             )
-        if len(paths) == MAX_PATHS:
+        if len(paths) == max_paths:
             break
     return paths
 
 
-def _find_clearances_m(
-    outer: OuterVoxels, avoided: Sequence["Structure"], entries_m: Array, target: Array
-) -> Array:
-    """Return how near paths come to any of the structures to avoid, (n,); inf for none.
-
-    Args:
-        outer: Voxels of the structures.
-        avoided: The structures.
-        entries_m: Where the paths begin, (n, 3).
-        target: Where they end.
-    """
-    reach_m = float(np.linalg.norm(entries_m - target, axis=1).max())
-    boxes = VoxelBoxes(outer, avoided, Ball(target, reach_m + NEAR_m))
-    nearest = [boxes.nearest(entry_m, target) for entry_m in entries_m]
-    clearances_m = np.array(
-        [np.inf if one is None else one.distance_m for one in nearest]
-    )
-    is_far = clearances_m > NEAR_m
-    if is_far.any():
-        boxes = VoxelBoxes(outer, avoided)
-        nearest = [boxes.nearest(entry_m, target) for entry_m in entries_m[is_far]]
-        clearances_m[is_far] = [
-            np.inf if one is None else one.distance_m for one in nearest
-        ]
-    return clearances_m
-
-
 def _describe_path(
-    outer: OuterVoxels, entry_m: Array, target: Array, angle_rad: float, cost: float
+    labels: "Labels", entry_m: Array, target: Array, angle_rad: float, cost: float
 ) -> SkinPath:
     """Return a path with its layers and clearances; it begins at the first tissue."""
-    labels = outer.labels
+    # So much air the path of a found entry may begin with: skin lies between voxels.
+    max_gap_m = 3e-3
     layers = find_layers(labels, entry_m, target)
-    if layers[0].name == UNLABELLED and layers[0].exit_m < MAX_GAP_m:
+    if layers[0].name == UNLABELLED and layers[0].exit_m < max_gap_m:
         axis = (target - entry_m) / np.linalg.norm(target - entry_m)
         entry_m = entry_m + layers[0].exit_m * axis
         layers = find_layers(labels, entry_m, target)
-    judged = [one for one in labels.structures if one.is_obstacle or one.is_risk]
-    clearances = find_clearances(outer, judged, entry_m, target)
+    clearances = labels.clearances(entry_m, target)
     return SkinPath(entry_m, target, angle_rad, cost, tuple(layers), tuple(clearances))
 
 

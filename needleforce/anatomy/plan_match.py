@@ -32,11 +32,6 @@ SKIN = frozenset(("body", "skin", "lean", "fat"))
 """Words in the names of what begins at the skin: what nothing covers in front of it
 is air."""
 
-MAX_DEPTH_m = 1.0
-"""Of a boundary; beyond it the unit is not the metre."""
-
-WITHDRAWN_m = 1e-3
-"""A tip so far above the deepest point is being withdrawn."""
 
 OUTSIDE = "outside"
 """Where the tip is before the first boundary."""
@@ -49,9 +44,6 @@ OFF_PLAN = "off plan"
 
 OFF_PLAN_LAYER = -2
 """Index of the layer while the needle is beside the planned path."""
-
-BEHIND_ALL = Layer("", *[np.nan] * 4, is_obstacle=False)
-"""What lies behind the last boundary."""
 
 
 class PlanState(NamedTuple):
@@ -181,6 +173,9 @@ class PlanMatch:
             PlanError: A depth that is not finite, or of a rupture more than 1 mm above
                 the one before.
         """
+        # What lies behind the last boundary.
+        behind_all = Layer("", *[np.nan] * 4, is_obstacle=False)
+        withdrawn_m = 1e-3  # a tip so far above the deepest point is being withdrawn
         _require_finite(depth_m, deepest_m, contact_m, entry_depth_m)
         model = self._model
         tip_m = float(depth_m) - entry_depth_m
@@ -191,13 +186,13 @@ class PlanMatch:
             contact_m = contact_m - entry_depth_m
         ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
         joint, match = self._infer(lowest_m, ruptures, contact_m)
-        is_withdrawn = tip_m < lowest_m - WITHDRAWN_m
+        is_withdrawn = tip_m < lowest_m - withdrawn_m
         by_passed = model.withdraw(joint, tip_m) if is_withdrawn else joint.sum(axis=1)
         layer = int(np.argmax(by_passed)) + self._first - 1
         # The median: where two assignments compete, their mean is what neither says.
         offset_m = model.quantile_m(joint, 0.5)
         variance_m2 = model.variance_m2(joint, offset_m)
-        next_layer = (*self.layers, BEHIND_ALL)[layer + 1]
+        next_layer = (*self.layers, behind_all)[layer + 1]
         matched = match.boundary + self._first * (match.boundary >= 0)
         return PlanState(
             layer=layer,
@@ -297,13 +292,14 @@ def _require_passable(layers: Sequence[Layer], accepted: frozenset[str]) -> None
 
 def _require_boundaries(depths_m: Array, stds_m: Array) -> None:
     """Refuse depths that do not grow, and what is not in metres."""
-    is_ordered = np.all(np.abs(depths_m) < MAX_DEPTH_m) and np.all(
+    max_depth_m = 1.0  # of a boundary; beyond it the unit is not the metre
+    is_ordered = np.all(np.abs(depths_m) < max_depth_m) and np.all(
         np.diff(depths_m) >= 0.0
     )
-    if not is_ordered or not np.all((stds_m >= 0.0) & (stds_m < MAX_DEPTH_m)):
+    if not is_ordered or not np.all((stds_m >= 0.0) & (stds_m < max_depth_m)):
         raise PlanError(
             f"boundaries at {depths_m.tolist()} m, deviations {stds_m.tolist()}: "
-            f"expected depths that grow, in metres and below {MAX_DEPTH_m:g}, and no "
+            f"expected depths that grow, in metres and below {max_depth_m:g}, and no "
             "negative deviation"
         )
 

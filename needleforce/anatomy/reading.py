@@ -4,8 +4,10 @@ SimpleITK reads every format, in LPS millimetres. What it would take in spite of
 or doubt is refused, see `file_checks` and `dicom_series`.
 """
 
+import gzip
 import locale
 import math
+import zlib
 from collections.abc import Mapping, Sequence
 from functools import partial
 from pathlib import Path
@@ -34,32 +36,17 @@ from needleforce.anatomy.slicer_segments import read_segments
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.volume import Grid, Volume
 
-MIN_DIAGONAL_m = 0.005
-"""Of a volume; below it its unit is not the millimetre."""
-
-MAX_DIAGONAL_m = 5.0
-"""Of a volume; above it its unit is not the millimetre."""
-
 MAX_VOLUME_BYTES = 2 << 30
 """Memory that the voxels of a file may take by default: four times a CT of 512 x 512 x
 1000; a small damaged file can ask for any."""
 
-GB_PER_BYTE = 1e-9
 
 M_PER_MM = 1e-3
 
-NIFTI_ENDINGS = (".nii", ".nii.gz")
-
-MAX_UINT8_LABELS = 256
-"""So many values, 0 included, fit into a byte."""
 
 Names = Mapping[Any, str] | Path | str | None
 """Names of labels, by their values or by the names in the file; or a JSON file with
 them."""
-
-
-NIFTI_2_SIZES = (b"\x1c\x02\x00\x00", b"\x00\x00\x02\x1c")
-"""First bytes of a NIfTI-2 file in either byte order: its header has 540."""
 
 
 class _Image(NamedTuple):
@@ -195,6 +182,7 @@ def _as_scan(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
 
 def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
     """Return a copy of the values of a file as labels, in as few bytes as they need."""
+    max_uint8_labels = 256  # so many values, 0 included, fit into a byte
     max_label = values.max()
     is_in_range = values.min() >= 0 and max_label <= np.iinfo(np.uint16).max
     if is_in_range and not are_whole(values):
@@ -216,7 +204,7 @@ def _as_labels(values: NDArray[Any], path: Path | str) -> NDArray[Any]:
             "0 to 65535",
             EXPORT_LABELS,
         )
-    kind = np.uint8 if max_label < MAX_UINT8_LABELS else np.uint16
+    kind = np.uint8 if max_label < max_uint8_labels else np.uint16
     return copy_in_order(values, kind)
 
 
@@ -248,6 +236,9 @@ def _name_labels(
 
 def _read_image(path: Path, max_bytes: int) -> _Image:
     """Read a file or a folder; refuse what is damaged or does not say how it lies."""
+    nifti_endings = (".nii", ".nii.gz")
+    max_diagonal_m = 5.0  # of a volume; above it its unit is not the millimetre
+    min_diagonal_m = 0.005  # of a volume; below it its unit is not the millimetre
     image = _open_image(path, max_bytes)
     if image.GetDimension() != 3 or min(image.GetSize()) < 2:
         raise VolumeError(
@@ -258,14 +249,14 @@ def _read_image(path: Path, max_bytes: int) -> _Image:
     origin_m = M_PER_MM * np.array(image.GetOrigin())
     grid = Grid(image.GetSize(), origin_m, M_PER_MM * axes_mm)
     diagonal_m = float(np.linalg.norm(np.ptp(grid.corners_m(), axis=0)))
-    if not MIN_DIAGONAL_m < diagonal_m < MAX_DIAGONAL_m:
+    if not min_diagonal_m < diagonal_m < max_diagonal_m:
         raise VolumeError(
             f"{path} measures {diagonal_m:.3g} m: expected a file in millimetres",
             EXPORT_VOLUME,
         )
     header = {key: image.GetMetaData(key) for key in image.GetMetaDataKeys()}
     # SimpleITK copies the fields of a NIfTI file into an NRRD file that it writes.
-    is_nifti = path.name.endswith(NIFTI_ENDINGS) and header.get("nifti_type") == "1"
+    is_nifti = path.name.endswith(nifti_endings) and header.get("nifti_type") == "1"
     if is_nifti:
         require_whole_nifti(path, header, spacing_mm, grid.shape)
     elif path.suffix in (".nrrd", ".nhdr"):
@@ -287,9 +278,11 @@ def _read_image(path: Path, max_bytes: int) -> _Image:
 
 def _open_image(path: Path, max_bytes: int) -> Any:
     """Return the image of SimpleITK in a file or folder."""
+    # First bytes of a NIfTI-2 file in either byte order: its header has 540.
+    nifti_2_sizes = (b"\x1c\x02\x00\x00", b"\x00\x00\x02\x1c")
     import SimpleITK
 
-    if path.is_file() and _first_bytes(path) in NIFTI_2_SIZES:
+    if path.is_file() and _first_bytes(path) in nifti_2_sizes:
         raise VolumeError(
             f"cannot read {path}: it is NIfTI-2; convert it to NIfTI-1, in Python: "
             "import nibabel; "
@@ -319,9 +312,16 @@ def _open_image(path: Path, max_bytes: int) -> Any:
 
 
 def _first_bytes(path: Path) -> bytes:
-    """Return the first four bytes of a file."""
+    """Return the first four bytes of a file, unpacked if it is packed."""
     with path.open("rb") as file:
-        return file.read(4)
+        start = file.read(4)
+    if start[:2] != b"\x1f\x8b":
+        return start
+    try:
+        with gzip.open(path) as file:
+            return file.read(4)
+    except (EOFError, OSError, zlib.error):
+        return b""  # what is wrong with the file is said where it is read
 
 
 def _require_size(path: Path, reader: Any, max_bytes: int) -> None:
@@ -332,6 +332,7 @@ def _require_size(path: Path, reader: Any, max_bytes: int) -> None:
         reader: Of SimpleITK, which has read the header, and no voxel.
         max_bytes: The most that they may take.
     """
+    gb_per_byte = 1e-9
     import SimpleITK
 
     one_voxel = SimpleITK.Image([1] * len(reader.GetSize()), reader.GetPixelID())
@@ -339,8 +340,8 @@ def _require_size(path: Path, reader: Any, max_bytes: int) -> None:
     size_bytes = math.prod(reader.GetSize()) * voxel_bytes
     if size_bytes > max_bytes:
         raise VolumeError(
-            f"{path} has {reader.GetSize()} voxels, {GB_PER_BYTE * size_bytes:.3g} GB: "
-            f"more than the limit of {GB_PER_BYTE * max_bytes:.3g} GB",
+            f"{path} has {reader.GetSize()} voxels, {gb_per_byte * size_bytes:.3g} GB: "
+            f"more than the limit of {gb_per_byte * max_bytes:.3g} GB",
             "Crop or resample it, or store it in a smaller type.",
         )
 

@@ -12,7 +12,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 from scipy.spatial.transform import Rotation
-from scipy.stats import f as f_law
+from scipy.special import fdtri
 
 from foundation.arrays import Array
 
@@ -23,8 +23,6 @@ collinear."""
 MAX_LENGTH_RATIO = 5.0
 """Ratio of lengths in model and robot beyond which their units differ."""
 
-MIN_VARIANCE_m2 = 1e-18
-"""A nanometre, squared, of a fit without any error."""
 
 MAX_DEGREES = 1e9
 """With so many degrees of freedom the F law is that of chi squared."""
@@ -112,11 +110,12 @@ class Registration:
             truth_m: The place, in the robot's base, shape (3,).
             level: Probability that the point lies in the region.
         """
+        min_variance_m2 = 1e-18  # a nanometre, squared, of a fit without any error
         error_m = np.asarray(truth_m, dtype=float) - self.to_robot(point_m)
-        covariance = self.covariance_at(point_m) + MIN_VARIANCE_m2 * np.eye(3)
+        covariance = self.covariance_at(point_m) + min_variance_m2 * np.eye(3)
         hotelling_t2 = error_m @ np.linalg.solve(covariance, error_m)
         degrees = min(self.degrees, MAX_DEGREES)
-        return bool(hotelling_t2 <= 3.0 * f_law.ppf(level, 3, degrees))
+        return bool(hotelling_t2 <= 3.0 * fdtri(3, degrees, level))
 
 
 class RigidFit(NamedTuple):

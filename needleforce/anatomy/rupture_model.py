@@ -19,29 +19,14 @@ from needleforce.anatomy.structures import words_of
 GRID_m = 0.1e-3
 """Distance of the offsets on their grid: that of the ruptures' own deviation."""
 
-REACH = 5.0
-"""Of the grid, in standard deviations of the offset."""
 
 MISSED = 0.2
 """Probability that a boundary ruptures unnoticed."""
 
-SOFT_MISSED = 0.6
-"""The same where fat ends, which holds little force."""
-
-ENTRY_MISSED = 0.8
-"""The same of the surface, which ruptures only where a membrane covers it."""
-
-FALSE_PER_m = 0.5
-"""False alarms per metre of travel."""
 
 LATE = 0.25
 """Probability that a boundary is a membrane, which ruptures late."""
 
-CAPSULE_LATE = 0.8
-"""The same where an organ's name says so."""
-
-ENTRY_LATE = 1.0
-"""The same of the surface: what ruptures there is a membrane."""
 
 CAPSULES = frozenset(("liver", "spleen", "kidney"))
 """Words in the names of organs in a capsule (liver: Okamura 2004, doi
@@ -53,9 +38,6 @@ LATE_m = 5e-3
 LATE_STD_m = 2.5e-3
 """Standard deviation of that."""
 
-RUPTURE_STD_m = 0.1e-3
-"""Of a rupture's depth: 0.03 mm, and 0.06 too high, in random stacks behind the
-virtual sensor."""
 
 CONTACT_STD_m = 0.15e-3
 """Of the depth of contact: 0.15 mm in 59 of 60 random stacks behind the virtual sensor;
@@ -66,16 +48,6 @@ TOGETHER = 0.5
 errs, and not where organs have moved beneath the skin. Nobody knows beforehand which it
 is."""
 
-ALARM_m = 0.5e-3
-"""Travel from a rupture to its alarm: of random stacks behind the virtual sensor
-0.15 to 0.9 mm."""
-
-ORDER_TOLERANCE_m = 1e-3
-"""A rupture may lie so far above the one before it: depths of ruptures are
-estimates."""
-
-MIN_LIKELIHOOD = 1e-300
-"""Keeps a probability finite where nothing explains a rupture."""
 
 _SQRT_TWO_PI = np.sqrt(2.0 * np.pi)
 
@@ -165,6 +137,10 @@ class RuptureModel:
         bound_std_m: Array,
         offset_std_m: float,
     ) -> None:
+        # Of a rupture's depth: 0.03 mm, and 0.06 too high, in random stacks behind the
+        # virtual sensor.
+        rupture_std_m = 0.1e-3
+        reach = 5.0  # of the grid, in standard deviations of the offset
         chances = find_chances([name.lower() for name in names])
         self._at_once_and_late = np.array([1.0 - chances.late, chances.late])[
             :, :, None
@@ -173,10 +149,10 @@ class RuptureModel:
         self._bound_m = bound_m
         self._contact_std_m = float(np.hypot(bound_std_m[0], CONTACT_STD_m))
         self._offset_std_m = offset_std_m
-        half = round(REACH * offset_std_m / GRID_m)
+        half = round(reach * offset_std_m / GRID_m)
         steps = np.arange(-half, half + 1).astype(np.float64)
         self.offset_m: Array = np.multiply(GRID_m, steps)
-        std_m = np.hypot(bound_std_m, RUPTURE_STD_m)
+        std_m = np.hypot(bound_std_m, rupture_std_m)
         std_m[0] = np.hypot(std_m[0], offset_std_m)  # the surface, see `TOGETHER`
         weight = np.zeros((len(names) + 1, len(self.offset_m)))
         weight[0] = _student_density(self.offset_m / offset_std_m)
@@ -219,16 +195,20 @@ class RuptureModel:
         Raises:
             PlanError: A depth is not finite, or above the one before.
         """
+        # A rupture may lie so far above the one before it: depths of ruptures are
+        # estimates.
+        order_tolerance_m = 1e-3
+        false_per_m = 0.5  # false alarms per metre of travel
         weight = expected.weight
         false_alarm = weight
         deepest_m = -np.inf
         for depth_m in ruptures_m:
-            if not np.isfinite(depth_m) or depth_m < deepest_m - ORDER_TOLERANCE_m:
+            if not np.isfinite(depth_m) or depth_m < deepest_m - order_tolerance_m:
                 raise PlanError(
                     f"rupture at {depth_m!r} m after one at {deepest_m:.4f} m"
                 )
             deepest_m = max(deepest_m, depth_m)
-            false_alarm = FALSE_PER_m * weight
+            false_alarm = false_per_m * weight
             density = self._rupture_density_1_m(expected, depth_m)
             in_front = _sum_in_front(weight, self._missed)[:-1]
             matched = in_front * (1.0 - self._missed) * density
@@ -248,7 +228,10 @@ class RuptureModel:
 
     def look_ahead(self, expected: Expectation, depth_m: float) -> Ahead:
         """Return how likely boundaries wait or were passed, with the tip at a depth."""
-        later = ndtr((expected.rupture_m - depth_m + ALARM_m) / expected.std_m)
+        # Travel from a rupture to its alarm: of random stacks behind the virtual sensor
+        # 0.15 to 0.9 mm.
+        alarm_m = 0.5e-3
+        later = ndtr((expected.rupture_m - depth_m + alarm_m) / expected.std_m)
         waiting = (self._at_once_and_late * later).sum(axis=0)
         unnoticed = self._missed * (expected.rupture_m[0] <= depth_m)
         return Ahead(
@@ -290,15 +273,19 @@ def find_chances(names: Sequence[str]) -> Chances:
 
     Inside an organ that was entered before there is no capsule.
     """
+    soft_missed = 0.6  # `MISSED` where fat ends, which holds little force
+    entry_missed = 0.8  # of the surface, which ruptures only where a membrane covers it
+    capsule_late = 0.8  # `LATE` where an organ's name says that it has a capsule
+    entry_late = 1.0  # of the surface: what ruptures there is a membrane
     missed = np.full(len(names), MISSED)
     late = np.full(len(names), LATE)
     for k, name in enumerate(names):
         if name not in names[:k] and CAPSULES & words_of(name):
-            late[k] = CAPSULE_LATE
+            late[k] = capsule_late
         elif k and "fat" in words_of(names[k - 1]):
-            missed[k] = SOFT_MISSED
-    missed[0] = ENTRY_MISSED
-    late[0] = ENTRY_LATE
+            missed[k] = soft_missed
+    missed[0] = entry_missed
+    late[0] = entry_late
     return Chances(missed, late)
 
 
@@ -316,6 +303,8 @@ def match_last_rupture(ahead: Ahead, weights: Weights) -> Match:
 
     Whichever it was: what lies behind it was passed without another rupture.
     """
+    # Keeps a probability finite where nothing explains a rupture.
+    min_likelihood = 1e-300
     unnoticed_behind = np.ones_like(weights.all)
     for boundary in reversed(range(len(ahead.waiting))):
         unnoticed_behind[boundary] = (
@@ -326,7 +315,7 @@ def match_last_rupture(ahead: Ahead, weights: Weights) -> Match:
     likelihood = (true_alarm * unnoticed_behind).sum(axis=1)
     likelihood[0] = (weights.false_alarm * unnoticed_behind).sum()
     best = int(np.argmax(likelihood))
-    total = max(likelihood.sum(), MIN_LIKELIHOOD)
+    total = max(likelihood.sum(), min_likelihood)
     return Match(best - 1, float(likelihood[best] / total))
 
 

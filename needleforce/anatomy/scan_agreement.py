@@ -17,12 +17,6 @@ from needleforce.anatomy.errors import LABELS_OF_SCAN, VolumeError
 from needleforce.anatomy.structures import Structure, words_of
 from needleforce.anatomy.volume import Grid, Volume
 
-MAX_SHIFT_VOXELS = 0.1
-"""Grids of one size that differ by more lie beside each other."""
-
-MAX_OUTSIDE_VOXELS = 1.0
-"""By so much labels may lie outside their scan: a resampled edge."""
-
 NO_SCAN = "labels not checked against a scan: none was given"
 """What is said of labels that were read alone."""
 
@@ -35,15 +29,10 @@ NOTHING_TO_CHECK = (
 MIN_VOXELS = 50
 """Kinds with fewer voxels are not judged: all of them lie at an edge."""
 
-MAX_POINTS = 4000
-"""Voxels of a kind that are looked at."""
 
 SHIFTS_m = (9e-3, 16e-3, 24e-3, 34e-3)
 """Distances by which labels are moved to see whether they would fit better."""
 
-BETTER_FIT = 0.05
-"""Labels that would cover so much more of the right voxels elsewhere lie wrongly.
-Right ones lose a tenth and more when they are moved by 10 mm."""
 
 MM_PER_M = 1e3
 
@@ -182,6 +171,9 @@ def check_against_scan(labels: CheckedLabels, scan: Volume) -> str:
 
 def _require_best_place(covers: Sequence[_Cover], scan: Volume) -> None:
     """Refuse labels that would fit better after a shift."""
+    # Labels that would cover so much more of the right voxels elsewhere lie wrongly.
+    # Right ones lose a tenth and more when they are moved by 10 mm.
+    better_fit = 0.05
     directions = [np.array(signs) for signs in product((-1, 0, 1), repeat=3)]
     shifts_m = [
         length_m * direction / np.linalg.norm(direction)
@@ -194,7 +186,7 @@ def _require_best_place(covers: Sequence[_Cover], scan: Volume) -> None:
         for shift_m in shifts_m
     ]
     best = int(np.argmax(gains))
-    if gains[best] > BETTER_FIT:
+    if gains[best] > better_fit:
         shift_mm = np.round(MM_PER_M * shifts_m[best]).astype(int).tolist()
         raise VolumeError(
             f"the labels fit the scan better by {100.0 * gains[best]:.0f} "
@@ -217,7 +209,8 @@ def _spread_voxels(
     labels: CheckedLabels, structures: Sequence[Structure]
 ) -> NDArray[np.intp]:
     """Return the indices (n, 3) of every so many-th voxel of structures."""
-    step = max(sum(item.voxels for item in structures) // MAX_POINTS, 1)
+    max_points = 4000  # voxels of a kind that are looked at
+    step = max(sum(item.voxels for item in structures) // max_points, 1)
     passed = 0
     chosen: list[NDArray[np.intp]] = []
     for item in structures:
@@ -247,16 +240,20 @@ def _require_place(labels: CheckedLabels, scan: Volume) -> None:
         VolumeError: Their grid is as large as the scan's and lies elsewhere, or a
             structure lies outside the scan.
     """
+    # By so much labels may lie outside their scan: a resampled edge.
+    max_outside_voxels = 1.0
+    # Grids of one size that differ by more lie beside each other.
+    max_shift_voxels = 0.1
     last_index = np.array(scan.grid.shape) - 1.0
     corners = scan.grid.indices(labels.grid.corners_m())
     shift = float(np.minimum(np.abs(corners), np.abs(corners - last_index)).max())
     labels_extent_m, scan_extent_m = (
         np.sort(np.ptp(grid.corners_m(), axis=0)) for grid in (labels.grid, scan.grid)
     )
-    tolerance_m = MAX_SHIFT_VOXELS * scan.grid.spacing_m.min()
+    tolerance_m = max_shift_voxels * scan.grid.spacing_m.min()
     is_as_large = np.allclose(labels_extent_m, scan_extent_m, atol=tolerance_m)
     has_as_many = sorted(labels.grid.shape) == sorted(scan.grid.shape)
-    if (is_as_large or has_as_many) and shift > MAX_SHIFT_VOXELS:
+    if (is_as_large or has_as_many) and shift > max_shift_voxels:
         raise VolumeError(
             f"the labels' grid is as large as the scan's and lies {shift:.1f} voxels "
             "beside it: origin, spacing or directions of one of the files are wrong",
@@ -265,7 +262,7 @@ def _require_place(labels: CheckedLabels, scan: Volume) -> None:
     for item in labels.structures:
         indices = scan.grid.indices(labels.grid.corners_m(item.box))
         outside = float(np.maximum(-indices, indices - last_index).max())
-        if outside > MAX_OUTSIDE_VOXELS:
+        if outside > max_outside_voxels:
             raise VolumeError(
                 f"{item.name} lies {outside:.0f} voxels outside the scan: the labels "
                 "belong to another scan, or lost their origin when they were cropped",

@@ -14,16 +14,6 @@ from needleforce.anatomy.structures import Structure, is_known
 AUTOMATIC = re.compile(r"(segment|label)?[ _]?\d+([ _]\d+)*|segment", re.IGNORECASE)
 """Names that say nothing."""
 
-TERMINOLOGY = "TerminologyEntry"
-"""Tag of 3D Slicer with the terms of a segment."""
-
-TYPE_AT = 2
-"""Place of the term that says what a segment is, in Slicer's entry."""
-
-TYPE_SIDE_AT = 3
-REGION_AT = 5
-REGION_SIDE_AT = 6
-
 
 class Term(NamedTuple):
     """Coded terms of a segment, each empty where it is not stated.
@@ -58,16 +48,21 @@ def read_tags(tags: str) -> Term:
     between them, each of them a context, or scheme, code and meaning with ``^`` between
     them.
     """
+    region_side_at = 6
+    region_at = 5
+    type_side_at = 3
+    type_at = 2  # place of the term that says what a segment is, in Slicer's entry
+    terminology = "TerminologyEntry"  # tag of 3D Slicer with the terms of a segment
     for tag in tags.split("|"):
         key, _, entry = tag.partition(":")
-        if key.strip() == TERMINOLOGY:
+        if key.strip() == terminology:
             parts = [part.split("^")[-1].strip() for part in entry.split("~")]
-            parts += [""] * (REGION_SIDE_AT + 1 - len(parts))
+            parts += [""] * (region_side_at + 1 - len(parts))
             return Term(
-                parts[TYPE_AT],
-                parts[TYPE_SIDE_AT],
-                parts[REGION_AT],
-                parts[REGION_SIDE_AT],
+                parts[type_at],
+                parts[type_side_at],
+                parts[region_at],
+                parts[region_side_at],
             )
     return Term()
 

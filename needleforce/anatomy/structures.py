@@ -61,12 +61,6 @@ def _read_words() -> _Words:
 
 _WORDS = _read_words()
 
-GOLDEN_RATIO = 0.618
-"""Multiples of it, modulo one, lie far apart: no two numbers close by look alike."""
-
-MAX_COLOUR = 255.0
-"""Of the table above; colours of a structure are from 0 to 1."""
-
 
 @dataclass(frozen=True)
 class Structure:
@@ -107,13 +101,14 @@ class Structure:
             kind: What coded terms of the file say that it is; it is an obstacle, or at
                 risk, if name or kind say so.
         """
+        max_colour = 255.0  # of the table; colours of a structure are from 0 to 1
         words = _telling_words(name) | _telling_words(kind)
         colours = [colour for word, colour in _WORDS.colours.items() if word in words]
         colour = colours[0] if colours else _bluish(value)
         return cls(
             name=name,
             value=value,
-            colour=tuple(number / MAX_COLOUR for number in colour),
+            colour=tuple(number / max_colour for number in colour),
             is_obstacle=bool(words & _WORDS.obstacles),
             is_risk=bool(words & _WORDS.risks),
             volume=volume,
@@ -128,7 +123,9 @@ class Structure:
 
 def _bluish(number: int) -> tuple[float, ...]:
     """Return a colour for a structure whose name says nothing."""
-    shade = (GOLDEN_RATIO * number) % 1.0
+    # Multiples of it, modulo one, lie far apart: no two numbers close by look alike.
+    golden_ratio = 0.618
+    shade = (golden_ratio * number) % 1.0
     return (90 + 150 * shade, 200 - 60 * shade, 240 - 150 * shade)
 
 

@@ -21,28 +21,6 @@ if TYPE_CHECKING:
     from igl import AABB
     from trimesh import Trimesh
 
-SHRINKING = 0.5
-"""Factor of the steps that smooth (Taubin 1995, doi 10.1145/218380.218473)."""
-
-INFLATION = 0.53
-"""Factor of the steps between them that undo the shrinking; from the same paper."""
-
-SMOOTHING_STEPS = 80
-"""Steps of both kinds: fewer leave the stairs of the voxels."""
-
-TOLERANCE_VOXELS = 0.1
-"""Simplification moves the surface at most so far: a triangle stays where fewer
-would show."""
-
-VOLUME_ROUNDS = 50
-"""At most; an organ needs two or three, a single voxel more."""
-
-VOLUME_TOLERANCE = 1e-7
-"""Relative error of the volume that is left."""
-
-MIN_SMOOTHED_VOLUME = 0.5
-"""If less of the volume is left, smoothing has folded a structure of a few voxels."""
-
 
 class NearestPositions(NamedTuple):
     """The nearest positions on a surface.
@@ -208,6 +186,16 @@ def _smooth_and_simplify(vertices: Array, triangles: NDArray[np.integer]) -> "Tr
 
     A structure of a few voxels, which smoothing would fold, stays as it is.
     """
+    # If less of the volume is left, smoothing has folded a structure of a few voxels.
+    min_smoothed_volume = 0.5
+    # Factor of the steps that smooth (Taubin 1995, doi 10.1145/218380.218473).
+    shrinking = 0.5
+    # Factor of the steps between them that undo the shrinking; from the same paper.
+    inflation = 0.53
+    smoothing_steps = 80  # steps of both kinds: fewer leave the stairs of the voxels
+    # Simplification moves the surface at most so far: a triangle stays where fewer
+    # would show.
+    tolerance_voxels = 0.1
     import manifold3d
     from trimesh import Trimesh
     from trimesh.smoothing import filter_taubin
@@ -219,20 +207,22 @@ def _smooth_and_simplify(vertices: Array, triangles: NDArray[np.integer]) -> "Tr
     start, end = np.concatenate(edges).T
     weights = 1.0 / np.bincount(start).astype(np.float32)[start]
     neighbours = sparse.csr_array((weights, (start, end)))
-    filter_taubin(mesh, SHRINKING, INFLATION, SMOOTHING_STEPS, neighbours)
-    if mesh.volume <= MIN_SMOOTHED_VOLUME * volume_of_cubes:
+    filter_taubin(mesh, shrinking, inflation, smoothing_steps, neighbours)
+    if mesh.volume <= min_smoothed_volume * volume_of_cubes:
         return Trimesh(vertices, triangles, process=False)
     fine = manifold3d.Mesh(
         mesh.vertices.astype(np.float32), triangles.astype(np.uint32)
     )
-    simple = manifold3d.Manifold(fine).simplify(TOLERANCE_VOXELS).to_mesh()
+    simple = manifold3d.Manifold(fine).simplify(tolerance_voxels).to_mesh()
     return Trimesh(simple.vert_properties[:, :3], simple.tri_verts, process=False)
 
 
 def _restore_volume(mesh: "Trimesh", voxels: int) -> None:
     """Move the vertices along their normals until the volume is that of the voxels."""
-    for _ in range(VOLUME_ROUNDS):
+    volume_tolerance = 1e-7  # relative error of the volume that is left
+    volume_rounds = 50  # at most; an organ needs two or three, a single voxel more
+    for _ in range(volume_rounds):
         missing = voxels - mesh.volume
-        if abs(missing) < VOLUME_TOLERANCE * voxels:
+        if abs(missing) < volume_tolerance * voxels:
             break
         mesh.vertices = mesh.vertices + missing / mesh.area * mesh.vertex_normals

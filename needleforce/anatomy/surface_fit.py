@@ -52,8 +52,6 @@ SURFACE_EDGES = 5.0
 SURFACE_REACH_m = 3.7e-3
 """Reach of its correlation exp(-(distance / reach)^2 / 2)."""
 
-COARSE_STD_m = 0.6e-3
-"""More than such a surface is off as a whole."""
 
 TOUCH_STD_m = 0.5e-3
 """Standard deviation of a touch along each axis, if no other one is given."""
@@ -67,9 +65,6 @@ MIN_TOUCHES = 15
 
 NEARLY_STILL_m = 2e-5
 """Motion of the touches in a step after which their noise says which slipped."""
-
-FAR_m = 4e-3
-"""Another solution is another if it lies so far away at the touches."""
 
 
 class _Pose(NamedTuple):
@@ -258,8 +253,9 @@ class _Problem:
     @property
     def noise_m(self) -> float:
         """Deviation of good touches from the surface that is still usual."""
+        coarse_std_m = 0.6e-3  # more than such a surface is off as a whole
         spread_m = SPREAD_OF_SOFTNESS * self.softness_m
-        return float(np.linalg.norm([self.touch_std_m, COARSE_STD_m, spread_m]))
+        return float(np.linalg.norm([self.touch_std_m, coarse_std_m, spread_m]))
 
     def fit(
         self,
@@ -491,11 +487,12 @@ def _require_no_sliding(problem: _Problem, fit: _Fit) -> None:
 
 def _require_no_better(problem: _Problem, fit: _Fit) -> None:
     """Refuse a solution if another one elsewhere fits better."""
+    far_m = 4e-3  # another solution is another if it lies so far away at the touches
     better_fit = 0.9  # ratio of distances below which another solution fits better
     for pose in problem.other_starts(fit.pose):
         other = problem.fit(pose, fit.points_m)
         away_m = rms_length(other.points_m - fit.points_m)
-        if away_m > FAR_m and other.median_m < better_fit * fit.median_m:
+        if away_m > far_m and other.median_m < better_fit * fit.median_m:
             raise RegistrationError(
                 f"another solution, {1e3 * away_m:.0f} mm away, fits better: the start "
                 "lies outside the basin",

@@ -19,11 +19,6 @@ TransformSource = Literal["slicer", "itk"]
 
 M_PER_MM = 1e-3
 
-HDF5_ENDINGS = (".h5", ".hdf5")
-HDF5_MAGIC = b"\x89HDF\r\n\x1a\n"
-
-MAX_STRETCH = 1e-3
-"""By so much lengths may change in a rigid motion: files round their numbers."""
 
 MAX_DISTANCE_m = 10.0
 """A CT that lies further from the robot's base is not in millimetres."""
@@ -54,6 +49,8 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
         VolumeError: Not readable, not linear, stretched, sheared or mirrored, or not in
             millimetres.
     """
+    # By so much lengths may change in a rigid motion: files round their numbers.
+    max_stretch = 1e-3
     transform = _open(Path(path))
     if transform.GetDimension() != 3 or not transform.IsLinear():
         raise VolumeError(
@@ -63,7 +60,7 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
         )
     matrix, shift_mm = _affine_of(transform)
     stretches = np.linalg.svd(matrix, compute_uv=False)
-    if np.abs(stretches - 1.0).max() > MAX_STRETCH:
+    if np.abs(stretches - 1.0).max() > max_stretch:
         raise VolumeError(
             f"{path} stretches by {stretches.min():.4g} to {stretches.max():.4g}: "
             "expected a rigid motion; fit it again without scaling and shear",
@@ -116,14 +113,16 @@ def _open(path: Path) -> Any:
     Raises:
         VolumeError: There is none.
     """
+    hdf5_magic = b"\x89HDF\r\n\x1a\n"
+    hdf5_endings = (".h5", ".hdf5")
     import SimpleITK
 
     reason = "no such file"
     try:
         with path.open("rb") as file:
-            start = file.read(len(HDF5_MAGIC))
+            start = file.read(len(hdf5_magic))
         # The HDF5 library prints pages about other files.
-        if path.suffix in HDF5_ENDINGS and start != HDF5_MAGIC:
+        if path.suffix in hdf5_endings and start != hdf5_magic:
             reason = "it is no HDF5 file"
         else:
             return SimpleITK.ReadTransform(str(path))

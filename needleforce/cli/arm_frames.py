@@ -8,7 +8,7 @@ import pinocchio as pin
 
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import RobotOptions
-from needleforce.recordings.link_transforms import LinkTransforms
+from needleforce.recordings.table import LinkTransforms
 from urdf import Robot
 
 

@@ -27,6 +27,14 @@ def doctor_command(
             "adds.",
         ),
     ] = False,
+    licences: Annotated[
+        bool,
+        Parameter(
+            group=LIVE_OUTPUT,
+            help="Print instead a table of the packages that the core and each extra "
+            "bring, with their licences.",
+        ),
+    ] = False,
 ) -> int:
     """Print versions, extras, compiler and cache, cores, clock, real-time permission.
 
@@ -35,7 +43,12 @@ def doctor_command(
     needleforce doctor --json
     """
     from needleforce.cli.checkup.compiler import compile_everything
+    from needleforce.cli.checkup.distributions import licence_table
     from needleforce.cli.checkup.findings import examine
+
+    if licences:
+        write_out(licence_table())
+        return 0
 
     if compile:
         compile_everything()

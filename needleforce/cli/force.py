@@ -30,5 +30,7 @@ def force_command(
     needleforce force insertion.csv --tare 0:4 -o forces.csv --figure forces.png
     """
     from needleforce.cli.logs.force_run import run
+    from needleforce.cli.logs.outputs import refuse_report
 
+    refuse_report(log, output)
     return run(log, output, robot, sensor, columns)

@@ -8,6 +8,7 @@ from contextlib import suppress
 from dataclasses import fields, replace
 from importlib.resources import files
 from pathlib import Path
+from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -103,6 +104,20 @@ def robot_from_options(
         )
     _say_warnings(robot)
     return robot
+
+
+def robot_from_text(text: str, source: str, options: RobotOptions) -> Robot:
+    """Return the robot of a description that no file has; errors name its source.
+
+    Args:
+        text: URDF.
+        source: Whence it came, such as ``robot_description``.
+        options: Options of the command, without ``--urdf``.
+    """
+    with TemporaryDirectory() as folder:
+        path = Path(folder, source)
+        path.write_text(text, encoding="utf-8")
+        return robot_from_options(replace(options, urdf=str(path)), None)
 
 
 def _say_warnings(robot: Robot) -> None:

@@ -1,12 +1,17 @@
 """The command `needleforce ros2`."""
 
+import sys
+from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 from cyclopts import Parameter
 
 from needleforce.cli.application import ARMS, LOG, app
 from needleforce.cli.shared_options import RobotOptions
+
+if TYPE_CHECKING:
+    from urdf import Robot
 
 
 @app.command(name="ros2", group=ARMS)
@@ -34,20 +39,39 @@ def ros2_command(
 ) -> int:
     """Run a ROS 2 node: joint_states in; wrench, tip force, layers, events out.
 
-    It needs your own ROS 2, sourced: see docs/how-to/ros2.md.
+    It needs your own ROS 2, sourced: see docs/how-to/ros2.md. Without --urdf and
+    --robot the arm is the one on the topic robot_description.
 
     needleforce ros2 --urdf arm.urdf --ros-args -r joint_states:=/arm/joint_states
     """
     from needleforce.cli.plan_file import load_plan
-    from needleforce.cli.robot import robot_from_options
+    from needleforce.cli.robot import robot_from_options, robot_from_text
     from needleforce.cli.terminal import say
     from needleforce.ros2.node import run_node
 
     loaded = load_plan(plan)
+
+    def make_robot(wait_for_description: Callable[[], str]) -> "Robot":
+        """Return the arm of the options, else that of the topic."""
+        if robot.robot is not None or robot.urdf is not None:
+            return robot_from_options(robot, None)
+        return robot_from_text(wait_for_description(), "robot_description", robot)
+
     run_node(
         ros_arguments,
-        lambda: robot_from_options(robot, None),
+        make_robot,
         say,
         (lambda session: None) if loaded is None else loaded.follow_with,
     )
     return 0
+
+
+def main() -> int:
+    """Run the command as `ros2 run needleforce node`, the executable of the package.
+
+    Returns:
+        The exit code.
+    """
+    from needleforce.cli import main as run_command
+
+    return run_command(["ros2", *sys.argv[1:]])

@@ -115,7 +115,7 @@ class Output:
         start: Start of the figure on its own axis, in seconds or, with --over depth,
             millimetres.
         end: End of the figure, likewise.
-        report: Folder for a page with charts, results, warnings and settings.
+        report: Folder of a page, which `report` alone writes.
     """
 
     follow: Annotated[bool, Parameter(group=LOG)] = False
@@ -130,7 +130,7 @@ class Output:
     over: Over = "time"
     start: Annotated[float | None, Parameter(name="--from", metavar="X")] = None
     end: Annotated[float | None, Parameter(name="--to", metavar="X")] = None
-    report: Annotated[Path | None, Parameter(metavar="DIR")] = None
+    report: Annotated[Path | None, Parameter(metavar="DIR", show=False)] = None
 
 
 Direction = tuple[float, float, float]

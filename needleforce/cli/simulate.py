@@ -61,11 +61,10 @@ def simulate_command(
     and the insertion of a plan: needleforce simulate plan/plan.json -o insertion.csv
     """
     from needleforce.cli.logs import simulated_log
-    from needleforce.cli.patient import example_case, simulated_patient
 
     if options.list:
         return simulated_log.print_scenarios()
-    if scenario == example_case.NAME and options.output is not None:
+    if scenario == "torso" and options.output is not None:
         _refuse_plant(options, "a patient at rest has no arm")
         if options.truth is not None:
             raise CommandError(
@@ -73,8 +72,8 @@ def simulate_command(
                 "torso, leave --truth out"
             )
         require_modules("simulate torso", ("SimpleITK",))
-        return example_case.write_example_case(options.output, options.seed)
-    if scenario is not None and simulated_patient.is_plan(scenario):
+        return simulated_log.write_torso(options.output, options.seed)
+    if scenario is not None and scenario.endswith(".json"):
         _refuse_plant(options, "the insertion of a plan is always on clean")
         if options.seed:
             raise CommandError(

@@ -1,25 +1,19 @@
 """Moving the needle: tasks in priority, guidance, teleoperation, autonomy, the manager.
 
-    control = Controller(robot, Limits.of_arm(robot, arm.preset))
-    for sample in arm:
-        stack = [RemoteCentre(trocar_m), TipVelocity(wish_m_s)]
-        arm.send(control.update(sample, stack).dq_rad_s)
+    for tick in run(arm, Controller(robot, arm.limits), manager):
+        tick.tasks = [RemoteCentre(trocar_m), TipVelocity(wish_m_s)]
 
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
 Reading order: `ports` (what lies outside), `tasks`, `arm_limits`, `joint_limits`,
 `controller` (one tick), `delay_prediction`, `loop_watch` (whether its loop has failed),
-`swings`, `lag` (its delay and gain), `priority_solver`, `state_machine`, `monitors`,
-`manager`, `event_log`, `rupture_counter`, `insertion_profile`, `elbow_swivel`,
+`lag` (its delay and gain), `priority_solver`, `state_machine`, `monitors`,
+`manager`, `run`, `event_log`, `rupture_counter`, `insertion_profile`, `elbow_swivel`,
 `tare_stroke`, `guidance`, `handle_watch`, `passivity`, `teleoperation_sides`,
 `teleoperation`.
 """
 
-from needleforce.control.arm_limits import (
-    ARM_LIMITS as ARM_LIMITS,
-    ArmLimits as ArmLimits,
-    limits_of_arm as limits_of_arm,
-)
+from needleforce.control.arm_limits import limits_of_arm as limits_of_arm
 from needleforce.control.controller import Controller as Controller
 from needleforce.control.errors import (
     ControlError as ControlError,
@@ -39,6 +33,7 @@ from needleforce.control.insertion_profile import (
 from needleforce.control.joint_limits import Limits as Limits
 from needleforce.control.manager import Manager as Manager, Situation as Situation
 from needleforce.control.monitors import Beside as Beside, SafetyLimits as SafetyLimits
+from needleforce.control.run import Tick as Tick, run as run
 from needleforce.control.state_machine import State as State
 from needleforce.control.tare_stroke import (
     TareMotion as TareMotion,
@@ -55,3 +50,7 @@ from needleforce.control.tasks import (
     TipVelocity as TipVelocity,
 )
 from needleforce.control.teleoperation import Teleoperation as Teleoperation
+from needleforce.devices.arm_limits import (
+    ARM_LIMITS as ARM_LIMITS,
+    ArmLimits as ArmLimits,
+)

@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.errors import NeedleforceError
 from foundation.jit import compile_waiting
 from needleforce.control.delay_prediction import DelayPrediction
 from needleforce.control.errors import RIGHT_LIMITS, SettingError
@@ -21,7 +22,7 @@ from needleforce.control.joint_limits import (
     SLACK_rad_s,
     write_velocity_bounds,
 )
-from needleforce.control.loop_watch import LoopFailure, LoopWatch
+from needleforce.control.loop_watch import FailureKind, LoopFailure, LoopWatch
 from needleforce.control.ports import ArmSample
 from needleforce.control.priority_solver import Solver, Stack, hierarchical
 from needleforce.control.setting_checks import as_vector
@@ -53,7 +54,9 @@ class CommandStatus(StrEnum):
     BRAKING = "braking"  # no task: as slow as the limits allow
     SKIPPED = "skipped"  # sample or task invalid: braking without them
     OSCILLATES = "oscillates"  # the loop swings by itself, see `loop_watch`
-    HELD_BACK = "held back"  # by limits, for long: tasks come no nearer to their goals
+    AT_LIMIT = "at limit"  # a joint at its stop keeps a task from moving
+    SINGULAR = "singular"  # joints cannot move the needle as a task asks, in this pose
+    NO_PROGRESS = "no progress"  # the arm does not follow its commands
 
 
 class Command(NamedTuple):
@@ -77,8 +80,7 @@ class Command(NamedTuple):
     @property
     def loop_failure(self) -> str:
         """How the loop has failed, for `Beside`; empty if it has not."""
-        has_failed = self.status in (CommandStatus.OSCILLATES, CommandStatus.HELD_BACK)
-        return self.reason if has_failed else ""
+        return self.reason if self.status in tuple(FailureKind) else ""
 
 
 class Controller:
@@ -90,8 +92,8 @@ class Controller:
         solve: Strict priority within limits; another one to compare with, not to move
             an arm.
         stops_failed_loop: Whether the arm brakes and rests until `reset` once its loop
-            oscillates or limits hold it back for long; otherwise the command of that
-            tick says so, and the motion goes on.
+            oscillates or a task stands still; otherwise the command of that tick says
+            so, and the motion goes on.
         delay_s: From command to measured motion, as `needleforce lag` prints it; None
             if it is not known. Tasks then act on where the arm will be when the command
             does, and a hand that shakes the arm is told from an oscillation at any
@@ -133,7 +135,7 @@ class Controller:
         self._solve = solve
         self._stops_failed_loop = stops_failed_loop
         self._needs_simulation = limits.rates is None and not allow_unlimited_jerk
-        self._watch = LoopWatch(delay_s)
+        self._watch = LoopWatch(robot, limits.joints, delay_s)
         self._prediction = DelayPrediction(joints, delay_s or 0.0)
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()
@@ -178,8 +180,7 @@ class Controller:
         """
         self._require_jerk_limit(sample)
         try:
-            q_rad = np.ascontiguousarray(sample.q_rad, np.float64)
-            dt_s = float(sample.dt_s)
+            q_rad, dt_s = _read_numbers(sample)
             self._prediction.note_command(self.last_rad_s, dt_s)
             if q_rad.shape != (self._joints,) or not 0.0 < dt_s < math.inf:
                 return self._brake(f"{q_rad.size} positions, dt_s = {dt_s:g}")
@@ -213,7 +214,8 @@ class Controller:
                 self._failure = failure
                 return self._stop_for(failure)
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
-        except Exception as error:  # whatever a sample or a stranger's task brings
+        # Of values, a shape or a number; a program's own faults pass through.
+        except (NeedleforceError, ValueError) as error:
             return self._brake(f"{type(error).__name__}: {error}")
         is_damped = numbers.is_damped
         if failure is not None:
@@ -350,3 +352,18 @@ class Controller:
             self._acceleration_rad_s2 = change_rad_s / self._rates.cycle_s
         self.last_rad_s = velocity_rad_s
         return Command(velocity_rad_s, status, reason, is_limited, is_damped)
+
+
+def _read_numbers(sample: ArmSample) -> tuple[Array, float]:
+    """Return positions and time step of a sample.
+
+    Raises:
+        SettingError: They are no numbers.
+    """
+    position, step = sample.q_rad, sample.dt_s
+    try:
+        return np.ascontiguousarray(position, np.float64), float(step)
+    except (TypeError, ValueError, OverflowError) as error:
+        raise SettingError(
+            f"q_rad = {position!r:.80}, dt_s = {step!r:.80}: expected numbers"
+        ) from error

@@ -138,13 +138,19 @@ class Limits:
 
     @classmethod
     def of_arm(
-        cls, robot: Robot, name: str, *, tip_m_s: float | None = None
+        cls,
+        robot: Robot,
+        name: str,
+        *,
+        speed_rad_s: float = 0.5,
+        tip_m_s: float | None = 0.1,
     ) -> "Limits":
-        """Return the limits that an arm enforces, see `ARM_LIMITS`.
+        """Return the limits of an arm that moves a needle, within `ARM_LIMITS`.
 
         Args:
             robot: Its model; a lower speed of its own counts.
             name: One of `ARM_LIMITS`.
+            speed_rad_s: Highest speed of a joint; an arm's own where that is lower.
             tip_m_s: Highest speed of the tip; None for no limit.
 
         Raises:
@@ -159,7 +165,9 @@ class Limits:
             )
         return cls(
             robot,
-            np.minimum(preset.speed_rad_s, robot.velocity_limit_rad_s),
+            np.minimum(
+                np.minimum(preset.speed_rad_s, speed_rad_s), robot.velocity_limit_rad_s
+            ),
             preset.acceleration_rad_s2,
             jerk_rad_s3=preset.jerk_rad_s3,
             tip_m_s=tip_m_s,

@@ -1,8 +1,7 @@
-"""Sees a loop of control that swings by itself, or that limits hold back for long.
+"""Sees a loop of control that swings by itself, and a task that stands still.
 
-A loop whose gain is too high for its delay T swings with half periods of about 2 T,
-each larger than the one before, until joints are at their limits. So do errors that a
-hand or a goal makes. What tells them apart is the excitation
+A loop whose gain is too high for its delay T swings, each time further. So do errors
+that a hand or a goal makes. What tells them apart is the excitation
 
     x(t) = e(t) + c(t - T),    c = integral of the motion for the error's sake
 
@@ -12,95 +11,83 @@ uncommanded, or for a task above: where x stands still, or moves evenly, while e
 and does not decay, the loop swings by itself. T need not be known: it is the one that
 explains e best, up to the duration of a swing.
 
-A loop is held back where a joint is at a limit, a task asks for motion, and the
-measured positions come no further that way. An approach at the limits does.
+A task stands still where it asks for motion, steadily, and gets none. The cause is
+found in the joints: the arm does not follow, one presses against its stop, or the pose
+is singular. A task that gives way to those above it has none of these causes.
 """
 
-from collections import deque
+import math
 from collections.abc import Sequence
 from enum import StrEnum
+from operator import is_
 from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.arrays import Array
-from needleforce.control.loop_history import Block, BLOCK_s, LoopHistory
-from needleforce.control.priority_solver import Stack
+from foundation.arrays import Array, Matrix, Vector, WrittenBlocks, WrittenMatrix
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import dot
+from needleforce.control.joint_limits import JointLimits
+from needleforce.control.priority_solver import WEAK_MOTION, Stack
 from needleforce.control.setting_checks import require_positive
-from needleforce.control.swings import SwingRow
-from needleforce.control.tasks import MAX_STEP_s, Task
+from needleforce.control.tasks import (
+    AxialSpeed,
+    MAX_STEP_s,
+    Posture,
+    RemoteCentre,
+    Task,
+    TipTask,
+    ToolState,
+)
+from urdf import Robot
 
-DELAYS = 17
-"""Delays that are tried, from none to the duration of a swing or the longest."""
+COUNTING_m = 3e-4
+"""Errors count in units that are their noise at most: an encoder's steps of 0.17 mrad
+move the tip by 0.26 mm from tick to tick."""
 
-MAX_DELAY_s = 0.045
-"""Longer delays are not looked for, where the arm's is not known: a hand that shakes at
-omega = K, more and more, looks like a loop with the delay pi / 2K."""
+COUNTING_rad = 1e-3
+"""The unit of errors of orientations and joints."""
 
-DELAY_FACTOR = 1.5
-"""Where the arm's delay is known, delays of up to this multiple of it are tried, and
-`DELAY_MARGIN_s` more: it may be off by a half."""
+HISTORY = 1024
+"""Cycles that are kept, a second at 1 kHz."""
 
-DELAY_MARGIN_s = 5e-3
-"""Added to that multiple: a delay measured as zero is one of a few cycles."""
+ERROR, ASKED, FED_BACK, WANTED, MOVED = range(5)
+"""Signals of a row that are kept, in counts: its error; and sums of the motion that its
+rate asks for, of that for the error's sake, of that at the wanted rate, and of that
+measured."""
 
-MIN_FOLLOWED = 0.8
-"""Least fraction of its commands by which an arm is taken to follow: a soft servo makes
-0.7 of quick ones."""
+LEVEL = 0.85
+"""A swing decays if it has less than this fraction of the extent of the one before; a
+loop with 0.9 of the gain that makes it unstable has 0.86."""
 
-MAX_FOLLOWED = 1.1
-"""Largest fraction of its commands by which an arm is taken to follow."""
+MAX_SWING_s = 0.4
+"""Slower swings are motion of a hand or a goal. Those of a loop with a delay T last
+about 2 T, those that limits hold twice to thrice that."""
 
 MAX_EXCITED_FRACTION = 0.15
 """Where commands leave a smaller fraction of the error unexplained, the loop swings
 by itself: 0.01 to 0.1 where it does, on servos with a lag of 15 ms, too. A hand that
 shakes the arm leaves 0.3 and more, but at frequencies near the gain."""
 
-MIN_CYCLES = 6
-"""A straight line, a factor and a delay are fitted to so many cycles at least."""
+STANDSTILL_s = 0.2
+"""A task that stands still is judged over this time and the delay, if that is known."""
 
-LARGEST_FRACTION = 0.7
-"""The swing is larger than this fraction of the change of every other error of its
-task: errors of an approach at the limits swing, too, beside one that shrinks."""
-
-MIN_POWER = 1e-12
-"""Keeps the factor finite where nothing was commanded."""
-
-CHECK_s = 5e-3
-"""Time between two checks of the same row of swings."""
-
-BLOCKS = 3
-"""Saturation is judged over so many blocks of time in a row: it is seen 0.15 to 0.2 s
-after it has begun."""
-
-SATURATED_FRACTION = 0.9
-"""A loop is saturated in a block if a joint is at a limit in this fraction of it."""
-
-ASKED = 2.0
-"""A task asks for motion if it asks for more counts in these blocks: noise asks for
+MIN_ASKED = 2.0
+"""A task asks for motion if it asks for more counts in that time: noise asks for
 less."""
 
-STEADY_FRACTION = 0.8
-"""It asks steadily if what it asks for adds up to this fraction of its path: an error
-that swings is no goal out of reach."""
-
-SERVED_FRACTION = 0.5
-"""Limits cut it if they leave less than this fraction of it in the commands: of a hand
-that shakes the arm they leave most."""
-
-PROGRESS = 1.0
-"""A task that comes further, in counts, is not held back."""
-
 PROGRESS_FRACTION = 0.1
-"""Nor is a task that comes further than this fraction of what it asks for."""
+"""A task that comes further than this fraction of what it asks for does not stand."""
 
 
 class FailureKind(StrEnum):
     """How a loop fails."""
 
     OSCILLATES = "oscillates"
-    HELD_BACK = "held back"
+    AT_LIMIT = "at limit"
+    SINGULAR = "singular"
+    NO_PROGRESS = "no progress"
 
 
 class LoopFailure(NamedTuple):
@@ -115,86 +102,85 @@ class LoopFailure(NamedTuple):
     reason: str
 
 
-def _remove_trend(basis: Array, signals: Array) -> Array:
-    """Return signals, in columns, less their parts along a basis of straight lines."""
-    return signals - basis @ (basis.T @ signals)
-
-
-def _interpolate(signals: Array, times_s: Array, at_s: Array) -> Array:
-    """Return signals, in columns, between their samples, at other times."""
-    place = np.interp(at_s, times_s, np.arange(times_s.size))
-    before = np.minimum(place.astype(np.intp), times_s.size - 2)
-    part = (place - before)[:, None]
-    return (1.0 - part) * signals[before] + part * signals[before + 1]
-
-
-def _find_unexplained_power(errors: Array, commanded: Array) -> float:
-    """Return the power of errors that motion commanded for them leaves unexplained."""
-    power = max(float((commanded * commanded).sum()), MIN_POWER)
-    followed = -float((commanded * errors).sum()) / power
-    excited = errors + min(max(followed, MIN_FOLLOWED), MAX_FOLLOWED) * commanded
-    return float((excited * excited).sum())
-
-
-def _find_rows_of_task(history: LoopHistory, row: int) -> NDArray[np.bool_]:
-    """Return which of the rows with feedback belong to the task of a row."""
-    ends = np.cumsum(history.task_sizes)
-    task = np.searchsorted(ends, row, side="right")
-    return np.searchsorted(ends, history.rows_with_feedback, side="right") == task
-
-
-def _is_held_back(blocks: Sequence[Block], task_sizes: Sequence[int]) -> bool:
-    """Return whether the most important task that asks for motion gets none."""
-    asked = np.sum([block.asked for block in blocks], axis=0)
-    path = np.sum([block.path for block in blocks], axis=0)
-    led = np.sum([block.led for block in blocks], axis=0)
-    moved = np.sum([block.moved for block in blocks], axis=0)
-    end = 0
-    for size in task_sizes:
-        rows = slice(end, end + size)
-        end += size
-        distance = float(np.linalg.norm(asked[rows]))
-        if distance > ASKED:
-            is_steady = distance > STEADY_FRACTION * float(np.linalg.norm(path[rows]))
-            served = float(led[rows] @ asked[rows]) / distance
-            progress = float(np.linalg.norm(moved[rows]))
-            is_still = all(
-                float(np.linalg.norm(block.moved[rows])) < PROGRESS for block in blocks
-            )
-            is_cut = served < SERVED_FRACTION * distance
-            is_held = progress < min(PROGRESS, PROGRESS_FRACTION * distance)
-            return is_steady and is_cut and is_still and is_held
-    return False
-
-
 class LoopWatch:
     """Watches a loop of control cycle by cycle, see the module.
 
     Args:
+        robot: The arm.
+        limits: What its joints may do.
         delay_s: From command to measured motion; None if it is not known.
 
     Raises:
         SettingError: The delay is negative, or no number.
     """
 
-    def __init__(self, delay_s: float | None = None) -> None:
-        self._max_delay_s = MAX_DELAY_s
+    def __init__(
+        self, robot: Robot, limits: JointLimits, delay_s: float | None = None
+    ) -> None:
+        # Without a known delay none beyond 45 ms is looked for: a hand that shakes at
+        # omega = K, more and more, looks like a loop with the delay pi / 2K.
+        self._max_delay_s = 0.045
+        self._standstill_s = STANDSTILL_s
         if delay_s is not None:
             require_positive({"delay_s": delay_s}, or_zero=("delay_s",))
-            self._max_delay_s = DELAY_FACTOR * delay_s + DELAY_MARGIN_s
+            # It may be off by a half; one measured as zero is one of a few cycles.
+            self._max_delay_s = 1.5 * delay_s + 5e-3
+            self._standstill_s += delay_s
+        self._joint_names = robot.joint_names
+        self._limits = limits
+        self._tool = ToolState(robot)
         self.reset()
 
     def reset(self) -> None:
         """Forget what was seen."""
-        self._history: LoopHistory | None = None
+        self._stack: Stack | None = None
 
-    def _begin(self, stack: Stack, q_rad: Array) -> LoopHistory:
+    def _begin(self, stack: Stack, q_rad: Array) -> None:
         """Begin with another stack."""
-        history = LoopHistory(stack, q_rad)
-        self._history = history
-        self._next_check_s = 0.0
-        self._blocks = deque[Block](maxlen=BLOCKS)
-        return history
+        self._stack = stack
+        joints = q_rad.size
+        # A posture counts where it is the only task: others move it as they need.
+        self._has_rows = bool(stack.rates.size)
+        self._jacobian = stack.rows if self._has_rows else np.eye(joints)
+        self._rates = stack.rates if self._has_rows else stack.joint_velocity
+        size = self._rates.size
+        self._cycles = 0
+        self._time_s = 0.0
+        self._next_swings_s = 0.0
+        self._next_standstill_s = self._standstill_s
+        self._was_limited = False
+        self._times_s = np.zeros(HISTORY)
+        self._history = np.zeros((HISTORY, 5, size))
+        self._joint_history_rad = np.zeros((HISTORY, 2, joints))
+        self._extremes = np.zeros((size, 4, 2))
+        self._per_row = np.zeros((5, size))
+        self._joint_history_rad[-1, 1] = q_rad
+        self._tasks = list[Task]()
+
+    def _take_tasks(self, tasks: Sequence[Task]) -> None:
+        """Find out what rows count, and where their gains and wanted rates are."""
+        self._tasks = list(tasks)
+        self._rows_of_tasks = list[slice]()
+        self._gains = list[tuple[TipTask | RemoteCentre | Posture, Array]]()
+        self._wanted = list[tuple[TipTask, Array]]()
+        self._per_row[:3] = 0.0
+        counting_squared = np.array([COUNTING_m**2] * 3 + [COUNTING_rad**2] * 3)
+        for task in tasks if self._has_rows else tasks[-1:]:
+            start = self._rows_of_tasks[-1].stop if self._rows_of_tasks else 0
+            rows = slice(start, start + task.size)
+            if rows.stop > self._rates.size:
+                break  # a posture that needs no rows
+            self._rows_of_tasks.append(rows)
+            scale, gain_per_s, wanted = self._per_row[:3, rows]
+            if isinstance(task, TipTask):
+                scale[:] = 1.0 / np.sqrt(task.selection**2 @ counting_squared)
+                self._wanted.append((task, wanted))
+            elif isinstance(task, RemoteCentre | AxialSpeed):
+                scale[:] = 1.0 / COUNTING_m
+            elif isinstance(task, Posture) and not self._has_rows:
+                scale[:] = 1.0 / COUNTING_rad
+            if isinstance(task, TipTask | RemoteCentre | Posture) and scale.any():
+                self._gains.append((task, gain_per_s))
 
     def update(
         self,
@@ -221,86 +207,326 @@ class LoopWatch:
                 shape (n,); errors are judged without it.
             is_limited: Whether a joint is at a limit in the cycle that begins.
         """
-        history = self._history
-        if history is None or stack is not history.stack or dt_s > MAX_STEP_s:
-            history = self._begin(stack, q_rad)
-        row, is_block_over = history.add(
-            tasks, q_rad, last_rad_s, ahead_rad, dt_s, is_limited
+        if stack is not self._stack or dt_s > MAX_STEP_s:
+            self._begin(stack, q_rad)
+        if len(tasks) != len(self._tasks) or not all(map(is_, tasks, self._tasks)):
+            self._take_tasks(tasks)
+        for task, gain_per_s in self._gains:
+            gain_per_s[:] = task.gain_per_s
+        for tip_task, wanted in self._wanted:
+            wanted[:] = tip_task.rate
+        self._time_s += dt_s
+        self._times_s[self._cycles % HISTORY] = self._time_s
+        row = add_cycle(
+            self._history,
+            self._joint_history_rad,
+            self._extremes,
+            self._cycles,
+            self._jacobian,
+            self._rates,
+            self._per_row,
+            q_rad,
+            last_rad_s,
+            ahead_rad,
+            self._time_s,
+            dt_s,
+            self._was_limited,
         )
+        self._cycles += 1
+        self._was_limited = is_limited
         failure = None
-        if row >= 0:
-            failure = self._find_oscillation(history, row, dt_s)
-        if is_block_over and failure is None:
-            failure = self._find_saturation(history)
+        if row >= 0 and self._time_s >= self._next_swings_s:
+            self._next_swings_s = self._time_s + 5e-3
+            failure = self._find_oscillation(row)
+        if failure is None and self._time_s >= self._next_standstill_s:
+            self._next_standstill_s = self._time_s + 0.02
+            failure = self._find_standstill()
         if failure is not None:
             self.reset()
         return failure
 
-    def _find_oscillation(
-        self, history: LoopHistory, row: int, dt_s: float
-    ) -> LoopFailure | None:
-        """Return how a row swings by itself, None if it does not."""
-        time_s = history.time_s
-        if time_s < self._next_check_s:
-            return None
-        self._next_check_s = time_s + CHECK_s
-        swings = history.read_swings(row, dt_s)
-        if not self._swings_by_itself(swings, history):
+    def _cycles_since(self, start_s: float) -> NDArray[np.intp]:
+        """Return the places of the cycles kept since a time, the oldest first."""
+        kept = np.arange(max(self._cycles - HISTORY, 0), self._cycles) % HISTORY
+        return kept[self._times_s[kept] >= start_s]
+
+    def _find_oscillation(self, row: int) -> LoopFailure | None:
+        """Return how a row swings by itself, None if commands do not explain it."""
+        begun_s, _, before_s, last_s = self._extremes[row, :, 0]
+        rows = next(rows for rows in self._rows_of_tasks if row < rows.stop)
+        kept = self._cycles_since(0.0)
+        signals = self._history[kept, :, rows]
+        is_swing = self._times_s[kept] >= begun_s
+        extents = np.ptp(signals[is_swing, ERROR], axis=0)
+        # Errors of an approach at the limits swing, too, beside one that shrinks.
+        is_largest = extents[row - rows.start] > 0.7 * extents.max()
+        longest_s = min(last_s - before_s, self._max_delay_s)
+        if not is_largest or (
+            find_excited_fraction(self._times_s[kept], signals, is_swing, longest_s)
+            >= MAX_EXCITED_FRACTION
+        ):
             return None
         return LoopFailure(
             FailureKind.OSCILLATES,
-            f"the loop oscillates at {0.5 / swings.swing_s:.0f} Hz: its gain is too "
-            "high for the delay of the arm. Lower gain_per_s of the tasks, then "
+            f"the loop oscillates at {1.5 / (last_s - begun_s):.0f} Hz: its gain is "
+            "too high for the delay of the arm. Lower gain_per_s of the tasks, then "
             "reset() the controller",
         )
 
-    def _swings_by_itself(self, row: SwingRow, history: LoopHistory) -> bool:
-        """Return whether swings are explained by what was commanded for their sake."""
-        cycles = history.read_cycles()
-        times_s = cycles.times_s
-        is_seen = times_s >= history.time_s - row.row_s
-        seen_s = times_s[is_seen]
-        errors = cycles.errors[is_seen]
-        same_task = _find_rows_of_task(history, row.error)
-        if not same_task.any():
-            return False
-        changes = np.ptp(errors[:, same_task], axis=0)
-        is_largest = row.extent > LARGEST_FRACTION * float(changes.max())
-        if seen_s.size < MIN_CYCLES or not is_largest:
-            return False
-        straight = np.column_stack((np.ones(seen_s.size), seen_s - seen_s.mean()))
-        basis, _ = np.linalg.qr(straight)
-        goals = _remove_trend(basis, errors + cycles.moved[is_seen])
-        wanted = _remove_trend(basis, cycles.wanted[is_seen])
-        errors = _remove_trend(basis, errors)
-        power = float((errors * errors).sum())
-        asked = max((goals * goals).sum(), (wanted * wanted).sum())
-        if asked > MAX_EXCITED_FRACTION**2 * power:
-            return False
-        longest_s = min(row.swing_s, self._max_delay_s)
-        left = [
-            _find_unexplained_power(
-                errors,
-                _remove_trend(basis, _interpolate(cycles.fed_back, times_s, late_s)),
-            )
-            for late_s in seen_s - np.linspace(0.0, longest_s, DELAYS)[:, None]
-        ]
-        return min(left) < MAX_EXCITED_FRACTION**2 * power
+    def _find_standstill(self) -> LoopFailure | None:
+        """Return why the most important task that asks for motion gets none."""
+        kept = self._cycles_since(self._time_s - self._standstill_s)
+        places = kept[np.linspace(0, kept.size - 1, 7).astype(int)]
+        motions = self._history[places] - self._history[places[0]]
+        asked = motions[[3, 6], ASKED]  # in the first half, and in all
+        moved = motions[:, MOVED]
+        led_rad, moved_rad = (
+            self._joint_history_rad[places] - self._joint_history_rad[places[0]]
+        ).swapaxes(0, 1)
+        for rows in self._rows_of_tasks:
+            distance = float(np.linalg.norm(asked[1, rows]))
+            if distance <= MIN_ASKED:
+                continue
+            direction = asked[1, rows] / distance
+            # An error that swings is no goal out of reach; of one that grows evenly a
+            # quarter is asked for in the first half.
+            in_first_half = float(asked[0, rows] @ direction) / distance
+            is_steady = 0.2 < in_first_half < 0.8
+            progress = float(np.linalg.norm(moved[:, rows], axis=1).max())
+            if not is_steady or progress >= min(1.0, PROGRESS_FRACTION * distance):
+                return None
+            led = self._per_row[0, rows] * (self._jacobian[rows] @ led_rad[-1])
+            is_commanded = float(np.linalg.norm(led)) > MIN_ASKED
+            followed_rad = np.linalg.norm(moved_rad, axis=1).max()
+            stands_rad = PROGRESS_FRACTION * np.linalg.norm(led_rad[-1])
+            if is_commanded and followed_rad < stands_rad:
+                return self._report_no_progress(led_rad[-1])
+            served_fraction = float(led @ direction) / distance
+            q_rad = self._joint_history_rad[places[-1], 1]
+            return self._find_obstacle(q_rad, rows, direction, served_fraction)
+        return None
 
-    def _find_saturation(self, history: LoopHistory) -> LoopFailure | None:
-        """Return what limits hold back at the end of a block, None if nothing is."""
-        blocks = self._blocks
-        blocks.append(history.end_block())
-        is_saturated = all(
-            block.limited_fraction > SATURATED_FRACTION for block in blocks
-        )
-        if len(blocks) < BLOCKS or not is_saturated:
-            return None
-        if not _is_held_back(blocks, history.task_sizes):
-            return None
+    def _report_no_progress(self, led_rad: Array) -> LoopFailure:
+        """Report an arm that does not follow such a commanded motion."""
+        name = self._joint_names[int(np.abs(led_rad).argmax())]
         return LoopFailure(
-            FailureKind.HELD_BACK,
-            f"joints are at their limits for {BLOCKS * BLOCK_s:g} s, and a task comes "
-            "no nearer to its goal. Ask for goals within reach, then reset() the "
-            "controller",
+            FailureKind.NO_PROGRESS,
+            f"joint {name} does not follow its commands: is the arm braked, held, or "
+            "in another mode? Free it, then reset() the controller",
         )
+
+    def _find_obstacle(
+        self, q_rad: Array, rows: slice, direction: Array, served_fraction: float
+    ) -> LoopFailure | None:
+        """Return the joint that keeps a task from moving its rows in a direction.
+
+        So much of what the task asks for has been commanded.
+        """
+        push = self._find_free_motion(q_rad, rows, direction)
+        # Positions are noisy, and a joint comes to its stop more and more slowly.
+        above = q_rad > self._limits.position_upper_rad - 1e-3
+        below = q_rad < self._limits.position_lower_rad + 1e-3
+        pressing = push * above - push * below
+        joint = int(pressing.argmax())
+        is_pressing = pressing[joint] > 0.1 * np.linalg.norm(push)
+        if is_pressing and served_fraction < 0.5:
+            return LoopFailure(
+                FailureKind.AT_LIMIT,
+                f"joint {self._joint_names[joint]} is at its stop, {q_rad[joint]:.3f} "
+                "rad, and a task comes no nearer to its goal. Ask for goals within "
+                "reach, or begin with another posture, then reset() the controller",
+            )
+        # Where damping leaves more, it moves slowly, and away from the singular pose.
+        if np.linalg.norm(push) >= WEAK_MOTION or served_fraction > 0.03:
+            return None
+        turns_rad = 0.1 * np.vstack((np.eye(q_rad.size), -np.eye(q_rad.size)))
+        freed = [
+            np.linalg.norm(self._find_free_motion(q_rad + turn_rad, rows, direction))
+            for turn_rad in turns_rad
+        ]
+        joint = int(np.argmax(freed)) % q_rad.size
+        if max(freed) < WEAK_MOTION:
+            return None  # in other poses, too, the levels above leave nothing
+        return LoopFailure(
+            FailureKind.SINGULAR,
+            "in this pose joints cannot move the needle as a task asks for. Turn "
+            f"joint {self._joint_names[joint]}, at {q_rad[joint]:.3f} rad, by 0.1 rad "
+            "or more, then reset() the controller",
+        )
+
+    def _find_free_motion(self, q_rad: Array, rows: slice, direction: Array) -> Array:
+        """Return the part of a motion that tasks above leave to joints, shape (n,).
+
+        The motion is that of the joints which serves the rows of a task in a direction
+        best, and has the length one.
+        """
+        jacobian = np.zeros_like(self._jacobian)
+        self._tool.update(q_rad)
+        tasks = self._tasks if self._has_rows else self._tasks[-1:]
+        for task, its_rows in zip(tasks, self._rows_of_tasks, strict=False):
+            task.write(self._tool, jacobian[its_rows], np.zeros(task.size))
+        push = (self._per_row[0, rows] * direction) @ jacobian[rows]
+        push /= max(float(np.linalg.norm(push)), 1e-12)
+        above = jacobian[: rows.start].T
+        return push - above @ np.linalg.lstsq(above, push, rcond=1e-9)[0]
+
+
+def find_excited_fraction(
+    times_s: Array, signals: Array, is_swing: NDArray[np.bool_], longest_s: float
+) -> float:
+    """Return the fraction of a task's errors that commands leave unexplained.
+
+    It is one where the goal swings, or the wanted rate.
+
+    Args:
+        times_s: Of the cycles known, shape (k,).
+        signals: See `ERROR` and those below it, of r rows, shape (k, 5, r).
+        is_swing: Which of the cycles are to be explained, shape (k,).
+        longest_s: Delay up to which the effect of commands is looked for.
+    """
+    swing_s = times_s[is_swing]
+    if swing_s.size < 6:  # a line, a factor and a delay are fitted
+        return 1.0
+    line, _ = np.linalg.qr(np.column_stack((np.ones_like(swing_s), swing_s)))
+
+    def remove_line(signal: Array) -> Array:
+        return signal - line @ (line.T @ signal)
+
+    error, _, _, wanted, moved = signals[is_swing].swapaxes(0, 1)
+    goal = remove_line(error + moved)
+    wanted = remove_line(wanted)
+    error = remove_line(error)
+    power = max(float(np.sum(error**2)), 1e-12)
+    if max(np.sum(goal**2), np.sum(wanted**2)) > MAX_EXCITED_FRACTION**2 * power:
+        return 1.0
+    least = power
+    for delay_s in np.linspace(0.0, longest_s, 17):
+        late = [
+            np.interp(swing_s - delay_s, times_s, sums)
+            for sums in signals[:, FED_BACK].T
+        ]
+        commanded = remove_line(np.transpose(late))
+        followed = -np.sum(commanded * error) / max(np.sum(commanded**2), 1e-12)
+        # A soft servo makes 0.7 of quick commands.
+        left = error + min(max(followed, 0.8), 1.1) * commanded
+        least = min(least, float(np.sum(left**2)))
+    return math.sqrt(least / power)
+
+
+@compiled
+def add_cycle(
+    history: WrittenBlocks,
+    joint_history_rad: WrittenBlocks,
+    extremes: WrittenBlocks,
+    cycles: int,
+    jacobian: Matrix,
+    rates: Vector,
+    per_row: WrittenMatrix,
+    q_rad: Vector,
+    last_rad_s: Vector,
+    ahead_rad: Vector,
+    time_s: float,
+    dt_s: float,
+    was_limited: bool,
+) -> int:
+    """Add a cycle; return the row that swings furthest without decaying, or -1.
+
+    Args:
+        history: Signals of the rows, shape (HISTORY, 5, m).
+        joint_history_rad: Sums of commanded motion, and positions, (HISTORY, 2, n).
+        extremes: See `follow_swings`.
+        cycles: How many there were before.
+        jacobian: J, shape (m, n).
+        rates: v, shape (m,).
+        per_row: Counts per unit, K, w, and in counts per second what is asked for and
+            K e in the cycle that begins, shape (5, m); the last two are written.
+        q_rad: Measured positions, shape (n,).
+        last_rad_s: Velocity commanded in the cycle that ends, shape (n,).
+        ahead_rad: How far the joints of the tasks are ahead, shape (n,).
+        time_s: Its end.
+        dt_s: Its duration.
+        was_limited: Whether a joint was at a limit in it.
+    """
+    index = cycles % HISTORY
+    before = (cycles - 1) % HISTORY  # holds zeros in the first cycle
+    last_rad = joint_history_rad[before, 1]
+    for j in range(q_rad.size):
+        sum_rad = joint_history_rad[before, 0, j]
+        joint_history_rad[index, 0, j] = sum_rad + dt_s * last_rad_s[j]
+        joint_history_rad[index, 1, j] = q_rad[j]
+    sums = history[before]
+    for k in range(rates.size):
+        led = dt_s * dot(jacobian[k], last_rad_s)
+        moved = dot(jacobian[k], q_rad) - dot(jacobian[k], last_rad)
+        ahead = dot(jacobian[k], ahead_rad)
+        scale = per_row[0, k]
+        asked = dt_s * per_row[3, k]
+        fed_back = dt_s * per_row[4, k]
+        wanted = asked - fed_back
+        if was_limited:
+            fed_back = scale * led - wanted
+        history[index, ASKED, k] = sums[ASKED, k] + asked
+        history[index, FED_BACK, k] = sums[FED_BACK, k] + fed_back
+        history[index, WANTED, k] = sums[WANTED, k] + wanted
+        history[index, MOVED, k] = sums[MOVED, k] + scale * moved
+        per_row[3, k] = scale * rates[k]
+        has_gain = per_row[1, k] > 0.0
+        per_row[4, k] = scale * (rates[k] - per_row[2, k]) if has_gain else 0.0
+        error = per_row[4, k] / per_row[1, k] + scale * ahead if has_gain else 0.0
+        history[index, ERROR, k] = error
+    return watch_extremes(extremes, history[index, ERROR], time_s, cycles == 0)
+
+
+@compiled_inside
+def watch_extremes(
+    extremes: WrittenBlocks, errors: Vector, time_s: float, is_first: bool
+) -> int:
+    """Return the row that swings furthest without decaying, or -1.
+
+    See `follow_swings`.
+    """
+    if is_first:
+        extremes[:, :, 0] = time_s
+        for k in range(errors.size):
+            extremes[k, :, 1] = errors[k]
+    furthest = -1
+    longest_way = 0.0
+    for k in range(errors.size):
+        is_swinging = follow_swings(extremes[k], errors[k], time_s)
+        way = abs(extremes[k, 3, 1] - extremes[k, 2, 1])
+        if is_swinging and way > longest_way:
+            furthest = k
+            longest_way = way
+    return furthest
+
+
+@compiled_inside
+def follow_swings(extremes: WrittenMatrix, error: float, time_s: float) -> bool:
+    """Take in an error; return whether it has swung three times without decaying.
+
+    Args:
+        extremes: The last four, the oldest first: time and error, shape (4, 2). The
+            newest is the furthest that the swing which goes on has come.
+        error: In counts; after one count backwards it has turned.
+        time_s: Now.
+    """
+    newest = extremes[3]
+    direction = newest[1] - extremes[2, 1]
+    change = error - newest[1]
+    if direction * change > 0.0:
+        newest[0] = time_s
+        newest[1] = error
+    elif abs(change) > 1.0:
+        extremes[:3] = extremes[1:].copy()
+        newest[0] = time_s
+        newest[1] = error
+    longest_s = 0.0
+    extent = 0.0
+    for i in range(3):
+        last_extent = extent
+        extent = abs(extremes[i + 1, 1] - extremes[i, 1])
+        if extent <= LEVEL * last_extent:
+            return False
+        longest_s = max(longest_s, extremes[i + 1, 0] - extremes[i, 0])
+    has_settled = time_s - newest[0] > longest_s
+    return longest_s < MAX_SWING_s and not has_settled

@@ -8,11 +8,13 @@ a `LinkReport`, never handed on.
 Reading order: `link` (what a device offers, readings, reports), `errors`,
 `datagram_link` (UDP), `cycle_counter` and `controller_link` (controllers that send a
 packet a cycle), `fri` (KUKA LWR 4+), `protobuf_wire`, `sunrise_messages` and `sunrise`
-(KUKA LBR iiwa), `rdt` and `rdt_status` (ATI Net F/T), `checked_arm` and `velocity_hold`
-(common to arms with a client library), `franka`, `franka_versions` and `franka_wire`
-(FER, FR3), `ur` and `ur_control` (UR e-Series), `haply`, `arm_names` (any arm by a name
-of one line). Emulators: `emulators`, `fri_emulator`, `sunrise_emulator`,
-`rdt_emulator`, `haply_emulator`.
+(KUKA LBR iiwa), `rdt` and `rdt_status` (ATI Net F/T), `arm_limits` and `guard` (the
+last thing before every arm), `checked_arm` (common to arms with a client library),
+`franka`, `franka_versions` and `franka_wire` (FER, FR3), `ur` and `ur_control` (UR
+e-Series), `haply`, `arm_names` (any arm by a name of one line).
+
+Emulators: `emulators`, `fri_emulator`, `sunrise_emulator`, `rdt_emulator`,
+`haply_emulator`.
 """
 
 from needleforce.devices.arm_names import (

@@ -125,8 +125,8 @@ def connect_arm(
 
     Returns:
         One of `needleforce.devices`: iterate over its readings, `send` joint
-        velocities, `close` it or use it in a ``with`` statement. Its `preset` names its
-        limits, for `needleforce.control.Limits.of_arm`.
+        velocities, `close` it or use it in a ``with`` statement. Its `limits` are for a
+        `needleforce.control.Controller`, if its model is given.
 
     Raises:
         DeviceError: No such arm, no client library, or no answer.

@@ -7,7 +7,8 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.devices.link import ArmReading, Link
+from needleforce.devices.guard import GuardedArm
+from needleforce.devices.link import ArmReading
 
 STAMP_DIGITS = 9
 """Decimals of a difference of stamps [s]."""
@@ -32,7 +33,7 @@ class ArmSignals(NamedTuple):
     external_Nm: Array | None = None
 
 
-class CheckedArm(Link):
+class CheckedArm(GuardedArm):
     """An arm whose signals are checked and counted before they are handed on.
 
     Args:

@@ -5,16 +5,21 @@ from collections.abc import Iterator
 from time import monotonic
 from typing import Any
 
+from needleforce.devices.arm_limits import ARM_LIMITS
 from needleforce.devices.cycle_counter import CycleCounter
 from needleforce.devices.datagram_link import DatagramLink
 from needleforce.devices.errors import DeviceSettingError
+from needleforce.devices.guard import Guard, GuardedArm
 from needleforce.devices.link import ArmReading
 
 MAX_WAIT_S = 3600.0
 """A socket waits for no infinite time."""
 
+MAX_BRAKE_S = 2.0
+"""An arm that moves at its highest speed has come to rest before."""
 
-class ControllerLink(DatagramLink, ABC):
+
+class ControllerLink(GuardedArm, DatagramLink, ABC):
     """An arm whose controller sends to this machine; one reading per valid packet.
 
     Args:
@@ -61,6 +66,8 @@ class ControllerLink(DatagramLink, ABC):
         self.robot = robot
         self.joints = joints
         self.hint = ""
+        preset = ARM_LIMITS[self.preset]
+        self._guard = Guard(preset, preset.cycle_s, robot)
         self._counter = CycleCounter(counts, monotonic())
         self._wait_s = wait_s
         self._give_up_s = give_up_s
@@ -75,7 +82,7 @@ class ControllerLink(DatagramLink, ABC):
                 self.report.outages += not is_silent
                 is_silent = True
                 self._lose_controller()
-                self.peer = None  # after an outage it may come back on another port
+                self._forget_port()  # after an outage it may come back on another
                 continue
 
             reading = self._process(data)
@@ -83,6 +90,18 @@ class ControllerLink(DatagramLink, ABC):
                 yield reading
                 heard_s = monotonic()
                 is_silent = False
+
+    def close(self) -> None:
+        """Brake the arm to rest while its controller asks, and end the connection."""
+        self._guard.brake()
+        end_s = monotonic() + MAX_BRAKE_S
+        while not self._guard.is_at_rest and monotonic() < end_s:
+            data = self._receive(self._wait_s)
+            if data is None:
+                break
+            self._process(data)
+        self._guard.anchor()
+        super().close()
 
     @abstractmethod
     def _lose_controller(self) -> None:

@@ -6,7 +6,7 @@ from time import monotonic
 from typing import NamedTuple
 
 from needleforce.devices.errors import DeviceSettingError, LinkError
-from needleforce.devices.link import Link
+from needleforce.devices.link import Link, run_within
 
 LOOPBACK = "127.0.0.1"
 """Where links bind and connect unless an address is named."""
@@ -23,6 +23,8 @@ MAX_FOREIGN_S = 2e-3
 """So long beyond its deadline a link looks for a datagram of its peer among foreign
 ones."""
 
+MAX_LOOK_UP_S = 2.0
+"""So long the address of a name is looked up."""
 
 MAX_DROP_S = 0.01
 """So long waiting datagrams are dropped, though others flood the link; they take a
@@ -60,7 +62,7 @@ def resolve_host(host: str) -> str:
         LinkError: The name is unknown.
     """
     try:
-        return socket.gethostbyname(host)
+        return run_within(MAX_LOOK_UP_S, lambda: socket.gethostbyname(host))
     except (OSError, ValueError) as error:
         raise LinkError(
             f"{host!r} is no address and no name that is known here: {error}",
@@ -68,7 +70,9 @@ def resolve_host(host: str) -> str:
 
 
 class DatagramLink(Link):
-    """A link over UDP with one peer; datagrams from elsewhere are counted and dropped.
+    """A link over UDP with one peer; datagrams from elsewhere are dropped.
+
+    Once the peer is known the kernel drops them; those that came before are counted.
 
     Args:
         host: Address of this machine to bind to.
@@ -106,26 +110,37 @@ class DatagramLink(Link):
         self._peer_host = peer and resolve_host(peer)
         self.sender: Endpoint | None = None
         self.peer: Endpoint | None = None
-        self._socket = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
-        self._socket.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, buffer_bytes)
+        self._buffer_bytes = buffer_bytes
+        self._socket = self._bind(host, port)
+        self.address = Endpoint(*self._socket.getsockname())
+        self._bound = self.address  # which connecting changes from any to one
+        self._connected: Endpoint | None = None
+        self._empty_s = monotonic()
+        """When nothing waited to be read for the last time: what came, came later."""
+
+    def _bind(self, host: str, port: int) -> socket.socket:
+        """Return a socket that listens on an address of this machine."""
+        new = socket.socket(socket.AF_INET, socket.SOCK_DGRAM)
+        new.setsockopt(socket.SOL_SOCKET, socket.SO_RCVBUF, self._buffer_bytes)
         try:
-            self._socket.bind((host, port))
+            new.bind((host, port))
         except OSError as error:
-            self._socket.close()
+            new.close()
             raise LinkError(
                 f"cannot listen on {host}:{port}: {error.strerror or error}",
                 "End the other program that uses the port, or give an "
                 "address of this machine.",
             ) from error
 
-        self.address = Endpoint(*self._socket.getsockname())
-        self._empty_s = monotonic()
-        """When nothing waited to be read for the last time: what came, came later."""
+        return new
 
-    def _receive(self, timeout_s: float) -> bytes | None:
+    def _receive(
+        self, timeout_s: float, max_bytes: int = MAX_DATAGRAM_BYTES
+    ) -> bytes | None:
         """Return the next datagram that may be the peer's.
 
         Args:
+            max_bytes: A longer one is cut off there.
             timeout_s: How long it is waited for; 0: only what waits already. Foreign
                 datagrams delay the return by `MAX_FOREIGN_S` at most.
 
@@ -138,7 +153,7 @@ class DatagramLink(Link):
             asked_s = monotonic()
             self._socket.settimeout(max(deadline_s - asked_s, 0.0) if is_empty else 0.0)
             try:
-                data, address = self._socket.recvfrom(MAX_DATAGRAM_BYTES)
+                data, address = self._socket.recvfrom(max_bytes)
             except (TimeoutError, BlockingIOError):
                 self._empty_s = asked_s
                 is_empty = True
@@ -170,9 +185,29 @@ class DatagramLink(Link):
 
     def _keep_sender(self) -> None:
         """Listen only to the sender of the latest datagram from now on."""
-        if self.sender is not None:
-            self.peer = self.sender
+        if self.sender is not None and self.peer != self.sender:
+            self._keep_peer(self.sender)
             self._peer_host = self.sender.host
+
+    def _keep_peer(self, peer: Endpoint) -> None:
+        """Let the kernel drop what others send, before it takes a reading's time."""
+        self.peer = peer
+        with suppress(OSError):  # a peer that cannot be reached is a silent one
+            self._socket.connect(peer)
+            self._connected = peer
+
+    def _forget_port(self) -> None:
+        """Listen to any port of the peer's host: it may have been started anew.
+
+        Raises:
+            LinkError: Another program has taken our port meanwhile.
+        """
+        self.peer = None
+        if self._connected is not None:
+            # Python cannot undo `connect`.
+            self._connected = None
+            self._socket.close()
+            self._socket = self._bind(*self._bound)
 
     def _is_peer(self, sender: Endpoint) -> bool:
         """Return whether a datagram from there may be the peer's."""
@@ -187,7 +222,10 @@ class DatagramLink(Link):
         receiver = receiver or self.peer
         if receiver is not None:
             with suppress(OSError):
-                self._socket.sendto(data, receiver)
+                if receiver == self._connected:
+                    self._socket.send(data)
+                else:
+                    self._socket.sendto(data, receiver)
 
     def close(self) -> None:
         """End the readings, and free the port."""

@@ -16,6 +16,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import ArrayLike
 
+from needleforce.devices.arm_limits import ARM_LIMITS
 from needleforce.devices.checked_arm import ArmSignals, CheckedArm
 from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.errors import LinkError, import_client
@@ -26,8 +27,8 @@ from needleforce.devices.franka_versions import (
     describe_mismatch,
 )
 from needleforce.devices.franka_wire import read_urdf
+from needleforce.devices.guard import Guard
 from needleforce.devices.link import ArmReading
-from needleforce.devices.velocity_hold import VelocityHold, usable_velocity
 
 JOINTS = 7
 PERIOD_S = 1e-3
@@ -70,7 +71,7 @@ class _FrankaArm(CheckedArm):
         super().__init__(JOINTS, PERIOD_S, robot)
         self._library = client_module
         self.takes_commands = takes_commands
-        self._hold = VelocityHold(JOINTS, PERIOD_S)
+        self._guard = Guard(ARM_LIMITS[self.preset], PERIOD_S, robot)
         self.client: Any = self._connect(host, library)
 
     def _connect(self, host: str, library: Library) -> Any:
@@ -135,14 +136,14 @@ class _FrankaArm(CheckedArm):
             dq_rad_s: Velocity, shape (7,).
 
         Returns:
-            False where the arm takes no commands, and for numbers that are not finite.
+            False where the arm takes no commands and for what `Guard.want` refuses;
+            `refusal` says why.
         """
-        velocity_rad_s = usable_velocity(dq_rad_s, self.joints)
-        if velocity_rad_s is None or not (self.takes_commands and self._is_open):
-            return False
-
-        self._hold.command(velocity_rad_s)
-        return True
+        if not (self.takes_commands and self._is_open):
+            return self._guard.refuse(
+                "the arm is closed, or was opened without takes_commands=True"
+            )
+        return self._want(dq_rad_s)
 
     def _state_readings(self, state: Any, time_s: float) -> Iterator[ArmReading]:
         """Yield a state of the client as a reading, if it is valid and new."""
@@ -156,7 +157,9 @@ class _FrankaArm(CheckedArm):
         return self._checked(signals, accepts_commands=self.takes_commands)
 
     def _stopped_error(self, error: BaseException) -> LinkError:
-        """Return the error of an arm that has stopped by itself."""
+        """Return the error of an arm that has stopped by itself, and stands."""
+        self._guard.anchor()
+        self._guard.interrupt()
         return LinkError(
             f"the Franka arm has stopped: {error}",
             "Release it at its own panel, see to the cause that the message "
@@ -199,6 +202,7 @@ class Fr3Arm(_FrankaArm):
         )
         self._control: Any = None  # while the arm is controlled
         self._is_answer_due = False
+        self._place_rad = np.zeros(JOINTS)  # of the latest state
 
     def _errors(self) -> tuple[type[Exception], ...]:
         return (RuntimeError, self._library.FrankaException)
@@ -231,6 +235,7 @@ class Fr3Arm(_FrankaArm):
                 self._answer()
                 state, _ = self._control.readOnce()
                 self._is_answer_due = True
+                self._place_rad = np.array(state.q)
                 yield from self._state_readings(state, state.time.to_sec())
         except self._errors() as error:
             self._control = None
@@ -241,7 +246,9 @@ class Fr3Arm(_FrankaArm):
     def _answer(self, *, is_last: bool = False) -> None:
         """Send the velocity of this cycle, if its state has been read."""
         if self._is_answer_due:
-            velocities = self._library.JointVelocities(self._hold.advance().tolist())
+            velocities = self._library.JointVelocities(
+                self._guard.advance(self._place_rad).tolist()
+            )
             velocities.motion_finished = is_last
             self._is_answer_due = False
             self._control.writeOnce(velocities)
@@ -260,12 +267,13 @@ class Fr3Arm(_FrankaArm):
 
     def _brake(self) -> None:
         """Go on with control until the arm rests, then give it back."""
-        self._hold.brake()
+        self._guard.brake()
         for _ in range(MAX_BRAKE_CYCLES):
             self._answer()
-            self._control.readOnce()
+            state, _ = self._control.readOnce()
             self._is_answer_due = True
-            if self._hold.is_at_rest:
+            self._place_rad = np.array(state.q)
+            if self._guard.is_at_rest:
                 break
 
         self._answer(is_last=True)
@@ -347,9 +355,10 @@ class FrankaArm(_FrankaArm):
         with suppress(Full):
             self._states.put_nowait((_Copied(state), 1e-3 * state.time.to_msec()))
         if not self._is_open:
-            self._hold.brake()
-        velocities = self._library.JointVelocities(self._hold.advance().tolist())
-        velocities.motion_finished = not self._is_open and self._hold.is_at_rest
+            self._guard.brake()
+        velocity_rad_s = self._guard.advance(np.array(state.q))
+        velocities = self._library.JointVelocities(velocity_rad_s.tolist())
+        velocities.motion_finished = not self._is_open and self._guard.is_at_rest
         return velocities
 
     def close(self) -> None:

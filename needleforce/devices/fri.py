@@ -17,7 +17,6 @@ from needleforce.devices.controller_link import ControllerLink
 from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.link import ArmReading
 from needleforce.devices.sunrise_messages import MONITORING_KIND, read_kind
-from needleforce.devices.velocity_hold import usable_velocity
 
 PORT = 49938
 """Of this machine, unless the controller is configured otherwise."""
@@ -94,9 +93,6 @@ COMMAND = _packet_type(
 
 COMMAND_KIND = 0x1005
 POSITION_FLAG = 0x1
-
-MAX_SILENT_CYCLES = 5
-"""After so many cycles without `send` the arm is held."""
 
 MIN_PERIOD_S = 0.5e-3
 """A measurement with a shorter period is invalid."""
@@ -229,27 +225,24 @@ class FriArm(ControllerLink):
         self._answer["kind"] = COMMAND_KIND
         self._answer["flags"] = POSITION_FLAG
         self._target_rad = np.zeros(JOINTS)
-        self._velocity_rad_s = np.zeros(JOINTS)
-        self._silent_cycles = MAX_SILENT_CYCLES
 
     def send(self, dq_rad_s: ArrayLike) -> bool:
         """Command a joint velocity for the coming cycles.
 
-        It holds for five cycles; then the arm is held where it is.
+        It holds for five cycles; then the arm brakes to rest.
 
         Args:
             dq_rad_s: Velocity, shape (7,).
 
         Returns:
-            False where the arm takes no commands, and for numbers that are not finite.
+            False where the arm takes no commands and for what `Guard.want` refuses;
+            `refusal` says why.
         """
-        velocity_rad_s = usable_velocity(dq_rad_s, JOINTS)
-        if velocity_rad_s is None or not self._takes_commands():
-            return False
-
-        self._velocity_rad_s = velocity_rad_s
-        self._silent_cycles = 0
-        return True
+        if not self._takes_commands():
+            return self._guard.refuse(
+                "the controller is not in command mode, or its connection is bad"
+            )
+        return self._want(dq_rad_s)
 
     def _takes_commands(self) -> bool:
         """Return whether the arm would move now."""
@@ -284,22 +277,25 @@ class FriArm(ControllerLink):
             tau_Nm=measurement["torque_Nm"].astype(float),
             external_Nm=measurement["external_Nm"].astype(float),
             missed=cycles - 1,
-            accepts_commands=self._takes_commands(),
+            accepts_commands=self._takes_commands() and self._guard.is_ready,
             is_real=True,
         )
 
     def _answer_measurement(self, measurement: np.void) -> None:
         """Send the command of this cycle: the position of the controller, or ours."""
-        was_commanded = self._takes_commands()
+        was_commanded = self.state is FriState.COMMAND
         self._measurement = measurement
         self.state = FriState(measurement["state"])
         self.quality = FriQuality(measurement["quality"])
-        if not (was_commanded and self._takes_commands()):
+        guard = self._guard
+        if not (was_commanded and self.state is FriState.COMMAND):
             self._target_rad = _commanded_position(measurement)
-            self._silent_cycles = MAX_SILENT_CYCLES
-        elif self._silent_cycles < MAX_SILENT_CYCLES:
-            self._silent_cycles += 1
-            step_rad = measurement["period_s"] * self._velocity_rad_s
+            guard.anchor()
+        else:
+            if not self._takes_commands():
+                guard.interrupt()
+            guard.cycle_s = float(measurement["period_s"])
+            step_rad = guard.cycle_s * guard.advance(self._target_rad)
             self._target_rad = self._target_rad + step_rad
 
         answer = self._answer

@@ -7,6 +7,8 @@ always moves the needle.
 """
 
 import json
+import socket
+import struct
 import time
 from contextlib import suppress
 from typing import Any
@@ -32,6 +34,9 @@ MAX_READ_S = 2e-3
 
 CONNECT_WAIT_S = 5.0
 """So long the service may take to answer."""
+
+CLOSE_WAIT_S = 0.5
+"""So long it may take to take its leave."""
 
 MAX_MESSAGE_BYTES = 1 << 20
 """A longer message is none of the service."""
@@ -72,11 +77,20 @@ class HaplyMaster(Link):
         self._socket_error: type[Exception] = errors.WebSocketException
         try:
             self._socket = client.connect(
-                address, max_size=MAX_MESSAGE_BYTES, open_timeout=CONNECT_WAIT_S
+                address,
+                max_size=MAX_MESSAGE_BYTES,
+                open_timeout=CONNECT_WAIT_S,
+                close_timeout=CLOSE_WAIT_S,
             )
         except (OSError, self._socket_error) as error:
             raise LinkError(f"no haptic service at {address}: {error}") from error
 
+        # A service that takes nothing must not hold the loop: sending gives up, and
+        # ends the connection.
+        wait_us = 100_000
+        self._socket.socket.setsockopt(
+            socket.SOL_SOCKET, socket.SO_SNDTIMEO, struct.pack("ll", 0, wait_us)
+        )
         self._force_N = np.zeros(3)
         self._max_force_N = max_force_N
         self._device_id = ""
@@ -124,7 +138,7 @@ class HaplyMaster(Link):
         self._force_N = force
 
     def close(self) -> None:
-        """Show no force, and end the connection."""
+        """Show no force, and end the connection, within a second."""
         super().close()
         self._force_N = np.zeros(3)
         with suppress(self._socket_error):

@@ -5,10 +5,12 @@ None. Arms and haptic devices satisfy the protocols of `needleforce.control.port
 the simulated ones do.
 """
 
-from collections.abc import Iterable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
+from queue import Empty, SimpleQueue
+from threading import Thread
 from time import monotonic, sleep
-from typing import NamedTuple, Self
+from typing import NamedTuple, Self, TypeVar
 
 from numpy.typing import ArrayLike
 
@@ -129,6 +131,38 @@ class Link:
     def __exit__(self, *error: object) -> None:
         """Close the link."""
         self.close()
+
+
+Result = TypeVar("Result")
+
+
+def run_within(timeout_s: float, work: Callable[[], Result]) -> Result:
+    """Return the result of work that may wait for the network, or raise its error.
+
+    Timeouts of sockets begin anew with each byte, and the look-up of a name has none.
+    What is late goes on in a thread of its own, and is thrown away.
+
+    Raises:
+        TimeoutError: It takes longer.
+    """
+    results: SimpleQueue[tuple[Result | None, Exception | None]] = SimpleQueue()
+
+    def run() -> None:
+        try:
+            results.put((work(), None))
+        except Exception as error:
+            results.put((None, error))
+
+    Thread(target=run, daemon=True).start()
+    try:
+        result, failure = results.get(timeout=timeout_s)
+    except Empty:
+        raise TimeoutError(f"no whole answer within {timeout_s:g} s") from None
+
+    if failure is not None:
+        raise failure
+
+    return result  # type: ignore[return-value]
 
 
 class ReadOnlyArm(Link):

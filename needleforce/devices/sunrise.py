@@ -30,17 +30,12 @@ from needleforce.devices.sunrise_messages import (
     read_monitoring,
     write_command,
 )
-from needleforce.devices.velocity_hold import VelocityHold, usable_velocity
 
 PORT = 30200
 """Of this machine, unless the program on the controller says otherwise."""
 
 COUNTS = 1 << 32
 """Counters of messages go round after so many."""
-
-MAX_START_rad_s = 0.05
-"""After an interruption the first command that is taken is at most this: a program that
-has not seen that it was refused would go on at full speed. 10 rad/s2 for 5 ms."""
 
 
 class IiwaArm(ControllerLink):
@@ -104,8 +99,7 @@ class IiwaArm(ControllerLink):
         self._message: Monitoring | None = None  # the latest
         self._last_without_period: Monitoring | None = None
         self._period_s: float | None = None  # of such messages
-        self._hold: VelocityHold | None = None  # while positions are commanded
-        self._is_interrupted = False  # until a command starts from rest
+        self._is_commanding = False  # whether positions are commanded
         self._offset_rad = np.zeros(JOINTS)  # that is added to the program's position
         self._answer_count = 0
         self._unanswered = 0  # messages since the latest answer
@@ -119,25 +113,20 @@ class IiwaArm(ControllerLink):
             dq_rad_s: Velocity, shape (7,).
 
         Returns:
-            False where the arm takes no commands, and for numbers that are not finite.
-            After an interruption also for a velocity above `MAX_START_rad_s`: begin
-            anew from rest, with `Controller.reset`.
+            False where the arm takes no commands and for what `Guard.want` refuses;
+            `refusal` says why.
         """
-        velocity_rad_s = usable_velocity(dq_rad_s, JOINTS)
-        if velocity_rad_s is None or self._hold is None or not self._is_ready():
-            return False
-        if self._is_interrupted and np.abs(velocity_rad_s).max() > MAX_START_rad_s:
-            return False
-
-        self._is_interrupted = False
-        self._hold.command(velocity_rad_s)
-        return True
+        if not (self._is_commanding and _takes_commands(self._message)):
+            return self._guard.refuse(
+                "the controller's program lets no positions be commanded now, or the "
+                "connection is bad"
+            )
+        return self._want(dq_rad_s)
 
     def _is_ready(self) -> bool:
         """Return whether the arm would move now; not while it brakes."""
-        if self._hold is None or not _takes_commands(self._message):
-            return False
-        return not self._is_interrupted or self._hold.is_at_rest
+        is_commanded = self._is_commanding and _takes_commands(self._message)
+        return is_commanded and self._guard.is_ready
 
     def _lose_controller(self) -> None:
         """Note that the controller is silent."""
@@ -148,8 +137,10 @@ class IiwaArm(ControllerLink):
 
     def _end_commanding(self) -> None:
         """Note that the controller takes no positions any more."""
-        self._is_interrupted = self._is_interrupted or self._hold is not None
-        self._hold = None
+        if self._is_commanding:
+            self._guard.anchor()
+            self._guard.interrupt()
+        self._is_commanding = False
 
     def _process(self, data: bytes) -> ArmReading | None:
         """Answer a message newer than the latest, and return its reading."""
@@ -214,13 +205,12 @@ class IiwaArm(ControllerLink):
         if message.session is not Session.COMMANDING_ACTIVE:
             self._end_commanding()
             return
-        if self._hold is None and message.interpolated_rad is not None:
-            self._hold = VelocityHold(JOINTS, message.period_s)
+        if not self._is_commanding and message.interpolated_rad is not None:
+            self._is_commanding = True
             away_rad = message.position_rad - message.interpolated_rad
             self._offset_rad = np.zeros(JOINTS) if has_waited else away_rad
-        if self._hold is not None and not _takes_commands(message):
-            self._hold.brake()
-            self._is_interrupted = True
+        if self._is_commanding and not _takes_commands(message):
+            self._guard.interrupt()
 
     def _answer_message(self, message: Monitoring) -> None:
         """Send the command of this cycle, when the controller wants one."""
@@ -240,8 +230,10 @@ class IiwaArm(ControllerLink):
 
         Version 1 wants its own position back while it monitors, version 2 none.
         """
-        if self._hold is not None:
-            step_rad = message.period_s * self._hold.advance()
+        if self._is_commanding and message.interpolated_rad is not None:
+            self._guard.cycle_s = message.period_s
+            place_rad = message.interpolated_rad + self._offset_rad
+            step_rad = message.period_s * self._guard.advance(place_rad)
             self._offset_rad = self._offset_rad + step_rad
 
         if message.session < Session.COMMANDING_WAIT:

@@ -11,12 +11,13 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
+from needleforce.devices.arm_limits import ARM_LIMITS
 from needleforce.devices.checked_arm import ArmSignals, CheckedArm
 from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.errors import DeviceSettingError, LinkError, import_client
+from needleforce.devices.guard import Guard
 from needleforce.devices.link import ArmReading
 from needleforce.devices.ur_control import JOINTS, UrControl, describe_controller
-from needleforce.devices.velocity_hold import usable_velocity
 
 POLL_RATIO = 0.2
 """Fraction of a period between two looks for a newer reading."""
@@ -68,6 +69,7 @@ class UrArm(CheckedArm):
             raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
 
         super().__init__(JOINTS, 1.0 / rate_hz, robot)
+        self._guard = Guard(ARM_LIMITS[self.preset], 1.0 / rate_hz, robot)
         self._constant_Nm_A: Array | None = None
         if torque_constant_Nm_A is not None:
             constant_Nm_A = np.array(torque_constant_Nm_A, dtype=float)
@@ -91,7 +93,7 @@ class UrArm(CheckedArm):
         self._control: UrControl | None = None
         if takes_commands:
             try:
-                self._control = UrControl(host, rate_hz)
+                self._control = UrControl(host, rate_hz, self._guard)
             except Exception:
                 self._arm.disconnect()
                 raise
@@ -134,9 +136,10 @@ class UrArm(CheckedArm):
         tau_Nm = None if constant_Nm_A is None else constant_Nm_A * current_A
         control = self._control
         if control is not None and self._is_open:
-            control.pass_cycle()
+            control.pass_cycle(signals.q_rad)
 
-        accepts_commands = control is not None and self._is_open
+        is_commanded = control is not None and self._is_open
+        accepts_commands = is_commanded and self._guard.is_ready
         for reading in self._checked(signals, accepts_commands=accepts_commands):
             yield reading._replace(tau_Nm=tau_Nm, current_A=current_A)
 
@@ -149,13 +152,14 @@ class UrArm(CheckedArm):
             dq_rad_s: Velocity, shape (6,).
 
         Returns:
-            False where the arm takes no commands, and for numbers that are not finite.
+            False where the arm takes no commands and for what `Guard.want` refuses;
+            `refusal` says why.
         """
-        velocity_rad_s = usable_velocity(dq_rad_s, self.joints)
-        if velocity_rad_s is None or self._control is None or not self._is_open:
-            return False
-
-        return self._control.command(velocity_rad_s)
+        if self._control is None or not self._is_open:
+            return self._guard.refuse(
+                "the arm is closed, or was opened without takes_commands=True"
+            )
+        return self._want(dq_rad_s) and self._control.send_once()
 
     def close(self) -> None:
         """Brake the arm to rest if it was commanded, end readings and connection."""

@@ -4,13 +4,16 @@ The client library runs a program of its own on the controller. That program end
 itself, and the arm stands, when it hears nothing for `1 / WATCHDOG_HZ`.
 """
 
-import atexit
 import socket
 from contextlib import suppress
+from time import sleep
 from typing import Any
+
+import numpy as np
 
 from foundation.arrays import Array
 from needleforce.devices.errors import LinkError, import_client
+from needleforce.devices.guard import Guard
 
 JOINTS = 6
 
@@ -18,15 +21,9 @@ WATCHDOG_HZ = 10.0
 """The program on the controller ends when it is heard less often: a loop may pause for
 100 ms."""
 
-MAX_SILENT_CYCLES = 5
-"""A velocity is held for so many cycles without a new one; then the arm brakes."""
-
 ACCELERATION_rad_s2 = 10.0
-"""With which velocities are reached: above that of a controller's commands, which so
-pass unchanged."""
-
-BRAKE_ACCELERATION_rad_s2 = 5.0
-"""With which an arm that is no longer commanded comes to rest."""
+"""With which the controller reaches velocities: above that of the guard, whose
+velocities so pass unchanged."""
 
 DASHBOARD_PORT = 29999
 """Of the controller, for questions in plain text."""
@@ -70,17 +67,19 @@ class UrControl:
     Args:
         host: Address of the arm.
         rate_hz: Of the commands.
+        guard: Of the commands.
 
     Raises:
         MissingClientError: ur_rtde is not installed.
         LinkError: The arm does not take the program.
     """
 
-    def __init__(self, host: str, rate_hz: float) -> None:
+    def __init__(self, host: str, rate_hz: float, guard: Guard) -> None:
         library = import_client("rtde_control", "ur_rtde")
         self._period_s = 1.0 / rate_hz
-        self._silent_cycles = MAX_SILENT_CYCLES
-        self._is_braked = True
+        self._guard = guard
+        self._place_rad = np.zeros(JOINTS)
+        self._is_cycle_sent = True  # whether this cycle's velocity has been sent
         self._client: Any = None
         try:
             self._client = library.RTDEControlInterface(host, rate_hz)
@@ -92,26 +91,34 @@ class UrControl:
                 f"{error}"
             ) from error
 
-        atexit.register(self.stop)
-
     @property
     def is_running(self) -> bool:
         """Whether the program on the controller takes commands."""
         return self._client is not None and self._client.isProgramRunning()
 
-    def command(self, velocity_rad_s: Array) -> bool:
-        """Command a velocity, shape (6,); return whether it was taken."""
-        self._silent_cycles = 0
-        self._is_braked = False
-        return self._set_velocity(velocity_rad_s.tolist(), ACCELERATION_rad_s2)
+    def send_once(self) -> bool:
+        """Send this cycle's velocity, if it is not; return whether it was taken."""
+        if self._is_cycle_sent:
+            return self.is_running
+        self._is_cycle_sent = True
+        velocity_rad_s = self._guard.advance(self._place_rad).tolist()
+        is_taken = self.is_running and self._client.speedJ(
+            velocity_rad_s, ACCELERATION_rad_s2, self._period_s
+        )
+        if not is_taken:
+            self._guard.anchor()
+            self._guard.refuse("the program on the controller has ended")
+        return is_taken
 
-    def pass_cycle(self) -> None:
-        """Let the watchdog know of a cycle; brake after some without a command.
+    def pass_cycle(self, place_rad: Array) -> None:
+        """Begin a cycle with the arm there; go on without a command for the last one.
 
         Raises:
             LinkError: The program on the controller has ended.
         """
         if not self.is_running:
+            self._guard.anchor()
+            self._guard.interrupt()
             raise LinkError(
                 "the UR arm has stopped: its program has ended, after "
                 f"{1.0 / WATCHDOG_HZ:g} s without a cycle of this one, a protective "
@@ -120,30 +127,28 @@ class UrControl:
                 "message names, and open the connection again.",
             )
 
-        self._silent_cycles += 1
-        if self._silent_cycles > MAX_SILENT_CYCLES and not self._is_braked:
-            rest_rad_s = [0.0] * JOINTS
-            self._is_braked = self._set_velocity(rest_rad_s, BRAKE_ACCELERATION_rad_s2)
-        elif self._is_braked:
+        self._place_rad = place_rad
+        if self._guard.is_at_rest:
             self._client.kickWatchdog()
-
-    def _set_velocity(self, velocity_rad_s: list[float], limit_rad_s2: float) -> bool:
-        """Send a velocity; return whether it was taken."""
-        return self.is_running and self._client.speedJ(
-            velocity_rad_s, limit_rad_s2, self._period_s
-        )
+        else:
+            self.send_once()
+        self._is_cycle_sent = False
 
     def stop(self) -> None:
         """Brake the arm to rest, and end the program on the controller."""
+        self._guard.brake()
+        while self.is_running and not self._guard.is_at_rest:
+            self._is_cycle_sent = False
+            self.send_once()
+            sleep(self._period_s)
         client = self._client
         self._client = None
-        atexit.unregister(self.stop)
         if client is None:
             return
 
         with suppress(RuntimeError):
             if client.isProgramRunning():
-                client.speedStop(BRAKE_ACCELERATION_rad_s2)
+                client.speedStop(ACCELERATION_rad_s2)
                 client.stopScript()
 
         with suppress(RuntimeError):

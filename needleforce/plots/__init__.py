@@ -3,9 +3,8 @@
 matplotlib and jinja2 are imported only when something is drawn.
 
 Reading order: `chart` (charts as plain data), `palette` (colours, line styles, words of
-an axis), `frame` (title and legend), `space` (lines in space), `drawing` (charts saved
-as PNG, SVG or PDF), `page` (one HTML file with figures, tables and text inside),
-`report_folder`, `errors`.
+an axis), `drawing` (charts saved as PNG, SVG or PDF), `page` (one HTML file with
+figures, tables and text inside), `report_folder`, `errors`.
 """
 
 from needleforce.plots import palette as palette
@@ -14,13 +13,10 @@ from needleforce.plots.chart import (
     Curve as Curve,
     Instants as Instants,
     LineStyle as LineStyle,
-    Note as Note,
     Panel as Panel,
     Shading as Shading,
-    whole_range_of as whole_range_of,
 )
 from needleforce.plots.drawing import (
-    DrawnChart as DrawnChart,
     draw_svg as draw_svg,
     require_matplotlib as require_matplotlib,
     save_figure as save_figure,
@@ -41,8 +37,3 @@ from needleforce.plots.page import (
     write_page as write_page,
 )
 from needleforce.plots.report_folder import whole_folder as whole_folder
-from needleforce.plots.space import (
-    SpaceAxes as SpaceAxes,
-    SpaceChart as SpaceChart,
-    SpaceCurve as SpaceCurve,
-)

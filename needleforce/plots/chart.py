@@ -96,24 +96,6 @@ class Curve:
                 )
 
 
-class Note(NamedTuple):
-    """A few words at a place of a panel.
-
-    Attributes:
-        x: Place on the x axis.
-        y: Place on the y axis.
-        text: The words; they begin to the right of the place.
-        color: Their colour.
-        is_left: Whether they end to the left of the place instead.
-    """
-
-    x: float
-    y: float
-    text: str
-    color: str
-    is_left: bool = False
-
-
 @dataclass(frozen=True, slots=True, kw_only=True)
 class Panel:
     """One of the panels that share the x axis of a chart.
@@ -124,26 +106,12 @@ class Panel:
         limits: Limits of the y axis; None for `limits_of` the curves. What is cut off
             is marked.
         height: Its height, over that of other panels.
-        notes: Words at places where its curves leave room.
-        is_log: Whether the y axis is logarithmic; then `limits` must be given.
-
-    Raises:
-        ChartError: A logarithmic axis has no limits above zero.
     """
 
     y_label: str
     curves: tuple[Curve, ...]
     limits: Span | None = None
     height: float = 1.0
-    notes: tuple[Note, ...] = ()
-    is_log: bool = False
-
-    def __post_init__(self) -> None:
-        if self.is_log and not (self.limits and self.limits[0] > 0.0):
-            raise ChartError(
-                f"panel {self.y_label!r} is logarithmic and has the limits "
-                f"{self.limits}; give two above zero"
-            )
 
 
 class Shading(NamedTuple):
@@ -221,10 +189,7 @@ class Chart:
             raise ChartError(
                 f"window from {first:g} to {last:g}; the end must lie after the start"
             )
-        panels = tuple(
-            panel if panel.is_log else replace(panel, limits=None)
-            for panel in self.panels
-        )
+        panels = tuple(replace(panel, limits=None) for panel in self.panels)
         return replace(self, panels=panels, x_limits=(first, last))
 
 
@@ -250,22 +215,6 @@ def limits_of(curves: Sequence[Curve], x_limits: Span | None) -> Span:
     high = float(max(edges))
     margin = MARGIN * (high - low) or 1.0
     return low - margin, high + margin
-
-
-def whole_range_of(curves: Sequence[Curve], x_limits: Span | None = None) -> Span:
-    """Return limits of a y axis that cut no peak, and show zero.
-
-    Args:
-        curves: The curves of a panel.
-        x_limits: Limits of the x axis; None for all of it.
-    """
-    edges = [0.0]
-    for curve in curves:
-        y = curve.y[np.isfinite(curve.y) & is_within(curve.x, x_limits)]
-        if y.size:
-            edges += [float(y.min()), float(y.max())]
-    margin = MARGIN * (max(edges) - min(edges)) or 1.0
-    return min(edges) - margin, max(edges) + margin
 
 
 def is_within(x: Array, x_limits: Span | None) -> NDArray[np.bool_]:

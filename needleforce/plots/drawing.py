@@ -8,6 +8,7 @@ import warnings
 from collections.abc import Sequence
 from io import BytesIO
 from pathlib import Path
+from textwrap import wrap
 from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
@@ -16,8 +17,10 @@ from foundation.arrays import Array
 from needleforce.files import whole_file
 from needleforce.plots.chart import (
     BAND_STD,
+    WIDTH_IN,
     Chart,
     Curve,
+    LineStyle,
     Panel,
     Span,
     is_within,
@@ -28,13 +31,6 @@ from needleforce.plots.errors import (
     MissingExtraError,
     WriteError,
 )
-from needleforce.plots.frame import (
-    LEGEND_ROW_IN,
-    draw_legend,
-    draw_title,
-    line_arguments,
-)
-from needleforce.plots.space import SpaceChart, draw_space
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
@@ -63,16 +59,31 @@ VALUE_GAP_PT = 4.0
 
 PT_PER_IN = 72.0
 
+TITLE_LETTERS = 54
+"""Letters of a title's line at the usual width."""
 
-def draw(chart: Chart | SpaceChart) -> "Figure":
+LEGEND_ROW_IN = 0.17
+"""Height of a row of the legend."""
+
+LEGEND_COLUMNS = (4, 3, 2, 1)
+"""Columns of the legend: the most that fit are taken."""
+
+_NOT_TEXT = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
+"""What XML or UTF-8 cannot hold."""
+
+
+def printable(text: str) -> str:
+    r"""Return text that XML and UTF-8 can hold.
+
+    Bytes of a file name that cannot be text become ``\udcff``.
+    """
+    return _NOT_TEXT.sub(
+        lambda match: match.group().encode("unicode_escape").decode(), text
+    )
+
+
+def draw(chart: Chart) -> "Figure":
     """Draw a chart; no window and no global state of matplotlib is involved."""
-    if isinstance(chart, SpaceChart):
-        return draw_space(chart)
-    return _draw_panels(chart)
-
-
-def _draw_panels(chart: Chart) -> "Figure":
-    """Draw the panels of a chart, its title and its legend."""
     from matplotlib.figure import Figure
 
     figure = Figure(
@@ -90,40 +101,80 @@ def _draw_panels(chart: Chart) -> "Figure":
     panels[-1].set(xlabel=chart.x_label, xlim=chart.x_limits)
     if chart.x_ticks:
         panels[-1].set_xticks(*zip(*chart.x_ticks, strict=True))
-    subtitle = draw_title(figure, chart.title, chart.width_in)
+    subtitle = _draw_title(figure, chart.title, chart.width_in)
     # The pad leaves room for the values of cut peaks above the panel.
     panels[0].set_title(subtitle, loc="left", fontsize=8.5, color="#444444", pad=10.0)
     marks = [mark.label for mark in (*chart.shadings, *chart.instants)]
-    rows = draw_legend(figure, panels, marks)
+    rows = _draw_legend(figure, panels, marks)
     figure.set_size_inches(chart.width_in, chart.height_in + rows * LEGEND_ROW_IN)
     return figure
 
 
+def _draw_title(figure: "Figure", title: str, width_in: float) -> str:
+    """Draw the first line of a title in bold; return the others, to draw below it."""
+    letters = int(width_in / WIDTH_IN * TITLE_LETTERS)
+    first, *others = (
+        "\n".join(wrap(line, letters)) for line in printable(title).split("\n")
+    )
+    figure.suptitle(first, x=0.01, ha="left", fontsize=9.5, fontweight="bold")
+    return "\n".join(others)
+
+
+def _line_arguments(style: LineStyle) -> dict[str, Any]:
+    """Return the arguments of matplotlib for a style."""
+    arguments: dict[str, Any] = {"color": style.color, "alpha": style.opacity}
+    if style.marker:
+        return arguments | {
+            "marker": style.marker,
+            "ms": style.size_pt,
+            "mew": style.width_pt,
+            "linestyle": "none",
+        }
+    return arguments | {"linestyle": style.dash, "linewidth": style.width_pt}
+
+
+def _draw_legend(
+    figure: "Figure",
+    panels: Sequence["Axes"],
+    last: Sequence[str],
+) -> int:
+    """Draw one legend for all panels, below them, where it hides nothing.
+
+    Args:
+        figure: The figure.
+        panels: Its panels.
+        last: Labels that come last.
+
+    Returns:
+        Its rows.
+    """
+    handles: dict[str, Any] = {}
+    for axes in panels:
+        for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
+            handles.setdefault(label, handle)
+    if not handles:
+        return 0
+    labels = sorted(handles, key=lambda label: label in last)
+    ordered = [handles[label] for label in labels]
+    columns = LEGEND_COLUMNS[0]
+    for columns in LEGEND_COLUMNS:
+        legend = figure.legend(ordered, labels, loc="outside lower left", ncols=columns)
+        if legend.get_window_extent().width <= figure.bbox.width:
+            break
+        if columns > 1:
+            legend.remove()
+    return -(-len(labels) // columns)
+
+
 def _draw_panel(axes: "Axes", panel: Panel, x_limits: Span | None) -> None:
-    """Draw the curves of a panel, mark where they are cut, and write its notes."""
-    if panel.is_log:
-        axes.set_yscale("log")
-        axes.yaxis.set_major_formatter("{x:g}")
-    else:
-        axes.axhline(0.0, color="#555555", linewidth=0.6)
+    """Draw the curves of a panel, and mark where they are cut."""
+    axes.axhline(0.0, color="#555555", linewidth=0.6)
     for curve in panel.curves:
         _draw_curve(axes, curve, x_limits)
     limits = panel.limits or limits_of(panel.curves, x_limits)
     axes.set(ylabel=panel.y_label, ylim=limits)
     for edge, side in zip(limits, (-1.0, 1.0), strict=True):
         _mark_cut_curves(axes, panel.curves, edge, side, x_limits)
-    for note in panel.notes:
-        axes.annotate(
-            note.text,
-            (note.x, note.y),
-            (-VALUE_GAP_PT if note.is_left else VALUE_GAP_PT, 0.0),
-            textcoords="offset points",
-            fontsize=8.5,
-            color=note.color,
-            va="center",
-            ha="right" if note.is_left else "left",
-            zorder=6,
-        )
 
 
 def _draw_marks(axes: "Axes", chart: Chart) -> None:
@@ -146,7 +197,7 @@ def _draw_marks(axes: "Axes", chart: Chart) -> None:
             label=label,
             transform=axes.get_xaxis_transform() + lift,
             zorder=4,
-            **line_arguments(style),
+            **_line_arguments(style),
         )
 
 
@@ -154,7 +205,7 @@ def _draw_curve(axes: "Axes", curve: Curve, x_limits: Span | None) -> None:
     """Draw a curve, and its band below it."""
     if curve.std is not None:
         _draw_band(axes, curve, curve.std, x_limits)
-    axes.plot(curve.x, curve.y, label=curve.label, **line_arguments(curve.style))
+    axes.plot(curve.x, curve.y, label=curve.label, **_line_arguments(curve.style))
 
 
 def _draw_band(axes: "Axes", curve: Curve, std: Array, x_limits: Span | None) -> None:
@@ -286,7 +337,7 @@ def require_matplotlib(purpose: str, path: str | Path | None = None) -> None:
         ) from error
 
 
-def save_figure(chart: Chart | SpaceChart, path: str | Path) -> Path:
+def save_figure(chart: Chart, path: str | Path) -> Path:
     """Draw a chart and write it as PNG, SVG or PDF, by the ending of its name.
 
     Returns:
@@ -306,28 +357,8 @@ def save_figure(chart: Chart | SpaceChart, path: str | Path) -> Path:
     return write_file(path, content)
 
 
-class DrawnChart(NamedTuple):
-    """A chart as SVG, and where its x axis stands in it.
-
-    Attributes:
-        svg: The drawing.
-        left: Begin of the x axis, from 0 at the left edge of the drawing to 1.
-        right: End of the x axis, likewise.
-        bottom: The x axis, from 0 at the upper edge of the drawing to 1.
-        top: Upper edge of its panels, likewise.
-        x_limits: Values at the ends of the x axis.
-    """
-
-    svg: str
-    left: float
-    right: float
-    bottom: float
-    top: float
-    x_limits: Span
-
-
-def draw_svg(chart: Chart) -> DrawnChart:
-    """Draw a chart for a page that marks places on its x axis.
+def draw_svg(chart: Chart) -> bytes:
+    """Return a chart as SVG, for a page without other files.
 
     Raises:
         MissingExtraError: As `require_matplotlib`.
@@ -336,18 +367,7 @@ def draw_svg(chart: Chart) -> DrawnChart:
     from matplotlib import rc_context
 
     with rc_context(fname=STYLE):
-        figure = draw(chart)
-        svg = _encode(figure, ".svg").decode()
-    highest = figure.axes[0].get_position()
-    lowest = figure.axes[-1].get_position()
-    return DrawnChart(
-        svg=svg,
-        left=float(lowest.x0),
-        right=float(lowest.x1),
-        bottom=1.0 - float(lowest.y0),
-        top=1.0 - float(highest.y1),
-        x_limits=figure.axes[-1].get_xlim(),
-    )
+        return _encode(draw(chart), ".svg")
 
 
 def _encode(figure: "Figure", suffix: str) -> bytes:

@@ -9,13 +9,8 @@ from pathlib import Path
 from typing import Any
 
 from needleforce.plots.chart import WIDE_IN, Chart
-from needleforce.plots.drawing import save_figure, write_file
+from needleforce.plots.drawing import printable, save_figure, write_file
 from needleforce.plots.errors import ChartError, WriteError
-from needleforce.plots.frame import printable
-from needleforce.plots.space import SpaceChart
-
-MEDIA_TYPES = {".svg": "image/svg+xml", ".png": "image/png"}
-"""Media types of figures, by suffix."""
 
 PAGE = "index.html"
 """Name of the page in the folder of a report."""
@@ -26,13 +21,13 @@ class PageFigure:
     """A figure of a page.
 
     Attributes:
-        path: SVG or PNG; its content goes into the page.
+        path: File of an SVG or PNG, or its content; that goes into the page.
         alt: What it shows, for those who cannot see it.
         caption: Text between backticks becomes code, as everywhere on a page.
         wide: The same for wide screens and print, alone in its row.
     """
 
-    path: Path
+    path: Path | bytes
     alt: str
     caption: str
     wide: Path | None = None
@@ -80,6 +75,7 @@ class Section:
         command: A command as typed; empty for none.
         figures: Its figures, side by side where there is room.
         tables: Its tables.
+        legend: CSS of a sample of a colour, and what it stands for.
     """
 
     heading: str
@@ -89,6 +85,7 @@ class Section:
     command: str = ""
     figures: tuple[PageFigure, ...] = ()
     tables: tuple[PageTable, ...] = ()
+    legend: tuple[tuple[str, str], ...] = ()
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -101,6 +98,9 @@ class Page:
         notices: Text below them that must not be overlooked.
         tables: Tables below those.
         sections: Its sections, listed above where there are at least three.
+        scene: A page of its own that stands in a frame above the sections; empty for
+            none.
+        policy: What the page and its scene may run and fetch.
     """
 
     title: str
@@ -108,6 +108,8 @@ class Page:
     notices: tuple[str, ...] = ()
     tables: tuple[PageTable, ...] = ()
     sections: tuple[Section, ...] = ()
+    scene: str = ""
+    policy: str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
     def html(self) -> str:
         """Return the whole page.
@@ -120,26 +122,35 @@ class Page:
 
         def inline(text: str) -> Markup:
             code = re.sub(r"`([^`]+)`", r"<code>\1</code>", str(escape(text)))
-            return Markup(code.replace("\n", "<br>"))
+            return Markup(printable(code).replace("\n", "<br>"))
 
-        environment = Environment(autoescape=True)
+        def finalize(value: Any) -> Any:
+            # What is marked is escaped and printable, or a page of its own.
+            return value if isinstance(value, Markup) else printable(str(value))
+
+        environment = Environment(autoescape=True, finalize=finalize)
         environment.filters |= {"inline": inline, "data_uri": _data_uri}
         source = (
             files("needleforce.plots").joinpath("page.html").read_text(encoding="utf-8")
         )
-        return printable(environment.from_string(source).render(page=self))
+        return environment.from_string(source).render(page=self)
 
 
-def _data_uri(path: Path) -> str:
-    """Return a file as the address of an image.
+def _data_uri(picture: Path | bytes) -> str:
+    """Return a picture as the address of an image.
 
     An image has names of its own, so those inside two drawings cannot clash.
     """
-    try:
-        content = path.read_bytes()
-    except OSError as error:
-        raise WriteError(f"cannot read {path}: {error.strerror or error}") from error
-    return f"data:{MEDIA_TYPES[path.suffix]};base64,{b64encode(content).decode()}"
+    content = picture
+    if isinstance(content, Path):
+        try:
+            content = content.read_bytes()
+        except OSError as error:
+            raise WriteError(
+                f"cannot read {picture}: {error.strerror or error}"
+            ) from error
+    kind = "png" if content.startswith(b"\x89PNG") else "svg+xml"
+    return f"data:image/{kind};base64,{b64encode(content).decode()}"
 
 
 def write_page(path: str | Path, page: Page) -> Path:
@@ -155,7 +166,7 @@ def write_page(path: str | Path, page: Page) -> Path:
 
 
 def save_page_figure(
-    chart: Chart | SpaceChart,
+    chart: Chart,
     path: Path,
     *,
     alt: str,

@@ -5,7 +5,6 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
-from typing import NamedTuple
 
 from foundation.errors import NeedleforceError
 
@@ -85,20 +84,11 @@ class LogError(RecordingError, ValueError):
     )
 
 
-class FaultCount(NamedTuple):
-    """How often one kind of fault occurred.
+class FaultCounts(dict[str, tuple[int, str]]):
+    """What is wrong with a recording: kinds of faults in words, how often, where first.
 
-    Attributes:
-        occurrences: How often it occurred.
-        first: Where it occurred first, in words; empty where that says nothing.
+    The place is empty where it says nothing.
     """
-
-    occurrences: int
-    first: str
-
-
-class FaultCounts(dict[str, FaultCount]):
-    """What is wrong with a recording: kinds of faults in words, and how often each."""
 
     def note(self, fault: str, where: str, count: int = 1) -> None:
         """Count a fault.
@@ -108,8 +98,8 @@ class FaultCounts(dict[str, FaultCount]):
             where: Its place in the file; the first place of each kind is reported.
             count: How often it occurred.
         """
-        known = self.get(fault, FaultCount(0, ""))
-        self[fault] = FaultCount(known.occurrences + count, known.first or where)
+        known_count, first = self.get(fault, (0, ""))
+        self[fault] = (known_count + count, first or where)
 
     def lines(self) -> tuple[str, ...]:
         """Return one line for each kind of fault that occurred."""

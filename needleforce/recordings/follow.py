@@ -26,16 +26,6 @@ MAX_BLOCK_BYTES = 1 << 18
 POLL_S = 0.05
 """Time between two looks for more bytes."""
 
-MIN_FULL_BLOCK_BYTES = 4096
-"""After a smaller block reading pauses, so that rows that come one by one are taken
-some at a time."""
-
-PAUSE_S = 0.005
-"""The pause after a small block."""
-
-CHECKED_TAIL_BYTES = 256
-"""So many bytes before the place of reading show whether a file was written anew."""
-
 BINARY = {
     b"\x89MCA": ".mcap",
     b"SQLi": ".db3",
@@ -44,9 +34,6 @@ BINARY = {
     b"ARRO": ".feather",
 }
 """How files begin that are no text, and their suffixes."""
-
-BINARY_HEAD_BYTES = 4
-"""Length of the beginnings in `BINARY`."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -103,6 +90,7 @@ def _blocks_of_handle(
     is_file = stat.S_ISREG(os.fstat(handle).st_mode)
     is_followed = options.follow and is_file
     watched_path = path if is_followed else None
+    checked_bytes = 256  # before the place of reading show whether it was written anew
     read_bytes = 0
     tail = b""
     latest_s = time.monotonic()
@@ -112,14 +100,15 @@ def _blocks_of_handle(
             block = os.read(handle, MAX_BLOCK_BYTES)
             if block:
                 read_bytes += len(block)
-                tail = (tail + block)[-CHECKED_TAIL_BYTES:]
+                tail = (tail + block)[-checked_bytes:]
                 if is_file and not is_followed:
                     options.progress(read_bytes / max(os.fstat(handle).st_size, 1))
 
                 yield block
                 latest_s = time.monotonic()
-                if len(block) < MIN_FULL_BLOCK_BYTES:
-                    time.sleep(PAUSE_S)
+                # Rows that come one by one are taken some at a time.
+                if len(block) < 4096:
+                    time.sleep(0.005)
 
                 continue
 
@@ -168,7 +157,8 @@ def _require_unchanged(
 
 
 def head_of(
-    blocks: Iterable[bytes], size: int = BINARY_HEAD_BYTES
+    blocks: Iterable[bytes],
+    size: int = 4,  # of the beginnings in `BINARY`
 ) -> tuple[bytes, Iterator[bytes]]:
     """Return the first bytes, if there are so many, and all blocks with them."""
     blocks = iter(blocks)

@@ -43,9 +43,6 @@ from needleforce.recordings.time_stamps import (
     to_seconds,
 )
 
-MAX_CHUNK_ROWS = 1 << 14
-"""Of a file that is held as a whole so many rows are worked on at a time."""
-
 ROW = "row"
 """Name of the numbers of rows in the file, beside the keys of channels."""
 
@@ -133,10 +130,13 @@ class LogStream:
         self.tool_mass = head.tool_mass or tool_mass_in(head)
         self._request = self._request.with_layout(head)
         layout = self._request.find_layout(head)
-        if layout is not None and layout.note:
-            self._report([f"{layout.name}: {layout.note}"])
+        note = f"{layout.name}: {layout.note}" if layout and layout.note else ""
+        self._report([note] if note else [])
+        try:
+            self._find_channels(head)
+        except RecordingError as error:  # the note may say why
+            raise (error.reworded(f"{error}. {note}") if note else error) from error
 
-        self._find_channels(head)
         has_stamps = self._request.mapping.rate_hz is None
         if has_stamps:
             self._signals = {"t_s": self._find_time(head), **self._signals}
@@ -287,8 +287,9 @@ class LogStream:
             first = self._row_count + 1.0
             values[ROW] = np.arange(first, first + row_count)
             self._row_count += row_count
-            for start in range(0, row_count, MAX_CHUNK_ROWS):
-                end = start + MAX_CHUNK_ROWS
+            max_chunk_rows = 1 << 14  # of a file that is held as a whole
+            for start in range(0, row_count, max_chunk_rows):
+                end = start + max_chunk_rows
                 part = {key: array[start:end] for key, array in values.items()}
                 watched = self._watched(part)
                 if len(watched["t_s"]):

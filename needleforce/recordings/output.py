@@ -24,9 +24,6 @@ from needleforce.recordings.log import Log
 from needleforce.recordings.table import TableColumns, TableLabels
 from needleforce.recordings.writers import WRITERS, Append, Writer, csv_writer
 
-_GROWING_SUFFIXES = (".csv", ".mcap")
-"""Formats that live rows are written in as they come."""
-
 
 def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
     """Return columns as arrays; `LogError` if `write_table` cannot write them."""
@@ -134,7 +131,7 @@ def open_table(
         writer = _find_writer(Path(path))
         if not overwrites:
             _require_new(Path(path))
-        is_growing = is_live and name.lower().endswith(_GROWING_SUFFIXES)
+        is_growing = is_live and name.lower().endswith((".csv", ".mcap"))
         file = whole_file(path, is_in_place=is_growing, overwrites=overwrites)
 
     with ExitStack() as files:

@@ -21,9 +21,6 @@ SORTED_WITHIN_S = 1.0
 """Rows of a file are sorted if they come no later than this after newer ones: so long a
 recorder may hold back what it writes."""
 
-JUMP_STEPS = 20.0
-"""So many usual time steps are no jump, however slow the log."""
-
 STEP_ROWS = 200
 """The usual time step is that of so many first rows."""
 
@@ -109,11 +106,12 @@ class StampOrder:
         step_s = float(np.median(steps_s)) if steps_s.size else 0.0
         # In a stream whose rows are used at once a shorter jump is looked at.
         jump_s = 0.1
+        max_steps_s = 20.0 * step_s  # so many are no jump, however slow the log
         if self._window_s > 0.0:
-            self._window_s = max(self._window_s, JUMP_STEPS * step_s)
+            self._window_s = max(self._window_s, max_steps_s)
             jump_s = self._window_s
 
-        self._jump_s = max(jump_s, JUMP_STEPS * step_s)
+        self._jump_s = max(jump_s, max_steps_s)
         self._pause_s = max(15.0, 1000.0 * step_s)
         return step_s
 

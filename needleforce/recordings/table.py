@@ -1,6 +1,6 @@
 """Named columns of numbers before anyone has said what they mean."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 from math import prod
 from types import MappingProxyType
@@ -10,7 +10,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.recordings.errors import FormatError, LogError
-from needleforce.recordings.link_transforms import LinkPoses
 from needleforce.recordings.time_stamps import exceed_float64
 
 TableColumns = Mapping[str, np.ndarray]
@@ -25,11 +24,25 @@ MAX_LIST_NUMBERS = 64
 START_KEY = "start_ns"
 """What files of numbers call `TableLabels.start_ns`."""
 
-MAX_LISTED_COLUMNS = 40
-"""A message names so many columns; the others are counted."""
 
-MAX_LISTED_NOTES = 3
-"""A message repeats so many notes on columns left out; the others are counted."""
+class LinkTransforms(NamedTuple):
+    """Where the links of an arm are: poses of k links in the axes of one frame.
+
+    Attributes:
+        parent: The frame.
+        children: Names of the links, shape (k,).
+        translation_m: Origins of the links, shape (k, 3).
+        rotation_xyzw: Unit quaternions, shape (k, 4).
+    """
+
+    parent: str
+    children: tuple[str, ...]
+    translation_m: np.ndarray
+    rotation_xyzw: np.ndarray
+
+
+LinkPoses = Callable[[np.ndarray], LinkTransforms]
+"""Returns where the links are for joint positions, shape (n,) [rad or m]."""
 
 
 class ToolMass(NamedTuple):
@@ -128,7 +141,7 @@ class Table:
         """Return how many values a row has in a column, or an element of one."""
         return prod(self.values(name).shape[1:])
 
-    def describe(self, limit: int = MAX_LISTED_COLUMNS) -> str:
+    def describe(self, limit: int = 40) -> str:
         """Return column names for a message, two-dimensional ones with their width."""
         names = [
             f"{name} ({values.shape[1]} columns)" if values.ndim == 2 else name
@@ -137,7 +150,7 @@ class Table:
         more = f" and {len(names) - limit} more" if len(names) > limit else ""
         return ", ".join(names[:limit]) + more
 
-    def left_out(self, limit: int = MAX_LISTED_NOTES) -> str:
+    def left_out(self, limit: int = 3) -> str:
         """Return in brackets which columns were left out or renamed, and why."""
         odd = ("was left out", "twice", "Delta_X")
         notes = [note for note in self.warnings if any(word in note for word in odd)]

@@ -14,12 +14,6 @@ from needleforce.recordings.follow import BINARY, MAX_BLOCK_BYTES, head_of
 
 _GZIP_MAGIC = b"\x1f\x8b"
 
-SNIFFED_BYTES = 1024
-"""So many first bytes of a text are waited for to see its encoding."""
-
-MAX_SNIFFED_BYTES = 1 << 16
-"""So many of what has come by then are looked at."""
-
 _CUT_SHORT = "the compressed file is cut short"
 _DAMAGED = "the compressed file is damaged"
 _NUL_BYTES = "the file goes on with NUL bytes, as power loss may leave them"
@@ -64,9 +58,10 @@ class TextLines:
 
     def __iter__(self) -> Iterator[list[str]]:
         """Yield the lines, without their ends; `FormatError` if there is no text."""
-        _, blocks = head_of(self._plain_blocks(), SNIFFED_BYTES)
+        # A kilobyte is waited for to see the encoding, and as much looked at as came.
+        _, blocks = head_of(self._plain_blocks(), 1024)
         head = next(blocks, b"")
-        encoding = _encoding(head[:MAX_SNIFFED_BYTES], self._knowledge)
+        encoding = _encoding(head[: 1 << 16], self._knowledge)
         if not encoding.startswith("utf"):
             self.warnings.append(f"the file is not UTF-8; it was read as {encoding}")
 

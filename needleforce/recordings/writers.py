@@ -5,7 +5,7 @@ import io
 import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import AbstractContextManager, contextmanager
-from typing import Any, BinaryIO, NamedTuple
+from typing import Any, BinaryIO
 
 import numpy as np
 
@@ -30,11 +30,6 @@ Append = Callable[[TableColumns], None]
 Writer = Callable[[BinaryIO, TableLabels, TableColumns], AbstractContextManager[Append]]
 """Begins a table of these columns, here without rows, gives what writes rows, and
 finishes it."""
-
-STRING = "std_msgs/msg/String"
-
-MCAP_CHUNK_BYTES = 1 << 16
-"""Of a bag that is written: who follows it sees rows so many at a time."""
 
 
 @contextmanager
@@ -118,18 +113,6 @@ def parquet_writer(
     writer.close()
 
 
-class _McapChannel(NamedTuple):
-    """A topic of a file that is written.
-
-    Attributes:
-        number: By which messages refer to it.
-        kind: The type of its messages.
-    """
-
-    number: int
-    kind: str
-
-
 @contextmanager
 def mcap_writer(
     stream: BinaryIO, labels: TableLabels, empty: TableColumns
@@ -143,7 +126,8 @@ def mcap_writer(
     """
     types = standard_types()
     library = optional_library("mcap.writer", "MCAP files")
-    bag = library.Writer(stream, chunk_size=MCAP_CHUNK_BYTES, enable_data_crcs=True)
+    # Rows that come at once make a chunk, or several of 64 KiB.
+    bag = library.Writer(stream, chunk_size=1 << 16, enable_data_crcs=True)
     bag.start(profile="ros2", library="needleforce")
     channels = [_register(bag, topic) for topic in bag_topics(empty, labels, ())]
     descriptions = _description_topics(labels)
@@ -156,13 +140,11 @@ def mcap_writer(
         rows = (topic.messages for topic in topics)
         for stamp_ns, *messages in zip(stamps_ns, *rows, strict=True):
             for channel, message in zip(channels, messages, strict=True):
-                if message is None:
-                    continue
+                if message is not None:
+                    data = types.serialize_cdr(message, message.__msgtype__)
+                    bag.add_message(channel, stamp_ns, data, stamp_ns)
 
-                data = types.serialize_cdr(message, channel.kind)
-                bag.add_message(channel.number, stamp_ns, data, stamp_ns)
-
-        stream.flush()  # for readers of a file that grows
+        bag.flush()  # for readers of a file that grows, and if this process is killed
 
     yield append
     bag.finish()  # writes the index
@@ -173,24 +155,24 @@ def _description_topics(labels: TableLabels) -> list[WrittenTopic]:
     if not labels.robot_description:
         return []
 
-    message = standard_types().types[STRING](labels.robot_description)
-    return [WrittenTopic("/robot_description", STRING, [message])]
+    kind = "std_msgs/msg/String"
+    message = standard_types().types[kind](labels.robot_description)
+    return [WrittenTopic("/robot_description", kind, [message])]
 
 
 def _write_first(bag: Any, topic: WrittenTopic, stamp_ns: int) -> None:
     """Write the messages of a topic with the stamp of the first row."""
     channel = _register(bag, topic)
     for message in topic.messages:
-        data = standard_types().serialize_cdr(message, channel.kind)
-        bag.add_message(channel.number, stamp_ns, data, stamp_ns)
+        data = standard_types().serialize_cdr(message, topic.kind)
+        bag.add_message(channel, stamp_ns, data, stamp_ns)
 
 
-def _register(bag: Any, topic: WrittenTopic) -> _McapChannel:
-    """Announce a topic, with the definition of its type, in a bag that is written."""
+def _register(bag: Any, topic: WrittenTopic) -> int:
+    """Announce a topic, with its type, in a bag that is written; return its number."""
     definition, _ = standard_types().generate_msgdef(topic.kind, ros_version=2)
     schema = bag.register_schema(topic.kind, "ros2msg", definition.encode())
-    number = bag.register_channel(topic.name, CDR, schema)
-    return _McapChannel(number, topic.kind)
+    return bag.register_channel(topic.name, CDR, schema)
 
 
 def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:

@@ -1,16 +1,21 @@
-"""An arm whose driver publishes joint states, for the commands on an arm."""
+"""An arm whose driver publishes joint states; ros2_control can drive it, too."""
 
+import math
 from collections import deque
 from collections.abc import Iterator
 from time import monotonic
 from typing import Any
 
-from needleforce.devices import ArmReading, LinkError
-from needleforce.devices.link import ReadOnlyArm
+from numpy.typing import ArrayLike
+
+from needleforce.devices import ArmReading, DeviceSettingError, LinkError
+from needleforce.devices.link import Link
 from needleforce.ros2.joint_samples import JointReader
 from needleforce.ros2.message_loss import LossCounter, identify_sender
 from needleforce.ros2.messages import read_joint_state
 from needleforce.ros2.ros_modules import import_ros
+from needleforce.ros2.velocity_controller import CONTROLLER, VelocityController
+from urdf import Robot
 
 QUEUE_DEPTH = 1000
 """Joint states that wait: a second at 1 kHz."""
@@ -21,27 +26,53 @@ WAIT_S = 0.1
 MAX_START_S = 10.0
 """Time within which publisher and subscription find each other, and a state comes."""
 
+MAX_BLIND_S = 0.1
+"""No velocity is taken for an arm that was not heard for so long."""
+
 MAX_SILENCE_S = 2.0
 """Silence after which an arm that has sent is taken for gone."""
 
 
-class Ros2Arm(ReadOnlyArm):
-    """Joint states of a topic as an arm that is only listened to.
+class Ros2Arm(Link):
+    """Joint states of a topic as an arm.
+
+    With ``takes_commands`` a velocity controller of ros2_control moves it; see
+    `VelocityController` for what stops it, and what cannot.
 
     Args:
         topic: Such as ``/joint_states``.
         joint_names: The arm's joints, in its order.
+        takes_commands: Whether it shall move; otherwise it is only listened to.
+        controller: Name of the controller's node, active and of velocities.
+        robot: The model of the arm, whose limits a command has to keep; needed to move.
 
     Attributes:
         joints: How many there are.
+        robot: The model of the arm.
 
     Raises:
         MissingRosError: This Python cannot import ROS 2.
+        LinkError: The controller does not answer.
+        DeviceSettingError: It is of other joints, or not of velocities; no model.
     """
 
-    def __init__(self, topic: str, joint_names: tuple[str, ...]) -> None:
+    def __init__(
+        self,
+        topic: str,
+        joint_names: tuple[str, ...],
+        *,
+        takes_commands: bool = False,
+        controller: str = CONTROLLER,
+        robot: Robot | None = None,
+    ) -> None:
         super().__init__()
+        if takes_commands and robot is None:
+            raise DeviceSettingError(
+                "takes_commands without robot; expected the model, which has the "
+                "limits of the joints"
+            )
         ros = import_ros()
+        self.robot = robot
         self.joints = len(joint_names)
         self._topic = topic
         self._reader = JointReader(joint_names)
@@ -58,6 +89,21 @@ class Ros2Arm(ReadOnlyArm):
         node.create_subscription(ros.sensor.JointState, topic, self._take, quality)
         self._executor = ros.executors.SingleThreadedExecutor(context=self._context)
         self._executor.add_node(node)
+        self._heard_s = -math.inf
+        self._controller: VelocityController | None = None
+        if takes_commands and robot is not None:
+            try:
+                self._controller = VelocityController(
+                    ros,
+                    node,
+                    self._executor,
+                    controller,
+                    joint_names,
+                    robot.velocity_limit_rad_s,
+                )
+            except Exception:
+                self.close()
+                raise
 
     def _take(self, message: Any, info: Any) -> None:
         """Keep the reading of a joint state."""
@@ -71,6 +117,8 @@ class Ros2Arm(ReadOnlyArm):
         missed = self._loss.lost - self._lost_before
         self._lost_before = self._loss.lost
         self.report.count_used(missed + 1, sample.dt_s)
+        self._heard_s = monotonic()
+        controller = self._controller
         self._readings.append(
             ArmReading(
                 dt_s=sample.dt_s,
@@ -79,7 +127,8 @@ class Ros2Arm(ReadOnlyArm):
                 tau_Nm=sample.effort_Nm,
                 external_Nm=None,
                 missed=missed,
-                accepts_commands=False,
+                accepts_commands=controller is not None and controller.is_heard,
+                is_real=controller is not None,
             )
         )
 
@@ -105,8 +154,27 @@ class Ros2Arm(ReadOnlyArm):
                 self.report.outages += 1
                 return
 
+    def send(self, dq_rad_s: ArrayLike) -> bool:
+        """Command a joint velocity for the coming cycles.
+
+        Args:
+            dq_rad_s: Velocity, shape (n,).
+
+        Returns:
+            False where it is not taken: by an arm that is only listened to or whose
+            joint states stay away, for numbers that are not finite, and for a joint
+            faster than the model allows.
+        """
+        if self._controller is None or not self._is_open:
+            return False
+        if monotonic() - self._heard_s > MAX_BLIND_S:
+            return False
+        return self._controller.command(dq_rad_s)
+
     def close(self) -> None:
-        """End the readings and the node."""
+        """Brake the arm to rest if it was commanded; end the readings and the node."""
         super().close()
+        if self._controller is not None:
+            self._controller.stop()
         self._executor.shutdown()
         self._context.try_shutdown()

@@ -18,3 +18,12 @@ class MissingRosError(Ros2Error, ImportError):
 
 class Ros2ParameterError(Ros2Error, ValueError):
     """A parameter that is unknown or cannot be; the message says what is expected."""
+
+
+class MissingDescriptionError(Ros2Error, TimeoutError):
+    """No description of the arm was published; the message names the topic."""
+
+    usual_advice = (
+        "Start robot_state_publisher, remap robot_description to its topic, or "
+        "describe the arm with --urdf FILE or --robot NAME."
+    )

@@ -21,6 +21,25 @@ def read_joint_state(message: Any) -> JointMessage:
     )
 
 
+def read_lbr_state(message: Any, joints: tuple[str, ...]) -> JointMessage:
+    """Return what a `lbr_fri_idl/LBRState` carries: its external torques as efforts.
+
+    It names no joints: they are in the order of KUKA's interface, A1 to A7. It has no
+    velocities, and its stamp is of the controller's clock.
+
+    Args:
+        message: Whose fields are read by name, whatever its type.
+        joints: Names of the arm's joints, in its order.
+    """
+    return JointMessage(
+        stamp_ns=message.time_stamp_sec * NS_PER_S + message.time_stamp_nano_sec,
+        names=joints,
+        position=message.measured_joint_position,
+        velocity=(),
+        effort=message.external_torque,
+    )
+
+
 def fill_stamp(message: Any, stamp_ns: int) -> None:
     """Write the time stamp of a message's header."""
     stamp = message.header.stamp

@@ -2,11 +2,13 @@
 
 import time
 from collections.abc import Callable, Sequence
+from functools import partial
 from typing import Any
 
 import numpy as np
 
 from needleforce.insertion_events import session_events
+from needleforce.ros2.errors import Ros2ParameterError
 from needleforce.ros2.joint_samples import (
     JointReader,
     JointSample,
@@ -21,6 +23,7 @@ from needleforce.ros2.messages import (
     fill_stamp,
     fill_vector,
     read_joint_state,
+    read_lbr_state,
     report_array,
 )
 from needleforce.ros2.named_report import OK, WARNING, NamedReport, format_value
@@ -30,9 +33,16 @@ from needleforce.ros2.parameters import (
     NodeSettings,
     settings_from_values,
 )
-from needleforce.ros2.reports import NodeHealth, layer_reports, plan_reports
-from needleforce.ros2.ros_modules import RosModules, import_ros
+from needleforce.ros2.reports import (
+    EVENT_NUMBERS,
+    NodeHealth,
+    layer_reports,
+    plan_reports,
+)
+from needleforce.ros2.robot_description import wait_for_description
+from needleforce.ros2.ros_modules import RosModules, import_lbr_state, import_ros
 from needleforce.ros2.tare_run import ServiceAnswer, TareRun
+from needleforce.ros2.tip_frame import place_tip, tip_transforms
 from needleforce.ros2.warming import warm_up
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import SensorConfig, Status
@@ -48,6 +58,8 @@ EVENT_DEPTH = 100
 
 MAX_TAKEN = 50
 """Joint states that are taken before services and timers have their turn."""
+
+LBR_JOINTS = 7
 
 REPORT_PERIOD_S = 1.0
 """Time between two messages of diagnostics and layers [s]."""
@@ -88,6 +100,13 @@ class NeedleNode:
             axes="tool",
             torque_is_gravity_compensated=settings.gravity_compensated,
         )
+        lbr_topic = settings.lbr_state_topic
+        if lbr_topic and robot.nv != LBR_JOINTS:
+            raise Ros2ParameterError(
+                f"lbr_state_topic is {lbr_topic}, of an arm with {LBR_JOINTS} joints, "
+                f"and the robot's description has {robot.nv}; expected the "
+                "description of the LBR, with other joints locked (--lock-others)"
+            )
         warm_up(robot, config)
         self.is_stopped = False
         self.loss = LossCounter()
@@ -100,9 +119,13 @@ class NeedleNode:
         prepare(self._session)
         self._axis = np.array(config.insertion_axis)
         self._needs_pairing = bool(settings.external_torque_topic)
+        self._is_external = self._needs_pairing or bool(lbr_topic)
+        self._read_message = read_joint_state
+        if lbr_topic:
+            self._read_message = partial(read_lbr_state, joints=robot.joint_names)
         self._reader = JointReader(
             robot.joint_names,
-            settings.joint_pattern,
+            "" if lbr_topic else settings.joint_pattern,
             needs_effort=not self._needs_pairing,
         )
         self._pairing = TorquePairing(robot.joint_names, self._reader.counts)
@@ -115,6 +138,8 @@ class NeedleNode:
         self._lost_before = 0
         self._frame = settings.frame_id or robot.tool_frame
         self._advertise()
+        if settings.broadcast_tip:
+            self._broadcast_tip(robot)
         self._subscribe()
 
     def _advertise(self) -> None:
@@ -135,6 +160,13 @@ class NeedleNode:
         self._events = node.create_publisher(array_type, "~/events", kept)
         self._layers = node.create_publisher(array_type, "~/layers", latest)
         self._diagnostics = node.create_publisher(array_type, "/diagnostics", 10)
+        number_type = ros.standard.Float64
+        self._depth = node.create_publisher(number_type, "~/depth_m", reliable)
+        self._numbers = {
+            (kind, name): node.create_publisher(number_type, f"~/{kind}/{name}", kept)
+            for kind, names in EVENT_NUMBERS.items()
+            for name in names
+        }
         self._wrench_message = wrench_type()
         self._wrench_message.header.frame_id = self._frame
         self._tip_message = wrench_type()
@@ -150,6 +182,24 @@ class NeedleNode:
         node.create_timer(REPORT_PERIOD_S, self._publish_reports)
         node.add_on_set_parameters_callback(self._check_changes)
 
+    def _broadcast_tip(self, robot: Robot) -> None:
+        """Publish where the tip is, unless the arm's description has it as a link."""
+        tip = place_tip(robot, self._frame)
+        if tip is None:
+            return
+        if self._ros.transforms is None:
+            self._logger.warning(
+                f"the frame {self._frame} is not broadcast: tf2_msgs is not installed"
+            )
+            return
+        latest = self._ros.qos.QoSProfile(
+            depth=1, durability=self._ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
+        )
+        publisher = self._node.create_publisher(
+            self._ros.transforms.TFMessage, "/tf_static", latest
+        )
+        publisher.publish(tip_transforms(self._ros, tip, self._frame, self._now_ns()))
+
     def _subscribe(self) -> None:
         """Subscribe to joint states, and to external torques if they are used."""
         ros = self._ros
@@ -161,8 +211,12 @@ class NeedleNode:
             else policy.RELIABLE,
         )
         state_type = ros.sensor.JointState
+        lbr_topic = self._settings.lbr_state_topic
         self._subscription = self._node.create_subscription(
-            state_type, "joint_states", self._take_joint_states, quality
+            import_lbr_state() if lbr_topic else state_type,
+            lbr_topic or "joint_states",
+            self._take_joint_states,
+            quality,
         )
         if self._needs_pairing:
             self._node.create_subscription(
@@ -190,7 +244,7 @@ class NeedleNode:
         """Process a joint state, and publish what it gives."""
         self._heard_s = time.monotonic()
         self.loss.count(*identify_sender(info))
-        sample = self._reader.read(read_joint_state(message))
+        sample = self._reader.read(self._read_message(message))
         if sample is not None and self._needs_pairing:
             sample = self._pairing.add_sample(sample)
         if sample is not None:
@@ -208,13 +262,16 @@ class NeedleNode:
         if torque_Nm is None:
             return
         update = self._session.update
-        if self._needs_pairing:
+        if self._is_external:
             update = self._session.update_external_torque
         estimate = update(sample.q_rad, sample.dq_rad_s, torque_Nm, sample.dt_s)
         self._estimate = estimate
         self._stamp_ns = sample.stamp_ns
+        if self._settings.lbr_state_topic:
+            # Its stamp is of the controller's clock, which TF does not know.
+            self._stamp_ns = self._now_ns()
         self._publish_forces(estimate)
-        self._delay.add(self._now_ns() - sample.stamp_ns)
+        self._delay.add(self._now_ns() - self._stamp_ns)
         self._publish_events(estimate)
         answer = self._tare.after(self._session, estimate)
         if answer is not None:
@@ -236,6 +293,7 @@ class NeedleNode:
         force_N = -estimate.identification.tip_force_N * self._axis
         fill_vector(message.wrench.force, force_N)
         self._tip.publish(message)
+        self._depth.publish(self._ros.standard.Float64(data=estimate.depth_m))
 
     def _publish_events(self, estimate: SessionEstimate) -> None:
         """Publish what happened with this sample, and the layers with it."""
@@ -246,6 +304,9 @@ class NeedleNode:
             values = {name: format_value(v) for name, v in event.values.items()}
             level = WARNING if event in estimate.plan_events else OK
             self._publish_event(NamedReport(event.kind, level, event.text, values))
+            for name, value in event.values.items():
+                number = self._ros.standard.Float64(data=float(value))
+                self._numbers[event.kind, name].publish(number)
         if has_layer_events:
             self._publish_layers()
 
@@ -363,7 +424,7 @@ def _fill_answer(response: Any, answer: ServiceAnswer) -> Any:
 
 def run_node(
     arguments: Sequence[str],
-    make_robot: Callable[[], Robot],
+    make_robot: Callable[[Callable[[], str]], Robot],
     say: Callable[[str], None],
     prepare: Callable[[InsertionSession], None] = lambda session: None,
 ) -> None:
@@ -371,7 +432,8 @@ def run_node(
 
     Args:
         arguments: Of ROS 2, such as ``--ros-args -p queue_depth:=100``.
-        make_robot: Makes the arm.
+        make_robot: Makes the arm; called with what waits for its `robot_description`,
+            and returns that.
         say: Takes one line of text.
         prepare: Called with the session once: lets it follow a plan.
 
@@ -380,15 +442,17 @@ def run_node(
         Ros2ParameterError: A parameter is unknown or cannot be.
     """
     ros = import_ros()
-    robot = make_robot()
     ros.rclpy.init(args=list(arguments))
     try:
         node = ros.rclpy.create_node(
             NODE_NAME, automatically_declare_parameters_from_overrides=True
         )
-        needle_node = NeedleNode(
-            ros, node, robot, declare_parameters(ros, node), prepare
-        )
+        settings = declare_parameters(ros, node)
+        try:
+            robot = make_robot(lambda: wait_for_description(ros, node))
+        except (KeyboardInterrupt, ros.executors.ExternalShutdownException):
+            return
+        needle_node = NeedleNode(ros, node, robot, settings, prepare)
         try:
             _spin(ros, node, needle_node)
         finally:

@@ -96,6 +96,12 @@ PARAMETERS = (
         "measured torque in the effort of joint_states.",
     ),
     NodeParameter(
+        name="lbr_state_topic",
+        default="",
+        description="Topic of lbr_fri_idl/LBRState whose positions and external_torque "
+        "are used in place of joint_states; empty to use joint_states.",
+    ),
+    NodeParameter(
         name="joint_pattern",
         default="",
         description="Pattern that the names of the arm's joints fit, such as left_*, "
@@ -106,6 +112,12 @@ PARAMETERS = (
         default="",
         description="Frame named in wrenches, at the needle's tip with z along the "
         "needle; empty for the tool frame of the robot's description.",
+    ),
+    NodeParameter(
+        name="broadcast_tip",
+        default=True,
+        description="Whether the frame named in wrenches is broadcast on /tf_static, "
+        "where the robot's description has no link of its name.",
     ),
     NodeParameter(
         name="gain_per_s",
@@ -156,8 +168,10 @@ class NodeSettings:
 
     Attributes:
         external_torque_topic: See `PARAMETERS`.
+        lbr_state_topic: See `PARAMETERS`.
         joint_pattern: See `PARAMETERS`.
         frame_id: See `PARAMETERS`.
+        broadcast_tip: See `PARAMETERS`.
         gain_per_s: See `PARAMETERS`.
         gravity_compensated: See `PARAMETERS`.
         queue_depth: See `PARAMETERS`.
@@ -167,8 +181,10 @@ class NodeSettings:
     """
 
     external_torque_topic: str
+    lbr_state_topic: str
     joint_pattern: str
     frame_id: str
+    broadcast_tip: bool
     gain_per_s: float
     gravity_compensated: bool
     queue_depth: int
@@ -194,6 +210,11 @@ def settings_from_values(values: Mapping[str, Any]) -> NodeSettings:
         if problem:
             raise Ros2ParameterError(problem)
         settings[name] = parameter.convert(value)
+    if settings["external_torque_topic"] and settings["lbr_state_topic"]:
+        raise Ros2ParameterError(
+            "external_torque_topic and lbr_state_topic both name a source of external "
+            "torques; expected one of them"
+        )
     return NodeSettings(**settings)
 
 

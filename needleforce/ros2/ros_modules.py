@@ -20,8 +20,11 @@ class RosModules(NamedTuple):
         diagnostic: `diagnostic_msgs.msg`.
         geometry: `geometry_msgs.msg`.
         interfaces: `rcl_interfaces.msg`.
+        parameter_services: `rcl_interfaces.srv`.
         sensor: `sensor_msgs.msg`.
         services: `std_srvs.srv`.
+        standard: `std_msgs.msg`, which comes with `sensor_msgs`.
+        transforms: `tf2_msgs.msg`; None where it is not installed.
     """
 
     rclpy: Any
@@ -33,9 +36,15 @@ class RosModules(NamedTuple):
     diagnostic: Any
     geometry: Any
     interfaces: Any
+    parameter_services: Any
     sensor: Any
     services: Any
+    standard: Any
+    transforms: Any
 
+
+OPTIONAL = ("tf2_msgs.msg",)
+"""What a ROS 2 without its base packages lacks; rclpy alone has the others."""
 
 _NAMES = RosModules(
     rclpy="rclpy",
@@ -47,8 +56,11 @@ _NAMES = RosModules(
     diagnostic="diagnostic_msgs.msg",
     geometry="geometry_msgs.msg",
     interfaces="rcl_interfaces.msg",
+    parameter_services="rcl_interfaces.srv",
     sensor="sensor_msgs.msg",
     services="std_srvs.srv",
+    standard="std_msgs.msg",
+    transforms="tf2_msgs.msg",
 )
 
 
@@ -59,11 +71,36 @@ def import_ros() -> RosModules:
         MissingRosError: One cannot be imported by this Python.
     """
     try:
-        return RosModules(*map(import_module, _NAMES))
+        return RosModules(*map(_import, _NAMES))
     except ImportError as error:
         version = ".".join(map(str, sys.version_info[:2]))
         raise MissingRosError(
             f"the Python {version} that runs here cannot import ROS 2 ({error}); "
             "expected rclpy, sensor_msgs, geometry_msgs, diagnostic_msgs and std_srvs "
             "of a ROS 2 that is sourced"
+        ) from error
+
+
+def _import(name: str) -> Any:
+    """Return a module; None for one that may be missing and is."""
+    try:
+        return import_module(name)
+    except ImportError:
+        if name not in OPTIONAL:
+            raise
+        return None
+
+
+def import_lbr_state() -> Any:
+    """Return `lbr_fri_idl.msg.LBRState` of lbr_fri_ros2_stack.
+
+    Raises:
+        MissingRosError: It cannot be imported by this Python.
+    """
+    try:
+        return import_module("lbr_fri_idl.msg").LBRState
+    except ImportError as error:
+        raise MissingRosError(
+            f"lbr_state_topic is given, and lbr_fri_idl cannot be imported ({error}); "
+            "expected the workspace of lbr_fri_ros2_stack, sourced"
         ) from error

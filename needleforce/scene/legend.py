@@ -73,6 +73,14 @@ SAMPLE_STYLES = {
 """CSS of a sample by its shape; the colour follows."""
 
 
+def sample_style(line: LegendLine) -> str:
+    """Return the CSS of the sample of a line."""
+    return (
+        "display:inline-block;width:1.3em;margin-right:.6em;vertical-align:middle;"
+        f"{SAMPLE_STYLES[line.shape]}rgb{tuple(line.color)}"
+    )
+
+
 def legend_html(lines: Iterable[LegendLine]) -> str:
     """Return a legend as HTML for the panel beside the scene."""
     return "".join(_html_of(line) for line in lines)
@@ -80,9 +88,7 @@ def legend_html(lines: Iterable[LegendLine]) -> str:
 
 def _html_of(line: LegendLine) -> str:
     """Return a line of the legend as HTML."""
-    style = f"{SAMPLE_STYLES[line.shape]}rgb{tuple(line.color)}"
     return (
-        '<div style="margin:.3em .8em"><span style="display:inline-block;width:1.3em;'
-        f'margin-right:.6em;vertical-align:middle;{style}"></span>{escape(line.text)}'
-        "</div>"
+        f'<div style="margin:.3em .8em"><span style="{sample_style(line)}"></span>'
+        f"{escape(line.text)}</div>"
     )

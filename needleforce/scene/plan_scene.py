@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 
 from needleforce.scene import nodes
-from needleforce.scene.export_page import SceneWords, write_scene_page
+from needleforce.scene.export_page import write_scene_page
 from needleforce.scene.guarded_server import PageAccess, open_server, stop_server
 from needleforce.scene.legend import legend_lines
 from needleforce.scene.structure_list import add_surfaces
@@ -39,6 +39,10 @@ def export_plan(plan: nodes.PlanScene, path: Path) -> Path:
         page = server.get_scene_serializer().as_html()
     finally:
         stop_server(server)
-    legend = legend_lines(plan, has_needle=False)
-    words = SceneWords("needleforce: plan", plan.warnings, legend)
-    return write_scene_page(path, page, words)
+    return write_scene_page(
+        path,
+        page,
+        "needleforce: plan",
+        warnings=plan.warnings,
+        legend=legend_lines(plan, has_needle=False),
+    )

@@ -16,18 +16,19 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.depth_zero import PLANNED_ENTRY
+from needleforce.plots import require_matplotlib
 from needleforce.scene import nodes
 from needleforce.scene.clinician_view import card_html, find_bearing
-from needleforce.scene.export_page import SceneWords, require_export, write_scene_page
-from needleforce.scene.film import (
-    MIN_FILM_S,
-    Film,
-    FilmFrame,
-    FilmRupture,
+from needleforce.scene.export_page import (
+    MIN_FILM_s,
+    describe_banners,
     film_times_s,
+    force_section,
+    rupture_section,
+    slice_section,
+    write_scene_page,
 )
 from needleforce.scene.force_arrow import ForceArrow
-from needleforce.scene.force_charts import draw_force_charts
 from needleforce.scene.force_plots import COLUMN, ForcePlots
 from needleforce.scene.guarded_server import PageAccess, open_server, stop_server
 from needleforce.scene.legend import legend_html, legend_lines
@@ -35,7 +36,6 @@ from needleforce.scene.page_text import text_html
 from needleforce.scene.row_text import (
     BANNER,
     CANNOT_TELL,
-    M_TO_MM,
     banner_of,
     headline,
     layer_names,
@@ -44,7 +44,7 @@ from needleforce.scene.row_text import (
     rupture_text,
     state_lines,
 )
-from needleforce.scene.scan_slices import PIXELS, TITLES, ScanSlices, SlicePictures
+from needleforce.scene.scan_slices import PIXELS, TITLES, ScanSlices
 from needleforce.scene.state_ring import (
     EVENTS,
     FIELDS,
@@ -465,48 +465,41 @@ class Viewer:
         if not len(self._rows):
             raise SceneError("nothing to export: no rows have come")
 
-        require_export()
+        require_matplotlib("an exported scene")
         self._title.hide()
         serializer = self._server.get_scene_serializer()
         times_s = self._rows[:, COLUMN["time_s"]]
+        start_s = float(times_s[0])
         events_s = [mark.time_s for mark in self.marks]
         shown_s = film_times_s(times_s, events_s, frames)
-        steps_s = np.diff(shown_s, append=shown_s[-1] + MIN_FILM_S)
-        pictures: list[FilmFrame] = []
-        slices: list[SlicePictures] = []
+        steps_s = np.diff(shown_s, append=shown_s[-1] + MIN_FILM_s)
         for time_s, step_s in zip(shown_s.tolist(), steps_s.tolist(), strict=True):
             self.show(time_s)
-            pictures.append(self._film_frame(time_s - shown_s[0], slices))
             serializer.insert_sleep(step_s)
-
-        ruptures = [
-            FilmRupture(mark.time_s, mark.until_s, mark.text) for mark in self.marks
-        ]
         scene = serializer.as_html()
         last = _view_row_of(self._rows[-1])
         self._title.restore(banner_of(last))
-        charts = draw_force_charts(self._rows, last.zero_m, last.zero_name, events_s)
-        words = SceneWords("needleforce", self._plan.warnings, legend_lines(self._plan))
-        film = Film(pictures, ruptures, slices)
-        return write_scene_page(Path(path), scene, words, film, charts)
-
-    def _film_frame(self, film_s: float, slices: list[SlicePictures]) -> FilmFrame:
-        """Return what the page says of the row that is shown; add its slices."""
-        latest = None if self._slices is None else self._slices.latest
-        if latest is not None and (not slices or slices[-1] is not latest):
-            slices.append(latest)
-        times_s = self._rows[:, COLUMN["time_s"]]
-        index = int(np.searchsorted(times_s, self._shown_s or 0.0, "right")) - 1
-        row = _view_row_of(self._rows[max(index, 0)])
-        return FilmFrame(
-            film_s=film_s,
-            time_s=row.time_s,
-            depth_mm=M_TO_MM * (row.depth_m - row.zero_m),
-            headline=headline(row),
-            lines=tuple(state_lines(row, self._names, self._plan.watched)),
-            banner=banner_of(row),
-            card=self._card.content,
-            slices=len(slices) - 1,
+        banners = [banner_of(_view_row_of(row)) for row in self._rows]
+        ruptures = [
+            (mark.time_s - start_s, mark.until_s - start_s, mark.text)
+            for mark in self.marks
+        ]
+        sections = [
+            rupture_section(ruptures),
+            force_section(self._rows, last.zero_m, last.zero_name, events_s),
+        ]
+        if self._slices is not None and self._slices.latest is not None:
+            sections.append(slice_section(self._slices.latest))
+        return write_scene_page(
+            Path(path),
+            scene,
+            "needleforce",
+            warnings=(
+                *self._plan.warnings,
+                *describe_banners(times_s - start_s, banners),
+            ),
+            legend=legend_lines(self._plan),
+            sections=sections,
         )
 
     def stop(self) -> None:

@@ -9,8 +9,8 @@ from benchmarks import DataError, catalogue
 from benchmarks.campaign.runs import run_jobs
 from benchmarks.campaign.workers import Workers
 from benchmarks.cli import main
-from benchmarks.jobs import Benchmark, Job, JobResult
-from benchmarks.results import Measurement, read_results, write_results
+from benchmarks.jobs import Benchmark, Job
+from benchmarks.results import Figure, read_results, write_results
 from tests.benchmarks.benchmark_cases import make_row
 
 HARD_RMSE_N = {"liver-constant": 0.05, "gel-25-constant": 0.2}
@@ -23,12 +23,9 @@ def pretend(job, progress):
     if job.seed == 3:
         raise DataError("the third is broken")
     rmse = HARD_RMSE_N[job.benchmark]
-    numbers = (
-        ("ours", "wrench_rmse_N", rmse),
-        ("published-one-setting", "wrench_rmse_N", 10.0 * rmse),
-    )
-    numbers += (("ours", "residual_rms_Nm", 1e-9),)
-    return JobResult([Measurement("virtual", *measurement) for measurement in numbers])
+    yield Figure("wrench_rmse_N", rmse)
+    yield Figure("wrench_rmse_N", 10.0 * rmse, method="published-one-setting")
+    yield Figure("residual_rms_Nm", 1e-9)
 
 
 @pytest.fixture(autouse=True)

@@ -4,7 +4,7 @@ Okamura, Simone, O'Leary, "Force modeling for needle insertion into soft tissue"
 TBME 2004, doi 10.1109/TBME.2004.831542.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import NamedTuple
@@ -14,21 +14,14 @@ import numpy as np
 from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
 from benchmarks.insertion.recorded.liver import VISIBLE_SIGMAS, at_drops, force_drops
-from benchmarks.jobs import Job, JobResult, Progress
-from benchmarks.results import Measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, make_figures
 from foundation.arrays import Array
 from groundtruth.rupture_match import nearest_pairs
 from identification import PublishedConfig, replay
 
 FOLDER = "bovine_liver_okamura2004"
-FILE = "depth_force.csv"
 SPEED_m_s = 3e-3
-RATE_hz = 1000.0
-CONTACT_m = 8e-3
-"""About where the needle meets the liver."""
-PEN_UP_m = 1e-3
-"""Where the depth of one point is so much less than that of the one before, a new
-stroke begins."""
 NOISE_N = 0.01
 """White noise put on it: a drawn line shows none, and every sensor has some. This is
 sigma_0, and what the points of the later strokes scatter by in free air, between two
@@ -65,7 +58,7 @@ def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
     Raises:
         DataError: The file is missing or broken.
     """
-    path = data / FOLDER / FILE
+    path = data / FOLDER / "depth_force.csv"
     try:
         table = np.loadtxt(path, delimiter=",", skiprows=1, ndmin=2)
     except (OSError, ValueError) as error:
@@ -74,23 +67,21 @@ def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
         raise DataError(
             f"{path} should have two columns, depth_m and force_N, and finite values"
         )
-    lifts = np.flatnonzero(np.diff(table[:, 0]) < -PEN_UP_m)
+    # Where the depth falls by more than a millimetre, a new stroke begins.
+    lifts = np.flatnonzero(np.diff(table[:, 0]) < -1e-3)
     stroke = table[: lifts[0] + 1] if len(lifts) else table
     depth = np.maximum.accumulate(stroke[:, 0])
     force = stroke[:, 1]
-    depth_m = np.arange(int(depth[-1] / SPEED_m_s * RATE_hz)) / RATE_hz * SPEED_m_s
+    rate_hz = 1000.0
+    depth_m = np.arange(int(depth[-1] / SPEED_m_s * rate_hz)) / rate_hz * SPEED_m_s
     force_N = np.interp(depth_m, depth, force)
     if rng is not None:
         force_N += NOISE_N * rng.standard_normal(len(depth_m))
-    t_s = np.arange(len(depth_m)) / RATE_hz
+    t_s = np.arange(len(depth_m)) / rate_hz
     return BovineInsertion(t_s, depth_m, force_N)
 
 
-NEAR_mm = 1.5
-"""An alarm farther than this from every annotated rupture is false."""
-
-
-def run_bovine_real(job: Job, progress: Progress) -> JobResult:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Run ``bovine-real``: the four ruptures of the insertion, by both methods.
 
     The curve falls in more places than the annotated ones: at 15.7 and 38.6 mm by 0.09
@@ -103,11 +94,11 @@ def run_bovine_real(job: Job, progress: Progress) -> JobResult:
     insertion = read_bovine(data, np.random.default_rng(job.seed))
     drawn = read_bovine(data, None)
     drops = force_drops(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
-    measurements: list[Measurement] = []
     for k, (method, config) in enumerate(IDENTIFIERS.items()):
         progress(k / len(IDENTIFIERS))
         if isinstance(config, PublishedConfig):
-            config = replace(config, contact_depth_m=CONTACT_m)
+            # About where the needle meets the liver.
+            config = replace(config, contact_depth_m=8e-3)
         result = replay(*insertion, config=config)
         events = [row.rupture for row in result.estimates if row.rupture is not None]
         alarms_m = [event.alarm_depth_m for event in events]
@@ -118,10 +109,7 @@ def run_bovine_real(job: Job, progress: Progress) -> JobResult:
         values["ruptures_without_drop"] = float(
             len(events) - at_drops(alarms_m, drops)[0]
         )
-        measurements += [
-            Measurement("ft", method, name, value) for name, value in values.items()
-        ]
-    return JobResult(measurements)
+        yield from make_figures(values, "ft", method)
 
 
 def depth_metrics(
@@ -129,10 +117,10 @@ def depth_metrics(
 ) -> dict[str, float]:
     """Count missed and false ruptures; return how far the others are out, if any.
 
-    Each annotated rupture takes the nearest alarm within `NEAR_mm` that no nearer one
-    has taken.
+    Each annotated rupture takes the nearest alarm within 1.5 mm that no nearer one has
+    taken; an alarm that is farther from all of them is false.
     """
-    alarm_of = nearest_pairs(true_mm, alarms_mm, NEAR_mm, NEAR_mm)
+    alarm_of = nearest_pairs(true_mm, alarms_mm, 1.5, 1.5)
     values = {
         "ruptures_missed": float(len(true_mm) - len(alarm_of)),
         "ruptures_false": float(len(alarms_mm) - len(alarm_of)),

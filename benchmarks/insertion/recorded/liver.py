@@ -15,35 +15,34 @@ from scipy.ndimage import uniform_filter1d
 
 from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
-from benchmarks.jobs import Job, JobResult, Progress
-from benchmarks.results import Measurement, Method
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, Method, make_figures
 from foundation.arrays import Array
 from identification import Estimate, replay
 
-WINDOW_m = 0.5e-3
-"""The force at a depth is the mean over so much travel to either side."""
 HAIR_m = 1e-4
 """A difference of depth that counts as none."""
-SETTLED_m = 2e-3
-"""Travel back after which friction has turned round and the tip touches nothing."""
 
 
 def insertion_parts(depth_m: Array) -> tuple[slice, slice]:
     """Return insertion and withdrawal in a recording that holds in between.
 
     The insertion ends where the needle is within `HAIR_m` of its deepest; the
-    withdrawal begins when friction has turned round.
+    withdrawal begins 2 mm above: friction has turned round and the tip touches nothing.
     """
     deepest = float(depth_m.max())
     deep = np.flatnonzero(depth_m >= deepest - HAIR_m)
-    back = np.flatnonzero(depth_m[deep[-1] :] < deepest - SETTLED_m)
+    back = np.flatnonzero(depth_m[deep[-1] :] < deepest - 2e-3)
     out = deep[-1] + (int(back[0]) if len(back) else len(depth_m))
     return slice(0, int(deep[0]) + 1), slice(int(out), len(depth_m))
 
 
 def mean_at_depth(depth_m: Array, values: Array, at_m: float) -> float:
-    """Return the mean of values near a depth, nan when the needle was never there."""
-    near = np.abs(depth_m - at_m) <= WINDOW_m
+    """Return the mean of values within 0.5 mm of a depth.
+
+    It is nan when the needle was never there.
+    """
+    near = np.abs(depth_m - at_m) <= 0.5e-3
     return float(np.mean(values[near])) if near.any() else float("nan")
 
 
@@ -155,15 +154,6 @@ def read_liver(data: Path, index: int) -> LiverInsertion:
     return LiverInsertion(t_s, depth, force, *insertion_parts(depth))
 
 
-MIN_DROP_N = 0.15
-"""The smallest internal rupture described for the liver recordings; twenty times
-their noise."""
-MAX_RELEASE_m = 2e-3
-"""A rupture of liver releases over 0.5 to 2 mm; what takes longer is no rupture."""
-SMOOTHING = 21
-"""Samples of the centred mean that comes first."""
-
-
 class ForceDrop(NamedTuple):
     """One sudden drop of the force, found offline.
 
@@ -178,23 +168,25 @@ class ForceDrop(NamedTuple):
     drop_N: float
 
 
-NEAR_m = 0.5e-3
-"""An alarm belongs to a drop when it lies between its top and its foot, or so close
-to either."""
+OF_MANY = "pullout_error_p90_pct"
+"""One insertion has no 90th percentile."""
 
 
 def force_drops(
-    depth_m: Array, force_N: Array, least_N: float = MIN_DROP_N
+    depth_m: Array, force_N: Array, least_N: float = 0.15
 ) -> list[ForceDrop]:
-    """Find every drop by at least `least_N` within `MAX_RELEASE_m` of travel.
+    """Find every drop by at least `least_N` within 2 mm of travel.
 
-    Overlapping drops are one. The last `MAX_RELEASE_m` do not count: there the needle
-    slows down. The needle advances, shapes (n,).
+    By default the smallest internal rupture described for the liver recordings, twenty
+    times their noise. Overlapping drops are one. The last 2 mm do not count: there the
+    needle slows down. The needle advances, shapes (n,).
     """
+    # A rupture of liver releases over 0.5 to 2 mm; what takes longer is none.
+    release_m = 2e-3
     depth = np.maximum.accumulate(depth_m)
-    force = uniform_filter1d(force_N, SMOOTHING, mode="nearest")
-    begin = np.searchsorted(depth, depth - MAX_RELEASE_m)
-    inside = np.flatnonzero(depth < depth[-1] - MAX_RELEASE_m)
+    force = uniform_filter1d(force_N, 21, mode="nearest")
+    begin = np.searchsorted(depth, depth - release_m)
+    inside = np.flatnonzero(depth < depth[-1] - release_m)
     drops: list[ForceDrop] = []
     for k in inside.tolist():
         top = int(begin[k]) + int(np.argmax(force[begin[k] : k + 1]))
@@ -213,27 +205,21 @@ def force_drops(
 def at_drops(alarms_m: Sequence[float], drops: Sequence[ForceDrop]) -> tuple[int, int]:
     """Return how many alarms lie at a drop, and how many drops have an alarm.
 
-    Alarms are given by their depths.
+    Alarms are given by their depths. One belongs to a drop when it lies between its top
+    and its foot, or within half a millimetre of either.
     """
+    near_m = 0.5e-3
     is_at = [
-        [drop.from_m - NEAR_m <= alarm <= drop.to_m + NEAR_m for drop in drops]
+        [drop.from_m - near_m <= alarm <= drop.to_m + near_m for drop in drops]
         for alarm in alarms_m
     ]
     return sum(map(any, is_at)), sum(map(any, zip(*is_at, strict=True)))
 
 
-class LiverReference(NamedTuple):
-    """What the estimates of an insertion are compared with.
-
-    Attributes:
-        pullout_N: At each of `DEPTHS_mm`.
-        drops: As large as an internal rupture.
-        small_drops: By more than five times the noise, the former among them.
-    """
-
-    pullout_N: tuple[float, ...]
-    drops: list[ForceDrop]
-    small_drops: list[ForceDrop]
+LiverReference = tuple[tuple[float, ...], list[ForceDrop], list[ForceDrop]]
+"""What the estimates of an insertion are compared with: pull-out force at each of
+`DEPTHS_mm` [N], drops as large as an internal rupture, drops by more than five times
+the noise, the former among them."""
 
 
 class LiverEstimates(NamedTuple):
@@ -266,7 +252,7 @@ def liver_reference(
     The force is as recorded or as put on an arm.
     """
     small = force_drops(depth_m, force_N, VISIBLE_SIGMAS * NOISE_N)
-    return LiverReference(insertion.pullout_N, force_drops(depth_m, force_N), small)
+    return insertion.pullout_N, force_drops(depth_m, force_N), small
 
 
 def liver_estimates(
@@ -334,7 +320,7 @@ def friction_values(
 
     Median and 90th percentile.
     """
-    true_N = np.array([item.reference.pullout_N for item in insertions])
+    true_N = np.array([item.reference[0] for item in insertions])
     error_N = np.abs(np.array([item.friction_N for item in insertions]) - true_N)
     for name, percent in (("median", 50.0), ("p90", 90.0)):
         error_pct = float(np.percentile(100.0 * error_N / true_N, percent))
@@ -353,28 +339,22 @@ def friction_values(
 def rupture_values(insertions: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:
     """Yield the ruptures of all insertions against the drops of the force."""
     count = len(insertions)
-    ruptures = sum(len(item.alarms_m) for item in insertions)
-    drops = sum(len(item.reference.drops) for item in insertions)
+    ruptures = drops = alarmed = at_a_drop = 0
+    for item in insertions:
+        _, large, small = item.reference
+        ruptures += len(item.alarms_m)
+        drops += len(large)
+        alarmed += at_drops(item.alarms_m, large)[1]
+        at_a_drop += at_drops(item.alarms_m, small)[0]
     yield "ruptures_per_insertion", ruptures / count
     yield "drops_per_insertion", drops / count
     if drops:
-        alarmed = sum(
-            at_drops(item.alarms_m, item.reference.drops)[1] for item in insertions
-        )
         yield "drop_recall", alarmed / drops
     if ruptures:
-        at_a_drop = sum(
-            at_drops(item.alarms_m, item.reference.small_drops)[0]
-            for item in insertions
-        )
         yield "ruptures_at_drops", at_a_drop / ruptures
 
 
-THUMB_FRACTION = 0.7
-"""The rule of thumb: this fraction of the insertion force is friction."""
-
-
-def run_liver_real(job: Job, progress: Progress) -> JobResult:
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
     """Run ``liver-real``: friction during insertion against the pull-out force.
 
     The needle is pulled out against friction alone, so the pull-out force at a depth is
@@ -396,17 +376,12 @@ def run_liver_real(job: Job, progress: Progress) -> JobResult:
         force = whole.force_N[inside]
         course = whole.t_s[forward], whole.depth_m[forward], whole.force_N[forward]
         reference = liver_reference(whole, depth, force)
-        thumb = tuple(THUMB_FRACTION * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
+        # The rule of thumb: this fraction of the insertion force is friction.
+        thumb = tuple(0.7 * whole.force_at_N(inside, mm) for mm in DEPTHS_mm)
         by_method["rule-of-thumb"].append(LiverEstimates(reference, thumb))
         for method in IDENTIFIERS:
             by_method[method].append(liver_estimates(*course, method, reference))
-    measurements: list[Measurement] = []
     for method, estimates in by_method.items():
-        values = [
-            *friction_values(estimates),
-            *(rupture_values(estimates) if method != "rule-of-thumb" else ()),
-        ]
-        measurements += [
-            Measurement("ft", method, name, value) for name, value in values
-        ]
-    return JobResult(measurements)
+        yield from make_figures(dict(friction_values(estimates)), "ft", method)
+        if method != "rule-of-thumb":
+            yield from make_figures(dict(rupture_values(estimates)), "ft", method)

@@ -5,7 +5,7 @@ force at each depth. The rows of the virtual force stand beside those of the sam
 as a force sensor would have read it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import NamedTuple
 
@@ -19,6 +19,7 @@ from benchmarks.insertion.recorded.bovine import (
     read_bovine,
 )
 from benchmarks.insertion.recorded.liver import (
+    OF_MANY,
     LiverEstimates,
     LiverInsertion,
     REST_s,
@@ -30,62 +31,41 @@ from benchmarks.insertion.recorded.liver import (
     summarise_estimates,
 )
 from benchmarks.insertion.signals import ForceTruth, JointSignals
-from benchmarks.jobs import Job, JobResult, Progress, progress_part
-from benchmarks.results import Measurement, Source
+from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.results import Figure, Source, make_figures
 from foundation.arrays import Array
-from groundtruth import Run, scenario, simulate
+from groundtruth import scenario, simulate
 from groundtruth.motion import constant_motion
 from groundtruth.recorded_tissue import RecordedTissue
 from identification import Estimate, replay
-
-PATH = "liver-constant"
-"""Scenario whose line the needle follows; its tissue is not met."""
-
-STANDOFF_m = 5e-3
-"""From the end of the tare to where the recording begins."""
-
-LIVER_SPEED_m_s = 5e-3
-"""Speed of all the recorded insertions into liver, as their description says."""
-
-GRID_m = 1e-3
-"""Between two depths at which the pull-out force is averaged."""
-
-MARGIN_m = 5e-3
-"""At both ends of the channel the pull-out force is not yet, or no longer, that of
-sliding friction."""
-
-OF_MANY = ("pullout_error_p90_pct",)
-"""Metrics that one insertion does not have."""
 
 
 class ArmInsertion(NamedTuple):
     """What the arm made of a recorded force, from the tare to the deepest point.
 
     Attributes:
-        run: The simulated insertion.
-        truth: What force readings are judged against.
         depth_m: Depth in the recording, shape (n,).
         force_N: Force that acted on the tip, shape (n,).
         estimates: By the virtual force and by the force itself, n each.
         force_values: Metrics of the virtual force.
     """
 
-    run: Run
-    truth: ForceTruth
     depth_m: Array
     force_N: Array
     estimates: dict[Source, Sequence[Estimate]]
-    force_values: list[Measurement]
+    force_values: list[Figure]
 
 
 def insert_arm(
     job: Job, tissue: RecordedTissue, speed_m_s: float, progress: Progress
 ) -> ArmInsertion:
     """Let the arm of a job's plant feel a recorded force; identify on both forces."""
+    # From the end of the tare it is 5 mm to where the recording begins.
     motion = constant_motion(
-        speed_m_s=speed_m_s, depth_m=tissue.deepest_m, standoff_m=STANDOFF_m
+        speed_m_s=speed_m_s, depth_m=tissue.deepest_m, standoff_m=5e-3
     )
-    chosen = replace(scenario(PATH), id=job.benchmark, motion=motion)
+    # The needle follows the line of this scenario, whose tissue is not met.
+    chosen = replace(scenario("liver-constant"), id=job.benchmark, motion=motion)
     simulating = progress_part(progress, 0.0, 0.5)
     run = simulate(chosen, job.plant, job.seed, simulating, law=tissue)
     truth = ForceTruth(
@@ -106,8 +86,6 @@ def insert_arm(
     force_N = truth.axial_N[judged]
     by_force = replay(truth.t_s[judged], depth_m, force_N).estimates
     return ArmInsertion(
-        run=run,
-        truth=truth,
         depth_m=depth_m,
         force_N=force_N,
         estimates={
@@ -129,7 +107,9 @@ def tip_coverage(
     pulled_m = insertion.depth_m[insertion.withdrawal]
     pulled_N = -insertion.force_N[insertion.withdrawal]
     deepest_m = float(insertion.depth_m.max())
-    grid_m = np.arange(MARGIN_m, deepest_m - MARGIN_m, GRID_m)
+    # At both ends of the channel, 5 mm, the pull-out force is not yet, or no longer,
+    # that of sliding friction.
+    grid_m = np.arange(5e-3, deepest_m - 5e-3, 1e-3)
     pullout_N = np.array([mean_at_depth(pulled_m, pulled_N, at) for at in grid_m])
     is_known = np.isfinite(pullout_N)
     tip_N = arm.force_N - np.interp(arm.depth_m, grid_m[is_known], pullout_N[is_known])
@@ -142,11 +122,11 @@ def tip_coverage(
 
 def mean_friction_error(item: LiverEstimates) -> float:
     """Return the mean error of the friction at `DEPTHS_mm`, positive if too large."""
-    errors_N = np.array(item.friction_N) - np.array(item.reference.pullout_N)
+    errors_N = np.array(item.friction_N) - np.array(item.reference[0])
     return float(np.mean(errors_N))
 
 
-def run_liver_on_arm(job: Job, progress: Progress) -> JobResult:
+def run_liver(job: Job, progress: Progress) -> Iterator[Figure]:
     """Run ``liver-on-arm``: a recorded liver force at the tip, against its pull-out."""
     insertion = read_liver(job.recordings, job.seed)
     forward = insertion.before_withdrawal
@@ -156,28 +136,25 @@ def run_liver_on_arm(job: Job, progress: Progress) -> JobResult:
         insertion.depth_m[forward],
         insertion.force_N[forward] - zero_N,
     )
-    arm = insert_arm(job, tissue, LIVER_SPEED_m_s, progress)
+    # All were inserted at 5 mm/s, as their description says.
+    arm = insert_arm(job, tissue, 5e-3, progress)
     reference = liver_reference(insertion, arm.depth_m, arm.force_N)
-    measurements = list(arm.force_values)
+    yield from arm.force_values
     for source, estimates in arm.estimates.items():
         item = summarise_estimates(arm.depth_m, arm.force_N, estimates, reference)
         values = dict(friction_values([item])) | dict(rupture_values([item]))
         values["pullout_error_mean_N"] = mean_friction_error(item)
         values["tip_coverage_moving_2sigma"] = tip_coverage(insertion, arm, estimates)
-        measurements += [
-            Measurement(source, "ours", name, value)
-            for name, value in values.items()
-            if name not in OF_MANY
-        ]
-    return JobResult(measurements)
+        del values[OF_MANY]
+        yield from make_figures(values, source)
 
 
-def run_bovine_on_arm(job: Job, progress: Progress) -> JobResult:
+def run_bovine(job: Job, progress: Progress) -> Iterator[Figure]:
     """Run ``bovine-on-arm``: the digitised bovine force at the tip, its ruptures."""
     insertion = read_bovine(job.recordings, np.random.default_rng(job.seed))
     tissue = RecordedTissue(*insertion)
     arm = insert_arm(job, tissue, SPEED_m_s, progress)
-    measurements = list(arm.force_values)
+    yield from arm.force_values
     for source, estimates in arm.estimates.items():
         alarms_mm: list[float] = []
         estimated_mm: list[float] = []
@@ -188,7 +165,4 @@ def run_bovine_on_arm(job: Job, progress: Progress) -> JobResult:
             alarms_mm.append(1e3 * float(depth_m))
             estimated_mm.append(1e3 * float(item.rupture.depth_m + shift_m))
         values = depth_metrics(alarms_mm, estimated_mm, RUPTURES_mm)
-        measurements += [
-            Measurement(source, "ours", name, value) for name, value in values.items()
-        ]
-    return JobResult(measurements)
+        yield from make_figures(values, source)

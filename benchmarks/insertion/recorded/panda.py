@@ -5,7 +5,7 @@ Emika Panda robot with retrieval of feasible parameters using penalty-based
 optimization", RA-L 2019.
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterator, Mapping
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple
@@ -22,7 +22,7 @@ from benchmarks.insertion.methods import (
     wrench_metrics,
 )
 from benchmarks.insertion.recorded.liver import (
-    LiverEstimates,
+    OF_MANY,
     LiverInsertion,
     REST_s,
     friction_values,
@@ -34,20 +34,14 @@ from benchmarks.insertion.recorded.liver import (
     rupture_values,
 )
 from benchmarks.insertion.signals import ForceTruth, JointSignals, tool_jacobians
-from benchmarks.jobs import Job, JobResult, Progress, progress_part
+from benchmarks.jobs import Drawing, Job, Progress, progress_part
 from benchmarks.report.force_plots import force_figures
-from benchmarks.results import Measurement, Method, Source
+from benchmarks.results import Figure, Method, make_figures
 from foundation.arrays import Array
 from residual import SigmoidFriction
 from urdf import Robot, SerialJoint, build_serial_robot
 
 FOLDER = "panda_gaz2019"
-FLANGE_m = 0.107
-"""From frame 7 to the flange, along z; from Franka's documentation, the recording
-has no tool."""
-EFFORT_LIMIT_Nm = (87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0)
-"""From Franka's documentation; the tare takes the range of the torque sensors from
-it."""
 
 
 class Panda(NamedTuple):
@@ -108,44 +102,38 @@ def _robot(table: dict[str, Any]) -> Robot:
                 inertia=link.toDynamicParameters(),
             )
         )
-    flange = pin.SE3(np.eye(3), np.array([0.0, 0.0, FLANGE_m]))
+    # From frame 7 to the flange, of Franka's documentation; the recording has no tool.
+    flange = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.107]))
     # Identified parameters predict torque; not every link is a possible body.
     robot = build_serial_robot(
         joints, name="panda", tool_placement=flange, check_inertias=False
     )
     limited = pin.Model(robot.bare_model)
-    limited.upperEffortLimit = np.array(EFFORT_LIMIT_Nm)
+    # Of Franka's documentation; the tare takes the range of the torque sensors from it.
+    limited.upperEffortLimit = np.array((87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0))
     return replace(robot, bare_model=limited)
 
 
-GAIN_per_s = 30.0
-"""That of the known-good figures."""
-SETTLING_LAGS = 5.0
-"""After these the observer has forgotten its start to 1 %."""
-
-
-def run_panda_real(job: Job, progress: Progress) -> JobResult:
+def run(job: Job, progress: Progress) -> list[Figure]:
     """Run ``panda-real``: noise floor of the residual without contact, per joint."""
     panda = read_panda(job.recordings)
     signals = panda.signals
-    residual = joint_residual(panda.robot, signals, GAIN_per_s, friction=panda.friction)
-    settled = signals.t_s - signals.t_s[0] >= SETTLING_LAGS / GAIN_per_s
+    gain_per_s = 30.0  # that of the known-good figures
+    residual = joint_residual(panda.robot, signals, gain_per_s, friction=panda.friction)
+    # After five lags the observer has forgotten its start to 1 %.
+    settled = signals.t_s - signals.t_s[0] >= 5.0 / gain_per_s
     rms = np.sqrt(np.mean(residual[settled] ** 2, axis=0))
     progress(1.0)
     values = {
         f"residual_rms_J{joint}_Nm": float(value) for joint, value in enumerate(rms, 1)
     }
-    return JobResult([Measurement("virtual", "ours", *item) for item in values.items()])
-
-
-OF_MANY = "_p90_pct"
-"""One insertion has no 90th percentile."""
+    return make_figures(values)
 
 
 def identification_values(
     insertion: LiverInsertion, truth: ForceTruth, forces_N: Mapping[Method, Array]
-) -> list[Measurement]:
-    """Return friction and ruptures by both methods.
+) -> Iterator[Figure]:
+    """Yield friction and ruptures by both methods.
 
     They come from the force itself and from each method's own sensor. A real enhanced
     force has no ground truth; that of the virtual force is compared with that of the
@@ -156,22 +144,15 @@ def identification_values(
     depth = truth.depth_m[felt]
     force = truth.axial_N[felt]
     reference = liver_reference(insertion, depth, force)
-    measurements: list[Measurement] = []
     for method in IDENTIFIERS:
         ft = liver_estimates(t_s, depth, force, method, reference)
         virtual = liver_estimates(t_s, depth, forces_N[method][felt], method, reference)
-        by_source: dict[Source, LiverEstimates] = {"ft": ft, "virtual": virtual}
-        for source, item in by_source.items():
-            for name, value in (*friction_values([item]), *rupture_values([item])):
-                if not name.endswith(OF_MANY):
-                    measurements.append(Measurement(source, method, name, value))
-        difference_N = float(
-            np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2))
-        )
-        measurements.append(
-            Measurement("virtual", method, "enhanced_against_ft_rmse_N", difference_N)
-        )
-    return measurements
+        for source, item in (("ft", ft), ("virtual", virtual)):
+            values = dict(friction_values([item])) | dict(rupture_values([item]))
+            del values[OF_MANY]
+            yield from make_figures(values, source, method)
+        difference_N = np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2))
+        yield Figure("enhanced_against_ft_rmse_N", difference_N, method=method)
 
 
 TARE_s = 4.0
@@ -180,11 +161,9 @@ FREE_s = 1.0
 """Free motion between tare and insertion: about the rest at the start of every liver
 recording, from which the identifiers learn the noise of the force. 16 s are left, 80 mm
 at 5 mm/s."""
-NOT_JUDGED = "wrench_lag_ms"
-"""The force changes less than this arm's noise: its lag would be a guess."""
 
 
-def run_panda_liver(job: Job, progress: Progress) -> JobResult:
+def run_with_liver(job: Job, progress: Progress) -> Iterator[Figure | Drawing]:
     """Run ``panda-liver``: a real tissue force on a real arm, by both methods.
 
     The recorded Panda has touched nothing, the recorded needle had no robot. Both are
@@ -214,17 +193,14 @@ def run_panda_liver(job: Job, progress: Progress) -> JobResult:
         )
         readings.append(session.reading)
         forces_N[method] = session.unsmoothed_N
-    measurements = [
-        item
-        for reading in readings
-        for item in wrench_metrics(reading, truth)
-        if item.metric != NOT_JUDGED
-    ]
-    measurements += identification_values(insertion, truth, forces_N)
-    drawings = ()
+    for reading in readings:
+        for item in wrench_metrics(reading, truth):
+            # The force changes less than this arm's noise: its lag would be a guess.
+            if item.metric != "wrench_lag_ms":
+                yield item
+    yield from identification_values(insertion, truth, forces_N)
     if job.drawings is not None:
-        drawings = force_figures(job, job.drawings, truth, readings)
-    return JobResult(measurements, drawings)
+        yield from force_figures(job, job.drawings, truth, readings)
 
 
 def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:

@@ -15,16 +15,13 @@ from benchmarks import DataError
 from benchmarks.insertion.methods import joint_residual
 from benchmarks.insertion.recorded.liver import read_arrays, read_table
 from benchmarks.insertion.signals import JointSignals, tool_jacobians
-from benchmarks.jobs import Job, JobResult, Progress
-from benchmarks.results import Measurement
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure, make_figures
 from foundation.arrays import Array
 from residual import PUBLISHED, JointFriction, WrenchEstimator
 from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
 
 FOLDER = "ur10e_mamedov2020"
-JOINTS = 6
-PINOCCHIO_ORDER = (9, 6, 7, 8, 0, 1, 3, 2, 4, 5)
-"""Of the table's ten inertial parameters."""
 
 
 class Ur10e(NamedTuple):
@@ -74,7 +71,9 @@ def _signals(path: Path, torque_constant: np.ndarray) -> JointSignals:
 
 def _robot(table: dict[str, Any]) -> Robot:
     """Return the arm of the recording's model, with its rotors."""
-    inertias = np.array(table["inertial_parameters"]["rows"])[:, PINOCCHIO_ORDER]
+    joints_count = 6
+    pinocchio_order = (9, 6, 7, 8, 0, 1, 3, 2, 4, 5)  # of the ten inertial parameters
+    inertias = np.array(table["inertial_parameters"]["rows"])[:, pinocchio_order]
     joints = [
         SerialJoint(
             name=row["name"],
@@ -82,10 +81,10 @@ def _robot(table: dict[str, Any]) -> Robot:
             axis=np.array(row["axis"]),
             inertia=inertia,
         )
-        for row, inertia in zip(table["joints"][:JOINTS], inertias, strict=True)
+        for row, inertia in zip(table["joints"][:joints_count], inertias, strict=True)
     ]
     # Identified parameters predict torque; not every link is a possible body.
-    tool = _placement(table["joints"][JOINTS])
+    tool = _placement(table["joints"][joints_count])
     arm = build_serial_robot(
         joints, name="ur10e", tool_placement=tool, check_inertias=False
     )
@@ -100,13 +99,9 @@ def _placement(row: dict[str, Any]) -> pin.SE3:
 GAIN_per_s = 20.0
 """That of the known-good figures."""
 SETTLING_s = 5.0 / GAIN_per_s
-PAYLOAD_kg = 2.805
-MIN_SINGULAR_VALUE = 0.1
-"""Of the Jacobian: nearer to a singular pose an undamped inverse only amplifies
-noise."""
 
 
-def run_ur10e_payload(job: Job, progress: Progress) -> JobResult:
+def run(job: Job, progress: Progress) -> list[Figure]:
     """Run ``ur10e-payload``: the weight of a known payload from motor currents.
 
     Torque is torque constant times current, and the constants read 12 to 16 % low. The
@@ -130,11 +125,12 @@ def run_ur10e_payload(job: Job, progress: Progress) -> JobResult:
         _payload_kg(arm.robot, arm.loaded.q_rad[half], residual_loaded[half], noise)
         for half in (settled[settled < middle], settled[settled >= middle])
     )
-    scale = PAYLOAD_kg / first
+    payload_kg = 2.805
+    scale = payload_kg / first
     values["torque_scale"] = scale
-    values["weight_error_pct"] = 100.0 * (scale * second / PAYLOAD_kg - 1.0)
+    values["weight_error_pct"] = 100.0 * (scale * second / payload_kg - 1.0)
     progress(1.0)
-    return JobResult([Measurement("virtual", "ours", *item) for item in values.items()])
+    return make_figures(values)
 
 
 def _residual(arm: Ur10e, signals: JointSignals) -> Array:
@@ -156,7 +152,8 @@ def _force_up(
     """
     wrench = WrenchEstimator(robot, PUBLISHED)
     jacobians = tool_jacobians(robot, signals.q_rad)
-    regular = np.linalg.svd(jacobians, compute_uv=False)[:, -1] > MIN_SINGULAR_VALUE
+    # Nearer to a singular pose an undamped inverse only amplifies noise.
+    regular = np.linalg.svd(jacobians, compute_uv=False)[:, -1] > 0.1
     used = _settled(signals) & regular
     samples = zip(signals.q_rad[used], residual[used], strict=True)
     force = np.array([wrench.estimate(q, r).force[2] for q, r in samples])

@@ -5,14 +5,13 @@ from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
-from tempfile import TemporaryDirectory
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from groundtruth import simulate
 from groundtruth.rig_arm import SimulatedArm
-from needleforce.cli.robot import LWR, robot_from_options
+from needleforce.cli.robot import LWR, robot_from_options, robot_from_text
 from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
 from needleforce.cli.terminal import (
     CHECK_ARM,
@@ -143,11 +142,12 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
             f"{name} simulates an LWR 4+ with its needle, expected no options of the "
             "robot"
         )
-    from needleforce.cli.patient.simulated_patient import insert_into_patient, is_plan
+    from needleforce.cli.patient.case_files import read_plan_fields
+    from needleforce.simulation.patient import insert_into_patient
 
     with progress_bar("simulating"):
-        if is_plan(scenario):
-            run = insert_into_patient(Path(scenario))
+        if scenario.endswith(".json"):
+            run = insert_into_patient(read_plan_fields(Path(scenario)))
         else:
             run = simulate(scenario, plant="clean")
     signals = run.signals
@@ -194,11 +194,7 @@ def _robot_of_fr3(host: str, options: RobotOptions) -> Robot:
         f"the model is the arm's own, its flange {flange}; --urdf and --tool-frame "
         "name others"
     )
-    with TemporaryDirectory() as folder:
-        path = Path(folder, "fr3.urdf")
-        path.write_text(text)
-        described = replace(options, urdf=path, tool_frame=flange)
-        return robot_from_options(described, None)
+    return robot_from_text(text, "fr3.urdf", replace(options, tool_frame=flange))
 
 
 def _kind_of(name: str, other_names: str) -> str:

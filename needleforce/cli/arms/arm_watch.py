@@ -17,7 +17,7 @@ from needleforce.cli.arms.arm_connection import (
     samples_until_stopped,
 )
 from needleforce.cli.arms.arm_stroke import TareOptions, open_tared_arm
-from needleforce.cli.auto_tare import SessionTare
+from needleforce.cli.auto_tare import auto_tare
 from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
@@ -294,7 +294,7 @@ def watch_arm(
     Raises:
         CommandError: The arm sends nothing, or no torques.
     """
-    tare = SessionTare(taring.after_s)
+    tare = auto_tare(taring.after_s)
     constants_Nm_A = options.motor_constants
     plan = load_plan(plan_path, situs_inversus=situs_inversus)
     with (

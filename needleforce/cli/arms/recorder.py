@@ -11,6 +11,7 @@ import threading
 from collections.abc import Iterator
 from contextlib import suppress
 from dataclasses import replace
+from io import BytesIO
 from multiprocessing.connection import Connection
 from pathlib import Path
 from queue import SimpleQueue
@@ -22,9 +23,7 @@ from needleforce.cli.terminal import CHECK_ARM, OTHER_PLACE, CommandError
 from needleforce.devices import ArmReading
 from needleforce.recordings.output import check_writable, open_table
 from needleforce.recordings.table import TableLabels
-
-CHUNK = 50
-"""Samples written at a time."""
+from needleforce.recordings.writers import WRITERS, csv_writer
 
 COLUMNS = {
     "q_rad": "q_rad",
@@ -91,6 +90,12 @@ class Recorder:
         self._sender = threading.Thread(
             target=_send_waiting, args=(self._waiting, self._rows_pipe), daemon=True
         )
+        with suppress(ImportError, AttributeError, OSError):  # only Linux has it
+            import fcntl
+
+            # Rows that wait in this process die with it, those in the pipe do not: it
+            # holds 6 s of 1 kHz, where the usual 64 KiB hold 0.4 s.
+            fcntl.fcntl(self._rows_pipe, fcntl.F_SETPIPE_SZ, 1 << 20)
 
     def put(self, sample: ArmReading) -> None:
         """Take a sample, in microseconds."""
@@ -104,7 +109,10 @@ class Recorder:
         self.time_s += sample.dt_s if self.rows else 0.0
         self.rows += 1
         self._chunk.append((self.time_s, sample))
-        if len(self._chunk) == CHUNK:
+        # What has not been handed over is lost if this process is killed.
+        max_held_s = 0.05
+        held_s = self.time_s - self._chunk[0][0] + sample.dt_s
+        if held_s > max_held_s - 0.5 * sample.dt_s:
             self._hand_over()
             if self._answers.poll():
                 self._take_answer()
@@ -198,6 +206,17 @@ def _received(rows: Connection) -> Iterator[dict[str, Any]]:
             yield rows.recv()
 
 
+def _load_writer(path: Path, labels: TableLabels) -> None:
+    """Import what the format needs, by writing a row that is thrown away.
+
+    It takes a second, in which the rows of an arm would wait in the killed process.
+    """
+    row = {"t_s": np.zeros(1), "q_rad": np.zeros((1, len(labels.joint_names)))}
+    writer = WRITERS.get(path.suffix.lower(), csv_writer)  # to standard output: CSV
+    with writer(BytesIO(), labels, row) as append:
+        append(row)
+
+
 def _write(
     rows: Connection,
     answers: Connection,
@@ -213,6 +232,7 @@ def _write(
     leave_real_time()
     failure: Exception | None = None
     try:
+        _load_writer(path, labels)
         with open_table(
             path, is_live=True, overwrites=overwrites, labels=lambda: labels
         ) as table:

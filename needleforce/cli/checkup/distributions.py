@@ -152,6 +152,40 @@ def installed_sizes() -> tuple[InstalledSize, ...]:
     return tuple(_size_of(*item) for item in ({"core": core} | added).items())
 
 
+def licence_table() -> str:
+    """Return name, version, licence and bringer of all that is required, in Markdown.
+
+    Packages are those installed here; a licence is what a package's metadata states.
+    """
+    brought_by = dict.fromkeys(sorted(_closure(PACKAGE, ()) - {PACKAGE}), "core")
+    for extra in EXTRAS:
+        added = sorted(_closure(PACKAGE, (extra,)) - brought_by.keys() - {PACKAGE})
+        brought_by |= dict.fromkeys(added, f"`{extra}`")
+
+    rows = [
+        f"| {name} | {version_of(name)} | {_licence_of(name)} | {bringer} |\n"
+        for name, bringer in brought_by.items()
+        if version_of(name) is not None
+    ]
+    head = "| package | version | licence | brought by |\n|---|---|---|---|\n"
+    return head + "".join(rows)
+
+
+def _licence_of(name: str) -> str:
+    """Return the licence that an installed package states, in a few words."""
+    stated = metadata.metadata(name).json
+    if expression := stated.get("license_expression"):
+        return str(expression)
+
+    names = [
+        item.rpartition(" :: ")[2]
+        for item in stated.get("classifier", ())
+        if item.startswith("License :: ") and not item.endswith("OSI Approved")
+    ]
+    text = str(stated.get("license", "")).strip().partition("\n")[0].strip()
+    return ", ".join(names) or text[:60] or "not stated"
+
+
 def _closure(name: str, extras: tuple[str, ...]) -> set[str]:
     """Return a package with all that it requires, also indirectly.
 

@@ -69,7 +69,7 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
     """
     if source == STANDARD_STREAM or readable_path(source).is_fifo():
         raise CommandError(
-            "a report needs a file, not a pipe; force --report DIR takes a pipe"
+            "a report needs a file, not a pipe: write what comes into a file first"
         )
     mapping = mapping_from_options(columns)
     tables = recordings.stream_tables(

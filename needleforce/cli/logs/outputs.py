@@ -26,17 +26,6 @@ from needleforce.recordings.table import TableLabels
 
 NOTE = "Research only: not a medical device."
 
-REPORT_FILES = (
-    plots.PAGE,
-    "forces-over-time.svg",
-    "forces-over-time-wide.svg",
-    "forces-over-depth.svg",
-    "forces-over-depth-wide.svg",
-    "layers.svg",
-    "layers-wide.svg",
-)
-"""Names of the files in the folder of a report."""
-
 
 class Answer(NamedTuple):
     """How the page of a report begins.
@@ -149,31 +138,39 @@ def _channel_section(log: LogSession) -> plots.Section:
     return plots.Section(heading="Channels", anchor="channels", tables=(table,))
 
 
-class _Window(NamedTuple):
-    """What ``--from`` and ``--to`` say of the x axis, infinite where they do not."""
+def refuse_report(source: str, output: Output) -> None:
+    """Name the command that writes pages where another one is asked for a page.
 
-    start: float
-    end: float
+    Raises:
+        CommandError: A folder for a page is named.
+    """
+    if output.report is not None:
+        file = "FILE" if source == STANDARD_STREAM else source
+        raise CommandError(
+            f"--report {output.report}: pages are written by `needleforce report "
+            f"{file} {output.report}`, with the same options but -o and --figure"
+        )
 
 
-def _window_of(output: Output) -> _Window:
+def _window_of(output: Output) -> tuple[float, float]:
+    """Return what ``--from`` and ``--to`` say of the x axis, infinite if nothing."""
     start = -math.inf if output.start is None else output.start
     end = math.inf if output.end is None else output.end
-    return _Window(start, end)
+    return start, end
 
 
 def _cut_to_window(chart: plots.Chart, output: Output) -> plots.Chart:
     """Return what ``--from`` and ``--to`` leave of a chart; refuse to draw nothing."""
-    window = _window_of(output)
+    first, last = _window_of(output)
     low, high = chart.x_limits or (-math.inf, math.inf)
     is_unlimited = math.isinf(low) and math.isinf(high)
     if is_unlimited or (output.start is None and output.end is None):
         return chart
-    start = max(low, window.start)
-    end = min(high, window.end)
+    start = max(low, first)
+    end = min(high, last)
     if not start < end:
         raise CommandError(
-            f"no figure from {window.start:g} to {window.end:g}: its axis, "
+            f"no figure from {first:g} to {last:g}: its axis, "
             f"{chart.x_label}, runs from {low:g} to {high:g}; expected --from and --to "
             "within that"
         )
@@ -187,15 +184,15 @@ def check_outputs(source: str, output: Output) -> None:
         CommandError: The window of the figure is empty.
         RecordingError: A file cannot be written, or is the log itself.
     """
-    window = _window_of(output)
-    if not window.start < window.end:
+    start, end = _window_of(output)
+    if not start < end:
         raise CommandError(
-            f"--from {window.start:g} --to {window.end:g}: expected --from before --to"
+            f"--from {start:g} --to {end:g}: expected --from before --to"
         )
     table = None if output.output == STANDARD_STREAM else output.output
     named: dict[str, Any] = {"-o": table, "--figure": output.figure}
     if output.report is not None:
-        named |= {f"--report ({name})": output.report / name for name in REPORT_FILES}
+        named[f"DIR ({plots.PAGE})"] = output.report / plots.PAGE
     paths = {option: Path(path) for option, path in named.items() if path is not None}
     if output.output is not None:
         recordings.check_writable(output.output)

@@ -1,7 +1,6 @@
 """`needleforce view`: a session over a recording, in the scene."""
 
 from collections import Counter
-from collections.abc import Iterator
 from functools import partial
 from pathlib import Path
 from time import sleep
@@ -10,7 +9,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.cli.auto_tare import SessionTare
+from needleforce.cli.auto_tare import auto_tare
 from needleforce.cli.logs.log_joints import find_log_joints
 from needleforce.cli.logs.sensor_replay import require_joints
 from needleforce.cli.logs.tare_schedule import describe_rejections
@@ -24,13 +23,14 @@ from needleforce.cli.terminal import (
     stop_request,
     write_out,
 )
-from needleforce.recordings import ColumnMapping, Log, load_mapping, read_log
+from needleforce.recordings import ColumnMapping, load_mapping, read_log
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.output import check_outputs, require_place
 from needleforce.scene import Viewer, view_row
 from needleforce.scene.nodes import EMPTY
 from needleforce.scene.viewer import check_address
 from needleforce.session import InsertionSession, SessionEstimate
+from needleforce.session_replay import replay_session
 from residual import Status
 from urdf import Robot
 
@@ -113,7 +113,7 @@ def view_recording(
     find_joints = partial(find_log_joints, str(recording), columns, "tau")
     model = robot_from_options(robot, mapping, find_joints)
     plan = load_plan(anatomy, is_past=True, situs_inversus=situs_inversus)
-    rows = replay_session(recording, model, tare_s=tare_s, mapping=mapping, plan=plan)
+    rows = scene_rows(recording, model, tare_s=tare_s, mapping=mapping, plan=plan)
     scene = EMPTY if plan is None else plan.scene
     shapes = urdf_with_shapes(robot)
     viewer = Viewer(
@@ -133,26 +133,7 @@ def view_recording(
     return 0
 
 
-class _Sample(NamedTuple):
-    """Joint signals of one sample, as a session takes them."""
-
-    q_rad: Array
-    dq_rad_s: Array | None
-    tau_Nm: Array
-    dt_s: float
-
-
-def _samples_of(log: Log) -> Iterator[_Sample]:
-    """Yield the samples of a log; the first has the time step of the second."""
-    q_rad = log["q_rad"]
-    dq_rad_s = log["dq_rad_s"] if "dq_rad_s" in log else [None] * len(q_rad)
-    steps_s = np.diff(log.t_s, prepend=2.0 * log.t_s[0] - log.t_s[1]).tolist()
-    signals = zip(q_rad, dq_rad_s, log["tau_Nm"], steps_s, strict=True)
-    for position, velocity, torque, step_s in signals:
-        yield _Sample(position, velocity, torque, step_s)
-
-
-def replay_session(
+def scene_rows(
     recording: Path,
     model: Robot,
     *,
@@ -172,7 +153,7 @@ def replay_session(
     Returns:
         Rows of the scene, see `needleforce.scene.view_row`.
     """
-    tare = SessionTare(tare_s, at_once=True)
+    tare = auto_tare(tare_s, at_once=True)
     session = InsertionSession(model)
     columns = load_mapping(mapping) if mapping else None
     log = read_log(
@@ -187,24 +168,21 @@ def replay_session(
         plan.follow_with(session)
     rows: list[tuple[float, ...]] = []
     rejected = Counter[str]()
-    duration_s = 0.0
     with progress_bar("estimating") as progress:
-        for tick, sample in enumerate(_samples_of(log)):
-            estimate = session.update(
-                sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
-            )
-            duration_s += sample.dt_s
-            tare.after(session, estimate)
+        replayed = replay_session(session, log, tare)
+        for tick, (q_rad, estimate) in enumerate(replayed):
             if estimate.status is Status.REJECTED:
                 rejected[estimate.wrench.message.split(";")[0]] += 1
             if tick % ROW_TICKS == 0 or _has_event(estimate):
-                rows.append(view_row(estimate, sample.q_rad))
+                rows.append(view_row(estimate, q_rad))
             if tick % PROGRESS_TICKS == 0:
                 progress(tick / len(log.t_s))
     for warning in log.warnings:
         say(f"warning: {warning}")
     _report_rejections(rejected)
     if not session.tared:
+        # The first sample has the time step of the second.
+        duration_s = log.t_s[-1] - 2.0 * log.t_s[0] + log.t_s[1]
         say(
             f"warning: no tare in {duration_s:.4g} s (--tare {tare_s:g} asks for so "
             "many seconds of motion without contact): forces carry errors of the model "

@@ -1,15 +1,18 @@
 """What a tare has shown of the torques of a log, for summaries and for `check`."""
 
 from contextlib import suppress
+from typing import TYPE_CHECKING
 
 from foundation.errors import NeedleforceError
 from needleforce.cli.logs.log_session import LogSession
-from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.logs.torque_columns import correcting_options
 from residual import TareError, VirtualForceSensor
 from residual.bias.torque_diagnosis import CLEAR_LOG, TorqueDiagnosis
 from urdf import load_example
 from urdf.loading import EXAMPLES
+
+if TYPE_CHECKING:
+    from needleforce.cli.logs.sensor_replay import SensorReplay
 
 MAX_LISTED_STD_KG = 1.0
 """A payload that is known less well is not listed."""
@@ -49,7 +52,7 @@ def describe_missing_mass(diagnosis: TorqueDiagnosis) -> str:
 
 
 def describe_doubt(
-    diagnosis: TorqueDiagnosis | None, log: LogSession, replay: SensorReplay
+    diagnosis: TorqueDiagnosis | None, log: LogSession, replay: "SensorReplay"
 ) -> str:
     """Return what is doubtful about the torques of a tare; empty if nothing is."""
     if diagnosis is None or not (diagnosis.advice or diagnosis.scale_deviates):
@@ -63,7 +66,7 @@ def describe_doubt(
     )
 
 
-def with_cure(error: TareError, log: LogSession, replay: SensorReplay) -> TareError:
+def with_cure(error: TareError, log: LogSession, replay: "SensorReplay") -> TareError:
     """Return a refused tare with the options that correct the log, if any do."""
     if not isinstance(error.diagnosis, TorqueDiagnosis):
         return error
@@ -72,7 +75,7 @@ def with_cure(error: TareError, log: LogSession, replay: SensorReplay) -> TareEr
 
 
 def _name_cure(
-    diagnosis: TorqueDiagnosis, log: LogSession, replay: SensorReplay
+    diagnosis: TorqueDiagnosis, log: LogSession, replay: "SensorReplay"
 ) -> str:
     """Return the options that make a motion right; empty if none is known to."""
     advice = diagnosis.advice
@@ -83,7 +86,7 @@ def _name_cure(
 
 
 def _fitting_arm(
-    diagnosis: TorqueDiagnosis, replay: SensorReplay, best_log: float
+    diagnosis: TorqueDiagnosis, replay: "SensorReplay", best_log: float
 ) -> str:
     """Return the known arm that explains a motion clearly best; empty if none does.
 

@@ -22,8 +22,6 @@ from needleforce.plots import PAGE, Page, PageFigure, PageTable, Section, write_
 SCENE = "scene.html"
 """Name of the 3-D page in the folder."""
 
-HIDING = ("lean",)
-"""Structures that would hide what lies in them."""
 
 ALONG = (
     "CT in two planes that hold the path (yellow, with a bar where a layer ends and a "
@@ -129,11 +127,12 @@ def _write_scene(
     progress: Callable[[float], None],
 ) -> None:
     """Write structures and path as a 3-D page."""
+    hiding = ("lean",)  # structures that would hide what lies in them
     from needleforce.scene import PlanScene
     from needleforce.scene.plan_scene import export_plan
 
     labels = case.labels
-    names = [name for name in large_structures(labels) if name not in HIDING]
+    names = [name for name in large_structures(labels) if name not in hiding]
     surfaces = labels.surfaces(names, progress, voxel_m=SHOWN_VOXEL_m)
     scene = PlanScene(
         surfaces=tuple(surfaces.values()),

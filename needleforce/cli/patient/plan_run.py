@@ -55,8 +55,6 @@ from needleforce.plots import PAGE, require_matplotlib, whole_folder
 MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "igl")
 """Modules of extras that the command needs."""
 
-PATH_MARKUP = "path.mrk.json"
-"""The planned path for 3D Slicer."""
 
 M_PER_MM = 1e-3
 
@@ -142,6 +140,7 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
         needleforce.anatomy.AnatomyError: The files do not belong together, or there is
             no path.
     """
+    path_markup = "path.mrk.json"  # the planned path for 3D Slicer
     require_matplotlib("plan")
     require_modules("plan", MODULES)
     limits = wish.limits()
@@ -164,7 +163,7 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
             fields = _plan_fields(case, wish, target, chosen, folder, avoid)
             write_plan_fields(place / PLAN, fields)
             write_markup(
-                place / PATH_MARKUP,
+                place / path_markup,
                 "Line",
                 ("entry", "target"),
                 np.array([chosen.entry_m, chosen.target_m]),
@@ -173,7 +172,7 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
                 write_plan_page(
                     case, chosen, paths, target.name, limits, place, progress
                 )
-    for name in (PLAN, PATH_MARKUP, PAGE):
+    for name in (PLAN, path_markup, PAGE):
         write_out(f"{folder / name}\n")
     say(
         f"next: needleforce touch ARM --landmarks FILE -o touches.json, then "

@@ -50,6 +50,9 @@ is."""
 PATH_COLOUR = "#ffd400"
 """Of the needle: seen on grey by all."""
 
+RUPTURE_COLOUR = "#56b4e9"
+"""Of what was found on the way."""
+
 M_TO_MM = 1e3
 
 
@@ -137,14 +140,29 @@ def path_frame(path: DrawnPath) -> PathFrame:
     return PathFrame(axis, np.cross(axis, up), up)
 
 
-def draw_along(case: ScannedBody, path: DrawnPath, place: Path) -> Path:
-    """Draw the two planes that hold the path into a file; return its name."""
+def draw_along(
+    case: ScannedBody,
+    path: DrawnPath,
+    place: Path,
+    *,
+    ruptures_m: Sequence[float] = (),
+    tip_m: float | None = None,
+) -> Path:
+    """Draw the two planes that hold the path into a file; return its name.
+
+    Args:
+        case: CT and labels.
+        path: The path.
+        place: The file.
+        ruptures_m: Depths of ruptures below the entry.
+        tip_m: Depth at which the tip rests.
+    """
     import matplotlib.pyplot as plt
 
     frame = path_frame(path)
     along_m = np.arange(-BEFORE_m, path.length_m + BEHIND_m, PIXEL_m)
     across_m = np.arange(-BESIDE_m, BESIDE_m, PIXEL_m)
-    figure, panels = plt.subplots(1, 2, figsize=(10.0, 6.2), layout="constrained")
+    figure, panels = plt.subplots(1, 2, figsize=(6.4, 3.9), layout="constrained")
     structures: dict[str, Structure] = {}
     directions = {"towards side": frame.side, "towards head": frame.up}
     for axes, (name, direction) in zip(panels, directions.items(), strict=True):
@@ -155,9 +173,15 @@ def draw_along(case: ScannedBody, path: DrawnPath, place: Path) -> Path:
         axes.plot(0.0, length_mm, "o", mfc="none", mec=PATH_COLOUR, ms=10)
         for layer in path.layers[:-1]:
             axes.plot([-4.0, 4.0], [M_TO_MM * layer.exit_m] * 2, color=PATH_COLOUR)
+        for depth_m in ruptures_m:
+            axes.plot(
+                [-7.0, 7.0], [M_TO_MM * depth_m] * 2, color=RUPTURE_COLOUR, lw=2.5
+            )
+        if tip_m is not None:
+            axes.plot(0.0, M_TO_MM * tip_m, "x", color=RUPTURE_COLOUR, ms=10, mew=2)
         axes.set(xlabel=f"{name} [mm]", ylabel="depth below the entry [mm]")
     _add_legend(figure, structures)
-    figure.savefig(place, dpi=130)
+    figure.savefig(place, dpi=200)
     plt.close(figure)
     return place
 
@@ -178,7 +202,7 @@ def draw_probe_view(
 
     frame = path_frame(path)
     span_m = np.arange(-PROBE_HALF_m, PROBE_HALF_m, PIXEL_m)
-    figure, panels = plt.subplots(2, 3, figsize=(10.0, 7.2), layout="constrained")
+    figure, panels = plt.subplots(2, 3, figsize=(6.4, 5.4), layout="constrained")
     structures: dict[str, Structure] = {}
     depths_m = np.linspace(0.0, path.length_m, PROBE_SLICES)
     for axes, depth_m in zip(panels.flat, depths_m.tolist(), strict=True):
@@ -196,7 +220,7 @@ def draw_probe_view(
         axes.set_ylim(M_TO_MM * PROBE_HALF_m, -M_TO_MM * PROBE_HALF_m)
         axes.yaxis.set_major_formatter(lambda value, _: f"{0.0 - value:.0f}")
     _add_legend(figure, structures)
-    figure.savefig(place, dpi=130)
+    figure.savefig(place, dpi=200)
     plt.close(figure)
     return place
 
@@ -285,7 +309,7 @@ def _add_legend(figure: Any, structures: dict[str, Structure]) -> None:
     figure.legend(
         handles=lines,
         loc="outside lower center",
-        ncols=6,
+        ncols=5,
         fontsize=8,
         facecolor="0.25",
         labelcolor="white",

@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import NamedTuple
 
 import numpy as np
-from scipy.stats import f as f_law
+from scipy.special import fdtri
 
 from foundation.arrays import Array
 from needleforce.anatomy import Registration
@@ -58,7 +58,7 @@ class FitReport(NamedTuple):
         """Half axes of the region that holds the target with 95 %, largest first."""
         variances_m2 = np.linalg.eigvalsh(self.fit.covariance_at(self.target_m))[::-1]
         degrees = min(self.fit.degrees, MAX_DEGREES)
-        quantile = 3.0 * f_law.ppf(LEVEL, 3, degrees)
+        quantile = 3.0 * fdtri(3, degrees, LEVEL)
         return np.sqrt(np.maximum(variances_m2, 0.0) * quantile)
 
 

@@ -8,12 +8,17 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.anatomy import (
+    FreeSpace,
+    Labels,
+    PlanError,
     Registration,
     SkinLandmarks,
     fit_landmarks,
     fit_surface,
+    require_clear_path,
     require_lps,
 )
+from needleforce.anatomy.clearance import STDS
 from needleforce.anatomy.landmark_check import LandmarkResidual, judge_landmarks
 from needleforce.anatomy.markups import RAS_TO_LPS, Markup, read_markup
 from needleforce.anatomy.registration import MAX_DEGREES
@@ -161,7 +166,8 @@ def register_plan(
     touches_m = touched.skin_m()
     if not evidence.landmarks_only:
         _require_touches(touches_m)
-    skin = case_of_plan(place).labels.skin()
+    labels = case_of_plan(place).labels
+    skin = labels.skin()
     landmarks = SkinLandmarks(
         points_m=pairs.model_m,
         skin=skin,
@@ -184,29 +190,35 @@ def register_plan(
     fit_report = _report_of(fit, residuals, skin, touched_m, fields, evidence)
     for warning in describe_doubts(residuals):
         say(f"warning: {warning}")
-    return finish_registration(place, fields, fit_report, output, report)
+    return finish_registration(place, fields, labels, fit_report, output, report)
 
 
 def finish_registration(
     place: Path,
     fields: Mapping[str, Any],
+    labels: Labels,
     fit_report: FitReport,
     output: Path,
     report: Path | None,
 ) -> int:
-    """Print the report of a registration, and write plan and page.
+    """Print the report of a registration, judge the path, and write plan and page.
 
     Args:
         place: The plan.
         fields: What stands in it.
+        labels: The segmentation of the plan.
         fit_report: The registration.
         output: The plan with its registration.
         report: Folder for a page, if any.
 
     Returns:
         The exit code.
+
+    Raises:
+        PlanError: The path comes too near to an obstacle for this registration.
     """
     write_out(describe_fit(fit_report))
+    _require_clear_path(fields, labels, fit_report)
     source = place / PLAN if place.is_dir() else place
     folder = source.parent
     moved = {
@@ -223,6 +235,35 @@ def finish_registration(
         write_out(f"{report / PAGE}\n")
     say(f"next: needleforce live ARM --plan {output} --view")
     return 0
+
+
+def _require_clear_path(
+    fields: Mapping[str, Any], labels: Labels, report: FitReport
+) -> None:
+    """Refuse what `live` would: obstacles nearer than this registration asks for.
+
+    `plan` judged them before any registration, without its deviation.
+    """
+    std_m = report.fit.largest_std_m(np.array([report.entry_m, report.target_m]))
+    space = FreeSpace(fields["needle_radius_m"], fields["margin_m"], std_m)
+    accepted = fields.get("accepted_obstacles", ())
+    clearances = labels.clearances(report.entry_m, report.target_m)
+    try:
+        require_clear_path(clearances, space, accepted)
+    except PlanError as error:
+        gaps_m = [
+            one.distance_m
+            for one in clearances
+            if one.is_obstacle and one.name not in accepted
+        ]
+        free_m = min(gaps_m) - space._replace(std_m=0.0).needed_m
+        raise PlanError(
+            f"{error}. This path bears a registration with a std of up to "
+            f"{max(free_m / STDS, 0.0) / M_PER_MM:.2f} mm, and this one has "
+            f"{std_m / M_PER_MM:.2f} mm: register again with more touches around the "
+            "entry and landmarks further apart, or plan a path with more space "
+            "(--margin, --choose)"
+        ) from error
 
 
 def _pair_landmarks(markup: Markup, touched: TouchFile, evidence: Evidence) -> _Pairs:

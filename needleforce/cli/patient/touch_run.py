@@ -12,6 +12,7 @@ import pinocchio as pin
 
 from foundation.arrays import Array
 from needleforce.anatomy.markups import read_markup
+from needleforce.anatomy.touch_detector import TipTouch, TouchDetector
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ConnectedArm,
@@ -19,8 +20,7 @@ from needleforce.cli.arms.arm_connection import (
     require_samples,
     samples_until_stopped,
 )
-from needleforce.cli.patient.simulated_patient import is_plan, touch_patient
-from needleforce.cli.patient.touch_detector import TipTouch, TouchDetector
+from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
 from needleforce.cli.patient.touch_file import (
     VERSION,
     LandmarkTouch,
@@ -35,11 +35,9 @@ from needleforce.cli.terminal import (
     say,
 )
 from needleforce.recordings.output import require_place
+from needleforce.simulation.patient import touch_patient
 from residual import VirtualForceSensor
 from urdf import Robot
-
-KEY_s = 0.05
-"""Time between two looks at the keyboard."""
 
 M_TO_MM = 1e3
 
@@ -170,9 +168,13 @@ def _open_touching_arm(
         landmarks: Points that the simulated arm touches first, if any.
     """
     kind, _, plan = name.partition(":")
-    if kind == "sim" and is_plan(plan):
+    if kind == "sim" and plan.endswith(".json"):
+        points_m = np.zeros((0, 3))
+        if landmarks is not None:
+            points_m = read_markup(landmarks).points_m
+        labels = case_of_plan(Path(plan)).labels
         with progress_bar("simulating"):
-            simulated = touch_patient(Path(plan), landmarks)
+            simulated = touch_patient(read_plan_fields(Path(plan)), labels, points_m)
         yield ConnectedArm(simulated.arm, simulated.robot)
         return
     with open_arm(name, robot, options.motor_constants) as connected:
@@ -183,6 +185,7 @@ def _touches(
     arm: Any, model: Robot, options: ArmOptions, contact_N: float
 ) -> Iterator[TipTouch | None]:
     """Yield touches as they come, None where the last one is undone."""
+    key_s = 0.05  # time between two looks at the keyboard
     sensor = VirtualForceSensor(model)
     detector = TouchDetector(contact_N)
     data = model.create_data()
@@ -202,7 +205,7 @@ def _touches(
         time_s += sample.dt_s
         if time_s < next_key_s:
             continue
-        next_key_s = time_s + KEY_s
+        next_key_s = time_s + key_s
         key = _read_key()
         if key == "q":
             return

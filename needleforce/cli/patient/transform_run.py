@@ -7,7 +7,12 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy import Registration, RegistrationError, read_transform
+from needleforce.anatomy import (
+    Labels,
+    Registration,
+    RegistrationError,
+    read_transform,
+)
 from needleforce.anatomy.transform_file import RigidTransform, TransformSource
 from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
 from needleforce.cli.patient.register_report import FitReport, skin_distances_m
@@ -21,10 +26,6 @@ from needleforce.cli.terminal import CommandError, require_modules, say
 from needleforce.needle_on_plan import PlannedPath
 
 M_PER_MM = 1e-3
-
-MAX_STDS = 3.0
-"""Touches further from the skin than so many standard deviations contradict the
-transform."""
 
 
 class StatedTransform(NamedTuple):
@@ -78,7 +79,8 @@ def register_by_transform(
     fields = read_plan_fields(place)
     motion = read_transform(stated.path, stated.source)
     fit = _registration_of(motion, fields, M_PER_MM * std_mm)
-    distances_m = _touch_distances_m(place, stated, fit, std_mm)
+    labels = case_of_plan(place).labels
+    distances_m = _touch_distances_m(labels, stated, fit, std_mm)
     fit_report = FitReport(
         fit=fit,
         landmarks=(),
@@ -87,7 +89,7 @@ def register_by_transform(
         target_m=np.array(fields["target_m"]),
         motion_m=M_PER_MM * stated.motion_mm,
     )
-    return finish_registration(place, fields, fit_report, output, report)
+    return finish_registration(place, fields, labels, fit_report, output, report)
 
 
 def _checked_std_mm(std_mm: float | None) -> float:
@@ -119,12 +121,12 @@ def _registration_of(
 
 
 def _touch_distances_m(
-    place: Path, stated: StatedTransform, fit: Registration, std_mm: float
+    labels: Labels, stated: StatedTransform, fit: Registration, std_mm: float
 ) -> Array:
     """Return how far touches lie from the skin under a transform, shape (n,) [m].
 
     Args:
-        place: The plan.
+        labels: The segmentation of the plan, with the body.
         stated: The transform, and the file of touches, if any.
         fit: Its registration.
         std_mm: Standard deviation of the transform along each axis [mm].
@@ -133,6 +135,9 @@ def _touch_distances_m(
         CommandError: The file holds no touches of the skin.
         RegistrationError: The touches contradict the transform.
     """
+    # Touches further from the skin than so many standard deviations contradict the
+    # transform.
+    max_stds = 3.0
     if stated.touches is None:
         say("warning: the transform was not checked: --touches FILE checks it")
         return np.zeros(0)
@@ -142,10 +147,10 @@ def _touch_distances_m(
             f"{stated.touches} holds no touches of the skin: expected one or "
             "more; without --touches the transform is not checked"
         )
-    distances_m = skin_distances_m(fit, case_of_plan(place).labels.skin(), touches_m)
+    distances_m = skin_distances_m(fit, labels.skin(), touches_m)
     expected_mm = float(np.hypot(std_mm, stated.touch_std_mm))
     rms_mm = float(np.sqrt((distances_m**2).mean())) / M_PER_MM
-    if rms_mm > MAX_STDS * expected_mm:
+    if rms_mm > max_stds * expected_mm:
         raise RegistrationError(
             f"the touches lie {rms_mm:.1f} mm (rms) from the skin under this "
             f"transform, and {expected_mm:.1f} mm are expected by --transform-std and "

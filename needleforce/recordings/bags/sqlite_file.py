@@ -13,9 +13,6 @@ from needleforce.recordings.errors import (
     optional_library,
 )
 
-SQLITE_MAGIC = b"SQLite format 3\x00"
-"""How the file begins."""
-
 
 def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
     """Yield the messages in order of recording.
@@ -38,7 +35,8 @@ def sqlite_messages(path: Path, faults: list[str]) -> Iterator[RawMessage]:
         )
 
     with path.open("rb") as stream:
-        require_magic(stream.read(len(SQLITE_MAGIC)), SQLITE_MAGIC, "SQLite")
+        magic = b"SQLite format 3\x00"
+        require_magic(stream.read(len(magic)), magic, "SQLite")
 
     faults += _journal_faults(path)
     # What reading damaged content may end in, beside the errors of the libraries.

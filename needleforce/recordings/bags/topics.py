@@ -35,18 +35,6 @@ class TopicRow(NamedTuple):
     values: tuple[Any, ...]
 
 
-class RawStamp(NamedTuple):
-    """When a message was made and recorded, each on its own clock.
-
-    Attributes:
-        stamp_ns: Of the source, in ns.
-        log_ns: Of the recorder, in ns.
-    """
-
-    stamp_ns: int
-    log_ns: int
-
-
 class Topic:
     """A topic of a bag: what its messages hold, and the rows collected of it.
 
@@ -88,7 +76,8 @@ class Topic:
         self.has_stamp = False
         self.fault = ""
         self.source: Topic | None = None
-        self._learned_ns: list[RawStamp] = []
+        # When messages were made and recorded, each on its own clock.
+        self._learned_ns: list[tuple[int, int]] = []
         self.known: dict[str, str] = {}
         self.tool_mass: ToolMass | None = None
         self.choose((), ())
@@ -128,7 +117,7 @@ class Topic:
         self.fault = ""
         self.has_stamp = content.stamp_ns is not None
         if content.stamp_ns is not None:
-            self._learned_ns.append(RawStamp(content.stamp_ns, message.log_ns))
+            self._learned_ns.append((content.stamp_ns, message.log_ns))
             self.offset_ns = self._usual_offset_ns()
 
         if content.named:
@@ -148,16 +137,14 @@ class Topic:
     def _usual_offset_ns(self) -> int:
         """Return how far the source's clock is ahead of the recorder's, in most."""
         offsets_ns = sorted(
-            stamp.stamp_ns - stamp.log_ns
-            for stamp in self._learned_ns
-            if stamp.stamp_ns
+            stamp_ns - log_ns for stamp_ns, log_ns in self._learned_ns if stamp_ns
         )
         return offsets_ns[len(offsets_ns) // 2] if offsets_ns else 0
 
     @property
     def _begins_at_zero(self) -> bool:
         """Whether a stamp of zero is one of a simulated clock, not one never set."""
-        stamps_ns = (stamp.stamp_ns for stamp in self._learned_ns)
+        stamps_ns = (stamp_ns for stamp_ns, _ in self._learned_ns)
         max_run_ns = 86_400 * NS_PER_S  # no simulation runs for longer
         return 0 < min(filter(None, stamps_ns), default=0) < max_run_ns
 

@@ -7,13 +7,13 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from needleforce.recordings.bags.message_types import standard_types
-from needleforce.recordings.link_transforms import LinkPoses
-from needleforce.recordings.table import TableColumns, TableLabels, flat_columns
+from needleforce.recordings.table import (
+    LinkPoses,
+    TableColumns,
+    TableLabels,
+    flat_columns,
+)
 from needleforce.recordings.time_stamps import NS_PER_S
-
-JOINT_STATE = "sensor_msgs/msg/JointState"
-WRENCH_STAMPED = "geometry_msgs/msg/WrenchStamped"
-FLOAT64 = "std_msgs/msg/Float64"
 
 JOINT_SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")
 """Position, velocity and effort of a `JointState`."""
@@ -21,22 +21,12 @@ JOINT_SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")
 TF_MESSAGE = "tf2_msgs/msg/TFMessage"
 LOG = "rcl_interfaces/msg/Log"
 
-TF_RATE_HZ = 30.0
-"""Poses of the links in a second: as many as a screen shows."""
-
-LOG_INFO = 20
-"""Level of a `Log` that reports something usual."""
-
 EVENT_TEXTS = {
     "rupture": "rupture of layer {}",
     "retracted": "no rupture of layer {} after all: the force came back",
     "identified_layer": "layer {} identified",
 }
 """Columns that hold the number of a layer on the row of an event, and 0 elsewhere."""
-
-SENSOR_FORCE = "ft_force_N"
-SENSOR_TORQUE = "ft_torque_Nm"
-SENSOR_FRAME = "ft_sensor"
 
 
 class WrittenTopic(NamedTuple):
@@ -85,14 +75,14 @@ def bag_topics(
 
     has_sensor = all(
         name in remaining and remaining[name].shape[1:] == (3,)
-        for name in (SENSOR_FORCE, SENSOR_TORQUE)
+        for name in ("ft_force_N", "ft_torque_Nm")
     )
     if has_sensor:
         yield _wrenches(
             "/ft_sensor/wrench",
-            remaining.pop(SENSOR_FORCE),
-            remaining.pop(SENSOR_TORQUE),
-            _headers(stamps_ns, SENSOR_FRAME),
+            remaining.pop("ft_force_N"),
+            remaining.pop("ft_torque_Nm"),
+            _headers(stamps_ns, "ft_sensor"),
         )
 
     force = _pop_vector(remaining, "force")
@@ -107,10 +97,11 @@ def bag_topics(
         )
 
     # Without a header: the time stamp is the one of the record.
-    make_number = standard_types().types[FLOAT64]
+    kind = "std_msgs/msg/Float64"
+    make_number = standard_types().types[kind]
     for name, values in flat_columns(remaining).items():
         topic_name = f"{labels.prefix}/{re.sub(r'[^A-Za-z0-9_]', '_', name)}"
-        yield WrittenTopic(topic_name, FLOAT64, map(make_number, values.tolist()))
+        yield WrittenTopic(topic_name, kind, map(make_number, values.tolist()))
 
 
 def _pop_joint_signals(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
@@ -138,15 +129,16 @@ def _joint_states(
     nothing = np.empty((len(stamps_ns), 0))
     numbers = (signals.get(name, nothing) for name in JOINT_SIGNALS)
     rows = zip(_headers(stamps_ns, ""), *numbers, strict=True)
-    make_state = standard_types().types[JOINT_STATE]
+    kind = "sensor_msgs/msg/JointState"
+    make_state = standard_types().types[kind]
     messages = (make_state(header, joint_names, *row) for header, *row in rows)
-    return WrittenTopic("/joint_states", JOINT_STATE, messages)
+    return WrittenTopic("/joint_states", kind, messages)
 
 
 def _link_poses(
     q_rad: np.ndarray, poses: LinkPoses, stamps_ns: Sequence[int]
 ) -> Iterator[Any]:
-    """Yield a `TFMessage` for rows at `TF_RATE_HZ`, None for the others.
+    """Yield a `TFMessage` 30 times a second, as a screen shows; None for other rows.
 
     Args:
         q_rad: Joint positions, shape (n, joints).
@@ -160,7 +152,7 @@ def _link_poses(
     make_stamped = types["geometry_msgs/msg/TransformStamped"]
     latest: int | None = None
     for position_rad, stamp_ns in zip(q_rad, stamps_ns, strict=True):
-        picture = int(stamp_ns * TF_RATE_HZ / NS_PER_S)
+        picture = int(stamp_ns * 30.0 / NS_PER_S)
         if picture == latest or not np.isfinite(position_rad).all():
             yield None
             continue
@@ -210,7 +202,7 @@ def _event_logs(
 
         yield make_log(
             stamp=make_time(*divmod(stamp_ns, NS_PER_S)),
-            level=LOG_INFO,
+            level=20,  # of what is usual
             name=name.strip("/"),
             msg="; ".join(texts),
             file="",
@@ -259,7 +251,8 @@ def _wrenches(
     types = standard_types().types
     make_vector = types["geometry_msgs/msg/Vector3"]
     make_wrench = types["geometry_msgs/msg/Wrench"]
-    make_message = types[WRENCH_STAMPED]
+    kind = "geometry_msgs/msg/WrenchStamped"
+    make_message = types[kind]
     forces = [make_vector(*row) for row in force.tolist()]
     torques = [make_vector(*row) for row in torque.tolist()]
     wrenches = map(make_wrench, forces, torques)
@@ -267,4 +260,4 @@ def _wrenches(
         make_message(header, wrench)
         for header, wrench in zip(headers, wrenches, strict=True)
     )
-    return WrittenTopic(name, WRENCH_STAMPED, messages)
+    return WrittenTopic(name, kind, messages)

@@ -41,10 +41,10 @@ def quick_job(job, progress=None):
     """Instead of `run_job`: a number of the seed; after ten it waits while HOLD
     exists."""
     from benchmarks.jobs import Outcome
-    from benchmarks.results import Measurement
+    from benchmarks.results import Figure
 
     while job.seed >= 10 and os.path.exists(os.environ.get("HOLD", "")):
         time.sleep(0.02)
     value = float(np.random.default_rng(job.seed).normal())
-    row = Measurement("virtual", "ours", "wrench_rmse_N", value)
+    row = Figure("wrench_rmse_N", value)
     return Outcome(job=job, rows=(row.row(job.benchmark, job.plant, job.seed),))

@@ -14,11 +14,11 @@ import pytest
 
 from benchmarks import catalogue
 from benchmarks.campaign import runs, workers
-from benchmarks.campaign.intervals import interval
 from benchmarks.campaign.workers import Workers, answers
 from benchmarks.cli import main
-from benchmarks.jobs import Benchmark, JobResult
-from benchmarks.results import Measurement, read_results
+from benchmarks.jobs import Benchmark
+from benchmarks.report.tables import interval
+from benchmarks.results import Figure, read_results
 from tests.benchmarks.campaign.campaign_jobs import ANSWERS, fatal, quick_job, squares
 
 
@@ -108,9 +108,7 @@ def jobs_done(monkeypatch):
             raise KeyboardInterrupt
         if job.seed == 4:
             raise ZeroDivisionError
-        return JobResult(
-            [Measurement("virtual", "ours", "wrench_rmse_N", job.seed / 3.0)]
-        )
+        return [Figure("wrench_rmse_N", job.seed / 3.0)]
 
     items = {"liver-constant": Benchmark(id="liver-constant", title="", run=pretend)}
     monkeypatch.setattr(catalogue, "BENCHMARKS", items)
@@ -172,9 +170,7 @@ def test_a_run_with_missing_rows_is_repeated(
 
     def pretend(job, progress):
         seeds_done.append(job.seed)
-        return JobResult(
-            [Measurement("virtual", "ours", name, job.seed) for name in names]
-        )
+        return [Figure(name, job.seed) for name in names]
 
     items = {"liver-constant": Benchmark(id="liver-constant", title="", run=pretend)}
     monkeypatch.setattr(catalogue, "BENCHMARKS", items)

@@ -6,26 +6,24 @@ from types import SimpleNamespace
 
 import pytest
 
-from benchmarks import UnknownIdError, catalogue, targets
+from benchmarks import UnknownIdError, catalogue, judging
 from benchmarks.catalogue import Request, make_plan
 from benchmarks.cli import main
-from benchmarks.control.study import CONTROL, TITLES
-from benchmarks.report.frames import frame_of
-from benchmarks.report.tables import TABLES, build_table
-from benchmarks.results import Measurement, our_measurement, read_results
-from benchmarks.targets import Target, evaluate
+from benchmarks.judging import Target
+from benchmarks.report.tables import TABLES, build_table, frame_of
+from benchmarks.results import Figure, read_results
 from tests.benchmarks.benchmark_cases import by_head
 
 
-def measure(case, plant, seed):
+def measure(job, progress):
     """Numbers that grow with the seed; one case fails."""
-    if case == "broken S":
+    if job.case == "broken S":
         raise ValueError("no arm")
-    factor = 10.0 if plant == "fri" else 1.0
-    yield our_measurement("rcm_error_max_mm", factor * (seed - 999))
-    yield our_measurement("membrane_contrast_shown", 0.9 + 0.01 * (seed - 1000))
-    yield our_measurement("leading_force_N", math.nan if seed == 1001 else 1.0)
-    yield Measurement("virtual", "published", "rcm_error_max_mm", 7.0)
+    factor = 10.0 if job.plant == "fri" else 1.0
+    yield Figure("rcm_error_max_mm", factor * (job.seed - 999))
+    yield Figure("membrane_contrast_shown", 0.9 + 0.01 * (job.seed - 1000))
+    yield Figure("leading_force_N", math.nan if job.seed == 1001 else 1.0)
+    yield Figure("rcm_error_max_mm", 7.0, method="published")
 
 
 GOALS = tuple(
@@ -41,16 +39,11 @@ GOALS = tuple(
 @pytest.fixture
 def part(monkeypatch):
     """A part of the study that takes no time."""
-    module = SimpleNamespace(CASES=("usual S", "broken S"), measure=measure)
+    module = SimpleNamespace(CASES=("usual S", "broken S"), run=measure)
     monkeypatch.setitem(sys.modules, "benchmarks.control.priority", module)
-    monkeypatch.setattr(targets, "TARGETS", GOALS)
-    monkeypatch.setattr("benchmarks.report.tables.evaluate", judge)
-    priority = CONTROL[0]
-    monkeypatch.setattr(catalogue, "BENCHMARKS", {priority.id: priority})
-
-
-def judge(rows):
-    return evaluate(rows, GOALS)
+    monkeypatch.setattr(judging, "TARGETS", GOALS)
+    name = "control-priority"
+    monkeypatch.setattr(catalogue, "BENCHMARKS", {name: catalogue.BENCHMARKS[name]})
 
 
 def run(path, *arguments):
@@ -105,8 +98,17 @@ def test_the_table_shows_misses_first_and_the_limits(part, tmp_path):
 def test_control_names_all_parts_on_both_plants():
     plan = make_plan(Request(ids=("control",)))
 
-    assert {job.benchmark for job in plan.jobs} == {
-        f"control-{part}" for part in TITLES
+    parts = {job.benchmark.removeprefix("control-") for job in plan.jobs}
+
+    assert parts == {
+        "priority",
+        "limits",
+        "constraints",
+        "guidance",
+        "teleoperation",
+        "autonomous",
+        "pulls",
+        "faults",
     }
 
     plants = {job.plant for job in plan.jobs if job.benchmark == "control-guidance"}

@@ -8,12 +8,6 @@ import numpy as np
 import pytest
 
 from benchmarks.insertion.bounds import friction_bounds
-from benchmarks.insertion.layer_friction import (
-    LayerFriction,
-    friction_metrics,
-    layer_frictions,
-)
-from benchmarks.insertion.matching import is_visible, match
 from benchmarks.insertion.methods import Alarm
 from benchmarks.insertion.metrics import (
     before_rupture_metrics,
@@ -23,6 +17,13 @@ from benchmarks.insertion.metrics import (
     rupture_metrics,
 )
 from benchmarks.insertion.offline import offline_metrics
+from benchmarks.insertion.ruptures import (
+    LayerFriction,
+    friction_metrics,
+    is_visible,
+    layer_frictions,
+    match,
+)
 from benchmarks.insertion.signals import (
     InsertionTruth,
     NeedleSignal,
@@ -113,11 +114,11 @@ def identified(enhanced_N, tip_N, compensated_at=None):
     ],
 )
 def test_an_alarm_belongs_to_one_rupture_in_window(ruptures, alarms, pairs):
-    matching = match(list(map(rupture, ruptures)), list(map(alarm, alarms)))
+    found, missed, false = match(list(map(rupture, ruptures)), list(map(alarm, alarms)))
 
-    assert [(true.onset_s, report.alarm_s) for true, report in matching.found] == pairs
-    assert len(matching.missed) == len(ruptures) - len(pairs)
-    assert len(matching.false) == len(alarms) - len(pairs)
+    assert [(true.onset_s, report.alarm_s) for true, report in found] == pairs
+    assert len(missed) == len(ruptures) - len(pairs)
+    assert len(false) == len(alarms) - len(pairs)
 
 
 def test_the_window_of_an_alarm_is_as_documented():

@@ -9,36 +9,22 @@ import pytest
 from benchmarks import DataError
 from benchmarks.catalogue import run_job
 from benchmarks.insertion.methods import joint_residual
-from benchmarks.insertion.recorded.bovine import depth_metrics, run_bovine_real
-from benchmarks.insertion.recorded.liver import (
-    at_drops,
-    force_drops,
-    read_arrays,
-    run_liver_real,
-)
-from benchmarks.insertion.recorded.on_arm import run_liver_on_arm
-from benchmarks.insertion.recorded.panda import FOLDER as PANDA
-from benchmarks.insertion.recorded.panda import (
-    read_panda,
-    run_panda_liver,
-    run_panda_real,
-)
-from benchmarks.insertion.recorded.ur10e import FOLDER as UR10E
-from benchmarks.insertion.recorded.ur10e import read_ur10e, run_ur10e_payload
+from benchmarks.insertion.recorded import bovine, liver, on_arm, panda, ur10e
+from benchmarks.insertion.recorded.bovine import depth_metrics
+from benchmarks.insertion.recorded.liver import at_drops, force_drops, read_arrays
 from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Job
+from benchmarks.results import Figure
 from tests.benchmarks.benchmark_cases import silent
 
 
 def values(run, benchmark, data, **more):
     job = Job(benchmark=benchmark, plant="recording", data=data, **more)
-    return {
-        (item.method, item.metric): item.value for item in run(job, silent).measurements
-    }
+    return {(item.method, item.metric): item.value for item in run(job, silent)}
 
 
 def test_the_pandas_residual_is_as_small_as_known(recordings_dir):
-    numbers = values(run_panda_real, "panda-real", recordings_dir)
+    numbers = values(panda.run, "panda-real", recordings_dir)
     known = (0.37, 0.76, 0.37, 0.39, 0.14, 0.10, 0.06)
     reached = [numbers["ours", f"residual_rms_J{joint}_Nm"] for joint in range(1, 8)]
 
@@ -50,7 +36,9 @@ def test_the_pandas_residual_is_as_small_as_known(recordings_dir):
 def test_the_chain_runs_on_real_torques_and_tissue(recordings_dir, tmp_path):
     options = {"data": recordings_dir, "drawings": tmp_path}
     job = Job(benchmark="panda-liver", plant="recording", seed=1, **options)
-    measured = run_panda_liver(job, silent).measurements
+    measured = [
+        item for item in panda.run_with_liver(job, silent) if isinstance(item, Figure)
+    ]
     numbers = {(item.source, item.method, item.metric): item.value for item in measured}
     rmse = "wrench_rmse_N"
 
@@ -79,7 +67,7 @@ def test_the_chain_runs_on_real_torques_and_tissue(recordings_dir, tmp_path):
 
 def test_the_simulated_arm_feels_a_recorded_liver(recordings_dir):
     job = Job(benchmark="liver-on-arm", plant="clean", seed=1, data=recordings_dir)
-    measured = run_liver_on_arm(job, silent).measurements
+    measured = on_arm.run_liver(job, silent)
     numbers = {(item.source, item.metric): item.value for item in measured}
 
     assert numbers["virtual", "wrench_rmse_N"] < 0.06
@@ -92,7 +80,7 @@ def test_the_simulated_arm_feels_a_recorded_liver(recordings_dir):
 
 
 def test_the_weight_on_the_ur10e_is_found(recordings_dir):
-    numbers = values(run_ur10e_payload, "ur10e-payload", recordings_dir)
+    numbers = values(ur10e.run, "ur10e-payload", recordings_dir)
 
     assert numbers["ours", "force_up_unloaded_N"] == pytest.approx(-1.7, abs=1.0)
     assert numbers["ours", "force_up_loaded_N"] == pytest.approx(-25.3, abs=1.5)
@@ -132,7 +120,10 @@ def test_broken_recordings_models_and_missing_velocities_are_refused(tmp_path, l
     with pytest.raises(DataError, match="cannot read"):
         read_arrays(path, ["good"])
 
-    for read, folder in ((read_panda, PANDA), (read_ur10e, UR10E)):
+    for read, folder in (
+        (panda.read_panda, panda.FOLDER),
+        (ur10e.read_ur10e, ur10e.FOLDER),
+    ):
         (tmp_path / folder).mkdir()
         arrays = {
             key: np.zeros((2, 7)) for key in ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
@@ -184,7 +175,7 @@ def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
     monkeypatch.setattr(
         "benchmarks.insertion.recorded.liver.NUMBERS", (0, 8, 18, 26, 34)
     )
-    by_key = values(run_liver_real, "liver-real", recordings_dir)
+    by_key = values(liver.run, "liver-real", recordings_dir)
 
     assert 5.0 < by_key["rule-of-thumb", "pullout_error_median_pct"] < 30.0
     assert ("rule-of-thumb", "ruptures_per_insertion") not in by_key
@@ -199,7 +190,7 @@ def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
 
 
 def test_the_four_ruptures_of_bovine_liver_are_found(recordings_dir):
-    by_key = values(run_bovine_real, "bovine-real", recordings_dir)
+    by_key = values(bovine.run, "bovine-real", recordings_dir)
 
     assert by_key["ours", "ruptures_missed"] == 0.0
     assert by_key["ours", "rupture_depth_error_mm"] < 1.0

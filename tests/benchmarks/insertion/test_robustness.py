@@ -15,8 +15,7 @@ from benchmarks.insertion.perturbations import (
 )
 from benchmarks.insertion.robustness import SCENARIOS, perturbed_needle, run_robustness
 from benchmarks.jobs import Job
-from benchmarks.report.frames import frame_of
-from benchmarks.report.tables import TABLES, build_table, result_tables
+from benchmarks.report.tables import TABLES, build_table, frame_of, result_tables
 from groundtruth import scenario
 from tests.benchmarks.benchmark_cases import by_head, gel_slice, make_row, silent
 
@@ -83,7 +82,7 @@ def test_force_sensor_robustness_needs_no_arm():
     assert FT_ONLY.isdisjoint(ARM_ONLY)
 
     job = Job(benchmark=f"robustness-{SCENARIOS[0]}", plant="force-noise", seed=1)
-    numbers = run_robustness(job, silent).measurements
+    numbers = list(run_robustness(job, silent))
 
     assert {item.source for item in numbers} == {"ft"}
     assert {item.method for item in numbers} == {"ours", "published-as-authors-ran"}

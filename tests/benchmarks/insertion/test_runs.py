@@ -3,6 +3,7 @@ force."""
 
 import math
 from dataclasses import replace
+from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -13,23 +14,21 @@ from benchmarks import DataError
 from benchmarks.catalogue import BENCHMARKS, Request, make_plan
 from benchmarks.insertion.methods import (
     ForceReading,
-    Warned,
     force_lag_s,
+    warnings_of,
     wrench_metrics,
 )
 from benchmarks.insertion.signals import ForceTruth
 from benchmarks.insertion.simulated import (
-    measure_warnings,
     read_sensors,
     run_needle,
     simulated_metrics,
 )
-from benchmarks.jobs import Job
-from benchmarks.report.frames import frame_of
+from benchmarks.jobs import Drawing, Job
 from benchmarks.report.published_figures import NEEDED
-from benchmarks.report.tables import TABLES, build_table
+from benchmarks.report.tables import TABLES, build_table, frame_of
 from groundtruth import SCENARIOS, simulate
-from identification import TissueWarning
+from identification import SampleStatus, TissueWarning
 from residual import SensorWarning
 from tests.benchmarks.benchmark_cases import gel_slice, silent
 
@@ -41,11 +40,10 @@ TOUCHLESS = replace(BRIEF, layers=())
 @pytest.mark.slow
 def test_a_needle_alone_gives_both_methods_and_charts(tmp_path):
     job = Job(benchmark="short", plant="needle", drawings=tmp_path)
-    result = run_needle(job, SHORT, silent, is_drawn=False)
-    by_key = {
-        (item.source, item.method, item.metric): item.value
-        for item in result.measurements
-    }
+    result = list(run_needle(job, SHORT, silent, is_drawn=False))
+    drawings = [item for item in result if isinstance(item, Drawing)]
+    figures = [item for item in result if not isinstance(item, Drawing)]
+    by_key = {(item.source, item.method, item.metric): item.value for item in figures}
     methods = {"ours", "published-one-setting", "published-as-authors-ran"}
 
     assert {key[:2] for key in by_key} == {("ft", method) for method in methods}
@@ -65,24 +63,21 @@ def test_a_needle_alone_gives_both_methods_and_charts(tmp_path):
     ml, kv = (by_key["ft", "ours", f"offline_rmse_{model}_N"] for model in ("ml", "kv"))
 
     assert 0.0 < ml < kv
-    assert [drawing.shown.path.name for drawing in result.drawings] == [
+    assert [drawing.shown.path.name for drawing in drawings] == [
         "short-needle-0-ft-published.svg",
         "short-needle-0-ft-ours.svg",
     ]
-    assert all(
-        drawing.shown.path.stat().st_size > 10_000 for drawing in result.drawings
-    )
+    assert all(drawing.shown.path.stat().st_size > 10_000 for drawing in drawings)
 
-    rows = [item.row("gel-70-constant", "needle", 0) for item in result.measurements]
+    rows = [item.row("gel-70-constant", "needle", 0) for item in figures]
     for name in ("friction", "ruptures", "table I"):
         assert len(build_table(TABLES[name], frame_of(rows)).lines) == 3
         assert build_table(TABLES[name], frame_of([])).lines == ()
 
     # Without tissue there is nothing to identify.
-    assert (
-        run_needle(job, replace(SHORT, layers=()), silent, is_drawn=False).measurements
-        == []
-    )
+    touchless = replace(SHORT, layers=())
+
+    assert list(run_needle(job, touchless, silent, is_drawn=False)) == []
 
 
 def case_of(plant, chosen=BRIEF):
@@ -155,16 +150,19 @@ def test_without_tissue_only_the_virtual_sensor_is_judged():
     assert {metric for _, _, metric in values(case)} == numbers
 
 
-def test_warnings_are_measured_one_by_one():
-    warned = Warned(SensorWarning.TORQUE_JUMP, TissueWarning.HARD_CONTACT, True)
-    measured = {item.metric: item.value for item in measure_warnings(warned)}
+def test_warnings_are_told_apart():
+    identification = SimpleNamespace(
+        warnings=TissueWarning.HARD_CONTACT, status=SampleStatus.NEEDLE_PULLED
+    )
+    estimate = SimpleNamespace(
+        warnings=SensorWarning.TORQUE_JUMP, identification=identification
+    )
 
-    assert measured == {
-        "torque_jump_warned": 1.0,
-        "needle_pull_warned": 1.0,
-        "moving_tissue_warned": 0.0,
-        "hard_contact_warned": 1.0,
-    }
+    assert list(warnings_of(estimate)) == [
+        "torque_jump_warned",
+        "needle_pull_warned",
+        "hard_contact_warned",
+    ]
 
 
 @pytest.fixture

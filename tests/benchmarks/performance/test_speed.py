@@ -1,124 +1,126 @@
 """Cost of updates, soak, long recordings."""
 
-from time import sleep
+from itertools import groupby
+from time import sleep, thread_time_ns
 
 import numpy as np
 import pytest
 
 from benchmarks.cli import main
-from benchmarks.performance import control_speed, long_runs, speed
-from tests.benchmarks.benchmark_cases import by_head
+from benchmarks.judging import TARGETS, evaluate
+from benchmarks.performance import soak, stream, ticks
 
 
 def timing(*medians):
     return np.array([[m, m, m] for m in medians])
 
 
-def report(**changed):
-    known = {
-        "times": {
-            "dynamics of the sensor": timing(2.0),
-            "sensor": timing(6.0),
-            "chain": np.array([[10.0, 11.0, 80.0], [10.0, 40.0, 10.0]]),
-        },
-        "alarms": {"chain": [2]},
-        "layers": {"chain": [4, 100]},
-    }
-    return speed.SpeedReport(**(known | changed))
+TIMES = {
+    "dynamics of the sensor": timing(2.0, 2.0),
+    "sensor": timing(5.2, 5.2),
+    "chain": np.array([[10.0, 11.0, 80.0], [10.0, 40.0, 10.0]]),
+}
+
+
+def numbers(figures):
+    return {item.metric: item.value for item in figures}
+
+
+def are_met(figures):
+    rows = [item.row("speed", "no-arm", 0) for item in figures]
+    return {item.target.metric: item.is_met for item in evaluate(rows)}
 
 
 def test_ratios_compare_neighbours_and_events_stand_apart():
     # A slow machine cancels.
-    assert speed.cost_ratio(
+    assert ticks.cost_ratio(
         timing(2.0, 20.0, 2.0), timing(1.0, 10.0, 1.0)
     ) == pytest.approx(2.0)
 
-    raised, identified = by_head(speed.event_table(report()))
+    raised = numbers(ticks.describe_event("a rupture", [2], "chain", TIMES))
+    identified = numbers(ticks.describe_event("a layer", [4, 100], "chain", TIMES))
 
-    assert raised["what"] == "rupture raised"
-    assert raised["worst us"] == "80"
-    assert raised["worst, ratio"] == "40"
-    assert identified["what"] == "layer identified"
-    assert identified["worst us"] == "40"
-    assert identified["worst, ratio"] == "20"
+    assert raised["event_tick_worst_us"] == 80.0
+    assert raised["event_tick_worst_ratio"] == 40.0
+    assert identified["event_ticks"] == 1
+    assert identified["event_tick_worst_us"] == 40.0
+    assert identified["event_tick_worst_ratio"] == 20.0
 
 
-@pytest.mark.parametrize(("compiler", "sensor"), [("numba", "missed"), ("", "met")])
-def test_the_table_marks_what_is_too_slow(monkeypatch, compiler, sensor):
-    monkeypatch.setattr(speed, "COMPILER", compiler)
-    medians = {"dynamics of the observer": 1.0, "observer": 1.9}
-    medians |= {"dynamics of the sensor": 1.0, "sensor": 2.6}
-    medians |= {"chain": 4.3, "chain, published identifier": 3.7}
-    timings = {name: timing(median) for name, median in medians.items()}
-    lines = by_head(speed.speed_table(report(times=timings)))
-    marks = [line["mark of target"] for line in lines]
+def test_what_is_too_slow_misses_its_target():
+    figures = list(ticks.describe_ticks("sensor", TIMES["sensor"], TIMES))
 
-    assert marks == ["", "met", "", sensor, "met", "met"]
+    assert numbers(figures)["tick_ratio"] == pytest.approx(2.6)
+    assert are_met(figures) == {"tick_ratio": False, "tick_mean_over_median": True}
 
-    ratios = [line["ratio"] for line in lines]
+    bare = ticks.describe_ticks("dynamics of the sensor", timing(2.0), TIMES)
 
-    assert ratios == ["", "1.90", "", "2.60", "4.30", "3.70"]
+    assert "tick_ratio" not in numbers(bare)
 
 
 def test_limits_of_a_tick_are_those_agreed():
     """So that nobody eases one unseen."""
-    limits = {name: subject.compiled for name, subject in speed.SUBJECTS.items()}
+    limits = {
+        (item.metric, item.source): item.at_most
+        for item in TARGETS
+        if item.metric.startswith("tick_") and item.plant == "no-arm"
+    }
 
-    assert limits["observer"] == 2.0
-    assert limits["sensor"] == 2.5
-    assert limits["chain"] == 4.3
-    assert limits["chain, published identifier"] == 3.7
-    assert speed.MEAN_TICK_RATIO == 2.0
-    assert (8.0 if speed.COMPILER else 25.0) == control_speed.RATIO
+    assert limits["tick_ratio", "observer"] == 2.0
+    assert limits["tick_ratio", "sensor"] == 2.5
+    assert limits["tick_ratio", "chain"] == 4.3
+    assert limits["tick_ratio", "chain, published identifier"] == 3.7
+    assert limits["tick_mean_over_median", "any"] == 2.0
+    assert limits["tick_ratio", "control"] == 8.0
+    assert limits["tick_tail_us", "control"] == 200.0
+    assert limits["tick_median_us", "session and control"] == 60.0
 
 
 def test_subjects_take_turns_and_what_warms_them_up_does_not_count():
     asked = []
-
-    def measure(update, ks):
-        asked.append((update(0), ks))
-        return [2.5]
-
-    subjects = {"a": lambda k: "a", "b": lambda k: "b"}
-    times = speed.take_turns(subjects, 3, 450, measure)
-
-    assert asked == [
-        ("a", range(3)),
-        ("b", range(3)),
-        ("a", range(3, 203)),
-        ("b", range(3, 203)),
-        ("a", range(203, 403)),
-        ("b", range(203, 403)),
+    subjects = {
+        name: lambda k, name=name: asked.append((name, k)) for name in ("a", "b")
+    }
+    times = ticks.time_side_by_side(subjects, 3, 450)
+    turns = [
+        (name, len(list(run))) for name, run in groupby(asked, lambda pair: pair[0])
     ]
-    assert times["a"] == [[2.5], [2.5]]
+
+    assert turns == [("a", 3), ("b", 3), ("a", 200), ("b", 200), ("a", 200), ("b", 200)]
+    assert [k for name, k in asked if name == "a"] == list(range(403))
+    assert times["a"].shape == (2, 200)
 
 
 def test_processor_time_does_not_count_what_others_take():
-    times = speed.processor_times({"sleeps": lambda k: sleep(1e-3)}, 0, 200)
+    subjects = {"sleeps": lambda k: sleep(1e-3)}
+    times = ticks.time_side_by_side(subjects, 0, 200, thread_time_ns)
 
     assert np.median(times["sleeps"]) < 500.0
 
 
-def soaked(**changes):
-    known = {
-        "tick_us": (10.0, 11.0),
-        "python_kB": (5.0, 25.0),
-        "process_MB": (1.0, 1.0),
-    }
-    return long_runs.Soak(**(known | {"ruptures": (1, 2), "skipped": 0} | changes))
+LENGTH = 30_000
+"""Updates of a cycle of the soak."""
 
 
-def test_a_soak_compares_end_with_start():
-    assert soaked().is_met
+@pytest.mark.parametrize(
+    ("end_us", "growth_kB", "rupture_in_both", "missed"),
+    [
+        (11.0, 20.0, True, set()),
+        (11.1, 20.0, True, {"soak_tick_ratio"}),
+        (11.0, 101.0, True, {"soak_python_growth_kB"}),
+        (11.0, 20.0, False, {"soak_ruptures_fewest"}),
+    ],
+)
+def test_a_soak_compares_end_with_start(end_us, growth_kB, rupture_in_both, missed):
+    taken_us = np.full(3 * LENGTH, 10.0)
+    taken_us[2 * LENGTH :] = end_us
+    is_rupture = np.zeros(3 * LENGTH)
+    is_rupture[[5, LENGTH + 5]] = 1.0
+    is_rupture[2 * LENGTH + 5] = rupture_in_both
+    held = np.array([[5.0, 1.0], [5.0 + growth_kB, 1.0]])
+    met = are_met(soak.describe(taken_us, is_rupture, LENGTH, held))
 
-    bad = {
-        "tick_us": (10.0, 11.1),
-        "python_kB": (5.0, 106.0),
-        "ruptures": (1, 0),
-        "skipped": 1,
-    }
-    for name, value in bad.items():
-        assert not soaked(**{name: value}).is_met
+    assert {name for name, is_met in met.items() if not is_met} == missed
 
 
 STEADY = (100.0,) * 10
@@ -131,10 +133,9 @@ def test_speed_and_memory_of_a_long_recording_count():
         (4.9, (*STEADY[1:], 150.0), False),
         (4.9, (), False),
     ):
-        use = long_runs.ProcessUse(wall_s=9.0, cpu_s=cpu_s, memory_MB=memory_MB)
-        stream = long_runs.StreamSpeed("residual", ".csv", 100.0, 200_000, use)
-        assert stream.is_met == is_met
-        assert stream.times_real == pytest.approx(100.0 / cpu_s)
+        figures = list(stream.describe(100.0, 200_000, 9.0, cpu_s, memory_MB))
+        assert all(are_met(figures).values()) == is_met
+        assert numbers(figures)["stream_times_real"] == pytest.approx(100.0 / cpu_s)
 
 
 @pytest.mark.slow
@@ -143,10 +144,10 @@ def test_stream_times_both_commands_and_refuses_short_recordings(capsys, tmp_pat
 
     printed = capsys.readouterr().out
 
-    assert "│ residual" in printed
-    assert "│ identification │ .csv" in printed
-    assert printed.count("20000") == 2
+    assert "speed-stream/20-s-residual-.csv" in printed
+    assert "speed-stream/20-s-identification-.csv" in printed
+    assert printed.count(" 20000 ") == 2
     assert not list(tmp_path.iterdir())
     assert main(["stream", "--seconds", "5"]) == 2
     assert main(["stream", "--seconds", "20", "--folder", str(tmp_path / "none")]) == 2
-    assert "no recording to stream" in capsys.readouterr().err
+    assert "expected a folder that there is" in capsys.readouterr().err

@@ -6,19 +6,19 @@ from itertools import product
 import pytest
 
 from benchmarks.cli import main
-from benchmarks.jobs import Drawing, Fact, Job
+from benchmarks.jobs import Drawing, Job
+from benchmarks.judging import GELS
 from benchmarks.report.page import (
     friction_chart,
     gel_friction,
-    gel_table,
     published_sections,
     write_report,
 )
 from benchmarks.report.published_figures import PUBLISHED_FIGURES
+from benchmarks.report.tables import TABLES, build_table
 from benchmarks.results import read_results
-from benchmarks.targets import GELS, TABLE_ONE_Ns_per_m
 from needleforce.plots import PageFigure
-from tests.benchmarks.benchmark_cases import make_row
+from tests.benchmarks.benchmark_cases import by_head, make_row
 
 pytest.importorskip("matplotlib")
 
@@ -26,7 +26,7 @@ NUMBERS = ("2", "3", "5", "8", "9", "10", "I", "11", "12", "13", "14")
 
 
 def drawing(path, figure="", scenario="gel-70-constant", plant="clean", **more):
-    fact = Fact(what="RMSE [N]", published="0.2444", here=(("ours, here", "0.0190"),))
+    fact = {"": "RMSE [N]", "published": "0.2444", "ours, here": "0.0190"}
     return Drawing(
         figure=figure,
         job=Job(benchmark=scenario, plant=plant),
@@ -90,17 +90,21 @@ def test_table_one_has_published_numbers_beside_ours(dot):
 
     assert gels is not None
 
-    table = gel_table(gels)
-    first = dict(zip(table.head, table.rows[0], strict=True))
+    lines = by_head(build_table(TABLES["table I"], gels))
+    by_method = {
+        (line["scenario"], line["force"], line["method"]): line for line in lines
+    }
+    first = by_method["gel-25-constant", "ft", "ours"]
 
-    assert first["published\noffline"] == "113 ± 14"
-    assert first["published\nonline"] == "84 ± 10 (-26 %)"
-    assert first["here\ntrue"] == "101 ± 1"
-    assert first["here online\nours, F/T"] == "105 ± 1 (-5 %)"
-    assert first["here online\npublished, tuned, F/T"] == "103 ± 1 (-7 %)"
-    assert [row[0] for row in table.rows] == [
-        f"{percent} %" for percent in TABLE_ONE_Ns_per_m
-    ]
+    assert first["published offline"] == "113 ± 14"
+    assert first["published online"] == "84 ± 10"
+    assert first["true"] == "101 (102)"
+    assert first["online"] == "105 (106)"
+    assert first["published %"] == "-26"
+
+    tuned = by_method["gel-25-constant", "ft", "published-as-authors-ran"]
+
+    assert tuned["online"] == "103 (104)"
 
     points = {
         curve.label: curve for curve in friction_chart("a", gels).panels[0].curves

@@ -4,6 +4,7 @@ import json
 
 import numpy as np
 import pytest
+from scipy import ndimage
 from scipy.spatial.transform import Rotation
 
 from needleforce.anatomy import (
@@ -59,7 +60,7 @@ def brute_distance_m(labels, name, entry_m, target_m):
 def test_no_path_through_a_voxel_of_a_thin_rib_is_reported_clear(slices_m):
     rng = np.random.default_rng(1000)
     labels = cage(np.array([2e-3, 2e-3, slices_m]), rng)
-    boxes = VoxelBoxes(labels, [labels["rib_left_9"]])
+    boxes = VoxelBoxes(labels, labels["rib_left_9"])
     corner = np.array(labels.grid.shape) - 1.0
     crossed = 0
     for _ in range(20):
@@ -72,11 +73,8 @@ def test_no_path_through_a_voxel_of_a_thin_rib_is_reported_clear(slices_m):
 
         assert nearest.distance_m == pytest.approx(true_m, abs=3e-4)
         assert has_bone or true_m > 0.0
-        assert boxes.nearer_than(entry_m, target_m, true_m + 4e-4).all()
-        assert (
-            true_m == 0.0
-            or not boxes.nearer_than(entry_m, target_m, true_m - 4e-4).any()
-        )
+        assert boxes.nearest(entry_m, target_m, true_m + 4e-4) == nearest
+        assert true_m == 0.0 or boxes.nearest(entry_m, target_m, true_m - 4e-4) is None
         crossed += has_bone
 
     assert 1 < crossed < 20
@@ -94,10 +92,36 @@ def test_a_path_that_grazes_the_face_of_a_bone_voxel_has_bone():
 
 def test_a_path_inside_bone_from_end_to_end_is_no_clear_one():
     labels = labels_of(np.ones((20, 20, 20), np.uint8), ["femur"])
-    boxes = VoxelBoxes(labels, labels.structures)
+    boxes = VoxelBoxes(labels, labels.structures[0])
 
-    assert boxes.nearest([0.009] * 3, [0.011] * 3).distance_m == 0.0
-    assert boxes.nearer_than([0.009] * 3, [0.011] * 3, 0.0).all()
+    assert boxes.nearest([0.009] * 3, [0.011] * 3) == (0.0, 0.0)
+    assert boxes.nearest([0.009] * 3, [0.011] * 3, 0.0) == (0.0, 0.0)
+
+
+def test_the_distance_is_that_of_the_nearest_box_and_the_depth_of_its_first_point():
+    rng = np.random.default_rng(1000)
+    spacing_m = np.array([0.7e-3, 0.9e-3, 1.5e-3])
+    values = (ndimage.gaussian_filter(rng.normal(size=(24, 30, 27)), 2.5) > 0.08) * 1
+    labels = labels_of(values.astype(np.uint8), ["rib"], spacing_m)
+    boxes = VoxelBoxes(labels, labels.structures[0])
+    low_m = (np.argwhere(values) - 0.5) * spacing_m
+    for _ in range(60):
+        ends_m = rng.uniform(-0.01, 0.05, (2, 3))
+        found = boxes.nearest(*ends_m)
+        points_m = ends_m[0] + np.linspace(0, 1, 401)[:, None] * (ends_m[1] - ends_m[0])
+        # A box is nearest at one of its points: the clipped point of the path.
+        nearest_m = np.clip(points_m[:, None], low_m, low_m + spacing_m)
+        gaps_m = np.linalg.norm(points_m[:, None] - nearest_m, axis=-1).min(axis=1)
+        step_m = np.linalg.norm(ends_m[1] - ends_m[0]) / 400
+
+        assert found.distance_m <= gaps_m.min() + 1e-9
+        # Half a step beside the nearest place the distance has grown by no more.
+        assert found.distance_m >= gaps_m.min() - 0.5 * step_m - 1e-9
+        at_m = ends_m[0] + found.depth_m / (400 * step_m) * (ends_m[1] - ends_m[0])
+        gap_m = np.linalg.norm(at_m - np.clip(at_m, low_m, low_m + spacing_m), axis=-1)
+        assert gap_m.min() == pytest.approx(found.distance_m, abs=2e-9)
+        if gaps_m.min() == 0.0:
+            assert found.depth_m <= step_m * np.argmin(gaps_m)
 
 
 def slab_beside(distance_voxels):

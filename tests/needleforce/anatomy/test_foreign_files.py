@@ -1,5 +1,6 @@
 """Segmentations and transforms as TotalSegmentator, 3D Slicer and ITK write them."""
 
+import gzip
 import struct
 from contextlib import suppress
 
@@ -340,6 +341,11 @@ def test_the_unit_metre_and_version_2_are_named(tmp_path):
     (tmp_path / "metres.nii").write_bytes(content)
     (tmp_path / "version2.nii").write_bytes(struct.pack("<i", 540) + content[4:])
 
+    packed = gzip.compress((tmp_path / "version2.nii").read_bytes())
+    (tmp_path / "packed.nii.gz").write_bytes(packed)
+
+    with pytest.raises(VolumeError, match="NIfTI-2; convert it to NIfTI-1"):
+        read_volume(tmp_path / "packed.nii.gz")
     with pytest.raises(VolumeError, match="metre"):
         read_volume(tmp_path / "metres.nii")
     with pytest.raises(VolumeError, match="NIfTI-2; convert it to NIfTI-1"):

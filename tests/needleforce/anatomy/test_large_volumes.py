@@ -10,14 +10,12 @@ from needleforce.anatomy import (
     Labels,
     Structure,
     Volume,
-    VoxelBoxes,
     read_labels,
     read_volume,
 )
 from needleforce.anatomy import deepest_point as deepest_point_module
 from needleforce.anatomy import slabs as slabs_module
 from needleforce.anatomy.deepest_point import deepest_point_m
-from needleforce.anatomy.outer_voxels import Ball, OuterVoxels
 from needleforce.anatomy.resampling import resample_nearest
 
 SPACING_m = np.array([0.7e-3, 0.9e-3, 1.5e-3])
@@ -101,16 +99,6 @@ def test_labels_on_another_grid_take_the_nearest_voxel(turn, step, shift):
     np.testing.assert_array_equal(resample_nearest(values, source, target), expected)
 
 
-def test_outer_voxels_are_those_that_erosion_takes(slab_voxels):
-    rng = np.random.default_rng(1000)
-    labels = labels_of(blobs(rng), blobs(rng, level=0.05))
-    outer = OuterVoxels(labels)
-    for item in labels.structures:
-        mask = labels.volumes[0] == item.value
-        expected = np.argwhere(mask & ~ndimage.binary_erosion(mask))
-        np.testing.assert_array_equal(outer.indices(item), expected)
-
-
 def test_the_deepest_point_is_found_by_blocks(monkeypatch):
     rng = np.random.default_rng(1000)
     for level in (0.0, 0.08):
@@ -119,27 +107,6 @@ def test_the_deepest_point_is_found_by_blocks(monkeypatch):
         monkeypatch.setattr(deepest_point_module, "MAX_VOXELS", 0)
         np.testing.assert_array_equal(deepest_point_m(labels, "rib_1"), whole_m)
         monkeypatch.undo()
-
-
-def test_voxels_in_a_ball_are_enough_for_paths_in_it():
-    rng = np.random.default_rng(1000)
-    labels = labels_of(blobs(rng, level=0.04), blobs(rng, level=0.06))
-    middle_m = labels.grid.points_m(np.array(labels.grid.shape) / 2.0)
-    boxes = VoxelBoxes(labels, labels.structures)
-    ways = rng.normal(size=(40, 3))
-    ways_m = 8e-3 * ways / np.linalg.norm(ways, axis=1)[:, None]
-    nearest = [boxes.nearest(middle_m + way, middle_m) for way in ways_m]
-    near = VoxelBoxes(labels, labels.structures, Ball(middle_m, 8e-3 + 1.5e-3))
-
-    for way, expected in zip(ways_m, nearest, strict=True):
-        assert boxes.nearest_once(middle_m + way, middle_m) == expected
-        if expected.distance_m <= 1.5e-3:
-            assert near.nearest(middle_m + way, middle_m) == expected
-    distances_m = np.array([one.distance_m for one in nearest])
-    for distance_m in (0.2e-3, 0.8e-3, 1.5e-3):
-        for judged in (boxes, near):
-            is_near = judged.nearer_than(middle_m + ways_m, middle_m, distance_m)
-            np.testing.assert_array_equal(is_near, distances_m < distance_m)
 
 
 def test_centroids_are_means_of_voxels():

@@ -41,7 +41,7 @@ def folder(tmp_path_factory):
     place = tmp_path_factory.mktemp("patient")
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
-        patch.setattr("needleforce.cli.patient.example_case.SPACING_m", COARSE_m)
+        patch.setattr("needleforce.simulation.torso_case.SPACING_m", COARSE_m)
         patch.setattr("needleforce.cli.patient.plan_page.find_spec", lambda name: None)
         for arguments in commands()[:-1]:
             assert main(arguments) == 0
@@ -215,7 +215,7 @@ def test_a_situs_inversus_of_no_plan_is_refused(capsys):
 def test_the_last_command_names_the_lesion(folder, capsys, monkeypatch):
     monkeypatch.chdir(folder)
     monkeypatch.setattr("needleforce.cli.arms.arm_connection.pace", lambda arm: arm)
-    patient = "needleforce.cli.patient.simulated_patient"
+    patient = "needleforce.simulation.patient"
     monkeypatch.setattr(f"{patient}.SPEED_m_s", QUICK_m_s)
 
     assert main(commands()[-1]) == 0

@@ -26,6 +26,7 @@ from needleforce.anatomy import (
 )
 
 sitk = pytest.importorskip("SimpleITK")
+pydicom = pytest.importorskip("pydicom")
 ROOT = Path(__file__).resolve().parents[3]
 CT = Path(os.environ.get("NEEDLEFORCE_DATA", ROOT.parent / "shared" / "data"))
 CT = CT / "torso_ct_totalsegmentator"
@@ -283,7 +284,7 @@ class Slanted:
     ("step_mm", "why"),
     [
         ((0.005, 0, 0), None),
-        ((0.02, 0, 0), "sheared"),
+        ((0.02, 0, 0), "sheared .* `dcm2niix -z y"),
         ((0, 0, -2.5), "at the same place"),
     ],
 )
@@ -296,6 +297,60 @@ def test_shear_counts_over_the_whole_stack(tmp_path, step_mm, why):
     else:
         with pytest.raises(VolumeError, match=why):
             read_volume(tmp_path)
+
+
+def test_the_series_of_a_cd_is_read_and_several_are_listed(tmp_path):
+    image, _ = oblique_image(np.ones(3), np.random.default_rng(1))
+    deep = tmp_path / "DICOM" / "PA0" / "ST0"
+    (deep / "SE0").mkdir(parents=True)
+    write_series(image, deep / "SE0")
+
+    assert read_volume(tmp_path).grid.shape == image.GetSize()
+
+    (deep / "SE1").mkdir()
+    write_series(image, deep / "SE1", "2.25.43")
+    with pytest.raises(VolumeError, match="2 DICOM series") as refused:
+        read_volume(tmp_path)
+    assert f"{deep / 'SE1'}: {image.GetSize()[2]} files" in str(refused.value)
+
+
+def test_mr_is_named(tmp_path):
+    image, _ = oblique_image(np.ones(3), np.random.default_rng(1))
+    write_series(image, tmp_path)
+    for path in tmp_path.iterdir():
+        file = pydicom.dcmread(path)
+        file.Modality = "MR"
+        file.save_as(path)
+    with pytest.raises(VolumeError, match="is MR"):
+        read_volume(tmp_path)
+
+    values = np.random.default_rng(1).uniform(0.0, 900.0, (20, 20, 20))
+    grid = Grid(values.shape, np.zeros(3), 5e-3 * np.eye(3))
+    labels = Labels.of([np.ones(grid.shape, np.uint8)], grid, [Structure.named("a", 1)])
+    with pytest.raises(VolumeError, match="this is MR, or a CT whose air"):
+        labels.with_body(Volume(values, grid))
+
+
+@pytest.mark.parametrize("back", [1.0, -1.0])
+def test_a_couch_that_touches_the_back_is_no_body(back):
+    """A trunk that tapers on a hollow couch of 400 x 20 mm, which it touches."""
+    x, y, z = (4e-3 * (np.arange(n) - n / 2) for n in (120, 80, 40))
+    place = np.stack(np.meshgrid(x, back * y, z, indexing="ij"), axis=-1)
+    half_m = 0.08 + 0.1 * place[..., 2]  # from front to back, 64 to 96 mm
+    trunk = (place[..., 0] / 0.15) ** 2 + (place[..., 1] / half_m) ** 2 < 1.0
+    across = np.abs(place[..., 0]) < 0.2
+    depth_m = place[..., 1] - 0.088  # it reaches into the upper sections' back
+    couch = across & (depth_m >= 0.0) & (depth_m < 0.02)
+    filling = (np.abs(place[..., 0]) < 0.19) & (depth_m >= 5e-3) & (depth_m < 15e-3)
+    scan_HU = np.where(trunk | (couch & ~filling), 40.0, -1000.0)
+    scan_HU[filling] = -950.0
+    grid = Grid(trunk.shape, np.zeros(3), np.diag([4e-3, back * 4e-3, 4e-3]))
+    labels = Labels.of([trunk.astype(np.uint8)], grid, [Structure.named("liver", 1)])
+    body = labels.with_body(Volume(scan_HU.astype(np.int16), grid)).volumes[1] > 0
+    alone = trunk & ~(couch | (depth_m > 0.0))
+
+    assert (body & couch).sum() < 0.02 * couch.sum()
+    assert (alone & ~body).sum() < 0.01 * alone.sum()
 
 
 class Rounded(Slanted):

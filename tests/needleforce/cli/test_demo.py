@@ -8,13 +8,10 @@ import numpy as np
 import pytest
 
 from needleforce.cli import main
-from needleforce.cli.demos import insertion_page
-from needleforce.cli.demos.insertion_run import (
-    MULTILAYER_METHOD,
-    begin_session,
-    run_session,
-)
+from needleforce.cli.demos import insertion as insertion_page
 from needleforce.cli.terminal import FAILED
+from needleforce.session import InsertionSession
+from needleforce.simulation.insertion import run_session
 from tests.chromium import PHONE, logged, measured, needs_chromium
 from tests.insertion_run import cut
 
@@ -70,8 +67,7 @@ def test_a_method_needs_the_signals_and_no_truth(compared):
     run = compared.run
     beginning = slice(int(np.searchsorted(run.signals.t_s, run.tare_end_s + 1.0)))
     blind = replace(run, signals=cut(run.signals, beginning), truth=None)
-    session = begin_session(blind, MULTILAYER_METHOD)
-    result = run_session(blind, session, lambda _: None)
+    result = run_session(blind, InsertionSession(run.robot))
 
     assert np.array_equal(result.force_N, compared.multilayer.result.force_N[beginning])
 

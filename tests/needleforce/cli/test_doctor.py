@@ -3,6 +3,7 @@
 import json
 import os
 import platform
+import re
 import subprocess
 import sys
 from importlib import metadata
@@ -131,6 +132,18 @@ def test_sizes_are_those_of_files_and_an_extra_adds_to_the_core():
     assert sizes["demo"].packages >= 3
     assert sizes["scene"].bytes > sizes["patient"].bytes
     assert sizes["core"].missing == ()
+
+
+def test_every_package_is_listed_with_its_licence_and_what_brings_it(capsys):
+    assert main(["doctor", "--licences"]) == 0
+
+    table = capsys.readouterr().out
+
+    assert re.search(r"^\| numpy \| [\d.]+ \| BSD.* \| core \|$", table, re.M)
+    assert re.search(r"^\| msgspec \| [\d.]+ \| BSD.* \| core \|$", table, re.M)
+    assert re.search(r"^\| llvmlite \| .* \| core \|$", table, re.M)
+    assert re.search(r"^\| mcap \| .* \| `recordings` \|$", table, re.M)
+    assert "| needleforce |" not in table
 
 
 def test_requirements_of_other_platforms_are_left_out(monkeypatch):

@@ -197,9 +197,15 @@ def test_bad_input_is_one_line_and_leaves_nothing(
 
 
 @pytest.mark.parametrize("command", ["force", "identify"])
-@pytest.mark.parametrize("output", [["--figure", "f.png"], ["--report", "page"]])
+def test_a_page_is_refused_with_the_command_that_writes_it(command, capsys):
+    line = refusal([command, "a.csv", "--report", "page"], capsys)
+
+    assert "pages are written by `needleforce report a.csv page`" in line
+
+
+@pytest.mark.parametrize("command", ["force", "identify"])
 def test_missing_matplotlib_is_refused_before_the_work(
-    folder, monkeypatch, capsys, command, output
+    folder, monkeypatch, capsys, command
 ):
     def missing(name, *more, before=builtins.__import__, **named):
         if name.startswith("matplotlib"):
@@ -208,21 +214,17 @@ def test_missing_matplotlib_is_refused_before_the_work(
 
     monkeypatch.setattr(builtins, "__import__", missing)
     monkeypatch.chdir(folder)
-    line = refusal([command, "missing.csv", *output], capsys)
+    line = refusal([command, "missing.csv", "--figure", "f.png"], capsys)
 
     assert re.search("needs matplotlib, which is not installed.*pip install", line)
 
 
-def test_failed_command_leaves_no_report_folder(tmp_path, capsys):
+def test_failed_command_leaves_no_report_folder(folder, tmp_path, capsys):
     (tmp_path / "file").touch()
-    for command in ("force", "identify"):
-        assert "no.csv" in refusal(
-            [command, "no.csv", "--report", f"{tmp_path}/new/p"], capsys
-        )
-        line = refusal(
-            [command, "no.csv", "--report", str(tmp_path / "file" / "page")], capsys
-        )
-        assert "cannot write to" in line
+    assert "no.csv" in refusal(["report", "no.csv", f"{tmp_path}/new/p"], capsys)
+    good = str(folder / "good.csv")
+    line = refusal(["report", good, str(tmp_path / "file" / "page")], capsys)
+    assert "cannot write to" in line
 
     assert os.listdir(tmp_path) == ["file"]
 
@@ -248,17 +250,8 @@ def test_undecodable_file_name_is_drawn_and_printed(folder, tmp_path, capsys):
     name.write_bytes((folder / "good.csv").read_bytes())
     page = tmp_path / "page"
     picture = tmp_path / "f.png"
-    argv = [
-        "force",
-        str(name),
-        "--no-tare",
-        "--report",
-        str(page),
-        "--figure",
-        str(picture),
-    ]
-
-    assert main(argv) == 0
+    assert main(["report", str(name), str(page), "--no-tare"]) == 0
+    assert main(["force", str(name), "--no-tare", "--figure", str(picture)]) == 0
     assert "log-\\udcff-$\\frac{$.csv" in (page / "index.html").read_text(
         encoding="utf-8"
     )

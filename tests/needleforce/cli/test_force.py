@@ -210,6 +210,22 @@ def test_warnings_beyond_the_std_are_reported(run, lwr):
 
 
 @pytest.mark.slow
+@pytest.mark.parametrize(("first_row", "warns"), [(2500, True), (3900, False)])
+def test_torques_that_stay_unlike_the_arms_are_a_warning_in_words(
+    lwr, tmp_path, capsys, first_row, warns
+):
+    columns = insertion(lwr)
+    rows = len(columns["t_s"]) - first_row
+    columns["tau_Nm"][first_row:, [1, 2]] += np.linspace([0, 0], [8, -8], rows)
+    log = str(tmp_path / "log.npz")
+    write_table(log, columns)
+
+    assert main(["force", log, *TARE]) == 0
+    # Of 1499 rows after the tare; a tenth of them is allowed.
+    assert ("warning: model mismatch in " in capsys.readouterr().err) is warns
+
+
+@pytest.mark.slow
 @pytest.mark.parametrize("row", [100, 2000, 3000])
 def test_a_bad_stamp_costs_its_row_only(run, lwr, row):
     columns = insertion(lwr)
@@ -439,15 +455,17 @@ def test_log_without_valid_row_has_figures(lwr, tmp_path, capsys):
     path = tmp_path / "forces.png"
     argv = ["force", str(tmp_path / "$\\frac{$.npz"), "--no-tare", "--png", str(path)]
     for over in ("time", "depth"):
-        assert main([*argv, "--over", over, "--report", str(tmp_path / "page")]) == 0
+        assert main([*argv, "--over", over]) == 0
         assert path.is_file()
         assert "no sample was valid" in capsys.readouterr().out
 
+    assert main(["report", argv[1], str(tmp_path / "page"), "--no-tare"]) == 0
+    assert "no sample was valid" in capsys.readouterr().out
     assert "$\\frac{$" in (tmp_path / "page" / "index.html").read_text()
 
     path.unlink()
     for window in (["--from", "90"], ["--from", "90", "--to", "99"], ["--to", "-1"]):
-        assert main([*argv, *window, "--report", str(tmp_path / "page")]) == 2
+        assert main([*argv, *window]) == 2
         printed = capsys.readouterr()
         assert (
             "time of the log [s], runs from 0 to 0.099; expected --from and"

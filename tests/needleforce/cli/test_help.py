@@ -110,8 +110,7 @@ def test_robots_that_are_listed_exist():
     ("argv", "said"),
     [
         (["lag", "sim:gel-25-constant", "--yes"], "moves in free air"),
-        (["demo", "rcm", "--seed", "3"], "leave --seed out"),
-        (["demo", "rcm", "--data", "ct"], "needleforce demo abdomen"),
+        (["demo", "--data", "ct"], "needleforce demo abdomen"),
         (["simulate", "torso", "-o", "x", "--plant", "fri"], "leave --plant out"),
         (["simulate", "torso", "-o", "x", "--truth", "y"], "leave --truth out"),
         (["simulate", "p.json", "-o", "x.csv", "--seed", "1"], "leave --seed out"),

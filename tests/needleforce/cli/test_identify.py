@@ -9,9 +9,9 @@ from groundtruth import insert_needle
 from identification import replay
 from needleforce import session
 from needleforce.cli import main
-from needleforce.cli.logs.simulated_log import signal_table
 from needleforce.recordings import write_table
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
+from needleforce.simulation import signal_table
 from residual import DEFAULT as SENSOR
 from residual import SensorWarning, Status
 from tests.chromium import PHONE, logged, measured, needs_chromium
@@ -97,11 +97,13 @@ def test_alarm_is_on_the_logs_clock(needle, identify, method, start_s):
 
 
 @pytest.mark.slow
-def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path):
+def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path, capsys):
     force_N = needle["force_N"]
-    *_, said = identify("--report", str(tmp_path / "page"), force_N=-force_N)
+    *_, said = identify(force_N=-force_N)
 
     assert "Negate it, as in --force fz:N:-1" in said
+    assert main(["report", str(tmp_path / "log.csv"), str(tmp_path / "page")]) == 0
+    assert "Negate it, as in --force fz:N:-1" in capsys.readouterr().err
 
     page = (tmp_path / "page" / "index.html").read_text(encoding="utf-8")
 
@@ -138,7 +140,7 @@ def test_a_testing_machines_export_gives_its_units(needle, tmp_path, capsys):
     text = "".join(f'"{t:.4f}","{z:.4f}","{f:.7f}"\n' for t, z, f in rows)
     log.write_text(f"Results Table 1\n\nTime,Extension,Load\n(s),(mm),(kN)\n{text}")
 
-    assert main(["identify", str(log), "--report", str(tmp_path / "page")]) == 0
+    assert main(["report", str(log), str(tmp_path / "page")]) == 0
 
     out = capsys.readouterr().out
 
@@ -247,29 +249,6 @@ def insertion(tmp_path_factory):
     assert main(["force", str(folder / "log.npz"), *tare, "-o", forces]) == 0
     assert main(["report", forces, str(folder / "layers")]) == 0
     return folder
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("name", ["a/log", "layers"])
-def test_figure_never_replaces_a_chart_of_the_report(insertion, capsys, name):
-    charts = sorted((insertion / name).glob("*.svg"))
-
-    assert len(charts) == {"a/log": 6, "layers": 2}[name]
-
-    for chart in charts:
-        argv = [
-            "identify",
-            "no.csv",
-            "--figure",
-            str(chart),
-            "--report",
-            str(chart.parent),
-        ]
-        assert main(argv) == 2
-        assert (
-            f"--figure and --report ({chart.name}) both write to"
-            in capsys.readouterr().err
-        )
 
 
 @pytest.mark.slow

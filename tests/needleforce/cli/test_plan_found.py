@@ -113,8 +113,8 @@ def test_without_a_plan_nothing_is_compared():
 
 @pytest.mark.parametrize("contents", ["{", "{}"])
 def test_an_unreadable_plan_is_refused_before_the_work(tmp_path, capsys, contents):
-    from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
+    from needleforce.simulation import signal_table
     from tests.insertion_run import short_run
 
     table = signal_table(short_run())

@@ -10,8 +10,8 @@ import pytest
 from groundtruth import SCENARIOS
 from needleforce.cli import main
 from needleforce.cli.logs import simulated_log as command
-from needleforce.cli.logs.simulated_log import truth_table
 from needleforce.recordings import read_log, read_table
+from needleforce.simulation import truth_table
 from tests.insertion_run import cut, short_run
 from tests.needleforce.cli.residual_command_log import refusal
 

@@ -158,7 +158,9 @@ def test_the_tip_keeps_its_limit_of_speed():
 def test_a_joint_stops_before_its_end():
     """With limited jerk no position limit is passed, whatever drives towards it."""
     robot, home_rad = ARMS["lwr"]
-    control = Controller(robot, Limits.of_arm(robot, "lwr"))
+    control = Controller(
+        robot, Limits.of_arm(robot, "lwr", speed_rad_s=10.0, tip_m_s=None)
+    )
     q_rad = np.array(home_rad)
     for _ in range(4000):
         goal = Posture(np.full(7, 9.0), gain_per_s=50.0)

@@ -4,16 +4,17 @@ import numpy as np
 import pytest
 
 from benchmarks.control import limits
-from benchmarks.control.limits import ConeRun, count_excess, measure
-from needleforce.control.arm_limits import FR3
+from benchmarks.control.limits import ConeRun, count_excess
+from benchmarks.jobs import Job
+from needleforce.devices.arm_limits import FR3
 
 
 @pytest.mark.parametrize("arm", ["lwr", "fr3", "fer", "ur5e", "iiwa14"])
 def test_no_command_is_above_what_the_arm_accepts(monkeypatch, arm):
     monkeypatch.setattr(limits, "DURATION_s", 0.4)
-    values = {
-        item.metric: item.value for item in measure(f"{arm} 10ms quick", "clean", 0)
-    }
+    job = Job(benchmark="control-limits", case=f"{arm} 10ms quick", plant="clean")
+    figures = limits.run(job, lambda fraction: None)
+    values = {item.metric: item.value for item in figures}
 
     for limit in ("position", "speed", "acceleration", "jerk"):
         assert values[f"ticks_above_{limit}_limit"] == 0

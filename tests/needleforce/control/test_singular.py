@@ -23,6 +23,8 @@ from urdf import NeedleTool, load_example, load_lwr
 DT_s = 1e-3
 SPEED_m_s = 5e-3
 UR5E = load_example("ur5e", payload=NeedleTool())
+UR5E_NEAR_rad = (-1.3731, 2.5762, -5.1345, -4.1269, 0.157, -1.1894)
+"""Its wrist is 0.16 rad from being in line."""
 
 
 def advance(wrist_rad, seconds=2.0):
@@ -67,13 +69,73 @@ def test_a_wrist_near_its_singularity_keeps_the_line_and_the_speed(wrist_rad):
     assert max(joint_rad_s) < 0.5
 
 
-@pytest.mark.parametrize(("wrist_rad", "is_near"), [(-1e-3, True), (-0.2, False)])
+@pytest.mark.parametrize(("wrist_rad", "is_near"), [(-1e-2, True), (-0.2, False)])
 def test_the_status_says_that_a_direction_is_damped(wrist_rad, is_near):
     _, tip_m_s, _, statuses = advance(wrist_rad, seconds=1.0)
 
-    assert (statuses[-1] is CommandStatus.NEAR_SINGULAR) == is_near
+    assert (CommandStatus.NEAR_SINGULAR in statuses) == is_near
+    assert CommandStatus.SINGULAR not in statuses
     if not is_near:
         assert tip_m_s[-1] == pytest.approx(SPEED_m_s, rel=1e-4)
+
+
+def test_a_wrist_in_line_says_within_0_3_s_that_the_needle_cannot_advance():
+    _, _, _, statuses = advance(-1e-3, seconds=0.3)
+
+    assert statuses[-1] is CommandStatus.SINGULAR
+
+
+def test_joints_do_not_spin_against_each_other_where_the_one_between_is_at_its_stop():
+    """The tip goes round an entry while a Panda's elbow, nearly straight, comes to its
+    stop; the joints before and after it have nearly the same axis."""
+    robot = load_example("panda", without=["panda_hand"], payload=NeedleTool())
+    controller = Controller(robot, Limits.of_arm(robot, "fr3"))
+    tool = controller.tool
+    q = np.array([0.0, -0.785, 0.0, -0.15, 0.0, 1.2, 0.785])
+    tool.update(q)
+    axes = tool.rotation
+    entry_m = tool.tip_m - 0.01 * tool.axis
+    tip = TipVelocity((0.0, 0.0, 0.0), tool.tip_m, gain_per_s=10.0)
+    tasks = [RemoteCentre(entry_m), tip, Posture(q.copy())]
+    speeds_rad_s = []
+    elbow_rad = []
+    for k in range(4500):
+        tilt = 0.0873 * min(k / 2000, 1.0) ** 2 * (3.0 - 2.0 * min(k / 2000, 1.0))
+        turn = 2.0 * np.pi * k * DT_s / 4.0
+        way = (np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt))
+        tip.goal_m = entry_m + 0.01 * axes @ way
+        command = controller.update(SimpleNamespace(q_rad=q, dt_s=DT_s), tasks)
+        q = q + DT_s * command.dq_rad_s
+        speeds_rad_s.append(np.abs(command.dq_rad_s).max())
+        elbow_rad.append(q[3])
+
+    assert max(elbow_rad) == pytest.approx(-0.0898, abs=1e-4)
+    assert max(speeds_rad_s) < 0.5
+
+
+def test_an_entry_holds_near_a_singular_pose_though_commands_act_late():
+    """The tip goes round 80 mm past its entry, for which a wrist turns far."""
+    controller = Controller(UR5E, Limits.of_arm(UR5E, "ur5e"))
+    truth = ToolState(UR5E)
+    q = np.array(UR5E_NEAR_rad)
+    truth.update(q)
+    axes = truth.rotation
+    entry_m = truth.tip_m - 0.08 * truth.axis
+    tip = TipVelocity((0.0, 0.0, 0.0), truth.tip_m, gain_per_s=10.0)
+    tasks = [RemoteCentre(entry_m), tip, Posture(q.copy())]
+    late = [np.zeros(6)] * 26
+    errors_m = []
+    for k in range(2500):
+        tilt = 0.1396 * min(k / 1000, 1.0) ** 2 * (3.0 - 2.0 * min(k / 1000, 1.0))
+        turn = 2.0 * np.pi * k * DT_s / 4.0
+        way = (np.sin(tilt) * np.cos(turn), np.sin(tilt) * np.sin(turn), np.cos(tilt))
+        tip.goal_m = entry_m + 0.08 * axes @ way
+        late.append(controller.update(SimpleNamespace(q_rad=q, dt_s=DT_s), tasks)[0])
+        q = q + DT_s * late.pop(0)
+        truth.update(q)
+        errors_m.append(np.linalg.norm(np.cross(truth.axis, entry_m - truth.tip_m)))
+
+    assert max(errors_m) < 0.15e-3
 
 
 def test_strong_directions_are_not_damped():
@@ -218,7 +280,7 @@ def test_a_level_that_hardly_moves_goes_along_though_each_of_its_rows_is_new():
     stack = Stack([SimpleNamespace(size=3, write=None)] * 2, 7)
     stack.rows[:3, :3] = np.eye(3)
     stack.rows[3:] = np.hstack((old_parts, new_parts, np.zeros((3, 1))))
-    stack.rates[:3] = (0.1, -0.1, 0.1)
+    stack.rates[:3] = (0.03, -0.03, 0.03)
     stack.bounds[:] = np.outer((-10.0, 10.0), np.ones(7))
     velocity, is_limited = hierarchical(stack)
 
@@ -228,4 +290,4 @@ def test_a_level_that_hardly_moves_goes_along_though_each_of_its_rows_is_new():
     assert motions.min() == pytest.approx(0.0903, abs=1e-4)
     assert not is_limited
     assert not stack.is_damped
-    assert velocity == pytest.approx([0.1, -0.1, 0.1, *expected, 0.0], abs=1e-12)
+    assert velocity == pytest.approx([0.03, -0.03, 0.03, *expected, 0.0], abs=1e-12)

@@ -9,7 +9,6 @@ import pytest
 
 from groundtruth.rig_arm import SimulatedArm
 from needleforce.control import Controller, Limits, Posture, SettingError
-from needleforce.control.arm_limits import ARM_LIMITS
 from needleforce.devices import (
     Fr3Arm,
     FrankaArm,
@@ -18,6 +17,7 @@ from needleforce.devices import (
     UrArm,
     connect_arm,
 )
+from needleforce.devices.arm_limits import ARM_LIMITS
 from needleforce.devices.emulators import Emulator
 from needleforce.devices.fri_emulator import FriSettings, emulate_fri
 from needleforce.devices.sunrise_emulator import SunriseSettings, emulate_sunrise

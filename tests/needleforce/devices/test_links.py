@@ -6,6 +6,7 @@ import json
 import socket
 import threading
 import time
+from contextlib import suppress
 from functools import partial
 from http.client import IncompleteRead
 from typing import NamedTuple
@@ -136,7 +137,7 @@ def test_readings_after_an_outage_include_its_duration():
 @pytest.mark.slow
 def test_commands_need_command_mode_and_good_connection():
     faults = WireFaults(bad_quality=((0.6, 0.8),))
-    run = fri_run(1000, faults, send=np.full(7, 0.1), command_from_s=0.2)
+    run = fri_run(1000, faults, send=np.full(7, 0.05), command_from_s=0.2)
     accepted = np.array([reading.accepts_commands for reading in run.readings])
     in_monitor_mode = slice(0, 190)
     while_commanded = slice(220, 580)
@@ -148,7 +149,7 @@ def test_commands_need_command_mode_and_good_connection():
 
     moved_rad = run.counts["commanded_rad"] - ROWS[0]
 
-    assert np.allclose(moved_rad, 0.1 * np.count_nonzero(accepted) * 1e-3, rtol=0.1)
+    assert np.allclose(moved_rad, 0.05 * np.count_nonzero(accepted) * 1e-3, rtol=0.1)
 
 
 @pytest.mark.slow
@@ -293,7 +294,7 @@ def test_another_sender_is_not_listened_to():
         readings = list(arm)
 
     assert len(readings) == 3
-    assert arm.report.foreign == 3
+    assert arm.report.foreign <= 3  # the kernel drops those after the first reading
 
     for peer, used in (("127.0.0.2", 0), ("127.1", 1)):
         named = FriArm(port=0, peer=peer, wait_s=0.05, give_up_s=0.1)
@@ -406,6 +407,37 @@ def test_a_page_that_breaks_off_names_no_counts(monkeypatch):
         rdt.read_scale("http://127.0.0.1/")
 
 
+def drip(connections):
+    """Answer with the beginning of a page, then with a byte every 50 ms."""
+    connection, _ = connections.accept()
+    with suppress(OSError):
+        connection.sendall(b"HTTP/1.0 200 OK\r\nX: ")
+        for _ in range(200):
+            connection.sendall(b"x")
+            time.sleep(0.05)
+
+
+def test_a_page_that_comes_byte_by_byte_is_not_waited_for():
+    with socket.create_server((LOOPBACK, 0)) as connections:
+        port = connections.getsockname()[1]
+        threading.Thread(target=drip, args=(connections,), daemon=True).start()
+        begin_s = time.monotonic()
+        with pytest.raises(LinkError, match=r"no whole answer within 0\.3 s"):
+            rdt.read_scale(f"http://{LOOPBACK}:{port}/", timeout_s=0.3)
+
+        assert time.monotonic() - begin_s < 3.0  # 10 s of bytes
+
+
+def test_a_name_that_nobody_looks_up_is_not_waited_for(monkeypatch):
+    def wait(host):
+        time.sleep(5.0)
+
+    monkeypatch.setattr(socket, "gethostbyname", wait)
+    monkeypatch.setattr(datagram_link, "MAX_LOOK_UP_S", 0.1)
+    with pytest.raises(LinkError, match=r"no whole answer within 0\.1 s"):
+        NetFT("sensor.example", scale=Scale(1.0, 1.0))
+
+
 @pytest.mark.parametrize(
     ("force", "torque", "why"),
     [
@@ -454,9 +486,11 @@ def received(*datagrams):
         with NetFT(port=box.getsockname()[1], scale=Scale(1.0, 1.0)) as ft:
             _, asked_from = box.recvfrom(64)
             for counts in datagrams:
-                records = np.zeros(len(counts), rdt.RECORD)
-                records["count"] = counts
-                box.sendto(records.tobytes(), asked_from)
+                for first in range(0, len(counts), 40):
+                    some = counts[first : first + 40]
+                    records = np.zeros(len(some), rdt.RECORD)
+                    records["count"] = some
+                    box.sendto(records.tobytes(), asked_from)
 
             time.sleep(0.05)
             # A reading takes what waits for a limited time.
@@ -558,6 +592,54 @@ def test_malformed_haptic_states_are_counted():
     assert master.report.malformed == len(bad)
     with pytest.raises(LinkError, match="no haptic service"):
         HaplyMaster("ws://127.0.0.1:9")
+
+
+@pytest.mark.parametrize("reads", [True, False])
+def test_a_haptic_service_that_takes_no_leave_is_left(reads):
+    """It answers no close, and perhaps reads nothing at all."""
+    server = pytest.importorskip("websockets.server")
+    from needleforce.devices import HaplyMaster
+
+    place = {"x": 0, "y": 0, "z": 1}
+    state = {"cursor_position": place, "cursor_velocity": place}
+    text = json.dumps({"inverse3": [{"device_id": "a", "state": state}]})
+    is_over = threading.Event()
+
+    def serve(connections):
+        connection, _ = connections.accept()
+        protocol = server.ServerProtocol()
+        protocol.receive_data(connection.recv(4096))
+        (request,) = protocol.events_received()
+        protocol.send_response(protocol.accept(request))
+        protocol.send_text(text.encode())
+        for data in protocol.data_to_send():
+            connection.sendall(data)
+
+        connection.settimeout(0.05)
+        while not is_over.is_set():
+            with suppress(TimeoutError):
+                if not reads or not connection.recv(1 << 16):
+                    is_over.wait(0.05)
+
+        connection.close()
+
+    with socket.create_server((LOOPBACK, 0)) as connections:
+        thread = threading.Thread(target=serve, args=(connections,), daemon=True)
+        thread.start()
+        address = f"ws://{LOOPBACK}:{connections.getsockname()[1]}"
+        with HaplyMaster(address) as master:
+            end_s = time.monotonic() + PATIENCE_S
+            while master.read() is None and time.monotonic() < end_s:
+                time.sleep(0.01)
+
+            if not reads:
+                master._device_id = "a" * 10_000_000  # more than the kernel keeps
+
+            begin_s = time.monotonic()
+
+        assert time.monotonic() - begin_s < 1.0
+        is_over.set()
+        thread.join()
 
 
 @pytest.mark.parametrize("seconds", ["nan", "-1", "0", "inf"])

@@ -4,6 +4,7 @@ it."""
 import collections
 import itertools
 import multiprocessing
+import os
 import signal
 import socket
 import subprocess
@@ -19,7 +20,7 @@ from needleforce.cli import main
 from needleforce.cli.arms.recorder import Recorder
 from needleforce.cli.terminal import CommandError
 from needleforce.devices import ArmReading, FriArm
-from needleforce.recordings import FileAccessError, read_log
+from needleforce.recordings import FileAccessError, FormatError, read_log
 from tests.needleforce.devices.test_links import PATIENCE_S, ROWS, measurement
 
 pytestmark = pytest.mark.slow
@@ -105,6 +106,72 @@ def test_a_recording_begins_with_what_comes_once_its_writer_is_ready(
     assert len(log) > 100
 
 
+RECORDING = """
+import multiprocessing, os, signal, sys, time
+from pathlib import Path
+
+import numpy as np
+
+from needleforce.cli.arms.recorder import Recorder
+from needleforce.devices import ArmReading
+
+q_rad = np.zeros(7)
+sample = ArmReading(1e-3, q_rad, q_rad, q_rad, q_rad, 0, accepts_commands=False)
+if __name__ == "__main__":
+    with Recorder(Path(sys.argv[1]), tuple("abcdefg")) as recorder:
+        (writer,) = multiprocessing.active_children()
+        os.kill(writer.pid, signal.SIGSTOP)
+        for _ in range(2000):
+            recorder.put(sample)
+        time.sleep(0.5)  # the rows go into the pipe
+        print(writer.pid, flush=True)
+        time.sleep(60.0)
+"""
+
+
+@pytest.mark.parametrize("suffix", ["csv", "mcap", "parquet", "npz"])
+def test_a_killed_recording_has_lost_a_tenth_of_a_second(tmp_path, suffix):
+    """Also where its writer was two seconds late."""
+    path = tmp_path / f"x.{suffix}"
+    script = tmp_path / "script.py"
+    script.write_text(RECORDING)
+    process = subprocess.Popen(
+        [sys.executable, str(script), str(path)],
+        stdout=subprocess.PIPE,
+        start_new_session=True,
+    )
+    writer = int(process.stdout.readline())
+    process.kill()
+    process.wait()
+    os.kill(writer, signal.SIGCONT)
+    end_s = time.monotonic() + PATIENCE_S
+    while processes_of(process.pid) and time.monotonic() < end_s:
+        time.sleep(0.05)
+
+    assert processes_of(process.pid) == []
+    assert len(read_log(path)) >= 1900
+
+
+@pytest.mark.parametrize("suffix", ["csv", "mcap"])
+@pytest.mark.parametrize(("dt_s", "lost"), [(1e-3, 49), (0.1, 0)])
+def test_a_recording_holds_back_a_twentieth_of_a_second(tmp_path, suffix, dt_s, lost):
+    """What the file has while it is written stays if all is killed."""
+    path = tmp_path / f"x.{suffix}"
+    sample = SAMPLE._replace(dt_s=dt_s)
+    with Recorder(path, ("a",) * 7) as recorder:
+        for _ in range(249):
+            recorder.put(sample)
+
+        row_count = 0
+        end_s = time.monotonic() + PATIENCE_S
+        while row_count < 249 - lost and time.monotonic() < end_s:
+            time.sleep(0.05)
+            with suppress(FileAccessError, FormatError):
+                row_count = len(read_log(path))
+
+        assert row_count >= 249 - lost
+
+
 SAMPLE = ArmReading(1e-3, ROWS[0], None, ROWS[0], None, 0, accepts_commands=False)
 
 
@@ -173,7 +240,7 @@ def test_a_killed_recording_leaves_rows_but_no_process(tmp_path):
     answered = 0
     with socket.socket(type=socket.SOCK_DGRAM) as box:
         box.settimeout(1e-3)
-        end_s = time.monotonic() + 3.0 * PATIENCE_S
+        end_s = time.monotonic() + 8.0 * PATIENCE_S
         for count in itertools.count():
             box.sendto(measurement(count=count % 65536), address)
             with suppress(OSError):  # nobody listens yet

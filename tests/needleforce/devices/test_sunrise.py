@@ -14,14 +14,17 @@ from needleforce.devices.emulators import Emulator, WireFaults
 from needleforce.devices.protobuf_wire import read_doubles, read_fields, write_message
 from needleforce.devices.sunrise_emulator import SunriseSettings, emulate_sunrise
 from needleforce.devices.sunrise_messages import (
+    COMMAND_KIND,
     MONITORING_KIND,
     CommandMode,
     Header,
     Monitoring,
+    PositionCommand,
     Quality,
     Session,
     read_command,
     read_monitoring,
+    write_command,
     write_monitoring,
 )
 from tests.needleforce.devices.test_links import PATIENCE_S, measurement
@@ -175,8 +178,11 @@ def test_an_iiwa_is_read_and_driven(version):
     assert [reading.accepts_commands for reading in readings] == [
         count > 70 for count in range(1, 501)
     ]
-    # 0.2 rad/s for all cycles of 2 ms but the first one that takes commands.
-    assert counts["moved_rad"] == pytest.approx(wish_rad_s * 429 * 2e-3, abs=1e-9)
+    # All cycles of 2 ms but the first one that takes commands, reached at 4.9 rad/s2.
+    lost_rad = 0.5 * wish_rad_s * np.abs(wish_rad_s) / 4.9
+    expected_rad = wish_rad_s * 429 * 2e-3 - lost_rad
+
+    assert counts["moved_rad"] == pytest.approx(expected_rad, abs=5e-4)
 
 
 @pytest.mark.slow
@@ -353,7 +359,9 @@ def test_a_period_that_is_not_told_is_found_from_the_stamps(iiwa):
 
     controller.drive(101, 0.3)
 
-    assert controller.places_rad[-1] == pytest.approx(0.06, abs=1e-9)
+    last_rad = controller.places_rad[-1] - controller.places_rad[-2]
+
+    assert last_rad == pytest.approx(0.3 * 2e-3, abs=1e-9)
     assert arm.report.malformed == 0
 
 
@@ -408,3 +416,103 @@ def test_the_command_line_records_an_iiwa(tmp_path, capsys):
     assert path.exists()
     assert main(["record", *options, "--overwrite"]) == 2
     assert "does not say what arm it is, expected --urdf" in capsys.readouterr().err
+
+
+def test_messages_agree_with_the_vendors_protobuf():
+    """Tags as in the public FRI sources of lbr-stack; enumerations as numbers."""
+    descriptor = pytest.importorskip("google.protobuf.descriptor_pb2")
+    pools = pytest.importorskip("google.protobuf.descriptor_pool")
+    factory = pytest.importorskip("google.protobuf.message_factory")
+    field = descriptor.FieldDescriptorProto
+    file = descriptor.FileDescriptorProto(
+        name="fri.proto", package="fri", syntax="proto2"
+    )
+    kinds = {"double": field.TYPE_DOUBLE, "uint32": field.TYPE_UINT32}
+    layout = {
+        "Joints": [(1, "value", "double")],
+        "Time": [(1, "sec", "uint32"), (2, "nanosec", "uint32")],
+        "Header": [(1, "kind", "uint32"), (2, "seq", "uint32"), (3, "seen", "uint32")],
+        "Connection": [
+            (1, "session", "uint32"),
+            (2, "quality", "uint32"),
+            (3, "period_ms", "uint32"),
+            (4, "answer_cycles", "uint32"),
+        ],
+        "Robot": [(1, "joints", "uint32"), (2, "safety_stop", "uint32")],
+        "Measured": [
+            (1, "position", "Joints"),
+            (2, "torque", "Joints"),
+            (4, "commanded_torque", "Joints"),
+            (5, "external", "Joints"),
+            (15, "time", "Time"),
+        ],
+        "Program": [(1, "position", "Joints"), (10, "mode", "uint32")],
+        "Monitoring": [
+            (1, "header", "Header"),
+            (2, "robot", "Robot"),
+            (3, "measured", "Measured"),
+            (4, "connection", "Connection"),
+            (5, "program", "Program"),
+        ],
+        "Wanted": [(1, "position", "Joints")],
+        "Command": [(1, "header", "Header"), (2, "wanted", "Wanted")],
+    }
+    for name, fields in layout.items():
+        message = file.message_type.add(name=name)
+        for number, field_name, kind in fields:
+            is_list = kind == "double"
+            label = field.LABEL_REPEATED if is_list else field.LABEL_OPTIONAL
+            entry = message.field.add(name=field_name, number=number, label=label)
+            entry.type = kinds.get(kind, field.TYPE_MESSAGE)
+            if kind not in kinds:
+                entry.type_name = f".fri.{kind}"
+    pool = pools.DescriptorPool()
+    pool.Add(file)
+    written, command = (
+        factory.GetMessageClass(pool.FindMessageTypeByName(f"fri.{name}"))
+        for name in ("Monitoring", "Command")
+    )
+
+    for golden in (GOLDEN_1, GOLDEN_2):
+        theirs = written.FromString(golden)
+        ours = read_monitoring(golden)
+
+        assert theirs.header.kind == ours.header.kind == 0x245142
+        assert list(theirs.measured.torque.value) == ours.torque_Nm.tolist()
+        assert theirs.connection.session == ours.session
+        assert theirs.program.mode == ours.command_mode
+        assert len(theirs.SerializeToString()) == len(golden)
+
+    rng = np.random.default_rng(1000)
+    for _ in range(300):
+        rows = rng.normal(size=(4, 7))
+        message = written()
+        message.header.kind = 0x245142
+        message.header.seq, message.header.seen = map(int, rng.integers(2**32, size=2))
+        message.robot.joints = 7
+        message.robot.safety_stop = int(rng.integers(3))
+        message.measured.position.value.extend(rows[0])
+        message.measured.torque.value.extend(rows[1])
+        message.measured.external.value.extend(rows[2])
+        message.measured.time.sec = 1_700_000_000
+        message.measured.time.nanosec = int(rng.integers(1_000_000_000))
+        message.connection.session = 4
+        message.connection.quality = 3
+        message.connection.period_ms = int(rng.integers(1, 10))
+        message.program.position.value.extend(rows[3])
+        message.program.mode = 1
+        ours = read_monitoring(message.SerializeToString())
+
+        assert ours.header.number == message.header.seq
+        assert ours.position_rad.tolist() == rows[0].tolist()
+        assert ours.torque_Nm.tolist() == rows[1].tolist()
+        assert ours.external_Nm.tolist() == rows[2].tolist()
+        assert ours.interpolated_rad.tolist() == rows[3].tolist()
+        assert ours.safety_stop == message.robot.safety_stop
+        assert ours.period_s == pytest.approx(1e-3 * message.connection.period_ms)
+
+        data = write_command(PositionCommand(Header(COMMAND_KIND, 5, 7), rows[0]))
+        answer = command.FromString(data)
+
+        assert (answer.header.seq, answer.header.seen) == (5, 7)
+        assert list(answer.wanted.position.value) == rows[0].tolist()

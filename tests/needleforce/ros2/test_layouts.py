@@ -1,14 +1,23 @@
-"""Layouts of RViz and Foxglove and the launch file, against the node and the bags."""
+"""Layouts, launch file and ROS package, against the node and the bags."""
 
 import json
+import runpy
+import sys
+import tomllib
+from configparser import ConfigParser
 from dataclasses import replace
+from importlib import import_module
 from pathlib import Path
+from types import SimpleNamespace
+from typing import NamedTuple
 from unittest.mock import MagicMock
+from xml.etree import ElementTree
 
 import pytest
 
 from needleforce import InsertionSession
 from needleforce.cli import main
+from needleforce.cli.ros2 import main as run_from_ros
 from needleforce.ros2 import node as node_file
 from needleforce.ros2.parameters import PARAMETERS, settings_from_values
 from needleforce.ros2.ros_modules import RosModules
@@ -26,6 +35,8 @@ def published():
     types = {
         id(ros.geometry.WrenchStamped): "WrenchStamped",
         id(ros.diagnostic.DiagnosticArray): "DiagnosticArray",
+        id(ros.standard.Float64): "Float64",
+        id(ros.transforms.TFMessage): "TFMessage",
     }
     ros_node = MagicMock()
     robot = short_run().robot
@@ -148,32 +159,100 @@ def test_the_parameters_of_the_launch_file_are_the_defaults_of_the_node():
     assert given == {parameter.name: parameter.default for parameter in PARAMETERS}
 
 
-def test_the_launch_file_starts_the_command_with_its_arguments(tmp_path):
-    """With the launch of ROS 2, where this Python has it."""
-    launch = pytest.importorskip("launch")
-    sources = pytest.importorskip("launch.launch_description_sources")
-    actions = pytest.importorskip("launch.actions")
-    source = sources.PythonLaunchDescriptionSource(
-        str(FOLDER / "needleforce.launch.py")
-    )
-    given = {"urdf": "arm.urdf", "joint_states": "/arm/joint_states"}
-    context = launch.LaunchContext()
-    context.launch_configurations.update(given)
-    description = source.get_launch_description(context)
-    for entity in description.entities:
-        if isinstance(entity, actions.DeclareLaunchArgument):
-            entity.execute(context)
-    context.extend_locals({"current_launch_file_directory": str(FOLDER)})
-    context.extend_globals({"current_launch_file_directory": str(FOLDER)})
-    [process] = [
-        entity
-        for entity in description.entities
-        if isinstance(entity, actions.ExecuteProcess)
-    ]
-    process.prepare(context)
+class LaunchAction(dict):
+    """An action of a launch file, with its arguments."""
 
-    assert process.process_details["cmd"] == [
-        *("needleforce", "ros2", "--urdf", "arm.urdf", "--tool-frame", "needle_tip"),
-        *("--ros-args", "--params-file", str(FOLDER / "parameters.yaml")),
-        *("-r", "joint_states:=/arm/joint_states"),
+    def __init__(self, *names, **arguments):
+        super().__init__(arguments, names=names)
+
+
+class GivenArgument(NamedTuple):
+    """A substitution for an argument of `ros2 launch`."""
+
+    name: str
+
+    def perform(self, context):
+        return context[self.name]
+
+
+@pytest.fixture
+def launched(monkeypatch):
+    """What the launch file starts with arguments; the launch of ROS 2 is a fake."""
+    modules = {
+        "launch": {"LaunchDescription": list},
+        "launch.actions": {
+            "DeclareLaunchArgument": LaunchAction,
+            "OpaqueFunction": LaunchAction,
+        },
+        "launch.substitutions": {"LaunchConfiguration": GivenArgument},
+        "launch_ros.actions": {"Node": LaunchAction},
+    }
+    for name, contents in modules.items():
+        monkeypatch.setitem(sys.modules, name, SimpleNamespace(**contents))
+
+    def launch(**given):
+        file = runpy.run_path(str(FOLDER / "needleforce.launch.py"))
+        *declared, starting = file["generate_launch_description"]()
+        context = {each["names"][0]: each["default_value"] for each in declared}
+        assert given.keys() <= context.keys()
+        [node] = starting["function"](context | given)
+        return node
+
+    return launch
+
+
+def test_the_launch_file_starts_the_node_of_the_package(launched):
+    node = launched(joint_states="/arm/joint_states")
+
+    assert (node["package"], node["executable"]) == ("needleforce", "node")
+    assert node["arguments"] == ["--tool-frame", "needle_tip"]
+    assert node["parameters"] == []
+    assert ("joint_states", "/arm/joint_states") in node["remappings"]
+
+
+def test_the_launch_file_takes_a_description_and_parameters(launched):
+    node = launched(urdf="arm.urdf", tool_frame="tip", parameters="mine.yaml")
+
+    assert node["arguments"] == ["--tool-frame", "tip", "--urdf", "arm.urdf"]
+    assert node["parameters"] == ["mine.yaml"]
+
+
+def test_the_ros_package_has_what_ros_looks_for(monkeypatch):
+    setup = {}
+    fake = SimpleNamespace(setup=lambda **arguments: setup.update(arguments))
+    monkeypatch.setitem(sys.modules, "setuptools", fake)
+    runpy.run_path(str(FOLDER / "setup.py"))
+    package = ElementTree.parse(FOLDER / "package.xml").getroot()
+    scripts = ConfigParser(interpolation=None)
+    scripts.read(FOLDER / "setup.cfg")
+    installed = dict(setup["data_files"])
+    [(executable, where)] = [
+        script.split(" = ") for script in setup["entry_points"]["console_scripts"]
     ]
+    module, function = where.split(":")
+
+    assert package.findtext("name") == "needleforce"
+    assert package.findtext("export/build_type") == "ament_python"
+    assert package.findtext("version") == setup["version"] == metadata_version()
+    # ros2 run finds a package by its marker, and executables in lib/PACKAGE.
+    marker = "share/ament_index/resource_index/packages"
+    assert installed[marker] == ["resource/needleforce"]
+    assert "package.xml" in installed["share/needleforce"]
+    assert scripts["install"]["install_scripts"] == "$base/lib/needleforce"
+    assert executable == "node"
+    assert callable(getattr(import_module(module), function))
+    for files in installed.values():
+        assert all((FOLDER / file).is_file() for file in files)
+
+
+def metadata_version():
+    """Version of the Python package."""
+    project = tomllib.loads((FOLDER.parents[1] / "pyproject.toml").read_text())
+    return project["project"]["version"]
+
+
+def test_the_executable_of_the_package_is_the_command(monkeypatch, capsys):
+    monkeypatch.setattr(sys, "argv", ["node", "--help"])
+
+    assert run_from_ros() == 0
+    assert "joint_states in" in capsys.readouterr().out

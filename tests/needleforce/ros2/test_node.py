@@ -46,7 +46,7 @@ def sent_signals():
 
 
 def node_command(*arguments):
-    return [sys.executable, "-m", "needleforce", "ros2", *arguments]
+    return [sys.executable, "-m", "needleforce", "ros2", "--robot", "lwr", *arguments]
 
 
 @pytest.fixture(scope="module")

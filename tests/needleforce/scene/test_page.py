@@ -337,8 +337,8 @@ def test_a_loop_hands_rows_to_a_page_process():
 @pytest.mark.slow
 @needs_chromium
 def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
-    from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
+    from needleforce.simulation import signal_table
     from tests.needleforce.scene.scene_page import open_page
 
     monkeypatch.chdir(tmp_path)
@@ -418,8 +418,8 @@ def test_a_recording_becomes_one_standalone_page(tmp_path, monkeypatch, capsys):
 def test_a_recording_without_tare_is_reported(
     joints, torque, options, code, why, tmp_path, monkeypatch, capsys
 ):
-    from needleforce.cli.logs.simulated_log import signal_table
     from needleforce.recordings import write_table
+    from needleforce.simulation import signal_table
 
     monkeypatch.chdir(tmp_path)
     table = signal_table(short_run())
@@ -442,10 +442,10 @@ def test_a_recording_without_tare_is_reported(
 
 
 def test_viewed_joints_are_found_by_name(tmp_path):
-    from needleforce.cli.logs.session_view import replay_session
-    from needleforce.cli.logs.simulated_log import signal_table
+    from needleforce.cli.logs.session_view import scene_rows
     from needleforce.recordings import write_table
     from needleforce.recordings.table import TableLabels
+    from needleforce.simulation import signal_table
 
     model = load_lwr()
     order = [3, 1, 0, 2, 6, 5, 4]
@@ -460,7 +460,7 @@ def test_viewed_joints_are_found_by_name(tmp_path):
     )
     write_table(tmp_path / "b.mcap", turned, labels=TableLabels(joint_names=names))
     rows, reordered_rows = (
-        replay_session(tmp_path / name, model) for name in ("a.mcap", "b.mcap")
+        scene_rows(tmp_path / name, model) for name in ("a.mcap", "b.mcap")
     )
 
     assert len(rows) > 90

@@ -1,0 +1,263 @@
+"""The same samples through orocos KDL's estimator of a wrench: error and time.
+
+``ChainExternalWrenchEstimator`` is what a user finds in Debian (``liborocos-kdl-dev``).
+It gets the robot, the gain and the samples that ours gets; its inner filter is off, as
+ours has none. It takes no offset off and has no tare, so it stands here as it is, and
+with torques from which the mean residual just before contact is taken off.
+"""
+
+import ctypes
+import subprocess
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks import RUN_ALONE, BenchmarkError
+from benchmarks.insertion.methods import joint_residual, on_lwr
+from benchmarks.insertion.signals import ForceTruth, JointSignals
+from benchmarks.insertion.simulated import read_sensors
+from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.performance.ticks import Update, cost_ratio, fed, time_side_by_side
+from benchmarks.results import Figure
+from foundation.arrays import Array
+from groundtruth import Run, simulate
+from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
+from residual.wrench_estimator import (
+    WrenchEstimator,
+    WrenchFilterState,
+)
+from urdf import Robot
+
+SCENARIO = "stack-constant"
+PLANT = "clean"
+SEEDS = (1000, 1001, 1002)
+KDL = "KDL"
+BARE = "KDL, addresses known in advance"
+OURS = "ours, observer and wrench"
+SENSOR = "ours, virtual sensor"
+TARED = ", mean residual before contact taken off"
+
+
+class KdlAbsentError(BenchmarkError):
+    """The library, its headers or a compiler is missing."""
+
+
+def kdl_library() -> ctypes.CDLL:
+    """Compile and load KDL's estimator behind `kdl_shim.cpp`.
+
+    Raises:
+        KdlAbsentError: It cannot be compiled.
+    """
+    source = Path(__file__).with_name("kdl_shim.cpp")
+    with TemporaryDirectory() as folder:  # what is loaded stays when the file goes
+        compiled = Path(folder) / "kdl_shim.so"
+        command = [
+            "g++",
+            "-O2",
+            "-shared",
+            "-fPIC",
+            "-I/usr/include/eigen3",
+            source,
+            "-o",
+            compiled,
+        ]
+        try:
+            subprocess.run([*command, "-lorocos-kdl"], check=True, capture_output=True)
+        except (OSError, subprocess.CalledProcessError) as error:
+            packages = "g++ and Debian's liborocos-kdl-dev"
+            raise KdlAbsentError(
+                f"no comparison with KDL: it needs {packages}", f"Install {packages}"
+            ) from error
+        library = ctypes.CDLL(str(compiled))
+    library.kdl_new.restype = ctypes.c_void_p
+    for name, count in (("kdl_delete", 1), ("kdl_start", 3), ("kdl_update", 5)):
+        getattr(library, name).argtypes = [ctypes.c_void_p] * count
+    return library
+
+
+def chain_numbers(robot: Robot) -> Array:
+    """Return a serial arm as `kdl_shim.cpp` takes it, shape (n + 1, 26).
+
+    Its joints turn.
+    """
+    model = robot.model
+    data = robot.create_data()
+    at_zero = pin.neutral(robot.model)
+    rows = []
+    for k in range(1, model.njoints):
+        place = model.jointPlacements[k]
+        body = model.inertias[k]
+        turn = pin.computeJointJacobian(model, data, at_zero, k)[3:, k - 1]
+        inertia = body.inertia[[0, 1, 2, 0, 0, 1], [0, 1, 2, 1, 2, 2]]
+        mass = [body.mass]
+        rotor = [model.armature[k - 1]]
+        frame = (place.rotation.ravel(), place.translation, place.rotation @ turn)
+        rows.append(np.concatenate((*frame, mass, body.lever, inertia, rotor)))
+    tool = model.frames[robot.tool_frame_id].placement
+    rows.append(np.concatenate((tool.rotation.ravel(), tool.translation, np.zeros(14))))
+    return np.array(rows)
+
+
+class KdlEstimator:
+    """KDL's estimator of one robot.
+
+    Args:
+        library: From `kdl_library`.
+        robot: The arm with its payload.
+        signals: The n samples it will get.
+        gain_per_s: K [1/s].
+    """
+
+    def __init__(
+        self,
+        library: ctypes.CDLL,
+        robot: Robot,
+        signals: JointSignals,
+        gain_per_s: float,
+    ) -> None:
+        numbers = chain_numbers(robot)
+        self._library = library
+        gravity = np.array(robot.gravity_m_s2)
+        rate_hz = 1.0 / float(np.median(signals.dt_s))
+        settings = map(ctypes.c_double, (rate_hz, gain_per_s, 0.0))
+        arrays = (array.ctypes.data_as(ctypes.c_void_p) for array in (numbers, gravity))
+        self._handle = ctypes.c_void_p(
+            library.kdl_new(len(numbers), *arrays, *settings)
+        )
+        assert signals.dq_rad_s is not None, "KDL needs velocities"
+        sent = map(
+            np.ascontiguousarray, (signals.q_rad, signals.dq_rad_s, signals.tau_Nm)
+        )
+        self._samples = list(zip(*sent, strict=True))
+        self._wrench = np.zeros(6)  # on the tool frame, in its axes
+        self._into = self._wrench.ctypes.data
+        library.kdl_start(
+            self._handle, *(array.ctypes.data for array in self._samples[0][:2])
+        )
+
+    def __call__(self, k: int) -> None:
+        """Take sample k."""
+        q, dq, tau = self._samples[k]
+        self.call(q.ctypes.data, dq.ctypes.data, tau.ctypes.data)
+
+    def bare(self) -> Update:
+        """Return what takes sample k where its addresses are known in advance."""
+        places = [
+            tuple(array.ctypes.data for array in sample) for sample in self._samples
+        ]
+        return lambda k: self.call(*places[k])
+
+    def call(self, q: int, dq: int, tau: int) -> None:
+        """Take a sample by its addresses."""
+        if self._library.kdl_update(self._handle, q, dq, tau, self._into):
+            raise BenchmarkError("KDL's estimator refused a sample", RUN_ALONE)
+
+    @property
+    def axial_N(self) -> float:
+        """Resistance to insertion, along z of the tool frame, at the last sample."""
+        return -float(self._wrench[2])
+
+    def __del__(self) -> None:
+        self._library.kdl_delete(self._handle)
+
+
+class PlainEstimator:
+    """Our observer and, as KDL's, the pseudo-inverse of all six rows.
+
+    Arguments are those of `KdlEstimator`.
+
+    Attributes:
+        axial_N: Resistance to insertion at the last sample.
+    """
+
+    def __init__(self, robot: Robot, signals: JointSignals, gain_per_s: float) -> None:
+        self._observer = MomentumObserver(robot, gain_per_s, alignment="hold")
+        self._wrench = WrenchEstimator(robot, PUBLISHED)
+        self._samples = signals.samples()
+        self._filter = WrenchFilterState.at_zero(self._wrench.size)
+        self.axial_N = 0.0
+
+    def __call__(self, k: int) -> None:
+        """Take sample k."""
+        q, dq, tau, dt_s = self._samples[k]
+        assert dq is not None
+        residual = self._observer.update(q, dq, tau, dt_s)
+        self._wrench.renew_gain(q)
+        estimate = self._wrench.solve(residual, self._filter)
+        self.axial_N = estimate.axial
+
+
+def peer_errors(run: Run, library: ctypes.CDLL, progress: Progress) -> dict[str, float]:
+    """Return the rms error of the axial force [N] in one insertion, by estimator.
+
+    It counts from first contact to the end of the withdrawal.
+    """
+    case = read_sensors(run, progress, ("ours",))
+    truth = case.truth
+    signals = case.signals
+    gain_per_s = DEFAULT.slowest_gain_per_s
+    errors = {SENSOR: _rms(case.sessions["ours"].reading.axial_N, truth)}
+    # The published tare: the mean over half a second.
+    free = (truth.t_s > truth.zeroed_s - 0.5) & (truth.t_s <= truth.zeroed_s)
+    residual = joint_residual(run.robot, signals, gain_per_s, alignment="hold")
+    tared = replace(signals, tau_Nm=signals.tau_Nm + residual[free].mean(axis=0))
+    for how, sent in (("", signals), (TARED, tared)):
+        for name, estimator in (
+            (KDL, KdlEstimator(library, run.robot, sent, gain_per_s)),
+            (OURS, PlainEstimator(run.robot, sent, gain_per_s)),
+        ):
+            axial_N = np.zeros(len(truth.t_s))
+            for k in range(len(axial_N)):
+                estimator(k)
+                axial_N[k] = estimator.axial_N
+            errors[name + how] = _rms(axial_N, truth)
+    return errors
+
+
+def _rms(axial_N: Array, truth: ForceTruth) -> float:
+    """Return the rms error over the judged part [N]."""
+    return float(np.sqrt(np.mean((axial_N - truth.axial_N)[truth.judged] ** 2)))
+
+
+def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
+    """Time of every tick [us] from the tare on, taking turns."""
+    signals = JointSignals.of_run(run)
+    gain_per_s = DEFAULT.slowest_gain_per_s
+    tare = int(np.searchsorted(signals.t_s, run.tare_end_s))
+    sensor = VirtualForceSensor(run.robot, on_lwr(DEFAULT))
+    subjects = {
+        KDL: KdlEstimator(library, run.robot, signals, gain_per_s),
+        BARE: KdlEstimator(library, run.robot, signals, gain_per_s).bare(),
+        OURS: PlainEstimator(run.robot, signals, gain_per_s),
+        SENSOR: fed(sensor, signals, tare),
+    }
+    return time_side_by_side(subjects, tare + 1, len(signals.t_s))
+
+
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
+    """Compare error and time of all estimators, each with KDL's."""
+    library = kdl_library()
+    errors: list[dict[str, float]] = []
+    times: dict[str, Array] = {}
+    for number, seed in enumerate(SEEDS):
+        begin, middle, end = (
+            (number + fraction) / len(SEEDS) for fraction in (0.0, 0.5, 1.0)
+        )
+        run = simulate(SCENARIO, PLANT, seed, progress_part(progress, begin, middle))
+        errors.append(peer_errors(run, library, progress_part(progress, middle, end)))
+        times = times or peer_times(run, library)
+    medians_N = {
+        name: float(np.median([error[name] for error in errors])) for name in errors[0]
+    }
+    for name in (KDL, BARE, KDL + TARED, OURS, OURS + TARED, SENSOR):
+        if name in medians_N:
+            yield Figure("kdl_force_rmse_N", medians_N[name], name)
+            yield Figure("kdl_force_ratio", medians_N[name] / medians_N[KDL], name)
+        if name in times:
+            yield Figure("kdl_tick_median_us", np.median(times[name]), name)
+            yield Figure("kdl_tick_mean_us", np.mean(times[name]), name)
+            yield Figure("kdl_tick_ratio", cost_ratio(times[name], times[KDL]), name)

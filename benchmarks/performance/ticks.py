@@ -1,0 +1,312 @@
+"""What an update of the estimators costs, beside its bare Pinocchio calls."""
+
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from copy import deepcopy
+from dataclasses import replace
+from time import perf_counter_ns
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from benchmarks.insertion.methods import on_lwr
+from benchmarks.insertion.signals import JointSample, JointSignals
+from benchmarks.jobs import Job, Progress
+from benchmarks.results import Figure
+from foundation.arrays import Array
+from groundtruth import Run, simulate
+from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedConfig
+from needleforce import InsertionSession
+from residual import DEFAULT, MomentumObserver, VirtualForceSensor
+from residual.bias.estimator import BiasEstimator
+from urdf import Robot
+
+Update = Callable[[int], object]
+"""Processes the sample of that index."""
+BLOCK = 200
+"""Updates of one subject before the next has its turn: short enough that whatever slows
+the machine down slows all of them."""
+SCENARIO = "stack-constant"
+PLANT = "clean"
+
+BARE_OBSERVER = "dynamics of the observer"
+BARE_SENSOR = "dynamics of the sensor"
+
+
+OBSERVER = "observer"
+SENSOR = "sensor"
+CHAIN = "chain"
+PUBLISHED_CHAIN = "chain, published identifier"
+ESTIMATED = ", velocity estimated"
+
+
+def cost_ratio(times: Array, bare: Array) -> float:
+    """Return the cost relative to the bare dynamics.
+
+    It is the median of the ratios of neighbouring blocks' medians.
+    """
+    return float(np.median(np.median(times, axis=1) / np.median(bare, axis=1)))
+
+
+def time_side_by_side(
+    subjects: Mapping[str, Update],
+    first: int,
+    last: int,
+    clock: Callable[[], int] = perf_counter_ns,
+) -> dict[str, Array]:
+    """Let subjects take turns, block by block, over the same samples 0 to last - 1.
+
+    Returns the time of each update of a subject [us], shape (blocks, BLOCK). Updates
+    before `first` are not counted: caches fill, filters settle. A mean needs the
+    processor's clock (`thread_time_ns`), on which other processes do not count; each
+    time holds a reading of it, about 1 us.
+    """
+    for update in subjects.values():
+        time_each(update, range(first), clock)
+    taken_us: dict[str, list[list[float]]] = {name: [] for name in subjects}
+    for start in range(first, last - BLOCK + 1, BLOCK):
+        for name, update in subjects.items():
+            block = range(start, start + BLOCK)
+            taken_us[name].append(time_each(update, block, clock))
+    return {name: np.array(blocks) for name, blocks in taken_us.items()}
+
+
+def time_each(
+    update: Update, indices: Iterable[int], clock: Callable[[], int] = perf_counter_ns
+) -> list[float]:
+    """Time of every update [us]."""
+    taken_us = []
+    for k in indices:
+        begin_ns = clock()
+        update(k)
+        taken_us.append((clock() - begin_ns) / 1e3)
+    return taken_us
+
+
+class ChainUpdate:
+    """A session that takes an arm's signals, called with the index of the next sample.
+
+    `alarms` are the updates that raised a rupture, `layers` those that worked on
+    identifying a traversed layer.
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        signals: JointSignals,
+        tare: int,
+        identifier: MultilayerConfig | PublishedConfig = MULTILAYER,
+    ) -> None:
+        self._session = InsertionSession(robot, on_lwr(DEFAULT), identifier)
+        self._samples = signals.samples()
+        self._tare = tare
+        self.alarms: list[int] = []
+        self.layers: list[int] = []
+
+    def __call__(self, k: int) -> None:
+        """Take sample k."""
+        if k == self._tare:
+            self._session.tare()
+        identification = self._session.update(*self._samples[k]).identification
+        if identification.rupture is not None:
+            self.alarms.append(k)
+        if identification.identified_layer is not None:
+            # Over six updates at most; the last one reports it.
+            self.layers.extend(range(k + 1 - 6, k + 1))
+
+
+def run(job: Job, progress: Progress) -> Iterator[Figure]:
+    """Time everything on the signals of a simulated insertion, from the tare on."""
+    run = simulate(SCENARIO, PLANT, job.seed, progress)
+    signals = JointSignals.of_run(run)
+    blind = replace(signals, dq_rad_s=None)
+    first = first_counted(run, signals)
+    chains = make_chains(run, {"": signals, ESTIMATED: blind})
+    subjects = make_estimators(run, signals) | chains
+    times = time_side_by_side(subjects, first, len(signals.t_s))
+    for name, taken_us in times.items():
+        yield from describe_ticks(name, taken_us, times)
+    for name, chain in chains.items():
+        for event, indices in (
+            ("rupture raised", chain.alarms),
+            ("layer identified", chain.layers),
+        ):
+            after = [k - first for k in indices]
+            yield from describe_event(f"{event}, {name}", after, name, times)
+    yield from time_tare(run)
+
+
+def describe_ticks(
+    name: str, taken_us: Array, times: Mapping[str, Array]
+) -> Iterator[Figure]:
+    """Yield time per update, and the ratio to the bare dynamics.
+
+    Args:
+        name: Of the subject.
+        taken_us: Time of its updates.
+        times: Of all subjects.
+    """
+    mean_us = float(np.mean(taken_us))
+    median_us = float(np.median(taken_us))
+    yield Figure("tick_mean_us", mean_us, name)
+    yield Figure("tick_median_us", median_us, name)
+    yield Figure("tick_p99_us", np.percentile(taken_us, 99.0), name)
+    yield Figure("tick_p999_us", np.percentile(taken_us, 99.9), name)
+    yield Figure("tick_worst_us", taken_us.max(), name)
+    if name not in (BARE_OBSERVER, BARE_SENSOR):
+        bare_us = times[BARE_OBSERVER if name == OBSERVER else BARE_SENSOR]
+        yield Figure("tick_ratio", cost_ratio(taken_us, bare_us), name)
+        yield Figure("tick_mean_over_median", mean_us / median_us, name)
+
+
+def describe_event(
+    what: str, indices: Sequence[int], name: str, times: Mapping[str, Array]
+) -> Iterator[Figure]:
+    """Yield the time of the updates of a chain in which something happens.
+
+    Args:
+        what: Happens, and in which chain.
+        indices: Of the updates, counted from the first that was timed.
+        name: Of the chain.
+        times: Of all subjects.
+    """
+    taken_us = times[name].reshape(-1)
+    taken_us = taken_us[[k for k in indices if 0 <= k < taken_us.size]]
+    if taken_us.size:
+        yield Figure("event_ticks", taken_us.size, what)
+        yield Figure("event_tick_median_us", np.median(taken_us), what)
+        yield Figure("event_tick_worst_us", taken_us.max(), what)
+        ratio = taken_us.max() / np.median(times[BARE_SENSOR])
+        yield Figure("event_tick_worst_ratio", ratio, what)
+
+
+def first_counted(run: Run, signals: JointSignals) -> int:
+    """Return the index of the first update that counts: after that of the tare."""
+    return int(np.searchsorted(signals.t_s, run.tare_end_s)) + 1
+
+
+def make_estimators(run: Run, signals: JointSignals) -> dict[str, Update]:
+    """Return new observer and sensor, each after its bare calls."""
+    observer = MomentumObserver(run.robot, DEFAULT.gain_per_s, alignment="hold")
+    sensor = VirtualForceSensor(run.robot, on_lwr(DEFAULT))
+    return {
+        BARE_OBSERVER: _bare_observer(run.robot, signals),
+        OBSERVER: fed(observer, signals),
+        BARE_SENSOR: bare_sensor(run.robot, signals),
+        SENSOR: fed(sensor, signals, first_counted(run, signals) - 1),
+    }
+
+
+def make_chains(run: Run, sent: Mapping[str, JointSignals]) -> dict[str, ChainUpdate]:
+    """Return new chains with both identifiers; the keys of `sent` end their names."""
+    return {
+        name + how: ChainUpdate(
+            run.robot, signals, first_counted(run, signals) - 1, config
+        )
+        for name, config in ((CHAIN, MULTILAYER), (PUBLISHED_CHAIN, PUBLISHED))
+        for how, signals in sent.items()
+    }
+
+
+def _bare_observer(robot: Robot, signals: JointSignals) -> Update:
+    """Return what calls mass matrix, Coriolis matrix and gravity."""
+    model = robot.model
+    data = robot.create_data()
+    assert signals.dq_rad_s is not None, "the arm that is timed sends velocities"
+    positions = list(signals.q_rad)
+    velocities = list(signals.dq_rad_s)
+
+    def update(k: int) -> None:
+        q = positions[k]
+        pin.crba(model, data, q)
+        pin.computeCoriolisMatrix(model, data, q, velocities[k])
+        pin.computeGeneralizedGravity(model, data, q)
+
+    return update
+
+
+def bare_sensor(robot: Robot, signals: JointSignals) -> Update:
+    """Return what calls mass and Coriolis matrix, gravity and Jacobian.
+
+    And the torque regressor when the bias is due.
+    """
+    model = robot.model
+    data = robot.create_data()
+    positions = list(signals.q_rad)
+    still = np.zeros(robot.nv)
+    frame = robot.tool_frame_id
+    axes = pin.ReferenceFrame.LOCAL
+    observer = _bare_observer(robot, signals)
+    ticks = round(BiasEstimator.RENEW_S / float(np.median(signals.dt_s)))
+
+    def update(k: int) -> None:
+        observer(k)
+        q = positions[k]
+        pin.computeFrameJacobian(model, data, q, frame, axes)
+        if k % ticks == 0:
+            pin.computeJointTorqueRegressor(model, data, q, still, still)
+
+    return update
+
+
+def fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
+    """Return what gives an estimator the sample of each index.
+
+    It is tared before that of `tare`.
+    """
+    samples = signals.samples()
+
+    def update(k: int) -> None:
+        if k == tare:
+            estimator.tare()
+        estimator.update(*samples[k])
+
+    return update
+
+
+def time_tare(run: Run) -> Iterator[Figure]:
+    """Time the ticks of a tare after the free motion of a simulated insertion.
+
+    The same ticks are timed five times; of each the shortest counts, so that what the
+    machine does beside them does not.
+    """
+    repetitions = 5
+    signals = JointSignals.of_run(run)
+    samples = signals.samples()
+    tare = int(np.searchsorted(signals.t_s, run.tare_end_s))
+    moved = InsertionSession(run.robot, on_lwr(DEFAULT))
+    for sample in samples[:tare]:
+        moved.update(*sample)
+    passes = [_time_ticks(moved, samples[tare:]) for _ in range(repetitions)]
+    blocking_ms: list[float] = []
+    for _ in range(repetitions):
+        session = deepcopy(moved)
+        begin_ns = perf_counter_ns()
+        session.tare()
+        blocking_ms.append((perf_counter_ns() - begin_ns) / 1e6)
+    taring_ms, plain_ms = np.min(passes, axis=0).T
+    yield Figure("tare_ticks", len(taring_ms))
+    yield Figure("tare_tick_longest_ms", taring_ms.max())
+    yield Figure("tare_tick_longest_without_ms", plain_ms.max())
+    yield Figure("tare_tick_difference_ms", taring_ms.max() - plain_ms.max())
+    yield Figure("tare_at_once_ms", min(blocking_ms))
+
+
+def _time_ticks(moved: InsertionSession, samples: list[JointSample]) -> Array:
+    """Time ticks with and without a tare, in turn, until it is done, shape (n, 2)."""
+    taring = deepcopy(moved)
+    plain = deepcopy(moved)
+    taring.start_tare()
+    taken_ms: list[tuple[float, float]] = []
+    for sample in samples:
+        taken_ms.append((_time_update(taring, sample), _time_update(plain, sample)))
+        if not taring.taring:
+            break
+    return np.array(taken_ms)
+
+
+def _time_update(session: InsertionSession, sample: JointSample) -> float:
+    """Return the time of an update [ms]."""
+    begin_ns = perf_counter_ns()
+    session.update(*sample)
+    return (perf_counter_ns() - begin_ns) / 1e6

@@ -1,0 +1,238 @@
+"""`needleforce demo abdomen`: from a CT to its target, as a table and as a page."""
+
+from importlib.util import find_spec
+from pathlib import Path
+
+import numpy as np
+from scipy.spatial.transform import Rotation
+
+from needleforce import plots
+from needleforce.anatomy import Registration
+from needleforce.cli.demos.insertion import NOT_MEDICAL
+from needleforce.cli.patient.plan_slices import draw_along
+from needleforce.cli.plan_file import crop_scan, large_structures
+from needleforce.cli.robot import urdf_with_shapes
+from needleforce.cli.shared_options import RobotOptions
+from needleforce.cli.terminal import (
+    aligned,
+    progress_bar,
+    require_modules,
+    write_out,
+)
+from needleforce.plots import Chart, Curve, Instants, Panel, palette
+from needleforce.simulation.planned_insertion import (
+    LANDMARKS,
+    TOUCHES,
+    PlannedInsertion,
+    insert,
+)
+
+SCENE = "scene.html"
+"""Name of the scene in the folder of a report."""
+
+TITLE = "From a CT to a needle whose ruptures correct the plan"
+
+CT_ROW = "CT"
+PATH_ROW = "planned path"
+OFF_ROW = "plan off by"
+
+CT_CAPTION = (
+    "The CT in two planes that hold the planned path (yellow, with a bar where a layer "
+    "ends and a ring at the target); outlines of the structures. Blue: the detected "
+    "ruptures, and a cross where the tip stopped, moved back by the true shift."
+)
+
+FORCE_CAPTION = (
+    "Force over depth: where the plan expected boundaries, and where they were."
+)
+
+M_TO_MM = 1e3
+
+
+def run(
+    data: Path | None, seed: int, *, folder: Path | None, picture: Path | None
+) -> int:
+    """Run the demonstration and print its table.
+
+    Args:
+        data: Folder with CT and labels; None for an analytic torso.
+        seed: Seed of everything that is drawn at random.
+        folder: Folder for a page, if any.
+        picture: File for the chart of the force, if any.
+
+    Returns:
+        The exit code.
+
+    Raises:
+        CommandError: A package is missing.
+    """
+    if folder is not None or picture is not None:
+        plots.require_matplotlib("demo", picture)
+    modules = ("SimpleITK", "skimage", "manifold3d", "trimesh", "mujoco")
+    require_modules("demo abdomen", modules)
+    with progress_bar("demonstrating abdomen") as progress:
+        insertion = insert(data, seed, progress)
+    rows = _rows_of(insertion)
+    write_out(f"{TITLE}\n{aligned(rows.items())}{NOT_MEDICAL}\n")
+    with plots.whole_folder(folder) as place:
+        if place is not None:
+            _write_page(insertion, rows, place)
+    if picture is not None:
+        plots.save_figure(_force_chart(insertion), picture)
+    if folder is not None:
+        pages = [folder / name for name in (plots.PAGE, SCENE)]
+        write_out("".join(f"{page}\n" for page in pages if page.exists()))
+    return 0
+
+
+def _write_page(
+    insertion: PlannedInsertion, rows: dict[str, str], folder: Path
+) -> None:
+    """Write the page: CT and path first, then what the insertion made of the plan."""
+    followed = insertion.followed
+    scan = draw_along(
+        insertion.torso,
+        insertion.path,
+        folder / "ct.png",
+        ruptures_m=[one.depth_m - insertion.shift_m for one in followed.ruptures],
+        tip_m=followed.stop_m - insertion.shift_m,
+    )
+    force = plots.save_page_figure(
+        _force_chart(insertion),
+        folder / "force.svg",
+        alt=FORCE_CAPTION,
+        caption=FORCE_CAPTION,
+    )
+    in_space = "3-D film: not made, the extra `scene` is not installed."
+    if find_spec("viser") is not None:
+        write_scene(insertion, folder / SCENE)
+        in_space = f"3-D film: open `{SCENE}` in the same folder."
+    table = plots.PageTable(
+        caption="Result", head=("what", "value"), rows=tuple(rows.items())
+    )
+    picture = plots.PageFigure(path=scan, alt=CT_CAPTION, caption=CT_CAPTION)
+    page = plots.Page(
+        title=TITLE,
+        lead=(
+            f"CT: {rows[CT_ROW]}.",
+            f"Planned path: {rows[PATH_ROW]}.",
+            f"Plan off by {rows[OFF_ROW]}.",
+            in_space,
+            NOT_MEDICAL,
+        ),
+        sections=(
+            plots.Section(
+                heading="Plan and insertion",
+                anchor="insertion",
+                figures=(picture, force),
+                tables=(table,),
+            ),
+        ),
+    )
+    plots.write_page(folder / plots.PAGE, page)
+
+
+def write_scene(insertion: PlannedInsertion, path: Path) -> Path:
+    """Write the insertion as a film in the scene.
+
+    The patient lies where the needle meets the planned entry.
+    """
+    from needleforce.scene import PlanScene, Viewer
+
+    planned = insertion.path
+    followed = insertion.followed
+    up = (0.0, 0.0, 1.0)  # to the head in the model, and up in the scene
+    rotation = Rotation.align_vectors(
+        [followed.axis, up], [planned.axis, up], weights=[np.inf, 1.0]
+    )[0]
+    labels = insertion.torso.labels
+    scene = PlanScene(
+        surfaces=tuple(labels.surfaces(large_structures(labels)).values()),
+        layers=planned.layers,
+        entry_m=planned.entry_m,
+        target_m=planned.target_m,
+        rotation=rotation.as_matrix(),
+        translation_m=followed.entry_in_base_m - rotation.apply(planned.entry_m),
+        scan=crop_scan(insertion.torso.scan, planned.entry_m, planned.target_m),
+    )
+    shapes = urdf_with_shapes(RobotOptions())
+    viewer = Viewer(insertion.robot, scene, urdf_path=shapes)
+    viewer.append(followed.rows)
+    try:
+        return viewer.export(path)
+    finally:
+        viewer.stop()
+
+
+def _rows_of(insertion: PlannedInsertion) -> dict[str, str]:
+    """Return the text of every line of the table, by its label."""
+    torso = insertion.torso
+    voxels = " x ".join(map(str, torso.scan.grid.shape))
+    spacing_mm = ", ".join(f"{M_TO_MM * one:g}" for one in torso.scan.grid.spacing_m)
+    path = ", ".join(
+        f"{layer.name} {M_TO_MM * (layer.exit_m - layer.entry_m):.0f} mm"
+        for layer in insertion.path.layers
+    )
+    by_plan_mm, corrected_mm = (M_TO_MM * error_m for error_m in insertion.errors_m)
+    ruptures = insertion.followed.ruptures
+    rough, fine = insertion.registrations
+    by_touches = "refused: the skin slides or spins on itself"
+    if fine is not rough:
+        by_touches = _describe_registration(insertion, fine)
+    rows = {
+        CT_ROW: f"{torso.origin}: {voxels} voxels of {spacing_mm} mm",
+        PATH_ROW: f"{path}; target in the {torso.target}",
+        OFF_ROW: f"{by_plan_mm:.1f} -> {corrected_mm:.1f} mm after {len(ruptures)} "
+        "ruptures (tip from target)",
+        f"registration by {LANDMARKS} landmarks": _describe_registration(
+            insertion, rough
+        ),
+        f"and {TOUCHES} touches of the skin": by_touches,
+    }
+    for number, (depth_m, plan) in enumerate(ruptures, 1):
+        place = f"{M_TO_MM * depth_m:.1f} mm below the planned entry"
+        into = f"into {plan.matched_name}" if plan.matched >= 0 else plan.matched_name
+        rows[f"rupture {number} at {place}"] = (
+            f"{into} ({100 * plan.matched_probability:.0f} %); all lies "
+            f"{M_TO_MM * plan.offset_m:+.1f} ± {M_TO_MM * plan.offset_std_m:.1f} mm "
+            "deeper"
+        )
+    rows["true shift along the needle"] = f"{M_TO_MM * insertion.shift_m:+.1f} mm"
+    return rows
+
+
+def _describe_registration(
+    insertion: PlannedInsertion, registration: Registration
+) -> str:
+    """Return true and stated error of a registration at the target."""
+    target_m = insertion.path.target_m
+    true_m = insertion.placement.to_robot(target_m)
+    error_mm = M_TO_MM * np.linalg.norm(registration.to_robot(target_m) - true_m)
+    std_mm = M_TO_MM * registration.tre_m(target_m)
+    return f"{error_mm:.1f} mm at the target, {std_mm:.1f} stated"
+
+
+def _force_chart(insertion: PlannedInsertion) -> Chart:
+    """Return the chart of force and tip force over depth."""
+    followed = insertion.followed
+    depth_mm = M_TO_MM * followed.depth_m
+    layers = insertion.path.layers
+    boundaries_mm = tuple(M_TO_MM * layer.exit_m for layer in layers[:-1])
+    ruptures_mm = tuple(M_TO_MM * rupture.depth_m for rupture in followed.ruptures)
+    force = Curve(
+        style=palette.READING,
+        x=depth_mm,
+        y=followed.force_N,
+        label="force, virtual sensor",
+    )
+    tip = Curve(style=palette.TIP, x=depth_mm, y=followed.tip_N, label="tip force")
+    return Chart(
+        title="Force and tip force over depth\n"
+        "boundaries as planned, ruptures as detected",
+        x_label="depth below the planned entry [mm]",
+        panels=(Panel(y_label=palette.FORCE, curves=(force, tip)),),
+        instants=(
+            Instants("planned boundary", palette.COMPENSATION, boundaries_mm),
+            Instants("detected rupture", palette.RUPTURE, ruptures_mm),
+        ),
+    )

@@ -1,0 +1,294 @@
+"""The last thing before an arm: turns wanted joint velocities into what it may be sent.
+
+The state is the command that the arm took last. Every cycle changes it within the arm's
+limits of speed, acceleration and jerk towards the wanted velocity, and slows it before
+the stops. It is exact in discrete time, so that the commands of a controller with the
+same limits pass unchanged: with h = J T, an acceleration that falls by h every cycle
+still adds
+
+    g(a) = T (a + (a - h) + (a - 2 h) + ...),    positive terms only,
+
+to the velocity. The largest a with g(a) <= target - v lands on the target without
+overshoot; g is piecewise linear, and inverted in closed form.
+"""
+
+import atexit
+import math
+import signal
+import threading
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import ArrayLike
+
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
+from foundation.jit import compile_waiting, compiled
+from needleforce.devices.arm_limits import ArmLimits
+from needleforce.devices.errors import DeviceSettingError
+from needleforce.devices.link import Link
+
+if TYPE_CHECKING:
+    from needleforce.control.joint_limits import Limits
+
+HEADROOM = 0.98
+"""Fraction of each limit that is used: arms round positions, and their clocks drift."""
+
+MAX_SILENT_CYCLES = 5
+"""A velocity holds for so many cycles without a new one; then the arm brakes."""
+
+MAX_START_rad_s = 0.05
+"""After an interruption the first command that is taken is at most this: a program that
+has not seen that it was refused would go on at full speed. 10 rad/s2 for 5 ms."""
+
+ABSURD = 2.0
+"""Times the arm's highest speed: what is above was not meant, in degrees perhaps."""
+
+
+class Guard:
+    """Gives the velocity of every cycle, always within limits; brakes when in doubt.
+
+    Args:
+        preset: The arm's limits.
+        cycle_s: Between two commands.
+        robot: Its model, for the stops of an arm whose preset names none; or None.
+
+    Attributes:
+        refusal: Why the last velocity was not taken; empty if it was.
+    """
+
+    def __init__(self, preset: ArmLimits, cycle_s: float, robot: Any = None) -> None:
+        compile_waiting()
+        self.refusal = ""
+        self._limits = _limit_rows(preset, robot)
+        self._highest_rad_s = np.array(preset.speed_rad_s)
+        self.cycle_s = cycle_s
+        self._joints = len(preset.speed_rad_s)
+        self._must_rest = False
+        self._is_interrupted = False  # until a command starts from rest
+        self._motion = np.zeros((2, self._joints))  # velocity, acceleration
+        self._wanted_rad_s = np.zeros(self._joints)
+        self._silent_cycles = MAX_SILENT_CYCLES
+
+    @property
+    def is_at_rest(self) -> bool:
+        """Whether nothing moves any more."""
+        return not self._motion.any()
+
+    @property
+    def is_ready(self) -> bool:
+        """Whether a command would be taken: not while braking after an interruption."""
+        return not self._is_interrupted or self.is_at_rest
+
+    def refuse(self, reason: str) -> bool:
+        """Note why a velocity was not taken; return False."""
+        self.refusal = reason
+        return False
+
+    def want(self, velocity_rad_s: ArrayLike) -> bool:
+        """Take the velocity of the coming cycles, shape (n,).
+
+        Returns:
+            False with a `refusal` for anything but n finite numbers, for more than
+            twice the arm's highest speed, and, after an interruption, before the arm is
+            at rest and for more than `MAX_START_rad_s`.
+        """
+        try:
+            wanted = np.array(velocity_rad_s, dtype=float)
+        except (TypeError, ValueError):
+            return self.refuse(f"got {velocity_rad_s!r:.80}; expected numbers")
+        if wanted.shape != (self._joints,) or not math.isfinite(wanted.sum()):
+            return self.refuse(
+                f"got {wanted.tolist()!s:.80}; expected {self._joints} finite numbers"
+            )
+        speed_rad_s = np.abs(wanted)
+        if (speed_rad_s > ABSURD * self._highest_rad_s).any():
+            return self.refuse(
+                f"got {speed_rad_s.max():g} rad/s, more than twice what the arm can; "
+                "velocities are in rad/s"
+            )
+        if self._is_interrupted:
+            if not self.is_at_rest:
+                return self.refuse("the arm brakes after an interruption: let it rest")
+            if speed_rad_s.max() > MAX_START_rad_s:
+                return self.refuse(
+                    f"got {speed_rad_s.max():g} rad/s after an interruption; begin "
+                    f"with at most {MAX_START_rad_s:g}, with Controller.reset"
+                )
+        self._is_interrupted = False
+        self._wanted_rad_s = wanted
+        self._silent_cycles = 0
+        self.refusal = ""
+        return True
+
+    def brake(self) -> None:
+        """Forget the command: the arm brakes to rest."""
+        self._silent_cycles = MAX_SILENT_CYCLES
+
+    def interrupt(self) -> None:
+        """Brake, and take commands again from rest only, slow ones first."""
+        self.brake()
+        self._is_interrupted = True
+
+    def anchor(self) -> None:
+        """Begin at rest there: the arm took no commands, or has stopped itself."""
+        self._is_interrupted = self._is_interrupted or not self.is_at_rest
+        self._motion[:] = 0.0
+        self.brake()
+
+    def advance(self, position_rad: Array) -> Array:
+        """Return the velocity of the next cycle, shape (n,) [rad/s].
+
+        Args:
+            position_rad: Where the arm is, or is commanded to be, shape (n,).
+        """
+        if self._silent_cycles >= MAX_SILENT_CYCLES:
+            self._wanted_rad_s = np.zeros(self._joints)
+        self._silent_cycles += 1
+        write_next_motion(
+            self._limits, position_rad, self._wanted_rad_s, self.cycle_s, self._motion
+        )
+        return self._motion[0].copy()
+
+
+def _limit_rows(preset: ArmLimits, robot: Any) -> Array:
+    """Return lowest and highest position, speed, acceleration, jerk, brake; (6, n).
+
+    The acceleration is at most the jerk times the arm's cycle: a command that is lost,
+    the one before held, then exceeds no jerk either. Joints brake before a stop at
+    B < D, along a parabola that ends O^2 / (2 (D - B)) before it, and so keep to
+    `PositionStops` at every speed.
+    """
+    speed_rad_s = HEADROOM * np.array(preset.speed_rad_s)
+    jerk_rad_s3 = HEADROOM * np.array(preset.jerk_rad_s3)
+    acceleration_rad_s2 = np.minimum(
+        HEADROOM * np.array(preset.acceleration_rad_s2), jerk_rad_s3 * preset.cycle_s
+    )
+    brake_rad_s2 = 0.5 * acceleration_rad_s2
+    # Kept from the stops, for what moves the arm besides the command.
+    margin_rad = np.full(speed_rad_s.size, 0.04)
+    lower_rad = np.full(speed_rad_s.size, -np.inf)
+    upper_rad = np.full(speed_rad_s.size, np.inf)
+    if preset.stops is not None:
+        lower_rad, upper_rad, deceleration_rad_s2, offset_rad_s = np.array(preset.stops)
+        brake_rad_s2 = np.minimum(brake_rad_s2, 0.5 * deceleration_rad_s2)
+        near_rad = offset_rad_s**2 / (2.0 * (deceleration_rad_s2 - brake_rad_s2))
+        margin_rad = np.maximum(margin_rad, near_rad)
+    elif robot is not None and robot.nv == speed_rad_s.size:
+        lower_rad = robot.position_lower_rad
+        upper_rad = robot.position_upper_rad
+    return np.array(
+        (
+            lower_rad + margin_rad,
+            upper_rad - margin_rad,
+            speed_rad_s,
+            acceleration_rad_s2,
+            jerk_rad_s3,
+            brake_rad_s2,
+        )
+    )
+
+
+@compiled
+def write_next_motion(
+    limits: Matrix,
+    position_rad: Vector,
+    wanted_rad_s: Vector,
+    cycle_s: float,
+    motion: WrittenMatrix,
+) -> None:
+    """Write the velocity and the acceleration of the next cycle over the last ones.
+
+    Before a stop at a distance r the speed u is at most that from which the joint stops
+    there, braking at B after the time t that it takes to turn to braking:
+
+        u t + u^2 / 2 B = r,    t = (A + B) / J + 2 T
+
+    Args:
+        limits: Rows as `_limit_rows` returns them, shape (6, n).
+        position_rad: Where the joints are, shape (n,).
+        wanted_rad_s: Velocity to go to, shape (n,).
+        cycle_s: T.
+        motion: Velocity and acceleration, shape (2, n).
+    """
+    for i in range(wanted_rad_s.size):
+        speed, highest, jerk, brake = limits[2:, i]
+        velocity = motion[0, i]
+        acceleration = motion[1, i]
+        lost = brake * ((highest + brake) / jerk + 2.0 * cycle_s)
+        above = max(limits[1, i] - position_rad[i], 0.0)
+        below = max(position_rad[i] - limits[0, i], 0.0)
+        upper = min(speed, math.sqrt(lost * lost + 2.0 * brake * above) - lost)
+        lower = min(speed, math.sqrt(lost * lost + 2.0 * brake * below) - lost)
+        target = min(max(wanted_rad_s[i], -lower), upper)
+        change = jerk * cycle_s  # h
+        total = abs(target - velocity) / cycle_s
+        count = math.floor(0.5 + math.sqrt(0.25 + 2.0 * total / change))
+        landing = total / count + 0.5 * change * (count - 1)
+        step = math.copysign(min(landing, highest), target - velocity)
+        step = min(max(step, acceleration - change), acceleration + change)
+        velocity += cycle_s * step
+        if abs(velocity - target) < 1e-12:  # arrived, but for rounding [rad/s]
+            velocity = target
+        motion[0, i] = velocity
+        motion[1, i] = step
+
+
+class GuardedArm(Link):
+    """What arms that take commands have in common.
+
+    Attributes:
+        preset: Name of its limits, one of `ARM_LIMITS`.
+        robot: The model of the arm, or None.
+    """
+
+    preset: str
+    robot: Any
+    _guard: Guard
+    _closes_at_exit = False
+
+    @property
+    def limits(self) -> "Limits":
+        """The limits of the arm moving a needle, for `needleforce.control.Controller`.
+
+        Raises:
+            DeviceSettingError: The arm was opened without its model.
+        """
+        from needleforce.control.joint_limits import Limits
+
+        if self.robot is None:
+            raise DeviceSettingError(
+                "limits of an arm without its model; expected "
+                "connect_arm(..., robot=load_urdf(...))"
+            )
+        return Limits.of_arm(self.robot, self.preset)
+
+    @property
+    def refusal(self) -> str:
+        """Why the last velocity was not taken; empty if it was."""
+        return self._guard.refusal
+
+    def _want(self, velocity_rad_s: ArrayLike) -> bool:
+        """Pass a velocity on to the guard; from then on the end of the program brakes.
+
+        An exception, Ctrl-C and SIGTERM end alike. SIGTERM keeps a handler that the
+        program has set itself.
+        """
+        if not self._guard.want(velocity_rad_s):
+            return False
+        if not self._closes_at_exit:
+            self._closes_at_exit = True
+            atexit.register(self.close)
+            is_main = threading.current_thread() is threading.main_thread()
+            if is_main and signal.getsignal(signal.SIGTERM) is signal.SIG_DFL:
+                signal.signal(signal.SIGTERM, _exit_for_signal)
+        return True
+
+    def close(self) -> None:
+        """End the connection, and with it the readings."""
+        atexit.unregister(self.close)
+        super().close()
+
+
+def _exit_for_signal(number: int, _frame: object) -> None:
+    """End the program as an exception does, so that its links are closed."""
+    raise SystemExit(128 + number)
