@@ -17,6 +17,10 @@ Emulators: `emulators`, `fri_emulator`, `sunrise_emulator`, `rdt_emulator`,
 `haply_emulator`.
 """
 
+from needleforce.devices.arm_limits import (
+    ARM_LIMITS as ARM_LIMITS,
+    ArmLimits as ArmLimits,
+)
 from needleforce.devices.arm_names import (
     connect_arm as connect_arm,
     parse_arm_name as parse_arm_name,

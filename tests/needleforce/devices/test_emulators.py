@@ -91,7 +91,8 @@ def test_haptic_silence_is_one_outage(silence, monkeypatch):
 
         raise silence
 
-    link = SimpleNamespace(recv=recv, send=sent.append, close=lambda: None)
+    box = SimpleNamespace(setsockopt=lambda *_: None)
+    link = SimpleNamespace(recv=recv, send=sent.append, close=lambda: None, socket=box)
     library = SimpleNamespace(WebSocketException=Gone, connect=lambda *_, **__: link)
     monkeypatch.setattr(haply, "import_client", lambda *_: library)
     monkeypatch.setattr(haply.time, "monotonic", lambda: now_s)
