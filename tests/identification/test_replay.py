@@ -36,10 +36,16 @@ def columns():
     return Columns(run.t_s[rows], depth_m, run.force_N[rows], run.speed_m_s[rows])
 
 
+@pytest.fixture(scope="module")
+def results(columns):
+    """What its replay gives, by whether it has the speed."""
+    return {True: replay(*columns), False: replay(*columns[:3])}
+
+
 @pytest.mark.slow
-def test_a_replay_is_a_loop_over_update(columns):
+def test_a_replay_is_a_loop_over_update(columns, results):
     t_s, depth_m, force_N, speed_m_s = columns
-    result = replay(*columns)
+    result = results[True]
     identifier = Identifier()
     usual = float(np.median(np.diff(t_s[:HEAD_ROWS])))
     dt_s = np.concatenate(([usual], np.diff(t_s))).tolist()
@@ -59,10 +65,9 @@ def test_a_replay_is_a_loop_over_update(columns):
 @pytest.mark.slow
 @settings(max_examples=2)
 @given(st.lists(st.integers(HEAD_ROWS, 3000), max_size=6), st.booleans())
-def test_pieces_give_what_the_whole_gives(columns, cuts, has_speed):
+def test_pieces_give_what_the_whole_gives(columns, results, cuts, has_speed):
     t_s, depth_m, force_N, speed_m_s = columns
-    speed_m_s = speed_m_s if has_speed else None
-    whole = replay(t_s, depth_m, force_N, speed_m_s)
+    whole = results[has_speed]
     stream = ReplayStream()
     dt_s = np.diff(t_s, prepend=t_s[0])
     edges = [0, *sorted(set(cuts)), len(t_s)]  # the first piece is the head at least
@@ -112,9 +117,9 @@ def test_wrong_speed_sign_and_still_depth_get_hints(columns):
 
 
 @pytest.mark.slow
-def test_repeated_rows_change_no_layer(columns):
+def test_repeated_rows_change_no_layer(columns, results):
     t_s, depth_m, force_N, _ = columns
-    once = replay(t_s, depth_m, force_N)
+    once = results[False]
     twice = replay(*(np.repeat(column, 2) for column in (t_s, depth_m, force_N)))
 
     assert twice.layers == once.layers
@@ -122,14 +127,14 @@ def test_repeated_rows_change_no_layer(columns):
 
 @pytest.mark.slow
 @pytest.mark.parametrize("has_speed", [True, False])
-def test_late_rows_and_clock_steps_hide_no_event(columns, has_speed):
+def test_late_rows_and_clock_steps_hide_no_event(columns, results, has_speed):
     t_s, depth_m, force_N, speed_m_s = columns
     late_s = t_s.copy()
     back_s = t_s.copy()
     late_s[400 :: len(t_s) // 30] -= 0.05
     back_s[int(np.nanargmax(depth_m > 0.004)) :] -= 20.0
     signals = (depth_m, force_N, speed_m_s if has_speed else None)
-    clean = replay(t_s, *signals)
+    clean = results[has_speed]
     late = replay(late_s, *signals)
     set_back = replay(back_s, *signals, dt_s=RowClock().update(back_s))
     rejected = [k for k, e in enumerate(set_back.estimates) if not e.status.is_used]

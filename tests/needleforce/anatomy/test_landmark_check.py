@@ -156,14 +156,17 @@ def test_points_of_slicer_are_read_in_either_frame(frame, sign, tmp_path):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("offset_m", "count"), [(0.0, 4), (3e-3, 4), (3e-3, 6), (5e-3, 5), (10e-3, 6)]
+    ("offset_m", "count", "draws"),
+    [(0, 4, 300), (3e-3, 4, 300), (3e-3, 6, 100), (5e-3, 5, 300), (10e-3, 6, 30)],
 )
-def test_the_region_holds_or_the_fit_is_refused_with_one_landmark_off(offset_m, count):
+def test_the_region_holds_or_the_fit_is_refused_with_one_landmark_off(
+    offset_m, count, draws
+):
     rng = np.random.default_rng(1010)
     target_m = np.array([0.0, 0.05, 0.0])
     inside = []
     refused = 0
-    for _ in range(300):
+    for _ in range(draws):
         robot, (rotation, shift) = touched(FRONT_m[:count], rng, 1e-3)
         way = rng.normal(size=3)
         robot[rng.integers(count)] += offset_m * way / np.linalg.norm(way)
@@ -174,7 +177,7 @@ def test_the_region_holds_or_the_fit_is_refused_with_one_landmark_off(offset_m, 
             continue
         inside.append(fit.region_contains(target_m, rotation @ target_m + shift))
 
-    assert refused > 250 or np.mean(inside) == pytest.approx(0.95, abs=0.04)
+    assert refused > 0.8 * draws or np.mean(inside) == pytest.approx(0.95, abs=0.04)
     assert refused == 0 or offset_m > 3e-3
 
 
