@@ -18,5 +18,5 @@ setup(
         (f"{SHARE}/launch", ["needleforce.launch.py"]),
     ],
     install_requires=["setuptools"],
-    entry_points={"console_scripts": ["node = needleforce.cli.ros2:main"]},
+    entry_points={"console_scripts": ["node = needleforce.cli:run_ros2_node"]},
 )

@@ -53,6 +53,7 @@ __all__ = [
     "register",
     "report",
     "ros2",
+    "run_ros2_node",
     "simulate",
     "touch",
     "view",
@@ -89,3 +90,12 @@ def main(argv: Sequence[str] | None = None) -> int:
         return command(*bound.args, **bound.kwargs) or 0
 
     return run_command(dispatch)
+
+
+def run_ros2_node() -> int:
+    """Run `needleforce ros2` as `ros2 run needleforce node`, the package's executable.
+
+    Returns:
+        The exit code.
+    """
+    return main(["ros2", *sys.argv[1:]])

@@ -1,6 +1,5 @@
 """The command `needleforce ros2`."""
 
-import sys
 from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -64,14 +63,3 @@ def ros2_command(
         (lambda session: None) if loaded is None else loaded.follow_with,
     )
     return 0
-
-
-def main() -> int:
-    """Run the command as `ros2 run needleforce node`, the executable of the package.
-
-    Returns:
-        The exit code.
-    """
-    from needleforce.cli import main as run_command
-
-    return run_command(["ros2", *sys.argv[1:]])

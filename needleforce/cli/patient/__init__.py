@@ -1,7 +1,5 @@
 """From one's own CT to a registered plan: the commands plan, touch and register.
 
 Reading order: `case_files` (CT and labels), `plan_run`, `plan_table`, `plan_slices`,
-`plan_page`, `touch_file`, `touch_detector`, `touch_run`, `register_run`,
-`register_report`, `example_case` and `simulated_patient` (a torso, and an arm that
-touches it).
+`plan_page`, `touch_file`, `touch_run`, `register_run`, `register_report`.
 """

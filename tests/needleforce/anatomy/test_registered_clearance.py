@@ -28,9 +28,7 @@ def folder(tmp_path_factory):
     ct = f"--ct {folder}/ct.nii.gz --labels {folder}/labels.nii.gz"
     wish = f"--target lesion --passable vessel --margin {MARGIN_mm} -o {folder}/plan"
     with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(
-            "needleforce.cli.patient.example_case.SPACING_m", (4e-3, 4e-3, 5e-3)
-        )
+        patch.setattr("needleforce.simulation.torso_case.SPACING_m", (4e-3, 4e-3, 5e-3))
         patch.setattr("needleforce.cli.patient.plan_page.find_spec", lambda name: None)
         patch.setattr(register_run, "case_of_plan", cache(register_run.case_of_plan))
         patch.setattr(plan_file, "_large_surfaces", lambda labels: ())

@@ -16,8 +16,7 @@ from xml.etree import ElementTree
 import pytest
 
 from needleforce import InsertionSession
-from needleforce.cli import main
-from needleforce.cli.ros2 import main as run_from_ros
+from needleforce.cli import main, run_ros2_node
 from needleforce.ros2 import node as node_file
 from needleforce.ros2.parameters import PARAMETERS, settings_from_values
 from needleforce.ros2.ros_modules import RosModules
@@ -254,5 +253,5 @@ def metadata_version():
 def test_the_executable_of_the_package_is_the_command(monkeypatch, capsys):
     monkeypatch.setattr(sys, "argv", ["node", "--help"])
 
-    assert run_from_ros() == 0
+    assert run_ros2_node() == 0
     assert "joint_states in" in capsys.readouterr().out
