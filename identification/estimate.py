@@ -76,8 +76,6 @@ class Rupture:
         is_final: Whether it is settled: while False it may still be retracted.
         contact_depth_m: Depth of first contact: found by the multi-layer method, known
             beforehand in `published`.
-        partial_rupture_probability: That it was partial and not the layer's end, None
-            where the method does not distinguish them.
     """
 
     layer: int
@@ -90,7 +88,6 @@ class Rupture:
     probability: float
     is_final: bool = False
     contact_depth_m: float
-    partial_rupture_probability: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)

@@ -26,11 +26,9 @@ from benchmarks.insertion.robustness import perturbed_needle
 from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
 from benchmarks.jobs import Job, Progress
 from benchmarks.results import Figure, make_figures
-from foundation.records import read_column
 from identification.estimate import SampleStatus
 from identification.multilayer import method as multilayer
 from identification.multilayer.hard_contact import HardContactState
-from identification.multilayer.mixture import MixtureMemory
 from identification.multilayer.needle_pull import NeedlePull
 from identification.multilayer.noise_levels import Texture
 from identification.multilayer.rest_force import RestForce
@@ -75,19 +73,6 @@ def _no_swing() -> Any:
     return patch.object(multilayer.MultilayerMethod, "update", update_without)
 
 
-def _no_partial_ruptures() -> Any:
-    """Drop every component that takes a rupture for a partial one."""
-    branch = MixtureMemory.branch
-
-    def branch_without(self: Any, *arguments: Any) -> None:
-        branch(self, *arguments)
-        mixture = self.mixture
-        was_partial = read_column(mixture.history, "was_partial") > 0.0
-        mixture.log_weights[was_partial] = -1e9
-
-    return patch.object(MixtureMemory, "branch", branch_without)
-
-
 def _no_own_speed() -> Any:
     """Give the force model the filtered speed."""
 
@@ -115,7 +100,6 @@ PARTS: Mapping[str, Callable[[], tuple[Any, ...]]] = {
     "waiting for the speed": lambda: (
         patch.object(multilayer, "may_be_braking", lambda *_: False),
     ),
-    "partial ruptures": lambda: (_no_partial_ruptures(),),
 }
 """Parts by name, with what switches each off."""
 

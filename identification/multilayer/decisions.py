@@ -14,8 +14,6 @@ from identification.multilayer.events import History
 from identification.multilayer.evidence import Evidence
 from identification.multilayer.force_model import (
     FADING,
-    HELD,
-    LAYER,
     OFFSET,
     RELEASED,
     Assumptions,
@@ -95,9 +93,6 @@ class RuptureCount(NamedTuple):
 def released_force(mean: Vector, assumption: Assumptions, history: History) -> float:
     """Return the force that the last rupture of a component has released."""
     released = mean[RELEASED] - mean[FADING]
-    if assumption.medium == LAYER and assumption.holds_force > 0.0:
-        # After a partial rupture part of the force is held.
-        released -= mean[HELD]
     # At most all of the force has fallen.
     return min(released, history.rupture_force_N - mean[OFFSET])
 

@@ -1,4 +1,4 @@
-"""Events: contact, end of a layer, partial rupture, a membrane met under a layer.
+"""Events: contact, end of a layer, a membrane met under a layer.
 
 Each is a linear map of the unknowns, with noise for what the event leaves open:
 
@@ -6,10 +6,9 @@ Each is a linear map of the unknowns, with noise for what the event leaves open:
 
 The unknowns change, but at the event itself the mean force that they predict does not.
 
-After a rupture part of the tip force may remain, in one of two ways. Force that is
-*held* stays at the tip until the next event (`HELD`, after a partial rupture). Force
-that is *kept* outlasts the release and then fades with travel (`FADING`, after the end
-of a layer).
+After a rupture part of the tip force may remain: it outlasts the release and then fades
+with travel (`FADING`). What pushes at the tip when a membrane is met under a layer
+stays there until the membrane ruptures (`HELD`).
 
 A rupture is *reported* once the caller has been told of it by an alarm, and until that
 alarm is retracted. A hypothesis may count one rupture more than were reported.
@@ -75,10 +74,7 @@ LAYER_END = 1
 """The tip ruptures the end of a layer, or punctures a membrane, and enters a layer or
 air."""
 
-PARTIAL_RUPTURE = 2
-"""The tissue ruptures further, and keeps pushing at the tip."""
-
-MEMBRANE_MET = 3
+MEMBRANE_MET = 2
 """The tip meets a membrane under the layer that it is in."""
 
 RELEASE_LENGTH_LOG_STD = 0.12
@@ -87,20 +83,10 @@ that a hypothesis assumes."""
 
 FADING_FRACTION = 0.45
 """Fraction of the tip force that is kept, where some is: chosen, between the 30 and
-60 % that partial ruptures in liver suggest."""
+60 % that ruptures in liver suggest."""
 
 FADING_FRACTION_STD = 0.15
 """Its standard deviation."""
-
-HELD_FRACTION = 0.5
-"""Fraction of the tip force that is held after a partial rupture: chosen."""
-
-HELD_FRACTION_STD = 0.25
-"""Its standard deviation."""
-
-MIN_HELD_VARIANCE_N2 = 1e-4
-"""Variance that is added to that of the held force, so that it is not zero where the
-tip force is."""
 
 INITIAL_FRICTION_STD_N = 0.2
 """Standard deviation of friction already there at the first contact: the recording may
@@ -111,7 +97,7 @@ class Event(NamedTuple):
     """What may have happened in a block.
 
     Attributes:
-        kind: `CONTACT`, `LAYER_END`, `PARTIAL_RUPTURE` or `MEMBRANE_MET`.
+        kind: `CONTACT`, `LAYER_END` or `MEMBRANE_MET`.
         next_medium: What the tip is in afterwards: `AIR`, `LAYER` or `MEMBRANE`.
         keeps_force: Whether part of the tip force is kept: it outlasts the release and
             then fades.
@@ -139,7 +125,6 @@ class History:
         rupture_mm: Its depth.
         rupture_speed_mm_s: Its speed.
         rupture_force_N: Force before it.
-        was_partial: 1 where it was a partial one.
         section_start_mm: Depth at which the section begins.
         section_end_mm: Depth at which it ends.
         section_friction_N: Its friction, as it was when the section ended.
@@ -157,7 +142,6 @@ class History:
     rupture_mm: float = 0.0
     rupture_speed_mm_s: float = 0.0
     rupture_force_N: float = 0.0
-    was_partial: float = 0.0
     section_start_mm: float = 0.0
     section_end_mm: float = 0.0
     section_friction_N: float = 0.0
@@ -281,15 +265,6 @@ def leave_friction_on_shaft(
 
 
 @compiled_inside
-def hold_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> None:
-    """Release the tip force and hold about half of it, as a partial rupture does."""
-    tip_force = dot(tip_row, mean)
-    take_tip_force(step, RELEASED, tip_row, 1.0)
-    take_tip_force(step, HELD, tip_row, HELD_FRACTION)
-    step.variance[HELD] = (HELD_FRACTION_STD * tip_force) ** 2 + MIN_HELD_VARIANCE_N2
-
-
-@compiled_inside
 def keep_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> None:
     """Let part of the tip force outlast the release, until it fades with travel."""
     take_tip_force(step, FADING, tip_row, FADING_FRACTION)
@@ -300,7 +275,7 @@ def keep_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> No
 def begins_friction_record(assumption: Assumptions, kind: int, reported: int) -> bool:
     """Return whether an event begins a new friction record, for the section it ends.
 
-    True for each event in a layer: its end, a partial rupture, a membrane met under it.
+    True for each event in a layer: its end, a membrane met under it.
     True also for the puncture of a membrane that was met in air. The puncture of a
     membrane met under a layer begins none: that layer's section ended where the
     membrane was met. Nor does any event of a hypothesis with a rupture that is not
@@ -361,10 +336,6 @@ def map_event(
         release_model_error(step, mean, tip_row, block)
         leave_friction_on_shaft(step, assumption, block)
         take_tip_force(step, RELEASED, tip_row, 1.0)
-    elif event.kind == PARTIAL_RUPTURE:
-        leave_undecided_cutting_on_shaft(step, mean, tip_row, assumption, block)
-        release_model_error(step, mean, tip_row, block)
-        hold_part_of_tip_force(step, mean, tip_row)
     elif event.kind == MEMBRANE_MET:
         leave_undecided_cutting_on_shaft(step, mean, tip_row, assumption, block)
         leave_friction_on_shaft(step, assumption, block)
@@ -381,8 +352,7 @@ def add_prior(gaussian: Gaussian, event: Event, speed: float) -> None:
         add_membrane_prior(gaussian.mean, gaussian.covariance)
     elif event.next_medium == LAYER:
         add_stiffness_prior(gaussian.mean, gaussian.covariance, speed)
-        if event.kind != PARTIAL_RUPTURE:  # which keeps the layer's friction
-            add_friction_prior(gaussian.mean, gaussian.covariance, speed)
+        add_friction_prior(gaussian.mean, gaussian.covariance, speed)
 
 
 @compiled_inside
@@ -439,26 +409,23 @@ def update_assumption(
         block: Where it happens.
         reported: Number of ruptures reported so far.
     """
-    is_rupture = event.kind in (LAYER_END, PARTIAL_RUPTURE)
-    is_puncture = event.kind == LAYER_END and parent.medium == MEMBRANE
+    is_rupture = event.kind == LAYER_END
+    is_puncture = is_rupture and parent.medium == MEMBRANE
     child.release_start_mm = NO_RELEASE_MM
     if is_rupture:
         child.ruptures = min(parent.ruptures, reported) + 1.0
         child.release_start_mm = block.depth_mm
-    if event.kind != PARTIAL_RUPTURE:
-        # The layer behind a membrane has rubbed since the membrane was met.
-        start = parent.tip_start_mm if is_puncture else block.depth_mm
-        child.layer_start_mm = start
-        child.is_fraction_used = 0.0 if event.next_medium == LAYER else 1.0
+    # The layer behind a membrane has rubbed since the membrane was met.
+    child.layer_start_mm = parent.tip_start_mm if is_puncture else block.depth_mm
+    child.is_fraction_used = 0.0 if event.next_medium == LAYER else 1.0
     child.tip_start_mm = block.depth_mm
     child.medium = event.next_medium
-    holds_force = event.kind in (PARTIAL_RUPTURE, MEMBRANE_MET)
-    child.holds_force = 1.0 if holds_force else 0.0
+    child.holds_force = 1.0 if event.kind == MEMBRANE_MET else 0.0
     child.is_punctured = 1.0 if is_puncture else 0.0
 
 
 @compiled_inside
-def record_rupture(history: History, kind: int, block: Block) -> None:
+def record_rupture(history: History, block: Block) -> None:
     """Record a rupture at the beginning of a block.
 
     A release can be over within a block, so the force it fell from is that of the block
@@ -468,7 +435,6 @@ def record_rupture(history: History, kind: int, block: Block) -> None:
     history.rupture_mm = block.depth_mm
     history.rupture_speed_mm_s = block.speed_mm_s
     history.rupture_force_N = block.force_before_N
-    history.was_partial = 1.0 if kind == PARTIAL_RUPTURE else 0.0
     history.min_force_N = block.force_before_N
 
 

@@ -63,16 +63,15 @@ TRAVERSED_VISCOUS = 2
 
 RELEASED = 3
 """R: whole tip force at the last rupture [N]. What is released is R less the part that
-fades (`FADING`) and, in a partial rupture, less the part that is held (`HELD`)."""
+fades (`FADING`)."""
 
 RELEASE_STRETCH = 4
 """L: R times the relative error of the release's length [N]."""
 
 HELD = 5
-"""T [N], with three uses: the cutting force, reached `CUTTING_ONSET_MM` into a layer;
-the part of the tip force that is held after a partial rupture; or the whole tip force
-at which a membrane was met under a layer. `Assumptions.holds_force` is 0 for the first,
-1 for the others."""
+"""T [N], with two uses: the cutting force, reached `CUTTING_ONSET_MM` into a layer; or
+the whole tip force at which a membrane was met under a layer, until it ruptures.
+`Assumptions.holds_force` is 0 for the first, 1 for the second."""
 
 STIFFNESS = 6
 """K: growth of the tip force with travel [N/mm]."""
@@ -182,8 +181,8 @@ class Assumptions:
         tip_start_mm: Depth at which the layer's tip force begins.
         release_start_mm: Depth of the last release, `NO_RELEASE_MM` without one.
         release_length_mm: Travel that the release takes.
-        holds_force: 1 where `HELD` is a tip force that is held, 0 where it is the
-            cutting force.
+        holds_force: 1 where `HELD` is the tip force at which a membrane was met under a
+            layer, 0 where it is the cutting force.
         is_fraction_used: 0 while `priors.use_friction_fraction` is still to be applied
             in this layer. It starts at 1: in air and at a membrane there is no layer
             to apply it to.
@@ -269,7 +268,7 @@ def undecided_cutting(assumption: Assumptions, depth_mm: float) -> Undecided:
     The fraction of it that is friction grows with travel x as
     ``CUTTING_ON_SHAFT * (1 - exp(-x / UNDECIDED_CUTTING_MM))``.
     """
-    if assumption.medium != LAYER or assumption.holds_force > 0.0:
+    if assumption.medium != LAYER:
         return Undecided(0.0, 0.0)
     travel = max(depth_mm - assumption.tip_start_mm, 0.0)
     remaining = math.exp(-travel / UNDECIDED_CUTTING_MM)

@@ -69,7 +69,6 @@ def report_rupture(
         alarm: The sample that raises it.
     """
     history = _history(evidence, component)
-    ruptures = int(evidence.ruptures[component])
     since_s = max(alarm.since_reset_s - history.rupture_s, 0.0)
     return Rupture(
         layer=layer,
@@ -81,16 +80,7 @@ def report_rupture(
         speed_m_s=history.rupture_speed_mm_s / MM_PER_M,
         probability=min(probability, 1.0),
         contact_depth_m=history.contact_mm / MM_PER_M,
-        partial_rupture_probability=partial_rupture_probability(evidence, ruptures),
     )
-
-
-def partial_rupture_probability(evidence: Evidence, ruptures: int) -> float:
-    """Return how likely the last rupture was a partial one, not the end of a layer."""
-    weights = evidence.weights_of(ruptures)
-    total = float(weights.sum())
-    was_partial = read_column(evidence.mixture.history, "was_partial")
-    return float(weights @ was_partial) / total if total > 0.0 else 0.0
 
 
 def _history(evidence: Evidence, component: int) -> History:

@@ -69,7 +69,6 @@ from identification.multilayer.layer_report import (
     Alarm,
     friction_of_last_layer,
     friction_of_layer_before,
-    partial_rupture_probability,
     report_layer,
     report_rupture,
     with_doubt,
@@ -1352,12 +1351,7 @@ class MultilayerMethod:
         if friction is not None:
             layers[-1] = with_friction(layers[-1], friction)
         if is_final:
-            probability = partial_rupture_probability(evidence, self._state.ruptures)
-            rupture = replace(
-                layers[-1].rupture,
-                is_final=True,
-                partial_rupture_probability=probability,
-            )
+            rupture = replace(layers[-1].rupture, is_final=True)
             layers[-1] = replace(layers[-1], is_final=True, rupture=rupture)
             self.events = self.events._replace(identified_layer=layers[-1])
         friction = friction_of_layer_before(evidence, self._state.ruptures, variance_N2)

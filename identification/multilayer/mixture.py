@@ -48,7 +48,6 @@ from identification.multilayer.events import (
     CONTACT,
     LAYER_END,
     MEMBRANE_MET,
-    PARTIAL_RUPTURE,
     Event,
     Gaussian,
     History,
@@ -101,9 +100,6 @@ RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 1.5, 2.0])
 """Travel of a release, one hypothesis each: gels take 0.1 to 0.5 mm, real liver up to 2
 mm."""
 
-PARTIAL_RELEASES_MM = np.array([0.5, 1.5])
-"""Travel of a partial rupture's release: in liver 0.5 to 2 mm."""
-
 NO_RELEASES_MM = np.array([0.3])
 """Placeholder for an event without a release: one entry, so one child. Its value has no
 effect."""
@@ -111,9 +107,6 @@ effect."""
 MIN_RELEASE_MM = 0.3
 """Minimum travel after a rupture before its hypothesis may have children: until then
 the force does not show what the rupture was."""
-
-PARTIAL_FRACTION = 0.15
-"""Prior fraction of ruptures that are partial."""
 
 FADING_PROBABILITY = 0.2
 """Where one layer ends at another: prior fraction of cases in which part of the tip
@@ -612,7 +605,7 @@ def constrain_sign(
     """
     log_weight = set_to_zero(mean, covariance, TRAVERSED_COULOMB, ZERO_FORCE_STD_N)
     log_weight += set_to_zero(mean, covariance, STIFFNESS, ZERO_STIFFNESS_STD_N_PER_MM)
-    if assumption.medium == LAYER and assumption.holds_force == 0.0:
+    if assumption.medium == LAYER:
         # With its onset a negative cutting force would look like a slow release.
         log_weight += set_to_zero(mean, covariance, HELD, ZERO_FORCE_STD_N)
     return log_weight
@@ -632,8 +625,6 @@ def is_release_too_small(mean: Vector, assumption: Assumptions, block: Block) ->
     if not is_release_over(assumption, block):
         return False
     released = mean[RELEASED] - mean[FADING]
-    if assumption.medium == LAYER and assumption.holds_force > 0.0:
-        released -= mean[HELD]
     fraction = MIN_RELEASED_FRACTION * assumption.unchecked_force_N
     return released < max(fraction, MIN_RELEASED_SIGMAS * block.noise_std_N)
 
@@ -709,13 +700,13 @@ def record_event(
     child = mixture.assumptions[row]
     history = mixture.history[row]
     update_assumption(child, assumption, event, block, reported)
-    if event.kind in (LAYER_END, PARTIAL_RUPTURE):
+    if event.kind == LAYER_END:
         regressors = regressor(assumption, block)
         force = 0.0
         for i in range(TIP_BEGIN, LAYER_VISCOUS + 1):  # tip and layer
             force += regressors[i] * mixture.means[parent, i]
         child.unchecked_force_N = force
-        record_rupture(history, event.kind, block)
+        record_rupture(history, block)
     if event.kind == CONTACT:
         record_contact(history, block.depth_mm, assumption.ruptures == 0.0)
 
@@ -839,7 +830,7 @@ def add_ends(
     tissue_speed_std: float,
 ) -> int:
     """Write what a component in tissue may have become; see `branch_parents`."""
-    end = (1.0 - PARTIAL_FRACTION) * probability / len(RELEASES_MM)
+    end = probability / len(RELEASES_MM)
     further = end * (1.0 - AIR_FRACTION)
     if mixture.assumptions[parent].medium != LAYER:
         event = Event(LAYER_END, LAYER, False, RELEASES_MM, further)
@@ -848,14 +839,11 @@ def add_ends(
         )
     fading = further * FADING_PROBABILITY
     whole = further * (1.0 - FADING_PROBABILITY)
-    partial = PARTIAL_FRACTION * probability / len(PARTIAL_RELEASES_MM)
     event = Event(LAYER_END, LAYER, False, RELEASES_MM, whole)
     size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
     event = Event(LAYER_END, LAYER, True, RELEASES_MM, fading)
     size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
     event = Event(LAYER_END, AIR, False, RELEASES_MM, end * AIR_FRACTION)
-    size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
-    event = Event(PARTIAL_RUPTURE, LAYER, False, PARTIAL_RELEASES_MM, partial)
     return add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
 
 

@@ -157,23 +157,19 @@ class ShaftMixture(NamedTuple):
 
 
 @compiled_inside
-def has_open_section(
-    assumption: Assumptions, was_partial: float, reported: int
-) -> bool:
+def has_open_section(assumption: Assumptions, reported: int) -> bool:
     """Return whether a component's last section belongs to no reported layer.
 
     It ended at a rupture that is not reported, or where a membrane was met under the
-    layer. A partial rupture leaves the layer's friction with the layer.
+    layer.
     """
     if assumption.ruptures > reported:
-        return was_partial == 0.0
+        return True
     return assumption.medium == MEMBRANE and assumption.holds_force > 0.0
 
 
 @compiled_inside
-def traversed_rows(
-    rows: WrittenMatrix, assumption: Assumptions, was_partial: float, reported: int
-) -> None:
+def traversed_rows(rows: WrittenMatrix, assumption: Assumptions, reported: int) -> None:
     """Map a component's unknowns to the friction of the layers reported.
 
     A component that knows of a rupture, or of a membrane under the layer, before it is
@@ -185,7 +181,7 @@ def traversed_rows(
         return
     rows[AT_TRAVERSED_COULOMB, TRAVERSED_COULOMB] = 1.0
     rows[AT_TRAVERSED_VISCOUS, TRAVERSED_VISCOUS] = 1.0
-    if has_open_section(assumption, was_partial, reported):
+    if has_open_section(assumption, reported):
         rows[AT_TRAVERSED_COULOMB, FRICTION_LAST] = -1.0
 
 
@@ -351,8 +347,7 @@ def mix_components(
             met_probability += used.means[k]
         rows = shaft_rows(assumption, block.depth_mm, 1.0 if has_met else 0.0)
         if has_met:
-            was_partial = mixture.history[k].was_partial
-            traversed_rows(rows, assumption, was_partial, reported)
+            traversed_rows(rows, assumption, reported)
         for a in range(QUANTITIES):
             values[k, a] = dot(rows[a], mixture.means[k])
             mean[a] += used.means[k] * values[k, a]

@@ -205,7 +205,6 @@ def test_two_layers_and_their_friction_are_found():
     assert [first.layer, second.layer] == [1, 2]
     assert first.probability >= MULTILAYER.alarm_probability
     assert not first.is_final
-    assert 0.0 <= first.partial_rupture_probability <= 1.0
     assert first.contact_depth_m == pytest.approx(0.0, abs=0.5e-3)
     assert 0.0 < first.alarm_s - first.time_s < 0.06
 
