@@ -195,8 +195,8 @@ REVISE_S = 0.1
 UNKNOWN_MOTION_MM = 0.1
 """Motion of tissue with the heart, one standard deviation, if the beat is not known."""
 
-SERIES_S = 3.0
-"""Time between two alarms that a heart or a quick breath may have raised."""
+SERIES_S = 1.5
+"""Time between two alarms that a heart may have raised: 40 beats a minute."""
 
 FAR_MM = 1e9
 """The deepest point before the first block lies so far in front."""

@@ -494,3 +494,25 @@ def test_nothing_is_subtracted_before_the_first_rupture_is_reported():
     difference_N = (enhanced_N - truth.force_N)[before]
 
     assert np.abs(difference_N).max() < 0.02  # the zero of the force is learnt
+
+
+@pytest.mark.slow
+def test_thin_layers_crossed_in_two_seconds_each_are_found_one_and_all():
+    """Falls that follow one another are no heartbeat: each stays, and is a rupture."""
+    speed_m_s = 3e-3
+    thickness_m = 6e-3
+    identifier = Identifier()
+    noise_N = np.random.default_rng(1).normal(0.0, 5e-3, 25_000)
+    alarms_m = []
+    for tick, error_N in enumerate(noise_N):
+        depth_m = speed_m_s * 1e-3 * tick - 2e-3
+        in_tissue_m = max(depth_m, 0.0)
+        tip_N = 60.0 * (in_tissue_m % thickness_m)
+        friction_N = 1.7 * in_tissue_m
+        force_N = tip_N + friction_N + error_N
+        estimate = identifier.update(depth_m, speed_m_s, force_N, 1e-3)
+        if estimate.rupture is not None:
+            alarms_m.append(estimate.rupture.depth_m)
+
+    boundaries_m = thickness_m * np.arange(1, 13)
+    assert alarms_m == pytest.approx(boundaries_m, abs=0.3e-3)
