@@ -18,6 +18,7 @@ from identification.multilayer.needle_contact import (
     REST_SPEED_MM_S,
     ContactSample,
     NeedleContact,
+    is_falling,
     update_contact,
 )
 from identification.multilayer.needle_stop import (
@@ -55,6 +56,9 @@ START_M = 0
 THICKNESS_M = 1
 COULOMB_N = 2
 VISCOUS_N_PER_MM_S = 3
+
+PREDICTED = 8
+"""Place of the force that was predicted among `Outputs`."""
 
 
 class Forces(NamedTuple):
@@ -564,4 +568,7 @@ def update_sample(
     )
     is_full = update_contact(contacts[0], sample)
     outputs = estimate_sample(posteriors, contacts, layers, depth_m, speed_m_s, force)
+    predicted = outputs[PREDICTED]
+    noise_variance = posteriors[0].noise_variance
+    is_full |= is_falling(contacts[0], predicted - force, dt_s, noise_variance)
     return is_full, outputs
