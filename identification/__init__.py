@@ -7,8 +7,10 @@ force at the tip.
     identifier = Identifier()                       # or Identifier(PUBLISHED)
     estimate = identifier.update(depth_m, speed_m_s, force_N, dt_s)
 
-Reading order: `identifier`, `sample_check`, `travel_filter`; the multi-layer method in
-the package `multilayer`; the published method, online and offline, in `published`.
+Reading order: `identifier`, `sample_check` (which samples are not used, such as those
+with a NaN), `travel_filter`; the multi-layer method in the package `multilayer`; the
+published method, online and offline, in `published`; `channel` (a needle that comes
+back to its channel).
 """
 
 from identification.config import (

@@ -75,7 +75,9 @@ class MultilayerConfig:
     """Settings of the multi-layer method; its physical priors stand where they act.
 
     Attributes:
-        alarm_probability: Of one more rupture, at which an alarm is raised.
+        alarm_probability: Of one more rupture, at which an alarm is raised. Chosen: if
+            the model were exact, at most 2 of 100 alarms at 0.98 would be false; how
+            many are is measured, see docs/reference/results.md. A lower one is earlier.
         provisional_probability: The same for a provisional alarm, at most as large.
         hard_contact_N_per_m: Growth of the force per travel beyond which a contact is
             hard, as bone: twice what a tip of 18 G meets in cartilage, see

@@ -2,8 +2,8 @@
 
 Reading order: `momentum_observer` (the equation and the residual), `sample_stream`
 (samples to residual), `bias` (what the residual reads without contact),
-`wrench_estimator` (equation 13), `checks` (what is no measurement, and when an estimate
-may be wrong), `virtual_force_sensor` (all of it in two calls).
+`wrench_estimator` (equation 13), `checks` (what is no measurement, such as a NaN, and
+when an estimate may be wrong), `virtual_force_sensor` (all of it in two calls).
 """
 
 from residual.bias.model import BiasPrior

@@ -117,12 +117,6 @@ def run_explanation(page):
     return text, *run_example(code)
 
 
-def test_the_observers_example_ends_at_the_external_torque():
-    _, names, _ = run_explanation("observer.md")
-
-    assert names["residual_Nm"] == pytest.approx(names["pushed_Nm"], rel=1e-3, abs=1e-9)
-
-
 def test_the_example_of_control_sets_the_entry_on_the_needle():
     _, names, _ = run_explanation("control.md")
     tool = names["control"].tool

@@ -1,6 +1,8 @@
 """Checks of the samples and of the estimates that are made of them.
 
-Reading order: `input` (shape and size of numbers), `outliers` (spikes, saturated
+Reading order: `input` (shape and size of numbers, NaN), `outliers` (spikes, saturated
 torques), `stuck_signals` (what repeats bit for bit), `velocity` (dq against the rate of
-q), `pushed_arm` (a hand on the arm), `monitor` (what is checked every few samples).
+q), `pushed_arm` (a hand on the arm), `torque_jump` (a sensor that steps), `monitor`
+(what is checked every few samples). A sample that is refused raises a `SampleError`
+here; `VirtualForceSensor` turns it into the status ``REJECTED`` and the last estimate.
 """
