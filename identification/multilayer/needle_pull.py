@@ -184,6 +184,10 @@ class NeedlePull(NamedTuple):
         is_new_foreign = is_new_foreign or (is_quick and not self.is_pulled)
         pull_fraction = STILL_PULLED if self.is_pulled else 1.0
         is_pulled = below_N > pull_fraction * limit_N or stays_below_friction
+        # Whoever lets go lets the force rise, faster than tissue does, to what it was.
+        is_rising = self.recent_N + limit_N < force.value_N < self.peak_N
+        is_let_go = self.is_pulled and self.is_foreign and is_rising
+        is_pulled = is_pulled or is_let_go
         return self._replace(
             is_pulled=is_pulled,
             is_foreign=is_pulled and (self.is_foreign or is_new_foreign),

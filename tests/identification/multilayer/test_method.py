@@ -516,3 +516,15 @@ def test_thin_layers_crossed_in_two_seconds_each_are_found_one_and_all():
 
     boundaries_m = thickness_m * np.arange(1, 13)
     assert alarms_m == pytest.approx(boundaries_m, abs=0.3e-3)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_a_rupture_in_the_midst_of_a_block_does_not_wait_for_its_end(seed):
+    """A block of 10 ms ends at once where its force falls short of what is expected."""
+    _, estimates = run(straight(seed))
+
+    ends_m = np.cumsum(THICKNESS_M)
+    depths_m = [rupture.alarm_depth_m for rupture in values_of(estimates, "rupture")]
+    delays_s = (np.array(depths_m) - ends_m) / SPEED_M_S
+    assert np.all(delays_s < 0.018)

@@ -190,16 +190,16 @@ def test_an_insertion_resumes_in_moving_tissue():
     chosen = replace(scenario("gel-25-constant", 0), tissue_motion=motion)
     run = insert_needle(chosen, seed=7)
     columns = np.column_stack((run.depth_m, run.speed_m_s, run.force_N))
-    rows = columns[13_000:26_000].tolist()
+    rows = columns[13_000:27_000].tolist()
     first = Identifier()
     second = Identifier()
-    for row in rows[:11_000]:
+    for row in rows[:12_000]:
         first.update(*row, 1e-3)
     second.restore(first.snapshot())
 
     assert first.snapshot().state.tissue.is_known
 
-    for row in rows[11_000:]:
+    for row in rows[12_000:]:
         assert second.update(*row, 1e-3) == first.update(*row, 1e-3)
 
 
