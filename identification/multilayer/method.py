@@ -646,7 +646,8 @@ class MultilayerMethod:
         if is_cutting and self._state.pull.is_pulled:
             self._state.levels = self._state.levels.restarted()
             self._state.texture = self._state.texture.restarted()
-            if self._state.pull.is_foreign:  # no motion of the tissue is to be read there
+            if self._state.pull.is_foreign:
+                # No motion of the tissue can be read there.
                 self._state.tissue = self._state.tissue.restarted(clock_s)
         elif is_cutting:
             in_tissue_mm = fresh_mm if is_met else 0.0
