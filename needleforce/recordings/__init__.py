@@ -11,7 +11,7 @@ Reading order: `open_recording`, `table` (what a file holds), `channels` (what i
 and `units`, `column_names`, `joint_names`, `mapping`, `channel_request`,
 `channel_units`, `log_signal`, `stamp_order` and `time_stamps`, `log_stream`, `log`,
 `mapping_suggestion`. The formats: `follow` (bytes as they come), `text_lines`,
-`text_table` (where a table begins), `written_numbers`, `exported_joints`, `csv_file`;
+`text_table` (where a table begins), `written_numbers`, `csv_file`;
 `columnar` (npz, Parquet, Feather); `bags`. Writing: `output`, `writers`.
 """
 
