@@ -7,6 +7,7 @@ import re
 import tomllib
 import unicodedata
 from collections.abc import Iterable, Mapping
+from math import inf
 from pathlib import Path
 from typing import Any
 
@@ -64,7 +65,7 @@ class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         words_with_unit: Names that say it only beside one of its units, as
             `Position (mm)` does; these count last.
         preferred: Names that come before the others where a file has several.
-        at_most: What is plausible; None where anything is.
+        at_most: What is plausible; by default anything.
         usual_unit: The unit that an example in an advice has.
         name: How mappings and options call it, such as `q`.
     """
@@ -77,7 +78,7 @@ class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     machine_words: tuple[str, ...] = msgspec.field(name="words", default=())
     words_with_unit: tuple[str, ...] = msgspec.field(name="with_unit", default=())
     preferred: tuple[str, ...] = msgspec.field(name="prefer", default=())
-    at_most: PlausibleSize | None = None
+    at_most: PlausibleSize = PlausibleSize(value=inf, unit="", reason="")
     usual_unit: str = ""
     name: str = ""
 

@@ -354,13 +354,15 @@ class _CsvText:
 
     Attributes:
         rows: The reader of the table; None before it has been found.
+        head: Its first rows, once they are read.
         waiting: Rows that wait to be read; before the table has been found all lines.
     """
 
     def __init__(self, knowledge: Knowledge) -> None:
         self.rows: _Rows | None = None
+        self.head: Table | None = None
         self.waiting: list[NumberedLine] = []
-        self.start_ns = 0
+        self._start_ns = 0
         self._knowledge = knowledge
         # Two comments above the first row may hold its names and units.
         self._comments: deque[NumberedLine] = deque(maxlen=2)
@@ -373,7 +375,7 @@ class _CsvText:
         """Add whole lines.
 
         Raises:
-            FormatError: No row has come for very many lines.
+            FormatError: There is no table, or no row, in very many lines.
         """
         for number, line in enumerate(lines, self._line_count + 1):
             if _is_row(line):
@@ -383,7 +385,7 @@ class _CsvText:
                 if match := re.match(
                     rf"{COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$", line
                 ):
-                    self.start_ns = int(match[1])
+                    self._start_ns = int(match[1])
 
         self._line_count += len(lines)
         if self.waiting:
@@ -397,22 +399,18 @@ class _CsvText:
                 "comments; it is damaged, or no table"
             )
 
-    def find_head(self) -> bool:
-        """Return whether the table has been found, and its first rows have come.
+        self._look_for_table()
 
-        Raises:
-            FormatError: In very many lines there is no table.
-        """
+    def _look_for_table(self) -> None:
+        """Find the table, if enough lines have come to tell."""
         while self.rows is None and len(self.waiting) >= self._looks[0]:
-            lines = self.waiting[: self._looks.pop(0)]
+            first_lines = self.waiting[: self._looks.pop(0)]
             if not self._looks:
-                self._begin(lines)
+                self._begin(first_lines)
                 break
 
             with suppress(FormatError):
-                self._begin(lines, HEAD_ROWS)
-
-        return self.rows is not None and len(self.waiting) >= HEAD_ROWS
+                self._begin(first_lines, HEAD_ROWS)
 
     def _begin(self, lines: Sequence[NumberedLine], min_rows: int = 0) -> None:
         """Find the table in the first lines; what stands above it goes.
@@ -423,7 +421,7 @@ class _CsvText:
         if start.row_count >= min_rows:
             self.waiting = self.waiting[start.first_row :]
             self.rows = _Rows(start, self.waiting[:HEAD_ROWS], self._knowledge)
-            self.rows.start_ns = self.start_ns
+            self.rows.start_ns = self._start_ns
 
     def end(self, tail: str, *, is_growing: bool) -> None:
         """Add what stands behind the last line end.
@@ -453,36 +451,29 @@ class _CsvText:
         if self.rows is None:
             self._begin(self.waiting)
 
-    def read_head(self) -> Table:
-        """Return the first rows as a table that says what is known of its columns."""
+    def ready(self, *, is_last: bool = False) -> Iterator[Table]:
+        """Yield the rows that can be read by now: the first ones apart, then all."""
         rows = self.rows
-        assert rows is not None
-        start = rows.start
-        columns = rows.read(self._taken(HEAD_ROWS))
-        return Table(
-            columns=columns,
-            joint_names={
-                group: tuple(members) for group, members in rows.joint_groups.items()
-            },
-            start_ns=rows.start_ns,
-            seconds=frozenset(rows.clocks),
-            warnings=(*start.warnings, *rows.notes),
-            units=start.units,
-            has_header=start.has_header,
-            layout=start.layout,
-        )
-
-    def read_waiting(self, head: Table) -> Table:
-        """Return the rows that wait as a table like the first."""
-        assert self.rows is not None
-        columns = self.rows.read(self._taken(len(self.waiting)))
-        return replace(head, columns=columns, warnings=())
-
-    def _taken(self, count: int) -> list[NumberedLine]:
-        """Remove and return the first rows that wait."""
-        taken = self.waiting[:count]
-        self.waiting = self.waiting[count:]
-        return taken
+        has_head = is_last or len(self.waiting) >= HEAD_ROWS
+        if rows is not None and self.head is None and has_head:
+            columns = rows.read(self.waiting[:HEAD_ROWS])
+            self.waiting = self.waiting[HEAD_ROWS:]
+            groups = rows.joint_groups.items()
+            self.head = Table(
+                columns=columns,
+                joint_names={group: tuple(members) for group, members in groups},
+                start_ns=rows.start_ns,
+                seconds=frozenset(rows.clocks),
+                warnings=(*rows.start.warnings, *rows.notes),
+                units=rows.start.units,
+                has_header=rows.start.has_header,
+                layout=rows.start.layout,
+            )
+            yield self.head
+        if rows is not None and self.head is not None and self.waiting:
+            columns = rows.read(self.waiting)
+            self.waiting = []
+            yield replace(self.head, columns=columns, warnings=())
 
 
 def _is_row(line: str) -> bool:
@@ -518,18 +509,13 @@ def csv_tables(
     lines = TextLines(blocks, knowledge)
     text = _CsvText(knowledge)
     options = options or FollowOptions()
-    head: Table | None = None
     row_bytes = 100  # that Python adds to the text of a row
     read_bytes = 0
     try:
         for batch in lines:
             text.add(batch)
-            if head is None and text.find_head():
-                head = text.read_head()
-                yield head
-                read_bytes = lines.size
-            if head is not None and text.waiting:
-                yield text.read_waiting(head)
+            for table in text.ready():
+                yield table
                 read_bytes = lines.size
 
             waiting_bytes = lines.size - read_bytes + row_bytes * len(text.waiting)
@@ -539,16 +525,13 @@ def csv_tables(
             lines.forgive_end()
 
         text.end(lines.tail, is_growing=options.follow)
-        if head is None:
-            head = text.read_head()
-            yield head
-        if text.waiting:
-            yield text.read_waiting(head)
+        yield from text.ready(is_last=True)
     except FormatError as error:
         losses = "".join(f" ({warning})" for warning in lines.warnings)
         raise error.reworded(f"{name}: {error}{losses}") from error
 
     assert text.rows is not None
-    no_rows = {column: values[:0] for column, values in head.columns.items()}
+    assert text.head is not None
+    no_rows = {column: values[:0] for column, values in text.head.columns.items()}
     warnings = (*lines.warnings, *text.rows.faults.lines())
-    yield replace(head, columns=no_rows, warnings=warnings)
+    yield replace(text.head, columns=no_rows, warnings=warnings)

@@ -63,17 +63,18 @@ class Signal:
         return ChannelUnit(self.channel.name, self.columns, self.units, self.scale)
 
     @property
+    def _origins(self) -> set[UnitOrigin]:
+        """Whence the units of the columns are known."""
+        return {unit.origin for unit in self.units}
+
+    @property
     def _is_unsure(self) -> bool:
         """Whether values may be in another unit than that of a column."""
-        return self._has_origin(UnitOrigin.ASSUMED, UnitOrigin.FORMAT)
+        return not self._origins.isdisjoint({UnitOrigin.ASSUMED, UnitOrigin.FORMAT})
 
-    def _has_origin(self, *origins: UnitOrigin) -> bool:
-        """Return whether the unit of a column is known from one of these."""
-        return any(unit.origin in origins for unit in self.units)
-
-    def read(self, table: Table) -> Array:
-        """Return the values of a table in SI units, shape (n,) or (n, joints)."""
-        columns = [table.values(name) for name in self.columns]
+    def read(self, table: Table, rows: slice) -> Array:
+        """Return values of a table in SI units, shape (n,) or (n, joints)."""
+        columns = [table.values(name)[rows] for name in self.columns]
         values = np.column_stack(columns) * self.factors
         return values if self.channel.per_joint else values[:, 0]
 
@@ -105,17 +106,16 @@ class Signal:
         if t_s.size > 1 and self._is_unsure:
             self.size = float(np.median(np.abs(np.diff(t_s))))
             self.finite_count = 1
-            self.large_count = int(self.size > _limit(self.channel))
+            self.large_count = int(self.size > self.channel.at_most.value)
 
     def _update_size(self, values: Array, is_finite: NDArray[np.bool_]) -> None:
         """Update the size by further values, and count the rows that are too large."""
-        limit = _limit(self.channel)
         sizes = np.where(is_finite, np.abs(values), 0.0).reshape(len(values), -1)
         largest = sizes.max(axis=1, initial=0.0)
         self.size = max(self.size, float(largest.max(initial=0.0)))
         has_value = is_finite.reshape(sizes.shape).any(axis=1)
         self.finite_count += int(np.count_nonzero(has_value))
-        self.large_count += int(np.count_nonzero(largest > limit))
+        self.large_count += int(np.count_nonzero(largest > self.channel.at_most.value))
 
     def report_not_finite(self) -> tuple[str, ...]:
         """Report rows that are not finite.
@@ -138,10 +138,15 @@ class Signal:
         """
         max_fraction = 0.05  # fewer may be spikes
         is_large = self.large_count > max_fraction * self.finite_count
-        if is_large and self._has_origin(UnitOrigin.ASSUMED):
+        if is_large and UnitOrigin.ASSUMED in self._origins:
+            unit = self.channel.at_most.unit
+            if self.channel.key == "t_s":  # logs have 1 to 10,000 rows a second
+                unit = "us" if self.size >= 200.0 else unit
+                unit = "ns" if self.size >= 1e5 else unit
+
             raise UnitError(
                 f"{self._describe_size()}. The file states no unit",
-                advise_unit(self.channel, self.columns, self._likely_unit()),
+                advise_unit(self.channel, self.columns, unit),
             )
 
     def report_implausible(self) -> tuple[str, ...]:
@@ -164,22 +169,15 @@ class Signal:
     def _describe_size(self) -> str:
         """Return what is odd about the size of the values, in words."""
         at_most = self.channel.at_most
-        limit = _limit(self.channel)
-        reason = "" if at_most is None else at_most.reason
         unit = self.channel.si_unit
         names = describe_columns(self.columns)
         is_time = self.channel.key == "t_s"
         quantity = "the median step of" if is_time else "the size of"
         return (
             f"{self.channel.name}: {quantity} {names}, taken as in {unit}, is "
-            f"{self.size:.4g} {unit}, expected at most {limit:.3g} ({reason})"
+            f"{self.size:.4g} {unit}, expected at most {at_most.value:.3g} "
+            f"({at_most.reason})"
         )
-
-    def _likely_unit(self) -> str:
-        """Return the unit in which the file is likely to be."""
-        at_most = self.channel.at_most
-        unit = self.channel.si_unit if at_most is None else at_most.unit
-        return _unit_of_step(self.size, unit) if self.channel.key == "t_s" else unit
 
 
 class VelocityWatch:
@@ -217,20 +215,6 @@ class VelocityWatch:
             f"seems not to be sent; leave it out with --dq {LEFT_OUT}, or with "
             f'dq = "{LEFT_OUT}" in the mapping, and it is estimated from q',
         )
-
-
-def _limit(channel: Channel) -> float:
-    """Return the largest value of a channel that is plausible, in SI units."""
-    return np.inf if channel.at_most is None else channel.at_most.value
-
-
-def _unit_of_step(step: float, default: str) -> str:
-    """Return the unit of time in which a log's median step is likely to be."""
-    # Logs have 1 to 10,000 rows a second.
-    if step >= 1e5:
-        return "ns"
-
-    return "us" if step >= 200.0 else default
 
 
 def make_signal(
@@ -272,16 +256,15 @@ def make_signal(
     return Signal(channel, tuple(columns), units, factors, scale)
 
 
-def require_equal_sizes(
-    values: Mapping[str, Array], signals: Mapping[str, Signal]
-) -> None:
-    """Raise `LogError` if channels differ in length, or in the number of joints.
-
-    Args:
-        values: Of each channel, by key, shape (n,) or (n, joints).
-        signals: By the same keys; they may lack time.
-    """
-    shapes = {key: array.shape for key, array in values.items()}
+def require_equal_sizes(table: Table, signals: Mapping[str, Signal]) -> None:
+    """Raise `LogError` if channels differ in length, or in the number of joints."""
+    shapes = {
+        key: (
+            len(table.values(signal.columns[0])),
+            *([signal.factors.size] if signal.channel.per_joint else []),
+        )
+        for key, signal in signals.items()
+    }
     if len({shape[0] for shape in shapes.values()}) > 1:
         lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
         transposed = [

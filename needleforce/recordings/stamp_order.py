@@ -5,10 +5,11 @@ one. A clock that was set, or a recording that paused, is something else: there 
 stamps that follow agree with each other. Rows of a file may be written later than
 others of the same clock; they fill the places that others left free. Two rows for one
 place are no late rows: the clock was set back, which `RowClock` follows. Stamps with
-too few digits are equal in many rows; these are numbered, see `spread_rounded`.
+too few digits are equal in many rows; these are numbered, see
+`_spread_rounded`. `rows_in_order` does all of it.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -146,10 +147,11 @@ class StampOrder:
         jumps = np.flatnonzero(np.abs(np.diff(t_s)) > self._jump_s)
         start = 0
         while start < len(t_s):
-            starts_anew = not self._goes_on(t_s[start])
+            latest_s = self._latest_s
+            starts_anew = latest_s is None or abs(t_s[start] - latest_s) > self._jump_s
             if starts_anew:
                 is_bad = _judge(
-                    t_s[start:], self._latest_s, self._jump_s, self._pause_s, is_last
+                    t_s[start:], latest_s, self._jump_s, self._pause_s, is_last
                 )
                 if is_bad is None:
                     break
@@ -161,39 +163,49 @@ class StampOrder:
             judged = _part(rows, slice(start, start + len(is_bad)))
             start += len(is_bad)
             if is_bad.any():
-                self._name_bad(judged, is_bad, t_s[start : start + 1])
+                next_s = t_s[start : start + 1].tolist()
+                self._name_bad(judged, is_bad, latest_s, next_s)
             if not is_bad.all():
-                if starts_anew:
-                    self._note_pause(judged, int(np.argmin(is_bad)))
+                row = int(np.argmin(is_bad))
+                after_s = float(judged["t_s"][row])
+                step_s = 0.0 if latest_s is None else after_s - latest_s
+                if starts_anew and step_s > self._pause_s:
+                    self._faults.note(
+                        "time: long steps ahead, where the recording paused or its "
+                        "clock was set",
+                        f"row {judged['row'][row]:.0f}, {after_s:.13g} s after "
+                        f"{latest_s:.13g} s",
+                    )
 
-                is_new_clock = starts_anew and self._latest_s is not None
                 good = _part(judged, ~is_bad)
                 self._latest_s = float(good["t_s"][-1])
-                yield good, is_new_clock
+                yield good, starts_anew and latest_s is not None
 
         self._unjudged = _part(rows, slice(start, None))
 
-    def _goes_on(self, stamp_s: float) -> bool:
-        """Return whether a stamp follows the latest valid one without a jump."""
-        latest_s = self._latest_s
-        return latest_s is not None and abs(stamp_s - latest_s) <= self._jump_s
-
-    def _name_bad(self, rows: Rows, is_bad: NDArray[np.bool_], next_s: Array) -> None:
+    def _name_bad(
+        self,
+        rows: Rows,
+        is_bad: NDArray[np.bool_],
+        latest_s: float | None,
+        next_s: Sequence[float],
+    ) -> None:
         """Report rows with a bad stamp, by name as long as they are few.
 
         Args:
             rows: With the rows around them.
             is_bad: Which these are.
-            next_s: The stamp after the rows, shape (1,), or (0,).
+            latest_s: The valid stamp before the rows; None before the first of all.
+            next_s: The stamp after the rows, if there is one.
         """
-        latest_s = [] if self._latest_s is None else [self._latest_s]
+        earlier_s = [] if latest_s is None else [latest_s]
         for row in np.flatnonzero(is_bad).tolist():
             self.bad_count += 1
             if self.bad_count > MAX_NAMED_ROWS:
                 self.bad_count += int(np.count_nonzero(is_bad[row + 1 :]))
                 return
 
-            before_s = [*latest_s, *rows["t_s"][:row][~is_bad[:row]]][-1:]
+            before_s = [*earlier_s, *rows["t_s"][:row][~is_bad[:row]]][-1:]
             after_s = [*rows["t_s"][row:][~is_bad[row:]], *next_s][:1]
             relation = "between" if after_s else "after"
             if not before_s:
@@ -202,17 +214,6 @@ class StampOrder:
             self._warnings.append(
                 f"row {rows['row'][row]:.0f} has a bad time stamp and is left out: "
                 f"{rows['t_s'][row]:.13g} s, {relation} {around}"
-            )
-
-    def _note_pause(self, rows: Rows, row: int) -> None:
-        """Count a step of time ahead that is longer than a pause in motion."""
-        before_s = self._latest_s
-        after_s = float(rows["t_s"][row])
-        if before_s is not None and after_s - before_s > self._pause_s:
-            self._faults.note(
-                "time: long steps ahead, where the recording paused or its clock was "
-                "set",
-                f"row {rows['row'][row]:.0f}, {after_s:.13g} s after {before_s:.13g} s",
             )
 
     def _passed(self, rows: Rows, *, is_last: bool) -> Rows:
@@ -233,10 +234,8 @@ class StampOrder:
         first = len(self._before_s)
         end = len(t_s) if is_last else max(len(t_s) - margin, first)
         if is_bad.any():
-            latest_s = self._latest_s
-            self._latest_s = float(t_s[max(int(np.argmax(is_bad)) - 1, 0)])
-            self._name_bad(rows, is_bad[first:], np.empty(0))
-            self._latest_s = latest_s
+            before_s = float(t_s[max(int(np.argmax(is_bad)) - 1, 0)])
+            self._name_bad(rows, is_bad[first:], before_s, ())
 
         self._before_s = np.empty(0) if is_last else t_s[max(end - margin, 0) : end]
         self._tail = {} if is_last else _part(rows, slice(end - first, None))
@@ -434,7 +433,26 @@ def _find_set_back(t_s: Array, step_s: float | None) -> int | None:
     return int(starts[np.argmax(is_set_back)]) if is_set_back.any() else None
 
 
-def spread_rounded(
+def rows_in_order(
+    parts: Iterable[Rows], order: StampOrder, report: Callable[[Sequence[str]], None]
+) -> Iterator[Rows]:
+    """Yield the rows whose place in time is known, once further rows were read.
+
+    Args:
+        parts: Consecutive rows.
+        order: That leaves out rows with bad stamps, and sorts the others.
+        report: Is told what is wrong with the stamps.
+    """
+    for part in _spread_rounded(parts, lambda warning: report([warning])):
+        ready = order.add(part)
+        report(order.take_warnings())
+        yield from ready
+
+    yield from order.finish()
+    report(order.take_warnings())
+
+
+def _spread_rounded(
     parts: Iterable[Rows], warn: Callable[[str], None]
 ) -> Iterator[Rows]:
     """Number the rows between stamps that were rounded; others stay as they are.
