@@ -69,8 +69,14 @@ def _npz_table(path: Path, archive: zipfile.ZipFile, max_bytes: int) -> Table:
 
             require_size(size, max_bytes, f"{path}: what its arrays hold")
             with archive.open(member) as stream:
-                arrays[name] = np.lib.format.read_array(stream, allow_pickle=False)
-                arrays[name].setflags(write=False)  # so that a `Table` need not copy it
+                values = np.lib.format.read_array(stream, allow_pickle=False)
+
+            # So that a `Table` need not copy them.
+            for array in (values, values.base):
+                if isinstance(array, np.ndarray):
+                    array.setflags(write=False)
+
+            arrays[name] = values
         except (OSError, FormatError, MemoryError):
             raise
         except Exception as error:
@@ -133,7 +139,11 @@ def arrow_tables(path: Path, max_bytes: int) -> Iterator[Table]:
             yield from reader.tables(batches)
             return
 
-        with library.ParquetFile(path, page_checksum_verification=True) as file:
+        with library.ParquetFile(
+            path,
+            page_checksum_verification=True,
+            buffer_size=1 << 16,  # else all pages of a column are held
+        ) as file:
             _require_groups(file.metadata, max_bytes, f"{path}: a part of it")
             reader = _ArrowReader(path, file.schema_arrow, arrow)
             batches = file.iter_batches(batch_size=rows_of_table, use_threads=False)

@@ -25,7 +25,6 @@ from needleforce.recordings.log import Log
 from needleforce.recordings.log_signal import (
     Signal,
     VelocityWatch,
-    make_signal,
     require_equal_sizes,
 )
 from needleforce.recordings.stamp_order import (
@@ -141,7 +140,7 @@ class LogStream:
         if has_stamps:
             self._signals = {"t_s": self._find_time(head), **self._signals}
 
-        self.units = tuple(signal.channel_unit for signal in self._signals.values())
+        self.units = tuple(signal.source for signal in self._signals.values())
         parts = self._watched_parts(chain([head], self._tables))
         if has_stamps:
             parts = rows_in_order(parts, self._order, self._report)
@@ -211,7 +210,7 @@ class LogStream:
         columns = self._request.find(table, time)
         if columns:
             spec = self._request.mapping.channels.get("time")
-            return make_signal(table, time, columns, spec)
+            return Signal(table, time, columns, spec)
         if not table.has_header:
             raise _no_header([time], table, self._request)
 
@@ -252,7 +251,7 @@ class LogStream:
         """Read a channel from some columns, unless it may lack and has no values."""
         spec = self._request.mapping.channels.get(channel.name)
         is_required = channel.name in self._request.required
-        signal = make_signal(table, channel, columns, spec)
+        signal = Signal(table, channel, columns, spec)
         head = signal.read(table, slice(HEAD_ROWS))
         if not is_required:
             _require_all_joints(channel, head)
@@ -278,7 +277,7 @@ class LogStream:
                 require_equal_sizes(table, self._signals)
 
             signal = next(iter(self._signals.values()))
-            row_count = len(table.values(signal.columns[0]))
+            row_count = len(table.values(signal.source.columns[0]))
             max_chunk_rows = 1 << 14  # of a file that is held as a whole
             for start in range(0, row_count, max_chunk_rows):
                 watched = self._watched(
@@ -358,7 +357,7 @@ class LogStream:
         if table.start_ns or not is_in_ns:
             return column_s
 
-        stamps = table.values(signal.columns[0])[rows]
+        stamps = table.values(signal.source.columns[0])[rows]
         is_whole = stamps.dtype.kind == "i"
         if is_whole and not self._row_count:
             self._clock_start_ns = start_of_clock(first_valid_stamp(stamps))
