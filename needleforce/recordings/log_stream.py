@@ -100,7 +100,7 @@ class LogStream:
             sorted_within_s = mapping.sort_within_s
 
         self._channels = mapping.knowledge.channels
-        self._order = StampOrder(sorted_within_s)
+        self._order = StampOrder(sorted_within_s, self._report)
         self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
@@ -124,13 +124,13 @@ class LogStream:
         Raises as `read_log`; what only the end shows is reported there.
         """
         head = next(self._tables)
-        self._report(head.warnings)
+        self._report(*head.warnings)
         self.start_ns = head.start_ns
         self.tool_mass = head.tool_mass or tool_mass_in(head)
         self._request = self._request.with_layout(head)
         layout = self._request.find_layout(head)
         note = f"{layout.name}: {layout.note}" if layout and layout.note else ""
-        self._report([note] if note else [])
+        self._report(*([note] if note else []))
         try:
             self._find_channels(head)
         except RecordingError as error:  # the note may say why
@@ -179,13 +179,13 @@ class LogStream:
             units=self.units,
         )
 
-    def _report(self, warnings: Iterable[str]) -> None:
+    def _report(self, *warnings: str) -> None:
         """Add warnings that were not reported before."""
         self._warnings |= dict.fromkeys(warnings)
 
     def _report_end(self) -> None:
         """Report what only the whole log shows."""
-        self._report(self._faults.lines())
+        self._report(*self._faults.lines())
         if not self._kept_count:
             raise LogError(
                 f"of {self._row_count} rows none has a time stamp",
@@ -196,13 +196,13 @@ class LogStream:
         for signal in self._signals.values():
             signal.require_plausible()
         for signal in self._signals.values():
-            self._report(signal.report_implausible())
+            self._report(*signal.report_implausible())
 
-        self._report(self._row_clock.warnings())
-        self._report(self._velocity_watch.warnings())
+        self._report(*self._row_clock.warnings())
+        self._report(*self._velocity_watch.warnings())
         for key, signal in self._signals.items():
             if key != "t_s":
-                self._report(signal.report_not_finite())
+                self._report(*signal.report_not_finite())
 
     def _find_time(self, table: Table) -> Signal:
         """Find the column of time stamps; `ColumnError` if there is none."""
@@ -237,7 +237,7 @@ class LogStream:
         _require_names(request.mapping.joint_pattern, table, by_joint)
         if by_joint:
             listed = "; ".join(by_joint)
-            self._report([f"columns found by the names of the joints: {listed}"])
+            self._report(f"columns found by the names of the joints: {listed}")
         if missing:
             raise _not_found(missing, table, request)
         if not self._signals:
@@ -260,16 +260,14 @@ class LogStream:
             return
 
         self._report(
-            [
-                f"{channel.name}: its columns hold no finite value in the first rows "
-                "and were left out"
-            ]
+            f"{channel.name}: its columns hold no finite value in the first rows and "
+            "were left out"
         )
 
     def _watched_parts(self, tables: Iterable[Table]) -> Iterator[Rows]:
         """Yield the rows of tables that have a time stamp, some at a time."""
         for table in tables:
-            self._report(table.warnings)
+            self._report(*table.warnings)
             if not len(table) and self._row_count:
                 continue
 
@@ -342,7 +340,7 @@ class LogStream:
         time = self._signals.get("t_s")
         if time is not None:
             time.watch(t_s, rows)
-            self._report(time.report_implausible())
+            self._report(*time.report_implausible())
 
         return LogChunk(t_s=t_s, dt_s=self._row_clock.update(t_s, rows), channels=part)
 

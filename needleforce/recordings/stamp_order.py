@@ -55,33 +55,32 @@ class StampOrder:
     Args:
         sorted_within_s: Rows are sorted that come no later than this after newer ones;
             0 where they are to be used at once.
+        report: Is told what is wrong with the stamps.
 
     Attributes:
         bad_count: Rows left out so far.
     """
 
-    def __init__(self, sorted_within_s: float = SORTED_WITHIN_S) -> None:
+    def __init__(
+        self,
+        sorted_within_s: float = SORTED_WITHIN_S,
+        report: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self.bad_count = 0
+        self._report = report
         self._window_s = sorted_within_s
         self._step_s: float | None = None
         self._jump_s = 0.0  # a longer step is looked at
         self._pause_s = 0.0  # rows alone, so far from the others, have bad stamps
         self._latest_s: float | None = None  # the latest valid stamp
         self._unjudged: Rows = {}
-        self._before_s = np.empty(0)  # valid stamps before those of the tail
-        self._tail: Rows = {}  # the last valid rows, which wait for those after them
+        self._latest: Rows = {}  # some that passed, and those that wait for later ones
+        self._passed_count = 0  # of these
         self._held: Rows = {}  # valid rows, which wait for late ones
         self._row_count = 0
         self._sorted_count = 0
         self._first_sorted = np.inf
-        self._warnings: list[str] = []
         self._faults = FaultCounts()
-
-    def take_warnings(self) -> list[str]:
-        """Return what was wrong with the stamps since the last call."""
-        warnings = self._warnings
-        self._warnings = []
-        return warnings
 
     def add(self, rows: Rows) -> list[Rows]:
         """Take further rows; return those that are ready, in the order of time."""
@@ -123,18 +122,12 @@ class StampOrder:
 
         ready: list[Rows] = []
         for rows, starts_anew in self._stretches(is_last=is_last):
-            if self._window_s <= 0.0:
-                ready.append(rows)
-                continue
             if starts_anew:
-                ready += self._sorted(self._passed({}, is_last=True), is_last=True)
+                ready += self._placed({}, is_last=True)
 
-            ready += self._sorted(self._passed(rows, is_last=False), is_last=False)
+            ready += self._placed(rows, is_last=False)
 
-        if is_last and self._window_s > 0.0:
-            ready += self._sorted(self._passed({}, is_last=True), is_last=True)
-
-        return ready
+        return [*ready, *self._placed({}, is_last=True)] if is_last else ready
 
     def _stretches(self, *, is_last: bool) -> Iterator[tuple[Rows, bool]]:
         """Yield rows with valid stamps, as far as it is clear which these are.
@@ -211,7 +204,7 @@ class StampOrder:
             if not before_s:
                 relation = "before"
             around = " and ".join(f"{stamp_s:.13g} s" for stamp_s in before_s + after_s)
-            self._warnings.append(
+            self._report(
                 f"row {rows['row'][row]:.0f} has a bad time stamp and is left out: "
                 f"{rows['t_s'][row]:.13g} s, {relation} {around}"
             )
@@ -222,41 +215,46 @@ class StampOrder:
         The last rows wait for those after them, unless they are the last of a clock.
         """
         margin = 3  # rows before and after a row that say where its place is
-        rows = _joined([self._tail, rows])
+        rows = _joined([self._latest, rows])
         if not rows:
             return {}
 
-        t_s = np.concatenate((self._before_s, rows["t_s"]))
+        t_s = rows["t_s"]
         is_bad = np.zeros(len(t_s), dtype=np.bool_)
         if len(t_s) > 2 * margin and self._step_s:
             is_bad[margin:-margin] = _displaced(t_s, self._step_s, margin)
 
-        first = len(self._before_s)
+        first = self._passed_count
         end = len(t_s) if is_last else max(len(t_s) - margin, first)
-        if is_bad.any():
-            before_s = float(t_s[max(int(np.argmax(is_bad)) - 1, 0)])
-            self._name_bad(rows, is_bad[first:], before_s, ())
+        self._name_bad(rows, is_bad, None, ())
+        kept_from = len(t_s) if is_last else max(end - margin, 0)
+        self._latest = {} if is_last else _part(rows, slice(kept_from, None))
+        self._passed_count = end - kept_from
+        return _part(rows, first + np.flatnonzero(~is_bad[first:end]))
 
-        self._before_s = np.empty(0) if is_last else t_s[max(end - margin, 0) : end]
-        self._tail = {} if is_last else _part(rows, slice(end - first, None))
-        return _part(rows, np.flatnonzero(~is_bad[first:end]))
-
-    def _sorted(self, rows: Rows, *, is_last: bool) -> list[Rows]:
-        """Hold rows in the order of the file; return those that are ready, sorted.
+    def _placed(self, rows: Rows, *, is_last: bool) -> list[Rows]:
+        """Take further valid rows, as the file has them; return those that are ready.
 
         Args:
             rows: That follow those held.
             is_last: Whether they are the last of a clock; none is held any more.
         """
-        rows = _joined([self._held, rows])
+        if self._window_s <= 0.0:
+            return [rows] if rows else []
+
+        held = _joined([self._held, self._passed(rows, is_last=is_last)])
         self._held = {}
         ready: list[Rows] = []
-        while rows and (row := _find_set_back(rows["t_s"], self._step_s)) is not None:
-            ready += self._sorted(_part(rows, slice(0, row)), is_last=True)
-            rows = _part(rows, slice(row, None))
+        while held and (row := _find_set_back(held["t_s"], self._step_s)) is not None:
+            ready += self._sorted(_part(held, slice(0, row)), is_last=True)
+            held = _part(held, slice(row, None))
 
+        return [*ready, *self._sorted(held, is_last=is_last)]
+
+    def _sorted(self, rows: Rows, *, is_last: bool) -> list[Rows]:
+        """Return the rows that are ready, sorted, and hold the others."""
         if not rows or not len(rows["t_s"]):
-            return ready
+            return []
 
         t_s = rows["t_s"]
         newest_s = np.maximum.accumulate(t_s)
@@ -274,7 +272,7 @@ class StampOrder:
             self._sorted_count += late.size
 
         self._held = _part(rows, np.sort(order[count:]))
-        return [*ready, _part(rows, order[:count])] if count else ready
+        return [_part(rows, order[:count])] if count else []
 
     def _report_end(self) -> None:
         """Report what only the whole log shows."""
@@ -286,16 +284,17 @@ class StampOrder:
                     f"sorts in a wider window than {self._window_s:.3g} s"
                 )
 
-            self._warnings.append(text)
+            self._report(text)
 
         if self._sorted_count:
-            self._warnings.append(
+            self._report(
                 f"time: rows out of order, sorted within {self._window_s:.3g} s: "
                 f"{self._sorted_count} of {self._row_count} (first: row "
                 f"{self._first_sorted:.0f})"
             )
 
-        self._warnings += self._faults.lines()
+        for line in self._faults.lines():
+            self._report(line)
 
 
 def _judge(
@@ -434,26 +433,23 @@ def _find_set_back(t_s: Array, step_s: float | None) -> int | None:
 
 
 def rows_in_order(
-    parts: Iterable[Rows], order: StampOrder, report: Callable[[Sequence[str]], None]
+    parts: Iterable[Rows], order: StampOrder, report: Callable[[str], None]
 ) -> Iterator[Rows]:
     """Yield the rows whose place in time is known, once further rows were read.
 
     Args:
         parts: Consecutive rows.
         order: That leaves out rows with bad stamps, and sorts the others.
-        report: Is told what is wrong with the stamps.
+        report: Is told of stamps that are rounded.
     """
-    for part in _spread_rounded(parts, lambda warning: report([warning])):
-        ready = order.add(part)
-        report(order.take_warnings())
-        yield from ready
+    for part in _spread_rounded(parts, report):
+        yield from order.add(part)
 
     yield from order.finish()
-    report(order.take_warnings())
 
 
 def _spread_rounded(
-    parts: Iterable[Rows], warn: Callable[[str], None]
+    parts: Iterable[Rows], report: Callable[[str], None]
 ) -> Iterator[Rows]:
     """Number the rows between stamps that were rounded; others stay as they are.
 
@@ -463,7 +459,7 @@ def _spread_rounded(
 
     Args:
         parts: Consecutive rows.
-        warn: Is told of it, once.
+        report: Is told of it, once.
     """
     waiting: Rows = {}
     is_rounded: bool | None = None
@@ -481,7 +477,7 @@ def _spread_rounded(
             if len(changes) < (2 if not step_s else 1):
                 continue
             if not step_s:
-                step_s = _warn_of_rounding(waiting["t_s"], changes, warn)
+                step_s = _warn_of_rounding(waiting["t_s"], changes, report)
 
             yield _evenly(_part(waiting, slice(0, changes[-1])), waiting, step_s)
             waiting = _part(waiting, slice(changes[-1], None))
@@ -505,12 +501,12 @@ def _is_rounded(rows: Rows) -> bool:
 
 
 def _warn_of_rounding(
-    t_s: Array, changes: NDArray[np.intp], warn: Callable[[str], None]
+    t_s: Array, changes: NDArray[np.intp], report: Callable[[str], None]
 ) -> float:
     """Say that stamps are rounded, and to what; return the time from row to row."""
     grain_s = t_s[changes[1]] - t_s[changes[0]]
     count = changes[1] - changes[0]
-    warn(
+    report(
         f"time: stamps are rounded to {grain_s:.3g} s, about {count} rows each; the "
         f"rows between were numbered, at about {count / grain_s:.4g} Hz; if the rate "
         "is known, give it with --rate"
