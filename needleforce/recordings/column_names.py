@@ -10,10 +10,9 @@ from difflib import get_close_matches
 from itertools import islice, product
 from typing import NamedTuple
 
-from needleforce.recordings.channels import Channel, Knowledge, normalised_name
+from needleforce.recordings.channels import Channel, Knowledge, Units, normalised_name
 from needleforce.recordings.errors import ColumnError
 from needleforce.recordings.table import Table
-from needleforce.recordings.units import Units
 
 _BRACKETED_UNIT = re.compile(
     r"^(?P<stem>.*\S)\s*[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]$"

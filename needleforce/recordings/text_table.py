@@ -13,11 +13,10 @@ from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from needleforce.recordings.channels import Knowledge, Layout
+from needleforce.recordings.channels import Knowledge, Layout, unit_in_brackets
 from needleforce.recordings.column_names import known_names
 from needleforce.recordings.errors import FormatError
 from needleforce.recordings.table import StatedUnit
-from needleforce.recordings.units import unit_in_brackets
 from needleforce.recordings.written_numbers import Commas, is_number, read_number
 
 COMMENT = "#"
