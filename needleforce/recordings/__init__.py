@@ -7,12 +7,12 @@ whatever the length: `stream_tables` and `LogStream` in, `open_table` out.
 
 What is known of names, units and layouts is data: `layouts.toml`.
 
-Reading order: `open_recording`, `table` (what a file holds), `channels` (what is known)
-and `units`, `column_names`, `joint_names`, `mapping`, `channel_request`,
+Reading order: `open_recording`, `table` (what a file holds), `channels` (what is known,
+with units), `column_names`, `joint_names`, `mapping`, `channel_request`,
 `channel_units`, `log_signal`, `stamp_order` and `time_stamps`, `log_stream`, `log`,
 `mapping_suggestion`. The formats: `follow` (bytes as they come), `text_lines`,
-`text_table` (where a table begins), `written_numbers`, `exported_joints`, `csv_file`;
-`columnar` (npz, Parquet, Feather); `bags`. Writing: `output`, `writers`.
+`text_table` (where a table begins), `written_numbers`, `csv_file`; `columnar` (npz,
+Parquet, Feather); `bags`. Writing: `output`, `writers`.
 """
 
 from needleforce.recordings.channel_request import ChannelRequest as ChannelRequest

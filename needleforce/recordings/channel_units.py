@@ -13,9 +13,6 @@ from needleforce.recordings.errors import UnitError
 from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.table import Table
 
-_ROS_VECTOR = re.compile(r"/(?:force|torque)_xyz(?:\[\d\])?$")
-"""Columns of a bag whose messages define their unit, as those of joint states do."""
-
 
 class UnitOrigin(StrEnum):
     """Whence the unit of a column is known."""
@@ -91,30 +88,6 @@ class ChannelUnit(NamedTuple):
         }
 
 
-class _Statement(NamedTuple):
-    """What a file says of the unit of a column.
-
-    Attributes:
-        text: As it is written.
-        unit: Key of the channel's units; None if it is none of them.
-        origin: Where it stands.
-        line_number: Of the row of units; 0 for a name.
-    """
-
-    text: str
-    unit: str | None
-    origin: UnitOrigin
-    line_number: int = 0
-
-    @property
-    def place(self) -> str:
-        """Where it stands, in words."""
-        if self.origin is UnitOrigin.HEADER:
-            return "its name"
-
-        return f"the row of units (line {self.line_number})"
-
-
 def units_of_columns(
     table: Table, channel: Channel, columns: Sequence[str], spec: ColumnSpec | None
 ) -> tuple[ColumnUnit, ...]:
@@ -137,64 +110,60 @@ def units_of_columns(
     spec = spec or ColumnSpec(columns=channel.name)
     units: list[ColumnUnit] = []
     for name in columns:
-        is_typed = name in table.joint_names or _ROS_VECTOR.search(name) is not None
+        # Messages of a bag define their unit: joint states, and forces and torques.
+        is_vector = re.search(r"/(?:force|torque)_xyz(?:\[\d\])?$", name) is not None
+        is_typed = is_vector or name in table.joint_names
         if name in table.seconds or (is_typed and spec.unit is None):
             units.append(ColumnUnit(name, channel.si_unit, UnitOrigin.FORMAT))
             continue
 
-        statements = _statements(table, channel, name)
-        others = [statement for statement in statements if statement.unit is None]
-        if others and spec.scale != 1.0:
+        said = _statements(table, channel, name)
+        are_known = all(unit.unit in channel.units for unit, _ in said)
+        if not are_known and spec.scale != 1.0:
             unit = spec.unit or channel.si_unit
             units.append(ColumnUnit(name, unit, UnitOrigin.MAPPING))
             continue
 
-        fault, advised = _contradiction(channel, name, statements, spec.unit)
+        fault, advised = _contradiction(channel, said, spec.unit)
         if fault:
             raise UnitError(
                 f"{channel.name}: {fault}", advise_unit(channel, columns, advised)
             )
 
-        units.append(_stated_unit(channel, name, statements, spec.unit))
+        unit = ColumnUnit(name, channel.si_unit, UnitOrigin.ASSUMED)
+        if spec.unit is not None:
+            unit = ColumnUnit(name, spec.unit, UnitOrigin.MAPPING)
+        elif said:
+            unit, _ = said[0]
+
+        units.append(unit)
 
     return tuple(units)
 
 
-def _stated_unit(
-    channel: Channel, name: str, statements: Sequence[_Statement], asked: str | None
-) -> ColumnUnit:
-    """Return the unit of a column of which nothing contradicts anything."""
-    if asked is not None:
-        return ColumnUnit(name, asked, UnitOrigin.MAPPING)
-    if not statements:
-        return ColumnUnit(name, channel.si_unit, UnitOrigin.ASSUMED)
+def _statements(
+    table: Table, channel: Channel, name: str
+) -> list[tuple[ColumnUnit, str]]:
+    """Return what the name and the row of units say, also as it is written there.
 
-    said = statements[0]
-    return ColumnUnit(name, said.unit or channel.si_unit, said.origin, said.line_number)
-
-
-def _statements(table: Table, channel: Channel, name: str) -> list[_Statement]:
-    """Return what the name and the row of units say of a column's unit."""
-    statements: list[_Statement] = []
-    unit = parse_column_name(name, channel.units).unit
-    bracketed = written_unit(name)
+    What is none of the channel's units stands as it is written.
+    """
+    statements: list[tuple[ColumnUnit, str]] = []
+    unit = parse_column_name(name, channel.units).unit or written_unit(name)
     if unit is not None:
-        statements.append(_Statement(unit, unit, UnitOrigin.HEADER))
-    elif bracketed is not None:
-        statements.append(_Statement(bracketed, None, UnitOrigin.HEADER))
+        statements.append((ColumnUnit(name, unit, UnitOrigin.HEADER), unit))
 
     stated = table.units.get(name)
     if stated is not None:
-        row_unit = channel.units.find(stated.text)
-        statements.append(
-            _Statement(stated.text, row_unit, UnitOrigin.ROW, stated.line_number)
-        )
+        unit = channel.units.find(stated.text) or stated.text
+        row_unit = ColumnUnit(name, unit, UnitOrigin.ROW, stated.line_number)
+        statements.append((row_unit, stated.text))
 
     return statements
 
 
 def _contradiction(
-    channel: Channel, name: str, statements: Sequence[_Statement], asked: str | None
+    channel: Channel, said: Sequence[tuple[ColumnUnit, str]], asked: str | None
 ) -> tuple[str, str]:
     """Return what contradicts what, and the unit that an advice names; or nothing.
 
@@ -202,49 +171,46 @@ def _contradiction(
 
     Args:
         channel: The channel.
-        name: Of the column.
-        statements: What the file says.
+        said: What the file says of a column, see `_statements`.
         asked: The unit of the mapping; None without.
     """
-    units = {statement.unit for statement in statements}
-    for statement in statements:
-        if statement.unit is None:
+    says: list[str] = []
+    for unit, text in said:
+        line = unit.line_number
+        place = f"the row of units (line {line})" if line else "its name"
+        says.append(f"{place} says {text}")
+        if unit.unit not in channel.units:
             return (
-                f"{statement.place} says that column {name!r} is in "
-                f"{statement.text!r}, which is no known unit of {channel.name}; "
-                f"expected one of {', '.join(channel.units)}"
+                f"{place} says that column {unit.column!r} is in {text!r}, which is no "
+                f"known unit of {channel.name}; expected one of "
+                f"{', '.join(channel.units)}"
             ), f"{channel.si_unit}:FACTOR"
 
-    if asked is None and len(units) > 1:
-        said = " and ".join(f"{each.place} says {each.text}" for each in statements)
-        return f"of column {name!r} {said}; the mapping may decide between them", "UNIT"
+    units = [unit.unit for unit, _ in said]
+    if asked is None and len(set(units)) > 1:
+        return (
+            f"of column {said[0][0].column!r} {' and '.join(says)}; the mapping may "
+            "decide between them"
+        ), "UNIT"
     if asked is None or not units or asked in units:
         return "", ""
 
-    stated = statements[0].unit or channel.si_unit
-    factor = channel.units[asked] / channel.units[stated]
+    factor = channel.units[asked] / channel.units[units[0]]
     return (
-        f"the mapping says {asked} for column {name!r}, and {statements[0].place} says "
-        f"{stated}; if the file is wrong, give its unit and the factor {factor:.6g}"
-    ), stated
+        f"the mapping says {asked} for column {said[0][0].column!r}, and {says[0]}; if "
+        f"the file is wrong, give its unit and the factor {factor:.6g}"
+    ), units[0]
 
 
 def advise_unit(channel: Channel, columns: Sequence[str], unit: str) -> str:
     """Return how to say in which unit the columns of a channel are."""
-    value = shlex.quote(f"{column_pattern(columns)}:{unit}")
+    patterns = {re.sub(r"\d+(?!.*\d)", "*", name) for name in columns}
+    is_family = len(columns) > 1 and len(patterns) == 1
+    value = shlex.quote(f"{','.join(patterns if is_family else columns)}:{unit}")
     return (
         f"Give {channel.name} its `unit` in the `mapping`, as {value} does; a `scale` "
         "may stand for a unit that is not known."
     )
-
-
-def column_pattern(columns: Sequence[str]) -> str:
-    """Return how an option names columns: one name, `q_*`, or a list with commas."""
-    patterns = {re.sub(r"\d+(?!.*\d)", "*", name) for name in columns}
-    if len(columns) > 1 and len(patterns) == 1:
-        return patterns.pop()
-
-    return ",".join(columns)
 
 
 def describe_columns(columns: Sequence[str]) -> str:

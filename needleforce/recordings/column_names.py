@@ -5,15 +5,14 @@ up to them would take all memory.
 """
 
 import re
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from difflib import get_close_matches
-from itertools import islice
+from itertools import islice, product
 from typing import NamedTuple
 
-from needleforce.recordings.channels import Channel, Knowledge, normalised_name
+from needleforce.recordings.channels import Channel, Knowledge, Units, normalised_name
 from needleforce.recordings.errors import ColumnError
 from needleforce.recordings.table import Table
-from needleforce.recordings.units import Units
 
 _BRACKETED_UNIT = re.compile(
     r"^(?P<stem>.*\S)\s*[\[({<](?P<unit>[^\[\](){}<>]+)[\])}>]$"
@@ -72,31 +71,21 @@ def parse_column_name(name: str, units: Units) -> ColumnName:
 
 def split_unit(name: str, units: Units) -> tuple[str, str | None]:
     """Split a unit, if there is one, off the end of a name such as `speed_mm_s`."""
-    match = _BRACKETED_UNIT.match(name)
-    if match and (unit := units.find(match["unit"])):
-        return match["stem"], unit
-
-    for head, tail in _possible_units(name):
+    parts: list[Sequence[str]] = []
+    if match := _BRACKETED_UNIT.match(name):
+        parts.append(match.groups())
+    if not name.startswith("/"):  # a path such as /arm/m is no quotient
+        places = [match.span() for match in re.finditer("/", name)]
+        parts += [(name[:start], name[end:]) for start, end in places]
+    for separator, count in product("_ ", (3, 2, 1)):  # the longest is mm_per_s
+        head, *tail = name.rsplit(separator, count)
+        if len(tail) == count and head.strip():
+            parts.append((head, separator.join(tail)))
+    for head, tail in parts:
         if unit := units.find(tail):
             return re.sub(r"[\s,:]+(?:in)?[\s,:]*$", "", head), unit
 
     return name, None
-
-
-def _possible_units(name: str) -> Iterator[tuple[str, str]]:
-    """Yield the ways to split a name before a unit without brackets, the longest first.
-
-    A path such as `/arm/m` is none of a quotient.
-    """
-    if not name.startswith("/"):
-        for match in re.finditer("/", name):
-            yield name[: match.start()], name[match.end() :]
-
-    for separator in ("_", " "):
-        for part_count in (3, 2, 1):  # the longest is mm_per_s
-            head, *tail = name.rsplit(separator, part_count)
-            if len(tail) == part_count and head.strip():
-                yield head, separator.join(tail)
 
 
 def written_unit(name: str) -> str | None:
@@ -148,22 +137,18 @@ def find_columns(table: Table, pattern: str) -> list[str]:
     if "*" in pattern:
         return _find_numbered(table, pattern, escaped.replace(r"\*", r"(\d{1,9})", 1))
     if match := re.match(r"^(.+)\[(\d{1,9})\]$", pattern):
-        _require_element(table, pattern, match[1], int(match[2]))
+        values = table.columns.get(match[1])
+        if values is None or values.ndim != 2:
+            raise _not_found(table, pattern)
+        if int(match[2]) >= values.shape[1]:
+            raise ColumnError(
+                f"{pattern!r}: column {match[1]!r} has the elements [0] to "
+                f"[{values.shape[1] - 1}]"
+            )
+
         return [pattern]
 
     return _find_numbered(table, pattern, rf"{escaped}[_. ]?\[?(\d{{1,9}})\]?")
-
-
-def _require_element(table: Table, pattern: str, name: str, index: int) -> None:
-    """Raise `ColumnError` unless a column has two dimensions and so many elements."""
-    values = table.columns.get(name)
-    if values is None or values.ndim != 2:
-        raise _not_found(table, pattern)
-    if index >= values.shape[1]:
-        raise ColumnError(
-            f"{pattern!r}: column {name!r} has the elements [0] to "
-            f"[{values.shape[1] - 1}]"
-        )
 
 
 def _find_numbered(table: Table, pattern: str, expression: str) -> list[str]:
@@ -205,28 +190,21 @@ def _not_found(table: Table, pattern: str) -> ColumnError:
     """Return the error for a pattern that fits no column, with what may be meant."""
     notes = [note for note in table.warnings if repr(pattern) in note]
     reported = "".join(f" ({note})" for note in notes)
-    hint = _hint(list(table.columns), pattern)
-    return ColumnError(
-        f"no column {pattern!r}{reported}.{hint} Columns are: {table.describe()}"
-    )
-
-
-def _hint(names: list[str], pattern: str) -> str:
-    """Return a sentence on what a pattern that fits no name may be meant to say."""
-    if "*" in pattern:
-        return (
-            " The * stands for one number; all the rest of the name must be written "
-            "out."
-        )
-
+    names = list(table.columns)
     head, colon, unit = pattern.rpartition(":")
-    if colon and any(name.startswith(head) for name in names):
-        return f" The unit {unit!r} is none of this channel's."
-
     bracketed = rf"{re.escape(pattern)}\s*[\[(]\D"
     with_unit = [name for name in names if re.match(bracketed, name)]
     close = with_unit or get_close_matches(pattern, names[:1000], n=1)
-    return f" Did you mean {close[0]!r}?" if close else ""
+    hint = f" Did you mean {close[0]!r}?" if close else ""
+    if "*" in pattern:
+        hint = " The * stands for one number; all the rest of the name must be "
+        hint += "written out."
+    elif colon and any(name.startswith(head) for name in names):
+        hint = f" The unit {unit!r} is none of this channel's."
+
+    return ColumnError(
+        f"no column {pattern!r}{reported}.{hint} Columns are: {table.describe()}"
+    )
 
 
 def detect_columns(table: Table, channel: Channel) -> list[str]:
@@ -242,7 +220,13 @@ def detect_columns(table: Table, channel: Channel) -> list[str]:
         ColumnError: Several would fit, or a joint's column is missing.
     """
     fitting = {
-        name: parse_column_name(_bare_name(table, name), channel.units)
+        name: parse_column_name(
+            # In brackets a column of times may say how they are written.
+            re.sub(r"(?<=\S)\s*\([^()]*\)$", "", name.strip())
+            if name in table.seconds
+            else name,
+            channel.units,
+        )
         for name in table.columns
         if states_other_unit(table, name, channel) is None
     }
@@ -261,12 +245,6 @@ def detect_columns(table: Table, channel: Channel) -> list[str]:
             return _only_candidate(table, channel, parsed)
 
     return []
-
-
-def _bare_name(table: Table, name: str) -> str:
-    """Return a name without what it says in brackets of how its times are written."""
-    is_clock = name in table.seconds
-    return re.sub(r"(?<=\S)\s*\([^()]*\)$", "", name.strip()) if is_clock else name
 
 
 def _only_candidate(

@@ -5,21 +5,17 @@ from collections import Counter, deque
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
 from dataclasses import replace
+from itertools import product
 from math import nan
 
 import numpy as np
 
-from needleforce.recordings.channels import KNOWLEDGE, Knowledge
+from needleforce.recordings.channels import KNOWLEDGE, JointRules, Knowledge
 from needleforce.recordings.errors import (
     MAX_BYTES,
     FaultCounts,
     FormatError,
     require_size,
-)
-from needleforce.recordings.exported_joints import (
-    JointGroup,
-    find_joint_groups,
-    group_columns,
 )
 from needleforce.recordings.follow import FollowOptions
 from needleforce.recordings.table import (
@@ -68,8 +64,6 @@ CSV_SUFFIXES = (
     ".lvm",
 )
 
-_NUL = "\0"
-
 
 class _Rows:
     """Reads the rows of a table, column by column.
@@ -81,8 +75,10 @@ class _Rows:
     Attributes:
         start: How the table begins.
         faults: What is wrong with rows and cells.
-        omitted: Why columns are left out, by name.
-        joint_groups: Columns that hold joints by name.
+        joint_groups: See `find_joint_groups`.
+        notes: Why columns are left out, but those that name joints.
+        clocks: Columns of times, which are read in seconds, with their latest time.
+        start_ns: The instant of t = 0, see `Table`.
     """
 
     def __init__(
@@ -90,16 +86,16 @@ class _Rows:
     ) -> None:
         self.start = start
         self.faults = FaultCounts()
-        self.omitted: dict[str, str] = {}
-        self.joint_groups: list[JointGroup] = []
+        self.joint_groups: dict[str, dict[str, str]] = {}
+        self.notes: list[str] = []
+        self.start_ns = 0
         self._knowledge = knowledge
         self._commas = meaning_of_commas(
             cell for line in head for cell in split_line(line.text, start.delimiter)
         )
-        self._clocks: dict[str, int | None] = {}  # with their latest time
+        self.clocks: dict[str, int | None] = {}
         self._lists: dict[str, int] = {}  # with their width
-        self._is_chosen = False
-        self.start_ns = 0
+        self._kept: list[str] = []  # names of the columns that are read
 
     def read(self, lines: Sequence[NumberedLine]) -> TableColumns:
         """Return the columns of rows; the first ones decide what each holds.
@@ -107,45 +103,39 @@ class _Rows:
         Raises:
             FormatError: No row of these, or no column, can be read.
         """
-        at_once = self._read_at_once(lines)
-        if at_once is not None:
-            return group_columns(at_once, self.joint_groups)
+        columns = self._read_at_once(lines) or self._read_cells(lines)
+        group_of = {
+            name: group
+            for group, members in self.joint_groups.items()
+            for name in members.values()
+        }
+        grouped: dict[str, np.ndarray] = {}
+        for name, values in columns.items():
+            group = group_of.get(name)
+            if group is None:
+                values.setflags(write=False)
+                grouped[name] = values
+            elif group not in grouped:
+                members = self.joint_groups[group].values()
+                grouped[group] = np.stack([columns[each] for each in members], axis=1)
 
-        numbers, rows = self._split(lines)
-        names = self.start.names
-        columns_of_cells = list(zip(*rows, strict=True)) or [()] * len(names)
-        cells_of = dict(zip(names, columns_of_cells, strict=True))
-        if not self._is_chosen:
-            self._choose(cells_of, numbers)
+        return grouped
 
-        columns: dict[str, np.ndarray] = {}
-        for name, cells in cells_of.items():
-            if name in self._clocks:
-                columns[name] = self._read_clocks(name, cells, numbers)
-            elif name in self._lists:
-                columns[name] = read_lists(cells, self._lists[name])
-            elif name not in self.omitted:
-                columns[name] = self._read_numbers(name, cells, numbers)
-
-        for values in columns.values():
-            values.setflags(write=False)
-
-        self._is_chosen = True
-        return group_columns(columns, self.joint_groups)
-
-    def _read_at_once(self, lines: Sequence[NumberedLine]) -> TableColumns | None:
+    def _read_at_once(
+        self, lines: Sequence[NumberedLine]
+    ) -> dict[str, np.ndarray] | None:
         """Return the columns of rows if every cell is a number, else None.
 
         This takes half the time of reading column by column.
         """
-        if not self._is_chosen or self.omitted or self._clocks or self._lists:
+        names = list(self.start.names)
+        if self._kept != names or self.clocks or self._lists:
             return None
 
-        texts = [text for _, text in lines]
         delimiter = self.start.delimiter
         try:
             values = np.loadtxt(
-                texts,
+                [text for _, text in lines],
                 delimiter=None if delimiter == WHITE_SPACE else delimiter,
                 comments=None,
                 ndmin=2,
@@ -153,15 +143,30 @@ class _Rows:
         except ValueError:
             return None
 
-        if values.shape[1] != len(self.start.names) or exceed_float64(values):
+        if values.shape[1] != len(names) or exceed_float64(values):
             return None
 
-        return dict(zip(self.start.names, values.T.copy(), strict=True))
+        return dict(zip(names, values.T.copy(), strict=True))
 
-    @property
-    def clocks(self) -> frozenset[str]:
-        """Names of the columns of times, which are read in seconds."""
-        return frozenset(self._clocks)
+    def _read_cells(self, lines: Sequence[NumberedLine]) -> dict[str, np.ndarray]:
+        """Return the columns of rows, cell by cell."""
+        numbers, rows = self._split(lines)
+        columns_of_cells = list(zip(*rows, strict=True))
+        columns_of_cells = columns_of_cells or [()] * len(self.start.names)
+        cells_of = dict(zip(self.start.names, columns_of_cells, strict=True))
+        if not self._kept:
+            self._choose(cells_of, numbers)
+
+        columns: dict[str, np.ndarray] = {}
+        for name in self._kept:
+            if name in self.clocks:
+                columns[name] = self._read_clocks(name, cells_of[name], numbers)
+            elif name in self._lists:
+                columns[name] = read_lists(cells_of[name], self._lists[name])
+            else:
+                columns[name] = self._read_numbers(name, cells_of[name], numbers)
+
+        return columns
 
     def _split(
         self, lines: Sequence[NumberedLine]
@@ -175,7 +180,7 @@ class _Rows:
             while len(cells) > width and not cells[-1].strip():
                 cells.pop()
 
-            if _NUL in text:
+            if "\0" in text:
                 self.faults.note("rows with NUL bytes, left out", f"line {number}")
             elif len(cells) != width:
                 self.faults.note(
@@ -196,51 +201,57 @@ class _Rows:
             fault, (_, first) = next(iter(self.faults.items()))
             raise FormatError(f"no row can be read: {fault} (first: {first})")
 
+        omitted: dict[str, str] = {}
         for name, cells in cells_of.items():
+            filled = [cell for cell in cells if cell.strip()]
+            widths = [len(list_numbers(cell)) for cell in filled if is_list(cell)]
             if any(map(is_number, cells)):
                 continue
-
-            filled = [cell for cell in cells if cell.strip()]
             if filled and all(read_clock_ns(cell) is not None for cell in filled):
-                self._clocks[name] = None
-            elif filled and all(map(is_list, filled)) and _usual_width(filled):
-                self._lists[name] = _usual_width(filled)
+                self.clocks[name] = None
+            elif (
+                filled
+                and len(widths) == len(filled)
+                and max(widths) <= MAX_LIST_NUMBERS
+            ):
+                self._lists[name] = Counter(widths).most_common(1)[0][0]
+            elif filled:
+                line = numbers[cells.index(filled[0])]
+                omitted[name] = f"holds text (line {line}, {filled[0].strip()[:40]!r})"
             else:
-                reason = "is empty"
-                if filled:
-                    line = numbers[cells.index(filled[0])]
-                    reason = f"holds text (line {line}, {filled[0].strip()[:40]!r})"
+                omitted[name] = "is empty"
 
-                self.omitted[name] = f"column {name!r} {reason} and was left out"
+        notes = {
+            name: f"column {name!r} {reason} and was left out"
+            for name, reason in omitted.items()
+        }
+        if len(omitted) == len(cells_of):
+            raise FormatError(
+                f"no column holds a number: {'; '.join(notes.values())[:500]}"
+            )
 
-        if len(self.omitted) == len(cells_of):
-            reasons = "; ".join(self.omitted.values())
-            raise FormatError(f"no column holds a number: {reasons[:500]}")
-
-        texts = {name: cells_of[name][0].strip() for name in self.omitted}
-        kept = [name for name in cells_of if name not in self.omitted]
-        self.joint_groups = find_joint_groups(kept, texts, self._knowledge.joints)
-
-    def notes(self) -> list[str]:
-        """Return why columns are left out, but those that name joints."""
-        used = {name for group in self.joint_groups for name in group.sources}
-        return [text for name, text in self.omitted.items() if name not in used]
+        texts = {name: cells_of[name][0].strip() for name in omitted}
+        kept = [name for name in cells_of if name not in omitted]
+        rules = self._knowledge.joints
+        self.joint_groups, sources = find_joint_groups(kept, texts, rules)
+        self.notes = [note for name, note in notes.items() if name not in sources]
+        self._kept = kept
 
     def _read_clocks(
         self, name: str, cells: Sequence[str], numbers: Sequence[int]
     ) -> np.ndarray:
         """Return a column of times in seconds, NaN where there is none."""
-        stamps_ns = read_clocks_ns(cells, self._clocks[name])
+        stamps_ns = read_clocks_ns(cells, self.clocks[name])
         is_known = stamps_ns != UNKNOWN_NS
         for row in np.flatnonzero(~is_known).tolist():
             self._note_cell(name, cells[row], numbers[row])
 
         if is_known.any():
-            if self._clocks[name] is None:
+            if self.clocks[name] is None:
                 first_ns = first_valid_stamp(stamps_ns[is_known])
                 self.start_ns = self.start_ns or start_of_clock(first_ns)
 
-            self._clocks[name] = int(stamps_ns[is_known][-1])
+            self.clocks[name] = int(stamps_ns[is_known][-1])
 
         return np.where(is_known, to_seconds(stamps_ns, self.start_ns), nan)
 
@@ -286,11 +297,53 @@ class _Rows:
             )
 
 
-def _usual_width(cells: Iterable[str]) -> int:
-    """Return how many numbers most lists have; 0 if that is more than a signal has."""
-    widths = Counter(len(list_numbers(cell)) for cell in cells)
-    width = widths.most_common(1)[0][0]
-    return width if width <= MAX_LIST_NUMBERS else 0
+def find_joint_groups(
+    names: Iterable[str], texts: Mapping[str, str], rules: JointRules
+) -> tuple[dict[str, dict[str, str]], set[str]]:
+    """Find the joints that text exported from ROS topics names.
+
+    A message of joint states holds names, positions, velocities and efforts. Tools that
+    export it to text write one column for each joint, in one of the ways that
+    `[joints]` in `layouts.toml` lists. These columns become one of two dimensions.
+
+    Args:
+        names: Of all columns of numbers.
+        texts: Of each column of text, what its first row holds.
+        rules: How names of columns are made.
+
+    Returns:
+        By name of the column that they become: the columns by joint. And the columns
+        of text that state names of joints.
+    """
+    by_path: dict[str, dict[str, str]] = {}
+    for name in names:
+        if match := re.match(rules.by_path, name):
+            group = match["head"] + match["field"]
+            by_path.setdefault(group, {})[match["joint"]] = name
+
+    named: dict[str, dict[str, str]] = {}  # joints by number, by what is before `name`
+    head_of: dict[str, str] = {}
+    for name, text in texts.items():
+        listed = re.findall(r"['\"]([^'\"]+)['\"]", text)
+        if match := re.match(rules.by_number, name):
+            head_of[name] = match["head"]
+            named.setdefault(match["head"], {})[match["number"]] = text
+        elif len(listed) > 1 and (match := re.match(rules.by_list, name)):
+            head_of[name] = match["head"]
+            named[match["head"]] = {str(n): joint for n, joint in enumerate(listed)}
+
+    groups = {group: members for group, members in by_path.items() if len(members) > 1}
+    used: set[str] = set()
+    for (head, joint_of), field in product(named.items(), rules.fields):
+        expression = re.compile(rf"{re.escape(head + field)}_?\[?(\d{{1,3}})\]?")
+        matches = filter(None, map(expression.fullmatch, names))
+        column_of = {match[1]: match[0] for match in matches}
+        if column_of.keys() == joint_of.keys():
+            members = {joint: column_of[n] for n, joint in joint_of.items()}
+            groups[head.replace(".", "/") + field] = members
+            used |= {name for name, each in head_of.items() if each == head}
+
+    return groups, used
 
 
 class _CsvText:
@@ -301,13 +354,15 @@ class _CsvText:
 
     Attributes:
         rows: The reader of the table; None before it has been found.
+        head: Its first rows, once they are read.
         waiting: Rows that wait to be read; before the table has been found all lines.
     """
 
     def __init__(self, knowledge: Knowledge) -> None:
         self.rows: _Rows | None = None
+        self.head: Table | None = None
         self.waiting: list[NumberedLine] = []
-        self.start_ns = 0
+        self._start_ns = 0
         self._knowledge = knowledge
         # Two comments above the first row may hold its names and units.
         self._comments: deque[NumberedLine] = deque(maxlen=2)
@@ -320,7 +375,7 @@ class _CsvText:
         """Add whole lines.
 
         Raises:
-            FormatError: No row has come for very many lines.
+            FormatError: There is no table, or no row, in very many lines.
         """
         for number, line in enumerate(lines, self._line_count + 1):
             if _is_row(line):
@@ -330,7 +385,7 @@ class _CsvText:
                 if match := re.match(
                     rf"{COMMENT}\s*{START_KEY}\s*=\s*(-?\d{{1,19}})\s*$", line
                 ):
-                    self.start_ns = int(match[1])
+                    self._start_ns = int(match[1])
 
         self._line_count += len(lines)
         if self.waiting:
@@ -344,22 +399,18 @@ class _CsvText:
                 "comments; it is damaged, or no table"
             )
 
-    def find_head(self) -> bool:
-        """Return whether the table has been found, and its first rows have come.
+        self._look_for_table()
 
-        Raises:
-            FormatError: In very many lines there is no table.
-        """
+    def _look_for_table(self) -> None:
+        """Find the table, if enough lines have come to tell."""
         while self.rows is None and len(self.waiting) >= self._looks[0]:
-            lines = self.waiting[: self._looks.pop(0)]
+            first_lines = self.waiting[: self._looks.pop(0)]
             if not self._looks:
-                self._begin(lines)
+                self._begin(first_lines)
                 break
 
             with suppress(FormatError):
-                self._begin(lines, HEAD_ROWS)
-
-        return self.rows is not None and len(self.waiting) >= HEAD_ROWS
+                self._begin(first_lines, HEAD_ROWS)
 
     def _begin(self, lines: Sequence[NumberedLine], min_rows: int = 0) -> None:
         """Find the table in the first lines; what stands above it goes.
@@ -370,7 +421,7 @@ class _CsvText:
         if start.row_count >= min_rows:
             self.waiting = self.waiting[start.first_row :]
             self.rows = _Rows(start, self.waiting[:HEAD_ROWS], self._knowledge)
-            self.rows.start_ns = self.start_ns
+            self.rows.start_ns = self._start_ns
 
     def end(self, tail: str, *, is_growing: bool) -> None:
         """Add what stands behind the last line end.
@@ -400,34 +451,29 @@ class _CsvText:
         if self.rows is None:
             self._begin(self.waiting)
 
-    def read_head(self) -> Table:
-        """Return the first rows as a table that says what is known of its columns."""
+    def ready(self, *, is_last: bool = False) -> Iterator[Table]:
+        """Yield the rows that can be read by now: the first ones apart, then all."""
         rows = self.rows
-        assert rows is not None
-        start = rows.start
-        columns = rows.read(self._taken(HEAD_ROWS))
-        return Table(
-            columns=columns,
-            joint_names={group.column: group.joints for group in rows.joint_groups},
-            start_ns=rows.start_ns,
-            seconds=rows.clocks,
-            warnings=(*start.warnings, *rows.notes()),
-            units=start.units,
-            has_header=start.has_header,
-            layout=start.layout,
-        )
-
-    def read_waiting(self, head: Table) -> Table:
-        """Return the rows that wait as a table like the first."""
-        assert self.rows is not None
-        columns = self.rows.read(self._taken(len(self.waiting)))
-        return replace(head, columns=columns, warnings=())
-
-    def _taken(self, count: int) -> list[NumberedLine]:
-        """Remove and return the first rows that wait."""
-        taken = self.waiting[:count]
-        self.waiting = self.waiting[count:]
-        return taken
+        has_head = is_last or len(self.waiting) >= HEAD_ROWS
+        if rows is not None and self.head is None and has_head:
+            columns = rows.read(self.waiting[:HEAD_ROWS])
+            self.waiting = self.waiting[HEAD_ROWS:]
+            groups = rows.joint_groups.items()
+            self.head = Table(
+                columns=columns,
+                joint_names={group: tuple(members) for group, members in groups},
+                start_ns=rows.start_ns,
+                seconds=frozenset(rows.clocks),
+                warnings=(*rows.start.warnings, *rows.notes),
+                units=rows.start.units,
+                has_header=rows.start.has_header,
+                layout=rows.start.layout,
+            )
+            yield self.head
+        if rows is not None and self.head is not None and self.waiting:
+            columns = rows.read(self.waiting)
+            self.waiting = []
+            yield replace(self.head, columns=columns, warnings=())
 
 
 def _is_row(line: str) -> bool:
@@ -463,18 +509,13 @@ def csv_tables(
     lines = TextLines(blocks, knowledge)
     text = _CsvText(knowledge)
     options = options or FollowOptions()
-    head: Table | None = None
     row_bytes = 100  # that Python adds to the text of a row
     read_bytes = 0
     try:
         for batch in lines:
             text.add(batch)
-            if head is None and text.find_head():
-                head = text.read_head()
-                yield head
-                read_bytes = lines.size
-            if head is not None and text.waiting:
-                yield text.read_waiting(head)
+            for table in text.ready():
+                yield table
                 read_bytes = lines.size
 
             waiting_bytes = lines.size - read_bytes + row_bytes * len(text.waiting)
@@ -484,16 +525,13 @@ def csv_tables(
             lines.forgive_end()
 
         text.end(lines.tail, is_growing=options.follow)
-        if head is None:
-            head = text.read_head()
-            yield head
-        if text.waiting:
-            yield text.read_waiting(head)
+        yield from text.ready(is_last=True)
     except FormatError as error:
         losses = "".join(f" ({warning})" for warning in lines.warnings)
         raise error.reworded(f"{name}: {error}{losses}") from error
 
     assert text.rows is not None
-    no_rows = {column: values[:0] for column, values in head.columns.items()}
+    assert text.head is not None
+    no_rows = {column: values[:0] for column, values in text.head.columns.items()}
     warnings = (*lines.warnings, *text.rows.faults.lines())
-    yield replace(head, columns=no_rows, warnings=warnings)
+    yield replace(text.head, columns=no_rows, warnings=warnings)

@@ -90,7 +90,7 @@ class FaultCounts(dict[str, tuple[int, str]]):
     The place is empty where it says nothing.
     """
 
-    def note(self, fault: str, where: str, count: int = 1) -> None:
+    def note(self, fault: str, where: str = "", count: int = 1) -> None:
         """Count a fault.
 
         Args:

@@ -133,22 +133,12 @@ def names_channel(match: JointMatch, channel: Channel, rules: JointRules) -> boo
     return not is_other and not runs.isdisjoint(channel.spellings)
 
 
-class JointOrder(NamedTuple):
-    """In which order the joints of a column, or of a topic, are read.
-
-    Attributes:
-        joints: Their names, in order.
-        notes: What was assumed, one sentence each.
-    """
-
-    joints: tuple[str, ...]
-    notes: tuple[str, ...] = ()
-
-
 def order_joints(
     name: str, joints: Sequence[str], mapping: ColumnMapping, robot: Sequence[str]
-) -> JointOrder:
+) -> tuple[tuple[str, ...], list[str]]:
     """Return the order of joints: the mapping's, the robot's, or the recording's.
+
+    And what was assumed, one sentence each.
 
     Args:
         name: Of the topic or column, for messages.
@@ -160,7 +150,6 @@ def order_joints(
         ColumnError: The recording lacks a joint of the mapping, or has joints of
             several arms that would fit.
     """
-    recorded = JointOrder(tuple(joints))
     missing = [joint for joint in mapping.joint_order if joint not in joints]
     if joints and missing:
         raise ColumnError(
@@ -170,21 +159,19 @@ def order_joints(
 
     order = tuple(mapping.joint_order or robot)
     if not joints or not order:
-        return recorded
+        return tuple(joints), []
 
     matches = match_joints(joints, order)
     chosen = choose_match(matches, mapping.joint_pattern, name)
     if chosen is None:
-        return recorded._replace(
-            notes=(
-                f"{name} has the joints {', '.join(joints)}, the robot "
-                f"{', '.join(order)}; the order of the recording was kept, name "
-                "another one with joints in the mapping",
-            )
-        )
+        return tuple(joints), [
+            f"{name} has the joints {', '.join(joints)}, the robot {', '.join(order)}; "
+            "the order of the recording was kept, name another one with joints in the "
+            "mapping"
+        ]
 
     note = (
         f"{name}: the joints {chosen.names[0]}, ... ({chosen.pattern}) were taken for "
         f"the robot's {order[0]}, ..."
     )
-    return JointOrder(chosen.names, () if chosen.names == order else (note,))
+    return chosen.names, [] if chosen.names == order else [note]

@@ -1,7 +1,6 @@
 """A channel in a table: its columns, its conversion to SI, and what is odd in it."""
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
 
 import numpy as np
 from numpy.typing import NDArray
@@ -9,7 +8,6 @@ from numpy.typing import NDArray
 from foundation.arrays import Array
 from needleforce.recordings.channel_units import (
     ChannelUnit,
-    ColumnUnit,
     UnitOrigin,
     advise_unit,
     describe_columns,
@@ -27,53 +25,77 @@ from needleforce.recordings.mapping import LEFT_OUT, ColumnSpec
 from needleforce.recordings.table import Table
 
 
-@dataclass(slots=True, eq=False)
 class Signal:
     """A channel: where in a table it stands, how it becomes SI, and what is odd in it.
 
+    Args:
+        table: With rows or without.
+        channel: The channel.
+        columns: Names of its columns, at least one.
+        spec: How they were chosen; None if by their names.
+
     Attributes:
         channel: The channel.
-        columns: Names of its columns.
-        units: Of the columns, and whence they are known.
+        source: Its columns and their units, see `units_of_columns`.
         factors: To SI, one for each value of a row.
-        scale: Factor or factors of the mapping, which these contain.
-        row_count: Rows watched so far.
-        finite_count: Rows with finite values among them.
-        large_count: Rows among these with a value larger than is plausible.
-        size: The largest magnitude in SI units, of time the median step.
-        any_finite: Whether there was a finite value so far.
-        faults: Rows that are not finite.
+
+    Raises:
+        ColumnError: There are too many columns.
+        LogError: They differ in length.
+        MappingError: There are more or fewer scale factors than columns.
+        UnitError: See `units_of_columns`.
     """
 
-    channel: Channel
-    columns: tuple[str, ...]
-    units: tuple[ColumnUnit, ...]
-    factors: Array
-    scale: float | tuple[float, ...] = 1.0
-    row_count: int = 0
-    finite_count: int = 0
-    large_count: int = 0
-    size: float = 0.0
-    any_finite: bool = False
-    faults: FaultCounts = field(default_factory=FaultCounts)
+    def __init__(
+        self,
+        table: Table,
+        channel: Channel,
+        columns: Sequence[str],
+        spec: ColumnSpec | None,
+    ) -> None:
+        widths = [table.width(name) for name in columns]
+        width = sum(widths)
+        listed = ", ".join(columns)
+        if width != 1 and not channel.per_joint:
+            raise ColumnError(
+                f"{channel.name} is one column, but {listed} gives {width}"
+            )
+        if len({len(table.values(name)) for name in columns}) > 1:
+            raise LogError(f"{channel.name}: the columns {listed} differ in length")
+
+        scale = 1.0 if spec is None else spec.scale
+        scales = np.atleast_1d(np.array(scale, dtype=np.float64))
+        if scales.size not in (1, width):
+            raise MappingError(
+                f"{channel.name}: {scales.size} scale factors for {width} columns, "
+                f"expected one or {width}"
+            )
+
+        units = units_of_columns(table, channel, columns, spec)
+        si_factors = np.array([channel.units[column.unit] for column in units])
+        self.channel = channel
+        self.source = ChannelUnit(channel.name, tuple(columns), units, scale)
+        self.factors = np.repeat(si_factors, widths) * scales
+        self._row_count = 0
+        self._finite_count = 0  # rows with finite values
+        self._large_count = 0  # among these with a value larger than is plausible
+        self._size = 0.0  # the largest, in SI units; of time the median step
+        self._any_finite = False
+        self._faults = FaultCounts()
 
     @property
-    def channel_unit(self) -> ChannelUnit:
-        """The unit in which the channel is read, for a summary."""
-        return ChannelUnit(self.channel.name, self.columns, self.units, self.scale)
+    def _origins(self) -> set[UnitOrigin]:
+        """Whence the units of the columns are known."""
+        return {unit.origin for unit in self.source.units}
 
     @property
     def _is_unsure(self) -> bool:
         """Whether values may be in another unit than that of a column."""
-        return self._has_origin(UnitOrigin.ASSUMED, UnitOrigin.FORMAT)
+        return not self._origins.isdisjoint({UnitOrigin.ASSUMED, UnitOrigin.FORMAT})
 
-    def _has_origin(self, *origins: UnitOrigin) -> bool:
-        """Return whether the unit of a column is known from one of these."""
-        return any(unit.origin in origins for unit in self.units)
-
-    def read(self, table: Table) -> Array:
-        """Return the values of a table in SI units, shape (n,) or (n, joints)."""
-        columns = [table.values(name) for name in self.columns]
+    def read(self, table: Table, rows: slice) -> Array:
+        """Return values of a table in SI units, shape (n,) or (n, joints)."""
+        columns = [table.values(name)[rows] for name in self.source.columns]
         values = np.column_stack(columns) * self.factors
         return values if self.channel.per_joint else values[:, 0]
 
@@ -88,34 +110,33 @@ class Signal:
         if not is_finite.all():
             axes = tuple(range(1, values.ndim))
             invalid_rows = np.flatnonzero(~is_finite.all(axis=axes))
-            self.faults.note(
+            self._faults.note(
                 f"{self.channel.key}: rows with NaN or infinity",
                 f"row {rows[invalid_rows[0]]:.0f}",
                 invalid_rows.size,
             )
 
-        self.any_finite = self.any_finite or bool(is_finite.any())
+        self._any_finite = self._any_finite or bool(is_finite.any())
         if self._is_unsure and self.channel.key != "t_s":
             self._update_size(values, is_finite)
 
-        self.row_count += len(values)
+        self._row_count += len(values)
 
     def watch_step(self, t_s: Array) -> None:
         """Note the median step of the first time stamps, shape (n,), all finite."""
         if t_s.size > 1 and self._is_unsure:
-            self.size = float(np.median(np.abs(np.diff(t_s))))
-            self.finite_count = 1
-            self.large_count = int(self.size > _limit(self.channel))
+            self._size = float(np.median(np.abs(np.diff(t_s))))
+            self._finite_count = 1
+            self._large_count = int(self._size > self.channel.at_most.value)
 
     def _update_size(self, values: Array, is_finite: NDArray[np.bool_]) -> None:
         """Update the size by further values, and count the rows that are too large."""
-        limit = _limit(self.channel)
         sizes = np.where(is_finite, np.abs(values), 0.0).reshape(len(values), -1)
         largest = sizes.max(axis=1, initial=0.0)
-        self.size = max(self.size, float(largest.max(initial=0.0)))
+        self._size = max(self._size, float(largest.max(initial=0.0)))
         has_value = is_finite.reshape(sizes.shape).any(axis=1)
-        self.finite_count += int(np.count_nonzero(has_value))
-        self.large_count += int(np.count_nonzero(largest > limit))
+        self._finite_count += int(np.count_nonzero(has_value))
+        self._large_count += int(np.count_nonzero(largest > self.channel.at_most.value))
 
     def report_not_finite(self) -> tuple[str, ...]:
         """Report rows that are not finite.
@@ -123,12 +144,12 @@ class Signal:
         Raises:
             LogError: There was no finite value at all.
         """
-        if self.faults and not self.any_finite:
+        if self._faults and not self._any_finite:
             raise LogError(
-                f"{self.channel.key} has no finite value in {self.row_count} rows"
+                f"{self.channel.key} has no finite value in {self._row_count} rows"
             )
 
-        return self.faults.lines()
+        return self._faults.lines()
 
     def require_plausible(self) -> None:
         """Check that the values can be in the unit that was assumed.
@@ -137,11 +158,16 @@ class Signal:
             UnitError: More of the rows are too large for it than spikes would be.
         """
         max_fraction = 0.05  # fewer may be spikes
-        is_large = self.large_count > max_fraction * self.finite_count
-        if is_large and self._has_origin(UnitOrigin.ASSUMED):
+        is_large = self._large_count > max_fraction * self._finite_count
+        if is_large and UnitOrigin.ASSUMED in self._origins:
+            unit = self.channel.at_most.unit
+            if self.channel.key == "t_s":  # logs have 1 to 10,000 rows a second
+                unit = "us" if self._size >= 200.0 else unit
+                unit = "ns" if self._size >= 1e5 else unit
+
             raise UnitError(
                 f"{self._describe_size()}. The file states no unit",
-                advise_unit(self.channel, self.columns, self._likely_unit()),
+                advise_unit(self.channel, self.source.columns, unit),
             )
 
     def report_implausible(self) -> tuple[str, ...]:
@@ -150,36 +176,30 @@ class Signal:
         They are few enough to be spikes, or the format of the file defines the unit.
         """
         # A needle that meets tissue feels more [N]; a file in kN holds such numbers.
-        is_small = 0.0 < self.size < 0.05
+        is_small = 0.0 < self._size < 0.05
         if is_small and self.channel.key == "force_N":
+            names = describe_columns(self.source.columns)
             return (
-                f"force: {describe_columns(self.columns)}, taken as in N, nowhere "
-                f"exceeds {self.size:.4g} N; the file states no unit, and may be in kN",
+                f"force: {names}, taken as in N, nowhere exceeds {self._size:.4g} N; "
+                "the file states no unit, and may be in kN",
             )
-        if not self.large_count:
+        if not self._large_count:
             return ()
 
-        return (f"{self._describe_size()}; rows beyond it: {self.large_count}",)
+        return (f"{self._describe_size()}; rows beyond it: {self._large_count}",)
 
     def _describe_size(self) -> str:
         """Return what is odd about the size of the values, in words."""
         at_most = self.channel.at_most
-        limit = _limit(self.channel)
-        reason = "" if at_most is None else at_most.reason
         unit = self.channel.si_unit
-        names = describe_columns(self.columns)
+        names = describe_columns(self.source.columns)
         is_time = self.channel.key == "t_s"
         quantity = "the median step of" if is_time else "the size of"
         return (
             f"{self.channel.name}: {quantity} {names}, taken as in {unit}, is "
-            f"{self.size:.4g} {unit}, expected at most {limit:.3g} ({reason})"
+            f"{self._size:.4g} {unit}, expected at most {at_most.value:.3g} "
+            f"({at_most.reason})"
         )
-
-    def _likely_unit(self) -> str:
-        """Return the unit in which the file is likely to be."""
-        at_most = self.channel.at_most
-        unit = self.channel.si_unit if at_most is None else at_most.unit
-        return _unit_of_step(self.size, unit) if self.channel.key == "t_s" else unit
 
 
 class VelocityWatch:
@@ -219,69 +239,15 @@ class VelocityWatch:
         )
 
 
-def _limit(channel: Channel) -> float:
-    """Return the largest value of a channel that is plausible, in SI units."""
-    return np.inf if channel.at_most is None else channel.at_most.value
-
-
-def _unit_of_step(step: float, default: str) -> str:
-    """Return the unit of time in which a log's median step is likely to be."""
-    # Logs have 1 to 10,000 rows a second.
-    if step >= 1e5:
-        return "ns"
-
-    return "us" if step >= 200.0 else default
-
-
-def make_signal(
-    table: Table, channel: Channel, columns: Sequence[str], spec: ColumnSpec | None
-) -> Signal:
-    """Return the signal of a channel; its units are those of `units_of_columns`.
-
-    Args:
-        table: With rows or without.
-        channel: The channel.
-        columns: Names of its columns, at least one.
-        spec: How they were chosen; None if by their names.
-
-    Raises:
-        ColumnError: There are too many columns.
-        LogError: They differ in length.
-        MappingError: There are more or fewer scale factors than columns.
-        UnitError: See `units_of_columns`.
-    """
-    widths = [table.width(name) for name in columns]
-    width = sum(widths)
-    listed = ", ".join(columns)
-    if width != 1 and not channel.per_joint:
-        raise ColumnError(f"{channel.name} is one column, but {listed} gives {width}")
-    if len({len(table.values(name)) for name in columns}) > 1:
-        raise LogError(f"{channel.name}: the columns {listed} differ in length")
-
-    scale = 1.0 if spec is None else spec.scale
-    scales = np.atleast_1d(np.array(scale, dtype=np.float64))
-    if scales.size not in (1, width):
-        raise MappingError(
-            f"{channel.name}: {scales.size} scale factors for {width} columns, "
-            f"expected one or {width}"
+def require_equal_sizes(table: Table, signals: Mapping[str, Signal]) -> None:
+    """Raise `LogError` if channels differ in length, or in the number of joints."""
+    shapes = {
+        key: (
+            len(table.values(signal.source.columns[0])),
+            *([signal.factors.size] if signal.channel.per_joint else []),
         )
-
-    units = units_of_columns(table, channel, columns, spec)
-    si_factors = np.array([channel.units[column.unit] for column in units])
-    factors = np.repeat(si_factors, widths) * scales
-    return Signal(channel, tuple(columns), units, factors, scale)
-
-
-def require_equal_sizes(
-    values: Mapping[str, Array], signals: Mapping[str, Signal]
-) -> None:
-    """Raise `LogError` if channels differ in length, or in the number of joints.
-
-    Args:
-        values: Of each channel, by key, shape (n,) or (n, joints).
-        signals: By the same keys; they may lack time.
-    """
-    shapes = {key: array.shape for key, array in values.items()}
+        for key, signal in signals.items()
+    }
     if len({shape[0] for shape in shapes.values()}) > 1:
         lengths = ", ".join(f"{key} {shape[0]}" for key, shape in shapes.items())
         transposed = [
@@ -297,7 +263,7 @@ def require_equal_sizes(
     if len(set(joint_counts.values())) > 1:
         listed = "; ".join(
             f"{signals[key].channel.name} has {count} "
-            f"({', '.join(signals[key].columns)})"
+            f"({', '.join(signals[key].source.columns)})"
             for key, count in joint_counts.items()
         )
         raise LogError(

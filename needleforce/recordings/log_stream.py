@@ -25,14 +25,13 @@ from needleforce.recordings.log import Log
 from needleforce.recordings.log_signal import (
     Signal,
     VelocityWatch,
-    make_signal,
     require_equal_sizes,
 )
 from needleforce.recordings.stamp_order import (
     SORTED_WITHIN_S,
     Rows,
     StampOrder,
-    spread_rounded,
+    rows_in_order,
 )
 from needleforce.recordings.table import HEAD_ROWS, Table, ToolMass, tool_mass_in
 from needleforce.recordings.time_stamps import (
@@ -101,7 +100,7 @@ class LogStream:
             sorted_within_s = mapping.sort_within_s
 
         self._channels = mapping.knowledge.channels
-        self._order = StampOrder(sorted_within_s)
+        self._order = StampOrder(sorted_within_s, self._report)
         self._velocity_watch = VelocityWatch()
         self._signals: dict[str, Signal] = {}
         self.start_ns = 0
@@ -125,13 +124,13 @@ class LogStream:
         Raises as `read_log`; what only the end shows is reported there.
         """
         head = next(self._tables)
-        self._report(head.warnings)
+        self._report(*head.warnings)
         self.start_ns = head.start_ns
         self.tool_mass = head.tool_mass or tool_mass_in(head)
         self._request = self._request.with_layout(head)
         layout = self._request.find_layout(head)
         note = f"{layout.name}: {layout.note}" if layout and layout.note else ""
-        self._report([note] if note else [])
+        self._report(*([note] if note else []))
         try:
             self._find_channels(head)
         except RecordingError as error:  # the note may say why
@@ -141,10 +140,10 @@ class LogStream:
         if has_stamps:
             self._signals = {"t_s": self._find_time(head), **self._signals}
 
-        self.units = tuple(signal.channel_unit for signal in self._signals.values())
+        self.units = tuple(signal.source for signal in self._signals.values())
         parts = self._watched_parts(chain([head], self._tables))
         if has_stamps:
-            parts = self._in_order(parts)
+            parts = rows_in_order(parts, self._order, self._report)
 
         for part in parts:
             yield self._chunk(part)
@@ -180,18 +179,13 @@ class LogStream:
             units=self.units,
         )
 
-    def _report(self, warnings: Iterable[str]) -> None:
+    def _report(self, *warnings: str) -> None:
         """Add warnings that were not reported before."""
         self._warnings |= dict.fromkeys(warnings)
 
-    def _require_plausible(self) -> None:
-        """Raise `UnitError` if a channel can hardly be in the unit that was assumed."""
-        for signal in self._signals.values():
-            signal.require_plausible()
-
     def _report_end(self) -> None:
         """Report what only the whole log shows."""
-        self._report(self._faults.lines())
+        self._report(*self._faults.lines())
         if not self._kept_count:
             raise LogError(
                 f"of {self._row_count} rows none has a time stamp",
@@ -199,15 +193,16 @@ class LogStream:
                 "`mapping`, or give `rate_hz` instead.",
             )
 
-        self._require_plausible()
         for signal in self._signals.values():
-            self._report(signal.report_implausible())
+            signal.require_plausible()
+        for signal in self._signals.values():
+            self._report(*signal.report_implausible())
 
-        self._report(self._row_clock.warnings())
-        self._report(self._velocity_watch.warnings())
+        self._report(*self._row_clock.warnings())
+        self._report(*self._velocity_watch.warnings())
         for key, signal in self._signals.items():
             if key != "t_s":
-                self._report(signal.report_not_finite())
+                self._report(*signal.report_not_finite())
 
     def _find_time(self, table: Table) -> Signal:
         """Find the column of time stamps; `ColumnError` if there is none."""
@@ -215,7 +210,7 @@ class LogStream:
         columns = self._request.find(table, time)
         if columns:
             spec = self._request.mapping.channels.get("time")
-            return make_signal(table, time, columns, spec)
+            return Signal(table, time, columns, spec)
         if not table.has_header:
             raise _no_header([time], table, self._request)
 
@@ -242,7 +237,7 @@ class LogStream:
         _require_names(request.mapping.joint_pattern, table, by_joint)
         if by_joint:
             listed = "; ".join(by_joint)
-            self._report([f"columns found by the names of the joints: {listed}"])
+            self._report(f"columns found by the names of the joints: {listed}")
         if missing:
             raise _not_found(missing, table, request)
         if not self._signals:
@@ -256,8 +251,8 @@ class LogStream:
         """Read a channel from some columns, unless it may lack and has no values."""
         spec = self._request.mapping.channels.get(channel.name)
         is_required = channel.name in self._request.required
-        signal = make_signal(table, channel, columns, spec)
-        head = signal.read(table)[:HEAD_ROWS]
+        signal = Signal(table, channel, columns, spec)
+        head = signal.read(table, slice(HEAD_ROWS))
         if not is_required:
             _require_all_joints(channel, head)
         if is_required or spec is not None or np.isfinite(head).any():
@@ -265,35 +260,48 @@ class LogStream:
             return
 
         self._report(
-            [
-                f"{channel.name}: its columns hold no finite value in the first rows "
-                "and were left out"
-            ]
+            f"{channel.name}: its columns hold no finite value in the first rows and "
+            "were left out"
         )
 
     def _watched_parts(self, tables: Iterable[Table]) -> Iterator[Rows]:
         """Yield the rows of tables that have a time stamp, some at a time."""
         for table in tables:
-            self._report(table.warnings)
+            self._report(*table.warnings)
             if not len(table) and self._row_count:
                 continue
 
-            values = {key: signal.read(table) for key, signal in self._signals.items()}
-            row_count = len(next(iter(values.values())))
-            values["t_s"] = self._time_s(table, values, row_count)
             if not self._row_count:
-                require_equal_sizes(values, self._signals)
+                require_equal_sizes(table, self._signals)
 
-            first = self._row_count + 1.0
-            values[ROW] = np.arange(first, first + row_count)
-            self._row_count += row_count
+            signal = next(iter(self._signals.values()))
+            row_count = len(table.values(signal.source.columns[0]))
             max_chunk_rows = 1 << 14  # of a file that is held as a whole
             for start in range(0, row_count, max_chunk_rows):
-                end = start + max_chunk_rows
-                part = {key: array[start:end] for key, array in values.items()}
-                watched = self._watched(part)
+                watched = self._watched(
+                    self._read(
+                        table, slice(start, min(start + max_chunk_rows, row_count))
+                    )
+                )
                 if len(watched["t_s"]):
                     yield watched
+
+    def _read(self, table: Table, rows: slice) -> Rows:
+        """Return rows of a table in SI units, with their time and number."""
+        values = {
+            key: signal.read(table, rows) for key, signal in self._signals.items()
+        }
+        first = self._row_count
+        numbers = np.arange(first, first + rows.stop - rows.start)
+        rate_hz = self._request.mapping.rate_hz
+        values["t_s"] = (
+            self._time_s(table, values["t_s"], rows)
+            if rate_hz is None
+            else numbers / rate_hz
+        )
+        values[ROW] = numbers + 1.0
+        self._row_count += numbers.size
+        return values
 
     def _watched(self, values: Rows) -> Rows:
         """Return the rows that have a time stamp; note what is odd in channels."""
@@ -320,19 +328,10 @@ class LogStream:
             if "t_s" in self._signals:
                 self._signals["t_s"].watch_step(values["t_s"])
 
-            self._require_plausible()
+            for signal in self._signals.values():
+                signal.require_plausible()
 
         return values
-
-    def _in_order(self, parts: Iterable[Rows]) -> Iterator[Rows]:
-        """Yield the rows whose place in time is known, once further rows were read."""
-        for part in spread_rounded(parts, lambda warning: self._report([warning])):
-            ready = self._order.add(part)
-            self._report(self._order.take_warnings())
-            yield from ready
-
-        yield from self._order.finish()
-        self._report(self._order.take_warnings())
 
     def _chunk(self, part: Rows) -> LogChunk:
         """Return rows in the order of time as a chunk of the log."""
@@ -341,30 +340,22 @@ class LogStream:
         time = self._signals.get("t_s")
         if time is not None:
             time.watch(t_s, rows)
-            self._report(time.report_implausible())
+            self._report(*time.report_implausible())
 
         return LogChunk(t_s=t_s, dt_s=self._row_clock.update(t_s, rows), channels=part)
 
-    def _time_s(
-        self, table: Table, values: Mapping[str, Array], row_count: int
-    ) -> Array:
+    def _time_s(self, table: Table, column_s: Array, rows: slice) -> Array:
         """Return the time stamps of a table's rows in s, shape (n,).
 
-        They follow from the mapping's rate, or are those of a column. Whole nanoseconds
-        too large for float64 are counted from the first, so that none is lost.
+        Whole nanoseconds too large for float64 are counted from the first, so that none
+        is lost.
         """
-        rate_hz = self._request.mapping.rate_hz
-        if rate_hz is not None:
-            rows = np.arange(self._row_count, self._row_count + row_count)
-            return rows / rate_hz
-
-        column_s = values["t_s"]
         signal = self._signals["t_s"]
         is_in_ns = signal.factors[0] * NS_PER_S == 1.0
         if table.start_ns or not is_in_ns:
             return column_s
 
-        stamps = table.columns.get(signal.columns[0], column_s)
+        stamps = table.values(signal.source.columns[0])[rows]
         is_whole = stamps.dtype.kind == "i"
         if is_whole and not self._row_count:
             self._clock_start_ns = start_of_clock(first_valid_stamp(stamps))

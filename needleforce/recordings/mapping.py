@@ -158,10 +158,7 @@ class ColumnMapping:
             names = tuple(name.strip() for name in self.joints.split(","))
             object.__setattr__(self, "joints", names)
 
-        channels = {
-            name: _with_known_unit(_known_channel(name, self.knowledge), spec)
-            for name, spec in self.channels.items()
-        }
+        channels = _with_known_units(self.channels, self.knowledge)
         object.__setattr__(self, "channels", MappingProxyType(channels))
         if len(set(self.joints)) < len(self.joints):
             raise MappingError(f"joints = {list(self.joints)} names a joint twice")
@@ -189,23 +186,27 @@ def _known_channel(name: str, knowledge: Knowledge) -> Channel:
     return knowledge.channels[name]
 
 
-def _with_known_unit(channel: Channel, spec: ColumnSpec) -> ColumnSpec:
-    """Return a channel's columns with the unit as the channel spells it.
+def _with_known_units(
+    channels: Mapping[str, ColumnSpec], knowledge: Knowledge
+) -> dict[str, ColumnSpec]:
+    """Return columns by channel with units as the channels spell them.
 
     Raises:
-        MappingError: The unit is not known.
+        MappingError: A channel or a unit is not known.
     """
-    if spec.unit is None:
-        return spec
+    known: dict[str, ColumnSpec] = {}
+    for name, spec in channels.items():
+        units = _known_channel(name, knowledge).units
+        unit = None if spec.unit is None else units.find(spec.unit)
+        if unit != spec.unit and unit is None:
+            raise MappingError(
+                f"unit {spec.unit!r} of channel {name!r} is not known, expected: "
+                f"{', '.join(units)}"
+            )
 
-    unit = channel.units.find(spec.unit)
-    if unit is None:
-        raise MappingError(
-            f"unit {spec.unit!r} of channel {channel.name!r} is not known, expected: "
-            f"{', '.join(channel.units)}"
-        )
+        known[name] = replace(spec, unit=unit)
 
-    return replace(spec, unit=unit)
+    return known
 
 
 def _is_finite(value: float) -> bool:

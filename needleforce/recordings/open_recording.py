@@ -11,7 +11,7 @@ from needleforce.recordings.bags.messages import BAG_SUFFIXES, is_bag
 from needleforce.recordings.bags.tables import bag_tables
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.channels import KNOWLEDGE, Knowledge
-from needleforce.recordings.columnar import ARROW_SUFFIXES, read_arrow, read_npz
+from needleforce.recordings.columnar import ARROW_SUFFIXES, arrow_tables, read_npz
 from needleforce.recordings.csv_file import CSV_SUFFIXES, csv_tables
 from needleforce.recordings.errors import (
     KNOWN_SUFFIX,
@@ -34,9 +34,6 @@ from needleforce.recordings.log import Log
 from needleforce.recordings.log_stream import LogStream
 from needleforce.recordings.mapping import ColumnMapping, load_layouts
 from needleforce.recordings.table import Table
-
-SUFFIXES = (*CSV_SUFFIXES, ".npz", *ARROW_SUFFIXES, *BAG_SUFFIXES)
-"""Of what can be read."""
 
 
 def read_table(path: str | Path, *, max_bytes: int = MAX_BYTES) -> Table:
@@ -129,7 +126,7 @@ def stream_tables(
 ) -> Iterator[Table]:
     """Read a recording as it comes, so that memory stays bounded.
 
-    Only npz, Parquet and Feather are held as a whole.
+    Only npz and Feather are held as a whole.
 
     Args:
         source: a file, see `read_table`, or `-` for standard input: CSV, plain or
@@ -166,7 +163,12 @@ def stream_tables(
         file_name = f"{Path(name).name}{BINARY[head]}"
         with TemporaryDirectory() as folder:
             copy = Path(folder) / file_name
-            _copy_blocks(blocks, copy, name, max_bytes)
+            with file_errors(copy, "write"), copy.open("wb") as file:
+                for block in blocks:
+                    file.write(block)
+                    subject = f"{name}: what comes through it"
+                    require_size(file.tell(), max_bytes, subject)
+
             whole = replace(options, follow=False)
             try:
                 yield from stream_tables(
@@ -202,12 +204,11 @@ def _put_joints_in_order(
         joint_names = dict(table.joint_names)
         notes: list[str] = []
         for name, joints in table.joint_names.items():
-            order = order_joints(name, joints, request.mapping, request.joints)
-            places = [joints.index(joint) for joint in order.joints]
-            columns[name] = columns[name][:, places]
-            joint_names[name] = order.joints
+            order, noted = order_joints(name, joints, request.mapping, request.joints)
+            columns[name] = columns[name][:, [joints.index(joint) for joint in order]]
+            joint_names[name] = order
             if joints not in known:
-                notes += order.notes
+                notes += noted
                 known.add(joints)
 
         yield replace(
@@ -216,23 +217,6 @@ def _put_joints_in_order(
             joint_names=joint_names,
             warnings=(*table.warnings, *notes),
         )
-
-
-def _copy_blocks(
-    blocks: Iterable[bytes], copy: Path, name: str, max_bytes: int
-) -> None:
-    """Write what comes through a pipe to a file, to be read in another order.
-
-    Args:
-        blocks: What comes.
-        copy: The file.
-        name: Of the pipe, for messages.
-        max_bytes: The most that may come.
-    """
-    with file_errors(copy, "write"), copy.open("wb") as file:
-        for block in blocks:
-            file.write(block)
-            require_size(file.tell(), max_bytes, f"{name}: what comes through it")
 
 
 def _binary_tables(
@@ -251,7 +235,7 @@ def _binary_tables(
     elif name.endswith(".npz"):
         yield read_npz(path, max_bytes)
     elif name.endswith(ARROW_SUFFIXES):
-        yield read_arrow(path, max_bytes)
+        yield from arrow_tables(path, max_bytes)
     else:
         with file_errors(path):
             conversion = KNOWLEDGE.conversion_of(path)
@@ -261,24 +245,23 @@ def _binary_tables(
                 f"{path} is not read as it is", f"To convert it, {conversion}"
             )
 
+        suffixes = (*CSV_SUFFIXES, ".npz", *ARROW_SUFFIXES, *BAG_SUFFIXES)
         raise FileAccessError(
-            f"{path} has no known suffix; known are: {', '.join(SUFFIXES)}",
+            f"{path} has no known suffix; known are: {', '.join(suffixes)}",
             KNOWN_SUFFIX,
         )
 
 
 def _require_followable(path: Path) -> None:
     """Raise `FileAccessError` if a recording that is no text cannot be followed."""
+    fault = "cannot be followed while it grows; only CSV and MCAP can"
     if path.is_dir():
-        raise FileAccessError(
-            f"{path} is a folder, which cannot be followed while it grows",
-            "Record CSV or MCAP (ros2 bag record -s mcap) and name the file "
-            "itself, or read it when it is complete.",
-        )
+        fault = "is a folder, which cannot be followed while it grows"
+    elif path.name.lower().endswith(".mcap"):
+        return
 
-    if not path.name.lower().endswith(".mcap"):
-        raise FileAccessError(
-            f"{path} cannot be followed while it grows; only CSV and MCAP can",
-            "Record CSV or MCAP (ros2 bag record -s mcap) and name the file "
-            "itself, or read it when it is complete.",
-        )
+    raise FileAccessError(
+        f"{path} {fault}",
+        "Record CSV or MCAP (ros2 bag record -s mcap) and name the file itself, or "
+        "read it when it is complete.",
+    )

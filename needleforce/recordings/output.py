@@ -131,6 +131,7 @@ def open_table(
         writer = _find_writer(Path(path))
         if not overwrites:
             _require_new(Path(path))
+
         is_growing = is_live and name.lower().endswith((".csv", ".mcap"))
         file = whole_file(path, is_in_place=is_growing, overwrites=overwrites)
 

@@ -5,10 +5,11 @@ one. A clock that was set, or a recording that paused, is something else: there 
 stamps that follow agree with each other. Rows of a file may be written later than
 others of the same clock; they fill the places that others left free. Two rows for one
 place are no late rows: the clock was set back, which `RowClock` follows. Stamps with
-too few digits are equal in many rows; these are numbered, see `spread_rounded`.
+too few digits are equal in many rows; these are numbered, see
+`_spread_rounded`. `rows_in_order` does all of it.
 """
 
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -54,33 +55,32 @@ class StampOrder:
     Args:
         sorted_within_s: Rows are sorted that come no later than this after newer ones;
             0 where they are to be used at once.
+        report: Is told what is wrong with the stamps.
 
     Attributes:
         bad_count: Rows left out so far.
     """
 
-    def __init__(self, sorted_within_s: float = SORTED_WITHIN_S) -> None:
+    def __init__(
+        self,
+        sorted_within_s: float = SORTED_WITHIN_S,
+        report: Callable[[str], None] = lambda _: None,
+    ) -> None:
         self.bad_count = 0
+        self._report = report
         self._window_s = sorted_within_s
         self._step_s: float | None = None
         self._jump_s = 0.0  # a longer step is looked at
         self._pause_s = 0.0  # rows alone, so far from the others, have bad stamps
         self._latest_s: float | None = None  # the latest valid stamp
         self._unjudged: Rows = {}
-        self._before_s = np.empty(0)  # valid stamps before those of the tail
-        self._tail: Rows = {}  # the last valid rows, which wait for those after them
+        self._latest: Rows = {}  # some that passed, and those that wait for later ones
+        self._passed_count = 0  # of these
         self._held: Rows = {}  # valid rows, which wait for late ones
         self._row_count = 0
         self._sorted_count = 0
         self._first_sorted = np.inf
-        self._warnings: list[str] = []
         self._faults = FaultCounts()
-
-    def take_warnings(self) -> list[str]:
-        """Return what was wrong with the stamps since the last call."""
-        warnings = self._warnings
-        self._warnings = []
-        return warnings
 
     def add(self, rows: Rows) -> list[Rows]:
         """Take further rows; return those that are ready, in the order of time."""
@@ -122,18 +122,12 @@ class StampOrder:
 
         ready: list[Rows] = []
         for rows, starts_anew in self._stretches(is_last=is_last):
-            if self._window_s <= 0.0:
-                ready.append(rows)
-                continue
             if starts_anew:
-                ready += self._sorted(self._passed({}, is_last=True), is_last=True)
+                ready += self._placed({}, is_last=True)
 
-            ready += self._sorted(self._passed(rows, is_last=False), is_last=False)
+            ready += self._placed(rows, is_last=False)
 
-        if is_last and self._window_s > 0.0:
-            ready += self._sorted(self._passed({}, is_last=True), is_last=True)
-
-        return ready
+        return [*ready, *self._placed({}, is_last=True)] if is_last else ready
 
     def _stretches(self, *, is_last: bool) -> Iterator[tuple[Rows, bool]]:
         """Yield rows with valid stamps, as far as it is clear which these are.
@@ -146,10 +140,11 @@ class StampOrder:
         jumps = np.flatnonzero(np.abs(np.diff(t_s)) > self._jump_s)
         start = 0
         while start < len(t_s):
-            starts_anew = not self._goes_on(t_s[start])
+            latest_s = self._latest_s
+            starts_anew = latest_s is None or abs(t_s[start] - latest_s) > self._jump_s
             if starts_anew:
                 is_bad = _judge(
-                    t_s[start:], self._latest_s, self._jump_s, self._pause_s, is_last
+                    t_s[start:], latest_s, self._jump_s, self._pause_s, is_last
                 )
                 if is_bad is None:
                     break
@@ -161,58 +156,57 @@ class StampOrder:
             judged = _part(rows, slice(start, start + len(is_bad)))
             start += len(is_bad)
             if is_bad.any():
-                self._name_bad(judged, is_bad, t_s[start : start + 1])
+                next_s = t_s[start : start + 1].tolist()
+                self._name_bad(judged, is_bad, latest_s, next_s)
             if not is_bad.all():
-                if starts_anew:
-                    self._note_pause(judged, int(np.argmin(is_bad)))
+                row = int(np.argmin(is_bad))
+                after_s = float(judged["t_s"][row])
+                step_s = 0.0 if latest_s is None else after_s - latest_s
+                if starts_anew and step_s > self._pause_s:
+                    self._faults.note(
+                        "time: long steps ahead, where the recording paused or its "
+                        "clock was set",
+                        f"row {judged['row'][row]:.0f}, {after_s:.13g} s after "
+                        f"{latest_s:.13g} s",
+                    )
 
-                is_new_clock = starts_anew and self._latest_s is not None
                 good = _part(judged, ~is_bad)
                 self._latest_s = float(good["t_s"][-1])
-                yield good, is_new_clock
+                yield good, starts_anew and latest_s is not None
 
         self._unjudged = _part(rows, slice(start, None))
 
-    def _goes_on(self, stamp_s: float) -> bool:
-        """Return whether a stamp follows the latest valid one without a jump."""
-        latest_s = self._latest_s
-        return latest_s is not None and abs(stamp_s - latest_s) <= self._jump_s
-
-    def _name_bad(self, rows: Rows, is_bad: NDArray[np.bool_], next_s: Array) -> None:
+    def _name_bad(
+        self,
+        rows: Rows,
+        is_bad: NDArray[np.bool_],
+        latest_s: float | None,
+        next_s: Sequence[float],
+    ) -> None:
         """Report rows with a bad stamp, by name as long as they are few.
 
         Args:
             rows: With the rows around them.
             is_bad: Which these are.
-            next_s: The stamp after the rows, shape (1,), or (0,).
+            latest_s: The valid stamp before the rows; None before the first of all.
+            next_s: The stamp after the rows, if there is one.
         """
-        latest_s = [] if self._latest_s is None else [self._latest_s]
+        earlier_s = [] if latest_s is None else [latest_s]
         for row in np.flatnonzero(is_bad).tolist():
             self.bad_count += 1
             if self.bad_count > MAX_NAMED_ROWS:
                 self.bad_count += int(np.count_nonzero(is_bad[row + 1 :]))
                 return
 
-            before_s = [*latest_s, *rows["t_s"][:row][~is_bad[:row]]][-1:]
+            before_s = [*earlier_s, *rows["t_s"][:row][~is_bad[:row]]][-1:]
             after_s = [*rows["t_s"][row:][~is_bad[row:]], *next_s][:1]
             relation = "between" if after_s else "after"
             if not before_s:
                 relation = "before"
             around = " and ".join(f"{stamp_s:.13g} s" for stamp_s in before_s + after_s)
-            self._warnings.append(
+            self._report(
                 f"row {rows['row'][row]:.0f} has a bad time stamp and is left out: "
                 f"{rows['t_s'][row]:.13g} s, {relation} {around}"
-            )
-
-    def _note_pause(self, rows: Rows, row: int) -> None:
-        """Count a step of time ahead that is longer than a pause in motion."""
-        before_s = self._latest_s
-        after_s = float(rows["t_s"][row])
-        if before_s is not None and after_s - before_s > self._pause_s:
-            self._faults.note(
-                "time: long steps ahead, where the recording paused or its clock was "
-                "set",
-                f"row {rows['row'][row]:.0f}, {after_s:.13g} s after {before_s:.13g} s",
             )
 
     def _passed(self, rows: Rows, *, is_last: bool) -> Rows:
@@ -221,43 +215,46 @@ class StampOrder:
         The last rows wait for those after them, unless they are the last of a clock.
         """
         margin = 3  # rows before and after a row that say where its place is
-        rows = _joined([self._tail, rows])
+        rows = _joined([self._latest, rows])
         if not rows:
             return {}
 
-        t_s = np.concatenate((self._before_s, rows["t_s"]))
+        t_s = rows["t_s"]
         is_bad = np.zeros(len(t_s), dtype=np.bool_)
         if len(t_s) > 2 * margin and self._step_s:
             is_bad[margin:-margin] = _displaced(t_s, self._step_s, margin)
 
-        first = len(self._before_s)
+        first = self._passed_count
         end = len(t_s) if is_last else max(len(t_s) - margin, first)
-        if is_bad.any():
-            latest_s = self._latest_s
-            self._latest_s = float(t_s[max(int(np.argmax(is_bad)) - 1, 0)])
-            self._name_bad(rows, is_bad[first:], np.empty(0))
-            self._latest_s = latest_s
+        self._name_bad(rows, is_bad, None, ())
+        kept_from = len(t_s) if is_last else max(end - margin, 0)
+        self._latest = {} if is_last else _part(rows, slice(kept_from, None))
+        self._passed_count = end - kept_from
+        return _part(rows, first + np.flatnonzero(~is_bad[first:end]))
 
-        self._before_s = np.empty(0) if is_last else t_s[max(end - margin, 0) : end]
-        self._tail = {} if is_last else _part(rows, slice(end - first, None))
-        return _part(rows, np.flatnonzero(~is_bad[first:end]))
-
-    def _sorted(self, rows: Rows, *, is_last: bool) -> list[Rows]:
-        """Hold rows in the order of the file; return those that are ready, sorted.
+    def _placed(self, rows: Rows, *, is_last: bool) -> list[Rows]:
+        """Take further valid rows, as the file has them; return those that are ready.
 
         Args:
             rows: That follow those held.
             is_last: Whether they are the last of a clock; none is held any more.
         """
-        rows = _joined([self._held, rows])
+        if self._window_s <= 0.0:
+            return [rows] if rows else []
+
+        held = _joined([self._held, self._passed(rows, is_last=is_last)])
         self._held = {}
         ready: list[Rows] = []
-        while rows and (row := _find_set_back(rows["t_s"], self._step_s)) is not None:
-            ready += self._sorted(_part(rows, slice(0, row)), is_last=True)
-            rows = _part(rows, slice(row, None))
+        while held and (row := _find_set_back(held["t_s"], self._step_s)) is not None:
+            ready += self._sorted(_part(held, slice(0, row)), is_last=True)
+            held = _part(held, slice(row, None))
 
+        return [*ready, *self._sorted(held, is_last=is_last)]
+
+    def _sorted(self, rows: Rows, *, is_last: bool) -> list[Rows]:
+        """Return the rows that are ready, sorted, and hold the others."""
         if not rows or not len(rows["t_s"]):
-            return ready
+            return []
 
         t_s = rows["t_s"]
         newest_s = np.maximum.accumulate(t_s)
@@ -275,7 +272,7 @@ class StampOrder:
             self._sorted_count += late.size
 
         self._held = _part(rows, np.sort(order[count:]))
-        return [*ready, _part(rows, order[:count])] if count else ready
+        return [_part(rows, order[:count])] if count else []
 
     def _report_end(self) -> None:
         """Report what only the whole log shows."""
@@ -287,16 +284,17 @@ class StampOrder:
                     f"sorts in a wider window than {self._window_s:.3g} s"
                 )
 
-            self._warnings.append(text)
+            self._report(text)
 
         if self._sorted_count:
-            self._warnings.append(
+            self._report(
                 f"time: rows out of order, sorted within {self._window_s:.3g} s: "
                 f"{self._sorted_count} of {self._row_count} (first: row "
                 f"{self._first_sorted:.0f})"
             )
 
-        self._warnings += self._faults.lines()
+        for line in self._faults.lines():
+            self._report(line)
 
 
 def _judge(
@@ -434,8 +432,24 @@ def _find_set_back(t_s: Array, step_s: float | None) -> int | None:
     return int(starts[np.argmax(is_set_back)]) if is_set_back.any() else None
 
 
-def spread_rounded(
-    parts: Iterable[Rows], warn: Callable[[str], None]
+def rows_in_order(
+    parts: Iterable[Rows], order: StampOrder, report: Callable[[str], None]
+) -> Iterator[Rows]:
+    """Yield the rows whose place in time is known, once further rows were read.
+
+    Args:
+        parts: Consecutive rows.
+        order: That leaves out rows with bad stamps, and sorts the others.
+        report: Is told of stamps that are rounded.
+    """
+    for part in _spread_rounded(parts, report):
+        yield from order.add(part)
+
+    yield from order.finish()
+
+
+def _spread_rounded(
+    parts: Iterable[Rows], report: Callable[[str], None]
 ) -> Iterator[Rows]:
     """Number the rows between stamps that were rounded; others stay as they are.
 
@@ -445,7 +459,7 @@ def spread_rounded(
 
     Args:
         parts: Consecutive rows.
-        warn: Is told of it, once.
+        report: Is told of it, once.
     """
     waiting: Rows = {}
     is_rounded: bool | None = None
@@ -463,7 +477,7 @@ def spread_rounded(
             if len(changes) < (2 if not step_s else 1):
                 continue
             if not step_s:
-                step_s = _warn_of_rounding(waiting["t_s"], changes, warn)
+                step_s = _warn_of_rounding(waiting["t_s"], changes, report)
 
             yield _evenly(_part(waiting, slice(0, changes[-1])), waiting, step_s)
             waiting = _part(waiting, slice(changes[-1], None))
@@ -487,12 +501,12 @@ def _is_rounded(rows: Rows) -> bool:
 
 
 def _warn_of_rounding(
-    t_s: Array, changes: NDArray[np.intp], warn: Callable[[str], None]
+    t_s: Array, changes: NDArray[np.intp], report: Callable[[str], None]
 ) -> float:
     """Say that stamps are rounded, and to what; return the time from row to row."""
     grain_s = t_s[changes[1]] - t_s[changes[0]]
     count = changes[1] - changes[0]
-    warn(
+    report(
         f"time: stamps are rounded to {grain_s:.3g} s, about {count} rows each; the "
         f"rows between were numbered, at about {count / grain_s:.4g} Hz; if the rate "
         "is known, give it with --rate"

@@ -220,7 +220,7 @@ class TableLabels:
 
 
 def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.ndarray:
-    """Return a contiguous read-only copy as float64, or what is one already.
+    """Return a contiguous read-only copy as float64, or what nobody can change.
 
     Args:
         name: Of the values, for the message.
@@ -232,7 +232,10 @@ def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.nda
     """
     try:
         array = np.asarray(values)
-        is_frozen = array.base is None and not array.flags.writeable
+        owner = array if array.base is None else array.base
+        is_frozen = isinstance(owner, np.ndarray) and not (
+            owner.flags.writeable or array.flags.writeable
+        )
         if is_frozen and array.dtype == np.float64 and array.flags.c_contiguous:
             return array
 

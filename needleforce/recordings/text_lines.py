@@ -12,18 +12,11 @@ from needleforce.recordings.column_names import known_names
 from needleforce.recordings.errors import KNOWN_SUFFIX, FormatError
 from needleforce.recordings.follow import BINARY, MAX_BLOCK_BYTES, head_of
 
-_GZIP_MAGIC = b"\x1f\x8b"
-
 _CUT_SHORT = "the compressed file is cut short"
 _DAMAGED = "the compressed file is damaged"
-_NUL_BYTES = "the file goes on with NUL bytes, as power loss may leave them"
 
 _UTF_8 = "utf-8-sig"
-_UTF_16_LITTLE = "utf-16-le"
-_UTF_16_BIG = "utf-16-be"
 _NUL = "\0"
-_NUL_RUN = re.compile("\0+")
-
 _WINDOWS_CHARACTERS = {
     0xDC00 + byte: bytes([byte]).decode("cp1252", "replace") for byte in range(128, 256)
 }
@@ -81,7 +74,9 @@ class TextLines:
 
         yield from self._split(decoder.decode(b"", final=True))
         if _NUL in self.tail:
-            self._fault = self._fault or _NUL_BYTES
+            self._fault = self._fault or (
+                "the file goes on with NUL bytes, as power loss may leave them"
+            )
         if self._fault:
             self._report_loss()
         if self._is_blank:
@@ -115,7 +110,7 @@ class TextLines:
             kind = BINARY[head][1:]
             raise FormatError(f"it is {kind}, not text", KNOWN_SUFFIX)
 
-        yield from self._gunzip(blocks) if head.startswith(_GZIP_MAGIC) else blocks
+        yield from self._gunzip(blocks) if head.startswith(b"\x1f\x8b") else blocks
 
     def _gunzip(self, blocks: Iterable[bytes]) -> Iterator[bytes]:
         """Yield unpacked blocks of at most `MAX_BLOCK_BYTES`.
@@ -152,7 +147,7 @@ class TextLines:
 
         if _NUL in text:
             self._is_nul = True
-            text = _NUL_RUN.sub(_NUL, text)
+            text = re.sub("\0+", _NUL, text)
 
         self._is_blank = self._is_blank and not text.replace(_NUL, "").strip()
         *lines, self.tail = (self.tail + text).split("\n")
@@ -177,9 +172,9 @@ def _encoding(head: bytes, knowledge: Knowledge) -> str:
     second = head[1 : len(head) // 2 * 2 : 2]
     min_count = max(0.7 * len(first), 1)
     if second.count(0) >= min_count and not first.count(0):
-        return _UTF_16_LITTLE
+        return "utf-16-le"
     if first.count(0) >= min_count and not second.count(0):
-        return _UTF_16_BIG
+        return "utf-16-be"
 
     try:
         codecs.getincrementaldecoder("utf-8")().decode(head)

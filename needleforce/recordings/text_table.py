@@ -10,14 +10,13 @@ import re
 from collections import deque
 from collections.abc import Iterable, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-from needleforce.recordings.channels import Knowledge, Layout
+from needleforce.recordings.channels import Knowledge, Layout, unit_in_brackets
 from needleforce.recordings.column_names import known_names
 from needleforce.recordings.errors import FormatError
 from needleforce.recordings.table import StatedUnit
-from needleforce.recordings.units import unit_in_brackets
 from needleforce.recordings.written_numbers import Commas, is_number, read_number
 
 COMMENT = "#"
@@ -25,9 +24,6 @@ COMMENT = "#"
 
 WHITE_SPACE = " "
 """Stands for cells that are separated by any number of spaces and tabs."""
-
-MAX_TEXTS = 4
-"""So many lines of text directly above the rows may be names, descriptions, units."""
 
 
 class NumberedLine(NamedTuple):
@@ -67,14 +63,6 @@ class TableStart:
     layout: str = ""
 
 
-class _Text(NamedTuple):
-    """A line without numbers: its place, negative for a comment above, and cells."""
-
-    place: int
-    line: NumberedLine
-    cells: list[str]
-
-
 @dataclass
 class _Run:
     """Rows of numbers that belong to one header.
@@ -82,8 +70,8 @@ class _Run:
     Attributes:
         delimiter: Between cells.
         first_row: Place of the first.
-        texts: Lines of text directly above.
-        header: The lowest of these that has as many cells.
+        texts: Places of the header, which is the last, and of the lines of text
+            directly above it that have as many cells.
         width: How many these are.
         row_count: Lines below that have as many cells, and numbers in them.
         filled: Sum over these lines of the fraction of their cells that are numbers.
@@ -91,8 +79,7 @@ class _Run:
 
     delimiter: str
     first_row: int
-    texts: list[_Text]
-    header: _Text
+    texts: list[int]
     width: int
     row_count: int = 0
     filled: float = 0.0
@@ -117,45 +104,38 @@ def find_table(
     if not lines:
         raise FormatError("only comments; expected a header row and rows of numbers")
 
-    layout = _layout_of(lines[0].text, knowledge)
-    begin = _end_of_preamble(lines, layout)
+    layout = next(
+        (
+            layout
+            for layout in knowledge.layouts
+            if layout.first_line and re.search(layout.first_line, lines[0].text)
+        ),
+        Layout(name="", first_line="^"),
+    )
     separator = re.match(r'^"?sep=([,;\t|])"?\s*$', lines[0].text, re.IGNORECASE)
+    begin = 1 if separator else 0
+    for place, line in enumerate(lines, 1):
+        if layout.table_after and re.search(layout.table_after, line.text):
+            begin = place
+
     delimiters = (separator[1],) if separator else knowledge.delimiters
-    begin = max(begin, 1 if separator else 0)
     bare = [line._replace(text=line.text.lstrip(COMMENT)) for line in comments]
-    above = [_Text(place - len(bare), line, []) for place, line in enumerate(bare)]
-    runs = [run for each in delimiters for run in _runs(lines, begin, above, each)]
+    above = [] if begin else bare
+    first = begin + len(above)
+    known = [*above, *lines]
+    runs = [run for each in delimiters for run in _runs(known, above, first, each)]
     if not runs and not separator:
-        runs = _runs(lines, begin, above, WHITE_SPACE)
-    if not runs:
-        start = _start_without_header(lines, begin, (*delimiters, WHITE_SPACE))
-        if start is None:
-            raise _no_table(lines, (*knowledge.delimiters, WHITE_SPACE))
-        return start
+        runs = _runs(known, above, first, WHITE_SPACE)
+    if runs:
+        best = max(runs, key=lambda run: (run.filled, run.width))
+        start = _start_with_header(known, best, layout, knowledge)
+        return replace(start, first_row=start.first_row - len(above))
 
-    best = max(runs, key=lambda run: (run.filled, run.width))
-    return _start_with_header(lines, best, layout, knowledge)
+    start = _start_without_header(lines, begin, (*delimiters, WHITE_SPACE))
+    if start is None:
+        raise _no_table(lines, (*knowledge.delimiters, WHITE_SPACE))
 
-
-def _layout_of(first_line: str, knowledge: Knowledge) -> Layout:
-    """Return the layout whose first line fits; one that says nothing if none does."""
-    fitting = (
-        layout
-        for layout in knowledge.layouts
-        if layout.first_line and re.search(layout.first_line, first_line)
-    )
-    return next(fitting, Layout(name="", first_line="^"))
-
-
-def _end_of_preamble(lines: Sequence[NumberedLine], layout: Layout) -> int:
-    """Return the place below the last line that ends the preamble of a layout."""
-    if not layout.table_after:
-        return 0
-
-    ends = (
-        i for i, line in enumerate(lines, 1) if re.search(layout.table_after, line.text)
-    )
-    return max(ends, default=0)
+    return start
 
 
 def split_line(line: str, delimiter: str) -> list[str]:
@@ -193,20 +173,22 @@ def _header_widths(cells: Sequence[str]) -> set[int]:
 
 
 def _runs(
-    lines: Sequence[NumberedLine], begin: int, above: Sequence[_Text], delimiter: str
+    lines: Sequence[NumberedLine],
+    above: Sequence[NumberedLine],
+    begin: int,
+    delimiter: str,
 ) -> list[_Run]:
-    """Return the runs of rows that have a header, for one delimiter."""
-    # Lines without any delimiter would look the same with each of them.
-    min_width = 1 if delimiter == "," else 2
+    """Return the runs of rows that have a header, for one delimiter.
+
+    Args:
+        lines: Of the text.
+        above: The first of these, comments that may hold names, but no rows.
+        begin: Place of the first that is looked at.
+        delimiter: Between cells.
+    """
+    max_texts = 4  # so many lines directly above rows may be names, descriptions, units
     runs: list[_Run] = []
-    texts = deque(
-        (
-            text._replace(cells=split_line(text.line.text, delimiter))
-            for text in above
-            if not begin
-        ),
-        maxlen=MAX_TEXTS,
-    )
+    texts = deque(range(len(above)), maxlen=max_texts)
     for place, line in enumerate(lines[begin:], begin):
         if "\0" in line.text:
             continue
@@ -214,14 +196,14 @@ def _runs(
         cells = split_line(line.text, delimiter)
         number_count = sum(map(is_number, cells))
         if not number_count:
-            texts.append(_Text(place, line, cells))
+            texts.append(place)
             continue
 
-        header = _header_of(texts, cells, min_width)
-        if header is not None:
-            runs.append(_Run(delimiter, place, list(texts), *header))
+        named, width = _texts_of_width(lines, texts, delimiter, cells)
+        if named:
+            runs.append(_Run(delimiter, place, named, width))
         # A damaged row below a header does not part it from the others.
-        if header is not None or (texts and place - texts[-1].place >= MAX_TEXTS):
+        if named or (texts and place - texts[-1] >= max_texts):
             texts.clear()
         if runs and _fits(cells, runs[-1].width):
             runs[-1].row_count += 1
@@ -230,68 +212,80 @@ def _runs(
     return runs
 
 
-def _header_of(
-    texts: Iterable[_Text], row: Sequence[str], min_width: int
-) -> tuple[_Text, int] | None:
-    """Return the lowest text that has a row's cells, and how many; comments last."""
-    for text in sorted(texts, key=lambda text: text.place, reverse=True):
-        widths = [width for width in _header_widths(text.cells) if _fits(row, width)]
-        if widths and max(widths) >= min_width:
-            return text, max(widths)
+def _texts_of_width(
+    lines: Sequence[NumberedLine],
+    texts: Sequence[int],
+    delimiter: str,
+    row: Sequence[str],
+) -> tuple[list[int], int]:
+    """Return the places of the texts that have a row's cells, and how many these are.
 
-    return None
+    They follow each other, down to the lowest that has them.
+    """
+    # Lines without any delimiter would look the same with each of them.
+    min_width = 1 if delimiter == "," else 2
+    widths_of = [_header_widths(split_line(lines[i].text, delimiter)) for i in texts]
+    for end in range(len(texts), 0, -1):
+        width = max((n for n in widths_of[end - 1] if _fits(row, n)), default=0)
+        if width >= min_width:
+            first = end - 1
+            while first > 0 and width in widths_of[first - 1]:
+                first -= 1
+
+            return list(texts)[first:end], width
+
+    return [], 0
 
 
 def _start_with_header(
     lines: Sequence[NumberedLine], run: _Run, layout: Layout, knowledge: Knowledge
 ) -> TableStart:
     """Return a table with the names and units above its first row."""
-    is_above = [run.width in _header_widths(text.cells) for text in run.texts]
-    first = run.texts.index(run.header)
-    while first > 0 and is_above[first - 1]:
-        first -= 1
-
-    texts = run.texts[first : run.texts.index(run.header) + 1]
-    units_line = _find_units(texts, knowledge)
-    named = [text for text in texts if text is not units_line]
+    cells_of = {
+        place: split_line(lines[place].text, run.delimiter) for place in run.texts
+    }
+    units_place = _find_units(cells_of, knowledge)
     header = max(
-        named, key=lambda text: (known_names(text.cells, knowledge), text.place)
+        (place for place in run.texts if place != units_place),
+        key=lambda place: (known_names(cells_of[place], knowledge), place),
     )
-    rows = lines[run.first_row :]
-    names, warnings = _unique_names(header, run, rows)
+    rows = [split_line(line.text, run.delimiter) for line in lines[run.first_row :]]
+    names, warnings = _unique_names(
+        cells_of[header][: run.width], lines[header].number, rows
+    )
     units: dict[str, StatedUnit] = {}
-    if units_line is not None:
-        units = _stated_units(names, units_line.cells, units_line.line.number)
-    elif header.place >= 0:
-        above = lines[: header.place]
-        units = _units_above(above, run.delimiter, names, layout)
-        if not split_line(rows[0].text, run.delimiter)[0].strip():
-            warnings += _rate_above(above, run.delimiter, layout)
+    if units_place is not None:
+        units = _stated_units(names, cells_of[units_place], lines[units_place].number)
+
+    rates: list[str] = []
+    for line in lines[:header] if units_place is None else ():
+        cells = split_line(line.text, run.delimiter)
+        if layout.units_line and re.search(layout.units_line, line.text):
+            units |= _stated_units(names, [layout.first_unit, *cells[1:]], line.number)
+        if layout.step_line and re.search(layout.step_line, line.text):
+            rates += _rate_of_step(cells, line.number, rows[0])
 
     # A damaged row is counted by the reader.
-    lowest = max(-1, *(text.place for text in texts))
-    first_row = next(
-        (
-            place
-            for place in range(lowest + 1, run.first_row)
-            if "\0" in lines[place].text
-            or any(map(is_number, split_line(lines[place].text, run.delimiter)))
-        ),
-        run.first_row,
+    is_row = (
+        "\0" in line.text or any(map(is_number, split_line(line.text, run.delimiter)))
+        for line in lines[run.texts[-1] + 1 : run.first_row]
+    )
+    damaged = next(
+        (i for i, found in enumerate(is_row, run.texts[-1] + 1) if found), None
     )
     return TableStart(
         delimiter=run.delimiter,
         names=names,
-        first_row=first_row,
+        first_row=run.first_row if damaged is None else damaged,
         row_count=run.row_count,
         units=units,
-        warnings=tuple(warnings),
+        warnings=(*warnings, *rates[:1]),
         layout=layout.name,
     )
 
 
-def _find_units(texts: Sequence[_Text], knowledge: Knowledge) -> _Text | None:
-    """Return the row of units among lines of text above a table; None without one.
+def _find_units(texts: Mapping[int, Sequence[str]], knowledge: Knowledge) -> int | None:
+    """Return the place of the row of units among texts above a table; None without one.
 
     The lowest may hold some units that are not known, if the line above names channels
     and it none.
@@ -299,32 +293,29 @@ def _find_units(texts: Sequence[_Text], knowledge: Knowledge) -> _Text | None:
     *others, last = texts
     if not others:
         return None
-    if knowledge.is_row_of_units(last.cells):
-        return last
 
-    filled = [cell for cell in last.cells if cell.strip()]
+    filled = [cell for cell in texts[last] if cell.strip()]
     known = sum(knowledge.is_unit(unit_in_brackets(cell) or cell) for cell in filled)
-    if (
+    names_above = known_names(texts[others[-1]], knowledge)
+    if knowledge.is_row_of_units(texts[last]) or (
         2 * known >= len(filled)
-        and known_names(others[-1].cells, knowledge)
-        and not known_names(last.cells, knowledge)
+        and names_above
+        and not known_names(texts[last], knowledge)
     ):
         return last
 
-    return next(
-        (text for text in others if knowledge.is_row_of_units(text.cells)), None
-    )
+    return next((i for i in others if knowledge.is_row_of_units(texts[i])), None)
 
 
 def _unique_names(
-    header: _Text, run: _Run, rows: Sequence[NumberedLine]
+    cells: Sequence[str], line_number: int, rows: Sequence[Sequence[str]]
 ) -> tuple[tuple[str, ...], list[str]]:
     """Return the names in a header, and what is odd about them.
 
     Those that stand twice are called by their number; where equal names have equal
     cells below, the first keeps its name.
     """
-    texts = [cell.strip() for cell in header.cells[: run.width]]
+    texts = [cell.strip() for cell in cells]
     names = [text or f"column_{number}" for number, text in enumerate(texts, 1)]
     warnings: list[str] = []
     for text in dict.fromkeys(filter(None, texts)):
@@ -332,7 +323,10 @@ def _unique_names(
         if len(places) < 2:
             continue
 
-        are_equal = _are_equal(rows, run.delimiter, places)
+        are_equal = all(
+            len({row[place] for place in places if place < len(row)}) <= 1
+            for row in rows
+        )
         renamed = places[1:] if are_equal else places
         for place in renamed:
             names[place] = f"column_{place + 1}"
@@ -340,22 +334,11 @@ def _unique_names(
         listed = " and ".join(names[place] for place in renamed)
         which = "; the others, equal in the first rows," if are_equal else "; these"
         warnings.append(
-            f"the header, line {header.line.number}, names {text!r} twice{which} are "
-            f"called {listed}"
+            f"the header, line {line_number}, names {text!r} twice{which} are called "
+            f"{listed}"
         )
 
     return tuple(names), warnings
-
-
-def _are_equal(
-    rows: Iterable[NumberedLine], delimiter: str, places: Sequence[int]
-) -> bool:
-    """Return whether some columns have equal cells in all rows."""
-    all_cells = (split_line(row.text, delimiter) for row in rows)
-    return all(
-        len({cells[place] for place in places if place < len(cells)}) <= 1
-        for cells in all_cells
-    )
 
 
 def _stated_units(
@@ -373,41 +356,24 @@ def _stated_units(
     return units
 
 
-def _units_above(
-    lines: Sequence[NumberedLine], delimiter: str, names: Sequence[str], layout: Layout
-) -> dict[str, StatedUnit]:
-    """Return the units that a layout has above the header, by name of the column."""
-    units: dict[str, StatedUnit] = {}
-    for line in lines:
-        if layout.units_line and re.search(layout.units_line, line.text):
-            cells = [layout.first_unit, *split_line(line.text, delimiter)[1:]]
-            units |= _stated_units(names, cells, line.number)
-
-    return units
-
-
-def _rate_above(
-    lines: Sequence[NumberedLine], delimiter: str, layout: Layout
+def _rate_of_step(
+    cells: Sequence[str], line_number: int, row: Sequence[str]
 ) -> list[str]:
-    """Return what a layout says of the rate, where there are no stamps."""
-    for line in lines:
-        if not (layout.step_line and re.search(layout.step_line, line.text)):
-            continue
+    """Return what a line above says of the rate, if a row has no time stamp."""
+    word, *others = cells
+    steps_s = [read_number(cell, Commas.DECIMAL) for cell in others]
+    step_s = next((step_s for step_s in steps_s if step_s and step_s > 0.0), None)
+    if step_s is None or row[0].strip():
+        return []
 
-        word, *cells = split_line(line.text, delimiter)
-        steps_s = [read_number(cell, Commas.DECIMAL) for cell in cells]
-        step_s = next((step_s for step_s in steps_s if step_s and step_s > 0.0), None)
-        if step_s is not None:
-            return [
-                f"line {line.number} says {word} {step_s:g}, which is a rate of "
-                f"{1.0 / step_s:g} Hz; the first column is empty"
-            ]
-
-    return []
+    return [
+        f"line {line_number} says {word} {step_s:g}, which is a rate of "
+        f"{1.0 / step_s:g} Hz; the first column is empty"
+    ]
 
 
 def _start_without_header(
-    lines: Sequence[NumberedLine], begin: int, delimiters: Iterable[str]
+    lines: Sequence[NumberedLine], begin: int, delimiters: Sequence[str]
 ) -> TableStart | None:
     """Return a table of two columns or more without names, half of them numbers."""
     best: TableStart | None = None

@@ -151,36 +151,28 @@ class RowClock:
             the first of all. The row at which a set clock is recognised advances by the
             time for which that clock has run.
         """
-        dt_s = np.diff(t_s, prepend=self._latest_s)
-        if not (dt_s > 0.0).all():
-            if rows is None:
-                rows = np.arange(
-                    self._row_count + 1.0, self._row_count + 1.0 + t_s.size
-                )
-            if not dt_s.any():
-                self._note_repeated(rows)
-                return dt_s
+        if rows is None:
+            rows = self._row_count + np.arange(1.0, t_s.size + 1.0)
 
+        self._row_count += t_s.size
+        dt_s = np.diff(t_s, prepend=self._latest_s)
+        if not dt_s.any():
+            if t_s.size:
+                stamp = f"{self._latest_s:.9g} s"
+                place = f"row {rows[0]:.0f}, {stamp} after {stamp}"
+                self._faults.note(_REPEATED, place, t_s.size)
+
+            return dt_s
+        if not (dt_s > 0.0).all():
             numbered = zip(t_s.tolist(), rows.tolist(), strict=True)
             return np.array(
-                [self._update_one(stamp_s, row) for stamp_s, row in numbered]
+                [self._update_one(*stamp_and_row) for stamp_and_row in numbered]
             )
 
-        if t_s.size:
-            self._latest_s = float(t_s[-1])
-            self._behind_s.clear()
-            self._row_count += t_s.size
-            self._advance_count += t_s.size
-
+        self._latest_s = float(t_s[-1])
+        self._behind_s.clear()
+        self._advance_count += t_s.size
         return dt_s
-
-    def _note_repeated(self, rows: Array) -> None:
-        """Count rows that all have the latest stamp."""
-        self._row_count += rows.size
-        stamp = f"{self._latest_s:.9g} s"
-        self._faults.note(
-            _REPEATED, f"row {rows[0]:.0f}, {stamp} after {stamp}", rows.size
-        )
 
     def _update_one(self, stamp_s: float, row: float) -> float:
         """Return the time since the latest row that advanced, for the next row.
@@ -192,7 +184,6 @@ class RowClock:
         latest_s = self._latest_s
         dt_s = stamp_s - latest_s
         fault = _REPEATED if dt_s == 0.0 else _BACKWARD
-        self._row_count += 1
         if dt_s < 0.0:
             run_s = self._run_behind_latest(stamp_s)
             if run_s is not None:

@@ -10,7 +10,7 @@ from typing import Any, BinaryIO
 import numpy as np
 
 from needleforce.recordings.bags.message_types import CDR, standard_types
-from needleforce.recordings.bags.written_topics import WrittenTopic, bag_topics
+from needleforce.recordings.bags.written_topics import bag_topics
 from needleforce.recordings.errors import (
     EQUAL_COLUMNS,
     LogError,
@@ -48,19 +48,17 @@ def csv_writer(
     stream.write(header.getvalue().encode())
 
     def append(columns: TableColumns) -> None:
-        columns_as_text = map(_csv_texts, flat_columns(columns).values())
+        # The shortest texts that read back to the same numbers; truth values as 0, 1.
+        columns_as_text = (
+            map(repr, (values * 1 if values.dtype.kind == "b" else values).tolist())
+            for values in flat_columns(columns).values()
+        )
         if lines := [",".join(row) for row in zip(*columns_as_text, strict=True)]:
             stream.write(("\n".join(lines) + "\n").encode())
 
         stream.flush()  # for readers of a file that grows
 
     yield append
-
-
-def _csv_texts(values: np.ndarray) -> Iterator[str]:
-    """Return numbers as the shortest texts that read back to the same floats."""
-    numbers = values.astype(int) if values.dtype.kind == "b" else values
-    return map(repr, numbers.tolist())
 
 
 @contextmanager
@@ -129,13 +127,19 @@ def mcap_writer(
     # Rows that come at once make a chunk, or several of 64 KiB.
     bag = library.Writer(stream, chunk_size=1 << 16, enable_data_crcs=True)
     bag.start(profile="ros2", library="needleforce")
-    channels = [_register(bag, topic) for topic in bag_topics(empty, labels, ())]
-    descriptions = _description_topics(labels)
+    channels = [
+        _register(bag, topic.name, topic.kind)
+        for topic in bag_topics(empty, labels, ())
+    ]
+    is_first = True
 
     def append(columns: TableColumns) -> None:
         stamps_ns = _message_stamps_ns(columns, labels)
-        while descriptions and stamps_ns:
-            _write_first(bag, descriptions.pop(), stamps_ns[0])
+        nonlocal is_first
+        if is_first and stamps_ns and labels.robot_description:
+            _write_description(bag, labels.robot_description, stamps_ns[0])
+
+        is_first = is_first and not stamps_ns
         topics = bag_topics(columns, labels, stamps_ns)
         rows = (topic.messages for topic in topics)
         for stamp_ns, *messages in zip(stamps_ns, *rows, strict=True):
@@ -150,29 +154,20 @@ def mcap_writer(
     bag.finish()  # writes the index
 
 
-def _description_topics(labels: TableLabels) -> list[WrittenTopic]:
-    """Return the topic of the arm's description, with its one message, if there is."""
-    if not labels.robot_description:
-        return []
-
+def _write_description(bag: Any, description: str, stamp_ns: int) -> None:
+    """Write the arm's description as a message of its topic."""
+    types = standard_types()
     kind = "std_msgs/msg/String"
-    message = standard_types().types[kind](labels.robot_description)
-    return [WrittenTopic("/robot_description", kind, [message])]
+    channel = _register(bag, "/robot_description", kind)
+    data = types.serialize_cdr(types.types[kind](description), kind)
+    bag.add_message(channel, stamp_ns, data, stamp_ns)
 
 
-def _write_first(bag: Any, topic: WrittenTopic, stamp_ns: int) -> None:
-    """Write the messages of a topic with the stamp of the first row."""
-    channel = _register(bag, topic)
-    for message in topic.messages:
-        data = standard_types().serialize_cdr(message, topic.kind)
-        bag.add_message(channel, stamp_ns, data, stamp_ns)
-
-
-def _register(bag: Any, topic: WrittenTopic) -> int:
+def _register(bag: Any, name: str, kind: str) -> int:
     """Announce a topic, with its type, in a bag that is written; return its number."""
-    definition, _ = standard_types().generate_msgdef(topic.kind, ros_version=2)
-    schema = bag.register_schema(topic.kind, "ros2msg", definition.encode())
-    return bag.register_channel(topic.name, CDR, schema)
+    definition, _ = standard_types().generate_msgdef(kind, ros_version=2)
+    schema = bag.register_schema(kind, "ros2msg", definition.encode())
+    return bag.register_channel(name, CDR, schema)
 
 
 def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:

@@ -11,12 +11,12 @@ from pathlib import Path
 from typing import Any
 from zlib import crc32
 
-from needleforce.recordings.bags.chunks import unpack_chunk
 from needleforce.recordings.bags.messages import (
     NONE_YET,
     BagTopic,
     RawMessage,
     require_magic,
+    unpack_chunk,
 )
 from needleforce.recordings.errors import optional_library, require_size
 from needleforce.recordings.follow import FollowOptions, byte_blocks, head_of

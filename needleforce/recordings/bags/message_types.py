@@ -16,19 +16,8 @@ from needleforce.recordings.errors import (
     FormatError,
     optional_library,
 )
+from needleforce.recordings.table import MAX_LIST_NUMBERS
 from needleforce.recordings.time_stamps import NS_PER_S
-
-STANDARD = "ROS2_HUMBLE"
-"""Whose standard messages are meant where a bag holds no definitions."""
-
-MAX_ELEMENTS = 64
-"""Longer arrays are images and point clouds, not signals."""
-
-MAX_DEFINITION_CHARACTERS = 1 << 18
-"""Longer definitions are not parsed."""
-
-MAX_UNROLLED_ELEMENTS = 2000
-"""`rosbags` generates code for each element of an array of texts or messages."""
 
 _NAME_FIELDS = ("name", "names", "joint_names")
 """Fields that name the elements of the arrays beside them."""
@@ -40,30 +29,23 @@ _STAMP_FIELDS = {("header", "stamp", "sec"), ("header", "stamp", "nanosec")}
 
 _TIME_TYPES = ("builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")
 
-_COUNTER = ("header", "seq")
-"""What ROS 1 counts in headers is no signal."""
-
-_TYPE_NAME = re.compile(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", re.ASCII)
-_FIELD_NAME = re.compile(r"[A-Za-z_]\w*", re.ASCII)
-
 # Kinds of fields, as rosbags numbers them.
 _BASE = 1
 _NAME = 2
 _ARRAY = 3
 
 _FLOATS = {(_BASE, ("float32", 0)), (_BASE, ("float64", 0))}
-_ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
 
 @cache
 def standard_types() -> Any:
-    """Return the type store of ROS's own messages.
+    """Return the type store of ROS's own messages, meant where a bag defines none.
 
     Raises:
         FileAccessError: rosbags is not installed.
     """
     library = optional_library("rosbags.typesys", "ROS 2 bags")
-    return library.get_typestore(getattr(library.Stores, STANDARD))
+    return library.get_typestore(library.Stores.ROS2_HUMBLE)
 
 
 @cache
@@ -78,7 +60,8 @@ def _types_of(kind: str, definition: str, encoding: str) -> Any:
     """Return a store with a type as the bag defines it, else as ROS does."""
     standard = _ros1_types() if encoding == ROS1 else standard_types()
     library = optional_library("rosbags.typesys", "ROS 2 bags")
-    if definition and len(definition) <= MAX_DEFINITION_CHARACTERS:
+    max_characters = 1 << 18  # longer definitions are not parsed
+    if definition and len(definition) <= max_characters:
         # The parser raises whatever a damaged definition makes it run into; some types
         # of a bag are of no interest.
         with suppress(Exception):
@@ -109,27 +92,26 @@ def _require_plain(types: Mapping[str, Any]) -> None:
     Raises:
         ValueError: A name would not stay a name, or arrays make too much code.
     """
+    # `rosbags` generates code for each element of an array of texts or messages.
     unrolled_count = 0
+    max_unrolled_count = 2000
     for kind, (constants, fields) in types.items():
         names = [entry[0] for entry in (*constants, *fields)]
-        if not (_TYPE_NAME.fullmatch(kind) and all(map(_FIELD_NAME.fullmatch, names))):
+        is_type = re.fullmatch(r"[A-Za-z]\w*(/[A-Za-z]\w*)*", kind, re.ASCII)
+        are_fields = (re.fullmatch(r"[A-Za-z_]\w*", name, re.ASCII) for name in names)
+        if not (is_type and all(are_fields)):
             raise ValueError(f"{kind!r} has names that ROS does not allow")
 
-        unrolled_count += sum(_unrolled_elements(field) for _, field in fields)
+        for _, (node, details) in fields:
+            if node != _ARRAY:
+                continue
 
-    if unrolled_count > MAX_UNROLLED_ELEMENTS:
+            (element_node, element_details), length = details
+            if element_node == _NAME or element_details[0] == "string":
+                unrolled_count += length
+
+    if unrolled_count > max_unrolled_count:
         raise ValueError(f"arrays of {unrolled_count} texts or messages")
-
-
-def _unrolled_elements(field: Any) -> int:
-    """Return for how many elements of a field code is generated."""
-    node, details = field
-    if node != _ARRAY:
-        return 0
-
-    (element_node, element_details), length = details
-    is_text = element_node != _NAME and element_details[0] == "string"
-    return length if element_node == _NAME or is_text else 0
 
 
 class MessageContent(NamedTuple):
@@ -153,34 +135,9 @@ def size_of(value: Any) -> int | None:
     return len(value) if isinstance(value, tuple | np.ndarray) else None
 
 
-class _FieldColumn(NamedTuple):
-    """A column of numbers in a message.
-
-    Attributes:
-        path: The fields that lead to it.
-        get: Returns its numbers from a message.
-        is_array: Whether these may be any number.
-    """
-
-    path: tuple[str, ...]
-    get: Callable[[Any], Any]
-    is_array: bool
-
-
-class _NamedColumn(NamedTuple):
-    """A column as messages are decoded.
-
-    Attributes:
-        name: Of the column.
-        get: Returns its numbers from a message.
-        is_array: Whether these may be any number.
-        is_beside_names: Whether its elements may belong to the joints of the message.
-    """
-
-    name: str
-    get: Callable[[Any], Any]
-    is_array: bool
-    is_beside_names: bool
+_FieldColumn = tuple[tuple[str, ...], Callable[[Any], Any], bool]
+"""The fields that lead to a column, what gets its numbers from a message, and whether
+these may be any number."""
 
 
 class TopicDecoder:
@@ -222,7 +179,7 @@ class TopicDecoder:
                 f"has the type {topic.kind}, whose definition is damaged"
             ) from error
 
-        self._has_stamp = {column.path for column in columns} >= _STAMP_FIELDS
+        self._has_stamp = {path for path, _, _ in columns} >= _STAMP_FIELDS
         self._name_field = self._find_name_field(fields)
         layout = self._layout
         self.known = {
@@ -232,16 +189,12 @@ class TopicDecoder:
         self.masses = tuple(
             _column_name(topic, tuple(field.split("/"))) for field in layout.masses
         )
+        left_out = {("header", "seq")}  # what ROS 1 counts in headers is no signal
+        left_out |= _STAMP_FIELDS if self._has_stamp else set()
         self._columns = [
-            _NamedColumn(
-                name=_column_name(topic, column.path),
-                get=column.get,
-                is_array=column.is_array,
-                is_beside_names=column.path[:-1] in self._named_parts,
-            )
-            for column in columns
-            if column.path != _COUNTER
-            and not (self._has_stamp and column.path in _STAMP_FIELDS)
+            (_column_name(topic, path), get, is_array, path[:-1] in self._named_parts)
+            for path, get, is_array in columns
+            if path not in left_out
         ]
 
     def _find_name_field(self, fields: Collection[str]) -> Callable[[Any], Any] | None:
@@ -266,7 +219,10 @@ class TopicDecoder:
         fields = self._types.get_msgdef(kind).fields
         names = tuple(name for name, _ in fields)
         if names in _VECTOR_FIELDS and {field for _, field in fields} <= _FLOATS:
-            yield _vector_column(path, names)
+            # Named as in force_xyz.
+            vector = "_".join((*path[-1:], "".join(names)))
+            get = attrgetter(*(".".join((*path, axis)) for axis in names))
+            yield (*path[:-1], vector), get, False
             return
 
         for name, (node, details) in fields:
@@ -279,11 +235,11 @@ class TopicDecoder:
             element = details[0] if is_array else (node, details)
             if element[0] == _BASE and element[1][0] != "string":
                 get = attrgetter(".".join(field_path))
-                yield _FieldColumn(field_path, get, is_array)
+                yield field_path, get, is_array
 
     def decode(self, data: bytes) -> MessageContent:
         """Decode a message; `FormatError` if it does not fit its type."""
-        if data.startswith(_ZSTD_MAGIC):
+        if data.startswith(b"\x28\xb5\x2f\xfd"):  # of zstd
             raise FormatError("is compressed message by message", UNPACK)
 
         try:
@@ -298,7 +254,7 @@ class TopicDecoder:
         for column, get, is_array, is_beside_names in self._columns:
             value = get(message)
             if is_array:
-                if not 0 < len(value) <= MAX_ELEMENTS:
+                if not 0 < len(value) <= MAX_LIST_NUMBERS:
                     continue
                 if is_beside_names and len(value) == len(names):
                     named.add(column)
@@ -324,13 +280,6 @@ class TopicDecoder:
         names = tuple(field) if isinstance(field, list) else ()
         is_unique = all(names) and len(set(names)) == len(names)
         return names if is_unique else ()
-
-
-def _vector_column(path: tuple[str, ...], axes: tuple[str, ...]) -> _FieldColumn:
-    """Return the column of a vector, named as in `force_xyz`."""
-    name = "_".join((*path[-1:], "".join(axes)))
-    get = attrgetter(*(".".join((*path, axis)) for axis in axes))
-    return _FieldColumn((*path[:-1], name), get, is_array=False)
 
 
 def _column_name(topic: BagTopic, path: tuple[str, ...]) -> str:

@@ -1,10 +1,19 @@
-"""The messages of a ROS bag as bytes, and the files that hold them."""
+"""The messages of a ROS bag as bytes, the files and the chunks that hold them."""
 
+import bz2
+import io
 import re
+from collections.abc import Sequence
+from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
-from needleforce.recordings.errors import FormatError, file_errors
+from needleforce.recordings.errors import (
+    UNPACK,
+    FormatError,
+    file_errors,
+    optional_library,
+)
 
 ROS1_SUFFIXES = (".bag", ".bag.active")
 """Of ROS 1; the second is one whose recorder was killed."""
@@ -85,3 +94,47 @@ def require_magic(head: bytes, magic: bytes, kind: str) -> None:
         raise FormatError("is empty")
     if not head.startswith(magic[: len(head)]):
         raise FormatError(f"is not an {kind} file: it does not begin as one")
+
+
+def unpack_chunk(
+    packed: bytes, compression: str, size: int, compressions: Sequence[str]
+) -> bytes:
+    """Return what records that were compressed together hold, as far as it can be had.
+
+    The libraries unpack a chunk at once, however large it becomes, and lose all of one
+    that is damaged. Here it is unpacked in blocks.
+
+    Args:
+        packed: Its bytes.
+        compression: Name of its compression.
+        size: No more bytes are returned.
+        compressions: Those that the format of the bag has.
+
+    Raises:
+        FormatError: Its compression is none of them.
+    """
+    if compression not in compressions:
+        raise FormatError(
+            f"has chunks compressed with {compression!r}; "
+            f"{' and '.join(compressions)} can be read",
+            UNPACK,
+        )
+
+    stream: Any
+    if compression == "bz2":
+        stream = bz2.BZ2File(io.BytesIO(packed))
+    elif compression == "lz4":
+        library = optional_library("lz4.frame", "bags with lz4 chunks")
+        stream = library.open(io.BytesIO(packed))
+    else:
+        library = optional_library("zstandard", "bags compressed with zstd")
+        stream = library.ZstdDecompressor().stream_reader(packed)
+
+    unpacked = bytearray()
+    block_bytes = 1 << 16  # what precedes a damaged place is kept
+    # Each library has an error of its own for damaged bytes.
+    with suppress(Exception):
+        while len(unpacked) < size and (block := stream.read(block_bytes)):
+            unpacked += block
+
+    return bytes(unpacked[:size])

@@ -11,12 +11,12 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import IO, Any
 
-from needleforce.recordings.bags.chunks import unpack_chunk
 from needleforce.recordings.bags.messages import (
     ROS1,
     BagTopic,
     RawMessage,
     require_magic,
+    unpack_chunk,
 )
 from needleforce.recordings.errors import FormatError, optional_library, require_size
 

@@ -1,10 +1,9 @@
 """A bag and its topics: what their messages hold, and the rows collected of them."""
 
-from collections import Counter
 from collections.abc import Collection
 from functools import cached_property
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -16,23 +15,9 @@ from needleforce.recordings.bags.message_types import (
     size_of,
 )
 from needleforce.recordings.bags.messages import BagTopic, RawMessage
-from needleforce.recordings.errors import UNPACK, FormatError
+from needleforce.recordings.errors import UNPACK, FaultCounts, FormatError
 from needleforce.recordings.table import Table, ToolMass, choose_tool_mass
 from needleforce.recordings.time_stamps import NS_PER_S
-
-_BAD_STAMP = "messages with a bad time stamp, left out"
-
-
-class TopicRow(NamedTuple):
-    """The numbers of a message.
-
-    Attributes:
-        stamp_ns: Its time stamp.
-        values: Of each chosen column, in their order.
-    """
-
-    stamp_ns: int
-    values: tuple[Any, ...]
 
 
 class Topic:
@@ -60,7 +45,7 @@ class Topic:
         offset_ns: Of the source's clock from the recorder's, at the latest message.
         joints: Order of the joints in rows.
         widths: Of the columns in rows.
-        rows: What was collected.
+        rows: What was collected: time stamps, and the numbers of the chosen columns.
         latest_ns: The latest stamp of a row.
     """
 
@@ -173,11 +158,10 @@ class Topic:
             name: len(self.joints) if name in self.named else self.columns[name] or 1
             for name in columns
         }
-        self._faults: Counter[str] = Counter()
-        self._first_bad = ""
+        self._faults = FaultCounts()
         self._bad_in_row = 0
         self.offset_ns = self._usual_offset_ns()
-        self.rows: list[TopicRow] = []
+        self.rows: list[tuple[int, tuple[Any, ...]]] = []
         self.latest_ns = -(1 << 62)  # earlier than any stamp
 
     def add(self, message: RawMessage) -> None:
@@ -185,39 +169,44 @@ class Topic:
         try:
             content = self._decoder.decode(message.data)
         except FormatError:
-            self._faults["messages that do not fit their type, left out"] += 1
+            fault = "messages that do not fit their type, left out"
+            self._faults.note(fault)
             return
 
         if content.names and content.names != self.joints:
             missing = set(self.joints) - set(content.names)
             if self.joints and len(missing) == len(self.joints):
-                self._faults["messages without any of the joints, left out"] += 1
+                fault = "messages without any of the joints, left out"
+                self._faults.note(fault)
                 return
             if missing:
-                self._faults["messages that lack joints"] += 1
+                self._faults.note("messages that lack joints")
 
-        stamp_ns = self._stamp_ns(content, message)
+        stamp_ns = self._stamp_ns(content.stamp_ns, message.log_ns)
         if stamp_ns is None:
             return
 
-        values = tuple(self._numbers(name, content) for name in self.widths)
-        self.rows.append(TopicRow(stamp_ns, values))
+        values = (self._numbers(name, content) for name in self.widths)
+        self.rows.append((stamp_ns, tuple(values)))
         self.latest_ns = max(self.latest_ns, stamp_ns)
 
-    def _stamp_ns(self, content: MessageContent, message: RawMessage) -> int | None:
-        """Return the time stamp of a message; None if it is bad."""
-        stamp_ns = content.stamp_ns
+    def _stamp_ns(self, stamp_ns: int | None, log_ns: int) -> int | None:
+        """Return the time stamp of a message; None if it is bad.
+
+        Args:
+            stamp_ns: That of the source, as `MessageContent` has it.
+            log_ns: When the message was recorded.
+        """
         if stamp_ns is None:
             offset_ns = 0 if self.source is None else self.source.offset_ns
-            return message.log_ns + offset_ns
+            return log_ns + offset_ns
 
-        if not (stamp_ns or self._begins_at_zero) and message.log_ns:
-            self._faults[
-                "messages without a source time stamp; the recorder's was taken"
-            ] += 1
-            return message.log_ns + self.offset_ns
+        if not (stamp_ns or self._begins_at_zero) and log_ns:
+            fault = "messages without a source time stamp; the recorder's was taken"
+            self._faults.note(fault)
+            return log_ns + self.offset_ns
 
-        offset_ns = stamp_ns - message.log_ns
+        offset_ns = stamp_ns - log_ns
         # Source and recorder agree to a second from message to message, if neither was
         # set; after so many that do not, the source was.
         max_bad_stamps = 8
@@ -225,10 +214,10 @@ class Topic:
         follows = abs(stamp_ns - self.latest_ns) <= NS_PER_S
         self._bad_in_row = 0 if fits or follows else self._bad_in_row + 1
         if 0 < self._bad_in_row <= max_bad_stamps:
-            self._faults[_BAD_STAMP] += 1
-            self._first_bad = self._first_bad or (
-                f" (first: {stamp_ns / NS_PER_S:.13g} s, "
-                f"recorded at {message.log_ns / NS_PER_S:.13g} s)"
+            fault = "messages with a bad time stamp, left out"
+            self._faults.note(
+                fault,
+                f"{stamp_ns / NS_PER_S:.13g} s, recorded at {log_ns / NS_PER_S:.13g} s",
             )
             return None
 
@@ -241,9 +230,8 @@ class Topic:
         width = self.widths[name]
         value = content.values.get(name)
         if value is None or (name in self.named) != (name in content.named):
-            self._faults[
-                f"messages without values of {name}, or not one for each joint"
-            ] += 1
+            fault = f"messages without values of {name}, or not one for each joint"
+            self._faults.note(fault)
         elif name in self.named:
             if self.joints == content.names:
                 return value
@@ -253,29 +241,29 @@ class Topic:
         elif (size_of(value) or 1) == width:
             return value if isinstance(value, tuple | np.ndarray) else (value,)
         else:
-            self._faults[f"messages with another number of values of {name}"] += 1
+            fault = f"messages with another number of values of {name}"
+            self._faults.note(fault)
 
         return np.full(width, np.nan)
 
     def stamps_ns(self) -> NDArray[np.int64]:
         """Return the time stamps of the rows, shape (n,)."""
-        return np.array([row.stamp_ns for row in self.rows], dtype=np.int64)
+        return np.array([stamp_ns for stamp_ns, _ in self.rows], dtype=np.int64)
 
     def values(self) -> dict[str, Array]:
         """Return the numbers of the rows by column, shape (n, k)."""
         arrays: dict[str, Array] = {}
         for i, (name, width) in enumerate(self.widths.items()):
-            numbers = [row.values[i] for row in self.rows]
+            numbers = [values[i] for _, values in self.rows]
             arrays[name] = np.array(numbers, dtype=np.float64).reshape(-1, width)
 
         return arrays
 
     def notes(self) -> list[str]:
         """Return what was left out or guessed so far, one sentence each."""
-        first = {_BAD_STAMP: self._first_bad}
         return [
-            f"{self.name}: {fault}: {count}{first.get(fault, '')}"
-            for fault, count in self._faults.items()
+            f"{self.name}: {fault}: {count}{f' (first: {first})' if first else ''}"
+            for fault, (count, first) in self._faults.items()
         ]
 
 

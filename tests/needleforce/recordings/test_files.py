@@ -21,7 +21,8 @@ from needleforce.recordings import (
 )
 from needleforce.recordings.bags.message_types import standard_types
 from needleforce.recordings.csv_file import csv_tables
-from needleforce.recordings.follow import BINARY
+from needleforce.recordings.follow import BINARY, FollowOptions
+from needleforce.recordings.open_recording import stream_tables
 
 
 @pytest.fixture
@@ -365,3 +366,22 @@ def test_feather_reads_as_parquet_does(tmp_path):
     path.write_bytes(path.read_bytes()[:-20])
     with pytest.raises(FormatError, match="is not a Feather file, or it is damaged"):
         read_log(path)
+
+
+def test_parquet_is_read_some_rows_at_a_time(tmp_path):
+    count = 40_000
+    stamps = 1_700_000_000_123_456_789 + 1_000_000 * np.arange(count)
+    widths = np.where(np.arange(count) < 30_000, 2, 3)
+    lists = [[1e-5 * row] * width for row, width in enumerate(widths)]
+    table = pa.table({"time": stamps.astype("M8[ns]"), "q": lists, "no": ["a"] * count})
+    path = tmp_path / "log.parquet"
+    pq.write_table(table, path)
+    tables = list(stream_tables(path, FollowOptions()))
+    log = read_log(path, required=["q"])
+
+    assert [len(each) for each in tables] == [16384, 16384, 7232]
+    assert [len(each.warnings) for each in tables] == [1, 0, 0]
+    assert log.start_ns == 1_700_000_000_123_456_789
+    np.testing.assert_allclose(log.t_s, 0.001 * np.arange(count), atol=1e-9)
+    np.testing.assert_allclose(log["q_rad"][:30_000, 0], 1e-5 * np.arange(30_000.0))
+    assert np.isnan(log["q_rad"][30_000:]).all()
