@@ -53,9 +53,7 @@ class CheckedArm(GuardedArm):
         self._period_s = period_s
         self._latest_s = -np.inf
 
-    def _checked(
-        self, signals: ArmSignals, *, accepts_commands: bool
-    ) -> Iterator[ArmReading]:
+    def _checked(self, signals: ArmSignals) -> Iterator[ArmReading]:
         """Yield signals as a reading, if they are valid and new."""
         arrays = [signals.q_rad, signals.dq_rad_s, signals.effort]
         if signals.external_Nm is not None:
@@ -81,7 +79,7 @@ class CheckedArm(GuardedArm):
             tau_Nm=signals.effort,
             external_Nm=signals.external_Nm,
             missed=missed,
-            accepts_commands=accepts_commands,
+            accepts_commands=self._accepts_commands,
             is_real=True,
         )
 

@@ -14,9 +14,7 @@ from queue import Empty, Full, Queue
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from needleforce.devices.arm_limits import ARM_LIMITS
 from needleforce.devices.checked_arm import ArmSignals, CheckedArm
 from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.errors import LinkError, import_client
@@ -27,7 +25,6 @@ from needleforce.devices.franka_versions import (
     describe_mismatch,
 )
 from needleforce.devices.franka_wire import read_urdf
-from needleforce.devices.guard import Guard
 from needleforce.devices.link import ArmReading
 
 JOINTS = 7
@@ -71,7 +68,7 @@ class _FrankaArm(CheckedArm):
         super().__init__(JOINTS, PERIOD_S, robot)
         self._library = client_module
         self.takes_commands = takes_commands
-        self._guard = Guard(ARM_LIMITS[self.preset], PERIOD_S, robot)
+        self._guard = self._make_guard()
         self.client: Any = self._connect(host, library)
 
     def _connect(self, host: str, library: Library) -> Any:
@@ -106,7 +103,7 @@ class _FrankaArm(CheckedArm):
         Raises:
             LinkError: An arm that is controlled has stopped, as with a reflex.
         """
-        if self.takes_commands:
+        if self.takes_commands and self._is_open:
             yield from self._controlled_readings()
             return
 
@@ -127,23 +124,10 @@ class _FrankaArm(CheckedArm):
     def _time_s(self, state: Any) -> float:
         """Return the arm's own time of a state of the client [s]."""
 
-    def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity for the coming cycles.
-
-        It holds for five cycles; then the arm brakes to rest.
-
-        Args:
-            dq_rad_s: Velocity, shape (7,).
-
-        Returns:
-            False where the arm takes no commands and for what `Guard.want` refuses;
-            `refusal` says why.
-        """
-        if not (self.takes_commands and self._is_open):
-            return self._guard.refuse(
-                "the arm is closed, or was opened without takes_commands=True"
-            )
-        return self._want(dq_rad_s)
+    def _find_refusal(self) -> str:
+        if self.takes_commands:
+            return ""
+        return "the arm was opened without takes_commands=True"
 
     def _state_readings(self, state: Any, time_s: float) -> Iterator[ArmReading]:
         """Yield a state of the client as a reading, if it is valid and new."""
@@ -154,12 +138,11 @@ class _FrankaArm(CheckedArm):
             effort=np.array(state.tau_J),
             external_Nm=np.array(state.tau_ext_hat_filtered),
         )
-        return self._checked(signals, accepts_commands=self.takes_commands)
+        return self._checked(signals)
 
     def _stopped_error(self, error: BaseException) -> LinkError:
         """Return the error of an arm that has stopped by itself, and stands."""
-        self._guard.anchor()
-        self._guard.interrupt()
+        self.end()
         return LinkError(
             f"the Franka arm has stopped: {error}",
             "Release it at its own panel, see to the cause that the message "
