@@ -124,10 +124,8 @@ def test_what_a_haptic_device_sends_reaches_the_manager():
         if number in (100, 200):
             refused.append(manager.request("teleoperate"))
 
-    assert refused == [
-        "no haptic device answers: connect it and read it in every cycle",
-        "",
-    ]
+    assert "no haptic device answers" in refused[0]
+    assert refused[1] == ""
 
 
 @pytest.mark.parametrize("error", [TypeError, AttributeError, NameError, KeyError])
