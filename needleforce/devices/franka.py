@@ -33,12 +33,6 @@ PERIOD_S = 1e-3
 MAX_BRAKE_CYCLES = 2000
 """An arm that moves at its highest speed has come to rest before."""
 
-MAX_WAITING_READINGS = 100
-"""So many readings wait for a program that is busy; later ones are lost to it."""
-
-SILENCE_S = 1.0
-"""Without a state for so long an arm is away."""
-
 
 class _FrankaArm(CheckedArm):
     """What both arms have in common.
@@ -295,7 +289,9 @@ class FrankaArm(_FrankaArm):
             takes_commands=takes_commands,
             robot=robot,
         )
-        self._states: Queue[tuple[Any, float] | None] = Queue(MAX_WAITING_READINGS)
+        # So many readings wait for a program that is busy; later ones are lost to it.
+        max_waiting_readings = 100
+        self._states: Queue[tuple[Any, float] | None] = Queue(max_waiting_readings)
         self._failure: BaseException | None = None
         self._thread: threading.Thread | None = None  # while the arm is controlled
 
@@ -310,7 +306,9 @@ class FrankaArm(_FrankaArm):
 
         while self._is_open:
             try:
-                item = self._states.get(timeout=SILENCE_S)
+                # Without a state for so long an arm is away.
+                silence_s = 1.0
+                item = self._states.get(timeout=silence_s)
             except Empty:
                 item = None
 

@@ -93,12 +93,6 @@ COMMAND = _packet_type(
 COMMAND_KIND = 0x1005
 POSITION_FLAG = 0x1
 
-MIN_PERIOD_S = 0.5e-3
-"""A measurement with a shorter period is invalid."""
-
-MAX_PERIOD_S = 0.1
-"""A measurement with a longer period is invalid."""
-
 
 class FriState(IntEnum):
     """Modes of the interface."""
@@ -132,7 +126,11 @@ def read_measurement(data: bytes) -> np.void | None:
     is_size = measurement["size"] == MEASUREMENT.itemsize
     is_state = measurement["state"] <= max(FriState)
     is_quality = measurement["quality"] <= max(FriQuality)
-    is_period = MIN_PERIOD_S < measurement["period_s"] <= MAX_PERIOD_S
+    # A measurement with a shorter period is invalid.
+    min_period_s = 0.5e-3
+    # A measurement with a longer period is invalid.
+    max_period_s = 0.1
+    is_period = min_period_s < measurement["period_s"] <= max_period_s
     if not (is_kind and is_size and is_state and is_quality and is_period):
         return None
 

@@ -38,9 +38,6 @@ MAX_START_rad_s = 0.05
 """After an interruption the first command that is taken is at most this: a program that
 has not seen that it was refused would go on at full speed. 10 rad/s2 for 5 ms."""
 
-ABSURD = 2.0
-"""Times the arm's highest speed: what is above was not meant, in degrees perhaps."""
-
 
 class Guard:
     """Gives the velocity of every cycle, always within limits; brakes when in doubt.
@@ -107,7 +104,10 @@ class Guard:
                 f"got {wanted.tolist()!s:.80}; expected {self._joints} finite numbers"
             )
         speed_rad_s = np.abs(wanted)
-        if (speed_rad_s > ABSURD * self._highest_rad_s).any():
+        # Times the arm's highest speed: what is above was not meant, in degrees
+        # perhaps.
+        absurd = 2.0
+        if (speed_rad_s > absurd * self._highest_rad_s).any():
             return self.refuse(
                 f"got {speed_rad_s.max():g} rad/s, more than twice what the arm can; "
                 "velocities are in rad/s"

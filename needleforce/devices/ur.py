@@ -22,12 +22,7 @@ from needleforce.devices.ur_control import (
     describe_controller,
 )
 
-POLL_RATIO = 0.2
-"""Fraction of a period between two looks for a newer reading."""
-
 UR_RATE_HZ = 500.0
-UR_SIGNALS = ("timestamp", "actual_q", "actual_qd", "actual_current")
-"""What is asked for through RTDE."""
 
 
 class UrArm(CheckedArm):
@@ -86,8 +81,10 @@ class UrArm(CheckedArm):
 
         library = import_client("rtde_receive", "ur_rtde")
         try:
+            # What is asked for through RTDE.
+            ur_signals = ("timestamp", "actual_q", "actual_qd", "actual_current")
             self._arm: Any = library.RTDEReceiveInterface(
-                host, rate_hz, list(UR_SIGNALS)
+                host, rate_hz, list(ur_signals)
             )
         except RuntimeError as error:
             software = describe_controller(host)
@@ -116,7 +113,9 @@ class UrArm(CheckedArm):
                 if signals is not None:
                     yield from self._readings(signals)
             else:  # the client holds the newest only: look oftener than it comes
-                sleep(POLL_RATIO * self._period_s)
+                # Fraction of a period between two looks for a newer reading.
+                poll_ratio = 0.2
+                sleep(poll_ratio * self._period_s)
 
         if self._is_open:
             self.report.outages += 1

@@ -23,9 +23,6 @@ from needleforce.ros2.velocity_controller import (
 )
 from urdf import Robot
 
-QUEUE_DEPTH = 1000
-"""Joint states that wait: a second at 1 kHz."""
-
 WAIT_S = 0.1
 """Longest wait for a message before the end is looked for."""
 
@@ -99,8 +96,10 @@ class Ros2Arm(GuardedArm):
         # Signals are the command's, which ends the arm.
         self._context.init(args=[])
         node = ros.rclpy.create_node("needleforce_arm", context=self._context)
+        # Joint states that wait: a second at 1 kHz.
+        queue_depth = 1000
         quality = ros.qos.QoSProfile(
-            depth=QUEUE_DEPTH, reliability=ros.qos.ReliabilityPolicy.BEST_EFFORT
+            depth=queue_depth, reliability=ros.qos.ReliabilityPolicy.BEST_EFFORT
         )
         node.create_subscription(ros.sensor.JointState, topic, self._take, quality)
         self._executor = ros.executors.SingleThreadedExecutor(context=self._context)

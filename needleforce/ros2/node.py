@@ -47,12 +47,6 @@ from needleforce.session import InsertionSession, SessionEstimate
 from residual import SensorConfig, Status
 from urdf import Robot
 
-OUTPUT_DEPTH = 1000
-"""Messages of an output that wait for a slow subscriber: a second at 1 kHz."""
-
-EVENT_DEPTH = 100
-"""Events that a subscriber gets who comes later."""
-
 MAX_TAKEN = 50
 """Joint states that are taken before services and timers have their turn."""
 
@@ -145,9 +139,13 @@ class NeedleNode:
         """Make the outputs and the services."""
         ros = self._ros
         node = self._node
-        reliable = ros.qos.QoSProfile(depth=OUTPUT_DEPTH)
+        # Messages of an output that wait for a slow subscriber: a second at 1 kHz.
+        output_depth = 1000
+        reliable = ros.qos.QoSProfile(depth=output_depth)
+        # Events that a subscriber gets who comes later.
+        event_depth = 100
         kept = ros.qos.QoSProfile(
-            depth=EVENT_DEPTH, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
+            depth=event_depth, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
         )
         latest = ros.qos.QoSProfile(
             depth=1, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
