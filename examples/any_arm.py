@@ -19,6 +19,7 @@ SPEED_m_s = 0.03  # at most
 # arm = connect_arm("fr3:ADDRESS", robot=load_urdf("fr3.urdf"), takes_commands=True)
 arm = SimulatedArm(plant="clean", duration_s=8.0)
 session = InsertionSession(arm.robot)
+manager = control.Manager(session, control.SafetyLimits(axial_N=6.0))
 limits = control.Limits.of_arm(arm.robot, arm.preset)
 controller = control.Controller(arm.robot, limits)
 stroke = control.AxialSpeed(0.0)
@@ -26,21 +27,22 @@ tasks = []
 moved_s = rested_s = 0.0
 rows = []
 with arm:  # at its end a real arm is braked
-    for tick in control.run(arm, controller):
-        sample = tick.sample
-        signals = (sample.q_rad, sample.dq_rad_s, sample.tau_Nm)
-        estimate = session.update(*signals, sample.dt_s)
+    for tick in control.run(arm, controller, manager):
+        sample, state = tick.sample, tick.situation.state
+        estimate = tick.situation.estimate
         if not tasks:
             controller.tool.update(sample.q_rad)
             posture = control.Posture(sample.q_rad)
             tasks = [control.Fixture.here(controller.tool), stroke, posture]
-        is_moving = moved_s < STROKE_s or session.tared
+        if state == "idle" and getattr(sample, "accepts_commands", True):
+            manager.request("approach" if session.tared else "tare")
+        is_moving = state == "approach" or (state == "tare" and moved_s < STROKE_s)
         moved_s += sample.dt_s * is_moving
-        rested_s += sample.dt_s * (not is_moving)
+        rested_s += sample.dt_s * (state == "tare" and not is_moving)
         swing = np.sin(2.0 * np.pi * moved_s / STROKE_s)
         stroke.speed_m_s = -SPEED_m_s * swing * is_moving
         if rested_s > REST_s and not session.tared:
-            session.start_tare()  # fitted beside the next 1000 ticks or so
+            manager.request("arrived")  # tared beside the next 1000 ticks or so
         if estimate.status is Status.OK:
             rows.append((moved_s, estimate.wrench.axial))
         tick.tasks = tasks

@@ -28,16 +28,20 @@ posture = control.Posture(arm.home_rad)
 teleoperation = control.Teleoperation(motion_scale=0.4, shown="tip")
 rows = []
 for tick in control.run(arm, controller, manager):
-    sample, estimate = tick.sample, tick.situation.estimate
-    if session.tared:
-        move = teleoperation.update(device.read(), estimate, sample.dt_s)
+    state, estimate = tick.situation.state, tick.situation.estimate
+    tick.handle = device.read()
+    speed_m_s = 0.0
+    if state == "idle":
+        manager.request("teleoperate" if session.tared else "tare")
+    elif state == "tare":
+        speed_m_s = 0.02 if arm.time_s < STROKE_s else 0.0
+        if arm.time_s > TARE_s:
+            manager.request("arrived")  # it rests for about a second
+    elif state == "teleop":
+        move = teleoperation.update(tick.handle, estimate, tick.sample.dt_s)
         device.render(move.force_N)  # passive at the hand, whatever the line does
         speed_m_s = move.speed_m_s
         rows.append((arm.time_s, estimate.wrench.axial, teleoperation.shown_N))
-    else:
-        speed_m_s = 0.02 if arm.time_s < STROKE_s else 0.0
-        if arm.time_s > TARE_s:
-            session.start_tare()  # it rests for about a second
     tick.tasks = [shaft, control.AxialSpeed(speed_m_s), posture]
 
 times_s, axial_N, shown_N = zip(*rows, strict=True)

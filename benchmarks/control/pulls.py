@@ -111,6 +111,9 @@ def run(job: Job, _: Progress) -> Iterator[Figure]:
     yield Figure("pull_ends_stopped", state is State.STOPPED)
     if is_reported:
         yield Figure("pull_report_ms", 1e3 * insertion.report_s)
+        late_s = insertion.report_s - insertion.unexplained_s
+        if math.isfinite(late_s):
+            yield Figure("pull_unexplained_ms", 1e3 * max(late_s, 0.0))
 
 
 class PulledInsertion:
@@ -129,6 +132,9 @@ class PulledInsertion:
         is_jump: Whether a torque sensor was reported to have jumped.
         report_s: Time from the beginning of the fall to the first report; infinite
             without one.
+        unexplained_s: Time from there until the force that is read is, by more than
+            three standard deviations, below the friction of the layers that are known,
+            at rest below zero: until then a layer that softens would make it, too.
     """
 
     def __init__(self, phase: str, fall: Fall, plant: str, seed: int) -> None:
@@ -159,6 +165,7 @@ class PulledInsertion:
         self.is_pull = False
         self.is_jump = False
         self.report_s = math.inf
+        self.unexplained_s = math.inf
 
     def run(self) -> State:
         """Run it; return the state of the manager at the end."""
@@ -224,6 +231,17 @@ class PulledInsertion:
                 onset_s > self.struck_s for onset_s in self._onsets_s()
             )
         self._last_state = state
+        layers = self._insertion.manager.session.layers
+        wrench = situation.estimate.wrench
+        least_N = sum(
+            layer.friction_N - 3.0 * (layer.friction_std_N or 0.0) for layer in layers
+        )
+        if state is not State.INSERTION:
+            least_N = 0.0
+        too_low_N = max(least_N, 0.0) - 3.0 * wrench.axial_std
+        if state is not State.WITHDRAW and wrench.axial < too_low_N:
+            since_s = self._rig.time_s - self.struck_s
+            self.unexplained_s = min(self.unexplained_s, since_s)
         self.is_pull = self.is_pull or is_pull
         self.is_jump = self.is_jump or is_jump
         if is_pull or is_jump or state in (State.FAULTED, State.STOPPED):

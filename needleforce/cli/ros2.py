@@ -46,7 +46,7 @@ def ros2_command(
     from needleforce.cli.plan_file import load_plan
     from needleforce.cli.robot import robot_from_options, robot_from_text
     from needleforce.cli.terminal import say
-    from needleforce.ros2.node import run_node
+    from needleforce.ros2.lifecycle import run_node
 
     loaded = load_plan(plan)
 

@@ -287,8 +287,8 @@ MovedArmName = Annotated[
     Parameter(
         name="ARM",
         group=LOG,
-        help=f"{_CONNECTED_ARMS}, or sim for a simulated LWR 4+ in free air. "
-        f"{_MODELS_OF_ARMS}; iiwa needs one.",
+        help=f"{_CONNECTED_ARMS}, ros2:TOPIC (moved by ros2_control), or sim for a "
+        f"simulated LWR 4+ in free air. {_MODELS_OF_ARMS}; iiwa and ros2 need one.",
     ),
 ]
 """An arm that is moved."""

@@ -5,7 +5,7 @@
 
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
-Reading order: `ports` (what lies outside), `tasks`, `arm_limits`, `joint_limits`,
+Reading order: `ports` (what lies outside), `tasks`, `joint_limits`,
 `controller` (one tick), `delay_prediction`, `loop_watch` (whether its loop has failed),
 `lag` (its delay and gain), `priority_solver`, `state_machine`, `monitors`,
 `manager`, `run`, `event_log`, `rupture_counter`, `insertion_profile`, `elbow_swivel`,
@@ -13,7 +13,6 @@ Reading order: `ports` (what lies outside), `tasks`, `arm_limits`, `joint_limits
 `teleoperation`.
 """
 
-from needleforce.control.arm_limits import limits_of_arm as limits_of_arm
 from needleforce.control.controller import Controller as Controller
 from needleforce.control.errors import (
     ControlError as ControlError,

@@ -7,9 +7,9 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Matrix, Vector, WrittenMatrix
 from foundation.jit import compiled
-from needleforce.control.arm_limits import limits_of_arm
 from needleforce.control.errors import RIGHT_LIMITS, SettingError
 from needleforce.control.setting_checks import require_positive
+from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from urdf import Robot
 
 SLACK_rad_s = 1e-7
@@ -140,7 +140,7 @@ class Limits:
     def of_arm(
         cls,
         robot: Robot,
-        name: str,
+        name: str | ArmLimits,
         *,
         speed_rad_s: float = 0.5,
         tip_m_s: float | None = 0.1,
@@ -149,14 +149,20 @@ class Limits:
 
         Args:
             robot: Its model; a lower speed of its own counts.
-            name: One of `ARM_LIMITS`.
+            name: One of `ARM_LIMITS`, or limits of another arm.
             speed_rad_s: Highest speed of a joint; an arm's own where that is lower.
             tip_m_s: Highest speed of the tip; None for no limit.
 
         Raises:
             SettingError: The name is unknown, or the robot has other joints.
         """
-        preset = limits_of_arm(name)
+        if isinstance(name, str) and name not in ARM_LIMITS:
+            raise SettingError(
+                f"no limits of an arm {name!r}, expected one of "
+                f"{', '.join(ARM_LIMITS)}",
+                RIGHT_LIMITS,
+            )
+        preset = ARM_LIMITS[name] if isinstance(name, str) else name
         joint_count = len(preset.speed_rad_s)
         if joint_count != robot.nv:
             raise SettingError(

@@ -11,9 +11,10 @@ from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 
 from needleforce.control.controller import Command, Controller
+from needleforce.control.errors import SettingError
 from needleforce.control.manager import Manager, Situation
 from needleforce.control.monitors import Beside
-from needleforce.control.ports import Arm, ArmSample
+from needleforce.control.ports import Arm, ArmSample, MasterSample
 from needleforce.control.tasks import Task
 
 
@@ -24,7 +25,9 @@ class Tick:
     Attributes:
         sample: What the arm reports.
         situation: What the manager says; None without one.
-        tasks: To be set by the program; with none the arm brakes and rests.
+        tasks: To be set by the program; with none the arm brakes and rests, and so it
+            does in states of the manager that do not move.
+        handle: To be set by the program to what a haptic device has sent, if anything.
         last: The command of the cycle before; None in the first.
         was_taken: Whether the arm took that.
     """
@@ -34,25 +37,36 @@ class Tick:
     last: Command | None
     was_taken: bool
     tasks: Sequence[Task] = ()
+    handle: MasterSample | None = None
 
 
 def run(
-    arm: Arm, controller: Controller, manager: Manager | None = None
+    arm: Arm,
+    controller: Controller,
+    manager: Manager | None = None,
+    *,
+    without_force_limit: bool = False,
 ) -> Iterator[Tick]:
     """Yield every cycle of an arm, and send the command for its tasks.
 
     The manager, which holds the force limit, gets the heartbeat and what the arm
-    refused. After a refusal the controller begins from rest, as the arm does. However
-    the loop ends, the arm is brought to rest; put it into a ``with`` statement, so that
-    an error in its body brakes at once.
+    refused; in its states that do not move the arm rests. After a refusal the
+    controller begins from rest, as the arm does. However the loop ends, the arm is
+    brought to rest; put it into a ``with`` statement, so that an error in its body
+    brakes at once.
 
     Args:
         arm: Iterated over until it ends.
         controller: Of its commands.
-        manager: Watches and schedules; None for a motion without a force limit.
+        manager: Watches and schedules. Without one nothing limits the force: only a
+            simulated arm goes then, or one that `without_force_limit` allows.
+        without_force_limit: Move a real arm without a manager, in free air.
 
     Yields:
         The cycle. Set its `Tick.tasks`.
+
+    Raises:
+        SettingError: A real arm without a manager; nothing has moved.
     """
     samples = iter(arm)
     beside = Beside()
@@ -64,12 +78,23 @@ def run(
             if manager is not None:
                 manager.heartbeat()
                 situation = manager.update(sample, beside)
+            elif getattr(sample, "is_real", False) and not without_force_limit:
+                raise SettingError(
+                    "a real arm without a manager, which limits the force",
+                    "Give run() a Manager(session, SafetyLimits(axial_N=6.0)); in free "
+                    "air without_force_limit=True allows it.",
+                )
             tick = Tick(sample, situation, command, is_taken)
             yield tick
-            command = controller.update(sample, tick.tasks)
+            is_moving = situation is None or situation.is_moving
+            command = controller.update(sample, tick.tasks if is_moving else ())
             is_taken = arm.send(command.dq_rad_s)
             beside = Beside(
-                is_taken, command.dq_rad_s, loop_failure=command.loop_failure
+                # An arm that rests may take no commands.
+                accepted=is_taken or not is_moving,
+                command_rad_s=command.dq_rad_s,
+                handle=tick.handle,
+                loop_failure=command.loop_failure,
             )
             if not is_taken:
                 controller.reset()

@@ -47,11 +47,19 @@ class ArmLimits(NamedTuple):
     stops: PositionStops | None = None
 
 
-OUR_ACCELERATION_rad_s2 = 10.0
-"""For arms whose vendor publishes none: that of the FR3."""
+def limits_with_our_rates(
+    speed_rad_s: tuple[float, ...], cycle_s: float, source: str
+) -> ArmLimits:
+    """Return limits with acceleration and jerk of the FR3: no vendor publishes them."""
+    joints = len(speed_rad_s)
+    return ArmLimits(
+        speed_rad_s,
+        acceleration_rad_s2=(10.0,) * joints,
+        jerk_rad_s3=(5000.0,) * joints,
+        cycle_s=cycle_s,
+        source=f"speed: {source}; acceleration and jerk: ours",
+    )
 
-OUR_JERK_rad_s3 = 5000.0
-"""For arms whose vendor publishes none: that of the FR3."""
 
 FR3 = ArmLimits(
     speed_rad_s=(2.62, 2.62, 2.62, 2.62, 5.26, 4.18, 5.26),
@@ -76,29 +84,16 @@ FER = ArmLimits(
     source="libfranka 0.9, rate_limiting.h, without its margin for lost packets",
 )
 
-UR5E = ArmLimits(
-    speed_rad_s=(3.14,) * 6,
-    acceleration_rad_s2=(OUR_ACCELERATION_rad_s2,) * 6,
-    jerk_rad_s3=(OUR_JERK_rad_s3,) * 6,
-    cycle_s=2e-3,
-    source="speed: UR5e data sheet, 180 degrees/s; acceleration and jerk: ours",
+UR5E = limits_with_our_rates((3.14,) * 6, 2e-3, "UR5e data sheet, 180 degrees/s")
+
+IIWA14 = limits_with_our_rates(
+    (1.48, 1.48, 1.74, 1.30, 2.26, 2.35, 2.35), 1e-3, "LBR iiwa 14 R820 data sheet"
 )
 
-IIWA14 = ArmLimits(
-    speed_rad_s=(1.48, 1.48, 1.74, 1.30, 2.26, 2.35, 2.35),
-    acceleration_rad_s2=(OUR_ACCELERATION_rad_s2,) * 7,
-    jerk_rad_s3=(OUR_JERK_rad_s3,) * 7,
-    cycle_s=1e-3,
-    source="speed: LBR iiwa 14 R820 data sheet; acceleration and jerk: ours",
-)
-
-LWR4PLUS = ArmLimits(
-    speed_rad_s=(1.91, 1.91, 2.23, 2.23, 3.56, 3.21, 3.21),
-    acceleration_rad_s2=(OUR_ACCELERATION_rad_s2,) * 7,
-    jerk_rad_s3=(OUR_JERK_rad_s3,) * 7,
-    cycle_s=1e-3,
-    source="speed: LWR 4+ data sheet, 110 to 204 degrees/s; acceleration and jerk: "
-    "ours",
+LWR4PLUS = limits_with_our_rates(
+    (1.91, 1.91, 2.23, 2.23, 3.56, 3.21, 3.21),
+    1e-3,
+    "LWR 4+ data sheet, 110 to 204 degrees/s",
 )
 
 ARM_LIMITS = {

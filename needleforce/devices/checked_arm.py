@@ -10,9 +10,6 @@ from foundation.arrays import Array
 from needleforce.devices.guard import GuardedArm
 from needleforce.devices.link import ArmReading
 
-STAMP_DIGITS = 9
-"""Decimals of a difference of stamps [s]."""
-
 
 class ArmSignals(NamedTuple):
     """What an arm's client has read at a time.
@@ -53,9 +50,7 @@ class CheckedArm(GuardedArm):
         self._period_s = period_s
         self._latest_s = -np.inf
 
-    def _checked(
-        self, signals: ArmSignals, *, accepts_commands: bool
-    ) -> Iterator[ArmReading]:
+    def _checked(self, signals: ArmSignals) -> Iterator[ArmReading]:
         """Yield signals as a reading, if they are valid and new."""
         arrays = [signals.q_rad, signals.dq_rad_s, signals.effort]
         if signals.external_Nm is not None:
@@ -70,7 +65,9 @@ class CheckedArm(GuardedArm):
             return
 
         # Stamps count microseconds or more; their differences have rounding errors.
-        dt_s = round(gap_s, STAMP_DIGITS) if np.isfinite(gap_s) else self._period_s
+        # Decimals of a difference of stamps [s].
+        stamp_digits = 9
+        dt_s = round(gap_s, stamp_digits) if np.isfinite(gap_s) else self._period_s
         missed = max(round(dt_s / self._period_s) - 1, 0)
         self._latest_s = signals.time_s
         self.report.count_used(missed + 1, dt_s)
@@ -81,7 +78,7 @@ class CheckedArm(GuardedArm):
             tau_Nm=signals.effort,
             external_Nm=signals.external_Nm,
             missed=missed,
-            accepts_commands=accepts_commands,
+            accepts_commands=self._accepts_commands,
             is_real=True,
         )
 

@@ -5,11 +5,10 @@ from collections.abc import Iterator
 from time import monotonic
 from typing import Any
 
-from needleforce.devices.arm_limits import ARM_LIMITS
 from needleforce.devices.cycle_counter import CycleCounter
 from needleforce.devices.datagram_link import DatagramLink
 from needleforce.devices.errors import DeviceSettingError
-from needleforce.devices.guard import Guard, GuardedArm
+from needleforce.devices.guard import GuardedArm
 from needleforce.devices.link import ArmReading
 
 MAX_WAIT_S = 3600.0
@@ -66,8 +65,7 @@ class ControllerLink(GuardedArm, DatagramLink, ABC):
         self.robot = robot
         self.joints = joints
         self.hint = ""
-        preset = ARM_LIMITS[self.preset]
-        self._guard = Guard(preset, preset.cycle_s, robot)
+        self._guard = self._make_guard()
         self._counter = CycleCounter(counts, monotonic())
         self._wait_s = wait_s
         self._give_up_s = give_up_s

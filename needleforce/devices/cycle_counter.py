@@ -8,11 +8,6 @@ MAX_DELAY_S = 0.1
 """One datagram may come so much later than others."""
 
 
-MIN_RENUMBERED_PACKETS = 10
-"""After so many in a row that are not newer, and follow each other, they are those of
-the controller: it counts anew, or a foreign packet was taken for its latest."""
-
-
 class CycleCounter:
     """Counts the cycles between the packets of a controller.
 
@@ -72,7 +67,11 @@ class CycleCounter:
         )
         self._refused = count
         self._refused_in_row = self._refused_in_row + 1 if is_next else 1
-        return self._refused_in_row >= MIN_RENUMBERED_PACKETS
+        # After so many in a row that are not newer, and follow each other, they are
+        # those of the controller: it counts anew, or a foreign packet was taken for its
+        # latest.
+        min_renumbered_packets = 10
+        return self._refused_in_row >= min_renumbered_packets
 
     def accept(self, count: int, now_s: float, empty_s: float) -> None:
         """Take a packet for the latest."""

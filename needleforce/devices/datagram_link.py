@@ -26,10 +26,6 @@ ones."""
 MAX_LOOK_UP_S = 2.0
 """So long the address of a name is looked up."""
 
-MAX_DROP_S = 0.01
-"""So long waiting datagrams are dropped, though others flood the link; they take a
-fraction of it."""
-
 
 class Endpoint(NamedTuple):
     """An address of UDP.
@@ -176,7 +172,10 @@ class DatagramLink(Link):
     def drop_waiting(self) -> None:
         """Drop the datagrams that wait to be read: they tell of the past."""
         self._socket.settimeout(0.0)
-        deadline_s = monotonic() + MAX_DROP_S
+        # So long waiting datagrams are dropped, though others flood the link; they take
+        # a fraction of it.
+        max_drop_s = 0.01
+        deadline_s = monotonic() + max_drop_s
         with suppress(BlockingIOError):
             while monotonic() < deadline_s:
                 with suppress(ConnectionError):  # as in `_receive`

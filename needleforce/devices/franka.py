@@ -14,9 +14,7 @@ from queue import Empty, Full, Queue
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
-from needleforce.devices.arm_limits import ARM_LIMITS
 from needleforce.devices.checked_arm import ArmSignals, CheckedArm
 from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.errors import LinkError, import_client
@@ -27,7 +25,6 @@ from needleforce.devices.franka_versions import (
     describe_mismatch,
 )
 from needleforce.devices.franka_wire import read_urdf
-from needleforce.devices.guard import Guard
 from needleforce.devices.link import ArmReading
 
 JOINTS = 7
@@ -35,12 +32,6 @@ PERIOD_S = 1e-3
 
 MAX_BRAKE_CYCLES = 2000
 """An arm that moves at its highest speed has come to rest before."""
-
-MAX_WAITING_READINGS = 100
-"""So many readings wait for a program that is busy; later ones are lost to it."""
-
-SILENCE_S = 1.0
-"""Without a state for so long an arm is away."""
 
 
 class _FrankaArm(CheckedArm):
@@ -71,7 +62,7 @@ class _FrankaArm(CheckedArm):
         super().__init__(JOINTS, PERIOD_S, robot)
         self._library = client_module
         self.takes_commands = takes_commands
-        self._guard = Guard(ARM_LIMITS[self.preset], PERIOD_S, robot)
+        self._guard = self._make_guard()
         self.client: Any = self._connect(host, library)
 
     def _connect(self, host: str, library: Library) -> Any:
@@ -106,7 +97,7 @@ class _FrankaArm(CheckedArm):
         Raises:
             LinkError: An arm that is controlled has stopped, as with a reflex.
         """
-        if self.takes_commands:
+        if self.takes_commands and self._is_open:
             yield from self._controlled_readings()
             return
 
@@ -127,23 +118,10 @@ class _FrankaArm(CheckedArm):
     def _time_s(self, state: Any) -> float:
         """Return the arm's own time of a state of the client [s]."""
 
-    def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity for the coming cycles.
-
-        It holds for five cycles; then the arm brakes to rest.
-
-        Args:
-            dq_rad_s: Velocity, shape (7,).
-
-        Returns:
-            False where the arm takes no commands and for what `Guard.want` refuses;
-            `refusal` says why.
-        """
-        if not (self.takes_commands and self._is_open):
-            return self._guard.refuse(
-                "the arm is closed, or was opened without takes_commands=True"
-            )
-        return self._want(dq_rad_s)
+    def _find_refusal(self) -> str:
+        if self.takes_commands:
+            return ""
+        return "the arm was opened without takes_commands=True"
 
     def _state_readings(self, state: Any, time_s: float) -> Iterator[ArmReading]:
         """Yield a state of the client as a reading, if it is valid and new."""
@@ -154,12 +132,11 @@ class _FrankaArm(CheckedArm):
             effort=np.array(state.tau_J),
             external_Nm=np.array(state.tau_ext_hat_filtered),
         )
-        return self._checked(signals, accepts_commands=self.takes_commands)
+        return self._checked(signals)
 
     def _stopped_error(self, error: BaseException) -> LinkError:
         """Return the error of an arm that has stopped by itself, and stands."""
-        self._guard.anchor()
-        self._guard.interrupt()
+        self.end()
         return LinkError(
             f"the Franka arm has stopped: {error}",
             "Release it at its own panel, see to the cause that the message "
@@ -312,7 +289,9 @@ class FrankaArm(_FrankaArm):
             takes_commands=takes_commands,
             robot=robot,
         )
-        self._states: Queue[tuple[Any, float] | None] = Queue(MAX_WAITING_READINGS)
+        # So many readings wait for a program that is busy; later ones are lost to it.
+        max_waiting_readings = 100
+        self._states: Queue[tuple[Any, float] | None] = Queue(max_waiting_readings)
         self._failure: BaseException | None = None
         self._thread: threading.Thread | None = None  # while the arm is controlled
 
@@ -327,7 +306,9 @@ class FrankaArm(_FrankaArm):
 
         while self._is_open:
             try:
-                item = self._states.get(timeout=SILENCE_S)
+                # Without a state for so long an arm is away.
+                silence_s = 1.0
+                item = self._states.get(timeout=silence_s)
             except Empty:
                 item = None
 

@@ -10,7 +10,6 @@ from enum import IntEnum
 from typing import Any, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from needleforce.devices.controller_link import ControllerLink
@@ -94,12 +93,6 @@ COMMAND = _packet_type(
 COMMAND_KIND = 0x1005
 POSITION_FLAG = 0x1
 
-MIN_PERIOD_S = 0.5e-3
-"""A measurement with a shorter period is invalid."""
-
-MAX_PERIOD_S = 0.1
-"""A measurement with a longer period is invalid."""
-
 
 class FriState(IntEnum):
     """Modes of the interface."""
@@ -133,7 +126,11 @@ def read_measurement(data: bytes) -> np.void | None:
     is_size = measurement["size"] == MEASUREMENT.itemsize
     is_state = measurement["state"] <= max(FriState)
     is_quality = measurement["quality"] <= max(FriQuality)
-    is_period = MIN_PERIOD_S < measurement["period_s"] <= MAX_PERIOD_S
+    # A measurement with a shorter period is invalid.
+    min_period_s = 0.5e-3
+    # A measurement with a longer period is invalid.
+    max_period_s = 0.1
+    is_period = min_period_s < measurement["period_s"] <= max_period_s
     if not (is_kind and is_size and is_state and is_quality and is_period):
         return None
 
@@ -226,23 +223,10 @@ class FriArm(ControllerLink):
         self._answer["flags"] = POSITION_FLAG
         self._target_rad = np.zeros(JOINTS)
 
-    def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity for the coming cycles.
-
-        It holds for five cycles; then the arm brakes to rest.
-
-        Args:
-            dq_rad_s: Velocity, shape (7,).
-
-        Returns:
-            False where the arm takes no commands and for what `Guard.want` refuses;
-            `refusal` says why.
-        """
-        if not self._takes_commands():
-            return self._guard.refuse(
-                "the controller is not in command mode, or its connection is bad"
-            )
-        return self._want(dq_rad_s)
+    def _find_refusal(self) -> str:
+        if self._takes_commands():
+            return ""
+        return "the controller is not in command mode, or its connection is bad"
 
     def _takes_commands(self) -> bool:
         """Return whether the arm would move now."""
@@ -277,7 +261,7 @@ class FriArm(ControllerLink):
             tau_Nm=measurement["torque_Nm"].astype(float),
             external_Nm=measurement["external_Nm"].astype(float),
             missed=cycles - 1,
-            accepts_commands=self._takes_commands() and self._guard.is_ready,
+            accepts_commands=self._accepts_commands,
             is_real=True,
         )
 

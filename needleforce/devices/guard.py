@@ -16,6 +16,7 @@ import atexit
 import math
 import signal
 import threading
+from abc import abstractmethod
 from typing import TYPE_CHECKING, Any
 
 import numpy as np
@@ -23,7 +24,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
 from foundation.jit import compile_waiting, compiled
-from needleforce.devices.arm_limits import ArmLimits
+from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from needleforce.devices.errors import DeviceSettingError
 from needleforce.devices.link import Link
 
@@ -33,15 +34,9 @@ if TYPE_CHECKING:
 HEADROOM = 0.98
 """Fraction of each limit that is used: arms round positions, and their clocks drift."""
 
-MAX_SILENT_CYCLES = 5
-"""A velocity holds for so many cycles without a new one; then the arm brakes."""
-
 MAX_START_rad_s = 0.05
 """After an interruption the first command that is taken is at most this: a program that
 has not seen that it was refused would go on at full speed. 10 rad/s2 for 5 ms."""
-
-ABSURD = 2.0
-"""Times the arm's highest speed: what is above was not meant, in degrees perhaps."""
 
 
 class Guard:
@@ -51,23 +46,31 @@ class Guard:
         preset: The arm's limits.
         cycle_s: Between two commands.
         robot: Its model, for the stops of an arm whose preset names none; or None.
+        hold_cycles: A velocity holds for so many cycles without a new one; then the arm
+            brakes.
 
     Attributes:
         refusal: Why the last velocity was not taken; empty if it was.
     """
 
-    def __init__(self, preset: ArmLimits, cycle_s: float, robot: Any = None) -> None:
+    def __init__(
+        self,
+        preset: ArmLimits,
+        cycle_s: float,
+        robot: Any = None,
+        hold_cycles: int = 5,
+    ) -> None:
         compile_waiting()
         self.refusal = ""
         self._limits = _limit_rows(preset, robot)
         self._highest_rad_s = np.array(preset.speed_rad_s)
         self.cycle_s = cycle_s
         self._joints = len(preset.speed_rad_s)
-        self._must_rest = False
         self._is_interrupted = False  # until a command starts from rest
         self._motion = np.zeros((2, self._joints))  # velocity, acceleration
         self._wanted_rad_s = np.zeros(self._joints)
-        self._silent_cycles = MAX_SILENT_CYCLES
+        self._hold_cycles = hold_cycles
+        self._silent_cycles = hold_cycles
 
     @property
     def is_at_rest(self) -> bool:
@@ -101,7 +104,10 @@ class Guard:
                 f"got {wanted.tolist()!s:.80}; expected {self._joints} finite numbers"
             )
         speed_rad_s = np.abs(wanted)
-        if (speed_rad_s > ABSURD * self._highest_rad_s).any():
+        # Times the arm's highest speed: what is above was not meant, in degrees
+        # perhaps.
+        absurd = 2.0
+        if (speed_rad_s > absurd * self._highest_rad_s).any():
             return self.refuse(
                 f"got {speed_rad_s.max():g} rad/s, more than twice what the arm can; "
                 "velocities are in rad/s"
@@ -122,7 +128,7 @@ class Guard:
 
     def brake(self) -> None:
         """Forget the command: the arm brakes to rest."""
-        self._silent_cycles = MAX_SILENT_CYCLES
+        self._silent_cycles = self._hold_cycles
 
     def interrupt(self) -> None:
         """Brake, and take commands again from rest only, slow ones first."""
@@ -141,7 +147,7 @@ class Guard:
         Args:
             position_rad: Where the arm is, or is commanded to be, shape (n,).
         """
-        if self._silent_cycles >= MAX_SILENT_CYCLES:
+        if self._silent_cycles >= self._hold_cycles:
             self._wanted_rad_s = np.zeros(self._joints)
         self._silent_cycles += 1
         write_next_motion(
@@ -237,14 +243,33 @@ class GuardedArm(Link):
     """What arms that take commands have in common.
 
     Attributes:
-        preset: Name of its limits, one of `ARM_LIMITS`.
+        preset: Its limits, or their name in `ARM_LIMITS`.
         robot: The model of the arm, or None.
+        joints: How many it has.
     """
 
-    preset: str
+    preset: str | ArmLimits
     robot: Any
+    joints: int
     _guard: Guard
     _closes_at_exit = False
+
+    def _make_guard(self, cycle_s: float | None = None, hold_cycles: int = 5) -> Guard:
+        """Return the guard of the arm's commands; its usual cycle without one."""
+        limits = self.preset
+        if isinstance(limits, str):
+            if limits not in ARM_LIMITS:
+                raise DeviceSettingError(
+                    f"limits of an arm {limits!r}; expected one of "
+                    f"{', '.join(ARM_LIMITS)}"
+                )
+            limits = ARM_LIMITS[limits]
+        if len(limits.speed_rad_s) != self.joints:
+            raise DeviceSettingError(
+                f"limits of {len(limits.speed_rad_s)} joints; expected those of "
+                f"{self.joints}"
+            )
+        return Guard(limits, cycle_s or limits.cycle_s, self.robot, hold_cycles)
 
     @property
     def limits(self) -> "Limits":
@@ -267,13 +292,36 @@ class GuardedArm(Link):
         """Why the last velocity was not taken; empty if it was."""
         return self._guard.refusal
 
-    def _want(self, velocity_rad_s: ArrayLike) -> bool:
-        """Pass a velocity on to the guard; from then on the end of the program brakes.
+    @property
+    def _accepts_commands(self) -> bool:
+        """Whether a command would be taken now; not while the arm brakes."""
+        return self._is_open and not self._find_refusal() and self._guard.is_ready
 
-        An exception, Ctrl-C and SIGTERM end alike. SIGTERM keeps a handler that the
-        program has set itself.
+    @abstractmethod
+    def _find_refusal(self) -> str:
+        """Return why the arm takes no commands now; empty if it does."""
+
+    def send(self, dq_rad_s: ArrayLike) -> bool:
+        """Command a joint velocity for the coming cycles; see `Guard` for how long.
+
+        From then on the end of the program brakes the arm: an exception, Ctrl-C and
+        SIGTERM alike. SIGTERM keeps a handler that the program has set itself.
+
+        Args:
+            dq_rad_s: Velocity, shape (n,).
+
+        Returns:
+            False where the arm takes no commands and for what `Guard.want` refuses;
+            `refusal` says why.
         """
-        if not self._guard.want(velocity_rad_s):
+        if not self._is_open:
+            return self._guard.refuse(
+                "the connection is closed, or the arm has stopped: open it again"
+            )
+        why = self._find_refusal()
+        if why:
+            return self._guard.refuse(why)
+        if not self._guard.want(dq_rad_s):
             return False
         if not self._closes_at_exit:
             self._closes_at_exit = True

@@ -32,15 +32,6 @@ MAX_SILENCE_S = 0.1
 MAX_READ_S = 2e-3
 """So long a reading takes what waits at most, whatever the service sends."""
 
-CONNECT_WAIT_S = 5.0
-"""So long the service may take to answer."""
-
-CLOSE_WAIT_S = 0.5
-"""So long it may take to take its leave."""
-
-MAX_MESSAGE_BYTES = 1 << 20
-"""A longer message is none of the service."""
-
 MALFORMED = (
     ValueError,
     TypeError,
@@ -76,11 +67,17 @@ class HaplyMaster(Link):
         client = import_client("websockets.sync.client", "websockets")
         self._socket_error: type[Exception] = errors.WebSocketException
         try:
+            # So long the service may take to answer.
+            connect_wait_s = 5.0
+            # So long it may take to take its leave.
+            close_wait_s = 0.5
+            # A longer message is none of the service.
+            max_message_bytes = 1 << 20
             self._socket = client.connect(
                 address,
-                max_size=MAX_MESSAGE_BYTES,
-                open_timeout=CONNECT_WAIT_S,
-                close_timeout=CLOSE_WAIT_S,
+                max_size=max_message_bytes,
+                open_timeout=connect_wait_s,
+                close_timeout=close_wait_s,
             )
         except (OSError, self._socket_error) as error:
             raise LinkError(f"no haptic service at {address}: {error}") from error

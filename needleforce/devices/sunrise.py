@@ -8,7 +8,6 @@ answered before its reading is handed on, with the motion asked for before.
 from typing import Any
 
 import numpy as np
-from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from needleforce.devices import fri
@@ -104,29 +103,13 @@ class IiwaArm(ControllerLink):
         self._answer_count = 0
         self._unanswered = 0  # messages since the latest answer
 
-    def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity for the coming cycles.
-
-        It holds for five cycles; then the arm brakes to rest.
-
-        Args:
-            dq_rad_s: Velocity, shape (7,).
-
-        Returns:
-            False where the arm takes no commands and for what `Guard.want` refuses;
-            `refusal` says why.
-        """
-        if not (self._is_commanding and _takes_commands(self._message)):
-            return self._guard.refuse(
-                "the controller's program lets no positions be commanded now, or the "
-                "connection is bad"
-            )
-        return self._want(dq_rad_s)
-
-    def _is_ready(self) -> bool:
-        """Return whether the arm would move now; not while it brakes."""
-        is_commanded = self._is_commanding and _takes_commands(self._message)
-        return is_commanded and self._guard.is_ready
+    def _find_refusal(self) -> str:
+        if self._is_commanding and _takes_commands(self._message):
+            return ""
+        return (
+            "the controller's program lets no positions be commanded now, or the "
+            "connection is bad"
+        )
 
     def _lose_controller(self) -> None:
         """Note that the controller is silent."""
@@ -168,7 +151,7 @@ class IiwaArm(ControllerLink):
             tau_Nm=message.torque_Nm,
             external_Nm=message.external_Nm,
             missed=cycles - 1,
-            accepts_commands=self._is_ready(),
+            accepts_commands=self._accepts_commands,
             is_real=True,
         )
 

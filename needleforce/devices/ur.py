@@ -11,20 +11,18 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.devices.arm_limits import ARM_LIMITS
 from needleforce.devices.checked_arm import ArmSignals, CheckedArm
 from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.errors import DeviceSettingError, LinkError, import_client
-from needleforce.devices.guard import Guard
 from needleforce.devices.link import ArmReading
-from needleforce.devices.ur_control import JOINTS, UrControl, describe_controller
-
-POLL_RATIO = 0.2
-"""Fraction of a period between two looks for a newer reading."""
+from needleforce.devices.ur_control import (
+    JOINTS,
+    PROGRAM_ENDED,
+    UrControl,
+    describe_controller,
+)
 
 UR_RATE_HZ = 500.0
-UR_SIGNALS = ("timestamp", "actual_q", "actual_qd", "actual_current")
-"""What is asked for through RTDE."""
 
 
 class UrArm(CheckedArm):
@@ -69,7 +67,7 @@ class UrArm(CheckedArm):
             raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
 
         super().__init__(JOINTS, 1.0 / rate_hz, robot)
-        self._guard = Guard(ARM_LIMITS[self.preset], 1.0 / rate_hz, robot)
+        self._guard = self._make_guard(1.0 / rate_hz)
         self._constant_Nm_A: Array | None = None
         if torque_constant_Nm_A is not None:
             constant_Nm_A = np.array(torque_constant_Nm_A, dtype=float)
@@ -83,8 +81,10 @@ class UrArm(CheckedArm):
 
         library = import_client("rtde_receive", "ur_rtde")
         try:
+            # What is asked for through RTDE.
+            ur_signals = ("timestamp", "actual_q", "actual_qd", "actual_current")
             self._arm: Any = library.RTDEReceiveInterface(
-                host, rate_hz, list(UR_SIGNALS)
+                host, rate_hz, list(ur_signals)
             )
         except RuntimeError as error:
             software = describe_controller(host)
@@ -113,7 +113,9 @@ class UrArm(CheckedArm):
                 if signals is not None:
                     yield from self._readings(signals)
             else:  # the client holds the newest only: look oftener than it comes
-                sleep(POLL_RATIO * self._period_s)
+                # Fraction of a period between two looks for a newer reading.
+                poll_ratio = 0.2
+                sleep(poll_ratio * self._period_s)
 
         if self._is_open:
             self.report.outages += 1
@@ -138,28 +140,19 @@ class UrArm(CheckedArm):
         if control is not None and self._is_open:
             control.pass_cycle(signals.q_rad)
 
-        is_commanded = control is not None and self._is_open
-        accepts_commands = is_commanded and self._guard.is_ready
-        for reading in self._checked(signals, accepts_commands=accepts_commands):
+        for reading in self._checked(signals):
             yield reading._replace(tau_Nm=tau_Nm, current_A=current_A)
 
+    def _find_refusal(self) -> str:
+        if self._control is None:
+            return "the arm was opened without takes_commands=True"
+        return "" if self._control.is_running else PROGRAM_ENDED
+
     def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity for the coming cycles.
-
-        It holds for five cycles; then the arm brakes to rest.
-
-        Args:
-            dq_rad_s: Velocity, shape (6,).
-
-        Returns:
-            False where the arm takes no commands and for what `Guard.want` refuses;
-            `refusal` says why.
-        """
-        if self._control is None or not self._is_open:
-            return self._guard.refuse(
-                "the arm is closed, or was opened without takes_commands=True"
-            )
-        return self._want(dq_rad_s) and self._control.send_once()
+        """Command a joint velocity; see `GuardedArm.send`."""
+        if not super().send(dq_rad_s) or self._control is None:
+            return False
+        return self._control.send_once()
 
     def close(self) -> None:
         """Brake the arm to rest if it was commanded, end readings and connection."""

@@ -31,6 +31,8 @@ DASHBOARD_PORT = 29999
 ANSWER_WAIT_S = 1.0
 """So long the dashboard may take to answer."""
 
+PROGRAM_ENDED = "the program on the controller has ended"
+
 CLIENT = "ur_rtde 1.6, for PolyScope 3.3 to 3.15 and 5"
 """The client library, with the software of controllers that it is made for."""
 
@@ -105,10 +107,13 @@ class UrControl:
         is_taken = self.is_running and self._client.speedJ(
             velocity_rad_s, ACCELERATION_rad_s2, self._period_s
         )
-        if not is_taken:
+        if not self.is_running:  # the arm stands
             self._guard.anchor()
-            self._guard.refuse("the program on the controller has ended")
-        return is_taken
+            return self._guard.refuse(PROGRAM_ENDED)
+        if not is_taken:  # the arm goes on as it was
+            self._guard.interrupt()
+            return self._guard.refuse("the controller has not taken the command")
+        return True
 
     def pass_cycle(self, place_rad: Array) -> None:
         """Begin a cycle with the arm there; go on without a command for the last one.

@@ -6,19 +6,22 @@ from collections.abc import Iterator
 from time import monotonic
 from typing import Any
 
+import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.devices import ArmReading, DeviceSettingError, LinkError
-from needleforce.devices.link import Link
+from needleforce.devices.arm_limits import ArmLimits, limits_with_our_rates
+from needleforce.devices.guard import GuardedArm
 from needleforce.ros2.joint_samples import JointReader
 from needleforce.ros2.message_loss import LossCounter, identify_sender
 from needleforce.ros2.messages import read_joint_state
 from needleforce.ros2.ros_modules import import_ros
-from needleforce.ros2.velocity_controller import CONTROLLER, VelocityController
+from needleforce.ros2.velocity_controller import (
+    CONTROLLER,
+    CYCLE_S,
+    VelocityController,
+)
 from urdf import Robot
-
-QUEUE_DEPTH = 1000
-"""Joint states that wait: a second at 1 kHz."""
 
 WAIT_S = 0.1
 """Longest wait for a message before the end is looked for."""
@@ -33,7 +36,7 @@ MAX_SILENCE_S = 2.0
 """Silence after which an arm that has sent is taken for gone."""
 
 
-class Ros2Arm(Link):
+class Ros2Arm(GuardedArm):
     """Joint states of a topic as an arm.
 
     With ``takes_commands`` a velocity controller of ros2_control moves it; see
@@ -44,7 +47,9 @@ class Ros2Arm(Link):
         joint_names: The arm's joints, in its order.
         takes_commands: Whether it shall move; otherwise it is only listened to.
         controller: Name of the controller's node, active and of velocities.
-        robot: The model of the arm, whose limits a command has to keep; needed to move.
+        robot: The model of the arm, needed to move.
+        preset: Limits of commands, or their name in `ARM_LIMITS`; None for speeds and
+            stops of the model, with acceleration and jerk of ours.
 
     Attributes:
         joints: How many there are.
@@ -64,6 +69,7 @@ class Ros2Arm(Link):
         takes_commands: bool = False,
         controller: str = CONTROLLER,
         robot: Robot | None = None,
+        preset: str | ArmLimits | None = None,
     ) -> None:
         super().__init__()
         if takes_commands and robot is None:
@@ -71,9 +77,16 @@ class Ros2Arm(Link):
                 "takes_commands without robot; expected the model, which has the "
                 "limits of the joints"
             )
-        ros = import_ros()
         self.robot = robot
         self.joints = len(joint_names)
+        # Without a model it is only listened to.
+        speed_rad_s = robot.velocity_limit_rad_s if robot else np.zeros(self.joints)
+        self.preset = preset or limits_with_our_rates(
+            tuple(speed_rad_s), CYCLE_S, "of the model"
+        )
+        # Joint states may come at 100 Hz: a velocity holds for five of those.
+        self._guard = self._make_guard(CYCLE_S, hold_cycles=round(0.05 / CYCLE_S))
+        ros = import_ros()
         self._topic = topic
         self._reader = JointReader(joint_names)
         self._loss = LossCounter()
@@ -83,8 +96,10 @@ class Ros2Arm(Link):
         # Signals are the command's, which ends the arm.
         self._context.init(args=[])
         node = ros.rclpy.create_node("needleforce_arm", context=self._context)
+        # Joint states that wait: a second at 1 kHz.
+        queue_depth = 1000
         quality = ros.qos.QoSProfile(
-            depth=QUEUE_DEPTH, reliability=ros.qos.ReliabilityPolicy.BEST_EFFORT
+            depth=queue_depth, reliability=ros.qos.ReliabilityPolicy.BEST_EFFORT
         )
         node.create_subscription(ros.sensor.JointState, topic, self._take, quality)
         self._executor = ros.executors.SingleThreadedExecutor(context=self._context)
@@ -94,12 +109,7 @@ class Ros2Arm(Link):
         if takes_commands and robot is not None:
             try:
                 self._controller = VelocityController(
-                    ros,
-                    node,
-                    self._executor,
-                    controller,
-                    joint_names,
-                    robot.velocity_limit_rad_s,
+                    ros, node, self._executor, controller, joint_names, self._guard
                 )
             except Exception:
                 self.close()
@@ -118,7 +128,8 @@ class Ros2Arm(Link):
         self._lost_before = self._loss.lost
         self.report.count_used(missed + 1, sample.dt_s)
         self._heard_s = monotonic()
-        controller = self._controller
+        if self._controller is not None:
+            self._controller.place_rad = sample.q_rad
         self._readings.append(
             ArmReading(
                 dt_s=sample.dt_s,
@@ -127,8 +138,8 @@ class Ros2Arm(Link):
                 tau_Nm=sample.effort_Nm,
                 external_Nm=None,
                 missed=missed,
-                accepts_commands=controller is not None and controller.is_heard,
-                is_real=controller is not None,
+                accepts_commands=self._accepts_commands,
+                is_real=self._controller is not None,
             )
         )
 
@@ -154,22 +165,20 @@ class Ros2Arm(Link):
                 self.report.outages += 1
                 return
 
-    def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity for the coming cycles.
-
-        Args:
-            dq_rad_s: Velocity, shape (n,).
-
-        Returns:
-            False where it is not taken: by an arm that is only listened to or whose
-            joint states stay away, for numbers that are not finite, and for a joint
-            faster than the model allows.
-        """
-        if self._controller is None or not self._is_open:
-            return False
+    def _find_refusal(self) -> str:
+        if self._controller is None:
+            return "the arm was opened without takes_commands=True"
         if monotonic() - self._heard_s > MAX_BLIND_S:
+            self._guard.interrupt()
+            return f"no joint state has come for {MAX_BLIND_S:g} s"
+        return "" if self._controller.is_heard else "the controller does not listen"
+
+    def send(self, dq_rad_s: ArrayLike) -> bool:
+        """Command a joint velocity; see `GuardedArm.send`."""
+        if not super().send(dq_rad_s) or self._controller is None:
             return False
-        return self._controller.command(dq_rad_s)
+        self._controller.start()
+        return True
 
     def close(self) -> None:
         """Brake the arm to rest if it was commanded; end the readings and the node."""

@@ -12,15 +12,8 @@ from needleforce.recordings.joint_names import match_joints
 
 NS_PER_S = 10**9
 
-MAX_LATENESS_S = 1.0
-"""A stamp that is older than its predecessor by more than this is of a clock that was
-set back, as when a simulation starts anew; up to this it is of a late message."""
-
 MAX_PENDING = 200
 """States that wait for an external torque of their stamp: 0.2 s at 1 kHz."""
-
-MAX_LISTED_NAMES = 12
-"""A message names so many joints."""
 
 
 class JointMessage(NamedTuple):
@@ -158,7 +151,9 @@ class JointReader:
 
     def _describe_names(self, names: tuple[str, ...], patterns: list[str]) -> str:
         """Return why the names of a message are not those of one arm."""
-        listed = ", ".join(names[:MAX_LISTED_NAMES])
+        # A message names so many joints.
+        max_listed_names = 12
+        listed = ", ".join(names[:max_listed_names])
         if patterns:
             return (
                 f"the arm's joints may be {' or '.join(patterns)}; expected one of "
@@ -197,7 +192,11 @@ class JointReader:
             self._latest_ns = stamp_ns
             return 0.0
         dt_s = (stamp_ns - self._latest_ns) / NS_PER_S
-        if -MAX_LATENESS_S <= dt_s <= 0.0:
+        # A stamp that is older than its predecessor by more than this is of a clock
+        # that was set back, as when a simulation starts anew; up to this it is of a
+        # late message.
+        max_lateness_s = 1.0
+        if -max_lateness_s <= dt_s <= 0.0:
             self.counts.stale += 1
             if self.counts.used == 1:
                 self.problem = "stamps of joint states do not advance"

@@ -39,22 +39,13 @@ from needleforce.ros2.reports import (
     layer_reports,
     plan_reports,
 )
-from needleforce.ros2.robot_description import wait_for_description
-from needleforce.ros2.ros_modules import RosModules, import_lbr_state, import_ros
+from needleforce.ros2.ros_modules import RosModules, import_lbr_state
 from needleforce.ros2.tare_run import ServiceAnswer, TareRun
 from needleforce.ros2.tip_frame import place_tip, tip_transforms
 from needleforce.ros2.warming import warm_up
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import SensorConfig, Status
 from urdf import Robot
-
-NODE_NAME = "needleforce"
-
-OUTPUT_DEPTH = 1000
-"""Messages of an output that wait for a slow subscriber: a second at 1 kHz."""
-
-EVENT_DEPTH = 100
-"""Events that a subscriber gets who comes later."""
 
 MAX_TAKEN = 50
 """Joint states that are taken before services and timers have their turn."""
@@ -84,6 +75,7 @@ class NeedleNode:
 
     Attributes:
         is_stopped: Whether the service `~/stop` was called.
+        is_active: Whether joint states are used; else they are passed by.
         loss: Counts of messages on their way.
     """
 
@@ -109,6 +101,7 @@ class NeedleNode:
             )
         warm_up(robot, config)
         self.is_stopped = False
+        self.is_active = True
         self.loss = LossCounter()
         self._ros = ros
         self._node = node
@@ -146,9 +139,13 @@ class NeedleNode:
         """Make the outputs and the services."""
         ros = self._ros
         node = self._node
-        reliable = ros.qos.QoSProfile(depth=OUTPUT_DEPTH)
+        # Messages of an output that wait for a slow subscriber: a second at 1 kHz.
+        output_depth = 1000
+        reliable = ros.qos.QoSProfile(depth=output_depth)
+        # Events that a subscriber gets who comes later.
+        event_depth = 100
         kept = ros.qos.QoSProfile(
-            depth=EVENT_DEPTH, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
+            depth=event_depth, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
         )
         latest = ros.qos.QoSProfile(
             depth=1, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
@@ -259,7 +256,7 @@ class NeedleNode:
     def _process(self, sample: JointSample) -> None:
         """Update the session with a sample, and publish its estimate."""
         torque_Nm = sample.effort_Nm
-        if torque_Nm is None:
+        if torque_Nm is None or not self.is_active:
             return
         update = self._session.update
         if self._is_external:
@@ -420,63 +417,6 @@ def _fill_answer(response: Any, answer: ServiceAnswer) -> Any:
     response.success = answer.success
     response.message = answer.message
     return response
-
-
-def run_node(
-    arguments: Sequence[str],
-    make_robot: Callable[[Callable[[], str]], Robot],
-    say: Callable[[str], None],
-    prepare: Callable[[InsertionSession], None] = lambda session: None,
-) -> None:
-    """Run the node until Ctrl-C, SIGTERM or its service `~/stop`.
-
-    Args:
-        arguments: Of ROS 2, such as ``--ros-args -p queue_depth:=100``.
-        make_robot: Makes the arm; called with what waits for its `robot_description`,
-            and returns that.
-        say: Takes one line of text.
-        prepare: Called with the session once: lets it follow a plan.
-
-    Raises:
-        MissingRosError: This Python cannot import ROS 2.
-        Ros2ParameterError: A parameter is unknown or cannot be.
-    """
-    ros = import_ros()
-    ros.rclpy.init(args=list(arguments))
-    try:
-        node = ros.rclpy.create_node(
-            NODE_NAME, automatically_declare_parameters_from_overrides=True
-        )
-        settings = declare_parameters(ros, node)
-        try:
-            robot = make_robot(lambda: wait_for_description(ros, node))
-        except (KeyboardInterrupt, ros.executors.ExternalShutdownException):
-            return
-        needle_node = NeedleNode(ros, node, robot, settings, prepare)
-        try:
-            _spin(ros, node, needle_node)
-        finally:
-            say(needle_node.describe())
-    finally:
-        ros.rclpy.try_shutdown()
-
-
-def _spin(ros: RosModules, node: Any, needle_node: NeedleNode) -> None:
-    """Serve the node until it is stopped."""
-    executor = ros.executors.SingleThreadedExecutor()
-    executor.add_node(node)
-    node.get_logger().info("ready")
-    try:
-        while not needle_node.is_stopped:
-            executor.spin_once()
-    except (KeyboardInterrupt, ros.executors.ExternalShutdownException):
-        return
-    except RuntimeError:  # a signal ends the context in the midst of an update
-        if ros.rclpy.ok():
-            raise
-        return
-    # The answer of the service is on its way.
-    executor.spin_once(timeout_sec=REPORT_PERIOD_S)
 
 
 def declare_parameters(ros: RosModules, node: Any) -> NodeSettings:

@@ -145,6 +145,12 @@ PARAMETERS = (
         choices=RELIABILITIES,
     ),
     NodeParameter(
+        name="autostart",
+        default=True,
+        description="Whether the node configures and activates itself at the start; "
+        "false where a lifecycle manager does.",
+    ),
+    NodeParameter(
         name="tare_recording_s",
         default=4.0,
         description="Free motion that is recorded before a second tare [s].",
@@ -176,6 +182,7 @@ class NodeSettings:
         gravity_compensated: See `PARAMETERS`.
         queue_depth: See `PARAMETERS`.
         reliability: See `PARAMETERS`.
+        autostart: See `PARAMETERS`.
         tare_recording_s: See `PARAMETERS`.
         silence_s: See `PARAMETERS`.
     """
@@ -189,6 +196,7 @@ class NodeSettings:
     gravity_compensated: bool
     queue_depth: int
     reliability: str
+    autostart: bool
     tare_recording_s: float
     silence_s: float
 

@@ -22,19 +22,6 @@ from needleforce.ros2.named_report import (
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import SensorWarning, Status
 
-LAYER_VALUES = (
-    "start_depth_m",
-    "thickness_m",
-    "force_drop_N",
-    "force_drop_std_N",
-    "stiffness_N_per_m",
-    "stiffness_std_N_per_m",
-    "friction_N",
-    "friction_std_N",
-    "is_final",
-)
-"""Fields of `LayerEstimate` that are published."""
-
 EVENT_NUMBERS = {
     "rupture": (
         "layer",
@@ -67,9 +54,21 @@ def layer_reports(layers: Iterable[LayerEstimate]) -> list[NamedReport]:
     Args:
         layers: As `InsertionSession.layers` has them.
     """
+    # Fields of `LayerEstimate` that are published.
+    layer_values = (
+        "start_depth_m",
+        "thickness_m",
+        "force_drop_N",
+        "force_drop_std_N",
+        "stiffness_N_per_m",
+        "stiffness_std_N_per_m",
+        "friction_N",
+        "friction_std_N",
+        "is_final",
+    )
     reports: list[NamedReport] = []
     for layer in layers:
-        values = {name: getattr(layer, name) for name in LAYER_VALUES}
+        values = {name: getattr(layer, name) for name in layer_values}
         known = {name: format_value(v) for name, v in values.items() if v is not None}
         text = f"{1e3 * layer.thickness_m:.1f} mm thick"
         reports.append(NamedReport(f"layer {layer.layer}", OK, text, known))

@@ -14,6 +14,7 @@ class RosModules(NamedTuple):
         rclpy: The client library.
         callback_groups: What may run while a callback waits.
         executors: Its executors.
+        lifecycle: Its lifecycle nodes.
         parameter: Its parameters.
         qos: Its qualities of service.
         task: Its futures.
@@ -30,6 +31,7 @@ class RosModules(NamedTuple):
     rclpy: Any
     callback_groups: Any
     executors: Any
+    lifecycle: Any
     parameter: Any
     qos: Any
     task: Any
@@ -50,6 +52,7 @@ _NAMES = RosModules(
     rclpy="rclpy",
     callback_groups="rclpy.callback_groups",
     executors="rclpy.executors",
+    lifecycle="rclpy.lifecycle",
     parameter="rclpy.parameter",
     qos="rclpy.qos",
     task="rclpy.task",

@@ -5,9 +5,6 @@ from typing import NamedTuple
 from needleforce.session import InsertionSession, SessionEstimate
 from residual import TareError
 
-STEPS_PER_S = 1000.0
-"""Steps of the fit in a second of samples: it takes about a second at any rate."""
-
 
 class ServiceAnswer(NamedTuple):
     """What a service answers.
@@ -71,7 +68,10 @@ class TareRun:
     def _fit(self, session: InsertionSession, step_s: float) -> ServiceAnswer | None:
         """Begin to fit what was recorded."""
         try:
-            session.start_tare(steps_per_tick=max(1, round(STEPS_PER_S * step_s)))
+            # Steps of the fit in a second of samples: it takes about a second at any
+            # rate.
+            steps_per_s = 1000.0
+            session.start_tare(steps_per_tick=max(1, round(steps_per_s * step_s)))
         except TareError as error:
             self.is_running = False
             return ServiceAnswer(False, f"{error}; {error.advice}")

@@ -19,9 +19,6 @@ RATE_RAD_S = 2.0 * np.pi
 MAX_RANGE_RAD = 2.0
 """Limits beyond this, as of joints without limits, are not halved for a posture."""
 
-ALL_STEPS = 10**9
-"""So many that one update does all of a tare."""
-
 
 def warm_up(robot: Robot, config: SensorConfig) -> None:
     """Let a session of its own follow a motion: what is compiled is then loaded.
@@ -37,7 +34,9 @@ def warm_up(robot: Robot, config: SensorConfig) -> None:
     centre_rad = 0.5 * (lower_rad + upper_rad) + 0.1 * np.arange(1, robot.nv + 1)
     for index in range(SAMPLES + SAMPLES_AFTER):
         if index == SAMPLES:
-            session.start_tare(ignore_contact=True, steps_per_tick=ALL_STEPS)
+            # So many that one update does all of a tare.
+            all_steps = 10**9
+            session.start_tare(ignore_contact=True, steps_per_tick=all_steps)
         phase_rad = RATE_RAD_S * STEP_S * index
         q_rad = centre_rad + AMPLITUDE_RAD * np.sin(phase_rad)
         dq_rad_s = np.full(robot.nv, AMPLITUDE_RAD * RATE_RAD_S * np.cos(phase_rad))

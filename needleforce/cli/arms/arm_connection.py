@@ -21,7 +21,7 @@ from needleforce.cli.terminal import (
     say,
     stop_request,
 )
-from needleforce.control import ARM_LIMITS, Limits
+from needleforce.control import Limits
 from needleforce.devices import (
     ArmReading,
     DeviceSettingError,
@@ -31,8 +31,8 @@ from needleforce.devices import (
     pace,
     parse_arm_name,
 )
-from needleforce.devices.arm_names import EXPECTED_NAMES
 from needleforce.devices.datagram_link import LOOPBACK, DatagramLink
+from needleforce.devices.guard import GuardedArm
 from urdf import Robot
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
@@ -42,17 +42,11 @@ FR3_FLANGES = ("fr3_link8", "link8")
 """Names of an FR3's flange in its own description."""
 
 LISTENED_NAMES = "ros2:TOPIC or sim:SCENARIO"
-MOVED_NAMES = "or sim"
+MOVED_NAMES = "ros2:TOPIC or sim"
 """Arms without a connection of their own, to be listened to or moved, for messages."""
 
 SIMULATED_SCENARIO = "stack-glove-constant"
 """What ``sim`` simulates without a scenario."""
-
-MAX_ACCELERATION_rad_s2 = 5.0
-"""Highest acceleration of arms without a preset: below that of every preset."""
-
-MAX_JERK_rad_s3 = 2500.0
-"""Highest jerk of these arms: below that of every preset."""
 
 NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
@@ -94,10 +88,6 @@ def open_arm(
     kind, _, scenario = name.partition(":")
     if constants_Nm_A is not None and kind != "ur":
         raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {name}")
-    if takes_commands and kind == "ros2":
-        raise CommandError(
-            f"{name} takes no commands: expected {EXPECTED_NAMES}, {MOVED_NAMES}"
-        )
     if takes_commands and kind == "sim":
         yield _open_simulated(name, options)
         return
@@ -105,13 +95,16 @@ def open_arm(
         yield _simulate_arm(name, scenario or SIMULATED_SCENARIO, options)
         return
     if kind == "ros2":
-        with _open_ros2(name, scenario, options) as connected:
+        with _open_ros2(name, scenario, options, takes_commands) as connected:
             yield connected
         return
     other_names = MOVED_NAMES if takes_commands else LISTENED_NAMES
     robot = _robot_of(name, _kind_of(name, other_names), options)
     with connect_arm(
-        name, torque_constant_Nm_A=constants_Nm_A, takes_commands=takes_commands
+        name,
+        takes_commands=takes_commands,
+        robot=robot,
+        torque_constant_Nm_A=constants_Nm_A,
     ) as arm:
         if arm.joints != robot.nv:
             raise CommandError(
@@ -157,14 +150,18 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
 
 
 @contextmanager
-def _open_ros2(name: str, topic: str, options: RobotOptions) -> Iterator[ConnectedArm]:
-    """Listen to the joint states of a topic of ROS 2."""
+def _open_ros2(
+    name: str, topic: str, options: RobotOptions, takes_commands: bool
+) -> Iterator[ConnectedArm]:
+    """Listen to the joint states of a topic of ROS 2; move it by ros2_control."""
     from needleforce.ros2.arm import Ros2Arm
 
     if not topic:
         raise CommandError(f"{name}: expected ros2:TOPIC, such as ros2:/joint_states")
     robot = _robot_of(name, "ros2", options)
-    with Ros2Arm(topic, robot.joint_names) as arm:
+    with Ros2Arm(
+        topic, robot.joint_names, takes_commands=takes_commands, robot=robot
+    ) as arm:
         yield ConnectedArm(arm, robot)
 
 
@@ -212,13 +209,10 @@ def _kind_of(name: str, other_names: str) -> str:
 
 def limits_of(connected: ConnectedArm) -> Limits:
     """Return the limits of an arm: its preset, or careful ones where that has none."""
-    robot = connected.robot
-    preset = getattr(connected.arm, "preset", None)
-    if preset is not None and len(ARM_LIMITS[preset].speed_rad_s) == robot.nv:
-        return Limits.of_arm(robot, preset)
-    return Limits(
-        robot, acceleration_rad_s2=MAX_ACCELERATION_rad_s2, jerk_rad_s3=MAX_JERK_rad_s3
-    )
+    if isinstance(connected.arm, GuardedArm):
+        return connected.arm.limits
+    # Below those of every preset.
+    return Limits(connected.robot, acceleration_rad_s2=5.0, jerk_rad_s3=2500.0)
 
 
 def samples_until_stopped(

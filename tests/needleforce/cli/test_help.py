@@ -42,15 +42,14 @@ def test_an_arm_that_is_listened_to_is_any(command, capsys):
 
 
 def test_lag_lists_the_arms_that_it_moves(capsys):
-    assert arms_named(help_of("lag", capsys)) == {*ARMS, "sim"}
+    assert arms_named(help_of("lag", capsys)) == {*ARMS, "ros2", "sim"}
 
 
 @pytest.mark.parametrize(
     ("argv", "kinds"),
     [
         (["live", "nao"], {*ARMS, "ros2", "sim"}),
-        (["lag", "nao", "--yes"], {*ARMS, "sim"}),
-        (["lag", "ros2:/joint_states", "--yes"], {*ARMS, "sim"}),
+        (["lag", "nao", "--yes"], {*ARMS, "ros2", "sim"}),
     ],
 )
 def test_a_refused_arm_hears_which_are_taken(argv, kinds, capsys):

@@ -110,7 +110,7 @@ def test_every_program_that_moves_an_arm_limits_the_jerk():
     for path in (*EXAMPLES, *DEMOS, *PAGES):
         text = path.read_text(encoding="utf-8")
         unlimited = re.findall(r"Controller\([\w.]+, (?:control\.)?Limits\(", text)
-        named += len(re.findall(r"Limits\.of_arm\(", text))
+        named += len(re.findall(r"Limits\.of_arm\(|arm\.limits", text))
 
         assert not unlimited, path
 

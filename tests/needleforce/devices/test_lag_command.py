@@ -61,8 +61,3 @@ def test_an_emulated_kuka_is_as_late_as_it_was_made(capsys):
 def test_an_arm_does_not_move_unasked(capsys):
     assert main(["lag", "sim"]) != 0
     assert "--yes" in capsys.readouterr().err
-
-
-def test_an_arm_that_takes_no_commands_is_refused(capsys):
-    assert main(["lag", "ros2:/joint_states", "--yes"]) != 0
-    assert "takes no commands" in capsys.readouterr().err

@@ -3,6 +3,7 @@
 The same with the user's rclpy, between two contexts, where this Python has it.
 """
 
+import json
 import os
 import threading
 import time
@@ -13,7 +14,9 @@ import numpy as np
 import pytest
 
 import urdf
+from needleforce.cli import main
 from needleforce.devices import DeviceSettingError, LinkError
+from needleforce.devices.guard import Guard
 from needleforce.ros2 import arm as arm_file
 from needleforce.ros2 import velocity_controller
 from needleforce.ros2.arm import Ros2Arm
@@ -28,8 +31,9 @@ SPEED_rad_s = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
 
 def joint_state():
     """A state of a joint_state_broadcaster."""
+    sec, nanosec = divmod(time.monotonic_ns(), 10**9)
     return Message(
-        header=SimpleNamespace(stamp=SimpleNamespace(sec=1, nanosec=0)),
+        header=SimpleNamespace(stamp=SimpleNamespace(sec=sec, nanosec=nanosec)),
         name=list(JOINTS),
         position=[0.0] * 7,
         velocity=[0.0] * 7,
@@ -81,47 +85,34 @@ def wait_for_rest(graph):
         time.sleep(0.01)
 
 
-def advance_until(arm, end_s):
-    """What an arm whose thread does not run is sent until a time; shape (m, 7)."""
-    times_s = np.arange(0.0, end_s, 0.002) + 1e-6
-    return np.array([arm._controller.advance(7.0 + t_s) for t_s in times_s])
-
-
-@pytest.fixture
-def still_arm(graph, monkeypatch):
-    """An arm whose thread does not run; it is 7 s."""
-    monkeypatch.setattr(threading.Thread, "start", lambda thread: None)
-    monkeypatch.setattr(velocity_controller, "monotonic", lambda: 7.0)
-    return heard_arm(graph)
-
-
 def test_a_velocity_goes_to_the_joints_of_the_controller_by_name(graph):
     with heard_arm(graph) as arm:
         end_s = time.monotonic() + 10.0
         while not (commands(graph)[-1:] == SPEED_rad_s).all(axis=-1).any():
-            assert arm._controller.command(SPEED_rad_s)
+            graph.put("/joint_states", joint_state())
+            next(iter(arm))
+            assert arm.send(SPEED_rad_s)
             assert time.monotonic() < end_s
             time.sleep(0.01)
 
 
-def test_a_velocity_is_reached_and_left_within_the_acceleration(still_arm):
-    still_arm.send(0.1 * SPEED_rad_s)
-    sent_rad_s = advance_until(still_arm, 0.2)
-    changes_rad_s = np.abs(np.diff(sent_rad_s, axis=0, prepend=0.0, append=0.0))
+def test_a_velocity_is_reached_and_left_within_the_limits(graph):
+    with heard_arm(graph) as arm:
+        arm.send(SPEED_rad_s)  # once: it holds for 50 ms
+        wait_for_rest(graph)
+    sent_rad_s = commands(graph)
 
-    # Held for 50 ms, then braked; 5 rad/s2 are 0.01 rad/s in a cycle of 2 ms.
-    assert np.allclose(sent_rad_s[6:25], 0.1 * SPEED_rad_s)
-    assert (sent_rad_s[33:] == 0.0).all()
-    assert changes_rad_s.max() <= 0.01 + 1e-9
-
-
-def test_a_velocity_that_is_left_at_once_is_not_overshot(still_arm):
-    still_arm.send(SPEED_rad_s)
-    sent_rad_s = advance_until(still_arm, 0.2)
-
-    assert sent_rad_s.max() <= 0.25 + 1e-9
+    assert sent_rad_s.max() > 0.1
     assert sent_rad_s.min() == 0.0
-    assert not sent_rad_s[-1].any()
+    assert_within_limits(sent_rad_s)
+
+
+def assert_within_limits(sent_rad_s):
+    """10 rad/s2 and 5,000 rad/s3 in cycles of 2 ms."""
+    changes_rad_s = np.diff(sent_rad_s, axis=0, prepend=np.zeros((2, 7)))
+
+    assert np.abs(changes_rad_s).max() <= 0.02
+    assert np.abs(np.diff(changes_rad_s, axis=0)).max() <= 0.02
 
 
 def wait_until_sent(graph):
@@ -140,7 +131,7 @@ def test_the_arm_is_braked_to_rest_at_the_end(graph, monkeypatch):
     sent_rad_s = commands(graph)
 
     assert not sent_rad_s[-1].any()
-    assert np.abs(np.diff(sent_rad_s, axis=0)).max() <= 0.01 + 1e-9
+    assert_within_limits(sent_rad_s)
     assert not arm.send(SPEED_rad_s)
 
 
@@ -162,9 +153,7 @@ def test_zero_is_the_last_where_sending_fails(graph, monkeypatch):
     arm.send(SPEED_rad_s)
     wait_until_sent(graph)
     monkeypatch.setattr(threading, "excepthook", lambda failure: None)
-    monkeypatch.setattr(
-        velocity_controller.VelocityController, "advance", lambda self, now_s: 1 / 0
-    )
+    monkeypatch.setattr(Guard, "advance", lambda self, place_rad: 1 / 0)
     wait_for_rest(graph)
 
     assert not arm.send(SPEED_rad_s)
@@ -191,6 +180,14 @@ def test_an_arm_that_is_not_heard_takes_no_velocity(graph, monkeypatch):
     time.sleep(0.15)
 
     assert not arm.send(SPEED_rad_s)
+    assert "no joint state" in arm.refusal
+
+    graph.put("/joint_states", joint_state())
+    next(iter(arm))
+
+    assert not arm.send(SPEED_rad_s)
+    assert "after an interruption" in arm.refusal
+    assert arm.send(0.05 * SPEED_rad_s)
     arm.close()
 
 
@@ -224,6 +221,35 @@ def test_a_controller_that_is_not_there_is_named(graph):
     with pytest.raises(LinkError, match=NAME) as info:
         open_arm()
     assert "activate" in info.value.advice
+
+
+def test_the_limits_are_those_of_the_model_or_of_an_arm_by_name(graph):
+    with open_arm() as arm:
+        assert arm.limits.joints.speed_rad_s.max() <= 0.5
+    with Ros2Arm("/joint_states", JOINTS, robot=ROBOT, preset="fr3") as arm:
+        assert arm.limits.rates.cycle_s == 1e-3  # of an FR3
+    for preset, words in (("fr4", "expected one of fr3"), ("ur5e", "of 6 joints")):
+        with pytest.raises(DeviceSettingError, match=words):
+            Ros2Arm("/joint_states", JOINTS, robot=ROBOT, preset=preset)
+
+
+def test_a_controller_that_goes_ends_the_motion(graph):
+    """When it is back the arm begins from rest, slowly."""
+    arm = heard_arm(graph)
+    arm.send(SPEED_rad_s)
+    wait_until_sent(graph)
+    listeners = list(graph.callbacks[f"{NAME}/commands"])
+    graph.callbacks[f"{NAME}/commands"].clear()
+    wait_for_rest(graph)
+
+    assert not arm.send(SPEED_rad_s)
+    assert "does not listen" in arm.refusal
+
+    graph.callbacks[f"{NAME}/commands"] += listeners
+
+    assert not arm.send(SPEED_rad_s)
+    assert arm.send(0.05 * SPEED_rad_s)
+    arm.close()
 
 
 def test_an_arm_without_a_model_is_not_driven(graph):
@@ -270,6 +296,29 @@ class SimulatedController:
         self.executor.shutdown()
         self.context.try_shutdown()
         self.thread.join()
+
+
+@pytest.mark.slow
+@pytest.mark.skipif(find_spec("rclpy") is None, reason="no rclpy: source a ROS 2")
+def test_the_delay_of_an_arm_of_ros_2_is_measured(monkeypatch, capsys):
+    monkeypatch.setenv("ROS_DOMAIN_ID", str(50 + os.getpid() % 150))
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    controller = SimulatedController(import_ros())
+    try:
+        command = ["lag", "ros2:/joint_states", "--robot", "lwr", "--yes", "--json"]
+        # On a busy machine states stay away for 0.1 s, and a command is refused.
+        assert any(main(command) == 0 for _ in range(3))
+    finally:
+        controller.close()
+    result = json.loads(capsys.readouterr().out)
+
+    # States come every 10 ms, and the controller moves after the one that it sends; how
+    # much later depends on what else the machine does.
+    assert result["cycle_ms"] == pytest.approx(10.0, abs=0.5)
+    for joint in result["joints"]:
+        assert joint["delay_ms"] > 5.0
+        assert joint["followed"] == pytest.approx(1.0, abs=0.2)
+    assert not controller.velocities[-1].any()
 
 
 @pytest.mark.slow

@@ -45,8 +45,7 @@ def published():
         node_file.NeedleNode(ros, ros_node, robot, settings_from_values({}))
     calls = [call.args for call in ros_node.create_publisher.call_args_list]
     return {
-        topic.replace("~", f"/{node_file.NODE_NAME}"): types[id(kind)]
-        for kind, topic, _ in calls
+        topic.replace("~", "/needleforce"): types[id(kind)] for kind, topic, _ in calls
     } | OF_ROS
 
 
@@ -153,7 +152,7 @@ def test_rviz_shows_topics_of_the_node(published):
 
 
 def test_the_parameters_of_the_launch_file_are_the_defaults_of_the_node():
-    given = read_yaml("parameters.yaml")[node_file.NODE_NAME]["ros__parameters"]
+    given = read_yaml("parameters.yaml")["needleforce"]["ros__parameters"]
 
     assert given == {parameter.name: parameter.default for parameter in PARAMETERS}
 

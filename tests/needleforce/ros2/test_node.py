@@ -8,6 +8,7 @@ import json
 import os
 import subprocess
 import sys
+import time
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -191,6 +192,101 @@ def test_a_node_with_a_wrong_parameter_does_not_start(setting, message):
 
     assert done.returncode == 2
     assert message in done.stderr
+
+
+class Manager:
+    """A lifecycle manager, beside an arm at rest that sends 200 times a second."""
+
+    def __init__(self):
+        import rclpy
+        from geometry_msgs.msg import WrenchStamped
+        from lifecycle_msgs.srv import ChangeState, GetState
+        from sensor_msgs.msg import JointState
+
+        self.context = rclpy.Context()
+        self.context.init(args=[])
+        self.node = rclpy.create_node("manager", context=self.context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.change = self.node.create_client(ChangeState, "/needleforce/change_state")
+        self.state = self.node.create_client(GetState, "/needleforce/get_state")
+        self.requests = ChangeState.Request, GetState.Request
+        self.state_type = JointState
+        self.states = self.node.create_publisher(JointState, "joint_states", 10)
+        self.wrenches = []
+        self.node.create_subscription(
+            WrenchStamped, "/needleforce/wrench", self.wrenches.append, 10
+        )
+        self.node.create_timer(5e-3, self.send)
+
+    def send(self):
+        run = short_run()
+        message = self.state_type(name=list(run.robot.joint_names))
+        now_ns = self.node.get_clock().now().nanoseconds
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now_ns, 10**9)
+        message.position = run.signals.q_rad[0].tolist()
+        message.velocity = [0.0] * 7
+        message.effort = run.signals.tau_Nm[0].tolist()
+        self.states.publish(message)
+
+    def spin(self, seconds):
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self.executor.spin_once(timeout_sec=0.1)
+
+    def ask(self, client, request):
+        assert client.wait_for_service(timeout_sec=240.0)
+        future = client.call_async(request)
+        self.executor.spin_until_future_complete(future, timeout_sec=240.0)
+        return future.result()
+
+    def transit(self, number):
+        """Begin a transition; return whether it was made, and the state."""
+        request = self.requests[0]()
+        request.transition.id = number
+        answer = self.ask(self.change, request)
+        state = self.ask(self.state, self.requests[1]())
+        self.spin(0.5)  # what was on its way has come
+        self.wrenches.clear()
+        self.spin(1.0)
+        return answer.success, state.current_state.label, bool(self.wrenches)
+
+
+@pytest.mark.slow
+def test_a_manager_configures_activates_and_deactivates_the_node(monkeypatch):
+    configure, cleanup, activate, deactivate = range(1, 5)
+    monkeypatch.setenv("ROS_DOMAIN_ID", DOMAIN)
+    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+    with subprocess.Popen(
+        node_command("--ros-args", "-p", "autostart:=false"),
+        env=ros_environment(),
+        stderr=subprocess.DEVNULL,
+    ) as node:
+        manager = Manager()
+        try:
+            steps = [
+                manager.transit(number)
+                for number in (
+                    *(activate, configure, activate, deactivate, activate),
+                    *(deactivate, cleanup, configure, activate),
+                )
+            ]
+        finally:
+            node.kill()
+            manager.executor.shutdown()
+            manager.context.try_shutdown()
+
+    assert steps == [
+        (False, "unconfigured", False),
+        (True, "inactive", False),
+        (True, "active", True),
+        (True, "inactive", False),
+        (True, "active", True),
+        (True, "inactive", False),
+        (True, "unconfigured", False),
+        (True, "inactive", False),
+        (True, "active", True),
+    ]
 
 
 def test_an_arm_on_a_topic_is_recorded_with_the_signals_that_it_sends(
