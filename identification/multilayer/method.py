@@ -288,6 +288,8 @@ class MultilayerState:
         rest_force: Whether it changes at a needle that rests.
         tissue_pull: Whether tissue that moves has pulled at the needle.
         hard_contact: What a hard contact is found by.
+        model_errors_N: Largest `Block.model_error_N` since the last layer, and the one
+            before, were reported.
         ruptures: In the components that the last report followed.
         alarm: The last one raised and not retracted.
         provisional: The provisional alarm that is neither confirmed nor retracted.
@@ -315,6 +317,7 @@ class MultilayerState:
     rest_force: RestForce
     tissue_pull: TissuePull
     hard_contact: HardContactState
+    model_errors_N: tuple[float, float]
     ruptures: int
     alarm: Rupture | None
     provisional: Rupture | None
@@ -350,6 +353,7 @@ def first_state() -> MultilayerState:
         rest_force=NEVER_AT_REST,
         tissue_pull=TissuePull(),
         hard_contact=HardContactState(),
+        model_errors_N=(0.0, 0.0),
         ruptures=0,
         alarm=None,
         provisional=None,
@@ -1251,6 +1255,7 @@ class MultilayerMethod:
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
         )
         self._state.ruptures = int(evidence.ruptures[count.likeliest_with_more])
+        self._state.model_errors_N = (0.0, self._state.model_errors_N[0])
         self._state.provisional = None
         self._state.rupture_state = RuptureState.DETECTED
         self.events = Events(self._state.alarm, identified_layer)
@@ -1294,6 +1299,8 @@ class MultilayerMethod:
         self.events = self.events._replace(retracted=retracted)
         self._keep_layers(self.layers if self._is_layer_open else self.layers[:-1])
         self._state.ruptures = min(count.likeliest, self._state.ruptures - 1)
+        before_N = self._state.model_errors_N[1]
+        self._state.model_errors_N = (before_N, before_N)
         self._state.alarm = None
 
     def _is_layer_final(self, alarm: Rupture) -> bool:
@@ -1316,16 +1323,23 @@ class MultilayerMethod:
         """Report the layer that the last rupture ended, or revise it."""
         evidence = weigh_evidence(self._memory.mixture, alarm, self._state.ruptures)
         # What the force's slow error grew by since the air is in the friction, and the
-        # force model's.
+        # force model's: its largest, since what a later tissue shows of it is not that
+        # of the layer.
         grown_N2 = max(force_std_N**2 - self._state.force_std_in_air_N**2, 0.0)
         doubt_N = math.hypot(
             self._state.tissue_pull.doubt_N, self._state.block.swing_std_N
         )
-        variance_N2 = grown_N2 + self._state.block.model_error_N**2 + doubt_N**2
+        last_N, before_N = self._state.model_errors_N
+        last_N = max(last_N, self._state.block.model_error_N)
+        before_N = max(before_N, self._state.block.model_error_N)
+        self._state.model_errors_N = (last_N, before_N)
+        common_N2 = grown_N2 + doubt_N**2
+        variance_N2 = common_N2 + last_N**2
         if self._is_layer_open:
             self._report_new_layer(alarm, evidence, variance_N2)
         else:
-            self._revise_layers(alarm, evidence, variance_N2)
+            variance_before_N2 = common_N2 + before_N**2
+            self._revise_layers(alarm, evidence, variance_N2, variance_before_N2)
 
     def _report_new_layer(
         self, alarm: Rupture, evidence: Evidence, variance_N2: float
@@ -1343,7 +1357,11 @@ class MultilayerMethod:
             self._state.rupture_state = RuptureState.FRICTION_IDENTIFIED
 
     def _revise_layers(
-        self, alarm: Rupture, evidence: Evidence, variance_N2: float
+        self,
+        alarm: Rupture,
+        evidence: Evidence,
+        variance_N2: float,
+        variance_before_N2: float,
     ) -> None:
         """Revise the last two layers, and report the last one once it is final."""
         layers = list(self.layers)
@@ -1360,7 +1378,9 @@ class MultilayerMethod:
             )
             layers[-1] = replace(layers[-1], is_final=True, rupture=rupture)
             self.events = self.events._replace(identified_layer=layers[-1])
-        friction = friction_of_layer_before(evidence, self._state.ruptures, variance_N2)
+        friction = friction_of_layer_before(
+            evidence, self._state.ruptures, variance_before_N2
+        )
         if friction is not None and len(layers) > 1:
             layers[-2] = with_friction(layers[-2], friction)
         self._keep_layers(tuple(layers))
