@@ -495,3 +495,13 @@ def test_nothing_is_subtracted_before_the_first_rupture_is_reported():
     difference_N = (enhanced_N - truth.force_N)[before]
 
     assert np.abs(difference_N).max() < 0.02  # the zero of the force is learnt
+
+
+def test_a_needle_drawn_out_of_the_tissue_is_in_free_air():
+    rows = insertion([(46e-3, 11.5), (-50e-3, 12.0)], seed=1)
+    _, estimates = run(rows)
+    deepest = int(np.argmax([row.depth_m for row in rows]))
+    on_the_way_out = list(zip(rows[deepest:], estimates[deepest:], strict=True))
+
+    assert all(e.in_contact for row, e in on_the_way_out if row.depth_m > 0.0)
+    assert not any(e.in_contact for row, e in on_the_way_out if row.depth_m < -2.5e-3)
