@@ -65,6 +65,7 @@ from identification.multilayer.force_split import (
     update_sample,
 )
 from identification.multilayer.hard_contact import HardContactState
+from identification.multilayer.innovation_watch import InnovationWatch
 from identification.multilayer.layer_report import (
     Alarm,
     friction_of_last_layer,
@@ -115,6 +116,9 @@ from identification.multilayer.speed_filter import (
 )
 from identification.multilayer.tissue_motion import Motion, TissueMotion
 from identification.multilayer.tissue_pull import REMEMBERED_S, TissuePull
+
+TIP_STD = 5
+"""Index of the deviation of the tip's force in `Outputs`."""
 
 CUTTING_DRIFT = 0.05
 """Relative change of the cutting force, per square root of a mm."""
@@ -288,6 +292,8 @@ class MultilayerState:
         rest_force: Whether it changes at a needle that rests.
         tissue_pull: Whether tissue that moves has pulled at the needle.
         hard_contact: What a hard contact is found by.
+        watch: Of the innovations.
+        tip_std_N: Deviation of the tip's force that was stated last.
         model_errors_N: Largest `Block.model_error_N` since the last layer, and the one
             before, were reported.
         ruptures: In the components that the last report followed.
@@ -317,6 +323,8 @@ class MultilayerState:
     rest_force: RestForce
     tissue_pull: TissuePull
     hard_contact: HardContactState
+    watch: InnovationWatch
+    tip_std_N: float
     model_errors_N: tuple[float, float]
     ruptures: int
     alarm: Rupture | None
@@ -353,6 +361,8 @@ def first_state() -> MultilayerState:
         rest_force=NEVER_AT_REST,
         tissue_pull=TissuePull(),
         hard_contact=HardContactState(),
+        watch=InnovationWatch(),
+        tip_std_N=0.0,
         model_errors_N=(0.0, 0.0),
         ruptures=0,
         alarm=None,
@@ -460,6 +470,8 @@ class MultilayerMethod:
             self.warnings |= TissueWarning.TISSUE_MOVES
         if self._state.hard_contact.is_hard:
             self.warnings |= TissueWarning.HARD_CONTACT
+        if self._state.watch.doubt_at(self._state.block.time_s) > 0.0:
+            self.warnings |= TissueWarning.UNEXPLAINED
 
     def _keep_layers(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those traversed, with what every sample needs."""
@@ -539,13 +551,17 @@ class MultilayerMethod:
             sample.speed_m_s,
             sample.force_N,
         )
+        self._state.tip_std_N = outputs[TIP_STD] or 0.0
         return self._with_doubt(outputs)
 
     def _with_doubt(self, outputs: Outputs) -> Outputs:
-        """Return outputs with what moving tissue and a swing leave in doubt.
+        """Return outputs with what moving tissue, a swing and innovations put in doubt.
 
         In a swing tip force and friction go up and down about their means.
         """
+        unexplained_N = self._state.watch.doubt_at(self._state.block.time_s)
+        if unexplained_N > 0.0:
+            outputs = widen_forces(outputs, unexplained_N)
         if self._state.tissue_pull.doubt_N > 0.0:
             outputs = self._state.tissue_pull.widen(outputs)
         if self._state.block.swing_std_N > 0.0:
@@ -654,7 +670,13 @@ class MultilayerMethod:
         elif is_cutting:
             in_tissue_mm = fresh_mm if is_met else 0.0
             block = self._learn_from(
-                block, likeliest, fresh_mm, in_tissue_mm, filtered.speed_mm_s, clock_s
+                block,
+                likeliest,
+                fresh_mm,
+                in_tissue_mm,
+                filtered.speed_mm_s,
+                clock_s,
+                sample.force_std_N,
             )
             penalise_implausible(
                 self._memory.store, self._memory.size, block, is_advancing
@@ -681,6 +703,7 @@ class MultilayerMethod:
         in_tissue_mm: float,
         filtered_speed: float,
         clock_s: float,
+        force_std_N: float,
     ) -> Block:
         """Let noise, texture and mixture learn from the force of a block.
 
@@ -690,7 +713,7 @@ class MultilayerMethod:
         self._state.resumed *= math.exp(-fresh_mm / RESUMED_MM)
         levels = self._learn_noise(block, filtered_speed, clock_s)
         block = block._replace(noise_std_N=levels.noise_std_N)
-        self._correct(block, levels, likeliest.assumptions)
+        self._correct(block, levels, likeliest.assumptions, force_std_N)
         self._state.is_report_due = True
         force_N = block.force_N - block.force_by_speed_N
         self._state.texture = self._state.texture.with_force(force_N, in_tissue_mm)
@@ -1055,9 +1078,13 @@ class MultilayerMethod:
         return self._state.levels.beside(self._state.tissue, since_reset_s)
 
     def _correct(
-        self, block: Block, levels: NoiseLevels, assumptions: Assumptions
+        self,
+        block: Block,
+        levels: NoiseLevels,
+        assumptions: Assumptions,
+        force_std_N: float,
     ) -> None:
-        """Update the mixture with a block's force."""
+        """Update the mixture with a block's force, and watch how it had erred."""
         mean = self._memory.store.means[0].tolist()  # those that the block predicts
         likeliest = Likeliest(mean, assumptions)
         # A speed is as late as its filter: where it changes it is off by a block's
@@ -1073,7 +1100,17 @@ class MultilayerMethod:
             unsettled = max(self._unsettled_deflection(block), self._state.resumed)
             net_N = block.force_N - mean[OFFSET]
             variance_N2 += (UNSETTLED_FRACTION * unsettled * net_N) ** 2
-        correct(self._memory.store, self._memory.size, block, variance_N2)
+        innovation_N, predicted_N2 = correct(
+            self._memory.store, self._memory.size, block, variance_N2
+        )
+        if read_field(self._posterior, "in_contact") and not self._is_layer_open:
+            self._state.watch = self._state.watch.with_innovation(
+                innovation_N,
+                predicted_N2,
+                block.time_s,
+                block.duration_s,
+                max(self._state.tip_std_N, force_std_N),
+            )
 
     def _unsettled_deflection(self, block: Block) -> float:
         """Return how far a block's presliding is from what the force model holds for.
@@ -1256,6 +1293,7 @@ class MultilayerMethod:
         )
         self._state.ruptures = int(evidence.ruptures[count.likeliest_with_more])
         self._state.model_errors_N = (0.0, self._state.model_errors_N[0])
+        self._state.watch = self._state.watch.restarted()
         self._state.provisional = None
         self._state.rupture_state = RuptureState.DETECTED
         self.events = Events(self._state.alarm, identified_layer)
@@ -1327,7 +1365,9 @@ class MultilayerMethod:
         # of the layer.
         grown_N2 = max(force_std_N**2 - self._state.force_std_in_air_N**2, 0.0)
         doubt_N = math.hypot(
-            self._state.tissue_pull.doubt_N, self._state.block.swing_std_N
+            self._state.tissue_pull.doubt_N,
+            self._state.block.swing_std_N,
+            self._state.watch.doubt_at(self._state.block.time_s),
         )
         last_N, before_N = self._state.model_errors_N
         last_N = max(last_N, self._state.block.model_error_N)
