@@ -47,6 +47,10 @@ class TissueWarning(IntFlag):
     HARD_CONTACT = 2
     """The tip is at something harder than soft tissue, such as bone: the force has
     grown faster per travel than `MultilayerConfig.hard_contact_N_per_m`."""
+    UNEXPLAINED = 4
+    """No hypothesis explains the force: it differs from what all predict by more than
+    the deviation stated for the tip's force. The cause has no name; deviations hold
+    what is seen of it."""
 
 
 class RuptureState(Enum):

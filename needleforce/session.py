@@ -33,6 +33,7 @@ from identification.channel import (
     has_cut,
     read_friction,
 )
+from needleforce.air_watch import FIRST_AIR_WATCH, AirWatch
 from needleforce.insertion_course import (
     InsertionCourse,
     InsertionProgress,
@@ -222,6 +223,7 @@ class SessionSnapshot(NamedTuple):
         insertion: Course of this insertion.
         channels: Those that earlier insertions have cut.
         plan: State of the plan's follower.
+        air: What the force in free air has shown.
     """
 
     sensor: SensorState
@@ -237,10 +239,12 @@ class SessionSnapshot(NamedTuple):
     insertion: InsertionProgress
     channels: tuple[NeedleChannel, ...]
     plan: PlanMemory
+    air: AirWatch
 
 
 _TRIAL_UPDATES = 3  # Updates that a restored identifier must survive
 _TRIAL_STEP_S = 1e-3  # Time step of these updates
+_OUTSIDE_M = 2e-3  # In front of the first contact the tissue is left behind for sure
 _TISSUE_SIGMAS = 3.0  # Deviations of a force that shows that the tip is in tissue
 
 
@@ -534,12 +538,14 @@ class InsertionSession:
 
     def _begin_tare(self) -> None:
         """Begin an insertion where a tare says that there is free air."""
+        self._air = FIRST_AIR_WATCH
         if self._is_in_air:
             self._remember_channel()
         self._begin_here()
 
     def _begin_where_tared(self) -> None:
         """Count depth from here at the end of a tare; no sample was used since."""
+        self._air = FIRST_AIR_WATCH
         self._zero_depth()
         self._travel = TipTravel()
         self._course.begin(InsertionProgress(self.zero))
@@ -552,6 +558,7 @@ class InsertionSession:
         """Forget everything, the tare and the channels included."""
         self._sensor.reset()
         self._is_started = False
+        self._air = FIRST_AIR_WATCH
         self._time_s = 0.0
         self._channels: tuple[NeedleChannel, ...] = ()
         self._course = InsertionCourse(InsertionProgress(self._line))
@@ -574,6 +581,7 @@ class InsertionSession:
             insertion=self._course.insertion,
             channels=self._channels,
             plan=self._plan.memory,
+            air=self._air,
         )
 
     def restore(self, snapshot: SessionSnapshot) -> None:
@@ -603,6 +611,7 @@ class InsertionSession:
         self._checkpoints = snapshot.checkpoints
         self._course.begin(snapshot.insertion)
         self._channels = snapshot.channels
+        self._air = snapshot.air
         self._contact_m = self._identifier.contact_depth_m
         self._is_checkpoint_due = False
         self._identification = snapshot.identifier.last.without_events()
@@ -676,7 +685,15 @@ class InsertionSession:
         Sensor and identifiers check their parts, the plan's follower its own.
         """
         here = self.snapshot()
-        for name in ("zero", "travel", "unused_s", "jumps", "jump_std_N", "time_s"):
+        for name in (
+            "zero",
+            "travel",
+            "unused_s",
+            "jumps",
+            "jump_std_N",
+            "time_s",
+            "air",
+        ):
             check_state(getattr(snapshot, name), getattr(here, name), name)
         check_state(snapshot.insertion, here.insertion, "insertion")
         for channel in snapshot.channels:
@@ -716,6 +733,7 @@ class InsertionSession:
         if is_resuming and self._sensor.recheck(wrench).warnings & PUSHED:
             return self._skip_sample(wrench, elapsed_s)
         self._doubt_zero_after_jump()
+        self._watch_air(wrench, elapsed_s)
         identification = self._identify(wrench, elapsed_s + self._unused_s)
         self._unused_s = 0.0
         if identification.rupture is not None:
@@ -983,6 +1001,28 @@ class InsertionSession:
             doubted_N = max(old_std_N, self._jump_std_N)
             self._identifier.doubt_zero(doubted_N, JUMP_SEEN_S)
 
+    def _watch_air(self, wrench: WrenchEstimate, elapsed_s: float) -> None:
+        """Look for a force where none can be; let the identifier doubt its zero."""
+        contact_m = self._contact_m
+        is_in_air = contact_m is None or self._travel.depth_m < contact_m - _OUTSIDE_M
+        if not is_in_air or self._course.channel is not None:
+            if self._air.mean_N != 0.0:
+                self._air = self._air.in_tissue()
+            return
+        was_odd = self._air.doubt_N > 0.0
+        self._air = self._air.with_force(wrench.axial, wrench.axial_std, elapsed_s)
+        if self._air.doubt_N > 0.0 and not was_odd and contact_m is None:
+            self._identifier.doubt_zero(self._air.doubt_N, JUMP_SEEN_S)
+
+    def _with_air_doubt(self, wrench: WrenchEstimate) -> WrenchEstimate:
+        """Return an estimate with what free air has shown in its deviation."""
+        if self._air.doubt_N == 0.0:
+            return wrench
+        return wrench._replace(
+            axial_std=math.hypot(wrench.axial_std, self._air.doubt_N),
+            warnings=wrench.warnings | SensorWarning.UNEXPLAINED,
+        )
+
     def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
         """Return the identifier's estimate after this sample.
 
@@ -1071,7 +1111,7 @@ class InsertionSession:
             entry_m = contact_m
         depth_m = self._travel.depth_m
         return SessionEstimate(
-            wrench=wrench,
+            wrench=self._with_air_doubt(wrench),
             depth_m=depth_m,
             speed_m_s=self._travel.speed_m_s,
             identification=self._identification,

@@ -66,6 +66,10 @@ class SensorWarning(IntFlag):
     jumped, or something pushes the arm and stays. Which joint is not certain, so
     nothing is corrected; ``axial_std`` holds the doubt. It stays until the torques are
     back, or until the next tare."""
+    UNEXPLAINED = 1024
+    """In free air, since the tare, a force acts on the needle where nothing can: a tool
+    gripped anew, a cable, a sensor that has moved. ``axial_std`` holds what was seen.
+    It stays until free air shows none, or until the next tare."""
 
 
 class WrenchEstimate(NamedTuple):

@@ -36,6 +36,10 @@ UNSETTLED_FRACTION = 0.3
 """Standard deviation of the part of friction that a rest takes, and of friction while
 presliding turns."""
 
+OUTSIDE_M = 2e-3
+"""Way in front of the first contact from which on a needle is out of the tissue: its
+surface was pushed in, and is known that well."""
+
 UNLOADED_M = 1e-3
 """A tip drawn back by a needle diameter touches nothing."""
 
@@ -501,7 +505,8 @@ def estimate_sample(
         force: Axial force [N].
     """
     posterior = posteriors[0]
-    in_contact = posterior.in_contact
+    surface_m = posterior.contact_depth_m - OUTSIDE_M
+    in_contact = posterior.in_contact and depth_m > surface_m
     speed = MM_PER_M * speed_m_s
     forces = split_force(posterior, contacts[0], layers, depth_m, speed, force)
     speed = max(abs(speed), REST_SPEED_MM_S)

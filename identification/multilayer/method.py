@@ -65,6 +65,7 @@ from identification.multilayer.force_split import (
     update_sample,
 )
 from identification.multilayer.hard_contact import HardContactState
+from identification.multilayer.innovation_watch import InnovationWatch
 from identification.multilayer.layer_report import (
     Alarm,
     friction_of_last_layer,
@@ -114,6 +115,9 @@ from identification.multilayer.speed_filter import (
 )
 from identification.multilayer.tissue_motion import Motion, TissueMotion
 from identification.multilayer.tissue_pull import REMEMBERED_S, TissuePull
+
+TIP_STD = 5
+"""Index of the deviation of the tip's force in `Outputs`."""
 
 CUTTING_DRIFT = 0.05
 """Relative change of the cutting force, per square root of a mm."""
@@ -287,6 +291,10 @@ class MultilayerState:
         rest_force: Whether it changes at a needle that rests.
         tissue_pull: Whether tissue that moves has pulled at the needle.
         hard_contact: What a hard contact is found by.
+        watch: Of the innovations.
+        tip_std_N: Deviation of the tip's force that was stated last.
+        model_errors_N: Largest `Block.model_error_N` since the last layer, and the one
+            before, were reported.
         ruptures: In the components that the last report followed.
         alarm: The last one raised and not retracted.
         provisional: The provisional alarm that is neither confirmed nor retracted.
@@ -314,6 +322,9 @@ class MultilayerState:
     rest_force: RestForce
     tissue_pull: TissuePull
     hard_contact: HardContactState
+    watch: InnovationWatch
+    tip_std_N: float
+    model_errors_N: tuple[float, float]
     ruptures: int
     alarm: Rupture | None
     provisional: Rupture | None
@@ -349,6 +360,9 @@ def first_state() -> MultilayerState:
         rest_force=NEVER_AT_REST,
         tissue_pull=TissuePull(),
         hard_contact=HardContactState(),
+        watch=InnovationWatch(),
+        tip_std_N=0.0,
+        model_errors_N=(0.0, 0.0),
         ruptures=0,
         alarm=None,
         provisional=None,
@@ -455,6 +469,8 @@ class MultilayerMethod:
             self.warnings |= TissueWarning.TISSUE_MOVES
         if self._state.hard_contact.is_hard:
             self.warnings |= TissueWarning.HARD_CONTACT
+        if self._state.watch.doubt_at(self._state.block.time_s) > 0.0:
+            self.warnings |= TissueWarning.UNEXPLAINED
 
     def _keep_layers(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those traversed, with what every sample needs."""
@@ -534,13 +550,17 @@ class MultilayerMethod:
             sample.speed_m_s,
             sample.force_N,
         )
+        self._state.tip_std_N = outputs[TIP_STD] or 0.0
         return self._with_doubt(outputs)
 
     def _with_doubt(self, outputs: Outputs) -> Outputs:
-        """Return outputs with what moving tissue and a swing leave in doubt.
+        """Return outputs with what moving tissue, a swing and innovations put in doubt.
 
         In a swing tip force and friction go up and down about their means.
         """
+        unexplained_N = self._state.watch.doubt_at(self._state.block.time_s)
+        if unexplained_N > 0.0:
+            outputs = widen_forces(outputs, unexplained_N)
         if self._state.tissue_pull.doubt_N > 0.0:
             outputs = self._state.tissue_pull.widen(outputs)
         if self._state.block.swing_std_N > 0.0:
@@ -652,7 +672,13 @@ class MultilayerMethod:
         elif is_cutting:
             in_tissue_mm = fresh_mm if is_met else 0.0
             block = self._learn_from(
-                block, likeliest, fresh_mm, in_tissue_mm, filtered.speed_mm_s, clock_s
+                block,
+                likeliest,
+                fresh_mm,
+                in_tissue_mm,
+                filtered.speed_mm_s,
+                clock_s,
+                sample.force_std_N,
             )
             penalise_implausible(
                 self._memory.store, self._memory.size, block, is_advancing
@@ -679,6 +705,7 @@ class MultilayerMethod:
         in_tissue_mm: float,
         filtered_speed: float,
         clock_s: float,
+        force_std_N: float,
     ) -> Block:
         """Let noise, texture and mixture learn from the force of a block.
 
@@ -688,7 +715,7 @@ class MultilayerMethod:
         self._state.resumed *= math.exp(-fresh_mm / RESUMED_MM)
         levels = self._learn_noise(block, filtered_speed, clock_s)
         block = block._replace(noise_std_N=levels.noise_std_N)
-        self._correct(block, levels, likeliest.assumptions)
+        self._correct(block, levels, likeliest.assumptions, force_std_N)
         self._state.is_report_due = True
         force_N = block.force_N - block.force_by_speed_N
         self._state.texture = self._state.texture.with_force(force_N, in_tissue_mm)
@@ -1053,9 +1080,13 @@ class MultilayerMethod:
         return self._state.levels.beside(self._state.tissue, since_reset_s)
 
     def _correct(
-        self, block: Block, levels: NoiseLevels, assumptions: Assumptions
+        self,
+        block: Block,
+        levels: NoiseLevels,
+        assumptions: Assumptions,
+        force_std_N: float,
     ) -> None:
-        """Update the mixture with a block's force."""
+        """Update the mixture with a block's force, and watch how it had erred."""
         mean = self._memory.store.means[0].tolist()  # those that the block predicts
         likeliest = Likeliest(mean, assumptions)
         # A speed is as late as its filter: where it changes it is off by a block's
@@ -1071,7 +1102,17 @@ class MultilayerMethod:
             unsettled = max(self._unsettled_deflection(block), self._state.resumed)
             net_N = block.force_N - mean[OFFSET]
             variance_N2 += (UNSETTLED_FRACTION * unsettled * net_N) ** 2
-        correct(self._memory.store, self._memory.size, block, variance_N2)
+        innovation_N, predicted_N2 = correct(
+            self._memory.store, self._memory.size, block, variance_N2
+        )
+        if read_field(self._posterior, "in_contact") and not self._is_layer_open:
+            self._state.watch = self._state.watch.with_innovation(
+                innovation_N,
+                predicted_N2,
+                block.time_s,
+                block.duration_s,
+                max(self._state.tip_std_N, force_std_N),
+            )
 
     def _unsettled_deflection(self, block: Block) -> float:
         """Return how far a block's presliding is from what the force model holds for.
@@ -1253,6 +1294,8 @@ class MultilayerMethod:
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
         )
         self._state.ruptures = int(evidence.ruptures[count.likeliest_with_more])
+        self._state.model_errors_N = (0.0, self._state.model_errors_N[0])
+        self._state.watch = self._state.watch.restarted()
         self._state.provisional = None
         self._state.rupture_state = RuptureState.DETECTED
         self.events = Events(self._state.alarm, identified_layer)
@@ -1296,6 +1339,8 @@ class MultilayerMethod:
         self.events = self.events._replace(retracted=retracted)
         self._keep_layers(self.layers if self._is_layer_open else self.layers[:-1])
         self._state.ruptures = min(count.likeliest, self._state.ruptures - 1)
+        before_N = self._state.model_errors_N[1]
+        self._state.model_errors_N = (before_N, before_N)
         self._state.alarm = None
 
     def _is_layer_final(self, alarm: Rupture) -> bool:
@@ -1318,16 +1363,25 @@ class MultilayerMethod:
         """Report the layer that the last rupture ended, or revise it."""
         evidence = weigh_evidence(self._memory.mixture, alarm, self._state.ruptures)
         # What the force's slow error grew by since the air is in the friction, and the
-        # force model's.
+        # force model's: its largest, since what a later tissue shows of it is not that
+        # of the layer.
         grown_N2 = max(force_std_N**2 - self._state.force_std_in_air_N**2, 0.0)
         doubt_N = math.hypot(
-            self._state.tissue_pull.doubt_N, self._state.block.swing_std_N
+            self._state.tissue_pull.doubt_N,
+            self._state.block.swing_std_N,
+            self._state.watch.doubt_at(self._state.block.time_s),
         )
-        variance_N2 = grown_N2 + self._state.block.model_error_N**2 + doubt_N**2
+        last_N, before_N = self._state.model_errors_N
+        last_N = max(last_N, self._state.block.model_error_N)
+        before_N = max(before_N, self._state.block.model_error_N)
+        self._state.model_errors_N = (last_N, before_N)
+        common_N2 = grown_N2 + doubt_N**2
+        variance_N2 = common_N2 + last_N**2
         if self._is_layer_open:
             self._report_new_layer(alarm, evidence, variance_N2)
         else:
-            self._revise_layers(alarm, evidence, variance_N2)
+            variance_before_N2 = common_N2 + before_N**2
+            self._revise_layers(alarm, evidence, variance_N2, variance_before_N2)
 
     def _report_new_layer(
         self, alarm: Rupture, evidence: Evidence, variance_N2: float
@@ -1345,7 +1399,11 @@ class MultilayerMethod:
             self._state.rupture_state = RuptureState.FRICTION_IDENTIFIED
 
     def _revise_layers(
-        self, alarm: Rupture, evidence: Evidence, variance_N2: float
+        self,
+        alarm: Rupture,
+        evidence: Evidence,
+        variance_N2: float,
+        variance_before_N2: float,
     ) -> None:
         """Revise the last two layers, and report the last one once it is final."""
         layers = list(self.layers)
@@ -1357,7 +1415,9 @@ class MultilayerMethod:
             rupture = replace(layers[-1].rupture, is_final=True)
             layers[-1] = replace(layers[-1], is_final=True, rupture=rupture)
             self.events = self.events._replace(identified_layer=layers[-1])
-        friction = friction_of_layer_before(evidence, self._state.ruptures, variance_N2)
+        friction = friction_of_layer_before(
+            evidence, self._state.ruptures, variance_before_N2
+        )
         if friction is not None and len(layers) > 1:
             layers[-2] = with_friction(layers[-2], friction)
         self._keep_layers(tuple(layers))

@@ -536,7 +536,9 @@ def force_variance(
 
 
 @compiled
-def correct(mixture: Mixture, size: int, block: Block, variance: float) -> None:
+def correct(
+    mixture: Mixture, size: int, block: Block, variance: float
+) -> tuple[float, float]:
     """Update the first `size` components, and their weights, with a block's force.
 
     The weight follows Student's t, so that one outlier proves little, and a component
@@ -547,7 +549,17 @@ def correct(mixture: Mixture, size: int, block: Block, variance: float) -> None:
         size: How many there are.
         block: Its force and place.
         variance: Of the block's force, that of the model's shape not included [N²].
+
+    Returns:
+        By what the force differs from the mixture's prediction, 0 without components,
+        and the variance that was predicted of it [N, N²].
     """
+    largest = -math.inf
+    for k in range(size):
+        largest = max(largest, mixture.log_weights[k])
+    total_weight = 0.0
+    mean_innovation = 0.0
+    mean_square = 0.0
     travel = abs(block.speed_mm_s) * block.duration_s
     errors = RELEASE_SHAPE_MM / max(travel, 0.1 * RELEASE_SHAPE_MM)
     shape_error = RELEASE_SHAPE_ERROR * math.sqrt(max(errors, 1.0))
@@ -562,6 +574,10 @@ def correct(mixture: Mixture, size: int, block: Block, variance: float) -> None:
         cross_covariance = times(covariance, row)
         total_variance = max(dot(row, cross_covariance), 0.0) + noise
         innovation = block.force_N - dot(row, mean)
+        weight = math.exp(mixture.log_weights[k] - largest)
+        total_weight += weight
+        mean_innovation += weight * innovation
+        mean_square += weight * (innovation * innovation + total_variance)
         surprise = innovation * innovation / total_variance
         log_likelihood = -0.5 * (
             math.log(total_variance)
@@ -571,6 +587,10 @@ def correct(mixture: Mixture, size: int, block: Block, variance: float) -> None:
         widening = (STUDENT_FREEDOM + surprise) / (STUDENT_FREEDOM + 1.0)
         total_variance *= max(widening, 1.0)
         update(mean, covariance, cross_covariance, innovation, total_variance)
+    if total_weight == 0.0:
+        return 0.0, 0.0
+    mean_innovation /= total_weight
+    return mean_innovation, mean_square / total_weight - mean_innovation**2
 
 
 @compiled_inside

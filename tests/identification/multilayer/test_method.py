@@ -528,3 +528,13 @@ def test_a_rupture_in_the_midst_of_a_block_does_not_wait_for_its_end(seed):
     depths_m = [rupture.alarm_depth_m for rupture in values_of(estimates, "rupture")]
     delays_s = (np.array(depths_m) - ends_m) / SPEED_M_S
     assert np.all(delays_s < 0.018)
+
+
+def test_a_needle_drawn_out_of_the_tissue_is_in_free_air():
+    rows = insertion([(46e-3, 11.5), (-50e-3, 12.0)], seed=1)
+    _, estimates = run(rows)
+    deepest = int(np.argmax([row.depth_m for row in rows]))
+    on_the_way_out = list(zip(rows[deepest:], estimates[deepest:], strict=True))
+
+    assert all(e.in_contact for row, e in on_the_way_out if row.depth_m > 0.0)
+    assert not any(e.in_contact for row, e in on_the_way_out if row.depth_m < -2.5e-3)

@@ -1,0 +1,74 @@
+"""A force in free air, where nothing acts on the needle, is an error that is said."""
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from needleforce import InsertionSession, SensorWarning
+from needleforce.air_watch import AirWatch
+from tests.insertion_run import samples, short_run, tare_index
+
+STD_N = 0.02
+
+
+def watched(forces_N):
+    """The doubt after each force, 1 ms apart."""
+    watch = AirWatch()
+    doubts_N = []
+    for force_N in forces_N:
+        watch = watch.with_force(float(force_N), STD_N, 1e-3)
+        doubts_N.append(watch.doubt_N)
+    return np.array(doubts_N)
+
+
+def test_a_slow_error_within_its_deviation_is_no_force():
+    rng = np.random.default_rng(1)
+    assert not watched(2.5 * STD_N + STD_N * rng.standard_normal(20_000)).any()
+
+
+def test_a_force_that_resists_may_be_a_contact_for_a_second():
+    doubts_N = watched(np.full(3_000, 0.2))
+
+    assert 1_000 < np.argmax(doubts_N > 0.0) < 1_200
+    assert doubts_N[-1] == pytest.approx(0.2, abs=0.01)
+
+
+def test_a_force_that_pulls_is_none_and_ends_when_it_is_gone():
+    doubts_N = watched(np.concatenate((np.full(1_000, -0.2), np.zeros(2_000))))
+
+    assert 0 < np.argmax(doubts_N > 0.0) < 150
+    assert doubts_N[1_000] > 0.1
+    assert doubts_N[-1] == 0.0
+
+
+@pytest.mark.slow
+def test_a_payload_gripped_anew_after_the_tare_is_said_before_the_entry():
+    run = short_run()
+    robot = run.robot
+    data = robot.model.createData()
+    tare = tare_index(run)
+    touched = int(np.searchsorted(run.signals.t_s, run.truth.contact_s))
+    session = InsertionSession(robot)
+    estimates = []
+    jacobian = np.zeros((3, 7))
+    for k, (q, dq, tau, dt_s) in samples(run):
+        if k == tare:
+            session.tare()
+        if k % 20 == 0:
+            jacobian = pin.computeFrameJacobian(
+                robot.model, data, q, robot.tool_frame_id, pin.LOCAL_WORLD_ALIGNED
+            )[:3]
+        onset = min(max((k - tare - 200) / 300.0, 0.0), 1.0)
+        weight_N = 0.03 * 9.81 * onset
+        heavier = tau + jacobian.T @ np.array([0.0, 0.0, weight_N])
+        estimates.append(session.update(q, dq, heavier, dt_s))
+        if k == touched + 5_000:
+            break
+
+    in_tissue = estimates[touched:]
+    axial_N = run.truth.axial_N[touched : touched + len(in_tissue)]
+    error_N = np.array([e.wrench.axial for e in in_tissue]) - axial_N
+    std_N = np.array([e.wrench.axial_std for e in in_tissue])
+    assert SensorWarning.UNEXPLAINED in estimates[touched - 50].warnings
+    assert np.mean(np.abs(error_N) < 2.0 * std_N) > 0.95
+    assert session.snapshot().air.doubt_N > 0.05
