@@ -166,8 +166,8 @@ def folder(tmp_path_factory):
 
 
 EARLY_CONTACT = pytest.mark.xfail(
-    reason="with the stated deviation of the force, contact is found 2.4 mm in front "
-    "of the tissue, and the layer is as much thicker; its friction is the same"
+    reason="contact is found 2.4 mm in front of the tissue, and the layer is as much "
+    "thicker; its friction is the same"
 )
 OF_LOGS = [change for change in (*CHANGES, UNITS) if change != "half the rate"]
 
