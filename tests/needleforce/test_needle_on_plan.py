@@ -111,6 +111,18 @@ def test_a_registration_known_less_well_accuses_less():
     assert exact(0.1e-3).deviation(ENTRY_m + 0.002 * SIDE, AXIS).is_off_plan is True
 
 
+@pytest.mark.parametrize(("aside_mm", "is_off"), [(1.6, False), (2.4, True)])
+def test_a_deep_tip_is_off_the_plan_beyond_3_7_of_its_own_deviations(aside_mm, is_off):
+    """It is known to 1.3 mm at 80 mm, the entry to 1.0 mm."""
+    turned = Rotation.from_rotvec(0.033 * np.cross(AXIS, SIDE)).apply(AXIS)
+    tip_m = ENTRY_m + 1e-3 * aside_mm * SIDE + 0.08 * turned
+    found = exact(1e-3).deviation(tip_m, turned)
+
+    assert found.tip_m == pytest.approx(1e-3 * aside_mm + 2.64e-3, abs=2e-5)
+    assert 3.7 * found.tip_std_m == pytest.approx(4.75e-3, abs=5e-5)
+    assert found.is_off_plan == is_off
+
+
 @pytest.mark.parametrize(
     ("past_mm", "std_mm", "is_past"),
     [

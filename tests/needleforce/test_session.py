@@ -462,3 +462,27 @@ def test_a_torque_sensor_that_jumps_makes_no_rupture_and_hides_none(joint, step_
     assert 500 < flagged[0] <= 1_000
     assert onset < alarm + INSIDE + 1 < onset + 300
     assert sum(not e.used_for_identification for e in estimates) < 1_300
+
+
+@pytest.mark.slow
+def test_a_jump_takes_back_a_rupture_of_the_0_6_s_before_it_was_noticed():
+    """It may have been that jump: a torque sensor's is noticed within half a second."""
+    session, rows = resumed_after(INSIDE, 9_000)
+    rows = list(rows)
+    alarm = next(
+        k for k, row in enumerate(rows) if session.update(*row).identification.rupture
+    )
+    retracted = []
+    for row in rows[alarm + 1 : alarm + 450]:
+        session.update(*row)
+    for later in (0, 200):  # 0.45 and 0.65 s after the alarm
+        for row in rows[alarm + 450 : alarm + 450 + later]:
+            session.update(*row)
+        jumped, _ = resumed_after(INSIDE, 1)
+        snapshot = session.snapshot()
+        jumped.restore(snapshot._replace(jumps=snapshot.jumps + 1, jump_std_N=0.3))
+        after = rows[alarm + 450 + later : alarm + 550 + later]
+        found = [jumped.update(*row).identification.retracted for row in after]
+        retracted.append(any(found))
+
+    assert retracted == [True, False]

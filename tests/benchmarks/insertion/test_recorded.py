@@ -9,9 +9,17 @@ import pytest
 from benchmarks import DataError
 from benchmarks.catalogue import run_job
 from benchmarks.insertion.methods import joint_residual
-from benchmarks.insertion.recorded import bovine, liver, on_arm, panda, ur10e
+from benchmarks.insertion.recorded import (
+    bovine,
+    liver,
+    liver_bound,
+    on_arm,
+    panda,
+    ur10e,
+)
 from benchmarks.insertion.recorded.bovine import depth_metrics
 from benchmarks.insertion.recorded.liver import at_drops, force_drops, read_arrays
+from benchmarks.insertion.recorded.liver_bound import predict_by_line
 from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Job
 from benchmarks.results import Figure
@@ -187,6 +195,29 @@ def test_real_liver_has_a_row_for_every_method(recordings_dir, monkeypatch):
         "pullout_coverage_42mm",
     ) not in by_key  # it states no deviation
     assert np.isfinite(list(by_key.values())).all()
+
+
+def test_a_line_predicts_a_recording_that_it_was_not_fitted_to():
+    """All but the last lie on a line, which it therefore misses."""
+    known = np.array([[1.0], [2.0], [3.0], [4.0]])
+    truth_N = 0.5 + 0.2 * known
+    truth_N[-1] = 2.0
+
+    assert predict_by_line(truth_N, known)[-1] == pytest.approx(0.5 + 0.2 * 4.0)
+
+
+@pytest.mark.slow
+def test_other_insertions_tell_the_pullout_force_better_than_the_force(recordings_dir):
+    job = Job(benchmark="liver-bound", plant="recording", data=recordings_dir)
+    errors_pct = {
+        item.source: item.value
+        for item in liver_bound.run(job, silent)
+        if item.metric == "pullout_error_p90_pct"
+    }
+
+    assert errors_pct["42, 60 mm: mean of the others"] < 26.0
+    assert errors_pct["42, 60 mm: force times 0.7"] > 28.0
+    assert errors_pct["42, 78 mm: line in force and our friction"] > 25.0
 
 
 def test_the_four_ruptures_of_bovine_liver_are_found(recordings_dir):

@@ -190,7 +190,7 @@ def test_without_recordings_the_skipped_are_named(data):
 
     (data / "liver_dejong2017").rmdir()
 
-    assert plan(data=data).skipped == ("panda-liver", "liver-real")
+    assert plan(data=data).skipped == ("panda-liver", "liver-real", "liver-bound")
     assert "panda-real" in names(plan(data=data))
 
 

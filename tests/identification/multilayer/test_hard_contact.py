@@ -9,6 +9,8 @@ from groundtruth import insert_needle, random_stack
 from groundtruth.layers import Layer, ShaftFriction
 from groundtruth.motion import constant_motion
 from identification import Identifier, MultilayerConfig, TissueWarning
+from identification.multilayer.block import Block
+from identification.multilayer.hard_contact import ContactPoint, HardContactState
 
 BONE_DEPTH_M = 15e-3
 
@@ -87,3 +89,22 @@ def test_what_counts_as_hard_is_a_setting():
     [contact], _ = contacts(1500.0, hard_contact_N_per_m=800.0)
 
     assert contact.growth_N_per_m == pytest.approx(1500.0, rel=0.4)
+
+
+@pytest.mark.parametrize(("growth_N_per_mm", "is_hard"), [(3.8, False), (4.2, True)])
+def test_a_contact_is_hard_beyond_the_bound(growth_N_per_mm, is_hard):
+    """The bound is 4 N/mm, over the last 0.2 mm."""
+    first = ContactPoint(depth_mm=10.0, force_N=0.5, speed_mm_s=3.0, is_known=True)
+    state = HardContactState(first=first, second=first)
+    block = Block(depth_mm=10.2, speed_mm_s=3.0, noise_std_N=0.01)
+    after = state.with_force(block, 0.5 + 0.2 * growth_N_per_mm, 4.0, is_even=True)
+
+    assert after.is_hard == is_hard
+    assert after.is_new == is_hard
+
+
+@pytest.mark.parametrize(("force_N", "is_hard"), [(0.9, False), (1.1, True)])
+def test_a_hard_contact_is_over_below_half_its_force(force_N, is_hard):
+    state = HardContactState(force_N=2.0)
+
+    assert state.with_force(Block(), force_N, 4.0, is_even=False).is_hard == is_hard

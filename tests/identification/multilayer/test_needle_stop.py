@@ -94,6 +94,30 @@ def test_what_a_stop_has_shown_is_expected_at_the_next():
     assert stop.kept_friction_variance < 0.05
 
 
+def test_a_second_stop_shows_anew_what_friction_keeps():
+    """The first keeps nearly all of it, the second little more than half."""
+    posterior = stopped_posterior()
+    kept = []
+    for depth_mm, at_rest_N in ((20.0, 1.98), (25.0, 1.2)):
+        at_rest = Block(
+            duration_s=0.2, depth_mm=depth_mm, deflection=1.0, force_N=at_rest_N
+        )
+        for _ in range(3):
+            update_stop(posterior, at_rest)
+        advancing = Block(
+            duration_s=0.01,
+            depth_mm=depth_mm + 5.0,
+            speed_mm_s=3.0,
+            deflection=1.0,
+            force_N=2.1,
+        )
+        update_stop(posterior, advancing)
+        kept.append(posterior.stop.kept_friction)
+
+    assert kept[0] > 0.75
+    assert kept[1] < 0.65
+
+
 @pytest.mark.slow
 def test_coulomb_friction_stays_on_the_shaft_at_a_stop():
     """Coulomb friction of 20 N/m and a constant tip force, stopped at 40 mm."""

@@ -38,6 +38,21 @@ def test_a_quick_change_is_foreign_after_a_tenth_of_a_second(change_N):
     assert foreign_s[-1] == pytest.approx(1.99)
 
 
+def test_two_short_changes_do_not_add_up():
+    """Each lasts for 70 ms, and a tenth of a second is needed."""
+    foreign_s = rest(lambda t_s: 1.0 - 0.8 * (1.0 < t_s % 1.2 < 1.08), 3.0)
+
+    assert foreign_s == []
+
+
+@pytest.mark.parametrize(("change_N", "is_foreign"), [(-0.7, False), (-0.9, True)])
+def test_a_change_is_more_than_four_tenths_of_the_force(change_N, is_foreign):
+    """The force is 2 N; its noise would allow for a change of 0.12 N."""
+    foreign_s = rest(lambda t_s: 2.0 + change_N * (t_s > 1.0), 2.0)
+
+    assert bool(foreign_s) == is_foreign
+
+
 def test_a_hand_that_lets_go_ends_it():
     foreign_s = rest(lambda t_s: 1.0 - 0.8 * (1.0 < t_s < 2.0), 4.0)
 

@@ -55,3 +55,25 @@ def test_noise_of_single_speeds_neither_hides_a_tremor_nor_makes_one():
 
     assert is_swinging[500:1000].mean() > 0.9
     assert not is_noise_swinging.any()
+
+
+def swings_after(halves_s):
+    """Whether a needle swings whose speed is high and low in turn, each for a time."""
+    swing = NeedleSwing(mean_m_s=MEAN_M_S, smoothed_m_s=MEAN_M_S)
+    for number, half_s in enumerate(halves_s):
+        speed_m_s = MEAN_M_S + (-4e-3 if number % 2 else 4e-3)
+        for _ in range(round(half_s / DT_S)):
+            update_swing(swing, speed_m_s, DT_S)
+    return swing.is_swinging
+
+
+def test_three_turns_in_a_row_are_a_swing_and_one_that_is_vibration_begins_anew():
+    assert swings_after([0.05] * 3 + [0.03])
+    assert not swings_after([0.05] * 2 + [0.03])
+    assert not swings_after([0.05] * 2 + [0.014] + [0.05] * 2 + [0.03])
+    assert swings_after([0.05] * 2 + [0.014] + [0.05] * 4 + [0.03])
+
+
+def test_a_pause_of_more_than_0_12_s_begins_anew():
+    assert swings_after([0.05, 0.05, 0.11, 0.03])
+    assert not swings_after([0.05, 0.05, 0.13, 0.03])

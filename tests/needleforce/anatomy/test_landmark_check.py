@@ -15,7 +15,7 @@ from needleforce.anatomy import (
     fit_landmarks,
     read_labels,
 )
-from needleforce.anatomy.landmark_check import judge_landmarks
+from needleforce.anatomy.landmark_check import find_equal_order, judge_landmarks
 from needleforce.anatomy.markups import read_markup
 from tests.needleforce.anatomy.test_registration import FRONT_m, touched
 
@@ -45,6 +45,17 @@ def test_good_landmarks_are_seldom_doubted():
         doubted += sum(one.is_doubtful for one in residuals)
 
     assert doubted / (200 * len(FRONT_m)) == pytest.approx(0.01, abs=0.01)
+
+
+@pytest.mark.parametrize(("aside_m", "is_equal"), [(2.6e-3, True), (2.8e-3, False)])
+def test_another_order_fits_as_well_within_ten_variances(aside_m, is_equal):
+    """Landmarks 3 and 4 exchanged leave 9.4 and 10.9 of them."""
+    landmarks_m = 1e-3 * np.array(
+        [[0.0, 0, 0], [120, 0, 0], [50, 40, 0], [50 + 1e3 * aside_m, -40, 0]]
+    )
+    order = find_equal_order(landmarks_m, landmarks_m, 1e-3)
+
+    assert order == ((0, 1, 3, 2) if is_equal else None)
 
 
 def test_four_landmarks_are_not_verified():

@@ -320,6 +320,16 @@ def test_ruptures_move_the_plan_and_name_the_layer():
     assert moved.offset_m == pytest.approx(second.offset_m)
 
 
+@pytest.mark.parametrize(("rupture_m", "name"), [(0.028, "muscle"), (0.03, "gland")])
+def test_one_boundary_in_five_is_passed_unnoticed(rupture_m, name):
+    """Planned at 20 and 30 mm, give or take 3 mm."""
+    layers = plan(20, 30, 60)
+    layers[0] = replace(layers[0], name="lesion")  # behind fat three in five would be
+    state = PlanMatch(layers, 3e-3).state(rupture_m + 1e-3, [rupture_m])
+
+    assert state.name == state.matched_name == name
+
+
 def test_where_the_surface_was_met_counts_for_half():
     match = PlanMatch(plan(20, 35, 60), 3e-3)
     # At a rupture 4 mm late a membrane gave way late, or all lies deeper: so does the

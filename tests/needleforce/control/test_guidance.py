@@ -68,6 +68,18 @@ def test_guidance_rests_exactly_when_released():
         assert not guidance_rest.any()
 
 
+def test_a_motion_after_a_rest_is_another_one():
+    """To which side the arm was led before its rest damps the next motion no more."""
+    after_rad_s = []
+    for side in (1.0, -1.0):
+        guidance = Guidance(ROBOT)
+        assert velocity(guidance, 5.0 * side, 1000).all()
+        assert not velocity(guidance, 0.0, 10_000).any()
+        after_rad_s.append(velocity(guidance, 5.0, 100))
+
+    assert after_rad_s[0] == pytest.approx(after_rad_s[1], rel=1e-6)
+
+
 def test_growing_sigma_does_not_stop_guidance():
     """A deviation that grows while a hand pushes does not stop the motion."""
     guidance = Guidance(ROBOT)

@@ -253,3 +253,38 @@ def test_a_swinging_hand_is_believed(every, lag_s):
         report = watch.update(sample if is_sent else None, DT)
 
         assert (report.fault, report.doubt) == ("", "")
+
+
+def watch_handle(*samples):
+    """What is said of the last of such positions and velocities along z, every 1 ms."""
+    watch = HandleWatch()
+    for k, (position_m, velocity_m_s) in enumerate(samples):
+        sample = SimpleNamespace(
+            t_s=k * DT,
+            position_m=np.array([0.0, 0.0, position_m]),
+            velocity_m_s=np.array([0.0, 0.0, velocity_m_s]),
+            clutch=True,
+        )
+        report = watch.update(sample, DT)
+    return report
+
+
+@pytest.mark.parametrize(("repeats", "is_frozen"), [(29, False), (31, True)])
+def test_a_moving_handle_that_repeats_itself_for_30_ms_is_frozen(repeats, is_frozen):
+    report = watch_handle(*[(0.0, 0.01)] * (repeats + 1))
+
+    assert ("frozen" in report.fault) == is_frozen
+
+
+@pytest.mark.parametrize(("step_m", "is_jump"), [(4.8e-3, False), (5.2e-3, True)])
+def test_a_handle_jumps_by_more_than_5_mm(step_m, is_jump):
+    assert watch_handle((0.0, 0.0), (step_m, 0.0)).has_jumped == is_jump
+
+
+def test_a_velocity_that_is_wrong_now_and_then_is_late():
+    """Wrong for 20 ms, right for 0.1 s, again and again; 40 ms in a row are a fault."""
+    wrong = [(1e-6 * k, 0.1) for k in range(20)]
+    right = [(1e-6 * k, 1e-3) for k in range(20, 120)]
+
+    assert watch_handle(*(wrong + right) * 3, *wrong).doubt == ""
+    assert "contradicts" in watch_handle(*right, *wrong * 4).doubt

@@ -211,6 +211,44 @@ def test_an_arm_that_is_lost_while_taring_is_a_fault():
         assert run(manager, dt_s=late_s).state is state
 
 
+@pytest.mark.parametrize(("after_s", "is_refused"), [(0.09, True), (0.12, False)])
+def test_a_fault_must_be_gone_for_a_tenth_of_a_second(after_s, is_refused):
+    manager, _ = inserting()
+
+    assert run(manager, 1e-3, dt_s=0.05).state is State.FAULTED
+
+    run(manager, after_s)
+
+    assert ("fault persists" in manager.request("reset")) == is_refused
+
+
+def test_commands_refused_now_and_then_do_not_add_up():
+    """Each time for 4 ms: 5 ms in a row are a fault."""
+    manager, _ = inserting()
+    for _ in range(10):
+        situation = run(manager, 4e-3, Beside(accepted=False))
+        assert situation.state is State.INSERTION
+        run(manager, 1e-3)
+
+    assert run(manager, 7e-3, Beside(accepted=False)).state is State.FAULTED
+
+
+@pytest.mark.parametrize(
+    ("followed", "state"), [(0.48, State.INSERTION), (0.36, State.FAULTED)]
+)
+def test_an_arm_may_be_behind_by_half_of_what_it_was_commanded(followed, state):
+    """And by 2 mrad and 30 ms more: over two seconds at 0.05 rad/s by 0.6 of it."""
+    manager, _ = inserting()
+    beside = Beside(command_rad_s=0.05 * np.eye(7)[0])
+    for k in range(2000):
+        manager.heartbeat()
+        q_rad = followed * 0.05 * 1e-3 * k * np.eye(7)[0]
+        sample = ArmSample(1e-3, q_rad, np.zeros(7), np.zeros(7))
+        situation = manager.update(sample, beside)
+
+    assert situation.state is state
+
+
 def test_a_silent_program_stops_in_a_dwell():
     manager, _ = inserting()
 

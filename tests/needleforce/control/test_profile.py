@@ -65,6 +65,8 @@ def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
         (2.0, 1.0, {"steady": False}, 0),  # a needle that brakes
         (2.0, 1.0, {"steady": False, "alarm_N": 2.0}, 1),
         (2.0, 0.07, {}, 0),
+        (4.0, 0.10, {}, 0),  # less than 3 % of the force
+        (4.0, 0.17, {}, 1),
         (2.0, 0.07, {"state": RuptureState.EXPECTED}, 1),
         (2.0, 0.0, {"beat_N": 0.2}, 0),  # heartbeats
         (2.0, 0.1, {"beat_N": 0.2, "state": RuptureState.EXPECTED}, 0),
@@ -107,6 +109,43 @@ def test_provisional_alarms_count_where_the_caller_asks(uses_provisional, count)
         identified(alarm_N=2.0, alarm_m=0.015), 1.0, 0.0152, DT, is_steady=False
     )
     assert ruptures.count == 1
+
+
+@pytest.mark.parametrize(("fall_N", "count"), [(0.10, 0), (0.19, 1)])
+def test_in_the_first_second_a_rupture_falls_by_more_than_15_pct(fall_N, count):
+    """No heartbeat is known yet; the force is 0.9 N after 0.7 s."""
+    ruptures = RuptureCounter()
+    for k in range(800):
+        force_N = 0.9 * min(k / 600.0, 1.0) - fall_N * min(max(k - 700, 0) / 20.0, 1.0)
+        ruptures.update(identified(), force_N, 5e-6 * k, DT, is_steady=True)
+
+    assert ruptures.count == count
+
+
+@pytest.mark.parametrize(("after_s", "count"), [(0.9, 1), (1.4, 2)])
+def test_for_a_second_after_a_rupture_a_small_fall_is_none(after_s, count):
+    """A fall by a tenth of 2 N counts once heartbeats can be told again."""
+    ruptures = RuptureCounter()
+    for k in range(3100 + round(1e3 * after_s)):
+        fallen_N = 2.0 * min(max(k - 3000, 0) / 20.0, 1.0)
+        again_N = 0.2 * min(max(k - 3000 - 1e3 * after_s, 0.0) / 20.0, 1.0)
+        force_N = 4.0 * min(k / 2800.0, 1.0) - fallen_N - again_N
+        ruptures.update(identified(), force_N, 5e-6 * k, DT, is_steady=True)
+
+    assert ruptures.count == count
+
+
+@pytest.mark.parametrize(("apart_m", "count"), [(2.5e-3, 1), (3.5e-3, 2)])
+def test_ruptures_less_than_3_mm_apart_are_one(apart_m, count):
+    ruptures = RuptureCounter()
+    for depth_m in (0.02, 0.02 + apart_m):
+        for k in range(1000):
+            identification = identified(
+                alarm_N=None if k < 999 else 2.0, alarm_m=depth_m
+            )
+            ruptures.update(identification, 1.0, depth_m, DT, is_steady=False)
+
+    assert ruptures.count == count
 
 
 def test_a_late_alarm_is_no_second_rupture():

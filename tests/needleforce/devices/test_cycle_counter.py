@@ -58,3 +58,10 @@ def test_repeated_and_late_packets_are_refused_for_ever():
     assert late[100:109] == [None] * 9
     assert late.count(None) == 9
     assert taken([7] * 500).count(None) == 499
+
+
+def test_refused_packets_do_not_add_up_over_those_that_are_taken():
+    found = taken([*range(100), *range(50, 59), *range(100, 200), 59, *range(200, 300)])
+
+    assert found[209] is None
+    assert found.count(None) == 10

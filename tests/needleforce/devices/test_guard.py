@@ -138,6 +138,30 @@ def test_what_cannot_be_meant_is_refused_with_the_reason(velocity, words):
     assert guard.advance(np.zeros(7))[0] <= 5e-3  # a step of 1.7 rad/s was asked for
 
 
+def test_a_velocity_holds_for_five_cycles():
+    guard = Guard(ARM_LIMITS["lwr"], 1e-3)
+    for _ in range(100):
+        assert guard.want([0.1] + [0.0] * 6)
+        guard.advance(np.zeros(7))
+    speeds_rad_s = [guard.advance(np.zeros(7))[0] for _ in range(10)]
+
+    assert speeds_rad_s[:4] == pytest.approx([0.1] * 4)
+    assert (np.diff(speeds_rad_s[3:]) < 0.0).all()
+
+
+@pytest.mark.parametrize("interrupt", ["interrupt", "interrupt and anchor"])
+def test_after_an_interruption_an_arm_starts_with_0_05_rad_per_s_at_most(interrupt):
+    guard = Guard(ARM_LIMITS["lwr"], 1e-3)
+    guard.interrupt()
+    if "anchor" in interrupt:
+        guard.anchor()
+
+    assert not guard.want([0.051] + [0.0] * 6)
+    assert "after an interruption" in guard.refusal
+    assert guard.want([0.049] + [0.0] * 6)
+    assert guard.want([0.5] + [0.0] * 6)
+
+
 @pytest.fixture(params=NAMES)
 def scripted(request):
     """Every arm, with a controller that keeps what it is told."""

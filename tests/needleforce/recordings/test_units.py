@@ -46,6 +46,9 @@ ONES = np.ones(3)
         ("sec", "time", "s", 1.0),
         ("min", "time", "min", 60.0),
         ("mm/min", "speed", "mm/min", 1e-3 / 60),
+        ("m/min", "speed", "m/min", 1.0 / 60),
+        ("inch/s", "speed", "inch/s", 0.0254),
+        ("inch/min", "speed", "inch/min", 0.0254 / 60),
     ],
 )
 def test_units_of_laboratories_are_known(text, channel, unit, factor):
