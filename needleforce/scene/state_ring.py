@@ -79,6 +79,9 @@ class ViewRow(NamedTuple):
         near_distance_m: Its distance.
         near_std_m: Standard deviation of that distance.
         near_is_too_near: 1 if it is nearer than it may be, else 0.
+        near_x_m: Where it is nearest, in the robot's base.
+        near_y_m: Likewise.
+        near_z_m: Likewise.
         zero_m: Depth from which shown depths count.
         zero_kind: Number of its name in `needleforce.depth_zero.ZERO_NAMES`.
         event: Number in `EVENTS` of what happened in this tick.
@@ -121,6 +124,9 @@ class ViewRow(NamedTuple):
     near_distance_m: float = math.nan
     near_std_m: float = math.nan
     near_is_too_near: float = math.nan
+    near_x_m: float = math.nan
+    near_y_m: float = math.nan
+    near_z_m: float = math.nan
     zero_m: float = 0.0
     zero_kind: float = 0.0
     event: float = 0.0
