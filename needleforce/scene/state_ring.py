@@ -22,9 +22,6 @@ from needleforce.insertion_events import session_events
 ROWS = 4096
 """How many rows the ring has, four seconds at 1 kHz."""
 
-READABLE_ROWS = 3 * ROWS // 4
-"""So many may be read; a quarter is left for what the writer does meanwhile."""
-
 _COUNT = struct.Struct("<Q")
 """How many rows were written, at the beginning of the memory."""
 
@@ -296,7 +293,8 @@ class StateRing(Closing):
             joints).
         """
         written_count = self._written_count()
-        first = max(count, written_count - READABLE_ROWS)
+        # A quarter of them is left for what the writer does meanwhile.
+        first = max(count, written_count - 3 * ROWS // 4)
         numbers = np.frombuffer(
             self._buffer, "<f8", ROWS * self._width, offset=_COUNT.size
         )
