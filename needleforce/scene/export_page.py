@@ -84,7 +84,7 @@ def write_scene_page(
         title: Of the page.
         warnings: What is wrong, or could not be checked.
         legend: What marks and colours stand for.
-        card: The clinician's view at the end, as HTML.
+        card: The clinician's view where the needle was deepest, as HTML.
         sections: What is said below the scene.
 
     Returns:

@@ -500,7 +500,10 @@ class Viewer:
             serializer.insert_sleep(step_s)
         scene = serializer.as_html()
         last = _view_row_of(self._rows[-1])
-        needle = self._arm.needle_at(_joints_of(self._rows[-1]))
+        # At the end a needle may be back in the air.
+        deepest = self._rows[int(self._rows[:, COLUMN["depth_m"]].argmax())]
+        row = _view_row_of(deepest)
+        needle = self._arm.needle_at(_joints_of(deepest))
         self._title.restore(banner_of(last))
         banners = [banner_of(_view_row_of(row)) for row in self._rows]
         ruptures = [
@@ -522,7 +525,7 @@ class Viewer:
                 *describe_banners(times_s - start_s, banners),
             ),
             legend=legend_lines(self._plan),
-            card=card_html(last, self._plan, find_bearing(last, needle, self._plan)),
+            card=card_html(row, self._plan, find_bearing(row, needle, self._plan)),
             sections=sections,
         )
 

@@ -85,9 +85,9 @@ def test_the_page_shows_film_ct_forces_and_what_it_is(page, size):
         assert opened.errors == []
 
 
-def test_the_page_begins_with_the_clinicians_view_at_the_end(page):
+def test_the_page_begins_with_the_clinicians_view_where_the_needle_was_deepest(page):
     text = page.read_text(encoding="utf-8")
-    card = text[text.index("At the end") : text.index("<iframe")]
+    card = text[text.index("Where the needle was deepest") : text.index("<iframe")]
 
     assert "⚠ OFF PLAN" in card
     assert 'data-part="target"' in card
