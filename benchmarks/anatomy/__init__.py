@@ -1,7 +1,7 @@
 """The patient's anatomy against analytic shapes and a real CT.
 
 Parts: `surface`, `path`, `obstacles`, `agreement`, `deviation`, `registration`,
-`match`, `abdomen`, `fullsize`.
+`patient`, `match`, `abdomen`, `fullsize`.
 """
 
 CT_FOLDER = "torso_ct_totalsegmentator"

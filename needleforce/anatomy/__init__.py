@@ -12,9 +12,9 @@ Reading order: `volume`, `structures`, `labels`, `body`, `resampling`, `segmenta
 `voxel_walk`, `path_layers`, `clearance`, `surface`, `slabs`, `reading`,
 `file_checks`, `dicom_series`, `dicom_kinds`, `dicom_segmentation`, `label_names`,
 `mask_folder`, `slicer_segments`, `segment_names`, `renaming`, `registration`,
-`landmark_check`, `landmarks`, `landmark_frame`, `patient_motion`, `surface_fit`,
-`markups`, `transform_file`, `deepest_point`, `path_search`, `needle_surroundings`,
-`plan_match`, `rupture_model`.
+`landmark_check`, `landmarks`, `landmark_frame`, `touch_problem`, `patient_motion`,
+`surface_fit`, `markups`, `transform_file`, `deepest_point`, `path_search`,
+`needle_surroundings`, `plan_match`, `rupture_model`.
 """
 
 from needleforce.anatomy.clearance import (

@@ -39,9 +39,6 @@ FRONT = ("liver", "heart", "sternum", "stomach", "bladder")
 
 SPINE = frozenset(("vertebra", "vertebrae", "spine", "sacrum"))
 
-VERTEBRAE = {"c": 0, "t": 7, "l": 19, "s": 24}
-"""Vertebrae above the first cervical, thoracic, lumbar and sacral one."""
-
 EXCHANGED = {
     LEFT: "left and right are exchanged (a mirrored array, or RAS taken as LPS)",
     BACK: "front and back are exchanged (an axis negated, or RAS taken as LPS)",
@@ -184,7 +181,9 @@ def _vertebra_number(name: str) -> int | None:
     if found is None:
         return None
     region, number = found.groups()
-    return VERTEBRAE[region] + int(number)
+    # Above the first cervical, thoracic, lumbar and sacral one.
+    above = {"c": 0, "t": 7, "l": 19, "s": 24}
+    return above[region] + int(number)
 
 
 def _spine_behind(centroids_m: Mapping[str, Array]) -> Iterator[_Order]:

@@ -144,7 +144,7 @@ class VoxelBoxes:
             within_m: Voxels further away than this are not looked for.
         """
         ends = self.along_grid(np.array([entry_m, target_m]))
-        distance_m, fraction = nearest_box(self.tree, ends, within_m)
+        distance_m, fraction, _ = nearest_box(self.tree, ends, within_m)
         if fraction < 0.0:
             return None
         return Approach(distance_m, fraction * float(np.linalg.norm(ends[1] - ends[0])))
@@ -152,6 +152,10 @@ class VoxelBoxes:
     def along_grid(self, points_m: ArrayLike) -> Array:
         """Return points of LPS, (n, 3), along the axes of the boxes."""
         return (np.asarray(points_m, float) - self._origin_m) @ self._directions
+
+    def from_grid(self, points_m: Array) -> Array:
+        """Return points along the axes of the boxes, (n, 3), in LPS."""
+        return points_m @ self._directions.T + self._origin_m
 
 
 def _runs(labels: Segmentation, structure: Structure) -> tuple[Array, Array]:
@@ -203,7 +207,7 @@ def _box_tree(centres_m: Array, halves_m: Array) -> Matrix:
 
 
 @compiled
-def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float]:
+def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float, int]:
     """Return the distance of a line segment from the nearest box, and where that is.
 
     Args:
@@ -212,8 +216,8 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
         within: Boxes further away do not count.
 
     Returns:
-        The distance, and the fraction of the segment, the first of equal ones; -1 if
-        there is no box.
+        The distance; the fraction of the segment, the first of equal ones, -1 if
+        there is no box; and the row of the box.
     """
     tie = 1e-9  # beside a flat face thousands of boxes are as near, but for rounding
     entry = ends[0]
@@ -224,6 +228,7 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
     size = 1
     nearest = within
     found = -1.0
+    row = 0
     while size > 0:
         size -= 1
         number, distance, fraction = waiting[size]
@@ -234,6 +239,7 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
         if left >= len(tree):
             nearest = distance
             found = fraction
+            row = int(number)
             continue
         _measure_box(tree, left, entry, way, cuts, waiting[size])
         _measure_box(tree, left + 1, entry, way, cuts, waiting[size + 1])
@@ -246,7 +252,7 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
                 waiting[size, k] = waiting[size + 1, k]
                 waiting[size + 1, k] = swapped
         size += 2
-    return nearest, found
+    return nearest, found, row
 
 
 @compiled_inside

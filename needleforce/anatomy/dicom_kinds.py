@@ -2,7 +2,6 @@
 
 import struct
 from pathlib import Path
-from typing import NamedTuple
 
 from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
 
@@ -21,28 +20,21 @@ CONTOURS = f"{_IMAGES}.481.3"
 """Class of the structure sets of radiotherapy (RTSTRUCT)."""
 
 
-class LabelObjects(NamedTuple):
-    """DICOM files that hold structures, and not slices.
+def find_label_objects(place: Path) -> tuple[list[Path], list[Path]]:
+    """Return the DICOM files with structures: a file itself, or those in a folder.
 
-    Attributes:
-        segmentations: Those of DICOM SEG.
-        contours: Those of RTSTRUCT.
+    Returns:
+        Those of DICOM SEG, and those of RTSTRUCT.
     """
-
-    segmentations: list[Path]
-    contours: list[Path]
-
-
-def find_label_objects(place: Path) -> LabelObjects:
-    """Return the DICOM files with structures: a file itself, or those in a folder."""
-    found = LabelObjects([], [])
+    segmentations: list[Path] = []
+    contours: list[Path] = []
     for path in sorted(place.iterdir()) if place.is_dir() else [place]:
         sop_class = _read_class(path)
         if sop_class in SEGMENTATION:
-            found.segmentations.append(path)
+            segmentations.append(path)
         elif sop_class == CONTOURS:
-            found.contours.append(path)
-    return found
+            contours.append(path)
+    return segmentations, contours
 
 
 def refuse_contours(path: Path) -> None:

@@ -12,7 +12,7 @@ from foundation.arrays import Array
 from needleforce.anatomy.body import find_body
 from needleforce.anatomy.clearance import Clearance, VoxelBoxes, find_clearances
 from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
-from needleforce.anatomy.path_layers import Layer, find_layers
+from needleforce.anatomy.path_layers import TISSUES, Layer, find_layers
 from needleforce.anatomy.resampling import resample_nearest
 from needleforce.anatomy.scan_agreement import NO_SCAN, check_against_scan
 from needleforce.anatomy.structures import Structure
@@ -24,13 +24,6 @@ SHOWN_VOXEL_m = 3e-3
 
 DENSE = "dense_as_bone"
 """Name of what is as dense as bone in the CT and not labelled."""
-
-
-BODY_NAMES = frozenset(("lean", "fat", "body"))
-"""What `Labels.with_body` adds: it names no structure."""
-
-ROUNDING = 1e-6
-"""Fraction of a voxel by which rounding may make it larger."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -158,7 +151,7 @@ class Labels:
             (scan.values > dense_HU).astype(np.uint8), scan.grid, self.grid
         ).astype(bool)
         for item in self.structures:
-            if item.name not in BODY_NAMES:
+            if item.name not in TISSUES:
                 inside = self.volumes[item.volume][item.box] == item.value
                 is_dense[item.box] &= ~inside
         pieces = np.zeros(self.grid.shape, np.int32)
@@ -205,15 +198,15 @@ class Labels:
         Raises:
             VolumeError: No structure with voxels has one of the names.
         """
+        rounding = 1e-6  # fraction of a voxel by which it may be larger
         all_names = [item.name for item in self.structures]
         chosen_names = all_names if names is None else list(names)
         surfaces: dict[str, Surface] = {}
         for name in chosen_names:
             structure = self[name]
             mask = self.mask(name)
-            joined = np.maximum(voxel_m / self.grid.spacing_m + ROUNDING, 1.0).astype(
-                int
-            )
+            voxels = voxel_m / self.grid.spacing_m + rounding
+            joined = np.maximum(voxels, 1.0).astype(int)
             mask = join_voxels(mask, joined)
             corner = [side.start for side in structure.box] + 0.5 * (joined - 1)
             surfaces[name] = closed_surface(

@@ -155,14 +155,13 @@ def find_order(
     model_gaps_m = _gaps_m(model)
     robot_gaps_m = _gaps_m(robot)
     max_gap_m = max_gap_std * std_m
-    stated = tuple(range(len(model)))
-    for order in permutations(stated):
-        chosen = np.array(order)
-        gaps_m = robot_gaps_m[np.ix_(chosen, chosen)]
-        if order == stated or np.abs(gaps_m - model_gaps_m).max() > max_gap_m:
-            continue
-        if fit_rigidly(model, robot[chosen]).squares_m2 <= max_squares_m2:
-            return order
+    # Without the first one, which is the stated order.
+    orders = np.array(list(permutations(range(len(model)))))[1:]
+    gaps_m = robot_gaps_m[orders[:, :, None], orders[:, None, :]]
+    is_possible = np.abs(gaps_m - model_gaps_m).max(axis=(1, 2)) <= max_gap_m
+    for order in orders[is_possible]:
+        if fit_rigidly(model, robot[order]).squares_m2 <= max_squares_m2:
+            return tuple(order.tolist())
     return None
 
 

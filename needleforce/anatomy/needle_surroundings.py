@@ -35,6 +35,9 @@ class NeedleClearance(NamedTuple):
         std_m: Standard deviation of the registration, the largest of any direction.
         needed_m: What must stay free.
         is_obstacle: Bone or cartilage.
+        x_m: Where the structure is nearest, in the robot's base.
+        y_m: Likewise.
+        z_m: Likewise.
     """
 
     number: int
@@ -44,6 +47,9 @@ class NeedleClearance(NamedTuple):
     std_m: float
     needed_m: float
     is_obstacle: bool
+    x_m: float
+    y_m: float
+    z_m: float
 
     @property
     def distance_m(self) -> float:
@@ -118,10 +124,12 @@ class NeedleSurroundings:
         )
         compile_waiting()
         self._along_grid = boxes[0].along_grid if boxes else np.asarray
+        self._from_grid = boxes[0].from_grid if boxes else np.asarray
         self._trees = np.concatenate([np.zeros((0, 6)), *(one.tree for one in boxes)])
         self._begins = np.cumsum([0.0, *(len(one.tree) for one in boxes)])
         self._distances_m = np.full((2, len(boxes)), np.inf)
         self._measured_ends = np.full((2, len(boxes), 6), np.inf)
+        self._places_m = np.full((2, len(boxes), 3), np.nan)
         self._was_inside = False
         self._found: tuple[NeedleClearance, ...] = ()
 
@@ -152,6 +160,7 @@ class NeedleSurroundings:
                 ends[2 * part : 2 * part + 2],
                 self._measured_ends[part],
                 self._distances_m[part],
+                self._places_m[part],
             )
             for part in range(2)
         ]
@@ -166,6 +175,9 @@ class NeedleSurroundings:
         inside_m, ahead_m = self._distances_m.tolist()
         if not self._was_inside:
             inside_m = [np.inf] * len(inside_m)
+        is_ahead = np.array(inside_m) > np.array(ahead_m)
+        places_m = self._places_m[is_ahead.astype(int), np.arange(len(is_ahead))]
+        places_m = self._registration.to_robot(self._from_grid(places_m))
         found = [
             NeedleClearance(
                 number=number,
@@ -175,6 +187,9 @@ class NeedleSurroundings:
                 std_m=self._std_m,
                 needed_m=float(self._needed_m[number]),
                 is_obstacle=item.is_obstacle,
+                x_m=float(places_m[number, 0]),
+                y_m=float(places_m[number, 1]),
+                z_m=float(places_m[number, 2]),
             )
             for number, item in enumerate(self._structures)
             if min(inside_m[number], ahead_m[number]) < np.inf
@@ -190,6 +205,7 @@ def measure_again(
     ends: Matrix,
     measured_ends: WrittenMatrix,
     distances: WrittenVector,
+    places: WrittenMatrix,
 ) -> int:
     """Measure the distances of a straight part of the needle that may have changed.
 
@@ -203,6 +219,7 @@ def measure_again(
         ends: Of the part, along the axes of the boxes, (2, 3).
         measured_ends: The ends with which each distance was measured, (n, 6).
         distances: From each structure, infinite beyond `REACH_m`, (n,).
+        places: Where each structure is nearest, along the axes of the boxes, (n, 3).
     """
     step = 0.1e-3  # of the needle, after which a near structure is measured again
     step_fraction = 0.2  # of what is left above what is needed, for far ones
@@ -217,8 +234,13 @@ def measure_again(
         left = min(distances[number], REACH_m) - needed[number]
         if moved > max(step, step_fraction * left):
             tree = trees[int(begins[number]) : int(begins[number + 1])]
-            nearest, fraction = nearest_box(tree, ends, REACH_m)
+            nearest, fraction, row = nearest_box(tree, ends, REACH_m)
             distances[number] = nearest if fraction >= 0.0 else np.inf
+            for i in range(3):
+                low = tree[row, i] - tree[row, 3 + i]
+                high = tree[row, i] + tree[row, 3 + i]
+                place = ends[0, i] + fraction * (ends[1, i] - ends[0, i])
+                places[number, i] = min(max(place, low), high)
             measured_ends[number, :3] = ends[0]
             measured_ends[number, 3:] = ends[1]
             count += 1

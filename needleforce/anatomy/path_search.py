@@ -204,22 +204,10 @@ def judge_path(
     return _rank(labels, boxes, rays, angles_rad, target, limits)[0]
 
 
-class LineEnds(NamedTuple):
-    """The ends of a line in the order of a needle.
+def orient_line(labels: "Labels", ends_m: Array) -> tuple[Array, Array]:
+    """Return the entry and the target, (3,) each: programs write either one first.
 
-    Attributes:
-        entry_m: The one nearer to the skin, (3,) in LPS.
-        target_m: The other one, (3,).
-    """
-
-    entry_m: Array
-    target_m: Array
-
-
-def orient_line(labels: "Labels", ends_m: Array) -> LineEnds:
-    """Return which end of a line is the entry: programs write either one first.
-
-    It is the end behind which, or in front of which, the body soon ends.
+    The entry is the end behind which, or in front of which, the body soon ends.
 
     Args:
         labels: The segmentation with the body.
@@ -249,7 +237,7 @@ def orient_line(labels: "Labels", ends_m: Array) -> LineEnds:
             "other one",
             TWO_POINTS,
         )
-    return LineEnds(ends_m[entry], ends_m[1 - entry])
+    return ends_m[entry], ends_m[1 - entry]
 
 
 def _inside_body(labels: "Labels") -> NDArray[np.bool_]:

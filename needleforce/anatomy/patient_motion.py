@@ -1,41 +1,28 @@
 """Whether a patient moved after the landmarks were touched, or while the skin was.
 
-What was measured before some moment says where the model lies, and what was measured
-behind it says so once more. A patient who lay still is at one place: how far the two
-differ, against what their covariances allow, is tested; and a region that should hold
-him also where he moved unnoticed is as wide as that takes.
+For each moment at which he may have moved, landmarks and touches are fitted again with
+one more unknown: a rotation and shift of the patient at that moment. How much better
+they fit so, against how much they could by chance, is how probable the motion is; and
+a region that should hold him also where he moved unnoticed is as wide as that takes.
 """
 
 from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
 from needleforce.anatomy.registration import displacement_jacobian
-
-MOVED = 0.1
-"""Probability that a patient moved, before anything was measured: half of it between
-landmarks and touches."""
-
-
-class Innovation(NamedTuple):
-    """What touches say beyond all that was measured before them.
-
-    The unknowns are a rotation about a pivot, a shift, and how far touches press the
-    surface in; as differences from where the earlier measurements put them.
-
-    Attributes:
-        first: Number of the first of these touches, 0 for all of them.
-        before: Information of the earlier measurements, (7, 7).
-        touches: Information of the touches, (7, 7).
-        pull: That information times where the touches put the unknowns, (7,).
-    """
-
-    first: int
-    before: Array
-    touches: Array
-    pull: Array
+from needleforce.anatomy.touch_problem import (
+    TUKEY,
+    Fit,
+    Pose,
+    Problem,
+    SURFACE_REACH_m,
+    SURFACE_STD_m,
+)
 
 
 class PatientMotion(NamedTuple):
@@ -43,10 +30,8 @@ class PatientMotion(NamedTuple):
 
     Attributes:
         probability: That he did.
-        step: How far the unknowns then lie from where they are without a motion,
-            times the probability, (7,).
-        covariance: Of the unknowns if he did, times the probability, and what the
-            differing places add, (7, 7).
+        step: From where the unknowns are without a motion to their mean, (7,).
+        covariance: What it adds to that of the unknowns, (7, 7).
         first: Number of the first touch behind the most probable motion, 0 for one
             between landmarks and touches.
         motion: The most probable one, a rotation and a shift, (6,).
@@ -59,88 +44,237 @@ class PatientMotion(NamedTuple):
     motion: Array
 
 
-def axes_of_motion(rotation: Array, middle_m: Array, pivot_m: Array) -> Array:
-    """Return motions of a patient as rotations about a pivot and shifts, (6, 7).
+class _Moments(NamedTuple):
+    """Fits with a motion, one for each moment at which it may have been.
 
-    In rows three turns about the axes of the CT through his middle, and three shifts
-    along them, each of one standard deviation. The last column, of how far touches
-    press the surface in, is zero.
-
-    Args:
-        rotation: From the CT to the robot's base, (3, 3).
-        middle_m: Of the patient, in the base, (3,).
-        pivot_m: Of the rotations, in the base, (3,).
+    Attributes:
+        information: Of the motion, (b, 6, 6).
+        pull: That information times the motion that fits best, (b, 6).
+        follow: How the unknowns after a motion follow it, (b, 7, 6).
     """
-    turn_std_rad = np.radians(5.0)
-    shift_std_m = 10e-3
-    axes = np.zeros((6, 7))
-    axes[:3, :3] = turn_std_rad * rotation.T
-    # A turn about the middle moves the pivot.
-    at_pivot = displacement_jacobian(pivot_m - middle_m)
-    axes[:3, 3:6] = axes[:3, :6] @ at_pivot.T
-    axes[3:, 3:6] = shift_std_m * rotation.T
-    return axes
+
+    information: Array
+    pull: Array
+    follow: Array
 
 
-def find_motion(innovations: Sequence[Innovation], axes: Array) -> PatientMotion:
+def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
     """Return how probable it is that the patient moved.
 
-    He moved along or about one of some axes, or along and about all of them, far or
-    less far.
+    He moved along or about one axis of his body, or less far along all, about all, or
+    both.
 
     Args:
-        innovations: Of the touches behind each moment at which he may have moved, the
-            first of which is that before all touches.
-        axes: Of motion, each of one standard deviation, see `axes_of_motion`.
+        problem: Landmarks and touches.
+        fit: Their solution without a motion.
     """
-    kinds = [*(axis[None] for axis in axes), axes, 0.4 * axes]
-    priors = np.full(len(innovations), 0.5 * MOVED / max(len(innovations) - 1, 1))
-    priors[0] = 0.5 * MOVED
-    odds = np.zeros((len(innovations), len(kinds)))
-    steps = np.zeros((len(innovations), len(kinds), 7))
-    spreads = np.zeros((len(innovations), len(kinds), 7, 7))
-    for number, one in enumerate(innovations):
-        before = np.asarray(np.linalg.inv(one.before), dtype=np.float64)
-        still = _evidence(one, before)
+    # Probability that a patient moved, before anything was measured. With less, one who
+    # moved by 5 mm is outside his region too often; with more, regions are too wide.
+    moved = 0.3
+    count = len(problem.touches_m)
+    firsts = np.unique(np.linspace(0.0, count, 9)[:-1].astype(int))
+    axes = _axes_of_motion(problem, fit.pose)
+    known = np.asarray(np.linalg.inv(axes.T @ axes), dtype=np.float64)
+    moments = _fit_motions(problem, fit, firsts, known)
+    near = 0.4 * axes
+    kinds = [*(axis[None] for axis in axes), axes, near, near[:3], near[3:]]
+    # Half of it between landmarks and touches.
+    priors = np.full(len(firsts), 0.5 * moved / (len(firsts) - 1))
+    priors[0] = 0.5 * moved
+    odds = np.zeros((len(firsts), len(kinds)))
+    motions = np.zeros((len(firsts), len(kinds), 6))
+    spreads = np.zeros((len(firsts), len(kinds), 6, 6))
+    for number, (information, pull, _) in enumerate(zip(*moments, strict=True)):
         for kind, ways in enumerate(kinds):
-            wider = np.asarray(before + ways.T @ ways, dtype=np.float64)
-            moved = _evidence(one, wider)
-            gain = min(moved.log - still.log, 500.0)
-            odds[number, kind] = priors[number] / len(kinds) * np.exp(gain)
-            steps[number, kind] = moved.mean - still.mean
-            spreads[number, kind] = moved.covariance
-    probabilities = odds / (1.0 - MOVED + odds.sum())
+            # Along the ways each is of one standard deviation.
+            inner = np.eye(len(ways)) + ways @ information @ ways.T
+            spread = ways.T @ np.linalg.solve(inner, ways)
+            motion = spread @ pull
+            gain = 0.5 * float(pull @ motion - np.linalg.slogdet(inner)[1])
+            odds[number, kind] = priors[number] / len(kinds) * np.exp(min(gain, 500.0))
+            motions[number, kind] = motion
+            spreads[number, kind] = spread
+    probabilities = odds / (1.0 - moved + odds.sum())
+    follow = moments.follow
+    steps = np.einsum("fnm,fkm->fkn", follow, motions)
+    covariances = np.einsum("fni,fkij,fmj->fknm", follow, spreads, follow)
+    covariances += steps[..., None] * steps[..., None, :]
     step = np.einsum("fk,fkn->n", probabilities, steps)
-    means = np.einsum("fk,fkn,fkm->nm", probabilities, steps, steps)
-    covariance = np.einsum("fk,fknm->nm", probabilities, spreads) + means
+    covariance = np.einsum("fk,fknm->nm", probabilities, covariances)
     best_number, best_kind = divmod(int(odds.argmax()), len(kinds))
     return PatientMotion(
         probability=float(probabilities.sum()),
         step=step,
         covariance=covariance - np.outer(step, step),
-        first=innovations[best_number].first,
-        motion=steps[best_number, best_kind][:6],
+        first=int(firsts[best_number]),
+        motion=motions[best_number, best_kind],
     )
 
 
-class _Evidence(NamedTuple):
-    """The unknowns by all measurements, if the earlier ones have some covariance.
+def _axes_of_motion(problem: Problem, pose: Pose) -> Array:
+    """Return motions of a patient as rotations about the touches' mean and shifts.
+
+    In rows three turns about the axes of the CT through his middle, and three shifts
+    along them, each of one standard deviation, (6, 6).
+    """
+    turn_std_rad = np.radians(5.0)
+    shift_std_m = 10e-3
+    middle_m = pose.rotation @ problem.surface.vertices_m.mean(axis=0)
+    middle_m = middle_m + pose.translation_m
+    axes = np.zeros((6, 6))
+    axes[:3, :3] = turn_std_rad * pose.rotation.T
+    # A turn about the middle moves the touches' mean.
+    at_pivot = displacement_jacobian(problem.pivot_m - middle_m)
+    axes[:3, 3:] = axes[:3] @ at_pivot.T
+    axes[3:, 3:] = shift_std_m * pose.rotation.T
+    return axes
+
+
+def _fit_motions(
+    problem: Problem, fit: Fit, firsts: Array, motion_information: Array
+) -> _Moments:
+    """Fit landmarks and touches with a motion before each of some touches.
+
+    The unknowns are where the model lies before the motion and how far touches press
+    the surface in, with what is known of them, and the motion, with what is known of
+    motions. All moments are fitted at once, and one fit beside them has no motion.
+
+    Args:
+        problem: Landmarks and touches.
+        fit: Their solution without a motion.
+        firsts: Numbers of the first touches behind a motion, (b,).
+        motion_information: What is known of a motion, (6, 6).
+    """
+    rounds = 8
+    fine_rounds = 2  # the last ones, with normals averaged around each place
+    far_m = 20e-3  # at first so far touches count: the patient may have moved by it
+    count = len(problem.touches_m)
+    starts = np.append(firsts, count)
+    is_moved = np.arange(count) >= starts[:, None]
+    poses = [fit.pose] * len(starts)
+    motions = np.zeros((len(starts), 6))
+    prior = np.zeros((13, 13))
+    prior[:7, :7] = problem.prior.information
+    prior[7:, 7:] = motion_information
+    number = 0
+    while True:
+        is_fine = number > rounds - fine_rounds
+        touches = _measure(problem, poses, motions, is_moved, is_fine=is_fine)
+        reach_m = max(TUKEY * problem.noise_m, far_m * 0.6**number)
+        weights = np.maximum(1.0 - (touches.lengths_m / reach_m) ** 2, 0.0) ** 2
+        variance_m2 = _least_variance_m2(problem, touches.distances_m, weights, fit)
+        weighted = weights[..., None] * touches.rows / variance_m2
+        hessians = np.einsum("bni,bnj->bij", touches.rows, weighted) + prior
+        off_prior = np.array([problem.off_prior(pose) for pose in poses])
+        off_prior = np.hstack([off_prior, motions])
+        if number == rounds:
+            break
+        gradients = np.einsum("bni,bn->bi", weighted, touches.distances_m)
+        gradients += off_prior @ prior
+        # Radians beside metres.
+        scales = np.sqrt(np.einsum("bii->bi", hessians))
+        scaled = hessians / (scales[:, :, None] * scales[:, None, :])
+        steps = -np.linalg.solve(scaled, (gradients / scales)[..., None])[..., 0]
+        steps = steps / scales
+        poses = [
+            problem.move(pose, step)
+            for pose, step in zip(poses, steps[:, :7], strict=True)
+        ]
+        motions = motions + steps[:, 7:]
+        number += 1
+    misfits = 0.5 * np.einsum("bi,ij,bj->b", off_prior, prior, off_prior)
+    misfits += _misfits(touches.lengths_m, variance_m2)
+    gains = np.maximum(misfits[-1] - misfits, 0.0)[:-1]
+    mixed = hessians[:-1, :7, 7:]
+    follow = -np.linalg.solve(hessians[:-1, :7, :7], mixed)
+    information = hessians[:-1, 7:, 7:] + np.swapaxes(mixed, 1, 2) @ follow
+    pull = np.einsum("bij,bj->bi", information, motions[:-1])
+    # Where a smooth surface slides along itself, normals that differ from facet to
+    # facet look like information: it is no more than the fits bear out.
+    expected = 0.5 * np.einsum("bi,bi->b", motions[:-1], pull)
+    least = 0.02
+    parts = np.clip(gains / np.maximum(expected, 1e-9), least, 1.0)
+    information = (information - motion_information) * parts[:, None, None]
+    follow[:, :6] += np.eye(6)
+    return _Moments(information, pull * parts[:, None], follow)
+
+
+class _Measured(NamedTuple):
+    """Touches in each of some fits with a motion.
 
     Attributes:
-        log: Logarithm of the probability of what was touched, up to a constant.
-        mean: Of the unknowns, (7,).
-        covariance: Of the unknowns, (7, 7).
+        distances_m: From the surface that is pressed in, positive outside, (b, n).
+        lengths_m: From the nearest place on it, (b, n).
+        rows: Derivatives of the distances by pose, indentation and motion, (b, n, 13).
     """
 
-    log: float
-    mean: Array
-    covariance: Array
+    distances_m: Array
+    lengths_m: Array
+    rows: Array
 
 
-def _evidence(one: Innovation, before: Array) -> _Evidence:
-    """Return the unknowns where the earlier measurements have a covariance (7, 7)."""
-    factor = np.eye(7) + before @ one.touches
-    covariance = np.asarray(np.linalg.solve(factor, before), dtype=np.float64)
-    mean = covariance @ one.pull
-    log = 0.5 * float(one.pull @ mean) - 0.5 * float(np.linalg.slogdet(factor)[1])
-    return _Evidence(log, mean, covariance)
+def _measure(
+    problem: Problem,
+    poses: Sequence[Pose],
+    motions: Array,
+    is_moved: NDArray[np.bool_],
+    *,
+    is_fine: bool,
+) -> _Measured:
+    """Return how far the touches lie from the surface.
+
+    Args:
+        problem: Landmarks and touches.
+        poses: Where the model lies before the motion in each fit.
+        motions: A turn about the touches' mean and a shift, (b, 6).
+        is_moved: Which touches lie behind it, (b, n).
+        is_fine: Average normals around each place.
+    """
+    rotations = np.array([pose.rotation for pose in poses])
+    places_m = np.array([pose.translation_m for pose in poses])
+    turns = Rotation.from_rotvec(motions[:, :3]).as_matrix()
+    arms_m = places_m - problem.pivot_m
+    moved_m = np.einsum("bij,bj->bi", turns, arms_m) + problem.pivot_m + motions[:, 3:]
+    moved_rotations = (turns @ rotations)[:, None]
+    rotation = np.where(is_moved[..., None, None], moved_rotations, rotations[:, None])
+    place_m = np.where(is_moved[..., None], moved_m[:, None], places_m[:, None])
+    points_m = np.einsum("bni,bnij->bnj", problem.touches_m - place_m, rotation)
+    points_m = points_m.reshape(-1, 3)
+    positions_m, normals = problem.surface.nearest(points_m)
+    off_m = points_m - positions_m
+    signed_m = np.vecdot(off_m, normals)
+    beside_m2 = np.maximum(np.vecdot(off_m, off_m) - signed_m**2, 0.0)
+    indentations_m = np.array([pose.indentation_m for pose in poses])
+    distances_m = signed_m.reshape(is_moved.shape) + indentations_m[:, None]
+    lengths_m = np.sqrt(distances_m**2 + beside_m2.reshape(is_moved.shape))
+    if is_fine:
+        around_m = 2.0 * SURFACE_REACH_m
+        normals = problem.surface.mean_normals(positions_m, normals, around_m)
+    normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
+    normals = normals.reshape(*is_moved.shape, 3)
+    directions = np.einsum("bnij,bnj->bni", rotation, normals)
+    by_pose = -np.einsum("bni,nij->bnj", directions, problem.jacobian)
+    by_depth = np.ones((*is_moved.shape, 1))
+    by_motion = by_pose * is_moved[..., None]
+    rows = np.concatenate([by_pose, by_depth, by_motion], axis=2)
+    return _Measured(distances_m, lengths_m, rows)
+
+
+def _misfits(lengths_m: Array, variance_m2: float) -> Array:
+    """Return half the sums of squares, of each touch at most as of one that slipped."""
+    slipped = 5.0  # standard deviations beyond which a touch says nothing of a motion
+    near = 1.0 - np.minimum(lengths_m**2 / (slipped**2 * variance_m2), 1.0)
+    return np.asarray(slipped**2 / 6.0 * (1.0 - near**3).sum(axis=1))
+
+
+def _least_variance_m2(
+    problem: Problem, distances_m: Array, weights: Array, fit: Fit
+) -> float:
+    """Return the variance of the distances where a motion makes it the least."""
+    stated = 8.0  # distances for which the stated deviations count
+    stated_m2 = problem.touch_std_m**2 + problem.spread_m2(fit.pose) + SURFACE_STD_m**2
+    totals = np.maximum(weights.sum(axis=1), 1e-9)
+    observed_m2 = (weights * distances_m**2).sum(axis=1) / totals
+    degrees = np.maximum((weights > 0.0).sum(axis=1) - 13.0, 0.0)
+    variances_m2 = (stated * stated_m2 + degrees * observed_m2) / (stated + degrees)
+    return float(variances_m2.min())

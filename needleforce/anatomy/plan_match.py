@@ -80,18 +80,6 @@ class PlanState(NamedTuple):
     is_obstacle_next: bool
 
 
-class _Posterior(NamedTuple):
-    """What is known of the plan.
-
-    Attributes:
-        joint: Probability of each number of boundaries passed (rows) and offset.
-        match: The boundary that the last rupture most likely was.
-    """
-
-    joint: Array
-    match: Match
-
-
 class PlanMatch:
     """Matches ruptures, in the order in which they came, with a plan.
 
@@ -228,12 +216,17 @@ class PlanMatch:
 
     def _infer(
         self, deepest_m: float, ruptures_m: Sequence[float], contact_m: float | None
-    ) -> _Posterior:
-        """Return what contact, ruptures and the deepest point of the tip say."""
+    ) -> tuple[Array, Match]:
+        """Return what contact, ruptures and the deepest point of the tip say.
+
+        Returns:
+            The probability of each number of boundaries passed (rows) and offset, and
+            the boundary that the last rupture most likely was.
+        """
         expected = self._model.expect(contact_m)
         ahead = self._model.look_ahead(expected, deepest_m)
         weights = self._model.weigh(expected, ruptures_m)
-        return _Posterior(join(ahead, weights), match_last_rupture(ahead, weights))
+        return join(ahead, weights), match_last_rupture(ahead, weights)
 
     def _name(self, layer: int, none: str = OUTSIDE) -> str:
         """Return the name of a layer; `OUTSIDE` for air, ``none`` for -1."""

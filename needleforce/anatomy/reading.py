@@ -136,17 +136,17 @@ def _read_structures(place: Path, max_bytes: int) -> Labels:
     masks = find_masks(place)
     if masks:
         return join_masks(masks, partial(read_volume, max_bytes=max_bytes))
-    objects = find_label_objects(place)
-    if objects.contours:
-        refuse_contours(objects.contours[0])
-    if len(objects.segmentations) > 1:
+    segmentations, contours = find_label_objects(place)
+    if contours:
+        refuse_contours(contours[0])
+    if len(segmentations) > 1:
         raise VolumeError(
-            f"{place} holds {len(objects.segmentations)} DICOM segmentations: expected "
+            f"{place} holds {len(segmentations)} DICOM segmentations: expected "
             "one; give the file",
             ONE_SERIES,
         )
-    if objects.segmentations:
-        return read_dicom_segmentation(objects.segmentations[0], max_bytes)
+    if segmentations:
+        return read_dicom_segmentation(segmentations[0], max_bytes)
     return _read_label_file(place, max_bytes)
 
 

@@ -30,10 +30,6 @@ MIN_VOXELS = 50
 """Kinds with fewer voxels are not judged: all of them lie at an edge."""
 
 
-SHIFTS_m = (9e-3, 16e-3, 24e-3, 34e-3)
-"""Distances by which labels are moved to see whether they would fit better."""
-
-
 MM_PER_M = 1e3
 
 
@@ -177,7 +173,7 @@ def _require_best_place(covers: Sequence[_Cover], scan: Volume) -> None:
     directions = [np.array(signs) for signs in product((-1, 0, 1), repeat=3)]
     shifts_m = [
         length_m * direction / np.linalg.norm(direction)
-        for length_m in SHIFTS_m
+        for length_m in (9e-3, 16e-3, 24e-3, 34e-3)
         for direction in directions
         if direction.any()
     ]

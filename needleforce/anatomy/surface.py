@@ -8,7 +8,7 @@ All but the last line works in voxels, so that unequal spacings are smoothed ali
 from dataclasses import dataclass
 from functools import cached_property
 from itertools import product
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,18 +20,6 @@ from foundation.arrays import Array
 if TYPE_CHECKING:
     from igl import AABB
     from trimesh import Trimesh
-
-
-class NearestPositions(NamedTuple):
-    """The nearest positions on a surface.
-
-    Attributes:
-        positions_m: One for each point, (n, 3).
-        normals: Of the surface there, (n, 3).
-    """
-
-    positions_m: Array
-    normals: Array
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,8 +72,8 @@ class Surface:
     def _middles(self) -> KDTree:
         return KDTree(self.vertices_m[self._with_area].mean(axis=1))
 
-    def nearest(self, points_m: Array) -> NearestPositions:
-        """Return the nearest positions on the surface, and the normals there.
+    def nearest(self, points_m: Array) -> tuple[Array, Array]:
+        """Return the nearest positions on the surface, (n, 3), and the normals there.
 
         Args:
             points_m: Shape (n, 3).
@@ -96,7 +84,7 @@ class Surface:
         positions_m = np.asarray(positions, dtype=np.float64)
         normals = self._area_normals_m2[np.asarray(nearest)]
         normals = normals / np.linalg.norm(normals, axis=1, keepdims=True)
-        return NearestPositions(positions_m, normals)
+        return positions_m, normals
 
     def mean_normals(self, positions_m: Array, normals: Array, reach_m: float) -> Array:
         """Return means of the normals around positions on the surface, shape (n, 3).

@@ -14,9 +14,6 @@ from foundation.arrays import Array
 DWELL_s = 1.0
 """So long the tip rests."""
 
-STILL_m = 0.7e-3
-"""It rests while it stays in a ball of this radius: a hand trembles by less."""
-
 AWAY_m = 4e-3
 """After a touch it must have moved so far before the next; and only what was felt so
 far away counts as the force of the free needle."""
@@ -107,7 +104,9 @@ class TouchDetector:
             return None
         tips_m = np.array([slot.tip_m for slot in self._recent])
         place_m = tips_m.mean(axis=0)
-        if np.linalg.norm(tips_m - place_m, axis=1).max() > STILL_m:
+        # It rests while it stays in a ball of this radius: a hand trembles by less.
+        still_m = 0.7e-3
+        if np.linalg.norm(tips_m - place_m, axis=1).max() > still_m:
             return None
         if self._is_at_last_touch(place_m):
             return None

@@ -20,10 +20,6 @@ TransformSource = Literal["slicer", "itk"]
 M_PER_MM = 1e-3
 
 
-MAX_DISTANCE_m = 10.0
-"""A CT that lies further from the robot's base is not in millimetres."""
-
-
 class RigidTransform(NamedTuple):
     """A motion: y = R x + t.
 
@@ -76,7 +72,8 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
         rotation = RAS_TO_LPS[:, None] * rotation.T
         shift_mm = -rotation @ shift_mm
     translation_m = M_PER_MM * shift_mm
-    if np.linalg.norm(translation_m) > MAX_DISTANCE_m:
+    max_distance_m = 10.0  # a CT further from the base is not in millimetres
+    if np.linalg.norm(translation_m) > max_distance_m:
         raise VolumeError(
             f"{path} carries the CT {np.linalg.norm(translation_m):.3g} m away: "
             "expected a file in millimetres",
@@ -85,26 +82,14 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
     return RigidTransform(rotation, translation_m)
 
 
-class _Affine(NamedTuple):
-    """A linear map: y = A x + b.
-
-    Attributes:
-        matrix: A, (3, 3).
-        shift_mm: b, (3,).
-    """
-
-    matrix: Array
-    shift_mm: Array
-
-
-def _affine_of(transform: Any) -> _Affine:
-    """Return what a linear transform of ITK does to points."""
+def _affine_of(transform: Any) -> tuple[Array, Array]:
+    """Return matrix (3, 3) and shift (3,) [mm] of a linear transform of ITK."""
     shift_mm = np.array(transform.TransformPoint([0.0, 0.0, 0.0]))
     columns = [
         np.array(transform.TransformPoint(axis.tolist())) - shift_mm
         for axis in np.eye(3)
     ]
-    return _Affine(np.column_stack(columns), shift_mm)
+    return np.column_stack(columns), shift_mm
 
 
 def _open(path: Path) -> Any:

@@ -173,8 +173,8 @@ def _require_geometry(name: str, now: Grid, then: Grid) -> None:
     shift_m = float(np.linalg.norm(now.corners_m() - then.corners_m(), axis=1).max())
     if shift_m > MAX_SHIFT_m:
         raise ValueError(
-            f"the {name} lies {1e3 * shift_m:.1f} mm from where it lay when the plan "
-            f"was made: another scan; {AGAIN}"
+            f"{1e3 * shift_m:.1f} mm lie between the {name} now and when the plan was "
+            f"made: another scan; {AGAIN}"
         )
 
 

@@ -100,6 +100,7 @@ class Page:
         sections: Its sections, listed above where there are at least three.
         scene: A page of its own that stands in a frame above the sections; empty for
             none.
+        card: HTML that stands above the scene; what it quotes is escaped.
         policy: What the page and its scene may run and fetch.
     """
 
@@ -109,6 +110,7 @@ class Page:
     tables: tuple[PageTable, ...] = ()
     sections: tuple[Section, ...] = ()
     scene: str = ""
+    card: str = ""
     policy: str = "default-src 'none'; img-src data:; style-src 'unsafe-inline'"
 
     def html(self) -> str:

@@ -77,7 +77,7 @@ def card_html(
     row: ViewRow | None,
     plan: PlanScene,
     bearing: Bearing | None = None,
-    event: tuple[str, float] = ("", 0.0),
+    event: tuple[str, float] | None = None,
 ) -> str:
     """Return the card of a row; empty without a planned path.
 
@@ -85,27 +85,29 @@ def card_html(
         row: What is shown; None before the first sample.
         plan: Anatomy and plan.
         bearing: The needle beside the planned path.
-        event: Kind of the latest event, empty for none, and its time [s]: see
-            `page_sound.js`.
+        event: Kind of the latest event, empty for none, and its time [s], for a page
+            that sounds: see `page_sound.js`.
     """
     path = plan.path
     if path is None:
         return ""
-    kind, time_s = event
-    # `page_sound.js` marks the page once it may sound.
-    silent = (
-        "<style>[data-sound=on] .silent{display:none}</style>"
-        '<p class="silent" style="font-size:.8rem;margin:.2rem 0;color:#555">'
-        "Sound: press a key or a button here once.</p>"
-    )
+    sound = ""
+    if event is not None:
+        kind, time_s = event
+        # `page_sound.js` marks the page once it may sound.
+        sound = (
+            f'<span hidden data-event="{kind}" data-time="{time_s:.3f}"></span>'
+            "<style>[data-sound=on] .silent{display:none}</style>"
+            '<p class="silent" style="font-size:.8rem;margin:.2rem 0;color:#555">'
+            "Sound: press a key or a button here once.</p>"
+        )
     return (
         '<div class="needle-card" style="margin:0 .75rem .5rem;color:#111">'
-        f'<span hidden data-event="{kind}" data-time="{time_s:.3f}"></span>'
         f"{_verdict_html(row)}"
         '<div style="display:flex;align-items:center;gap:.5rem">'
         f'<div style="flex:1;min-width:0">{_target_html(row, path.length_m)}</div>'
         f"{_bullseye_svg(row, bearing)}</div>"
-        f"{_nearest_html(row, plan)}{silent}</div>"
+        f"{_nearest_html(row, plan)}{sound}</div>"
     )
 
 

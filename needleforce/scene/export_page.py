@@ -73,6 +73,7 @@ def write_scene_page(
     *,
     warnings: Sequence[str],
     legend: Sequence[LegendLine],
+    card: str = "",
     sections: Sequence[Section] = (),
 ) -> Path:
     """Write a page, whole or not at all.
@@ -83,6 +84,7 @@ def write_scene_page(
         title: Of the page.
         warnings: What is wrong, or could not be checked.
         legend: What marks and colours stand for.
+        card: The clinician's view where the needle was deepest, as HTML.
         sections: What is said below the scene.
 
     Returns:
@@ -100,6 +102,7 @@ def write_scene_page(
         notices=tuple(f"Warning: {warning}" for warning in warnings),
         policy=page_policy(nonce),
         scene=with_nonce(scene, nonce),
+        card=card,
         sections=(*sections, words),
     )
     try:

@@ -10,9 +10,6 @@ from needleforce.scene.legend import LINE, LegendLine, legend_html
 from needleforce.scene.nodes import PATH_COLOR, Color
 from needleforce.scene.state_ring import FIELDS
 
-MAX_CURVE_POINTS = 500
-"""Of a curve; longer ones are thinned."""
-
 TIME_LABEL = "time [s]"
 DEPTH_LABEL = "depth [mm]"
 FORCE_LABEL = "force [N]"
@@ -120,7 +117,8 @@ class ForcePlots:
 def shown_rows(rows: Array) -> Array:
     """Return rows, shape (n, k), that were good, thinned to those that are drawn."""
     rows = rows[rows[:, COLUMN["is_good"]] > 0.0]
-    return rows[:: max(len(rows) // MAX_CURVE_POINTS, 1)]
+    max_points = 500  # of a curve
+    return rows[:: max(len(rows) // max_points, 1)]
 
 
 def deepest_rows(rows: Array) -> Array:

@@ -31,12 +31,6 @@ because no file may name a machine."""
 TOKEN_BYTES = 16
 """Of randomness in a token."""
 
-LOOKS = (
-    "You look. Another browser opened this page first and steers it; when it "
-    "leaves, this one does."
-)
-"""What a browser shows that does not steer."""
-
 KNOWN_VISER = ("1", "1")
 """Version of viser, first and second number, of which is known where requests and
 messages pass; the range of the extra `scene` in pyproject.toml is the same."""
@@ -328,7 +322,11 @@ class Steering:
     def _greet(self, browser: Any) -> None:
         """Tell a browser that does not steer."""
         if browser.client_id != self.driver:
-            notice = browser.gui.add_html(text_html(LOOKS), order=-1.0)
+            text = text_html(
+                "You look. Another browser opened this page first and steers it; when "
+                "it leaves, this one does."
+            )
+            notice = browser.gui.add_html(text, order=-1.0)
             self._notices[browser.client_id] = notice
 
     def _pass_on(self, browser: Any) -> None:

@@ -37,6 +37,7 @@ OF_THE_NEEDLE = (
 )
 
 OF_THE_PLAN = (
+    LegendLine(LINE, nodes.NEAREST_COLOR, "line to the nearest structure at risk"),
     LegendLine(LINE, nodes.OFF_PLAN_COLOR, "needle off the plan"),
     LegendLine(LINE, nodes.PATH_COLOR, "planned path"),
     LegendLine(AREA, nodes.TARGET_COLOR, "target"),
@@ -57,7 +58,7 @@ def legend_lines(
     """
     lines = OF_THE_NEEDLE if has_needle else ()
     if plan.entry_m is not None:
-        lines += OF_THE_PLAN if has_needle else OF_THE_PLAN[1:-1]
+        lines += OF_THE_PLAN if has_needle else OF_THE_PLAN[2:-1]
     colors = {surface.name: surface.colour for surface in plan.surfaces}
     return lines + tuple(
         LegendLine(AREA, nodes.color_of(colors[name]), name.replace("_", " "))

@@ -112,6 +112,7 @@ OFF_PLAN_COLOR = Color(230, 30, 30)
 """Of the needle while it is off the plan."""
 
 TARGET_COLOR = Color(0, 158, 115)
+NEAREST_COLOR = Color(150, 0, 120)
 TRAIL_COLOR = Color(213, 94, 0)
 TRAIL_WIDTH = 3.0  # pixels
 

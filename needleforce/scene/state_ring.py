@@ -22,9 +22,6 @@ from needleforce.insertion_events import session_events
 ROWS = 4096
 """How many rows the ring has, four seconds at 1 kHz."""
 
-READABLE_ROWS = 3 * ROWS // 4
-"""So many may be read; a quarter is left for what the writer does meanwhile."""
-
 _COUNT = struct.Struct("<Q")
 """How many rows were written, at the beginning of the memory."""
 
@@ -79,6 +76,9 @@ class ViewRow(NamedTuple):
         near_distance_m: Its distance.
         near_std_m: Standard deviation of that distance.
         near_is_too_near: 1 if it is nearer than it may be, else 0.
+        near_x_m: Where it is nearest, in the robot's base.
+        near_y_m: Likewise.
+        near_z_m: Likewise.
         zero_m: Depth from which shown depths count.
         zero_kind: Number of its name in `needleforce.depth_zero.ZERO_NAMES`.
         event: Number in `EVENTS` of what happened in this tick.
@@ -121,6 +121,9 @@ class ViewRow(NamedTuple):
     near_distance_m: float = math.nan
     near_std_m: float = math.nan
     near_is_too_near: float = math.nan
+    near_x_m: float = math.nan
+    near_y_m: float = math.nan
+    near_z_m: float = math.nan
     zero_m: float = 0.0
     zero_kind: float = 0.0
     event: float = 0.0
@@ -290,7 +293,8 @@ class StateRing(Closing):
             joints).
         """
         written_count = self._written_count()
-        first = max(count, written_count - READABLE_ROWS)
+        # A quarter of them is left for what the writer does meanwhile.
+        first = max(count, written_count - 3 * ROWS // 4)
         numbers = np.frombuffer(
             self._buffer, "<f8", ROWS * self._width, offset=_COUNT.size
         )

@@ -181,6 +181,10 @@ class Viewer:
             nodes.TRAIL_COLOR,
             nodes.TRAIL_WIDTH,
         )
+        self._nearest = nodes.add_lines(
+            self._server, "/nearest", np.zeros((2, 3)), nodes.NEAREST_COLOR, 3.0
+        )
+        self._nearest.visible = False
         upright = nodes.NeedlePose(np.zeros(3), np.array([0.0, 0.0, 1.0]))
         self._ahead = nodes.add_ring(
             self._server, "/ahead", upright, nodes.EXPECTED, ""
@@ -197,7 +201,7 @@ class Viewer:
         """
         gui = self._server.gui
         self._title = TitleBar(self._server, plan.warnings)
-        self._card = gui.add_html(card_html(None, plan))
+        self._card = gui.add_html(card_html(None, plan, event=("", 0.0)))
         gui.add_html(text_html(*(f"Warning: {warning}" for warning in plan.warnings)))
         self._headline = gui.add_html(text_html("waiting for the first sample"))
         # Docked, not floating over the scene.
@@ -331,6 +335,7 @@ class Viewer:
             self._draw_marks(row)
             self._draw_expected(row, needle)
             self._draw_banner(row, needle)
+            self._draw_nearest(row, needle)
             self._arrow.show(row, needle)
             self._draw_trail(index, row)
             is_near = row.depth_m > row.zero_m - nodes.PATH_LEAD_M
@@ -412,6 +417,23 @@ class Viewer:
         # So far before the tip no other label stands.
         self._off_plan.position = tuple(needle.tip_m - 0.1 * needle.axis)
 
+    def _draw_nearest(self, row: ViewRow, needle: nodes.NeedlePose) -> None:
+        """Draw a line from the needle to the nearest structure at risk."""
+        place_m = np.array([row.near_x_m, row.near_y_m, row.near_z_m])
+        path = self._plan.path
+        self._nearest.visible = path is not None and bool(np.isfinite(place_m).all())
+        if path is None or not self._nearest.visible:
+            return
+        # On the needle in the body, or on its way ahead as far as the target is deep.
+        depth_m = float((needle.tip_m - path.entry_m) @ path.axis)
+        along_m = (place_m - needle.tip_m) @ needle.axis
+        least_m = -max(depth_m, 0.0)
+        along_m = float(np.clip(along_m, least_m, max(path.length_m - depth_m, 0.0)))
+        line_m = np.array([needle.tip_m + along_m * needle.axis, place_m])
+        self._nearest.points = line_m[None].astype(np.float32)
+        color = nodes.OFF_PLAN_COLOR if row.is_too_near else nodes.NEAREST_COLOR
+        self._nearest.colors = np.array(color, np.uint8)
+
     def _draw_trail(self, index: int, row: ViewRow) -> None:
         """Draw the real path of the tip until a row, from shortly before the entry."""
         rows = self._rows[: index + 1]
@@ -478,6 +500,10 @@ class Viewer:
             serializer.insert_sleep(step_s)
         scene = serializer.as_html()
         last = _view_row_of(self._rows[-1])
+        # At the end a needle may be back in the air.
+        deepest = self._rows[int(self._rows[:, COLUMN["depth_m"]].argmax())]
+        row = _view_row_of(deepest)
+        needle = self._arm.needle_at(_joints_of(deepest))
         self._title.restore(banner_of(last))
         banners = [banner_of(_view_row_of(row)) for row in self._rows]
         ruptures = [
@@ -499,6 +525,7 @@ class Viewer:
                 *describe_banners(times_s - start_s, banners),
             ),
             legend=legend_lines(self._plan),
+            card=card_html(row, self._plan, find_bearing(row, needle, self._plan)),
             sections=sections,
         )
 

@@ -191,8 +191,8 @@ def _find_target(name: str, labels: Labels) -> _Target:
         return _Target(markup.names[0], markup.points_m[0])
     if len(markup.points_m) != 2:
         raise CommandError(f"{name}: a line of {len(markup.points_m)} points")
-    ends = orient_line(labels, markup.points_m)
-    return _Target("end of the line", ends.target_m, ends.entry_m)
+    entry_m, target_m = orient_line(labels, markup.points_m)
+    return _Target("end of the line", target_m, entry_m)
 
 
 def names_to_avoid(labels: Labels, wish: PathWish) -> tuple[str, ...]:

@@ -98,6 +98,22 @@ def test_a_patient_who_moves_by_a_centimetre_is_found(first):
     assert missed == 0
 
 
+def test_a_patient_who_moves_by_5_mm_before_the_touches_is_found_or_covered():
+    rng = np.random.default_rng(1001)
+    missed = 0
+    for number in range(24):
+        move = 0.005 * np.eye(3)[number % 3]
+        landmarks_m, touches_m, target_m = touch(rng, 1.5e-3, move=move)
+        try:
+            _, registration = fit(landmarks_m, touches_m)
+        except RegistrationError as error:
+            missed += "moved" not in str(error)
+        else:
+            missed += not registration.region_contains(TARGET_m, target_m)
+
+    assert missed <= 1
+
+
 def test_touches_close_together_are_no_worse_than_landmarks_alone():
     rng = np.random.default_rng(1002)
     errors_m = []

@@ -77,6 +77,18 @@ def test_needle_and_way_ahead_are_measured_apart():
     assert not above.is_too_near
 
 
+def test_the_place_of_a_structure_that_is_nearest_is_stated_in_the_base():
+    # Beside the vessel's face at its middle, and above it at its nearest edge.
+    for depth_m, z_m in ((0.05, 40e-3), (0.02, 39.5e-3)):
+        found = judge(surroundings(), depth_m, turn_rad=0.0)["portal_vein"]
+        place_m = TURN.inv().apply([found.x_m, found.y_m, found.z_m] - SHIFT_m)
+
+        assert place_m[0] == pytest.approx(59.5e-3)
+        assert place_m[1] == pytest.approx(40e-3)
+        assert 39.5e-3 - 1e-9 <= place_m[2] <= 40.5e-3 + 1e-9
+        assert place_m[2] == pytest.approx(z_m, abs=0.51e-3)
+
+
 def test_a_needle_beside_its_plan_is_too_near_though_the_plan_is_not():
     around = surroundings()
 

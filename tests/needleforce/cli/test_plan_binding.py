@@ -115,9 +115,9 @@ def test_another_patient_is_refused(case, fields):
 def test_a_scan_that_lies_20_mm_elsewhere_is_refused(case, fields):
     files = moved_files(case, "shifted", (0.0, 0.0, 20.0))
 
-    assert "the CT lies 20.0 mm from where it lay" in refusal(case, {**fields, **files})
+    assert "20.0 mm lie between the CT now and" in refusal(case, {**fields, **files})
     only_labels = {**fields, "labels": files["labels"]}
-    assert "the labels lies 20.0 mm from where" in refusal(case, only_labels)
+    assert "20.0 mm lie between the labels now and" in refusal(case, only_labels)
 
 
 def test_another_patient_on_the_same_grid_is_refused(case, fields):

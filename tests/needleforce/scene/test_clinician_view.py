@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 
 from tests.chromium import PHONE, needs_chromium
-from tests.needleforce.scene.test_page import plan, row
+from tests.needleforce.scene.test_page import HOME, plan, row
 from tests.needleforce.scene.test_panel import scanned
 
 pytest.importorskip("viser")
@@ -200,6 +200,38 @@ COUNT_TONES = """(() => { window.tones = [];
 const start = OscillatorNode.prototype.start;
 OscillatorNode.prototype.start = function (...when) {
   window.tones.push(this.frequency.value); return start.apply(this, when); }; })()"""
+
+
+def test_a_line_joins_the_needle_and_the_nearest_structure():
+    robot = load_lwr(payload=NeedleTool())
+    viewer = Viewer(robot, watched_plan(), port=8496)
+    try:
+        tip_m, axis = viewer._arm.needle_at(HOME)
+        aside = np.cross(axis, [0.0, 1.0, 0.0])
+        place_m = tip_m + 0.004 * axis + 0.012 * aside / np.linalg.norm(aside)
+        near = dict(zip(("near_x_m", "near_y_m", "near_z_m"), place_m, strict=True))
+        unknown = dict.fromkeys(near, np.nan)
+        viewer.append(
+            np.array(
+                [
+                    row(0.0, **on_plan(**unknown)),
+                    row(1.0, **on_plan(**near)),
+                    row(2.0, **on_plan(**near, near_is_too_near=1.0)),
+                ]
+            )
+        )
+        viewer.show(0.0)
+        assert not viewer._nearest.visible
+        viewer.show(1.0)
+        start_m, end_m = viewer._nearest.points[0]
+        assert viewer._nearest.visible
+        assert np.allclose(end_m, place_m, atol=1e-6)
+        # At a right angle to the needle, where the structure is nearest to it.
+        assert np.allclose(start_m, tip_m + 0.004 * axis, atol=1e-6)
+        viewer.show(2.0)
+        assert viewer._nearest.colors.tolist() == [230, 30, 30]
+    finally:
+        viewer.stop()
 
 
 def shown_events():

@@ -85,6 +85,16 @@ def test_the_page_shows_film_ct_forces_and_what_it_is(page, size):
         assert opened.errors == []
 
 
+def test_the_page_begins_with_the_clinicians_view_where_the_needle_was_deepest(page):
+    text = page.read_text(encoding="utf-8")
+    card = text[text.index("Where the needle was deepest") : text.index("<iframe")]
+
+    assert "⚠ OFF PLAN" in card
+    assert 'data-part="target"' in card
+    assert 'data-part="bullseye"' in card
+    assert "Sound" not in card  # a page that is read afterwards is silent
+
+
 def test_a_plan_becomes_a_page_with_its_warnings(tmp_path):
     place = export_plan(plan()._replace(warnings=(WARNING,)), tmp_path / "plan.html")
     text = place.read_text(encoding="utf-8")
