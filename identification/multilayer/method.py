@@ -67,6 +67,7 @@ from identification.multilayer.force_split import (
 from identification.multilayer.hard_contact import HardContactState
 from identification.multilayer.layer_report import (
     Alarm,
+    contact_std_mm,
     friction_of_last_layer,
     friction_of_layer_before,
     partial_rupture_probability,
@@ -222,6 +223,9 @@ MAX_BREATHING_MM2 = 4.0
 MAX_TISSUE_SPEED_VARIANCE = 25.0
 """Variance of the tissue's own speed, at most [mm²/s²]."""
 
+CONTACT_SHOWN_MM = 3.0
+"""Way behind the first contact on which the force shows where that was."""
+
 OUTSIDE_MM = 2.0
 """Way in front of the first contact from which on a needle is out of the tissue: its
 surface was pushed in, and is known that well."""
@@ -294,6 +298,7 @@ class MultilayerState:
         rupture_probability: Of one rupture more than were reported.
         layers: Those traversed.
         rupture_state: What is reported.
+        contact_std_mm: Standard deviation of the depth of first contact.
     """
 
     mixture: MixtureState
@@ -321,6 +326,7 @@ class MultilayerState:
     rupture_probability: float
     layers: tuple[LayerEstimate, ...]
     rupture_state: RuptureState
+    contact_std_mm: float = 0.0
 
     @property
     def is_at_work(self) -> bool:
@@ -1207,6 +1213,19 @@ class MultilayerMethod:
             0.0 if rupture is None else MM_PER_M * rupture.speed_m_s,
         )
         self._read_contact()
+        self._learn_contact_std(evidence)
+
+    def _learn_contact_std(self, evidence: Evidence) -> None:
+        """Keep how well the depth of first contact is known near to it.
+
+        Farther on components tell it apart by errors of the force model alone.
+        """
+        contact_m = self.contact_depth_m
+        if contact_m is None or self._state.ruptures > 0:
+            return
+        behind_mm = self._state.block.depth_mm - MM_PER_M * contact_m
+        if behind_mm < CONTACT_SHOWN_MM:
+            self._state.contact_std_mm = contact_std_mm(evidence, self._state.block)
 
     def _is_rupture(
         self, evidence: Evidence, count: RuptureCount, since_reset_s: float
@@ -1249,6 +1268,7 @@ class MultilayerMethod:
             layers_traversed(layers) + 1,
             count.more,
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
+            self._state.contact_std_mm,
         )
         self._state.ruptures = int(evidence.ruptures[count.likeliest_with_more])
         self._state.provisional = None
@@ -1285,6 +1305,7 @@ class MultilayerMethod:
             layers_traversed(self.layers) + self._is_layer_open + 1,
             count.more,
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
+            self._state.contact_std_mm,
         )
         self.events = self.events._replace(provisional=self._state.provisional)
 
@@ -1334,7 +1355,9 @@ class MultilayerMethod:
         friction = friction_of_last_layer(evidence, self._state.ruptures, variance_N2)
         if friction is None:
             return
-        layer = report_layer(evidence, alarm, self._state.ruptures, friction)
+        layer = report_layer(
+            evidence, alarm, self._state.ruptures, friction, self._state.block
+        )
         if layer is not None:
             if self._state.tissue_pull.doubt_N > 0.0:
                 layer = with_doubt(layer, self._state.tissue_pull.doubt_N)

@@ -17,7 +17,11 @@ from needleforce.cli.logs.replay_setup import (
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
-from needleforce.cli.logs.torque_summary import describe_doubt, with_cure
+from needleforce.cli.logs.torque_summary import (
+    describe_doubt,
+    describe_needless_factor,
+    with_cure,
+)
 from needleforce.cli.plan_file import LoadedPlan
 from needleforce.cli.robot import (
     payload_from_options,
@@ -30,7 +34,7 @@ from needleforce.cli.shared_options import (
     RobotOptions,
     SensorOptions,
 )
-from needleforce.cli.terminal import write_out
+from needleforce.cli.terminal import CommandError, write_out
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import TableLabels
@@ -145,7 +149,10 @@ def _warn_of_torques(
     log: LogSession, replay: SensorReplay, result: ForceResult
 ) -> None:
     """Warn of what the tare, and the rows after it, show to be wrong with torques."""
-    if doubt := describe_doubt(replay.sensor.diagnosis, log, replay):
+    diagnosis = replay.sensor.diagnosis
+    if fault := describe_needless_factor(diagnosis, log, replay):
+        raise CommandError(fault, "Leave the factor of --tau out, and give that arm")
+    if doubt := describe_doubt(diagnosis, log, replay):
         log.warn(f"torque: {doubt}")
     mismatched = result.warnings[SensorWarning.MODEL_MISMATCH]
     # A knock mismatches for a moment; a wrong arm or payload does most of the time.
