@@ -223,9 +223,6 @@ MAX_BREATHING_MM2 = 4.0
 MAX_TISSUE_SPEED_VARIANCE = 25.0
 """Variance of the tissue's own speed, at most [mm²/s²]."""
 
-CONTACT_SHOWN_MM = 3.0
-"""Way behind the first contact on which the force shows where that was."""
-
 OUTSIDE_MM = 2.0
 """Way in front of the first contact from which on a needle is out of the tissue: its
 surface was pushed in, and is known that well."""
@@ -298,7 +295,8 @@ class MultilayerState:
         rupture_probability: Of one rupture more than were reported.
         layers: Those traversed.
         rupture_state: What is reported.
-        contact_std_mm: Standard deviation of the depth of first contact.
+        contact_std_mm: Standard deviation of the depth of first contact, the largest
+            until the first rupture.
     """
 
     mixture: MixtureState
@@ -1216,16 +1214,15 @@ class MultilayerMethod:
         self._learn_contact_std(evidence)
 
     def _learn_contact_std(self, evidence: Evidence) -> None:
-        """Keep how well the depth of first contact is known near to it.
+        """Keep how well the depth of first contact was known, the worst since then.
 
         Farther on components tell it apart by errors of the force model alone.
         """
-        contact_m = self.contact_depth_m
-        if contact_m is None or self._state.ruptures > 0:
-            return
-        behind_mm = self._state.block.depth_mm - MM_PER_M * contact_m
-        if behind_mm < CONTACT_SHOWN_MM:
-            self._state.contact_std_mm = contact_std_mm(evidence, self._state.block)
+        if self.contact_depth_m is None:
+            self._state.contact_std_mm = 0.0
+        elif self._state.ruptures == 0:
+            std_mm = contact_std_mm(evidence, self._state.block)
+            self._state.contact_std_mm = max(self._state.contact_std_mm, std_mm)
 
     def _is_rupture(
         self, evidence: Evidence, count: RuptureCount, since_reset_s: float
