@@ -6,9 +6,10 @@ with tissue, and says which.
 """
 
 import math
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-from identification import LayerEstimate
+if TYPE_CHECKING:
+    from identification import LayerEstimate
 
 PLANNED_ENTRY = "below the planned entry"
 FIRST_CONTACT = "below first contact"
@@ -35,7 +36,7 @@ class DepthZero(NamedTuple):
         """Return a depth of the session as it is shown [mm]."""
         return 1e3 * (depth_m - self.depth_m)
 
-    def end_std_mm(self, layer: LayerEstimate) -> float | None:
+    def end_std_mm(self, layer: "LayerEstimate") -> float | None:
         """Return the standard deviation of a layer's end as it is shown [mm].
 
         Below the first contact the error of that contact is in it; None where the
