@@ -2,6 +2,7 @@
 
 import subprocess
 import sys
+import tomllib
 from pathlib import Path
 
 from pygments.lexers.special import TextLexer
@@ -14,7 +15,10 @@ import array_types  # pyright: ignore[reportMissingImports]
 
 array_types.shorten()
 
+PROJECT = tomllib.loads((DOCS.parent / "pyproject.toml").read_text(encoding="utf-8"))
+
 project = "needleforce"
+release = PROJECT["project"]["version"]
 author = "needleforce"
 copyright = "the needleforce authors, Apache-2.0"
 
@@ -22,6 +26,7 @@ extensions = [
     "myst_parser",
     "sphinx.ext.autodoc",
     "sphinx.ext.napoleon",
+    "sphinx.ext.viewcode",
     "api_pages",
     "command_pages",
     "docstrings",
@@ -63,7 +68,7 @@ sphinx_gallery_conf = {
 
 # Look
 html_theme = "furo"
-html_title = "needleforce"
+html_title = f"needleforce {release}"
 html_static_path = ["style"]
 html_css_files = ["site.css"]
 html_copy_source = False

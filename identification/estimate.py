@@ -80,6 +80,7 @@ class Rupture:
         is_final: Whether it is settled: while False it may still be retracted.
         contact_depth_m: Depth of first contact: found by the multi-layer method, known
             beforehand in `published`.
+        contact_depth_std_m: Standard deviation of that depth, None in `published`.
     """
 
     layer: int
@@ -92,6 +93,7 @@ class Rupture:
     probability: float
     is_final: bool = False
     contact_depth_m: float
+    contact_depth_std_m: float | None = None
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -110,6 +112,8 @@ class LayerEstimate:
             later layers reveal about their friction.
         start_depth_m: Depth at which it begins.
         thickness_m: d_i, travel from there to its rupture.
+        end_depth_std_m: Standard deviation of the depth at which it ends, from the
+            caller's zero; below the first contact the deviation of that adds to it.
         rupture: How it ended.
         force_drop_N: Elastic force released.
         force_drop_std_N: Standard deviation of the force drop.
@@ -135,6 +139,7 @@ class LayerEstimate:
     is_final: bool
     start_depth_m: float
     thickness_m: float
+    end_depth_std_m: float | None = None
     rupture: Rupture
     force_drop_N: float
     force_drop_std_N: float | None = None

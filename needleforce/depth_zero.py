@@ -5,7 +5,11 @@ shown counts from the planned entry where a plan has one, else from the first co
 with tissue, and says which.
 """
 
-from typing import Any, NamedTuple
+import math
+from typing import TYPE_CHECKING, Any, NamedTuple
+
+if TYPE_CHECKING:
+    from identification import LayerEstimate
 
 PLANNED_ENTRY = "below the planned entry"
 FIRST_CONTACT = "below first contact"
@@ -31,6 +35,20 @@ class DepthZero(NamedTuple):
     def shown_mm(self, depth_m: float) -> float:
         """Return a depth of the session as it is shown [mm]."""
         return 1e3 * (depth_m - self.depth_m)
+
+    def end_std_mm(self, layer: "LayerEstimate") -> float | None:
+        """Return the standard deviation of a layer's end as it is shown [mm].
+
+        Below the first contact the error of that contact is in it; None where the
+        method states none.
+        """
+        end_std_m = layer.end_depth_std_m
+        if end_std_m is None:
+            return None
+        zero_std_m = 0.0
+        if self.name == FIRST_CONTACT:
+            zero_std_m = layer.rupture.contact_depth_std_m or 0.0
+        return 1e3 * math.hypot(end_std_m, zero_std_m)
 
 
 def find_depth_zero(estimate: Any) -> DepthZero:

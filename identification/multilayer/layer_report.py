@@ -10,15 +10,18 @@ from numpy.typing import NDArray
 from foundation.arrays import Array
 from foundation.records import read_column, read_element
 from identification.estimate import LayerEstimate, Rupture
+from identification.multilayer.block import Block
 from identification.multilayer.events import History
 from identification.multilayer.evidence import MM_PER_M, Evidence
 from identification.multilayer.force_model import (
+    AIR,
     FRICTION_BEFORE,
     FRICTION_LAST,
     MEMBRANE,
     RELEASED,
 )
 from identification.multilayer.force_split import IDENTIFIED_FRACTION
+from identification.multilayer.mixture import MIN_BRANCH_MM
 
 MIN_PROBABILITY = 0.3
 """Probability of all components with the last rupture, to say what it was."""
@@ -56,8 +59,43 @@ class Alarm(NamedTuple):
     depth_m: float
 
 
+def contact_std_mm(evidence: Evidence, block: Block) -> float:
+    """Return the standard deviation of the depth at which tissue was met [mm].
+
+    To be asked before the first rupture: all that outlives it may say the same depth.
+
+    Args:
+        evidence: Of the mixture.
+        block: The last one.
+    """
+    is_in_air = read_column(evidence.mixture.assumptions, "medium") == AIR
+    weights = np.where(is_in_air, 0.0, evidence.weights)
+    if not weights.any():
+        return 0.0
+    contacts_mm = read_column(evidence.mixture.history, "contact_mm")
+    return _std_of_event(weights, contacts_mm, block.speed_mm_s, block)
+
+
+def _std_of_event(
+    weights: Array, depths_mm: Array, speed_mm_s: float, block: Block
+) -> float:
+    """Return the standard deviation of the depth of the likeliest component's event.
+
+    An event may begin anywhere in a block, but a component dates it to its beginning.
+    """
+    likeliest_mm = depths_mm[np.argmax(weights)]
+    spread_mm2 = float(weights @ (depths_mm - likeliest_mm) ** 2) / float(weights.sum())
+    step_mm = max(speed_mm_s * block.duration_s, MIN_BRANCH_MM)
+    return math.sqrt(spread_mm2 + step_mm**2 + block.depth_std_mm**2)
+
+
 def report_rupture(
-    evidence: Evidence, component: int, layer: int, probability: float, alarm: Alarm
+    evidence: Evidence,
+    component: int,
+    layer: int,
+    probability: float,
+    alarm: Alarm,
+    contact_std_mm: float,
 ) -> Rupture:
     """Return the last rupture of a component.
 
@@ -67,6 +105,7 @@ def report_rupture(
         layer: Number of the layer that ends.
         probability: Of the rupture.
         alarm: The sample that raises it.
+        contact_std_mm: Standard deviation of the depth of first contact.
     """
     history = _history(evidence, component)
     since_s = max(alarm.since_reset_s - history.rupture_s, 0.0)
@@ -80,6 +119,7 @@ def report_rupture(
         speed_m_s=history.rupture_speed_mm_s / MM_PER_M,
         probability=min(probability, 1.0),
         contact_depth_m=history.contact_mm / MM_PER_M,
+        contact_depth_std_m=contact_std_mm / MM_PER_M,
     )
 
 
@@ -143,7 +183,11 @@ def _mix_friction(
 
 
 def report_layer(
-    evidence: Evidence, rupture: Rupture, ruptures: int, friction: LayerFriction
+    evidence: Evidence,
+    rupture: Rupture,
+    ruptures: int,
+    friction: LayerFriction,
+    block: Block,
 ) -> LayerEstimate | None:
     """Return the layer, or the part of one, that the last rupture ended.
 
@@ -154,6 +198,7 @@ def report_layer(
         rupture: The last one.
         ruptures: Number of ruptures reported.
         friction: Of the layer.
+        block: The last one.
     """
     weights = evidence.weights_of(ruptures)
     weights[_has_met_membrane(evidence)] = 0.0
@@ -163,6 +208,12 @@ def report_layer(
     mixture = evidence.mixture
     history = _history(evidence, component)
     thickness_mm = max(history.rupture_mm - history.section_start_mm, MIN_THICKNESS_MM)
+    end_std_mm = _std_of_event(
+        weights,
+        read_column(mixture.history, "rupture_mm"),
+        history.rupture_speed_mm_s,
+        block,
+    )
     stiffness = MM_PER_M * max(history.stiffness_N_per_mm, 0.0)
     stiffness_std = MM_PER_M * _std(history.stiffness_variance)
     coulomb = MM_PER_M * max(history.coulomb_N_per_mm, 0.0)
@@ -174,6 +225,7 @@ def report_layer(
         is_final=False,
         start_depth_m=history.section_start_mm / MM_PER_M,
         thickness_m=thickness_mm / MM_PER_M,
+        end_depth_std_m=end_std_mm / MM_PER_M,
         rupture=rupture,
         force_drop_N=float(mixture.means[component, RELEASED]),
         force_drop_std_N=_std(

@@ -68,6 +68,7 @@ from identification.multilayer.hard_contact import HardContactState
 from identification.multilayer.innovation_watch import InnovationWatch
 from identification.multilayer.layer_report import (
     Alarm,
+    contact_std_mm,
     friction_of_last_layer,
     friction_of_layer_before,
     report_layer,
@@ -301,6 +302,8 @@ class MultilayerState:
         rupture_probability: Of one rupture more than were reported.
         layers: Those traversed.
         rupture_state: What is reported.
+        contact_std_mm: Standard deviation of the depth of first contact, the largest
+            until the first rupture.
     """
 
     mixture: MixtureState
@@ -331,6 +334,7 @@ class MultilayerState:
     rupture_probability: float
     layers: tuple[LayerEstimate, ...]
     rupture_state: RuptureState
+    contact_std_mm: float = 0.0
 
     @property
     def is_at_work(self) -> bool:
@@ -1250,6 +1254,18 @@ class MultilayerMethod:
             0.0 if rupture is None else MM_PER_M * rupture.speed_m_s,
         )
         self._read_contact()
+        self._learn_contact_std(evidence)
+
+    def _learn_contact_std(self, evidence: Evidence) -> None:
+        """Keep how well the depth of first contact was known, the worst since then.
+
+        Farther on components tell it apart by errors of the force model alone.
+        """
+        if self.contact_depth_m is None:
+            self._state.contact_std_mm = 0.0
+        elif self._state.ruptures == 0:
+            std_mm = contact_std_mm(evidence, self._state.block)
+            self._state.contact_std_mm = max(self._state.contact_std_mm, std_mm)
 
     def _is_rupture(
         self, evidence: Evidence, count: RuptureCount, since_reset_s: float
@@ -1292,6 +1308,7 @@ class MultilayerMethod:
             layers_traversed(layers) + 1,
             count.more,
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
+            self._state.contact_std_mm,
         )
         self._state.ruptures = int(evidence.ruptures[count.likeliest_with_more])
         self._state.model_errors_N = (0.0, self._state.model_errors_N[0])
@@ -1330,6 +1347,7 @@ class MultilayerMethod:
             layers_traversed(self.layers) + self._is_layer_open + 1,
             count.more,
             Alarm(sample.time_s, sample.clock_s, sample.depth_m),
+            self._state.contact_std_mm,
         )
         self.events = self.events._replace(provisional=self._state.provisional)
 
@@ -1390,7 +1408,9 @@ class MultilayerMethod:
         friction = friction_of_last_layer(evidence, self._state.ruptures, variance_N2)
         if friction is None:
             return
-        layer = report_layer(evidence, alarm, self._state.ruptures, friction)
+        layer = report_layer(
+            evidence, alarm, self._state.ruptures, friction, self._state.block
+        )
         if layer is not None:
             if self._state.tissue_pull.doubt_N > 0.0:
                 layer = with_doubt(layer, self._state.tissue_pull.doubt_N)

@@ -1,11 +1,13 @@
 """What every command does with errors, Ctrl-C and SIGTERM, and with what it prints."""
 
 import os
+import re
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
+from difflib import SequenceMatcher
 from importlib.util import find_spec
 from types import FrameType
 
@@ -95,7 +97,8 @@ def _describe_failure(error: BaseException) -> str:
         reason = f"{error.name} is not installed"
         error = CommandError(reason, f"Install it: {install_command(extra)}")
     if type(error).__module__.partition(".")[0] == "cyclopts":
-        error = CommandError(str(error), "--help lists what a command takes")
+        message = _without_far_suggestion(str(error))
+        error = CommandError(message, "--help lists what a command takes")
     if isinstance(error, NeedleforceError):
         try:
             write_out("")
@@ -108,6 +111,18 @@ def _describe_failure(error: BaseException) -> str:
     _close_output()
     reason = f"cannot write standard output: {error.strerror or error}"
     return describe_error(CommandError(reason, OTHER_PLACE))
+
+
+def _without_far_suggestion(message: str) -> str:
+    """Return a message without an option that it suggests for its dashes alone.
+
+    The parser compares names with their dashes, which all options share.
+    """
+    found = re.search(r": --(\S+?)\.? Did you mean --(\S+)\?", message)
+    # Half of "idle" and "view" is the same, a letter of four is wrong in a mistake.
+    if found is None or SequenceMatcher(None, found[1], found[2]).ratio() > 0.5:
+        return message
+    return re.sub(r" Did you mean --\S+\?", "", message)
 
 
 def require_modules(command: str, modules: Iterable[str]) -> None:

@@ -12,6 +12,7 @@ from foundation.arrays import Array
 from groundtruth import Run, simulate
 from needleforce import plots
 from needleforce.cli.terminal import CommandError, aligned, staged_progress, write_out
+from needleforce.depth_zero import FIRST_CONTACT, DepthZero
 from needleforce.plots import Chart, Curve, Instants, Panel, Shading, palette
 from needleforce.plots.chart import WIDTH_IN
 from needleforce.session import InsertionSession
@@ -177,20 +178,12 @@ def layer_note(compared: ComparedInsertion) -> str:
     """Return what the table of layers means, and what looks odd in the figure."""
     run = compared.run
     ours = compared.multilayer
-    errors_m = [
-        abs(_estimated_end_m(rupture) - rupture.true.onset_m)
-        for rupture in ours.ruptures
-        if rupture.layer is not None
-    ]
     behind = is_insertion(run) & (run.truth.t_s > run.truth.ruptures[-1].end_s)
     note = (
         "True: what the simulation knows. ±: the standard deviation that the method "
-        "states of its estimate; of a depth it states none"
-    )
-    if errors_m:
-        note += f" (here at most {M_TO_MM * max(errors_m):.1f} mm off)"
-    note += (
-        ". Alarm after: from the onset of the rupture to the sample that reported it."
+        "states of its estimate; that of a depth is mostly of the first contact, which "
+        "is found by force alone. Alarm after: from the onset of the rupture to the "
+        "sample that reported it."
     )
     if not behind.any():
         return note
@@ -219,7 +212,9 @@ def _layer_cells(run: Run, rupture: FoundRupture) -> tuple[str, ...]:
     found = rupture.layer
     depth = friction = stiffness = NOTHING
     if found is not None:
-        depth = f"{M_TO_MM * _estimated_end_m(rupture):.1f}"
+        zero = DepthZero(found.rupture.contact_depth_m, FIRST_CONTACT)
+        end_mm = zero.shown_mm(found.start_depth_m + found.thickness_m)
+        depth = _with_std(end_mm, zero.end_std_mm(found), 1)
         friction = _with_std(found.friction_N, found.friction_std_N, 2)
         stiffness = _with_std(found.stiffness_N_per_m, found.stiffness_std_N_per_m, 0)
     delay = "missed"
@@ -236,14 +231,6 @@ def _layer_cells(run: Run, rupture: FoundRupture) -> tuple[str, ...]:
         stiffness,
         delay,
     )
-
-
-def _estimated_end_m(rupture: FoundRupture) -> float:
-    """Return the depth of a rupture below first contact, both as estimated."""
-    if rupture.layer is None:
-        return np.nan
-    found = rupture.layer.rupture
-    return found.depth_m - found.contact_depth_m
 
 
 def _with_std(value: float, std: float | None, digits: int) -> str:

@@ -17,6 +17,7 @@ from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_summary import (
     describe_doubt,
     describe_missing_mass,
+    describe_needless_factor,
     describe_scale,
     with_cure,
 )
@@ -348,7 +349,10 @@ def _torque_lines(
             yield CheckLine(topic, Outcome.UNCHECKED, reason)
         return
     is_taken = refusal is None
-    doubt = describe_doubt(diagnosis, log, replay) if is_taken else ""
+    doubt = ""
+    if is_taken:
+        doubt = describe_needless_factor(diagnosis, log, replay)
+        doubt = doubt or describe_doubt(diagnosis, log, replay)
     if doubt:
         yield CheckLine("torque", Outcome.DOUBTFUL, doubt)
     yield _sign_line(diagnosis, is_taken=is_taken)

@@ -3,7 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,9 +11,7 @@ from numpy.typing import NDArray
 from foundation.arrays import Array
 from needleforce import plots
 from needleforce.cli.logs.force_result import NO_WARNING, ForceResult, vectors_of
-from needleforce.cli.logs.layer_page import LayerPage
 from needleforce.cli.logs.outputs import Answer
-from needleforce.cli.logs.plan_found import PlanFound
 from needleforce.cli.logs.row_overview import axis_span, time_axis
 from needleforce.cli.logs.sensor_replay import ForceRows, has_status
 from needleforce.cli.shared_options import Over
@@ -22,6 +20,10 @@ from needleforce.depth_zero import FIRST_ROW, LOG_ZERO, DepthZero
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
 from residual import Status
+
+if TYPE_CHECKING:
+    from needleforce.cli.logs.layer_page import LayerPage
+    from needleforce.cli.logs.plan_found import PlanFound
 
 MIN_TRAVEL_M = 1e-3
 """A chart over travel has nothing to show where the tool hardly moves [m]."""
@@ -73,8 +75,8 @@ class ForcePage:
     """
 
     result: ForceResult
-    layers: LayerPage | None = None
-    plan: PlanFound | None = None
+    layers: "LayerPage | None" = None
+    plan: "PlanFound | None" = None
 
     def text(self) -> str:
         """Return the lines of the summary, and of the layers if asked for."""

@@ -1,14 +1,12 @@
 """`needleforce force`: from options and a log to forces, and layers if asked for."""
 
 from dataclasses import replace
+from typing import TYPE_CHECKING
 
 from needleforce.cli.logs.force_page import ForcePage
 from needleforce.cli.logs.force_result import ForceResult, force_table
-from needleforce.cli.logs.layer_page import LayerPage
-from needleforce.cli.logs.layer_result import identify_layers
 from needleforce.cli.logs.log_session import LogSession, mapping_from_options
 from needleforce.cli.logs.outputs import open_output, run_log
-from needleforce.cli.logs.plan_found import PlanWatch
 from needleforce.cli.logs.replay_setup import (
     prepare,
     robot_of_log,
@@ -17,8 +15,11 @@ from needleforce.cli.logs.replay_setup import (
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
-from needleforce.cli.logs.torque_summary import describe_doubt, with_cure
-from needleforce.cli.plan_file import LoadedPlan
+from needleforce.cli.logs.torque_summary import (
+    describe_doubt,
+    describe_needless_factor,
+    with_cure,
+)
 from needleforce.cli.robot import (
     payload_from_options,
     payload_lines,
@@ -30,11 +31,15 @@ from needleforce.cli.shared_options import (
     RobotOptions,
     SensorOptions,
 )
-from needleforce.cli.terminal import write_out
+from needleforce.cli.terminal import CommandError, write_out
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import TableLabels
 from residual import SensorConfig, SensorWarning, Status, TareError
+
+if TYPE_CHECKING:
+    from needleforce.cli.logs.plan_found import PlanWatch
+    from needleforce.cli.plan_file import LoadedPlan
 
 
 def run(
@@ -44,7 +49,7 @@ def run(
     sensor: SensorOptions,
     columns: JointColumns,
     layers: IdentificationOptions | None = None,
-    plan: LoadedPlan | None = None,
+    plan: "LoadedPlan | None" = None,
 ) -> int:
     """Estimate the forces of a log, and the layers in them if asked for.
 
@@ -97,7 +102,7 @@ def estimate_forces(
     replay: SensorReplay,
     output: Output,
     layers: IdentificationOptions | None = None,
-    plan: LoadedPlan | None = None,
+    plan: "LoadedPlan | None" = None,
 ) -> ForcePage:
     """Run the sensor over a log and write its forces into the table of the output.
 
@@ -112,7 +117,7 @@ def estimate_forces(
     result = ForceResult(log.name, replay)
     overview = RowOverview(_tracked_columns(config))
     chunks: list[LogChunk] = []
-    watch = PlanWatch(plan, replay)
+    watch = None if plan is None else _watch_plan(plan, replay)
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
     try:
@@ -125,7 +130,8 @@ def estimate_forces(
                 overview.add(rows)
                 if table is not None:
                     table.append(force_table(rows, config))
-                watch.add(chunk.channels["q_rad"], rows["travel_m"])
+                if watch is not None:
+                    watch.add(chunk.channels["q_rad"], rows["travel_m"])
                 if layers is not None:
                     chunks.append(_as_depth_log(chunk, rows))
             result.count_bad_stamps(log.bad_stamp_count)
@@ -136,7 +142,33 @@ def estimate_forces(
     result.rows = overview.columns()
     if layers is None or not result.counts[Status.OK]:
         return ForcePage(result)
-    found = identify_layers(chunks, log.name, layers)
+    return _with_layers(result, chunks, layers, watch)
+
+
+def _watch_plan(plan: "LoadedPlan", replay: SensorReplay) -> "PlanWatch":
+    """Return what compares the needle with its plan."""
+    from needleforce.cli.logs.plan_found import PlanWatch
+
+    return PlanWatch(plan, replay)
+
+
+def _with_layers(
+    result: ForceResult,
+    chunks: list[LogChunk],
+    options: IdentificationOptions,
+    watch: "PlanWatch | None",
+) -> ForcePage:
+    """Return forces with the layers in them, against the plan if there is one.
+
+    Forces alone take neither the time nor the memory of the identifier: it is imported
+    here.
+    """
+    from needleforce.cli.logs.layer_page import LayerPage
+    from needleforce.cli.logs.layer_result import identify_layers
+
+    found = identify_layers(chunks, result.log, options)
+    if watch is None:
+        return ForcePage(result, LayerPage(found))
     found = replace(found, zero=watch.zero or found.zero)
     return ForcePage(result, LayerPage(found), watch.compare(found.layers))
 
@@ -145,7 +177,10 @@ def _warn_of_torques(
     log: LogSession, replay: SensorReplay, result: ForceResult
 ) -> None:
     """Warn of what the tare, and the rows after it, show to be wrong with torques."""
-    if doubt := describe_doubt(replay.sensor.diagnosis, log, replay):
+    diagnosis = replay.sensor.diagnosis
+    if fault := describe_needless_factor(diagnosis, log, replay):
+        raise CommandError(fault, "Leave the factor of --tau out, and give that arm")
+    if doubt := describe_doubt(diagnosis, log, replay):
         log.warn(f"torque: {doubt}")
     mismatched = result.warnings[SensorWarning.MODEL_MISMATCH]
     # A knock mismatches for a moment; a wrong arm or payload does most of the time.

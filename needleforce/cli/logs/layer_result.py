@@ -278,7 +278,7 @@ def layer_cells(layer: LayerEstimate, zero: DepthZero) -> tuple[str, ...]:
     return (
         str(layer.layer),
         f"{zero.shown_mm(layer.start_depth_m):.1f}",
-        f"{zero.shown_mm(end_depth_m):.1f}",
+        _with_std(zero.shown_mm(end_depth_m), zero.end_std_mm(layer), 1),
         f"{rupture.time_s:.2f}",
         f"{rupture.alarm_s:.2f}",
         _with_std(layer.force_drop_N, layer.force_drop_std_N, 2),

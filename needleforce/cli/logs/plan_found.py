@@ -169,14 +169,14 @@ class PlanFound(NamedTuple):
 
 
 class PlanWatch:
-    """Watches the needle of a log against a plan; without a plan it does nothing.
+    """Watches the needle of a log against a plan.
 
     Args:
-        plan: The plan, if any.
+        plan: The plan.
         replay: The sensor, whose travel begins at the first finite row.
     """
 
-    def __init__(self, plan: LoadedPlan | None, replay: SensorReplay) -> None:
+    def __init__(self, plan: LoadedPlan, replay: SensorReplay) -> None:
         config = replay.config
         self._plan = plan
         self._tool = ToolKinematics(replay.robot, config.frame, config.insertion_axis)
@@ -190,14 +190,12 @@ class PlanWatch:
     @property
     def zero(self) -> DepthZero | None:
         """The planned entry, from which depths count; None without one."""
-        if self._plan is None or self._plan.entry_in_base_m is None:
+        if self._plan.entry_in_base_m is None:
             return None
         return DepthZero(self._entry_travel_m or 0.0, PLANNED_ENTRY)
 
     def add(self, q_rad: Array, travel_m: Array) -> None:
         """Take further rows: joint positions, (m, n), and travel of the tool, (m,)."""
-        if self._plan is None:
-            return
         finite = np.flatnonzero(np.isfinite(q_rad).all(axis=1))
         if len(finite) and self._entry_travel_m is None:
             self._begin(self._plan, q_rad[finite[0]])
@@ -240,11 +238,9 @@ class PlanWatch:
         if is_deepest:
             self._deepest = deviation
 
-    def compare(self, layers: Sequence[LayerEstimate]) -> PlanFound | None:
-        """Match the ruptures of the layers found with the plan; None without a plan."""
+    def compare(self, layers: Sequence[LayerEstimate]) -> PlanFound:
+        """Match the ruptures of the layers found with the plan."""
         plan = self._plan
-        if plan is None:
-            return None
         entry_m = self._entry_travel_m or 0.0
         ruptures_m = [layer.rupture.depth_m - entry_m for layer in layers]
         contact_m = layers[0].start_depth_m - entry_m if layers else None

@@ -28,6 +28,9 @@ from urdf import Robot
 STATUS_CODES = {status: code for code, status in enumerate(Status)}
 """Numbers of the states in files."""
 
+ROWS_AT_A_TIME = 1000
+"""So many estimates are in memory at once."""
+
 MAX_REASONS = 50
 """Different reasons of rejection that are counted; the others are counted together."""
 
@@ -200,6 +203,17 @@ class SensorReplay:
         Raises:
             CommandError: The log has other joints than the robot, or the tare fails.
         """
+        # An estimate is an object of some kilobytes: few are kept at a time.
+        parts = [
+            self._run_rows(_rows_of(chunk, slice(start, start + ROWS_AT_A_TIME)))
+            for start in range(0, len(chunk.t_s), ROWS_AT_A_TIME)
+        ]
+        return {
+            name: np.concatenate([part[name] for part in parts]) for name in parts[0]
+        }
+
+    def _run_rows(self, chunk: LogChunk) -> ForceRows:
+        """Return the estimates of further rows, all at once."""
         q_rad = chunk.channels["q_rad"]
         dq_rad_s = chunk.channels.get("dq_rad_s")
         torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
@@ -297,12 +311,18 @@ class SensorReplay:
 
     def _keep_messages(self, estimate: WrenchEstimate) -> None:
         """Keep the latest messages about velocities and doubtful signals."""
-        if estimate.status is Status.INITIALIZING:
+        if not estimate.message or estimate.status is Status.INITIALIZING:
             return
         if estimate.warnings & SensorWarning.VELOCITY:
             self.velocity_fault = estimate.message
-        elif estimate.message:
+        else:
             self.question = self.sensor.question or self.question
+
+
+def _rows_of(chunk: LogChunk, rows: slice) -> LogChunk:
+    """Return some rows of a chunk."""
+    channels = {name: column[rows] for name, column in chunk.channels.items()}
+    return LogChunk(t_s=chunk.t_s[rows], dt_s=chunk.dt_s[rows], channels=channels)
 
 
 _FIELD_OF_COLUMN = {

@@ -1,14 +1,17 @@
 """What a tare has shown of the torques of a log, for summaries and for `check`."""
 
+from collections.abc import Iterator
 from contextlib import suppress
+from dataclasses import replace
 from typing import TYPE_CHECKING
 
 from foundation.errors import NeedleforceError
 from needleforce.cli.logs.log_session import LogSession
 from needleforce.cli.logs.torque_columns import correcting_options
 from residual import TareError, VirtualForceSensor
+from residual.bias.model import TareBlocks
 from residual.bias.torque_diagnosis import CLEAR_LOG, TorqueDiagnosis
-from urdf import load_example
+from urdf import Payload, load_example
 from urdf.loading import EXAMPLES
 
 if TYPE_CHECKING:
@@ -95,19 +98,75 @@ def _fitting_arm(
         replay: The sensor with the arm that was given.
         best_log: Logarithm of the motion's probability with the best explanation yet.
     """
-    robot = replay.robot
+    own = replay.robot.model.name
+    logs = {
+        name: log
+        for name, log in _judge_arms(diagnosis.motion, replay, replay.robot.payload)
+        if name != own
+    }
+    return _clearly_best(logs, best_log)
+
+
+def describe_needless_factor(
+    diagnosis: TorqueDiagnosis | None, log: LogSession, replay: "SensorReplay"
+) -> str:
+    """Return why the factor of the torques is wrong; empty if it may be right.
+
+    A factor and a payload may make up for a wrong arm in free motion. They do not in
+    contact: the torques as they were recorded then fit a known arm far better.
+    """
+    factor = _factor_of_no_unit(log)
+    if diagnosis is None or factor == 1.0:
+        return ""
+    motion = diagnosis.motion
+    recorded = replace(
+        motion,
+        torque_Nm=motion.torque_Nm / factor,
+        scatter_Nm2=motion.scatter_Nm2 / factor**2,
+    )
     logs: dict[str, float] = {}
+    for name, arm_log in _judge_arms(recorded, replay, replay.robot.payload):
+        logs[f"--robot {name}"] = arm_log
+    for name, arm_log in _judge_arms(recorded, replay, None):
+        logs[f"--robot {name} and none of this payload"] = arm_log
+    best = _clearly_best(logs, diagnosis.log_evidence)
+    if not best:
+        return ""
+    return (
+        f"tau times {factor:g} with {replay.robot.model.name} fits the free motion of "
+        f"the tare by chance: as recorded, tau fits it far better with {best}"
+    )
+
+
+def _factor_of_no_unit(log: LogSession) -> float:
+    """Return the mapping's factor of all torques where no unit explains it, else 1."""
+    scales = [unit.scale for unit in log.units if unit.channel == "tau"]
+    factor = scales[0] if scales else 1.0
+    # Units and the ratios of gears differ by more than 10.
+    if isinstance(factor, tuple) or not 0.1 < abs(factor) < 10.0:
+        return 1.0
+    return abs(factor)
+
+
+def _judge_arms(
+    motion: TareBlocks, replay: "SensorReplay", payload: Payload | None
+) -> Iterator[tuple[str, float]]:
+    """Yield the known arms whose motion it may be, and how probable it is of each."""
     for name in EXAMPLES:
         # A known arm may be missing, or not fit the settings: it is none that fits.
         with suppress(NeedleforceError):
             arm = load_example(
-                name, payload=robot.payload, gravity_m_s2=robot.gravity_m_s2
+                name, payload=payload, gravity_m_s2=replay.robot.gravity_m_s2
             )
-            if arm.nv != robot.nv or arm.model.name == robot.model.name:
+            if arm.nv != replay.robot.nv:
                 continue
-            log = VirtualForceSensor(arm, replay.config).judge_motion(diagnosis.motion)
+            log = VirtualForceSensor(arm, replay.config).judge_motion(motion)
             if log is not None:
-                logs[name] = log
+                yield arm.model.name, log
+
+
+def _clearly_best(logs: dict[str, float], best_log: float) -> str:
+    """Return what alone has clearly the best logarithm; empty if nothing has."""
     near = [name for name in logs if logs[name] > max(logs.values()) - CLEAR_LOG]
     if len(near) != 1 or logs[near[0]] < best_log + CLEAR_LOG:
         return ""

@@ -78,10 +78,15 @@ def test_a_factor_that_is_no_unit_is_measured_and_not_advised(
     assert found["torque"]["advice"] == ""
 
 
-def signals_of_ur5e():
+def signals_of_ur5e(middle=(0.3, -1.2, 1.4, -1.0, -1.3, 0.4), amplitude=0.2):
     """Columns of a UR5e without a payload that swings freely."""
-    middle = [0.3, -1.2, 1.4, -1.0, -1.3, 0.4]
-    t, q, dq, tau = swing(load_example("ur5e"), seconds=4.0, rate_hz=250, middle=middle)
+    t, q, dq, tau = swing(
+        load_example("ur5e"),
+        seconds=4.0,
+        rate_hz=250,
+        middle=middle,
+        amplitude=amplitude,
+    )
     tau = tau + 0.02 * np.random.default_rng(1000).normal(size=tau.shape)
     return {"t_s": t, "q_rad": q, "dq_rad_s": dq, "tau_Nm": tau}
 
@@ -92,6 +97,22 @@ def test_a_wrong_arm_is_named_and_nothing_else_advised(tmp_path, capsys):
     assert "give --robot ur5e" in lines["tare"]["text"]
     assert "--payload" not in lines["tare"]["text"]
     assert "--tau" not in lines["tare"]["text"]
+
+
+def test_a_payload_and_a_factor_do_not_make_up_for_a_wrong_arm(tmp_path, capsys):
+    payload = tmp_path / "payload.toml"
+    payload.write_text("mass_kg = 2.44\ncom_m = [-0.001, 0.001, -0.041]\n")
+    # Hardly any motion: the wrong arm with both is within what the tare allows.
+    middle = [0.3, -1.428, 1.545, -1.779, -1.669, 0.088]
+    write_table(tmp_path / "ur5e.npz", signals_of_ur5e(middle, amplitude=0.12))
+    options = ["--payload", str(payload), "--tau", "tau_Nm:Nm:1.33", *TARE]
+    code = main(["force", str(tmp_path / "ur5e.npz"), "--robot", "ur5", *options])
+    printed = capsys.readouterr()
+
+    assert code == 2
+    assert "tau times 1.33 with ur5" in printed.err
+    assert "--robot ur5e" in printed.err
+    assert printed.out == ""
 
 
 def test_joints_sorted_by_name_are_put_in_order_by_the_advice(tmp_path, capsys):

@@ -87,7 +87,10 @@ def test_the_command_prints_tables_picture_and_what_to_try_next(command, capsys)
     cells = re.split(r"\s{2,}", next(line for line in lines if "1 gel 25 %" in line))
 
     assert cells[1] == "28.2"
-    assert float(cells[2]) == pytest.approx(28.2, abs=2.0)
+    end_mm, end_std_mm = map(float, cells[2].split(" ± "))
+
+    assert end_mm == pytest.approx(28.2, abs=2.0)
+    assert 0.0 < end_std_mm < 2.0
     assert cells[3] == f"{GEL_FRICTION_N:.2f}"
     assert cells[-1].endswith(" ms")
     assert "picture: demo/index.html" in lines

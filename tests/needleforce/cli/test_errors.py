@@ -258,3 +258,10 @@ def test_undecodable_file_name_is_drawn_and_printed(folder, tmp_path, capsys):
     assert main(["force", str(name), "--print-config"]) == 0
     assert "\\udcff" in capsys.readouterr().out
     assert Path(picture).stat().st_size > 5_000
+
+
+def test_no_option_is_suggested_for_its_dashes_alone(capsys):
+    assert main(["live", "lwr", "--idle"]) == 2
+    said = capsys.readouterr().err
+    assert "Unknown option: --idle" in said
+    assert "--view" not in said

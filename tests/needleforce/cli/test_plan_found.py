@@ -102,15 +102,6 @@ def test_a_log_without_joints_is_refused(tmp_path, capsys):
     assert not (tmp_path / "b").exists()
 
 
-def test_without_a_plan_nothing_is_compared():
-    robot = load_lwr(payload=NeedleTool())
-    replay = SimpleNamespace(robot=robot, config=SensorConfig())
-    watch = PlanWatch(None, replay)
-    watch.add(HOME[None], np.zeros(1))
-
-    assert watch.compare([]) is None
-
-
 @pytest.mark.parametrize("contents", ["{", "{}"])
 def test_an_unreadable_plan_is_refused_before_the_work(tmp_path, capsys, contents):
     from needleforce.recordings import write_table
