@@ -10,8 +10,9 @@ next to nothing.
 
 Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
 it), `needle_on_plan` (whether the needle is on it), `session_replay` (over a
-recording), `state` (stop and resume); then the packages `recordings`, `plots`, `cli`,
-`control` (what moves the needle), `anatomy` (what it enters), `simulation`.
+recording), `tare_run` (when it is tared), `state` (stop and resume); then the packages
+`recordings`, `plots`, `cli`, `control` (what moves the needle), `anatomy` (what it
+enters), `simulation`.
 """
 
 from importlib import import_module
@@ -31,11 +32,11 @@ if TYPE_CHECKING:
     from needleforce.session import InsertionSession as InsertionSession
     from needleforce.session import SessionEstimate as SessionEstimate
     from needleforce.session import SessionSnapshot as SessionSnapshot
-    from needleforce.session_replay import AutoTare as AutoTare
     from needleforce.session_replay import replay_session as replay_session
     from needleforce.state import SnapshotFileError as SnapshotFileError
     from needleforce.state import read_snapshot as read_snapshot
     from needleforce.state import write_snapshot as write_snapshot
+    from needleforce.tare_run import AutoTare as AutoTare
     from residual import SensorConfig as SensorConfig
     from residual import SensorWarning as SensorWarning
     from residual import Status as Status
@@ -65,12 +66,13 @@ _NAMES_OF = {
         "SessionEstimate",
         "SessionSnapshot",
     ),
-    "needleforce.session_replay": ("AutoTare", "replay_session"),
+    "needleforce.session_replay": ("replay_session",),
     "needleforce.state": (
         "SnapshotFileError",
         "read_snapshot",
         "write_snapshot",
     ),
+    "needleforce.tare_run": ("AutoTare",),
     "residual": (
         "SensorConfig",
         "SensorWarning",
