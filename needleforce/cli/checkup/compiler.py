@@ -5,14 +5,11 @@ from dataclasses import dataclass
 from importlib import import_module
 from pathlib import Path
 
-from foundation.compile_cache import PROJECT, find_cache, folder_name
-from foundation.jit import COMPILER, compile_waiting
+from foundation import jit
+from foundation.compile_cache import cache_roots, writable_root
 
-PACKAGES = ("foundation", "residual", "identification", "needleforce")
-"""Packages with compiled functions."""
-
-COMPILED = re.compile(r"^@compiled$", re.MULTILINE)
-"""How a source marks a function that Python calls and that is compiled."""
+PROJECT = Path(__file__).resolve().parents[3]
+"""The folder in which the project's packages lie."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -21,61 +18,47 @@ class CompileCache:
 
     Attributes:
         compiler: Name and version; empty where compiling is disabled.
-        folder: Where compiled code is kept; empty where no folder can be written.
+        folder: Where compiled code is kept.
         is_writable: Whether new code can be kept there.
-        modules: Modules with compiled functions.
-        kept_modules: Those of them whose code, as it now stands, is kept.
+        functions: Functions that are compiled.
+        kept_functions: Those of them whose code, as it now stands, is kept.
     """
 
     compiler: str
     folder: str
     is_writable: bool
-    modules: int
-    kept_modules: int
+    functions: int
+    kept_functions: int
 
     @property
     def is_warm(self) -> bool:
         """Whether nothing has to be compiled when the first estimator is made."""
-        return self.kept_modules == self.modules
+        return self.kept_functions == self.functions
 
 
 def inspect_cache() -> CompileCache:
     """Return the state of the cache; nothing is compiled or written."""
-    cache = find_cache()
-    sources = _compiled_sources()
-    kept = [path for path in sources if _is_kept(cache.folder, path)]
+    _import_compiled()
+    root = writable_root()
     return CompileCache(
-        compiler=COMPILER,
-        folder=str(cache.folder or ""),
-        is_writable=cache.is_writable,
-        modules=len(sources),
-        kept_modules=len(kept),
+        compiler=jit.COMPILER,
+        folder=str(root or next(cache_roots())),
+        is_writable=root is not None,
+        functions=len(jit.entries),
+        kept_functions=sum(entry.cache.is_warm for entry in jit.entries),
     )
 
 
 def compile_everything() -> None:
     """Compile and keep what is not kept yet: nothing has to be compiled later."""
-    for source in _compiled_sources():
-        import_module(_module_name(source))
-    compile_waiting()
+    _import_compiled()
+    jit.compile_waiting()
 
 
-def _compiled_sources() -> list[Path]:
-    """Return the files with compiled functions that Python calls."""
-    return [
-        path
-        for package in PACKAGES
-        for path in sorted((PROJECT / package).rglob("*.py"))
-        if COMPILED.search(path.read_text(encoding="utf-8"))
-    ]
-
-
-def _module_name(source: Path) -> str:
-    return ".".join(source.relative_to(PROJECT).with_suffix("").parts)
-
-
-def _is_kept(root: Path | None, source: Path) -> bool:
-    """Return whether the compiled code of a source is in the cache."""
-    if root is None:
-        return False
-    return any((root / folder_name(_module_name(source))).rglob("*.nbi"))
+def _import_compiled() -> None:
+    """Import all modules with compiled functions that Python calls."""
+    for package in ("foundation", "residual", "identification", "needleforce"):
+        for path in sorted((PROJECT / package).rglob("*.py")):
+            if re.search("^@compiled$", path.read_text("utf-8"), re.MULTILINE):
+                relative = path.relative_to(PROJECT).with_suffix("")
+                import_module(".".join(relative.parts))

@@ -6,9 +6,8 @@ from dataclasses import dataclass
 
 import msgspec
 
-from foundation.compile_cache import PROJECT
 from foundation.extras import PACKAGE, install_command
-from needleforce.cli.checkup.compiler import CompileCache, inspect_cache
+from needleforce.cli.checkup.compiler import PROJECT, CompileCache, inspect_cache
 from needleforce.cli.checkup.distributions import (
     OUTSIDE,
     ExtraState,
@@ -126,12 +125,12 @@ def _describe_cache(cache: CompileCache) -> str:
         state = "warm: nothing is left to compile"
     else:
         state = (
-            f"{cache.kept_modules} of {cache.modules} modules compiled; the first "
-            "estimator compiles the others"
+            f"{cache.kept_functions} of {cache.functions} functions compiled; the "
+            "first estimator compiles the others"
         )
     if not cache.is_writable:
         state += "; not writable: set NUMBA_CACHE_DIR to a folder that is"
-    return f"{cache.folder or 'no folder'}, {state}"
+    return f"{cache.folder}, {state}"
 
 
 def _describe_cores(machine: Machine) -> str:
