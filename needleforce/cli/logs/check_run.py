@@ -12,7 +12,6 @@ from needleforce.cli.advice import describe_error
 from needleforce.cli.logs.force_result import ForceResult
 from needleforce.cli.logs.log_session import LogSession
 from needleforce.cli.logs.replay_setup import prepare
-from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_summary import (
     describe_doubt,
@@ -28,6 +27,7 @@ from needleforce.cli.shared_options import (
 )
 from needleforce.cli.terminal import stop_request, write_out
 from needleforce.recordings.log_stream import LogChunk
+from needleforce.sensor_replay import SensorReplay
 from residual import TareError
 from residual.bias.separation import JointSeparation, advise_motion
 from residual.bias.torque_diagnosis import TorqueDiagnosis

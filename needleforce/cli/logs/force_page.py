@@ -15,12 +15,12 @@ from needleforce.cli.logs.layer_page import LayerPage
 from needleforce.cli.logs.outputs import Answer
 from needleforce.cli.logs.plan_found import PlanFound
 from needleforce.cli.logs.row_overview import axis_span, time_axis
-from needleforce.cli.logs.sensor_replay import ForceRows, has_status
 from needleforce.cli.shared_options import Over
 from needleforce.cli.terminal import aligned
 from needleforce.depth_zero import FIRST_ROW, LOG_ZERO, DepthZero
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
+from needleforce.sensor_replay import ForceRows, has_status
 from residual import Status
 
 MIN_TRAVEL_M = 1e-3

@@ -15,7 +15,6 @@ from needleforce.cli.logs.replay_setup import (
     torque_channel,
 )
 from needleforce.cli.logs.row_overview import RowOverview
-from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_summary import describe_doubt, with_cure
 from needleforce.cli.plan_file import LoadedPlan
@@ -34,6 +33,7 @@ from needleforce.cli.terminal import write_out
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import TableLabels
+from needleforce.sensor_replay import ForceRows, SensorReplay
 from residual import SensorConfig, SensorWarning, Status, TareError
 
 

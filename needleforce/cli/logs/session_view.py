@@ -11,8 +11,6 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.cli.auto_tare import auto_tare
 from needleforce.cli.logs.log_joints import find_log_joints
-from needleforce.cli.logs.sensor_replay import require_joints
-from needleforce.cli.logs.tare_schedule import describe_rejections
 from needleforce.cli.plan_file import LoadedPlan, load_plan
 from needleforce.cli.robot import robot_from_options, urdf_with_shapes
 from needleforce.cli.shared_options import TARE_S, RobotOptions
@@ -29,6 +27,7 @@ from needleforce.recordings.output import check_outputs, require_place
 from needleforce.scene import Viewer, view_row
 from needleforce.scene.nodes import EMPTY
 from needleforce.scene.viewer import check_address
+from needleforce.sensor_replay import describe_rejections, require_joints
 from needleforce.session import InsertionSession, SessionEstimate
 from needleforce.session_replay import replay_session
 from residual import Status

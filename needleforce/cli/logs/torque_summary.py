@@ -12,7 +12,7 @@ from urdf import load_example
 from urdf.loading import EXAMPLES
 
 if TYPE_CHECKING:
-    from needleforce.cli.logs.sensor_replay import SensorReplay
+    from needleforce.sensor_replay import SensorReplay
 
 MAX_LISTED_STD_KG = 1.0
 """A payload that is known less well is not listed."""
