@@ -18,7 +18,7 @@ from needleforce.cli.arms.arm_connection import (
 )
 from needleforce.cli.arms.arm_stroke import TareOptions, open_tared_arm
 from needleforce.cli.auto_tare import auto_tare
-from needleforce.cli.plan_file import LoadedPlan, load_plan
+from needleforce.cli.plan_option import load_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.terminal import (
@@ -32,6 +32,7 @@ from needleforce.devices import NetFT
 from needleforce.devices.rdt_status import describe_status
 from needleforce.insertion_events import describe_hard_contact
 from needleforce.needle_on_plan import describe_clearances, describe_deviation
+from needleforce.plan_file import LoadedPlan
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import SessionEstimate
 from urdf import Robot

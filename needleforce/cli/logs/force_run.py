@@ -17,7 +17,6 @@ from needleforce.cli.logs.replay_setup import (
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_summary import describe_doubt, with_cure
-from needleforce.cli.plan_file import LoadedPlan
 from needleforce.cli.robot import (
     payload_from_options,
     payload_lines,
@@ -30,6 +29,7 @@ from needleforce.cli.shared_options import (
     SensorOptions,
 )
 from needleforce.cli.terminal import write_out
+from needleforce.plan_file import LoadedPlan
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import TableLabels

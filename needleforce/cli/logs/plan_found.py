@@ -11,7 +11,6 @@ from identification import LayerEstimate
 from needleforce import plots
 from needleforce.anatomy import Layer, NeedleClearance, PlanError, PlanMatch, PlanState
 from needleforce.cli.logs.outputs import Answer
-from needleforce.cli.plan_file import LoadedPlan
 from needleforce.depth_zero import PLANNED_ENTRY, DepthZero
 from needleforce.needle_on_plan import (
     PlanDeviation,
@@ -20,6 +19,7 @@ from needleforce.needle_on_plan import (
     describe_too_near,
     state_values,
 )
+from needleforce.plan_file import LoadedPlan
 from needleforce.sensor_replay import SensorReplay
 from residual.tool_kinematics import ToolKinematics
 

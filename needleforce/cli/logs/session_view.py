@@ -11,7 +11,7 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.cli.auto_tare import auto_tare
 from needleforce.cli.logs.log_joints import find_log_joints
-from needleforce.cli.plan_file import LoadedPlan, load_plan
+from needleforce.cli.plan_option import load_plan
 from needleforce.cli.robot import robot_from_options, urdf_with_shapes
 from needleforce.cli.shared_options import TARE_S, RobotOptions
 from needleforce.cli.terminal import (
@@ -21,6 +21,7 @@ from needleforce.cli.terminal import (
     stop_request,
     write_out,
 )
+from needleforce.plan_file import LoadedPlan
 from needleforce.recordings import ColumnMapping, load_mapping, read_log
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.output import check_outputs, require_place

@@ -1,9 +1,12 @@
-"""The plan of an insertion from a file, for `live` and `view`.
+"""The plan of an insertion from a file, for a session and the scene.
+
+    plan = read_plan("plan")
+    plan.follow_with(session)
 
 The file is `plan.json`, see docs/how-to/scene.md; a segmentation may lie beside it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -13,6 +16,7 @@ import msgspec
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.errors import NeedleforceError
 from needleforce.anatomy import (
     AnatomyError,
     FreeSpace,
@@ -34,19 +38,13 @@ from needleforce.anatomy.clearance import (
     too_near,
 )
 from needleforce.anatomy.labels import SHOWN_VOXEL_m
-from needleforce.cli.plan_binding import (
+from needleforce.needle_on_plan import PlannedPath
+from needleforce.plan_binding import (
     MadeOf,
     check_files,
     check_registration,
     path_sha256,
 )
-from needleforce.cli.terminal import (
-    GIVE_PLAN,
-    CommandError,
-    progress_bar,
-    say,
-)
-from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene
 
 if TYPE_CHECKING:
@@ -74,6 +72,15 @@ UNBOUND_VERSION = 1
 
 MISSING_PATH = "neither layers nor entry_m and target_m in it"
 MISSING_LAYERS = "no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it"
+
+
+GIVE_PLAN = "Give plan.json, or the folder that holds it beside labels.nii.gz."
+
+
+class PlanFileError(NeedleforceError, ValueError):
+    """A plan's file that cannot be read, or whose plan cannot be followed."""
+
+    usual_advice = GIVE_PLAN
 
 
 class Point(NamedTuple):
@@ -218,30 +225,12 @@ class _Anatomy(NamedTuple):
     warnings: tuple[str, ...] = ()
 
 
-def load_plan(
-    place: Path | None, *, is_past: bool = False, situs_inversus: bool = False
-) -> LoadedPlan | None:
-    """Return a plan from its file, and say its warnings on stderr; see `read_plan`.
-
-    Without a file there is no plan.
-
-    Raises:
-        CommandError: As `read_plan`; or a situs inversus is stated of no plan.
-    """
-    if place is None:
-        if situs_inversus:
-            raise CommandError(
-                "--situs-inversus belongs to the labels of a plan: expected --plan"
-            )
-        return None
-    plan = read_plan(place, is_past=is_past, situs_inversus=situs_inversus)
-    for warning in plan.warnings:
-        say(f"warning: {warning}")
-    return plan
-
-
 def read_plan(
-    place: Path, *, is_past: bool = False, situs_inversus: bool = False
+    place: str | Path,
+    *,
+    is_past: bool = False,
+    situs_inversus: bool = False,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> LoadedPlan:
     """Return a plan from its file, or from a folder with `plan.json`.
 
@@ -249,17 +238,20 @@ def read_plan(
         place: The file or folder.
         is_past: The insertion is over: obstacles on its path are a warning.
         situs_inversus: Liver and spleen are exchanged, whether or not the plan says so.
+        progress: Takes the fraction of the surfaces that is made.
 
     Raises:
-        CommandError: The file cannot be read, or holds no plan that can be followed.
+        PlanFileError: The file cannot be read, or holds no plan that can be followed.
     """
-    path = place / PLAN if place.is_dir() else place
+    path = Path(place)
+    if path.is_dir():
+        path /= PLAN
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
         plan.situs_inversus |= situs_inversus
         _require_metres(plan)
         _require_registration(plan)
-        scene, labels, changes = _anatomy_of(plan, path.parent)
+        scene, labels, changes = _anatomy_of(plan, path.parent, progress)
         layers = _planned_layers(plan) or list(scene.layers)
         planned = _path_of(plan, scene)
         warnings = [
@@ -280,7 +272,7 @@ def read_plan(
             else plan.accepted_obstacles,
         )
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
-        raise CommandError(f"{path}: {error}", GIVE_PLAN) from error
+        raise PlanFileError(f"{path}: {error}") from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
     return LoadedPlan(
         scene._replace(
@@ -440,7 +432,9 @@ def _require_registration(plan: _PlanFile) -> None:
         )
 
 
-def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
+def _anatomy_of(
+    plan: _PlanFile, folder: Path, progress: Callable[[float], None]
+) -> _Anatomy:
     """Return the scene of a plan, and the labels beside it.
 
     Surfaces are those of the labels in a folder, and so are the layers between entry
@@ -467,7 +461,7 @@ def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
     labels, scan, warnings = _read_files(plan, file, folder)
     if scan is not None:
         scene = scene._replace(scan=crop_scan(scan, entry_m, target_m))
-    surfaces = _large_surfaces(labels)
+    surfaces = _large_surfaces(labels, progress)
     layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
     return _Anatomy(
         scene._replace(surfaces=surfaces, layers=layers), labels, tuple(warnings)
@@ -564,13 +558,12 @@ def large_structures(labels: Labels) -> list[str]:
     return [item.name for item in labels.structures if item.voxels >= MIN_VOXELS]
 
 
-def _large_surfaces(labels: Labels) -> Sequence[object]:
+def _large_surfaces(
+    labels: Labels, progress: Callable[[float], None]
+) -> Sequence[object]:
     """Return the surfaces of the structures that are shown."""
-    with progress_bar("surfaces") as progress:
-        surfaces = labels.surfaces(
-            large_structures(labels), progress, voxel_m=SHOWN_VOXEL_m
-        )
-    return tuple(surfaces.values())
+    names = large_structures(labels)
+    return tuple(labels.surfaces(names, progress, voxel_m=SHOWN_VOXEL_m).values())
 
 
 def _planned_layers(plan: _PlanFile) -> list[Layer]:
