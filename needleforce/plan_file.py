@@ -52,20 +52,14 @@ if TYPE_CHECKING:
 
 PLAN = "plan.json"
 
-CROP_MARGIN_M = 0.1
-"""The scene keeps the CT up to here from the path [m]."""
 
 MIN_VOXELS = 500
 """Structures with fewer voxels are not shown."""
 
-MAX_COORDINATE_M = 10.0
-"""A larger coordinate is not in metres [m]."""
 
 ROTATION_TOLERANCE = 1e-3
 """By so much the rows of a rotation may miss being orthonormal."""
 
-MAX_ROUNDING = 1e-12
-"""By so much a variance may be negative: it is written in decimals."""
 
 UNBOUND_VERSION = 1
 """Of plans that do not say what they were made of."""
@@ -331,6 +325,8 @@ def _largest_std_m(plan: _PlanFile) -> float:
 
 def _path_of(plan: _PlanFile, scene: PlanScene) -> PlannedPath | None:
     """Return the planned path in the robot's base; None without entry and target."""
+    # By so much a variance may be negative: it is written in decimals
+    max_rounding = 1e-12
     if scene.entry_m is None or scene.target_m is None:
         return None
     entry_m = scene.to_robot(scene.entry_m)
@@ -342,7 +338,7 @@ def _path_of(plan: _PlanFile, scene: PlanScene) -> PlannedPath | None:
         raise ValueError("covariance in it is not 6 x 6")
     covariance = np.array(plan.covariance)
     least = np.linalg.eigvalsh(covariance)[0]
-    if not np.allclose(covariance, covariance.T) or least < -MAX_ROUNDING:
+    if not np.allclose(covariance, covariance.T) or least < -max_rounding:
         raise ValueError("covariance in it is not symmetric and positive")
     return PlannedPath(
         entry_m,
@@ -395,13 +391,14 @@ def _check_obstacles(
 
 def _require_metres(plan: _PlanFile) -> None:
     """Refuse one end of the path without the other, and places in millimetres."""
+    max_coordinate_m = 10.0  # A larger coordinate is not in metres [m]
     if (plan.entry_m is None) != (plan.target_m is None):
         raise ValueError("one of entry_m and target_m in it: expected both, or neither")
     points = (plan.translation_m, plan.entry_m or (), plan.target_m or ())
     coordinates_m = [coordinate for point in points for coordinate in point]
-    if not all(abs(coordinate) < MAX_COORDINATE_M for coordinate in coordinates_m):
+    if not all(abs(coordinate) < max_coordinate_m for coordinate in coordinates_m):
         raise ValueError(
-            f"a place beyond {MAX_COORDINATE_M:g} m in it: expected metres, not "
+            f"a place beyond {max_coordinate_m:g} m in it: expected metres, not "
             "millimetres"
         )
 
@@ -517,9 +514,10 @@ def _check_made_of(plan: _PlanFile, scan: Volume, labels: Labels) -> list[str]:
 
 def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume | None:
     """Return the part of a CT around a path; None where the CT does not reach it."""
+    crop_margin_m = 0.1  # The scene keeps the CT up to here from the path [m]
     corners_m = np.array([entry_m, target_m])
-    low_m = corners_m.min(axis=0) - CROP_MARGIN_M
-    high_m = corners_m.max(axis=0) + CROP_MARGIN_M
+    low_m = corners_m.min(axis=0) - crop_margin_m
+    high_m = corners_m.max(axis=0) + crop_margin_m
     corners = np.array(list(product(*zip(low_m, high_m, strict=True))))
     indices = scan.grid.indices(corners)
     first = np.clip(np.floor(indices.min(axis=0)), 0, scan.grid.shape).astype(int)

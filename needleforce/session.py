@@ -89,9 +89,6 @@ With `ARM_PUSHED` alone samples are still used: the force is off only by the par
 looks axial, and a lateral force that begins suddenly raises the warning, too. But no
 rupture is reported then, and no gap ends.
 """
-JUMP_SEEN_S = 0.6
-"""Time within which a torque sensor that jumps is noticed; a rupture since may be that
-jump."""
 CHECKPOINT_PERIOD_S = 0.25
 """Time between states to rewind to: a push on the arm grows for up to this long before
 it is detected."""
@@ -237,11 +234,6 @@ class SessionSnapshot(NamedTuple):
     insertion: InsertionProgress
     channels: tuple[NeedleChannel, ...]
     plan: PlanMemory
-
-
-_TRIAL_UPDATES = 3  # Updates that a restored identifier must survive
-_TRIAL_STEP_S = 1e-3  # Time step of these updates
-_TISSUE_SIGMAS = 3.0  # Deviations of a force that shows that the tip is in tissue
 
 
 class InsertionSession:
@@ -505,12 +497,14 @@ class InsertionSession:
 
         A contact that the force does not show may be none.
         """
+        # Deviations of a force that shows that the tip is in tissue
+        tissue_sigmas = 3.0
         if self._is_in_air:
             return False
         identification = self._identification
         net_N = identification.tip_force_N + identification.shaft_friction_N
         std_N = identification.tip_force_std_N or 0.0
-        return abs(net_N) > _TISSUE_SIGMAS * std_N or self._length_to_remember_m > 0.0
+        return abs(net_N) > tissue_sigmas * std_N or self._length_to_remember_m > 0.0
 
     def _move_zero_here(self) -> None:
         """Count depth from here; what is known of the tissue stays."""
@@ -658,6 +652,8 @@ class InsertionSession:
 
     def _check_identifiers(self, snapshot: SessionSnapshot) -> None:
         """Restore each state of an identifier in a trial one, and update the last."""
+        trial_step_s = 1e-3  # Time step of these updates
+        trial_updates = 3  # Updates that a restored identifier must survive
         trial = Identifier(self._identifier_config)
         trial.restore(snapshot.checkpoints.older.identifier)
         trial.restore(snapshot.checkpoints.newer.identifier)
@@ -667,8 +663,8 @@ class InsertionSession:
             trial.restore(snapshot.insertion.channel.in_air)
         trial.restore(snapshot.identifier)
         travel = snapshot.travel
-        for _ in range(_TRIAL_UPDATES):
-            trial.update(travel.depth_m, travel.speed_m_s, 0.0, _TRIAL_STEP_S)
+        for _ in range(trial_updates):
+            trial.update(travel.depth_m, travel.speed_m_s, 0.0, trial_step_s)
 
     def _check_own_part(self, snapshot: SessionSnapshot) -> None:
         """Refuse values that cannot be in what is the session's own.
@@ -976,12 +972,15 @@ class InsertionSession:
 
         When the torque returns it is doubted again, by as much as before.
         """
+        # Time within which a torque sensor that jumps is noticed; a rupture since may
+        # be that jump
+        jump_seen_s = 0.6
         if self._jumps != self._sensor.jumps:
             old_std_N = self._jump_std_N
             self._jumps = self._sensor.jumps
             self._jump_std_N = self._sensor.jump_std_N
             doubted_N = max(old_std_N, self._jump_std_N)
-            self._identifier.doubt_zero(doubted_N, JUMP_SEEN_S)
+            self._identifier.doubt_zero(doubted_N, jump_seen_s)
 
     def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
         """Return the identifier's estimate after this sample.

@@ -43,12 +43,6 @@ LWR = "lwr"
 MOUNT_TILT_DEG = {"wall": 90.0, "ceiling": 180.0}
 """By how much a mounting turns the base about its y axis from upright."""
 
-GRAVITY_DIGITS = 9
-"""Digits of a gravity from an angle: the sine of 180 degrees is zero."""
-
-MIN_GRAVITY_M_S2 = 9.7
-MAX_GRAVITY_M_S2 = 9.9
-"""Weaker and stronger than anywhere on Earth: a unit vector, or another unit."""
 
 NEEDLE = "needle"
 """Name of the payload that a known LWR has without options."""
@@ -156,11 +150,16 @@ def gravity_from_options(options: RobotOptions) -> Array:
     Raises:
         CommandError: It is not as strong as on Earth, or the mounting is not known.
     """
+    # Weaker and stronger than anywhere on Earth: a unit vector, or another unit
+    max_gravity_m_s2 = 9.9
+    min_gravity_m_s2 = 9.7
+    # Digits of a gravity from an angle: the sine of 180 degrees is zero
+    gravity_digits = 9
     if options.gravity is not None and options.mount:
         raise CommandError("--gravity and --mount say the same, expected one of them")
     if options.gravity is not None:
         size_m_s2 = float(np.linalg.norm(options.gravity))
-        if not MIN_GRAVITY_M_S2 <= size_m_s2 <= MAX_GRAVITY_M_S2:
+        if not min_gravity_m_s2 <= size_m_s2 <= max_gravity_m_s2:
             raise CommandError(
                 f"--gravity {' '.join(f'{value:g}' for value in options.gravity)}: is "
                 f"{size_m_s2:.4g} m/s^2, expected about 9.81, as in 0 0 9.81 for a "
@@ -171,7 +170,7 @@ def gravity_from_options(options: RobotOptions) -> Array:
     down_m_s2 = STANDARD_GRAVITY_M_S2[2]
     # The base is turned about its y axis: R_y(tilt)' g.
     gravity_m_s2 = down_m_s2 * np.array([-np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
-    return np.round(gravity_m_s2, GRAVITY_DIGITS) + 0.0  # never -0.0
+    return np.round(gravity_m_s2, gravity_digits) + 0.0  # never -0.0
 
 
 def _parse_mount(words: tuple[str, ...]) -> float:

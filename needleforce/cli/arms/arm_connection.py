@@ -48,11 +48,6 @@ MOVED_NAMES = "or sim"
 SIMULATED_SCENARIO = "stack-glove-constant"
 """What ``sim`` simulates without a scenario."""
 
-MAX_ACCELERATION_rad_s2 = 5.0
-"""Highest acceleration of arms without a preset: below that of every preset."""
-
-MAX_JERK_rad_s3 = 2500.0
-"""Highest jerk of these arms: below that of every preset."""
 
 NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
@@ -212,12 +207,15 @@ def _kind_of(name: str, other_names: str) -> str:
 
 def limits_of(connected: ConnectedArm) -> Limits:
     """Return the limits of an arm: its preset, or careful ones where that has none."""
+    max_jerk_rad_s3 = 2500.0  # Highest jerk of these arms: below that of every preset
+    # Highest acceleration of arms without a preset: below that of every preset
+    max_acceleration_rad_s2 = 5.0
     robot = connected.robot
     preset = getattr(connected.arm, "preset", None)
     if preset is not None and len(ARM_LIMITS[preset].speed_rad_s) == robot.nv:
         return Limits.of_arm(robot, preset)
     return Limits(
-        robot, acceleration_rad_s2=MAX_ACCELERATION_rad_s2, jerk_rad_s3=MAX_JERK_rad_s3
+        robot, acceleration_rad_s2=max_acceleration_rad_s2, jerk_rad_s3=max_jerk_rad_s3
     )
 
 

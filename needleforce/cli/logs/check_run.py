@@ -37,15 +37,6 @@ from urdf.payload_rating import rated_payload_kg
 DOUBTFUL = 1
 """Exit code where something in the log is doubtful."""
 
-MAX_RATE_ROWS = 20_000
-"""Rows from which the rate is taken."""
-
-MIN_NOISE_ROWS = 100
-"""Fewest rows from which noise is estimated."""
-
-STILL_RAD = 1e-3
-"""Joints that moved by less show nothing of their velocities."""
-
 
 class Outcome(StrEnum):
     """What came of a check."""
@@ -242,7 +233,9 @@ class SignalRecord:
 
     def add(self, chunk: LogChunk) -> None:
         """Take further rows."""
-        if self.rows < MAX_RATE_ROWS:
+        min_noise_rows = 100  # Fewest rows from which noise is estimated
+        max_rate_rows = 20_000  # Rows from which the rate is taken
+        if self.rows < max_rate_rows:
             self._steps_s.append(chunk.dt_s)
         self.rows += len(chunk.t_s)
         q_rad = chunk.channels["q_rad"]
@@ -256,7 +249,7 @@ class SignalRecord:
             self._highest = highest if before is None else np.maximum(before, highest)
         for key, values in chunk.channels.items():
             finite = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
-            if len(finite) >= MIN_NOISE_ROWS and key not in self.noise:
+            if len(finite) >= min_noise_rows and key not in self.noise:
                 differences = np.diff(finite, n=2, axis=0)
                 # The variance of a second difference of white noise is six times its.
                 variance = np.square(differences).mean(axis=0) / 6.0
@@ -308,12 +301,13 @@ def _log_lines(
 
 def _velocity_line(replay: SensorReplay, signals: SignalRecord) -> CheckLine:
     """Return the line on velocities."""
+    still_rad = 1e-3  # Joints that moved by less show nothing of their velocities
     topic = "velocities"
     if replay.velocity_fault:
         return CheckLine(topic, Outcome.DOUBTFUL, replay.velocity_fault)
     if "velocity from the log" not in replay.description:
         return CheckLine(topic, Outcome.READ, "none in the log: estimated from q")
-    still = np.flatnonzero(signals.travel_rad < STILL_RAD)
+    still = np.flatnonzero(signals.travel_rad < still_rad)
     if len(still) == len(signals.travel_rad):
         text = "from the log; the arm rests, so they were not compared with q"
         return CheckLine(topic, Outcome.UNCHECKED, text)

@@ -26,9 +26,6 @@ from residual import Status
 MIN_TRAVEL_M = 1e-3
 """A chart over travel has nothing to show where the tool hardly moves [m]."""
 
-PANEL_HEIGHT_IN = 2.2
-FRAME_HEIGHT_IN = 0.8
-"""Height of title and axis [in]."""
 
 M_TO_MM = 1e3
 
@@ -91,6 +88,8 @@ class ForcePage:
 
     def chart(self, over: Over = "time") -> Chart:
         """Return every estimated component with its band of two standard deviations."""
+        frame_height_in = 0.8  # Height of title and axis [in]
+        panel_height_in = 2.2
         result = self.result
         rows = result.rows
         if over == "depth":
@@ -110,7 +109,7 @@ class ForcePage:
             title=f"Force on the needle\n{result.log}: {result.replay.description}",
             x_label=x_label,
             panels=panels,
-            height_in=FRAME_HEIGHT_IN + PANEL_HEIGHT_IN * len(panels),
+            height_in=frame_height_in + panel_height_in * len(panels),
             x_limits=axis_span(x),
             **marks,
         )

@@ -23,9 +23,6 @@ from needleforce.plan_file import LoadedPlan
 from needleforce.sensor_replay import SensorReplay
 from residual.tool_kinematics import ToolKinematics
 
-COMPARED_ROWS = 10
-"""Every so many rows the needle is compared with the planned path."""
-
 NOTE = (
     "Depths below the planned entry. Probability: that the rupture led into that "
     "layer. Deeper: by how much it lies deeper than planned."
@@ -196,12 +193,14 @@ class PlanWatch:
 
     def add(self, q_rad: Array, travel_m: Array) -> None:
         """Take further rows: joint positions, (m, n), and travel of the tool, (m,)."""
+        # Every so many rows the needle is compared with the planned path
+        compared_rows = 10
         if self._plan is None:
             return
         finite = np.flatnonzero(np.isfinite(q_rad).all(axis=1))
         if len(finite) and self._entry_travel_m is None:
             self._begin(self._plan, q_rad[finite[0]])
-        for row in finite[::COMPARED_ROWS].tolist():
+        for row in finite[::compared_rows].tolist():
             self._compare_row(self._plan, q_rad[row], float(travel_m[row]))
 
     def _begin(self, plan: LoadedPlan, q_rad: Array) -> None:

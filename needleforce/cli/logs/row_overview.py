@@ -7,9 +7,6 @@ import numpy as np
 
 from foundation.arrays import Array
 
-LATE_CLOCK_S = 1e5
-"""Beyond it, as in seconds since 1970, an axis has no digits for what happened [s]."""
-
 MAX_ROWS = 20_000
 """Rows of a log that a figure shows; more are thinned."""
 
@@ -33,8 +30,10 @@ class TimeAxis(NamedTuple):
 
 def time_axis(t_s: Array) -> TimeAxis:
     """Return the axis for time stamps of shape (n,) [s]."""
+    # Beyond it, as in seconds since 1970, an axis has no digits for what happened [s]
+    late_clock_s = 1e5
     first_s = float(t_s[0])
-    if abs(first_s) > LATE_CLOCK_S:
+    if abs(first_s) > late_clock_s:
         return TimeAxis(first_s, "time since the first sample [s]")
     return TimeAxis(0.0, "time of the log [s]")
 

@@ -34,12 +34,6 @@ from needleforce.session_replay import replay_session
 from residual import Status
 from urdf import Robot
 
-ROW_TICKS = 10
-"""Every so many samples become a row of the scene, beside those of events."""
-
-PROGRESS_TICKS = 1000
-"""Samples between two updates of the progress bar."""
-
 POLL_S = 0.2
 """Time between two looks at whether Ctrl-C came [s]."""
 
@@ -153,6 +147,9 @@ def scene_rows(
     Returns:
         Rows of the scene, see `needleforce.scene.view_row`.
     """
+    progress_ticks = 1000  # Samples between two updates of the progress bar
+    # Every so many samples become a row of the scene, beside those of events
+    row_ticks = 10
     tare = auto_tare(tare_s, at_once=True)
     session = InsertionSession(model)
     columns = load_mapping(mapping) if mapping else None
@@ -173,9 +170,9 @@ def scene_rows(
         for tick, (q_rad, estimate) in enumerate(replayed):
             if estimate.status is Status.REJECTED:
                 rejected[estimate.wrench.message.split(";")[0]] += 1
-            if tick % ROW_TICKS == 0 or _has_event(estimate):
+            if tick % row_ticks == 0 or _has_event(estimate):
                 rows.append(view_row(estimate, q_rad))
-            if tick % PROGRESS_TICKS == 0:
+            if tick % progress_ticks == 0:
                 progress(tick / len(log.t_s))
     for warning in log.warnings:
         say(f"warning: {warning}")

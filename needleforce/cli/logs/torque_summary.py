@@ -14,9 +14,6 @@ from urdf.loading import EXAMPLES
 if TYPE_CHECKING:
     from needleforce.sensor_replay import SensorReplay
 
-MAX_LISTED_STD_KG = 1.0
-"""A payload that is known less well is not listed."""
-
 
 def describe_torques(diagnosis: TorqueDiagnosis | None, *, is_external: bool) -> str:
     """Return scale, payload and unchecked joints in one line.
@@ -43,7 +40,8 @@ def describe_scale(diagnosis: TorqueDiagnosis) -> str:
 
 def describe_missing_mass(diagnosis: TorqueDiagnosis) -> str:
     """Return the mass that the model lacks; empty where the motion shows nothing."""
-    if diagnosis.payload_std_kg > MAX_LISTED_STD_KG:
+    max_listed_std_kg = 1.0  # A payload that is known less well is not listed
+    if diagnosis.payload_std_kg > max_listed_std_kg:
         return ""
     return (
         f"missing mass {diagnosis.payload_kg + 0.0:.2f} +/- "
