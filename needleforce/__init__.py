@@ -11,9 +11,9 @@ next to nothing.
 Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
 it), `plan_file` (a plan from its file), `needle_on_plan` (whether the needle is on it),
 `session_replay` (over a recording), `sensor_replay` (the virtual sensor over a log),
-`tare_run` (when it is tared), `state` (stop and resume); then the packages
-`recordings`, `plots`, `cli`, `control` (what moves the needle), `anatomy` (what it
-enters), `simulation`.
+`tare_run` (when it is tared), `recorder` (an arm's signals into a file), `state` (stop
+and resume); then the packages `recordings`, `plots`, `cli`, `control` (what moves the
+needle), `anatomy` (what it enters), `simulation`.
 """
 
 from importlib import import_module

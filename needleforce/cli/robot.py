@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -277,25 +277,13 @@ def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
     return lines
 
 
-class RobotWithFriction(NamedTuple):
-    """A robot, and what stands between its torque sensors and its links.
-
-    Attributes:
-        robot: The robot, with the inertia of its rotors.
-        friction: Friction of its joints; None without any.
-    """
-
-    robot: Robot
-    friction: FrictionModel | None
-
-
 _FRICTION_MODELS = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
 """Friction models, by the name of their table."""
 
 _ROTOR_INERTIA = "rotor_inertia_kg_m2"
 
 
-def with_friction(robot: Robot, path: str | None) -> RobotWithFriction:
+def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel | None]:
     """Return the robot with rotors and friction of the file of ``--friction``.
 
     It holds one table, ``[viscous_coulomb]`` with the fields of
@@ -310,7 +298,7 @@ def with_friction(robot: Robot, path: str | None) -> RobotWithFriction:
         CommandError: The file has other tables, or a key that is unknown.
     """
     if path is None:
-        return RobotWithFriction(robot, None)
+        return robot, None
     tables = read_toml(path, "friction file")
     rotor_inertia = tables.pop(_ROTOR_INERTIA, None)
     if len(tables) > 1 or not tables.keys() <= _FRICTION_MODELS.keys():
@@ -326,7 +314,7 @@ def with_friction(robot: Robot, path: str | None) -> RobotWithFriction:
         where = f"{path}: {_ROTOR_INERTIA}, one number per joint,"
         inertia_kg_m2 = finite_array(rotor_inertia, (robot.nv,), where)
         robot = robot.with_armature(inertia_kg_m2)
-    return RobotWithFriction(robot, friction)
+    return robot, friction
 
 
 def _friction_from_table(

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -49,27 +48,6 @@ class Outcome(StrEnum):
 
 ROBOT_OUTCOMES = {"robot": Outcome.READ, "model": Outcome.UNCHECKED}
 """Outcomes of the lines on the robot, and on what is odd in its description."""
-
-
-class NoisySignal(NamedTuple):
-    """How the noise of a signal is written.
-
-    Attributes:
-        name: Of the signal.
-        unit: Of its noise.
-    """
-
-    name: str
-    unit: str
-
-
-NOISY_SIGNALS = {
-    "q_rad": NoisySignal("q", "rad"),
-    "dq_rad_s": NoisySignal("dq", "rad/s"),
-    "tau_Nm": NoisySignal("tau", "Nm"),
-    "tau_ext_Nm": NoisySignal("tau_ext", "Nm"),
-}
-"""Signals whose noise is stated, by their keys in a log."""
 
 
 class CheckLine(msgspec.Struct):
@@ -168,10 +146,10 @@ def run(
     Raises:
         CommandError: Options contradict each other, or the log does not fit the robot.
     """
-    work = prepare(source, robot_options, sensor, columns)
+    replay, request = prepare(source, robot_options, sensor, columns)
     with stop_request() as is_stopped:
-        log = LogSession(source, Output(), work.request, is_stopped)
-        found = check_log(log, work.replay)
+        log = LogSession(source, Output(), request, is_stopped)
+        found = check_log(log, replay)
     write_out(found.json() if as_json else found.text())
     return log.exit_code or (DOUBTFUL if found.is_doubtful else 0)
 
@@ -267,10 +245,12 @@ class SignalRecord:
                 f"{1e3 * usual_s:.4g} ms, in 1 of 100 longer than {1e3 * late_s:.4g} ms"
             )
             yield CheckLine("rate", Outcome.READ, text)
+        units = {"q_rad": "rad", "dq_rad_s": "rad/s", "tau_Nm": "Nm"}
+        units["tau_ext_Nm"] = "Nm"
         texts = [
-            f"{signal.name} {np.min(self.noise[key]):.2g} to "
-            f"{np.max(self.noise[key]):.2g} {signal.unit}"
-            for key, signal in NOISY_SIGNALS.items()
+            f"{key.removesuffix('_' + unit.replace('/', '_'))} "
+            f"{np.min(self.noise[key]):.2g} to {np.max(self.noise[key]):.2g} {unit}"
+            for key, unit in units.items()
             if key in self.noise
         ]
         if texts:

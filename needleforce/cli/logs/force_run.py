@@ -66,12 +66,12 @@ def run(
     if columns.print_config:
         write_out(_suggested_mapping(source, robot_options, sensor, columns))
         return 0
-    work = prepare(source, robot_options, sensor, columns)
+    replay, request = prepare(source, robot_options, sensor, columns)
 
     def estimate(log: LogSession) -> ForcePage:
-        return estimate_forces(log, work.replay, output, layers, plan)
+        return estimate_forces(log, replay, output, layers, plan)
 
-    return run_log(source, output, work.request, estimate)
+    return run_log(source, output, request, estimate)
 
 
 def _suggested_mapping(

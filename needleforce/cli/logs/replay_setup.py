@@ -2,7 +2,6 @@
 
 import math
 from functools import partial
-from typing import NamedTuple
 
 from needleforce.cli.logs.log_joints import find_log_joints
 from needleforce.cli.logs.log_session import mapping_from_options
@@ -17,18 +16,6 @@ from urdf import Robot
 def torque_channel(sensor: SensorOptions) -> str:
     """Return the channel of the torques that the sensor takes."""
     return "tau_ext" if sensor.external_torque else "tau"
-
-
-class PreparedReplay(NamedTuple):
-    """What is run over a log, and what is read of it.
-
-    Attributes:
-        replay: The sensor.
-        request: Which channels are read.
-    """
-
-    replay: SensorReplay
-    request: ChannelRequest
 
 
 def robot_of_log(
@@ -48,7 +35,7 @@ def prepare(
     robot_options: RobotOptions,
     sensor: SensorOptions,
     columns: JointColumns,
-) -> PreparedReplay:
+) -> tuple[SensorReplay, ChannelRequest]:
     """Return the sensor that the options describe, and which channels it needs.
 
     Args:
@@ -81,7 +68,7 @@ def prepare(
         find_window=find_window,
         ignore_contact=sensor.force_tare,
     )
-    return PreparedReplay(replay, request)
+    return replay, request
 
 
 def _check_tare_options(sensor: SensorOptions) -> None:
