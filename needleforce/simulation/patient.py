@@ -25,6 +25,9 @@ from needleforce.anatomy.path_layers import UNLABELLED
 from needleforce.devices import ReplayArm
 from urdf import NeedleTool, Robot, load_lwr
 
+SPEED_m_s = 4e-3
+"""Of the insertion."""
+
 BEYOND_m = 10e-3
 """How far the needle goes beyond the target."""
 
@@ -70,7 +73,7 @@ class _PlannedLine(NamedTuple):
     def motion(self) -> Motion:
         """Return the motion of the needle along the path."""
         return constant_motion(
-            speed_m_s=4e-3,
+            speed_m_s=SPEED_m_s,
             depth_m=self.length_m + BEYOND_m,
             standoff_m=15e-3,
         )
