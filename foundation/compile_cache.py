@@ -1,70 +1,43 @@
 """Where compiled code is kept on disk.
 
-It is kept in folders whose names are hashes of the code it depends on: a module's own
-file and all files of this project that this file imports, directly or through others. A
-change in any of them makes a new folder, so compiled code may call functions and use
-constants of other files. A comment, a docstring or a moved line changes nothing.
+Each function has a file whose name holds a hash of all that its code depends on: its
+own instructions, and every function, constant and type of arguments that it refers to,
+directly or through others. So compiled code may call functions and use constants of
+other files, and a comment, a docstring, a moved line or another function's change makes
+nothing compile again.
 
-The folders lie below ``NUMBA_CACHE_DIR`` where the user has set that, else beside this
-file, else in the user's own cache folder. One that is warm is used also where it cannot
-be written.
+The files lie in ``NUMBA_CACHE_DIR`` where the user has set that, else beside this file,
+else in the user's own cache folder. What is there is used also where nothing can be
+written.
 """
 
 import hashlib
 import os
+import pickle
 import re
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
+from contextlib import suppress
+from enum import Enum
 from functools import cache
 from importlib import import_module
-from importlib.machinery import SourceFileLoader
 from pathlib import Path
-from shutil import rmtree
-from types import CodeType
-from typing import Any, NamedTuple
+from types import CodeType, FunctionType, ModuleType
+from typing import Any, get_args
+from uuid import uuid4
+
+import numpy as np
 
 numba: Any = import_module("numba")  # its annotations do not describe its own use
-caching: Any = import_module("numba.core.caching")
+compiler: Any = import_module("numba.core.compiler")
+serialize: Any = import_module("numba.core.serialize")
 
-MAX_FOLDERS = 4
-"""Versions of one module's compiled code that stay on disk: the newest ones."""
-
-PROJECT = Path(__file__).resolve().parents[1]
-"""The folder in which the project's packages lie."""
-
-
-class CacheStatus(NamedTuple):
-    """Where compiled code is kept.
-
-    Attributes:
-        folder: The first folder that can be written, or that is warm; None without one.
-        is_writable: Whether it can be written.
-        is_warm: Whether it holds compiled code of this project's present sources.
-    """
-
-    folder: Path | None
-    is_writable: bool
-    is_warm: bool
-
-
-def find_cache() -> CacheStatus:
-    """Find where the compiled code of the estimators is kept."""
-    name = folder_name("residual.momentum_observer")
-    for root in cache_roots():
-        is_warm = (root / name).is_dir()
-        if is_warm or can_write(root):
-            return CacheStatus(root, can_write(root), is_warm)
-    return CacheStatus(None, False, False)
-
-
-def folder_name(module: str) -> str:
-    """Return the name of the folder of a module's compiled code, at present."""
-    file = PROJECT.joinpath(*module.split(".")).with_suffix(".py")
-    return f"{module}-{hash_sources(file)}"
+MAX_VERSIONS = 4
+"""Versions of one function's compiled code that stay on disk: the newest ones."""
 
 
 def cache_roots() -> Iterator[Path]:
-    """Yield the folders below which compiled code may be kept, the best first."""
+    """Yield the folders in which compiled code may be kept, the best first."""
     if numba.config.CACHE_DIR:
         yield Path(numba.config.CACHE_DIR)
         return
@@ -73,175 +46,175 @@ def cache_roots() -> Iterator[Path]:
     yield Path(home) / "needleforce"
 
 
-def can_write(folder: Path) -> bool:
-    """Return whether a folder, which need not exist yet, can be written."""
-    existing = next((path for path in (folder, *folder.parents) if path.exists()), None)
-    return existing is not None and os.access(existing, os.W_OK)
-
-
-def cache_folder(module: str, file: str) -> Path | None:
-    """Return the folder of a module's compiled code, named by a hash of its sources.
-
-    It is None where there is none yet and none can be made.
-    """
-    name = f"{module}-{hash_sources(Path(file).resolve())}"
-    roots = list(cache_roots())
-    for root in roots:
-        if (root / name).is_dir():
-            return root / name
-    for root in roots:
-        if can_write(root):
-            _remove_old_folders(root, module)
-            return root / name
+def writable_root() -> Path | None:
+    """Return the first folder, which need not exist yet, that can be written."""
+    for root in cache_roots():
+        existing = next((path for path in (root, *root.parents) if path.exists()), None)
+        if existing is not None and os.access(existing, os.W_OK):
+            return root
     return None
 
 
-def _remove_old_folders(root: Path, module: str) -> None:
-    """Remove the oldest folders of a module, so that a new one has its place."""
-    try:
-        folders = [
-            (path.stat().st_mtime, path)
-            for path in root.glob(f"{module}-*")
-            if re.fullmatch(rf"{re.escape(module)}-[0-9a-f]{{16}}", path.name)
-        ]
-        for _, path in sorted(folders)[: -(MAX_FOLDERS - 1)]:
-            rmtree(path, ignore_errors=True)
-    except OSError:  # another process is doing the same
-        return
-
-
-@cache
-def hash_sources(file: Path) -> str:
-    """Return 16 hexadecimal digits that change with a file or any that it imports."""
-    digest = hashlib.sha256(f"{sys.version_info[:2]} {numba.__version__}".encode())
-    for path in sorted(_imported_files(file)):
-        digest.update(_hash_code(path))
-    return digest.hexdigest()[:16]
-
-
-@cache
-def _hash_code(path: Path) -> bytes:
-    """Return a hash of what Python makes of a file, without lines and docstrings.
-
-    Python keeps that beside the file, so reading it costs as little as an import.
-    """
-    code = SourceFileLoader(path.stem, str(path)).get_code(path.stem)
-    digest = hashlib.sha256()
-    waiting: list[Any] = [code]
-    while waiting:
-        value = waiting.pop()
-        if isinstance(value, CodeType):
-            digest.update(value.co_code)
-            names = (value.co_name, value.co_names, value.co_varnames)
-            digest.update(repr((*names, value.co_argcount)).encode())
-            waiting += value.co_consts
-        elif isinstance(value, frozenset):  # its order differs between processes
-            digest.update(repr(sorted(map(repr, value))).encode())
-        elif not (isinstance(value, str) and re.search(r"\s", value)):
-            # Strings with blanks are docstrings and messages: compiled code has none.
-            digest.update(repr(value).encode())
-    return digest.digest()
-
-
-def _imported_files(file: Path) -> set[Path]:
-    """Return a file and all files of the project that it imports, also indirectly."""
-    files = {file}
-    waiting = [file]
-    while waiting:
-        new = _direct_imports(waiting.pop()) - files
-        files |= new
-        waiting += new
-    return files
-
-
-IMPORT = re.compile(
-    r"^(?:from ([\w.]+) import (\([^)]*\)|[^\n]*)|import ([\w.]+))", re.MULTILINE
-)
-"""An import at the left margin: the module and the names, or the module alone."""
-
-
-@cache
-def _direct_imports(file: Path) -> frozenset[Path]:
-    """Return the files of the project that the imports of a file name."""
-    found = set()
-    for module, names, plain in IMPORT.findall(file.read_text(encoding="utf-8")):
-        place = PROJECT.joinpath(*(module or plain).split("."))
-        candidates = [place.with_suffix(".py"), place / "__init__.py"]
-        candidates += [place / f"{name}.py" for name in re.findall(r"\w+", names)]
-        found |= {path for path in candidates if path.is_file()}
-    return frozenset(found)
-
-
-class _FolderLocator(caching._CacheLocator):
-    """Tells the compiler the folder of a function's module."""
-
-    def __init__(self, folder: Path) -> None:
-        self._folder = folder
-
-    @classmethod
-    def from_function(cls, function: Callable[..., Any], file: str) -> Any:
-        folder = cache_folder(function.__module__, file)
-        return None if folder is None else cls(folder)
-
-    def ensure_cache_path(self) -> None:
-        self._folder.mkdir(parents=True, exist_ok=True)
-
-    def get_cache_path(self) -> str:
-        return str(self._folder)
-
-    def get_source_stamp(self) -> str:
-        return self._folder.name
-
-    def get_disambiguator(self) -> str:
-        return ""  # the file's name has the function's qualified name
-
-
-class _FolderCacheImpl(caching.CompileResultCacheImpl):
-    """The compiler's own way to write and read, in our folder."""
-
-    _locator_classes = (_FolderLocator,)
-
-
-class FunctionCache(caching.FunctionCache):
-    """Compiled code of one function, on disk.
+class FunctionCache:
+    """Compiled code of one function, on disk; the compiler loads and saves it.
 
     What cannot be written or read is compiled again, whatever the reason: a full disk,
     a folder of another user, a file that was cut off.
+
+    Args:
+        function: The function, in plain Python.
     """
 
-    _impl_class = _FolderCacheImpl
+    def __init__(self, function: FunctionType) -> None:
+        self._function = function
+        self._name = f"{function.__module__}.{function.__qualname__}"
+
+    @property
+    def file_name(self) -> str:
+        """Name of the file of the function as it now stands."""
+        return f"{self._name}-{hash_function(self._function)}.compiled"
+
+    @property
+    def cache_path(self) -> str:
+        """Folder of the file, for the compiler's statistics."""
+        path = self._find()
+        return "" if path is None else str(path.parent)
 
     @property
     def is_warm(self) -> bool:
         """Whether there is something to load."""
-        return Path(self._cache_file._index_path).exists()
+        return self._find() is not None
 
-    def load_overload(self, sig: Any, target_context: Any) -> Any:
-        """Return what was kept for a signature, None without it."""
+    def _find(self) -> Path | None:
+        paths = [root / self.file_name for root in cache_roots()]
+        return next((path for path in paths if path.is_file()), None)
+
+    def load_overload(self, _signature: Any, target_context: Any) -> Any:
+        """Return what was kept of the function; None without it."""
+        path = self._find()
+        if path is None:
+            return None
+        target_context.refresh()
         try:
-            return super().load_overload(sig, target_context)
+            parts = pickle.loads(path.read_bytes())
+            return compiler.CompileResult._rebuild(target_context, *parts)
         except Exception:  # reading a damaged file may raise anything
-            self._forget()
             return None
 
-    def save_overload(self, sig: Any, data: Any) -> None:
-        """Keep what was compiled for a signature, if that is possible."""
-        try:
-            super().save_overload(sig, data)
-        except OSError:
-            self.disable()
+    def save_overload(self, _signature: Any, result: Any) -> None:
+        """Keep what was compiled, if that is possible."""
+        root = writable_root()
+        if root is None:
+            return
+        unfinished = root / f"{uuid4().hex}.unfinished"
+        with suppress(OSError):
+            root.mkdir(parents=True, exist_ok=True)
+            try:
+                unfinished.write_bytes(serialize.dumps(result._reduce()))
+                unfinished.replace(root / self.file_name)
+            finally:
+                unfinished.unlink(missing_ok=True)
+            self._remove_old_versions(root)
 
-    def _forget(self) -> None:
-        """Empty the index, so that what is compiled again can be kept."""
-        try:
-            self.flush()
-        except OSError:
-            self.disable()
+    def _remove_old_versions(self, root: Path) -> None:
+        versions = [
+            (path.stat().st_mtime, path)
+            for path in root.glob(f"{self._name}-{'[0-9a-f]' * 16}.compiled")
+        ]
+        for _, path in sorted(versions)[:-MAX_VERSIONS]:
+            path.unlink(missing_ok=True)
 
 
-def cache_of(function: Callable[..., Any]) -> FunctionCache | None:
-    """Return the cache of a function, None where nothing can be kept."""
-    try:
-        return FunctionCache(function)
-    except RuntimeError:  # there is no folder
-        return None
+@cache
+def hash_function(function: FunctionType) -> str:
+    """Return 16 hexadecimal digits that change with all that compiled code is made of.
+
+    Beside the function that is the compiler, how it is called, and the processor.
+    """
+    target = import_module("numba.core.registry").cpu_target.target_context
+    processor = target.codegen().magic_tuple()
+    digest = hashlib.sha256(
+        f"{sys.version_info[:2]} {numba.__version__} {processor}".encode()
+    )
+    digest.update(Path(__file__).with_name("jit.py").read_bytes())
+    found = {function}
+    waiting = [function]
+    while waiting:
+        new = set(_describe(waiting.pop())[1]) - found
+        found |= new
+        waiting += new
+    for text in sorted(_describe(part)[0] for part in found):
+        digest.update(text.encode())
+    return digest.hexdigest()[:16]
+
+
+@cache
+def _describe(function: FunctionType) -> tuple[str, tuple[FunctionType, ...]]:
+    """Return all that a function does but for the functions it refers to; and these."""
+    texts: list[str] = [f"{function.__module__}.{function.__qualname__}"]
+    functions: list[FunctionType] = []
+    waiting: list[Any] = [
+        function.__code__,
+        function.__defaults__,
+        *(cell.cell_contents for cell in function.__closure__ or ()),
+        *function.__annotations__.values(),
+    ]
+    while waiting:
+        value = waiting.pop()
+        value = getattr(value, "py_func", value)  # of what is compiled already
+        if isinstance(value, FunctionType) and not _is_foreign(value.__module__):
+            functions.append(value)
+        elif isinstance(value, CodeType):
+            texts.append(_describe_code(value))
+            waiting += [*value.co_consts, *_find_globals(value, function.__globals__)]
+        elif isinstance(value, tuple | frozenset):
+            waiting += (
+                sorted(value, key=repr) if isinstance(value, frozenset) else value
+            )
+        else:
+            texts.append(_describe_value(value))
+            waiting += _find_types(value)
+    return "\n".join(texts), tuple(functions)
+
+
+def _describe_code(code: CodeType) -> str:
+    names = (code.co_name, code.co_names, code.co_varnames, code.co_argcount)
+    return f"{code.co_code.hex()} {names}"
+
+
+def _find_globals(code: CodeType, names: dict[str, Any]) -> Iterator[Any]:
+    """Yield what the names in code stand for: in its module, or in one it names."""
+    for name in code.co_names:
+        if name not in names:  # of an attribute
+            continue
+        value = names[name]
+        yield value
+        if isinstance(value, ModuleType) and not _is_foreign(value.__name__):
+            yield from _find_globals(code, vars(value))
+
+
+def _find_types(value: Any) -> list[Any]:
+    """Return the types that the fields of a named tuple or a state have."""
+    if isinstance(value, type) and not _is_foreign(value.__module__):
+        return list(getattr(value, "__annotations__", {}).values())
+    return list(get_args(value))
+
+
+def _describe_value(value: Any) -> str:
+    """Return a constant, a type, or what others have made, in words."""
+    if isinstance(value, np.ndarray):
+        return f"{value.dtype} {value.shape} {value.tobytes().hex()}"
+    if isinstance(value, type) and issubclass(value, Enum):
+        return repr(list(value))
+    if isinstance(value, type):
+        return f"{value} {getattr(value, '__annotations__', {}).keys()}"
+    if hasattr(value, "__qualname__"):  # of functions: their text holds an address
+        return f"{value.__module__}.{value.__qualname__}"
+    # Texts with blanks are docstrings and messages: compiled code has none.
+    is_prose = isinstance(value, str) and re.search(r"\s", value)
+    return "" if is_prose else repr(value)
+
+
+def _is_foreign(module: str | None) -> bool:
+    """Return whether a module is the compiler's, numpy's or Python's own."""
+    return (module or "").partition(".")[0] in {"numba", "numpy", "math", "builtins"}

@@ -23,7 +23,7 @@ from typing import (
 
 import numpy as np
 
-from foundation.compile_cache import cache_of, find_cache
+from foundation.compile_cache import FunctionCache, writable_root
 from foundation.first_use import Entry, compile_cold
 
 numba: Any = import_module("numba")  # its annotations do not describe its own use
@@ -42,8 +42,8 @@ SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 _lock = RLock()
 """One thread at a time compiles."""
 
-_waiting: list[Entry] = []
-"""Functions that Python may call and that are not compiled yet."""
+entries: list[Entry] = []
+"""Functions that Python may call."""
 
 _inside: list[Any] = []
 """What `compiled_inside` has made. The compiler holds only weak references to it."""
@@ -74,11 +74,10 @@ def compiled(function: Function) -> Function:
     if not COMPILER:
         return function
     dispatcher = numba.njit(function)
-    cache = cache_of(function)
-    if cache is not None:
-        dispatcher._cache = cache  # as the compiler's own option `cache` does
+    cache: Any = FunctionCache(cast(Any, function))
+    dispatcher._cache = cache  # as the compiler's own option `cache` does
     entry = Entry(dispatcher, parameter_types(function), cache)
-    _waiting.append(entry)
+    entries.append(entry)
     _compile_on_demand(entry)
     return dispatcher
 
@@ -139,12 +138,11 @@ def compile_waiting() -> None:
     function at a time in each.
     """
     with _lock:
-        entries = _waiting.copy()
-        _waiting.clear()
-        cold = [entry for entry in entries if entry.is_cold]
+        waiting = [entry for entry in entries if not entry.dispatcher.overloads]
+        cold = [entry for entry in waiting if entry.is_cold]
         if cold:
-            compile_cold(cold, is_kept=find_cache().is_writable)
-        for entry in entries:
+            compile_cold(cold, is_kept=writable_root() is not None)
+        for entry in waiting:
             entry.compile()
 
 
@@ -156,7 +154,7 @@ def compile_modules(modules: Sequence[str]) -> None:
     """
     for module in modules:
         import_module(module)
-    for entry in _waiting:
+    for entry in entries:
         if entry.module in modules:
             entry.compile()
 

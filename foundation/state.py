@@ -23,8 +23,9 @@ import math
 import os
 from collections.abc import Sequence
 from dataclasses import fields, is_dataclass
+from functools import cache
 from pathlib import Path
-from types import UnionType
+from types import NoneType, UnionType
 from typing import Any, Literal, Union, get_args, get_origin, get_type_hints
 
 import msgspec
@@ -36,7 +37,7 @@ from foundation.errors import NeedleforceError
 STATE_FORMAT = "needleforce-state"
 """Name of the file format."""
 
-STATE_VERSION = 3
+STATE_VERSION = 4
 """Grows whenever a file of the version before cannot be read, or is misread."""
 
 MAX_NUMBER = 1e30
@@ -110,10 +111,10 @@ def _check_record(record: Any, reference: Any, place: str) -> None:
     if reference is not None and type(reference) is not type(record):
         expected = type(reference).__name__
         raise StateError(f"{place} is a {type(record).__name__}, expected a {expected}")
-    hints = get_type_hints(type(record))
+    hints = _field_hints(type(record))
     unlimited = getattr(record, "MAY_BE_INFINITE", ())
     growing = getattr(record, "GROWING", ())
-    for name in _field_names(record):
+    for name in hints:
         value = getattr(record, name)
         where = f"{place}.{name}"
         _check_type(value, hints[name], where)
@@ -162,14 +163,19 @@ def _check_numbers(numbers: Array, place: str) -> None:
 
 
 def _is_record(value: Any) -> bool:
-    return is_dataclass(value) or hasattr(type(value), "_fields")
+    return _is_record_type(type(value))
 
 
-def _field_names(record: Any) -> tuple[str, ...]:
-    """Return the names of the fields of a named tuple or a data class."""
-    if is_dataclass(record):
-        return tuple(field.name for field in fields(record))
-    return type(record)._fields
+def _is_record_type(kind: Any) -> bool:
+    return is_dataclass(kind) or hasattr(kind, "_fields")
+
+
+@cache
+def _field_hints(kind: Any) -> dict[str, Any]:
+    """Return the types of the fields of a named tuple or a data class, in order."""
+    names = kind._fields if hasattr(kind, "_fields") else [f.name for f in fields(kind)]
+    hints = get_type_hints(kind)
+    return {name: hints[name] for name in names}
 
 
 def encode_state(state: Any) -> bytes:
@@ -187,16 +193,52 @@ def decode_state(data: bytes, kind: Any) -> Any:
 
     Args:
         data: What `encode_state` returned.
-        kind: Type of the state; for a named tuple whose annotations leave a field open,
-            a narrower type of the same fields.
+        kind: Type of the state. Where a field may hold one of several data classes, the
+            names of the fields that came tell which.
 
     Raises:
         StateError: The bytes do not hold a state of this kind.
     """
     try:
-        return msgspec.msgpack.decode(data, type=kind, dec_hook=_decode_array)
+        return _typed(msgspec.msgpack.decode(data), kind)
     except (msgspec.MsgspecError, RecursionError, ValueError, TypeError) as error:
         raise StateError(str(error)) from error
+
+
+def _typed(plain: Any, hint: Any) -> Any:
+    """Return what MessagePack holds of a value as a value of its type."""
+    alternatives = get_args(hint) if get_origin(hint) in (UnionType, Union) else ()
+    if alternatives:
+        if plain is None and NoneType in alternatives:
+            return None
+        hint = next((kind for kind in alternatives if _fits(plain, kind)), hint)
+    if _is_record_type(hint):
+        return _typed_record(plain, hint)
+    if get_origin(hint) is tuple and isinstance(plain, list):
+        kinds = get_args(hint)
+        if kinds[-1] is Ellipsis:
+            kinds = kinds[:1] * len(plain)
+        if len(kinds) != len(plain):
+            raise ValueError(f"expected {len(kinds)} values, got {len(plain)}")
+        return tuple(map(_typed, plain, kinds))
+    return msgspec.convert(plain, hint, dec_hook=_decode_array)
+
+
+def _typed_record(plain: Any, kind: Any) -> Any:
+    """Return a record: of a data class came a map, of a named tuple a list."""
+    if not _fits(plain, kind):
+        raise ValueError(f"expected the fields of a {kind.__name__}")
+    hints = _field_hints(kind)
+    named = plain if isinstance(plain, dict) else dict(zip(hints, plain, strict=True))
+    return kind(**{name: _typed(named[name], hint) for name, hint in hints.items()})
+
+
+def _fits(plain: Any, hint: Any) -> bool:
+    """Return whether a value may be a record of a type, by its fields alone."""
+    if hasattr(hint, "_fields"):
+        return isinstance(plain, list) and len(plain) == len(hint._fields)
+    is_record = isinstance(plain, dict) and _is_record_type(hint)
+    return is_record and plain.keys() == _field_hints(hint).keys()
 
 
 def _encode_array(value: Any) -> Any:

@@ -23,8 +23,6 @@ FREE_MOTION_s = 20.0
 
 _KNOT_SPACING_m = 5e-3
 _SPLINE_DEGREE = 5
-_TOLERANCE = 1e-12  # Of the placement, m and rad
-_MAX_ITERATIONS = 50
 _MAX_CONDITION = 30.0  # Of the Jacobian
 
 # Slow sines of the free motion, with peak speeds near 0.5 rad/s.
@@ -73,8 +71,8 @@ def needle_down(robot: Robot, posture_rad: Array) -> Array:
     turn = pin.Quaternion.FromTwoVectors(
         tool.rotation[:, 2], np.array([0.0, 0.0, -1.0])
     ).matrix()
-    turned = _solve(
-        robot, data, posture_rad, pin.SE3(turn @ tool.rotation, tool.translation)
+    turned = reach_pose(
+        robot, posture_rad, pin.SE3(turn @ tool.rotation, tool.translation)
     )
     _check_postures(robot, data, turned[None])
     return turned
@@ -101,7 +99,7 @@ def insertion_path(
         posture = start_rad
         for index in indices:
             offset = pin.SE3(np.eye(3), np.array([0.0, 0.0, index * _KNOT_SPACING_m]))
-            posture = knots[index] = _solve(robot, data, posture, start * offset)
+            posture = knots[index] = reach_pose(robot, posture, start * offset)
     indices = sorted(knots)
     postures = np.array([knots[index] for index in indices])
     _check_postures(robot, data, postures)
@@ -110,18 +108,39 @@ def insertion_path(
     return InsertionPath(spline, start)
 
 
-def _solve(robot: Robot, data: pin.Data, posture_rad: Array, target: pin.SE3) -> Array:
-    """Return a posture that reaches a placement, by Newton steps of least norm."""
+def reach_pose(
+    robot: Robot,
+    posture_rad: Array,
+    target: pin.SE3,
+    *,
+    tolerance: float = 1e-12,
+    max_step_rad: float = np.inf,
+) -> Array:
+    """Return a posture with the tool at a place, by Newton steps of least norm.
+
+    Args:
+        robot: The arm.
+        posture_rad: Where the search begins.
+        target: Place of the tool frame.
+        tolerance: Error that is left [m, rad].
+        max_step_rad: Of a joint in a step; from far away large ones lead astray.
+
+    Raises:
+        MotionError: It is out of reach.
+    """
+    data = robot.create_data()
     posture = np.array(posture_rad)
-    for _ in range(_MAX_ITERATIONS):
+    max_iterations = 60
+    for _ in range(max_iterations):
         pin.framesForwardKinematics(robot.model, data, posture)
         error = pin.log6(data.oMf[robot.tool_frame_id].actInv(target)).vector
-        if np.abs(error).max() < _TOLERANCE:
+        if np.abs(error).max() < tolerance:
             return posture
         jacobian = pin.computeFrameJacobian(
             robot.model, data, posture, robot.tool_frame_id
         )
-        posture = posture + np.linalg.pinv(jacobian) @ error
+        step_rad = np.linalg.pinv(jacobian) @ error
+        posture = posture + np.clip(step_rad, -max_step_rad, max_step_rad)
     raise MotionError(
         f"no posture reaches {target.translation.round(4)} m; start elsewhere or "
         "travel less"

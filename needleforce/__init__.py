@@ -9,15 +9,17 @@ package; each is imported when it is first used, so that ``import needleforce`` 
 next to nothing.
 
 Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
-it), `needle_on_plan` (whether the needle is on it), `session_replay` (over a
-recording), `state` (stop and resume); then the packages `recordings`, `plots`, `cli`,
-`control` (what moves the needle), `anatomy` (what it enters), `simulation`.
+it), `plan_file` (a plan from its file), `needle_on_plan` (whether the needle is on it),
+`session_replay` (over a recording), `sensor_replay` (the virtual sensor over a log),
+`tare_run` (when it is tared), `recorder` (an arm's signals into a file), `state` (stop
+and resume); then the packages `recordings`, `plots`, `cli`, `control` (what moves the
+needle), `anatomy` (what it enters), `simulation`.
 """
 
 from importlib import import_module
+from importlib.util import find_spec
+from os.path import dirname, join, realpath
 from typing import TYPE_CHECKING, Any
-
-from needleforce.shadowed import refuse_hidden_packages
 
 if TYPE_CHECKING:
     from identification import Estimate as Estimate
@@ -31,11 +33,11 @@ if TYPE_CHECKING:
     from needleforce.session import InsertionSession as InsertionSession
     from needleforce.session import SessionEstimate as SessionEstimate
     from needleforce.session import SessionSnapshot as SessionSnapshot
-    from needleforce.session_replay import AutoTare as AutoTare
     from needleforce.session_replay import replay_session as replay_session
     from needleforce.state import SnapshotFileError as SnapshotFileError
     from needleforce.state import read_snapshot as read_snapshot
     from needleforce.state import write_snapshot as write_snapshot
+    from needleforce.tare_run import AutoTare as AutoTare
     from residual import SensorConfig as SensorConfig
     from residual import SensorWarning as SensorWarning
     from residual import Status as Status
@@ -47,7 +49,16 @@ if TYPE_CHECKING:
     from urdf import load_lwr as load_lwr
     from urdf import load_urdf as load_urdf
 
-refuse_hidden_packages()
+for _name in ("foundation", "urdf", "residual", "identification", "groundtruth"):
+    # Python takes the first match on its path: a user's script or folder of data with
+    # one of these names may come first.
+    _spec = find_spec(_name)
+    _place = _spec and [*(_spec.submodule_search_locations or ()), _spec.origin][0]
+    if _place and realpath(_place) != realpath(join(dirname(__file__), "..", _name)):
+        raise ImportError(
+            f"{_place} hides the package {_name!r} of needleforce. Rename it, or work "
+            "in another folder"
+        )
 
 _NAMES_OF = {
     "identification": (
@@ -65,12 +76,13 @@ _NAMES_OF = {
         "SessionEstimate",
         "SessionSnapshot",
     ),
-    "needleforce.session_replay": ("AutoTare", "replay_session"),
+    "needleforce.session_replay": ("replay_session",),
     "needleforce.state": (
         "SnapshotFileError",
         "read_snapshot",
         "write_snapshot",
     ),
+    "needleforce.tare_run": ("AutoTare",),
     "residual": (
         "SensorConfig",
         "SensorWarning",

@@ -25,12 +25,6 @@ MAX_TURN_COSINE = math.cos(math.radians(3.0))
 """Cosine of the turn in free air from which on depth counts along the new axis: its
 projection on the old one is off by a part in a thousand there."""
 
-RETREAT_M = 3e-3
-"""Retreat in free air that ends an insertion or an approach: more than tissue rises
-with the needle that leaves it."""
-
-ADVANCE_M = 0.5e-3
-"""Advance after a retreat with which the next approach begins."""
 
 LEFT_M = 1.5 * NEEDLE_DIAMETER_M
 """Distance from its channel from which on the needle in free air has left it: more than
@@ -198,6 +192,11 @@ class InsertionCourse:
             depth_m: Depth of the tip.
             contact_m: Depth of first contact; None where tissue has not been met.
         """
+        # Advance after a retreat with which the next approach begins
+        advance_m = 0.5e-3
+        # Retreat in free air that ends an insertion or an approach: more than tissue
+        # rises with the needle that leaves it
+        retreat_m = 3e-3
         last_m = self._deepest_m if contact_m is None else contact_m
-        is_back = self._highest_m < last_m - RETREAT_M
-        return is_back and depth_m > self._highest_m + ADVANCE_M
+        is_back = self._highest_m < last_m - retreat_m
+        return is_back and depth_m > self._highest_m + advance_m

@@ -14,28 +14,13 @@ from needleforce.tip_travel import Needle, TipTravel, TravelZero, measure_line_o
 NEEDLE_DIAMETER_M = 1.27e-3
 """Outer diameter of a needle of 18 gauge: as far aside its channel is met."""
 
-AHEAD_M = 2e-3
-"""Distance from the tip to a channel's entry at which it is recognised: less than the
-retreat that ends an insertion, so that the force in free air is measured before."""
 
 MIN_LENGTH_M = 3e-3
 """Length of a channel, at least; a touch leaves none."""
 
-MAX_CHANNELS = 8
-"""Channels that are remembered; each is half a megabyte of a snapshot."""
 
 EXCESS_TRAVEL_M = 1e-3
 """Travel over which the force in a channel is averaged, against noise and texture."""
-
-EXCESS_SIGMAS = 3.0
-"""Deviations above the channel's friction at which the force contradicts it."""
-
-FRICTION_CHANGE_FRACTION = 0.1
-"""What rubs again rubs otherwise by so much of it, one standard deviation."""
-
-END_M = 2e-3
-"""Length at a channel's end in which the tip may meet tissue already: the depth of the
-end is as uncertain, and the last millimetre counts as cut anew."""
 
 
 class ChannelState(Enum):
@@ -105,11 +90,14 @@ class OldChannel(NamedTuple):
             excess_N: Axial force less the friction of the channel.
             force_std_N: Standard deviation of the force.
         """
+        # Length at a channel's end in which the tip may meet tissue already: the depth
+        # of the end is as uncertain, and the last millimetre counts as cut anew
+        uncertain_m = 2e-3
         depth_m = travel.delayed_depth_m
         if depth_m <= self.begin_m:
             return self._replace(force_std_in_air_N=force_std_N)
         advance_m = depth_m - self.checked_m
-        if advance_m <= 0.0 or depth_m > self.end_m - END_M:
+        if advance_m <= 0.0 or depth_m > self.end_m - uncertain_m:
             return self
         weight = -math.expm1(-advance_m / EXCESS_TRAVEL_M)
         mean_N = self.excess_N + weight * (excess_N - self.excess_N)
@@ -131,13 +119,17 @@ class OldChannel(NamedTuple):
             noise_std_N: Standard deviation of its noise, which the wander of a mean is
                 no larger than.
         """
+        # What rubs again rubs otherwise by so much of it, one standard deviation
+        friction_change_fraction = 0.1
+        # Deviations above the channel's friction at which the force contradicts it
+        excess_sigmas = 3.0
         variance_N2 = (
             max(force_std_N**2 - self.force_std_in_air_N**2, 0.0)
             + noise_std_N**2
             + self.friction.variance_at(speed_m_s)
-            + (FRICTION_CHANGE_FRACTION * friction_N) ** 2
+            + (friction_change_fraction * friction_N) ** 2
         )
-        return self.excess_N > EXCESS_SIGMAS * math.sqrt(variance_N2)
+        return self.excess_N > excess_sigmas * math.sqrt(variance_N2)
 
 
 def find_channel(
@@ -147,11 +139,15 @@ def find_channel(
 
     Its line has to meet that of the channel, within a diameter at entry and end.
     """
+    # Distance from the tip to a channel's entry at which it is recognised: less than
+    # the retreat that ends an insertion, so that the force in free air is measured
+    # before
+    ahead_m = 2e-3
     for channel in reversed(channels):
         offset = measure_line_offset(*channel.entry, channel.length_m, needle)
         if (
             max(offset.entry_miss_m, offset.end_miss_m) <= NEEDLE_DIAMETER_M
-            and -AHEAD_M <= offset.height_m <= channel.length_m
+            and -ahead_m <= offset.height_m <= channel.length_m
         ):
             return channel
     return None
@@ -161,8 +157,10 @@ def add_channel(
     channels: tuple[NeedleChannel, ...], new: NeedleChannel
 ) -> tuple[NeedleChannel, ...]:
     """Return the channels with a new one, which replaces the one it went on in."""
+    # Channels that are remembered; each is half a megabyte of a snapshot
+    max_channels = 8
     kept = remove_channel(channels, new.entry, new.length_m)
-    return (*kept, new)[-MAX_CHANNELS:]
+    return (*kept, new)[-max_channels:]
 
 
 def remove_channel(

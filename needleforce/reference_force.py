@@ -11,11 +11,6 @@ from foundation.arrays import Array
 from residual import Status, WrenchEstimate
 from residual.tool_kinematics import unit_axis
 
-ZERO_READINGS = 500
-"""Number of readings whose mean is the zero: half a second at 1 kHz."""
-MAX_SILENT_TICKS = 100
-"""Ticks without a reading after which the last one is too old to be shown."""
-
 
 class ForceSensor(Protocol):
     """A sensor between flange and tool, as `needleforce.devices.NetFT`."""
@@ -46,9 +41,11 @@ class ReferenceForce:
     """
 
     def __init__(self, sensor: ForceSensor, axis: ArrayLike = (0.0, 0.0, 1.0)) -> None:
+        # Number of readings whose mean is the zero: half a second at 1 kHz
+        zero_readings = 500
         self._axis = unit_axis(axis)
         self._sensor = sensor
-        self._readings = deque[float](maxlen=ZERO_READINGS)
+        self._readings = deque[float](maxlen=zero_readings)
         self._zero_N = math.nan
         self.axial_N = math.nan
         self._squares_N2 = 0.0
@@ -69,6 +66,8 @@ class ReferenceForce:
 
     def update(self, wrench: WrenchEstimate) -> None:
         """Read the sensor, and compare with the session's estimate of the same tick."""
+        # Ticks without a reading after which the last one is too old to be shown
+        max_silent_ticks = 100
         reading = self._sensor.read()
         self._silent_ticks = self._silent_ticks + 1 if reading is None else 0
         if reading is not None:
@@ -79,6 +78,6 @@ class ReferenceForce:
             if wrench.status is Status.OK and math.isfinite(difference_N):
                 self._squares_N2 += difference_N**2
                 self.count += 1
-        elif self._silent_ticks >= MAX_SILENT_TICKS:
+        elif self._silent_ticks >= max_silent_ticks:
             self.axial_N = math.nan
             self._readings.clear()  # the posture may have changed since

@@ -90,9 +90,6 @@ With `ARM_PUSHED` alone samples are still used: the force is off only by the par
 looks axial, and a lateral force that begins suddenly raises the warning, too. But no
 rupture is reported then, and no gap ends.
 """
-JUMP_SEEN_S = 0.6
-"""Time within which a torque sensor that jumps is noticed; a rupture since may be that
-jump."""
 CHECKPOINT_PERIOD_S = 0.25
 """Time between states to rewind to: a push on the arm grows for up to this long before
 it is detected."""
@@ -242,8 +239,9 @@ class SessionSnapshot(NamedTuple):
     air: AirWatch
 
 
-_TRIAL_UPDATES = 3  # Updates that a restored identifier must survive
-_TRIAL_STEP_S = 1e-3  # Time step of these updates
+JUMP_SEEN_S = 0.6
+"""Within it a changed zero is noticed: a rupture since may be that change."""
+
 _OUTSIDE_M = 2e-3  # In front of the first contact the tissue is left behind for sure
 _TISSUE_SIGMAS = 3.0  # Deviations of a force that shows that the tip is in tissue
 
@@ -509,12 +507,14 @@ class InsertionSession:
 
         A contact that the force does not show may be none.
         """
+        # Deviations of a force that shows that the tip is in tissue
+        tissue_sigmas = 3.0
         if self._is_in_air:
             return False
         identification = self._identification
         net_N = identification.tip_force_N + identification.shaft_friction_N
         std_N = identification.tip_force_std_N or 0.0
-        return abs(net_N) > _TISSUE_SIGMAS * std_N or self._length_to_remember_m > 0.0
+        return abs(net_N) > tissue_sigmas * std_N or self._length_to_remember_m > 0.0
 
     def _move_zero_here(self) -> None:
         """Count depth from here; what is known of the tissue stays."""
@@ -667,6 +667,8 @@ class InsertionSession:
 
     def _check_identifiers(self, snapshot: SessionSnapshot) -> None:
         """Restore each state of an identifier in a trial one, and update the last."""
+        trial_step_s = 1e-3  # Time step of these updates
+        trial_updates = 3  # Updates that a restored identifier must survive
         trial = Identifier(self._identifier_config)
         trial.restore(snapshot.checkpoints.older.identifier)
         trial.restore(snapshot.checkpoints.newer.identifier)
@@ -676,8 +678,8 @@ class InsertionSession:
             trial.restore(snapshot.insertion.channel.in_air)
         trial.restore(snapshot.identifier)
         travel = snapshot.travel
-        for _ in range(_TRIAL_UPDATES):
-            trial.update(travel.depth_m, travel.speed_m_s, 0.0, _TRIAL_STEP_S)
+        for _ in range(trial_updates):
+            trial.update(travel.depth_m, travel.speed_m_s, 0.0, trial_step_s)
 
     def _check_own_part(self, snapshot: SessionSnapshot) -> None:
         """Refuse values that cannot be in what is the session's own.

@@ -12,7 +12,7 @@ from pathlib import Path
 import pytest
 
 from needleforce.cli import main
-from needleforce.cli.plan_file import read_plan
+from needleforce.plan_file import read_plan
 
 TUTORIALS = Path(__file__).parents[1] / "docs" / "tutorials"
 ANSWERS = r"^```sh\n(needleforce .*?)\n```$(?:\n\n^```text\n(.*?)^```$)?"

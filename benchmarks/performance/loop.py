@@ -22,10 +22,10 @@ from benchmarks.jobs import Job, Progress, progress_part
 from benchmarks.results import Figure
 from groundtruth import Run, simulate
 from needleforce import InsertionSession
-from needleforce.cli.arms.recorder import Recorder, leave_real_time
 from needleforce.devices import ArmReading, FriArm
-from needleforce.devices.emulators import Emulator, take_real_time
-from needleforce.devices.fri_emulator import FriSettings, emulate_fri
+from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
+from needleforce.devices.emulators.process import take_real_time
+from needleforce.recorder import Recorder, leave_real_time
 from urdf import Robot
 
 WARM_UP = 2000

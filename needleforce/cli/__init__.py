@@ -8,7 +8,7 @@ an arm, `demos` the demonstrations, `checkup` what `doctor` finds.
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
 `force`, `check`, `identify`, `report`, `simulate`, `record`, `plan`, `touch`,
 `register`, `live`, `lag`, `ros2`, `view`, `demo`, `doctor` (the commands), `robot` (the
-robot from options and TOML files), `logs`, `plan_file`, `auto_tare`, `loop_threads`,
+robot from options and TOML files), `logs`, `plan_option`, `auto_tare`, `loop_threads`,
 `arms`, `patient`, `demos`, `checkup`.
 """
 

@@ -4,7 +4,7 @@ import math
 
 from needleforce.cli.advice import describe_error
 from needleforce.cli.terminal import CommandError, say
-from needleforce.session_replay import AutoTare
+from needleforce.tare_run import AutoTare
 from residual import TareError
 
 

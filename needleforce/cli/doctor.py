@@ -36,15 +36,20 @@ def doctor_command(
         ),
     ] = False,
 ) -> int:
-    """Print versions, extras, compiler and cache, cores, clock, real-time permission.
+    """Print versions, extras, the compiler's cache, and what is in the way of use.
 
     Unless told to it compiles nothing; it needs no network. For a bug report.
 
     needleforce doctor --json
     """
-    from needleforce.cli.checkup.compiler import compile_everything
-    from needleforce.cli.checkup.distributions import licence_table
-    from needleforce.cli.checkup.findings import examine
+    import msgspec
+
+    from needleforce.cli.checkup import (
+        compile_everything,
+        describe,
+        examine,
+        licence_table,
+    )
 
     if licences:
         write_out(licence_table())
@@ -53,5 +58,6 @@ def doctor_command(
     if compile:
         compile_everything()
     found = examine(with_sizes=sizes)
-    write_out(found.json() if json else found.text())
+    as_json = msgspec.json.format(msgspec.json.encode(found)).decode() + "\n"
+    write_out(as_json if json else describe(found))
     return 0

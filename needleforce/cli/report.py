@@ -49,7 +49,7 @@ def report_command(
     """
     from needleforce.cli.logs import force_run, identify_run
     from needleforce.cli.logs.log_session import has_channels
-    from needleforce.cli.plan_file import load_plan
+    from needleforce.cli.plan_option import load_plan
 
     output = Output(report=folder)
     torque = "tau_ext" if sensor.external_torque else "tau"

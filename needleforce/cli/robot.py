@@ -9,7 +9,7 @@ from dataclasses import fields, replace
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
@@ -43,12 +43,6 @@ LWR = "lwr"
 MOUNT_TILT_DEG = {"wall": 90.0, "ceiling": 180.0}
 """By how much a mounting turns the base about its y axis from upright."""
 
-GRAVITY_DIGITS = 9
-"""Digits of a gravity from an angle: the sine of 180 degrees is zero."""
-
-MIN_GRAVITY_M_S2 = 9.7
-MAX_GRAVITY_M_S2 = 9.9
-"""Weaker and stronger than anywhere on Earth: a unit vector, or another unit."""
 
 NEEDLE = "needle"
 """Name of the payload that a known LWR has without options."""
@@ -156,11 +150,16 @@ def gravity_from_options(options: RobotOptions) -> Array:
     Raises:
         CommandError: It is not as strong as on Earth, or the mounting is not known.
     """
+    # Weaker and stronger than anywhere on Earth: a unit vector, or another unit
+    max_gravity_m_s2 = 9.9
+    min_gravity_m_s2 = 9.7
+    # Digits of a gravity from an angle: the sine of 180 degrees is zero
+    gravity_digits = 9
     if options.gravity is not None and options.mount:
         raise CommandError("--gravity and --mount say the same, expected one of them")
     if options.gravity is not None:
         size_m_s2 = float(np.linalg.norm(options.gravity))
-        if not MIN_GRAVITY_M_S2 <= size_m_s2 <= MAX_GRAVITY_M_S2:
+        if not min_gravity_m_s2 <= size_m_s2 <= max_gravity_m_s2:
             raise CommandError(
                 f"--gravity {' '.join(f'{value:g}' for value in options.gravity)}: is "
                 f"{size_m_s2:.4g} m/s^2, expected about 9.81, as in 0 0 9.81 for a "
@@ -171,7 +170,7 @@ def gravity_from_options(options: RobotOptions) -> Array:
     down_m_s2 = STANDARD_GRAVITY_M_S2[2]
     # The base is turned about its y axis: R_y(tilt)' g.
     gravity_m_s2 = down_m_s2 * np.array([-np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
-    return np.round(gravity_m_s2, GRAVITY_DIGITS) + 0.0  # never -0.0
+    return np.round(gravity_m_s2, gravity_digits) + 0.0  # never -0.0
 
 
 def _parse_mount(words: tuple[str, ...]) -> float:
@@ -278,25 +277,13 @@ def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
     return lines
 
 
-class RobotWithFriction(NamedTuple):
-    """A robot, and what stands between its torque sensors and its links.
-
-    Attributes:
-        robot: The robot, with the inertia of its rotors.
-        friction: Friction of its joints; None without any.
-    """
-
-    robot: Robot
-    friction: FrictionModel | None
-
-
 _FRICTION_MODELS = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
 """Friction models, by the name of their table."""
 
 _ROTOR_INERTIA = "rotor_inertia_kg_m2"
 
 
-def with_friction(robot: Robot, path: str | None) -> RobotWithFriction:
+def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel | None]:
     """Return the robot with rotors and friction of the file of ``--friction``.
 
     It holds one table, ``[viscous_coulomb]`` with the fields of
@@ -311,7 +298,7 @@ def with_friction(robot: Robot, path: str | None) -> RobotWithFriction:
         CommandError: The file has other tables, or a key that is unknown.
     """
     if path is None:
-        return RobotWithFriction(robot, None)
+        return robot, None
     tables = read_toml(path, "friction file")
     rotor_inertia = tables.pop(_ROTOR_INERTIA, None)
     if len(tables) > 1 or not tables.keys() <= _FRICTION_MODELS.keys():
@@ -327,7 +314,7 @@ def with_friction(robot: Robot, path: str | None) -> RobotWithFriction:
         where = f"{path}: {_ROTOR_INERTIA}, one number per joint,"
         inertia_kg_m2 = finite_array(rotor_inertia, (robot.nv,), where)
         robot = robot.with_armature(inertia_kg_m2)
-    return RobotWithFriction(robot, friction)
+    return robot, friction
 
 
 def _friction_from_table(

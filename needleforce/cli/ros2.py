@@ -43,7 +43,7 @@ def ros2_command(
 
     needleforce ros2 --urdf arm.urdf --ros-args -r joint_states:=/arm/joint_states
     """
-    from needleforce.cli.plan_file import load_plan
+    from needleforce.cli.plan_option import load_plan
     from needleforce.cli.robot import robot_from_options, robot_from_text
     from needleforce.cli.terminal import say
     from needleforce.ros2.lifecycle import run_node

@@ -41,7 +41,6 @@ CHOOSE_TARE = (
     "0:4 or +0:+4 from the log's first stamp; --no-tare goes without"
 )
 CHECK_ARM = "Check that the arm runs, and that it sends to this machine and port"
-GIVE_PLAN = "Give plan.json, or the folder that holds it beside labels.nii.gz"
 OTHER_PLACE = "Make room on the disk, or give another place"
 
 

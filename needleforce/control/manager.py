@@ -13,8 +13,8 @@ from needleforce.control.event_log import EventLog, LoggedEvent
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
 from needleforce.control.state_machine import MOVING, State, transition
+from needleforce.tare_run import TareRun
 from residual.checks.input import as_float
-from residual.errors import TareError
 from residual.estimate import Status
 
 if TYPE_CHECKING:
@@ -113,7 +113,7 @@ class Manager:
     Call `heartbeat` and `update` in every cycle. A motion without a heartbeat for 0.1 s
     is stopped. Requested at the end of the state ``tare``, with the arm at rest,
     ``arrived`` starts the tare, which is fitted beside the updates that follow; the
-    state ends with it, after about a second at 1 kHz.
+    state ends with it, after about a second.
 
     Args:
         session: Force sensor and identification, for the manager alone to update.
@@ -152,7 +152,8 @@ class Manager:
         self._step_s = FIRST_STEP_s
         self._heartbeat_s = -MAX_HEARTBEAT_GAP_s
         self._state_start_s = 0.0
-        self._arrival: dict[str, Any] | None = None  # data of a request, while taring
+        self._tare = TareRun()
+        self._arrival: dict[str, Any] = {}  # data of the request that began it
         self._state_zero = session.zero  # of depth, at which the motion began
 
     def heartbeat(self) -> None:
@@ -175,7 +176,7 @@ class Manager:
             dt_s,
         )
         self._entry.update(estimate, self.session.zero)
-        self._end_tare()
+        self._end_tare(estimate)
         event, reason = self._monitors.update(estimate, sample, beside, self._step_s)
         is_zero_moved = self.session.zero is not self._state_zero
         if not event and is_zero_moved and self._state in _WITH_DEPTH:
@@ -213,35 +214,36 @@ class Manager:
         refused = self._apply(event, data)
         if event == "tare" and not refused:
             self.session.start_tare_recording()
+            self._tare = TareRun()  # what an earlier one was fitted to is gone
         return refused
 
     def _start_tare(self, data: dict[str, Any]) -> str:
         """Start a tare, unless one is being fitted; return why it is refused."""
-        if self._arrival is not None:
+        if self._tare.is_running:
             return ""
-        try:
-            self.session.start_tare()
-        except TareError as error:
-            return self._apply("limit", {"reason": f"the tare is refused: {error}"})
+        self._tare.start(self.session)
+        if self._tare.refusal is not None:
+            return self._refuse_tare()
         self._arrival = data
         # The tare itself has moved the zero of depth, no one else.
         self._state_zero = self.session.zero
         return ""
 
-    def _end_tare(self) -> None:
+    def _end_tare(self, estimate: "SessionEstimate") -> None:
         """End the state ``tare`` once its tare is fitted, or refused."""
-        if self._arrival is None or self.session.taring:
+        has_ended = self._tare.after(self.session, estimate)
+        if not has_ended or self._state is not State.TARE:
             return
-        data = self._arrival
-        self._arrival = None
-        if self._state is not State.TARE:
+        if self._tare.refusal is not None:
+            self._refuse_tare()
             return
-        if self.session.tared:
-            self._entry.forget()
-            self._apply("arrived", data)
-            return
-        reason = f"the tare is refused: {self.session.tare_refusal}"
-        self._apply("limit", {"reason": reason})
+        self._entry.forget()
+        self._apply("arrived", self._arrival)
+
+    def _refuse_tare(self) -> str:
+        return self._apply(
+            "limit", {"reason": f"the tare is refused: {self._tare.refusal}"}
+        )
 
     def _apply(self, event: str, data: dict[str, Any]) -> str:
         """Apply the rules to an event and log it; return why it is refused."""

@@ -27,6 +27,7 @@ from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import Arm, ArmSample
 from needleforce.control.setting_checks import require_positive
 from needleforce.control.tasks import AxialSpeed, Fixture
+from needleforce.tare_run import TareRun
 from urdf import Robot
 
 if TYPE_CHECKING:
@@ -279,36 +280,33 @@ def tare_with_stroke(
             not whole where it has to be.
     """
     stroke = TareStroke(arm.robot if robot is None else robot, limits, motion)
+    tare = TareRun()
     session.start_tare_recording()
     for sample in arm:
         estimate = session.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
         )
+        tare.after(session, estimate)
         command = stroke.update(sample)
         is_accepted = arm.send(command.dq_rad_s)
         stroke.note_sent(command, is_accepted=is_accepted)
         if watch is not None:
             watch(estimate)
-        is_at_rest = stroke.is_over and not command.dq_rad_s.any()
-        if is_at_rest and _end_tare(stroke, session):
+        if session.tared:
             return
+        if not stroke.is_over or command.dq_rad_s.any() or tare.is_running:
+            continue
+        if stroke.state is StrokeState.FAILED:
+            raise ControlError(
+                f"no tare: {stroke.reason}",
+                "Let the arm take commands, in free air, with room for a stroke "
+                "and a swivel.",
+            )
+        if tare.refusal is None:
+            tare.start(session)
+        if tare.refusal is not None:
+            raise tare.refusal
     raise ControlError(
         f"no tare: the arm's samples ended while the motion was {stroke.state}",
         "Let the arm take commands, in free air, with room for a stroke and a swivel.",
     )
-
-
-def _end_tare(stroke: TareStroke, session: "InsertionSession") -> bool:
-    """Start a tare where the arm rests after its motion; return whether it is done."""
-    if stroke.state is StrokeState.FAILED:
-        raise ControlError(
-            f"no tare: {stroke.reason}",
-            "Let the arm take commands, in free air, with room for a stroke "
-            "and a swivel.",
-        )
-    if session.tared or session.taring:
-        return session.tared
-    if session.tare_refusal is not None:
-        raise session.tare_refusal
-    session.start_tare()
-    return False

@@ -13,8 +13,7 @@ last thing before every arm), `checked_arm` (common to arms with a client librar
 `franka`, `franka_versions` and `franka_wire` (FER, FR3), `ur` and `ur_control` (UR
 e-Series), `haply`, `arm_names` (any arm by a name of one line).
 
-Emulators: `emulators`, `fri_emulator`, `sunrise_emulator`, `rdt_emulator`,
-`haply_emulator`.
+Emulators: `emulators`.
 """
 
 from needleforce.devices.arm_limits import (

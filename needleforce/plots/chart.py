@@ -29,11 +29,6 @@ WIDTH_IN = 4.4
 WIDE_IN = 8.4
 """Width of a chart alone on a page."""
 
-SHOWN_PERCENT = 99.8
-"""Per cent of the points of a curve that its panel shows."""
-
-SHOWN_BAND_PERCENT = 95.0
-"""Per cent of the edges of a curve's band that its panel shows."""
 
 MARGIN = 0.06
 """Space above and below, in heights of what is shown."""
@@ -200,17 +195,20 @@ def limits_of(curves: Sequence[Curve], x_limits: Span | None) -> Span:
         curves: The curves of a panel.
         x_limits: Limits of the x axis; None for all of it.
     """
+    # Per cent of the edges of a curve's band that its panel shows
+    shown_band_percent = 95.0
+    shown_percent = 99.8  # Per cent of the points of a curve that its panel shows
     edges = [0.0]
     for curve in curves:
         is_seen = np.isfinite(curve.y) & is_within(curve.x, x_limits)
         if not is_seen.any():
             continue
         y = curve.y[is_seen]
-        edges += [*np.percentile(y, (100.0 - SHOWN_PERCENT, SHOWN_PERCENT))]
+        edges += [*np.percentile(y, (100.0 - shown_percent, shown_percent))]
         if curve.std is not None:
             half_width = np.nan_to_num(BAND_STD * curve.std[is_seen], posinf=0.0)
-            edges += [np.percentile(y - half_width, 100.0 - SHOWN_BAND_PERCENT)]
-            edges += [np.percentile(y + half_width, SHOWN_BAND_PERCENT)]
+            edges += [np.percentile(y - half_width, 100.0 - shown_band_percent)]
+            edges += [np.percentile(y + half_width, shown_band_percent)]
     low = float(min(edges))
     high = float(max(edges))
     margin = MARGIN * (high - low) or 1.0

@@ -46,27 +46,6 @@ FORMATS: dict[str, dict[str, Any]] = {
 }
 """Suffix and what matplotlib needs to know; a date would make equal charts differ."""
 
-BAND_OPACITY = 0.2
-
-AREA_POINTS = 1000
-"""Points of a band at most, or fewer than twice as many."""
-
-CUT_MARKS = 40
-"""Marks of cut curves along an edge at most."""
-
-VALUE_GAP_PT = 4.0
-"""Gap between the farthest mark of a cut curve and its value."""
-
-PT_PER_IN = 72.0
-
-TITLE_LETTERS = 54
-"""Letters of a title's line at the usual width."""
-
-LEGEND_ROW_IN = 0.17
-"""Height of a row of the legend."""
-
-LEGEND_COLUMNS = (4, 3, 2, 1)
-"""Columns of the legend: the most that fit are taken."""
 
 _NOT_TEXT = re.compile("[\x00-\x09\x0b-\x1f\x7f-\x9f\ud800-\udfff\ufffe\uffff]")
 """What XML or UTF-8 cannot hold."""
@@ -84,6 +63,7 @@ def printable(text: str) -> str:
 
 def draw(chart: Chart) -> "Figure":
     """Draw a chart; no window and no global state of matplotlib is involved."""
+    legend_row_in = 0.17  # Height of a row of the legend
     from matplotlib.figure import Figure
 
     figure = Figure(
@@ -106,13 +86,14 @@ def draw(chart: Chart) -> "Figure":
     panels[0].set_title(subtitle, loc="left", fontsize=8.5, color="#444444", pad=10.0)
     marks = [mark.label for mark in (*chart.shadings, *chart.instants)]
     rows = _draw_legend(figure, panels, marks)
-    figure.set_size_inches(chart.width_in, chart.height_in + rows * LEGEND_ROW_IN)
+    figure.set_size_inches(chart.width_in, chart.height_in + rows * legend_row_in)
     return figure
 
 
 def _draw_title(figure: "Figure", title: str, width_in: float) -> str:
     """Draw the first line of a title in bold; return the others, to draw below it."""
-    letters = int(width_in / WIDTH_IN * TITLE_LETTERS)
+    title_letters = 54  # Letters of a title's line at the usual width
+    letters = int(width_in / WIDTH_IN * title_letters)
     first, *others = (
         "\n".join(wrap(line, letters)) for line in printable(title).split("\n")
     )
@@ -148,6 +129,7 @@ def _draw_legend(
     Returns:
         Its rows.
     """
+    legend_columns = (4, 3, 2, 1)  # Columns of the legend: the most that fit are taken
     handles: dict[str, Any] = {}
     for axes in panels:
         for handle, label in zip(*axes.get_legend_handles_labels(), strict=True):
@@ -156,8 +138,8 @@ def _draw_legend(
         return 0
     labels = sorted(handles, key=lambda label: label in last)
     ordered = [handles[label] for label in labels]
-    columns = LEGEND_COLUMNS[0]
-    for columns in LEGEND_COLUMNS:
+    columns = legend_columns[0]
+    for columns in legend_columns:
         legend = figure.legend(ordered, labels, loc="outside lower left", ncols=columns)
         if legend.get_window_extent().width <= figure.bbox.width:
             break
@@ -179,6 +161,7 @@ def _draw_panel(axes: "Axes", panel: Panel, x_limits: Span | None) -> None:
 
 def _draw_marks(axes: "Axes", chart: Chart) -> None:
     """Draw the shadings and the instants of a chart into a panel."""
+    pt_per_in = 72.0
     from matplotlib.transforms import ScaledTranslation
 
     for label, color, spans, min_width_pt in chart.shadings:
@@ -189,7 +172,7 @@ def _draw_marks(axes: "Axes", chart: Chart) -> None:
     for label, style, places in chart.instants:
         if not places:
             continue
-        half_size_in = style.size_pt / PT_PER_IN / 2.0
+        half_size_in = style.size_pt / pt_per_in / 2.0
         lift = ScaledTranslation(0.0, half_size_in, axes.figure.dpi_scale_trans)
         axes.plot(
             places,
@@ -210,12 +193,14 @@ def _draw_curve(axes: "Axes", curve: Curve, x_limits: Span | None) -> None:
 
 def _draw_band(axes: "Axes", curve: Curve, std: Array, x_limits: Span | None) -> None:
     """Shade the band of a curve, and draw its edges."""
+    area_points = 1000  # Points of a band at most, or fewer than twice as many
+    band_opacity = 0.2
     x = curve.x
     low = curve.y - BAND_STD * std
     high = curve.y + BAND_STD * std
     # matplotlib thins lines, not areas. All NaN stay, so that no gap is bridged.
     seen = np.flatnonzero(is_within(x, x_limits))
-    thinned = seen[:: len(seen) // AREA_POINTS + 1]
+    thinned = seen[:: len(seen) // area_points + 1]
     points = np.union1d(thinned, np.flatnonzero(np.isnan(low)))
     axes.fill_between(
         x[points],
@@ -223,7 +208,7 @@ def _draw_band(axes: "Axes", curve: Curve, std: Array, x_limits: Span | None) ->
         high[points],
         color=curve.style.color,
         label=curve.band_label,
-        alpha=BAND_OPACITY,
+        alpha=band_opacity,
         linewidth=0,
     )
     for edge in (low, high):  # above the curve, whose noise may fill the band
@@ -280,8 +265,9 @@ def _draw_cut_marks(
     x_limits: Span | None,
 ) -> None:
     """Draw triangles on an edge at places of a curve, shape (n,), but not too many."""
+    cut_marks = 40  # Marks of cut curves along an edge at most
     width = np.ptp(x_limits or curve.x[np.isfinite(curve.x)])
-    step = width / CUT_MARKS or 1.0
+    step = width / cut_marks or 1.0
     places = step * np.unique(np.round(x / step))
     axes.plot(
         places,
@@ -297,13 +283,14 @@ def _draw_cut_marks(
 
 def _write_value(axes: "Axes", point: _CutPoint, edge: float) -> None:
     """Write the value of a point on the edge, towards the middle of the panel."""
+    value_gap_pt = 4.0  # Gap between the farthest mark of a cut curve and its value
     text = f"{point.y:.3g}" if abs(point.y) < 1e3 else f"{point.y:.0f}"
     text = text.replace("-", "\N{MINUS SIGN}")
     is_right = point.x > np.mean(axes.get_xlim())
     axes.annotate(
         text,
         (point.x, edge),
-        (-VALUE_GAP_PT if is_right else VALUE_GAP_PT, 2.0),
+        (-value_gap_pt if is_right else value_gap_pt, 2.0),
         textcoords="offset points",
         fontsize=7.0,
         color=point.color,

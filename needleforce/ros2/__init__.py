@@ -4,9 +4,9 @@ rclpy and the messages are those of the user's ROS; they are imported when a nod
 made. All that needs no ROS stands in files of its own and is tested without.
 
 Reading order: `errors`, `parameters` (what a user sets), `joint_samples` (messages to
-samples), `message_loss`, `tare_run` (the service's tare), `named_report`, `reports`
-(estimates to named values), `ros_modules` (the only import of ROS), `messages`,
-`warming`, `node`; `arm` for the other commands.
+samples), `message_loss`, `named_report`, `reports` (estimates to named values),
+`ros_modules` (the only import of ROS), `messages`, `warming`, `node`; `arm` for the
+other commands.
 """
 
 from needleforce.ros2.errors import (

@@ -40,10 +40,10 @@ from needleforce.ros2.reports import (
     plan_reports,
 )
 from needleforce.ros2.ros_modules import RosModules, import_lbr_state
-from needleforce.ros2.tare_run import ServiceAnswer, TareRun
 from needleforce.ros2.tip_frame import place_tip, tip_transforms
 from needleforce.ros2.warming import warm_up
 from needleforce.session import InsertionSession, SessionEstimate
+from needleforce.tare_run import TareRun
 from residual import SensorConfig, Status
 from urdf import Robot
 
@@ -122,7 +122,7 @@ class NeedleNode:
             needs_effort=not self._needs_pairing,
         )
         self._pairing = TorquePairing(robot.joint_names, self._reader.counts)
-        self._tare = TareRun(settings.tare_recording_s)
+        self._tare = TareRun()
         self._tare_end: Any = None
         self._delay = DelayMeter()
         self._estimate: SessionEstimate | None = None
@@ -270,9 +270,8 @@ class NeedleNode:
         self._publish_forces(estimate)
         self._delay.add(self._now_ns() - self._stamp_ns)
         self._publish_events(estimate)
-        answer = self._tare.after(self._session, estimate)
-        if answer is not None:
-            self._end_tare(answer)
+        if self._tare.after(self._session, estimate):
+            self._end_tare()
 
     def _publish_forces(self, estimate: SessionEstimate) -> None:
         """Publish the wrench of a valid sample, and the tip force of a usable one."""
@@ -351,40 +350,49 @@ class NeedleNode:
 
     async def _serve_tare(self, _request: Any, response: Any) -> Any:
         """Tare beside the samples that follow; answer when it has ended."""
-        answer = self._tare.start(self._session)
-        if answer is None:
-            self._tare_end = self._ros.task.Future()
-            answer = await self._tare_end
-        return _fill_answer(response, answer)
+        if self._tare.is_running:
+            return _fill_answer(response, "a tare is under way already")
+        # A second tare is of motion that is recorded from now on.
+        recording_s = self._settings.tare_recording_s if self._session.tared else 0.0
+        self._tare.start(self._session, recording_s=recording_s)
+        if not self._tare.is_running:
+            return _fill_answer(response, self._tare_refusal)
+        self._tare_end = self._ros.task.Future()
+        return _fill_answer(response, await self._tare_end, "tared")
 
-    def _end_tare(self, answer: ServiceAnswer) -> None:
-        """Answer the service that waits, and publish how the tare has ended."""
-        kind = "tared" if answer.success else "tare_refused"
-        level = OK if answer.success else WARNING
-        self._publish_event(NamedReport(kind, level, answer.message, {}))
-        self._tare_end.set_result(answer)
+    def _end_tare(self) -> None:
+        """Publish how the tare has ended, and let the service that waits answer."""
+        refusal = self._tare_refusal
+        kind = "tare_refused" if refusal else "tared"
+        level = WARNING if refusal else OK
+        self._publish_event(NamedReport(kind, level, refusal or "tared", {}))
+        self._tare_end.set_result(refusal)
+
+    @property
+    def _tare_refusal(self) -> str:
+        """Why the latest tare was refused; empty if it was not."""
+        error = self._tare.refusal
+        return "" if error is None else f"{error}; {error.advice}"
 
     def _serve_begin(self, _request: Any, response: Any) -> Any:
         """Count depth from here and forget the layers."""
         if self._tare.is_running:
-            answer = ServiceAnswer(False, "a tare is under way: wait for its answer")
+            refusal = "a tare is under way: wait for its answer"
         elif not self._session.tared:
-            answer = ServiceAnswer(
-                False, "not tared: move in free air, then call ~/tare"
-            )
+            refusal = "not tared: move in free air, then call ~/tare"
         else:
+            refusal = ""
             self._session.begin_insertion()
-            answer = ServiceAnswer(True, "depth counts from here")
             self._publish_event(
                 NamedReport("insertion_begun", OK, "an insertion begins here", {})
             )
-        return _fill_answer(response, answer)
+        return _fill_answer(response, refusal, "depth counts from here")
 
     def _serve_stop(self, _request: Any, response: Any) -> Any:
         """End the node; the arm is not commanded."""
         self._publish_reports()
         self.is_stopped = True
-        return _fill_answer(response, ServiceAnswer(True, self.describe()))
+        return _fill_answer(response, "", self.describe())
 
     def _check_changes(self, changes: Sequence[Any]) -> Any:
         """Take changed parameters, or refuse all of them with a sentence."""
@@ -412,10 +420,10 @@ class NeedleNode:
         )
 
 
-def _fill_answer(response: Any, answer: ServiceAnswer) -> Any:
-    """Write an answer into the response of a service."""
-    response.success = answer.success
-    response.message = answer.message
+def _fill_answer(response: Any, refusal: str, message: str = "") -> Any:
+    """Write into the response of a service why it is refused, or what was done."""
+    response.success = not refusal
+    response.message = refusal or message
     return response
 
 

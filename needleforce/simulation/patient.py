@@ -15,7 +15,8 @@ from scipy.spatial.transform import Rotation
 
 from foundation.arrays import Array
 from groundtruth import Run, Scenario, simulate
-from groundtruth.arm_motion import scenario_path
+from groundtruth.arm_motion import reach_pose, scenario_path
+from groundtruth.errors import MotionError
 from groundtruth.layers import Layer as TissueLayer
 from groundtruth.materials import ABDOMEN
 from groundtruth.motion import Motion, constant_motion
@@ -27,51 +28,14 @@ from urdf import NeedleTool, Robot, load_lwr
 SPEED_m_s = 4e-3
 """Of the insertion."""
 
-STANDOFF_m = 15e-3
-"""From the skin at its start."""
-
 BEYOND_m = 10e-3
 """How far the needle goes beyond the target."""
-
-MIN_LAYER_m = 4e-3
-"""Thinner layers join the one before: the simulation's membranes need room."""
-
-TOUCH_STD_m = 0.3e-3
-"""Error of a touch along each axis: skin gives way, landmarks are blunt."""
-
-TOUCHES = 40
-"""Touches of the skin."""
-
-TOUCH_RADIUS_m = 0.11
-"""They lie so near to the entry."""
-
-FRONT_COSINE = 0.35
-"""Of the angle between the skin's normal and the needle: a flatter skin is not
-touched."""
-
-LIFT_m = 0.02
-"""How far the needle is lifted between two touches."""
-
-MOVE_s = 0.7
-"""Time of each of the moves to the next place, down, and up."""
-
-REST_s = 1.2
-"""Time in contact."""
-
-TOUCH_FORCE_N = 1.5
-"""Along the needle in contact."""
 
 RATE_HZ = 100.0
 """Of the touching arm's samples."""
 
 SEED = 0
 """Of touches and their errors."""
-
-MAX_STEPS = 60
-"""Of the search for a posture."""
-
-REACHED = 1e-6
-"""Error of a posture that was reached [m, rad]."""
 
 
 class Pose(NamedTuple):
@@ -111,7 +75,7 @@ class _PlannedLine(NamedTuple):
         return constant_motion(
             speed_m_s=SPEED_m_s,
             depth_m=self.length_m + BEYOND_m,
-            standoff_m=STANDOFF_m,
+            standoff_m=15e-3,
         )
 
 
@@ -170,7 +134,8 @@ def touch_patient(
     pose = _lay_patient(line, start, -motion.start_m)
     skin_m = _draw_skin_points(labels, line, rng)
     places_m = pose.to_robot(np.concatenate([landmarks_m.reshape(-1, 3), skin_m]))
-    places_m = places_m + TOUCH_STD_m * rng.normal(size=places_m.shape)
+    error_m = 0.3e-3  # along each axis: skin gives way, landmarks are blunt
+    places_m = places_m + error_m * rng.normal(size=places_m.shape)
     return TouchingArm(
         _touching_arm(robot, path.posture_rad(0.0), start, places_m), robot
     )
@@ -211,27 +176,33 @@ def _draw_skin_points(
     labels: Labels, line: _PlannedLine, rng: np.random.Generator
 ) -> Array:
     """Return points of the skin about the entry that the needle can touch, (n, 3)."""
+    radius_m = 0.11  # of the skin that is touched, about the entry
+    front_cosine = 0.35  # a flatter skin is not touched
     skin = labels.skin()
     axis = (line.target_m - line.entry_m) / line.length_m
     normals = np.asarray(skin.mesh.vertex_normals)
-    is_near = np.linalg.norm(skin.vertices_m - line.entry_m, axis=1) < TOUCH_RADIUS_m
-    is_steep = normals @ -axis > FRONT_COSINE
+    is_near = np.linalg.norm(skin.vertices_m - line.entry_m, axis=1) < radius_m
+    is_steep = normals @ -axis > front_cosine
     points_m = skin.vertices_m[is_near & is_steep]
-    return points_m[rng.choice(len(points_m), TOUCHES)]
+    return points_m[rng.choice(len(points_m), 40)]
 
 
 def _touching_arm(
     robot: Robot, start_rad: Array, start: pin.SE3, places_m: Array
 ) -> ReplayArm:
     """Return the joint signals of an arm that touches places with its needle."""
+    move_s = 0.7  # to the next place, down, and up
+    rest_s = 1.2  # in contact
+    lift_m = 0.02  # between two touches
+    touch_N = 1.5  # along the needle in contact
     axis = start.rotation[:, 2]
     posture = start_rad
     q_rad: list[Array] = []
     force_N: list[Array] = []
-    move = _smooth(round(MOVE_s * RATE_HZ))
-    rest = round(REST_s * RATE_HZ)
+    move = _smooth(round(move_s * RATE_HZ))
+    rest = round(rest_s * RATE_HZ)
     for place_m in places_m:
-        above = _reach(robot, posture, pin.SE3(start.rotation, place_m - LIFT_m * axis))
+        above = _reach(robot, posture, pin.SE3(start.rotation, place_m - lift_m * axis))
         down = _reach(robot, above, pin.SE3(start.rotation, place_m))
         q_rad += [
             posture + move * (above - posture),
@@ -241,7 +212,7 @@ def _touching_arm(
         ]
         force_N += [
             np.zeros(2 * len(move)),
-            np.full(rest, TOUCH_FORCE_N),
+            np.full(rest, touch_N),
             np.zeros(len(move)),
         ]
         posture = above
@@ -260,21 +231,13 @@ def _reach(robot: Robot, posture_rad: Array, place: pin.SE3) -> Array:
     Raises:
         PlanError: It is out of reach.
     """
-    data = robot.create_data()
-    posture = np.array(posture_rad)
-    for _ in range(MAX_STEPS):
-        pin.framesForwardKinematics(robot.model, data, posture)
-        error = pin.log6(data.oMf[robot.tool_frame_id].actInv(place)).vector
-        if np.abs(error).max() < REACHED:
-            return posture
-        jacobian = pin.computeFrameJacobian(
-            robot.model, data, posture, robot.tool_frame_id
-        )
-        posture = posture + np.clip(np.linalg.pinv(jacobian) @ error, -0.2, 0.2)
-    raise PlanError(
-        f"the simulated arm does not reach {np.round(1e3 * place.translation)} mm: "
-        "landmarks must lie within some 20 cm of the entry"
-    )
+    try:
+        return reach_pose(robot, posture_rad, place, tolerance=1e-6, max_step_rad=0.2)
+    except MotionError as error:
+        raise PlanError(
+            f"the simulated arm does not reach {np.round(1e3 * place.translation)} mm: "
+            "landmarks must lie within some 20 cm of the entry"
+        ) from error
 
 
 def _signals(robot: Robot, q_rad: Array, force_N: Array) -> ReplayArm:
@@ -305,6 +268,7 @@ def _tissue(layers: Iterable[Mapping[str, Any]]) -> tuple[TissueLayer, ...]:
 
     The last one is thicker, so that the needle can go beyond the target.
     """
+    min_layer_m = 4e-3  # thinner ones join the one before: membranes need room
     fat, muscle, liver = ABDOMEN
     kinds = {"liver": liver, "lesion": liver, "fat": fat, UNLABELLED: fat}
     tissue: list[TissueLayer] = []
@@ -313,7 +277,7 @@ def _tissue(layers: Iterable[Mapping[str, Any]]) -> tuple[TissueLayer, ...]:
         thickness_m = float(layer["exit_m"]) - depth_m
         depth_m = float(layer["exit_m"])
         kind = kinds.get(layer["name"], muscle)
-        if tissue and (thickness_m < MIN_LAYER_m or tissue[-1].name == layer["name"]):
+        if tissue and (thickness_m < min_layer_m or tissue[-1].name == layer["name"]):
             tissue[-1] = replace(
                 tissue[-1], thickness_m=tissue[-1].thickness_m + thickness_m
             )

@@ -43,9 +43,6 @@ from needleforce.simulation.scanned_torso import (
 )
 from urdf import Robot
 
-SHIFT_STD_m = 3e-3
-"""How far organs lie from where the CT saw them, along the needle."""
-
 TOUCHES = 100
 """Touches of the skin by which the torso is registered."""
 
@@ -163,6 +160,8 @@ def insert(
         needleforce.anatomy.AnatomyError: CT or labels cannot be read, or no straight
             path leads to the target.
     """
+    # How far organs lie from where the CT saw them, along the needle
+    shift_std_m = 3e-3
     rng = np.random.default_rng(seed)
     torso = read_torso(folder, rng)
     path = plan_path(torso.labels, torso.target, rng)
@@ -172,10 +171,10 @@ def insert(
     fine = registrations.fine
     target_in_base_m = placement.to_robot(path.target_m)
     error_m = float((target_in_base_m - fine.to_robot(path.target_m)) @ axis)
-    shift_m = error_m + SHIFT_STD_m * float(rng.normal())
+    shift_m = error_m + shift_std_m * float(rng.normal())
     progress(0.2)
     run = _simulate(path, seed, lambda fraction: progress(0.2 + 0.6 * fraction))
-    std_m = float(np.hypot(fine.std_along_m(axis, path.target_m), SHIFT_STD_m))
+    std_m = float(np.hypot(fine.std_along_m(axis, path.target_m), shift_std_m))
     match = PlanMatch(path.layers, std_m)
     followed = _follow_plan(run, match, shift_m, path.length_m)
     return PlannedInsertion(

@@ -24,14 +24,9 @@ from needleforce.anatomy import (
 from needleforce.anatomy.path_layers import UNLABELLED
 from needleforce.simulation.torso_case import draw_scan
 
-VOXEL_m = 2e-3
-"""Spacing of the analytic torso's scan [m]."""
-
 FRONT = np.array([0.0, -1.0, 0.0])
 """Direction out of the front of the body, in the model."""
 
-MAX_ANGLE_deg = 35.0
-"""Largest angle between the path and that direction, about two axes [deg]."""
 
 LENGTHS_m = (0.05, 0.1)
 """Least and largest length of the path [m]."""
@@ -122,12 +117,13 @@ def read_torso(folder: Path | None, rng: np.random.Generator) -> ScannedTorso:
 
 def _analytic_torso(rng: np.random.Generator) -> ScannedTorso:
     """Return CT and labels of an analytic torso drawn at random."""
+    voxel_m = 2e-3  # Spacing of the analytic torso's scan [m]
     torso = analytic_torso(rng)
     skin = torso["fat"]
-    half = np.ceil(skin.reach_m / VOXEL_m).astype(int) + 4  # voxels of air
+    half = np.ceil(skin.reach_m / voxel_m).astype(int) + 4  # voxels of air
     shape = tuple((2 * half + 1).tolist())
-    corner_m = skin.centre_m - VOXEL_m * half
-    grid = Grid(shape, corner_m, VOXEL_m * np.eye(3))
+    corner_m = skin.centre_m - voxel_m * half
+    grid = Grid(shape, corner_m, voxel_m * np.eye(3))
     structures = [
         Structure.named(body.name, number)
         for number, body in enumerate(torso.shapes, 1)
@@ -158,13 +154,15 @@ def plan_path(labels: Labels, target: str, rng: np.random.Generator) -> Straight
     Raises:
         PlanError: There is no such path from the front.
     """
+    # Largest angle between the path and that direction, about two axes [deg]
+    max_angle_deg = 35.0
     targets_m = _points_inside(labels, target)
     body = inside_body(labels)
     best_path: StraightPath | None = None
     best_rank = (0, np.inf)
     for _ in range(1000):
         target_m = targets_m[rng.integers(len(targets_m))]
-        angles = np.radians(MAX_ANGLE_deg) * rng.uniform(-1.0, 1.0, 2)
+        angles = np.radians(max_angle_deg) * rng.uniform(-1.0, 1.0, 2)
         axis = Rotation.from_euler("xz", angles).apply(FRONT)
         length_m = _distance_to_skin(labels.grid, body, target_m, axis)
         if length_m is None or not LENGTHS_m[0] < length_m < LENGTHS_m[1]:

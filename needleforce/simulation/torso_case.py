@@ -16,8 +16,6 @@ from needleforce.files import whole_file
 SPACING_m = (2.5e-3, 2.5e-3, 3e-3)
 """Of the CT."""
 
-MARGIN_VOXELS = 4
-"""Air around the torso."""
 
 TISSUE_HU = {
     "fat": -100.0,
@@ -34,7 +32,6 @@ TISSUE_HU = {
 }
 """Hounsfield units of the organs."""
 
-AIR_HU = -1000.0
 NOISE_HU = 12.0
 """Standard deviation of the CT's noise."""
 
@@ -76,11 +73,12 @@ def write_torso_case(folder: Path, seed: int) -> Grid:
     Returns:
         The grid of the CT.
     """
+    margin_voxels = 4  # Air around the torso
     # Organs with labels, as a segmentation of organs has them.
     segmented = ("vertebra", "rib_right", "stomach", "liver", "vessel", "lesion")
     organs = analytic_torso().shapes
     torso = Torso((*organs[:1], *BULGES, *organs[1:]))
-    half = np.ceil(torso["fat"].reach_m / SPACING_m).astype(int) + MARGIN_VOXELS
+    half = np.ceil(torso["fat"].reach_m / SPACING_m).astype(int) + margin_voxels
     half += np.ceil(np.array([0.025, 0.02, 0.0]) / SPACING_m).astype(int)
     axes_m = np.diag(SPACING_m)
     grid = Grid(tuple((2 * half + 1).tolist()), -axes_m @ half, axes_m)
@@ -110,7 +108,8 @@ def draw_scan(
         voxels: Number of the organ in every voxel, from 1; 0 for air.
         rng: Draws the noise.
     """
-    values_HU = [AIR_HU, *(TISSUE_HU[body.name] for body in torso.shapes)]
+    air_HU = -1000.0
+    values_HU = [air_HU, *(TISSUE_HU[body.name] for body in torso.shapes)]
     scan = np.array(values_HU, np.float32)[voxels]
     noise = rng.standard_normal(scan.shape, np.float32)
     return np.round(scan + NOISE_HU * noise).astype(np.int16)

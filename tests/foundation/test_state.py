@@ -1,6 +1,7 @@
 """States are checked by their types, and come back bit for bit."""
 
 import math
+from dataclasses import dataclass
 from typing import NamedTuple
 
 import msgspec
@@ -42,6 +43,28 @@ class Filter(NamedTuple):
     MAY_BE_INFINITE = ("limit_s",)
 
 
+@dataclass
+class Line:
+    """One of two methods."""
+
+    slope: float
+
+
+@dataclass
+class Parabola:
+    """The other."""
+
+    slope: float
+    curvature: float
+
+
+class Fit(NamedTuple):
+    """A record whose method the file has to tell."""
+
+    method: Line | Parabola
+    before: tuple[Line | Parabola, ...] = ()
+
+
 def sound_state(rows=2):
     mixture = Mixture(np.arange(3.0 * rows).reshape(rows, 3), rows)
     return Filter(np.array([0.1, 1.0 / 3.0]), math.inf, mixture)
@@ -77,6 +100,16 @@ def test_a_sound_state_of_more_rows_passes():
 def test_a_damaged_state_is_refused_by_place(damaged, message):
     with pytest.raises(StateError, match=message):
         check_state(damaged, sound_state())
+
+
+def test_one_of_several_records_comes_back_by_its_fields():
+    fit = Fit(Parabola(1.0, 2.0), (Line(3.0), Parabola(4.0, 5.0)))
+
+    assert decode_state(encode_state(fit), Fit) == fit
+
+    other = msgspec.msgpack.encode([{"slope": 1.0, "kind": "os.system"}, []])
+    with pytest.raises(StateError):
+        decode_state(other, Fit)
 
 
 @pytest.mark.parametrize("order", ["C", "F"])
@@ -119,7 +152,7 @@ def sealed(**changes):
         (b"", "holds no state, or is cut short"),
         (seal_state(sound_state(), "filter")[:-5], "holds no state, or is cut short"),
         (sealed(format="other"), "its format is 'other'"),
-        (sealed(version=2), "has version 2, this package reads version 3"),
+        (sealed(version=2), "has version 2, this package reads version 4"),
         (sealed(data=b"\x90"), "is damaged: its bytes do not have its sha256"),
         (sealed(kind="arm"), "holds the state of a 'arm', expected one of filter"),
         (seal_state(sound_state().mixture, "filter"), "is damaged"),

@@ -11,10 +11,10 @@ from needleforce.cli.arms.arm_connection import (
     require_samples,
     samples_until_stopped,
 )
-from needleforce.cli.arms.recorder import Recorder
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import say
 from needleforce.devices.datagram_link import DatagramLink
+from needleforce.recorder import Recorder
 from needleforce.recordings.output import check_writable
 from needleforce.recordings.table import TableLabels
 from urdf import Robot

@@ -21,8 +21,6 @@ from needleforce.devices.link import LinkReport
 from needleforce.session import InsertionSession
 from urdf import Robot
 
-FULL_TURN_DEG = 360.0
-
 MEAN_SPEED_m_s = 0.01
 """Mean speed of a stroke: slow, as an insertion is, since friction depends on it."""
 
@@ -63,11 +61,12 @@ def find_stroke(
         CommandError: The stroke is not positive, or the swivel is no angle from 0 to
             less than 360 degrees.
     """
+    full_turn_deg = 360.0
     if stroke_mm is None:
         return None
     if not 0.0 < stroke_mm < math.inf:
         raise CommandError(f"--tare-stroke {stroke_mm:g}: expected millimetres above 0")
-    if not 0.0 <= swivel_deg < FULL_TURN_DEG:
+    if not 0.0 <= swivel_deg < full_turn_deg:
         raise CommandError(
             f"--tare-swivel {swivel_deg:g}: expected degrees from 0 to less than 360"
         )

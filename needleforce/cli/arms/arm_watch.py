@@ -18,7 +18,7 @@ from needleforce.cli.arms.arm_connection import (
 )
 from needleforce.cli.arms.arm_stroke import TareOptions, open_tared_arm
 from needleforce.cli.auto_tare import auto_tare
-from needleforce.cli.plan_file import LoadedPlan, load_plan
+from needleforce.cli.plan_option import load_plan
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import ArmOptions, Direction, RobotOptions
 from needleforce.cli.terminal import (
@@ -32,6 +32,7 @@ from needleforce.devices import NetFT
 from needleforce.devices.rdt_status import describe_status
 from needleforce.insertion_events import describe_hard_contact
 from needleforce.needle_on_plan import describe_clearances, describe_deviation
+from needleforce.plan_file import LoadedPlan
 from needleforce.reference_force import ReferenceForce
 from needleforce.session import SessionEstimate
 from urdf import Robot
@@ -42,14 +43,6 @@ ZERO_S = 0.5
 PANEL_S = 0.1
 """Time between two pictures on a terminal [s]."""
 
-LINE_S = 1.0
-"""Time between two lines where standard output is no terminal [s]."""
-
-MAX_STD_N = 99.0
-"""Largest standard deviation that is printed [N]."""
-
-SHOWN_EVENTS = 5
-"""Latest events that the panel shows."""
 
 M_TO_MM = 1e3
 
@@ -74,6 +67,8 @@ class Display:
 
     def update(self, estimate: SessionEstimate) -> None:
         """Show events at once, and all the rest when it is time."""
+        shown_events = 5  # Latest events that the panel shows
+        line_s = 1.0  # Time between two lines where standard output is no terminal [s]
         for event in describe_events(estimate):
             self._events.append(event)
             if self._panel is None:
@@ -82,20 +77,21 @@ class Display:
             return
         values = self._describe_values(estimate)
         if self._panel is None:
-            self._next_s = estimate.time_s + LINE_S
+            self._next_s = estimate.time_s + line_s
             write_out("  ".join(values) + "\n")
         else:
             self._next_s = estimate.time_s + PANEL_S
-            lines = [*values, *self._events[-SHOWN_EVENTS:]]
+            lines = [*values, *self._events[-shown_events:]]
             lines += [str(estimate.warnings or ""), estimate.wrench.message]
             lines += [f"link: {self._arm.report}"]
             self._panel.update("\n".join(lines))
 
     def _describe_values(self, estimate: SessionEstimate) -> list[str]:
         """Return time, forces, depth and plan in words."""
+        max_std_N = 99.0  # Largest standard deviation that is printed [N]
         wrench = estimate.wrench
         identification = estimate.identification
-        std_N = min(wrench.axial_std, MAX_STD_N)
+        std_N = min(wrench.axial_std, max_std_N)
         force = f"force {wrench.axial:6.2f} ± {std_N:.3f} N"
         if self._reference is not None:
             force += f" ({describe_reference(self._reference)})"

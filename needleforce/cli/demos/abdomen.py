@@ -9,8 +9,6 @@ from scipy.spatial.transform import Rotation
 from needleforce import plots
 from needleforce.anatomy import Registration
 from needleforce.cli.demos.insertion import NOT_MEDICAL
-from needleforce.cli.patient.plan_slices import draw_along
-from needleforce.cli.plan_file import crop_scan, large_structures
 from needleforce.cli.robot import urdf_with_shapes
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import (
@@ -19,7 +17,9 @@ from needleforce.cli.terminal import (
     require_modules,
     write_out,
 )
+from needleforce.plan_file import crop_scan, large_structures
 from needleforce.plots import Chart, Curve, Instants, Panel, palette
+from needleforce.plots.plan_slices import draw_along
 from needleforce.simulation.planned_insertion import (
     LANDMARKS,
     TOUCHES,
@@ -91,7 +91,8 @@ def _write_page(
     """Write the page: CT and path first, then what the insertion made of the plan."""
     followed = insertion.followed
     scan = draw_along(
-        insertion.torso,
+        insertion.torso.scan,
+        insertion.torso.labels,
         insertion.path,
         folder / "ct.png",
         ruptures_m=[one.depth_m - insertion.shift_m for one in followed.ruptures],

@@ -2,7 +2,6 @@
 
 from collections.abc import Iterator, Sequence
 from enum import StrEnum
-from typing import NamedTuple
 
 import msgspec
 import numpy as np
@@ -12,7 +11,6 @@ from needleforce.cli.advice import describe_error
 from needleforce.cli.logs.force_result import ForceResult
 from needleforce.cli.logs.log_session import LogSession
 from needleforce.cli.logs.replay_setup import prepare
-from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_summary import (
     describe_doubt,
@@ -29,6 +27,7 @@ from needleforce.cli.shared_options import (
 )
 from needleforce.cli.terminal import stop_request, write_out
 from needleforce.recordings.log_stream import LogChunk
+from needleforce.sensor_replay import SensorReplay
 from residual import TareError
 from residual.bias.separation import JointSeparation, advise_motion
 from residual.bias.torque_diagnosis import TorqueDiagnosis
@@ -37,15 +36,6 @@ from urdf.payload_rating import rated_payload_kg
 
 DOUBTFUL = 1
 """Exit code where something in the log is doubtful."""
-
-MAX_RATE_ROWS = 20_000
-"""Rows from which the rate is taken."""
-
-MIN_NOISE_ROWS = 100
-"""Fewest rows from which noise is estimated."""
-
-STILL_RAD = 1e-3
-"""Joints that moved by less show nothing of their velocities."""
 
 
 class Outcome(StrEnum):
@@ -59,27 +49,6 @@ class Outcome(StrEnum):
 
 ROBOT_OUTCOMES = {"robot": Outcome.READ, "model": Outcome.UNCHECKED}
 """Outcomes of the lines on the robot, and on what is odd in its description."""
-
-
-class NoisySignal(NamedTuple):
-    """How the noise of a signal is written.
-
-    Attributes:
-        name: Of the signal.
-        unit: Of its noise.
-    """
-
-    name: str
-    unit: str
-
-
-NOISY_SIGNALS = {
-    "q_rad": NoisySignal("q", "rad"),
-    "dq_rad_s": NoisySignal("dq", "rad/s"),
-    "tau_Nm": NoisySignal("tau", "Nm"),
-    "tau_ext_Nm": NoisySignal("tau_ext", "Nm"),
-}
-"""Signals whose noise is stated, by their keys in a log."""
 
 
 class CheckLine(msgspec.Struct):
@@ -178,10 +147,10 @@ def run(
     Raises:
         CommandError: Options contradict each other, or the log does not fit the robot.
     """
-    work = prepare(source, robot_options, sensor, columns)
+    replay, request = prepare(source, robot_options, sensor, columns)
     with stop_request() as is_stopped:
-        log = LogSession(source, Output(), work.request, is_stopped)
-        found = check_log(log, work.replay)
+        log = LogSession(source, Output(), request, is_stopped)
+        found = check_log(log, replay)
     write_out(found.json() if as_json else found.text())
     return log.exit_code or (DOUBTFUL if found.is_doubtful else 0)
 
@@ -243,7 +212,9 @@ class SignalRecord:
 
     def add(self, chunk: LogChunk) -> None:
         """Take further rows."""
-        if self.rows < MAX_RATE_ROWS:
+        min_noise_rows = 100  # Fewest rows from which noise is estimated
+        max_rate_rows = 20_000  # Rows from which the rate is taken
+        if self.rows < max_rate_rows:
             self._steps_s.append(chunk.dt_s)
         self.rows += len(chunk.t_s)
         q_rad = chunk.channels["q_rad"]
@@ -257,7 +228,7 @@ class SignalRecord:
             self._highest = highest if before is None else np.maximum(before, highest)
         for key, values in chunk.channels.items():
             finite = values[np.isfinite(values).reshape(len(values), -1).all(axis=1)]
-            if len(finite) >= MIN_NOISE_ROWS and key not in self.noise:
+            if len(finite) >= min_noise_rows and key not in self.noise:
                 differences = np.diff(finite, n=2, axis=0)
                 # The variance of a second difference of white noise is six times its.
                 variance = np.square(differences).mean(axis=0) / 6.0
@@ -275,10 +246,12 @@ class SignalRecord:
                 f"{1e3 * usual_s:.4g} ms, in 1 of 100 longer than {1e3 * late_s:.4g} ms"
             )
             yield CheckLine("rate", Outcome.READ, text)
+        units = {"q_rad": "rad", "dq_rad_s": "rad/s", "tau_Nm": "Nm"}
+        units["tau_ext_Nm"] = "Nm"
         texts = [
-            f"{signal.name} {np.min(self.noise[key]):.2g} to "
-            f"{np.max(self.noise[key]):.2g} {signal.unit}"
-            for key, signal in NOISY_SIGNALS.items()
+            f"{key.removesuffix('_' + unit.replace('/', '_'))} "
+            f"{np.min(self.noise[key]):.2g} to {np.max(self.noise[key]):.2g} {unit}"
+            for key, unit in units.items()
             if key in self.noise
         ]
         if texts:
@@ -309,12 +282,13 @@ def _log_lines(
 
 def _velocity_line(replay: SensorReplay, signals: SignalRecord) -> CheckLine:
     """Return the line on velocities."""
+    still_rad = 1e-3  # Joints that moved by less show nothing of their velocities
     topic = "velocities"
     if replay.velocity_fault:
         return CheckLine(topic, Outcome.DOUBTFUL, replay.velocity_fault)
     if "velocity from the log" not in replay.description:
         return CheckLine(topic, Outcome.READ, "none in the log: estimated from q")
-    still = np.flatnonzero(signals.travel_rad < STILL_RAD)
+    still = np.flatnonzero(signals.travel_rad < still_rad)
     if len(still) == len(signals.travel_rad):
         text = "from the log; the arm rests, so they were not compared with q"
         return CheckLine(topic, Outcome.UNCHECKED, text)

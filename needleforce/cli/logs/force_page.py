@@ -13,12 +13,12 @@ from needleforce import plots
 from needleforce.cli.logs.force_result import NO_WARNING, ForceResult, vectors_of
 from needleforce.cli.logs.outputs import Answer
 from needleforce.cli.logs.row_overview import axis_span, time_axis
-from needleforce.cli.logs.sensor_replay import ForceRows, has_status
 from needleforce.cli.shared_options import Over
 from needleforce.cli.terminal import aligned
 from needleforce.depth_zero import FIRST_ROW, LOG_ZERO, DepthZero
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 from needleforce.plots.chart import limits_of
+from needleforce.sensor_replay import ForceRows, has_status
 from residual import Status
 
 if TYPE_CHECKING:
@@ -28,9 +28,6 @@ if TYPE_CHECKING:
 MIN_TRAVEL_M = 1e-3
 """A chart over travel has nothing to show where the tool hardly moves [m]."""
 
-PANEL_HEIGHT_IN = 2.2
-FRAME_HEIGHT_IN = 0.8
-"""Height of title and axis [in]."""
 
 M_TO_MM = 1e3
 
@@ -93,6 +90,8 @@ class ForcePage:
 
     def chart(self, over: Over = "time") -> Chart:
         """Return every estimated component with its band of two standard deviations."""
+        frame_height_in = 0.8  # Height of title and axis [in]
+        panel_height_in = 2.2
         result = self.result
         rows = result.rows
         if over == "depth":
@@ -112,7 +111,7 @@ class ForcePage:
             title=f"Force on the needle\n{result.log}: {result.replay.description}",
             x_label=x_label,
             panels=panels,
-            height_in=FRAME_HEIGHT_IN + PANEL_HEIGHT_IN * len(panels),
+            height_in=frame_height_in + panel_height_in * len(panels),
             x_limits=axis_span(x),
             **marks,
         )

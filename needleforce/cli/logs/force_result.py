@@ -8,10 +8,14 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay, has_status
-from needleforce.cli.logs.tare_schedule import describe_rejections, velocity_advice
 from needleforce.cli.logs.torque_summary import describe_torques
 from needleforce.depth_zero import FIRST_ROW
+from needleforce.sensor_replay import (
+    ForceRows,
+    SensorReplay,
+    describe_rejections,
+    has_status,
+)
 from residual import SensorConfig, SensorWarning, Status
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
@@ -199,8 +203,10 @@ class ForceResult:
 
     def _describe_rejections(self) -> str:
         rejected = self.replay.rejected
-        text = describe_rejections(rejected)
-        return f"{text}{velocity_advice(rejected)}" if text else "none"
+        text = describe_rejections(rejected) or "none"
+        if any(reason.startswith("dq ") for reason in rejected):
+            text += "; --dq none leaves velocities out and estimates them from q"
+        return text
 
     def _describe_gaps(self) -> str:
         replay = self.replay

@@ -13,7 +13,6 @@ from needleforce.cli.logs.replay_setup import (
     torque_channel,
 )
 from needleforce.cli.logs.row_overview import RowOverview
-from needleforce.cli.logs.sensor_replay import ForceRows, SensorReplay
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_summary import (
     describe_doubt,
@@ -35,11 +34,12 @@ from needleforce.cli.terminal import CommandError, write_out
 from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import TableLabels
+from needleforce.sensor_replay import ForceRows, SensorReplay
 from residual import SensorConfig, SensorWarning, Status, TareError
 
 if TYPE_CHECKING:
     from needleforce.cli.logs.plan_found import PlanWatch
-    from needleforce.cli.plan_file import LoadedPlan
+    from needleforce.plan_file import LoadedPlan
 
 
 def run(
@@ -71,12 +71,12 @@ def run(
     if columns.print_config:
         write_out(_suggested_mapping(source, robot_options, sensor, columns))
         return 0
-    work = prepare(source, robot_options, sensor, columns)
+    replay, request = prepare(source, robot_options, sensor, columns)
 
     def estimate(log: LogSession) -> ForcePage:
-        return estimate_forces(log, work.replay, output, layers, plan)
+        return estimate_forces(log, replay, output, layers, plan)
 
-    return run_log(source, output, work.request, estimate)
+    return run_log(source, output, request, estimate)
 
 
 def _suggested_mapping(

@@ -23,9 +23,6 @@ from needleforce.cli.shared_options import Over
 from needleforce.plots import Chart, Curve, LineStyle, Panel, palette
 
 M_TO_MM = 1e3
-FORCES_HEIGHT = 2.0
-"""Height of the panel of the forces, in heights of the other panels."""
-CHART_HEIGHT_IN = 6.4
 
 _FORCE_LABELS = {
     "force_N": "axial force, as recorded",
@@ -80,6 +77,7 @@ class LayerPage:
 
     def chart(self, over: Over = "time") -> Chart:
         """Return forces above, parameters below, as in Figure 8 of Ferro et al."""
+        chart_height_in = 6.4
         result = self.result
         rows = _drawn_rows(result.rows)
         start_s, x_label = time_axis(rows["t_s"])
@@ -99,7 +97,7 @@ class LayerPage:
             panels=tuple(panels),
             instants=events,
             x_limits=axis_span(x),
-            height_in=CHART_HEIGHT_IN,
+            height_in=chart_height_in,
         )
 
     @property
@@ -244,8 +242,10 @@ def _drawn_rows(rows: LayerRows) -> LayerRows:
 
 def _force_panel(rows: LayerRows, x: Array) -> Panel:
     """Return the recorded force and its parts."""
+    # Height of the panel of the forces, in heights of the other panels
+    forces_height = 2.0
     curves = tuple(
         Curve(style=_FORCE_STYLES[name], x=x, y=rows[name], label=_FORCE_LABELS[name])
         for name in _FORCE_LABELS
     )
-    return Panel(y_label=palette.FORCE, curves=curves, height=FORCES_HEIGHT)
+    return Panel(y_label=palette.FORCE, curves=curves, height=forces_height)

@@ -11,8 +11,6 @@ from identification import LayerEstimate
 from needleforce import plots
 from needleforce.anatomy import Layer, NeedleClearance, PlanError, PlanMatch, PlanState
 from needleforce.cli.logs.outputs import Answer
-from needleforce.cli.logs.sensor_replay import SensorReplay
-from needleforce.cli.plan_file import LoadedPlan
 from needleforce.depth_zero import PLANNED_ENTRY, DepthZero
 from needleforce.needle_on_plan import (
     PlanDeviation,
@@ -21,10 +19,9 @@ from needleforce.needle_on_plan import (
     describe_too_near,
     state_values,
 )
+from needleforce.plan_file import LoadedPlan
+from needleforce.sensor_replay import SensorReplay
 from residual.tool_kinematics import ToolKinematics
-
-COMPARED_ROWS = 10
-"""Every so many rows the needle is compared with the planned path."""
 
 NOTE = (
     "Depths below the planned entry. Probability: that the rupture led into that "
@@ -196,10 +193,12 @@ class PlanWatch:
 
     def add(self, q_rad: Array, travel_m: Array) -> None:
         """Take further rows: joint positions, (m, n), and travel of the tool, (m,)."""
+        # Every so many rows the needle is compared with the planned path.
+        compared_rows = 10
         finite = np.flatnonzero(np.isfinite(q_rad).all(axis=1))
         if len(finite) and self._entry_travel_m is None:
             self._begin(self._plan, q_rad[finite[0]])
-        for row in finite[::COMPARED_ROWS].tolist():
+        for row in finite[::compared_rows].tolist():
             self._compare_row(self._plan, q_rad[row], float(travel_m[row]))
 
     def _begin(self, plan: LoadedPlan, q_rad: Array) -> None:

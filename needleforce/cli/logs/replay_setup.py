@@ -1,34 +1,21 @@
 """The sensor that options describe, and what is read of a log for it."""
 
+import math
 from functools import partial
-from typing import NamedTuple
 
 from needleforce.cli.logs.log_joints import find_log_joints
 from needleforce.cli.logs.log_session import mapping_from_options
-from needleforce.cli.logs.sensor_replay import SensorReplay
-from needleforce.cli.logs.tare_schedule import parse_tare_window
 from needleforce.cli.robot import robot_from_options, sensor_config, with_friction
 from needleforce.cli.shared_options import JointColumns, RobotOptions, SensorOptions
-from needleforce.cli.terminal import CommandError
+from needleforce.cli.terminal import CHOOSE_TARE, CommandError
 from needleforce.recordings.channel_request import ChannelRequest
+from needleforce.sensor_replay import SensorReplay, TareWindow
 from urdf import Robot
 
 
 def torque_channel(sensor: SensorOptions) -> str:
     """Return the channel of the torques that the sensor takes."""
     return "tau_ext" if sensor.external_torque else "tau"
-
-
-class PreparedReplay(NamedTuple):
-    """What is run over a log, and what is read of it.
-
-    Attributes:
-        replay: The sensor.
-        request: Which channels are read.
-    """
-
-    replay: SensorReplay
-    request: ChannelRequest
 
 
 def robot_of_log(
@@ -48,7 +35,7 @@ def prepare(
     robot_options: RobotOptions,
     sensor: SensorOptions,
     columns: JointColumns,
-) -> PreparedReplay:
+) -> tuple[SensorReplay, ChannelRequest]:
     """Return the sensor that the options describe, and which channels it needs.
 
     Args:
@@ -70,7 +57,18 @@ def prepare(
         optional=("dq",),
         joints=robot.joint_names,
     )
-    return PreparedReplay(SensorReplay(robot, config, sensor), request)
+    find_window = None
+    if sensor.tare is not None:
+        find_window = partial(parse_tare_window, sensor.tare)
+    replay = SensorReplay(
+        robot,
+        config,
+        is_external=sensor.external_torque,
+        is_tared=not sensor.no_tare,
+        find_window=find_window,
+        ignore_contact=sensor.force_tare,
+    )
+    return replay, request
 
 
 def _check_tare_options(sensor: SensorOptions) -> None:
@@ -82,3 +80,35 @@ def _check_tare_options(sensor: SensorOptions) -> None:
         )
     if sensor.tare is not None:
         parse_tare_window(sensor.tare, 0.0)
+
+
+def parse_tare_window(text: str, first_s: float) -> TareWindow:
+    """Return the window that ``--tare`` names.
+
+    Args:
+        text: Value of the option, START:END.
+        first_s: Time of the log's first row [s].
+
+    Raises:
+        CommandError: The text names no window.
+    """
+    start, colon, end = text.partition(":")
+    if not colon:
+        raise CommandError(f"--tare {text}: expected START:END", CHOOSE_TARE)
+    start_s = _parse_log_time(text, start, first_s) if start.strip() else first_s
+    end_s = _parse_log_time(text, end, first_s)
+    return TareWindow(start_s, end_s, name=f"--tare {text}")
+
+
+def _parse_log_time(option: str, text: str, first_s: float) -> float:
+    """Return a time on the log's clock [s]; after a + it counts from the first row."""
+    try:
+        time_s = float(text)
+    except ValueError:
+        time_s = math.nan
+    if not math.isfinite(time_s):
+        raise CommandError(
+            f"--tare {option}: {text!r} is no time, expected START:END",
+            CHOOSE_TARE,
+        )
+    return first_s + time_s if text.strip().startswith("+") else time_s

@@ -1,14 +1,10 @@
 """Few rows of a long log that look the same in a figure, and the figure's x axis."""
 
 from collections.abc import Mapping, Sequence
-from typing import NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Array
-
-LATE_CLOCK_S = 1e5
-"""Beyond it, as in seconds since 1970, an axis has no digits for what happened [s]."""
 
 MAX_ROWS = 20_000
 """Rows of a log that a figure shows; more are thinned."""
@@ -19,24 +15,14 @@ MAX_KEPT = 3
 _NUMBER = "number of the row"
 
 
-class TimeAxis(NamedTuple):
-    """The x axis of a chart over time.
-
-    Attributes:
-        start_s: Time of the log that is zero in the chart [s].
-        label: Label of the axis.
-    """
-
-    start_s: float
-    label: str
-
-
-def time_axis(t_s: Array) -> TimeAxis:
-    """Return the axis for time stamps of shape (n,) [s]."""
+def time_axis(t_s: Array) -> tuple[float, str]:
+    """Return the time that is zero in a chart of stamps, shape (n,), and the label."""
+    # Beyond it, as in seconds since 1970, an axis has no digits for what happened [s]
+    late_clock_s = 1e5
     first_s = float(t_s[0])
-    if abs(first_s) > LATE_CLOCK_S:
-        return TimeAxis(first_s, "time since the first sample [s]")
-    return TimeAxis(0.0, "time of the log [s]")
+    if abs(first_s) > late_clock_s:
+        return first_s, "time since the first sample [s]"
+    return 0.0, "time of the log [s]"
 
 
 def axis_span(x: Array) -> tuple[float, float] | None:

@@ -11,9 +11,7 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.cli.auto_tare import auto_tare
 from needleforce.cli.logs.log_joints import find_log_joints
-from needleforce.cli.logs.sensor_replay import require_joints
-from needleforce.cli.logs.tare_schedule import describe_rejections
-from needleforce.cli.plan_file import LoadedPlan, load_plan
+from needleforce.cli.plan_option import load_plan
 from needleforce.cli.robot import robot_from_options, urdf_with_shapes
 from needleforce.cli.shared_options import TARE_S, RobotOptions
 from needleforce.cli.terminal import (
@@ -23,22 +21,18 @@ from needleforce.cli.terminal import (
     stop_request,
     write_out,
 )
+from needleforce.plan_file import LoadedPlan
 from needleforce.recordings import ColumnMapping, load_mapping, read_log
 from needleforce.recordings.errors import readable_path
 from needleforce.recordings.output import check_outputs, require_place
 from needleforce.scene import Viewer, view_row
 from needleforce.scene.nodes import EMPTY
 from needleforce.scene.viewer import check_address
+from needleforce.sensor_replay import describe_rejections, require_joints
 from needleforce.session import InsertionSession, SessionEstimate
 from needleforce.session_replay import replay_session
 from residual import Status
 from urdf import Robot
-
-ROW_TICKS = 10
-"""Every so many samples become a row of the scene, beside those of events."""
-
-PROGRESS_TICKS = 1000
-"""Samples between two updates of the progress bar."""
 
 POLL_S = 0.2
 """Time between two looks at whether Ctrl-C came [s]."""
@@ -153,6 +147,9 @@ def scene_rows(
     Returns:
         Rows of the scene, see `needleforce.scene.view_row`.
     """
+    progress_ticks = 1000  # Samples between two updates of the progress bar
+    # Every so many samples become a row of the scene, beside those of events
+    row_ticks = 10
     tare = auto_tare(tare_s, at_once=True)
     session = InsertionSession(model)
     columns = load_mapping(mapping) if mapping else None
@@ -173,9 +170,9 @@ def scene_rows(
         for tick, (q_rad, estimate) in enumerate(replayed):
             if estimate.status is Status.REJECTED:
                 rejected[estimate.wrench.message.split(";")[0]] += 1
-            if tick % ROW_TICKS == 0 or _has_event(estimate):
+            if tick % row_ticks == 0 or _has_event(estimate):
                 rows.append(view_row(estimate, q_rad))
-            if tick % PROGRESS_TICKS == 0:
+            if tick % progress_ticks == 0:
                 progress(tick / len(log.t_s))
     for warning in log.warnings:
         say(f"warning: {warning}")

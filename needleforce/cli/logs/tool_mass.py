@@ -5,9 +5,6 @@ import pinocchio as pin
 from needleforce.recordings.table import ToolMass
 from urdf import Robot
 
-MAX_DIFFERENCE_KG = 0.05
-"""A smaller difference makes less than half a newton."""
-
 
 def model_tool_mass_kg(robot: Robot) -> float:
     """Return the mass behind the last joint's own link: hand, tool and payload [kg]."""
@@ -29,10 +26,11 @@ def tool_mass_warnings(stated: ToolMass | None, robot: Robot) -> tuple[str, ...]
         stated: What the recording says; None if it does not.
         robot: The robot with its payload.
     """
+    max_difference_kg = 0.05  # A smaller difference makes less than half a newton
     if stated is None:
         return ()
     model_kg = model_tool_mass_kg(robot)
-    if abs(stated.mass_kg - model_kg) <= MAX_DIFFERENCE_KG:
+    if abs(stated.mass_kg - model_kg) <= max_difference_kg:
         return ()
     return (
         f"the recording says that {stated.mass_kg:.3g} kg hang on the flange "

@@ -15,10 +15,7 @@ from urdf import Payload, load_example
 from urdf.loading import EXAMPLES
 
 if TYPE_CHECKING:
-    from needleforce.cli.logs.sensor_replay import SensorReplay
-
-MAX_LISTED_STD_KG = 1.0
-"""A payload that is known less well is not listed."""
+    from needleforce.sensor_replay import SensorReplay
 
 
 def describe_torques(diagnosis: TorqueDiagnosis | None, *, is_external: bool) -> str:
@@ -46,7 +43,8 @@ def describe_scale(diagnosis: TorqueDiagnosis) -> str:
 
 def describe_missing_mass(diagnosis: TorqueDiagnosis) -> str:
     """Return the mass that the model lacks; empty where the motion shows nothing."""
-    if diagnosis.payload_std_kg > MAX_LISTED_STD_KG:
+    max_listed_std_kg = 1.0  # A payload that is known less well is not listed
+    if diagnosis.payload_std_kg > max_listed_std_kg:
         return ""
     return (
         f"missing mass {diagnosis.payload_kg + 0.0:.2f} +/- "

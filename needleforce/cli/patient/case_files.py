@@ -10,14 +10,13 @@ import numpy as np
 
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
 from needleforce.cli.patient.structure_names import StructureNames
-from needleforce.cli.plan_file import PLAN
 from needleforce.cli.terminal import (
-    GIVE_PLAN,
     OTHER_PLACE,
     CommandError,
     staged_progress,
 )
 from needleforce.files import whole_file
+from needleforce.plan_file import GIVE_PLAN, PLAN
 
 PLAN_VERSION = 2
 """Of the plan's file; 1 was that of version 0.2."""
@@ -91,7 +90,6 @@ def read_plan_fields(place: Path) -> dict[str, Any]:
             f"{path} has version {fields.get('version')}: expected {PLAN_VERSION}, as "
             "`needleforce plan` writes it; earlier ones do not say what they were made "
             "of",
-            GIVE_PLAN,
         )
     return fields
 
@@ -109,7 +107,6 @@ def case_of_plan(place: Path) -> PatientCase:
         raise CommandError(
             f"{path} names no CT and labels: expected a plan that `needleforce plan` "
             "wrote",
-            GIVE_PLAN,
         )
     folder = path.parent
     structures = fields.get("structures") or None

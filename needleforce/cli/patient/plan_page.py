@@ -9,15 +9,15 @@ import numpy as np
 from needleforce.anatomy.labels import SHOWN_VOXEL_m
 from needleforce.anatomy.path_search import FoundPaths, PathLimits, SkinPath
 from needleforce.cli.patient.case_files import PatientCase
-from needleforce.cli.patient.plan_slices import draw_along, draw_probe_view
 from needleforce.cli.patient.plan_table import (
     HEAD,
     NOT_MEDICAL,
     describe_rejections,
     table_row,
 )
-from needleforce.cli.plan_file import large_structures
+from needleforce.plan_file import large_structures
 from needleforce.plots import PAGE, Page, PageFigure, PageTable, Section, write_page
+from needleforce.plots.plan_slices import draw_along, draw_probe_view
 
 SCENE = "scene.html"
 """Name of the 3-D page in the folder."""
@@ -56,9 +56,9 @@ def write_plan_page(
         folder: Folder of the page.
         progress: Called with the fraction done.
     """
-    along = draw_along(case, path, folder / "along.png")
+    along = draw_along(case.scan, case.labels, path, folder / "along.png")
     across = draw_probe_view(
-        case, path, limits.space.needed_m, folder / "probes-eye.png"
+        case.scan, case.labels, path, limits.space.needed_m, folder / "probes-eye.png"
     )
     figures = (
         PageFigure(path=along, alt=ALONG, caption=ALONG),

@@ -36,13 +36,6 @@ from needleforce.cli.patient.structure_names import (
     require_confirmed_names,
     require_known_names,
 )
-from needleforce.cli.plan_binding import (
-    MadeOf,
-    path_sha256,
-    record_labels,
-    record_scan,
-)
-from needleforce.cli.plan_file import PLAN
 from needleforce.cli.terminal import (
     CommandError,
     require_modules,
@@ -50,6 +43,13 @@ from needleforce.cli.terminal import (
     staged_progress,
     write_out,
 )
+from needleforce.plan_binding import (
+    MadeOf,
+    path_sha256,
+    record_labels,
+    record_scan,
+)
+from needleforce.plan_file import PLAN
 from needleforce.plots import PAGE, require_matplotlib, whole_folder
 
 MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "igl")

@@ -38,7 +38,6 @@ from needleforce.cli.patient.register_report import (
     write_fit_page,
 )
 from needleforce.cli.patient.touch_file import TouchFile, read_touches
-from needleforce.cli.plan_file import PLAN
 from needleforce.cli.terminal import (
     CommandError,
     require_modules,
@@ -46,6 +45,7 @@ from needleforce.cli.terminal import (
     staged_progress,
     write_out,
 )
+from needleforce.plan_file import PLAN
 from needleforce.plots import PAGE, whole_folder
 
 MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "igl")

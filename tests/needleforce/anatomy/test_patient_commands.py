@@ -12,7 +12,7 @@ import pytest
 
 from needleforce.anatomy.markups import read_markup
 from needleforce.cli import main
-from needleforce.cli.plan_file import read_plan
+from needleforce.plan_file import read_plan
 
 pytestmark = pytest.mark.slow
 

@@ -7,10 +7,11 @@ import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
+from needleforce import plan_file
 from needleforce.anatomy.markups import read_markup
-from needleforce.cli import main, plan_file
+from needleforce.cli import main
 from needleforce.cli.patient import register_run
-from needleforce.cli.plan_file import read_plan
+from needleforce.plan_file import read_plan
 
 pytestmark = pytest.mark.slow
 
@@ -31,7 +32,7 @@ def folder(tmp_path_factory):
         patch.setattr("needleforce.simulation.torso_case.SPACING_m", (4e-3, 4e-3, 5e-3))
         patch.setattr("needleforce.cli.patient.plan_page.find_spec", lambda name: None)
         patch.setattr(register_run, "case_of_plan", cache(register_run.case_of_plan))
-        patch.setattr(plan_file, "_large_surfaces", lambda labels: ())
+        patch.setattr(plan_file, "_large_surfaces", lambda *_: ())
         assert main(["simulate", "torso", "-o", str(folder)]) == 0
         assert main(["plan", *ct.split(), *wish.split()]) == 0
         yield folder

@@ -8,21 +8,18 @@ import subprocess
 import sys
 from importlib import metadata
 from pathlib import Path
-from shutil import copytree
+from shutil import copy
 
 import pytest
 
-from foundation.compile_cache import CacheStatus
+from foundation import compile_cache
 from foundation.extras import EXTRAS, install_command
-from needleforce.cli import main
-from needleforce.cli.checkup import compiler, distributions, findings, machine
-from needleforce.cli.checkup.compiler import (
-    CompileCache,
+from foundation.jit import COMPILER
+from needleforce.cli import checkup, main
+from needleforce.cli.checkup import (
     compile_everything,
-    inspect_cache,
-)
-from needleforce.cli.checkup.distributions import (
-    extra_states,
+    describe,
+    examine,
     installed_sizes,
     requirements_of,
 )
@@ -39,13 +36,13 @@ def test_text_names_versions_cache_machine_and_every_extra(capsys):
     assert f"python       {platform.python_version()}" in said
     for name in ("pin", "numpy", "numba"):
         assert f"{name} {metadata.version(name)}" in said
-    for label in ("compiler", "cache", "cores", "clock", "real time"):
+    for label in ("compiler", "cache", "cores", "real time"):
         assert f"\n{label} " in said
-    assert "GPU          not needed" in said
     for extra, adds in EXTRAS.items():
         assert f"  {extra} " in said
         assert adds in said
     assert "sizes on disk" not in said
+    assert said.splitlines()[-1].startswith("verdict: ")
 
 
 def test_json_holds_the_same(capsys):
@@ -54,13 +51,12 @@ def test_json_holds_the_same(capsys):
     assert said["version"] == metadata.version("needleforce")
     assert said["core"]["numba"] == metadata.version("numba")
     assert [extra["name"] for extra in said["extras"]] == list(EXTRAS)
-    assert said["machine"]["cores"] == len(os.sched_getaffinity(0))
-    assert said["machine"]["sleep_median_s"] >= machine.SLEEP_s
+    assert said["cores"] == len(os.sched_getaffinity(0))
     assert said["sizes"] == []
 
 
 def test_the_core_is_what_the_project_always_requires():
-    assert set(distributions.core_versions()) == {
+    assert set(examine(with_sizes=False)["core"]) == {
         "pin",
         "numpy",
         "scipy",
@@ -71,17 +67,17 @@ def test_the_core_is_what_the_project_always_requires():
 
 
 def test_a_missing_package_of_an_extra_is_named_with_the_command(monkeypatch, capsys):
-    known = distributions.version_of
+    known = checkup.version_of
     monkeypatch.setattr(
-        distributions,
+        checkup,
         "version_of",
         lambda name: None if name == "mujoco" else known(name),
     )
-    states = {state.name: state for state in extra_states()}
+    states = {one["name"]: one for one in examine(with_sizes=False)["extras"]}
 
-    assert not states["demo"].is_installed
-    assert states["demo"].missing == ("mujoco",)
-    assert states["recordings"].is_installed
+    assert not states["demo"]["is_installed"]
+    assert states["demo"]["missing"] == ["mujoco"]
+    assert states["recordings"]["is_installed"]
 
     line = next(
         line for line in report(capsys).splitlines() if line.startswith("  demo ")
@@ -93,11 +89,11 @@ def test_a_missing_package_of_an_extra_is_named_with_the_command(monkeypatch, ca
 
 
 def test_what_no_extra_can_install_is_named_without_a_command(monkeypatch, capsys):
-    monkeypatch.setattr(distributions, "find_spec", lambda name: None)
-    states = {state.name: state for state in extra_states()}
+    monkeypatch.setattr(checkup, "find_spec", lambda name: None)
+    states = {one["name"]: one for one in examine(with_sizes=False)["extras"]}
 
-    assert not states["ros2"].is_installed
-    assert states["ros2"].missing == ("rclpy",)
+    assert not states["ros2"]["is_installed"]
+    assert states["ros2"]["missing"] == ["rclpy"]
 
     line = next(
         line for line in report(capsys).splitlines() if line.startswith("  ros2 ")
@@ -108,9 +104,7 @@ def test_what_no_extra_can_install_is_named_without_a_command(monkeypatch, capsy
 
 
 def test_an_extra_counts_what_it_contains():
-    states = {
-        state.name: distributions._own_packages(state.name) for state in extra_states()
-    }
+    states = {extra: checkup._own_packages(extra) for extra in EXTRAS}
 
     assert states["patient"] < states["scene"]
     assert "simpleitk" in states["patient"]
@@ -118,7 +112,7 @@ def test_an_extra_counts_what_it_contains():
 
 @pytest.mark.slow
 def test_sizes_are_those_of_files_and_an_extra_adds_to_the_core():
-    sizes = {size.name: size for size in installed_sizes()}
+    sizes = {size["name"]: size for size in installed_sizes()}
 
     assert list(sizes) == ["core", *EXTRAS]
 
@@ -128,10 +122,10 @@ def test_sizes_are_those_of_files_and_an_extra_adds_to_the_core():
         if path.locate().is_file()
     )
 
-    assert sizes["core"].bytes > numpy_bytes > 1e6
-    assert sizes["demo"].packages >= 3
-    assert sizes["scene"].bytes > sizes["patient"].bytes
-    assert sizes["core"].missing == ()
+    assert sizes["core"]["bytes"] > numpy_bytes > 1e6
+    assert sizes["demo"]["packages"] >= 3
+    assert sizes["scene"]["bytes"] > sizes["patient"]["bytes"]
+    assert sizes["core"]["missing"] == []
 
 
 def test_every_package_is_listed_with_its_licence_and_what_brings_it(capsys):
@@ -153,7 +147,7 @@ def test_requirements_of_other_platforms_are_left_out(monkeypatch):
         "Always_Needed[one,two]>=2",
     ]
     monkeypatch.setattr(metadata, "requires", lambda name: lines)
-    monkeypatch.setitem(distributions._HERE, "sys_platform", "linux")
+    monkeypatch.setattr(sys, "platform", "linux")
     names = [(item.name, item.extras, item.of_extra) for item in requirements_of("x")]
 
     assert names == [
@@ -162,44 +156,42 @@ def test_requirements_of_other_platforms_are_left_out(monkeypatch):
     ]
 
 
-def test_cache_counts_the_modules_whose_code_is_kept(tmp_path, monkeypatch):
-    monkeypatch.setattr(
-        compiler, "find_cache", lambda: CacheStatus(tmp_path, True, False)
-    )
-    empty = inspect_cache()
+@pytest.mark.skipif(not COMPILER, reason="NUMBA_DISABLE_JIT is set")
+def test_cache_counts_the_functions_whose_code_is_kept(tmp_path, monkeypatch):
+    monkeypatch.setattr(compile_cache, "cache_roots", lambda: [tmp_path])
+    found = examine(with_sizes=False)
 
-    assert empty.modules > 5
-    assert empty.kept_modules == 0
-    assert not empty.is_warm
-    assert empty.folder == str(tmp_path)
-    assert empty.is_writable
-
-
-def test_a_cache_that_cannot_be_written_names_the_variable():
-    cache = CompileCache(
-        compiler="numba 1", folder="/x", is_writable=False, modules=9, kept_modules=4
-    )
-    text = findings._describe_cache(cache)
-
-    assert text.startswith("/x, 4 of 9 modules compiled")
-    assert "NUMBA_CACHE_DIR" in text
+    assert found["cache"]["functions"] > 70
+    assert found["cache"]["kept_functions"] == 0
+    assert found["cache"]["folder"] == str(tmp_path)
+    assert found["cache"]["is_writable"]
+    assert "doctor --compile" in found["doubts"][0]
 
 
-@pytest.mark.skipif(sys.platform != "linux", reason="SCHED_FIFO is Linux's")
-def test_the_trial_of_a_priority_leaves_this_thread_as_it_was():
-    before = os.sched_getscheduler(0)
+@pytest.mark.parametrize(
+    ("change", "doubt"),
+    [
+        ({"is_writable": False, "kept_functions": 4}, "NUMBA_CACHE_DIR"),
+        ({"compiler": ""}, "NUMBA_DISABLE_JIT"),
+        ({"kept_functions": 4}, "doctor --compile"),
+        ({}, "verdict: ready"),
+    ],
+)
+def test_the_verdict_names_what_is_in_the_way(change, doubt):
+    found = examine(with_sizes=False)
+    found["cache"] |= {"functions": 9, "kept_functions": 9} | change
+    found["doubts"] = list(checkup._find_doubts(found))
 
-    assert machine.inspect_machine().may_run_real_time in (True, False)
-    assert os.sched_getscheduler(0) == before
+    assert doubt in describe(found).splitlines()[-1]
 
 
 @pytest.mark.slow
 def test_compile_leaves_nothing_for_a_later_start(tmp_path):
     """All but the checks of the sensor is kept already: all takes a minute."""
     compile_everything()
-    for kept in Path(inspect_cache().folder).glob("*-*/"):
+    for kept in Path(examine(with_sizes=False)["cache"]["folder"]).glob("*.compiled"):
         if not kept.name.startswith("residual.checks."):
-            copytree(kept, tmp_path / kept.name)
+            copy(kept, tmp_path)
     environment = os.environ | {"NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, "-m", "needleforce", "doctor", "--compile", "--json"]
     done = subprocess.run(
@@ -208,7 +200,7 @@ def test_compile_leaves_nothing_for_a_later_start(tmp_path):
     cache = json.loads(done.stdout)["cache"]
 
     assert "needleforce: compiling once\n" in done.stderr
-    assert cache["kept_modules"] == cache["modules"] > 5
+    assert cache["kept_functions"] == cache["functions"] > 70
     assert cache["folder"] == str(tmp_path)
     assert list(tmp_path.glob("residual.checks.*"))
 

@@ -7,9 +7,9 @@ import pytest
 
 from needleforce.cli import live as live_file
 from needleforce.cli import main, plan, register, shared_options, simulate, touch, view
-from needleforce.cli.logs.tare_schedule import AUTOMATIC_S
 from needleforce.devices.arm_names import CALLED_KINDS, LISTENING_KINDS
 from needleforce.recordings.channels import CHANNELS
+from needleforce.sensor_replay import AUTOMATIC_TARE_S
 from residual import DEFAULT
 from tests.needleforce.cli.residual_command_log import refusal
 from urdf import load_example
@@ -76,7 +76,7 @@ def test_defaults_of_the_sensor_are_those_of_its_config(capsys):
     text = help_of("force", capsys)
 
     assert f"(lag 1/K; default: {DEFAULT.gain_per_s:g})" in text
-    assert f"the first {AUTOMATIC_S:g} s after the filters have settled" in text
+    assert f"the first {AUTOMATIC_TARE_S:g} s after the filters have settled" in text
 
 
 @pytest.mark.parametrize("command", ["force", "identify"])

@@ -9,13 +9,13 @@ import pytest
 import SimpleITK
 from scipy.spatial.transform import Rotation
 
+from needleforce import plan_file
 from needleforce.anatomy import Registration
-from needleforce.cli import main, plan_file
+from needleforce.cli import main
 from needleforce.cli.patient.case_files import read_plan_fields, write_plan_fields
 from needleforce.cli.patient.register_report import FitReport
 from needleforce.cli.patient.register_run import _fit_fields
-from needleforce.cli.plan_file import read_plan
-from needleforce.cli.terminal import CommandError
+from needleforce.plan_file import PlanFileError, read_plan
 
 pytestmark = pytest.mark.filterwarnings("ignore::DeprecationWarning")
 
@@ -59,7 +59,7 @@ def fields(case):
 @pytest.fixture(autouse=True)
 def without_surfaces(monkeypatch):
     """Nobody looks at the structures here."""
-    monkeypatch.setattr(plan_file, "_large_surfaces", lambda labels: ())
+    monkeypatch.setattr(plan_file, "_large_surfaces", lambda *_: ())
 
 
 def read(case, fields, name="wrong.json"):
@@ -69,7 +69,7 @@ def read(case, fields, name="wrong.json"):
 
 
 def refusal(case, fields):
-    with pytest.raises(CommandError) as refused:
+    with pytest.raises(PlanFileError) as refused:
         read(case, fields)
     text = str(refused.value)
     assert text.startswith(str(case / "plan" / "wrong.json"))

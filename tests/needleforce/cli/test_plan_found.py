@@ -9,8 +9,8 @@ from needleforce import NeedleTool, load_lwr
 from needleforce.anatomy import Layer, PlanMatch
 from needleforce.cli import main
 from needleforce.cli.logs.plan_found import PlanWatch
-from needleforce.cli.plan_file import LoadedPlan
 from needleforce.needle_on_plan import PlannedPath
+from needleforce.plan_file import LoadedPlan
 from needleforce.scene import PlanScene
 from residual import SensorConfig
 from residual.tool_kinematics import ToolKinematics

@@ -16,10 +16,10 @@ import pytest
 from groundtruth import insert_needle
 from identification.log_replay import ReplayStream
 from needleforce.cli import main
-from needleforce.cli.logs.sensor_replay import SensorReplay
 from needleforce.cli.terminal import run_command, stop_request
 from needleforce.files import whole_file
 from needleforce.recordings import read_table, write_table
+from needleforce.sensor_replay import SensorReplay
 from tests.needleforce.cli.residual_command_log import refusal, write_insertion
 from tests.needleforce.recordings.bag_samples import grow, in_pieces
 

@@ -38,7 +38,7 @@ class Sensor:
             self.tare_refusal = TareError("contact") if self.refuses else None
         return self.estimate
 
-    def start_tare(self):
+    def start_tare(self, steps_per_tick):
         self.taring = True
 
     def start_tare_recording(self):

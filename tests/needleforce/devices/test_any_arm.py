@@ -18,9 +18,13 @@ from needleforce.devices import (
     connect_arm,
 )
 from needleforce.devices.arm_limits import ARM_LIMITS
-from needleforce.devices.emulators import Emulator
-from needleforce.devices.fri_emulator import FriSettings, emulate_fri
-from needleforce.devices.sunrise_emulator import SunriseSettings, emulate_sunrise
+from needleforce.devices.emulators import (
+    Emulator,
+    FriSettings,
+    SunriseSettings,
+    emulate_fri,
+    emulate_sunrise,
+)
 from tests.needleforce.devices.franka_sim_process import emulate_fr3
 from urdf import NeedleTool, load_lwr, load_urdf
 

@@ -13,11 +13,14 @@ from needleforce.devices import (
     FriArm,
     ReplayArm,
     UrArm,
-    emulators,
     haply,
 )
-from needleforce.devices.emulators import Emulator
-from needleforce.devices.fri_emulator import FriSettings, emulate_fri
+from needleforce.devices.emulators import (
+    Emulator,
+    FriSettings,
+    emulate_fri,
+    process,
+)
 
 ROWS = np.zeros((1, 7))
 
@@ -31,7 +34,7 @@ def controller(cycles):
 @pytest.mark.slow
 def test_an_emulator_may_end_slower_than_it_starts(monkeypatch):
     with controller(1500) as emulator:
-        monkeypatch.setattr(emulators, "START_S", 0.1)
+        monkeypatch.setattr(process, "START_S", 0.1)
         assert emulator.counts()["cycles"] == 1500
 
 

@@ -10,8 +10,7 @@ import pytest
 from needleforce.cli import main
 from needleforce.cli.arms import arm_lag
 from needleforce.control.lag import ChirpSettings, LagProbe
-from needleforce.devices.emulators import Emulator
-from needleforce.devices.fri_emulator import FriSettings, emulate_fri
+from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
 
 QUICK = ChirpSettings(duration_s=1.5, rest_s=0.2)
 

@@ -31,9 +31,14 @@ from needleforce.devices import (
     rdt,
 )
 from needleforce.devices.datagram_link import LOOPBACK
-from needleforce.devices.emulators import Emulator, WireFaults
-from needleforce.devices.fri_emulator import FriSettings, emulate_fri
-from needleforce.devices.rdt_emulator import RdtSettings, emulate_rdt
+from needleforce.devices.emulators import (
+    Emulator,
+    FriSettings,
+    RdtSettings,
+    WireFaults,
+    emulate_fri,
+    emulate_rdt,
+)
 
 ROWS = np.linspace(0.0, 1.0, 700).reshape(100, 7).astype(np.float32).astype(float)
 WRENCH = np.random.default_rng(0).normal(size=(5000, 6))
@@ -525,7 +530,7 @@ def test_repeated_and_late_buffered_datagrams_are_unused():
 def test_a_haptic_device_moves_and_is_felt():
     pytest.importorskip("websockets")
     from needleforce.devices import HaplyMaster
-    from needleforce.devices.haply_emulator import emulate_haply
+    from needleforce.devices.emulators import emulate_haply
 
     wish = np.zeros((1000, 3))
     wish[:, 2] = 0.02

@@ -17,9 +17,8 @@ from pathlib import Path
 import pytest
 
 from needleforce.cli import main
-from needleforce.cli.arms.recorder import Recorder
-from needleforce.cli.terminal import CommandError
 from needleforce.devices import ArmReading, FriArm
+from needleforce.recorder import Recorder, RecorderError
 from needleforce.recordings import FileAccessError, FormatError, read_log
 from tests.needleforce.devices.test_links import PATIENCE_S, ROWS, measurement
 
@@ -119,7 +118,7 @@ from pathlib import Path
 
 import numpy as np
 
-from needleforce.cli.arms.recorder import Recorder
+from needleforce.recorder import Recorder
 from needleforce.devices import ArmReading
 
 q_rad = np.zeros(7)
@@ -193,7 +192,7 @@ def test_a_recorder_whose_process_dies_says_so(tmp_path):
 
     with (
         pytest.raises(
-            CommandError, match="process that writes the recording has ended"
+            RecorderError, match="process that writes the recording has ended"
         ),
         recorder,
     ):
@@ -207,7 +206,7 @@ def test_a_recorder_refuses_signals_that_come_and_go(tmp_path):
     samples = [*[SAMPLE] * 70, SAMPLE._replace(tau_Nm=None)]
     recorder = Recorder(path, ("a",) * 7)
 
-    with pytest.raises(CommandError, match="expected the same"), recorder:
+    with pytest.raises(RecorderError, match="expected the same"), recorder:
         collections.deque(map(recorder.put, samples))
 
     assert len(read_log(path)) == recorder.rows == 70

@@ -10,9 +10,13 @@ import pytest
 import urdf
 from needleforce.cli import main
 from needleforce.devices import FriArm, IiwaArm
-from needleforce.devices.emulators import Emulator, WireFaults
+from needleforce.devices.emulators import (
+    Emulator,
+    SunriseSettings,
+    WireFaults,
+    emulate_sunrise,
+)
 from needleforce.devices.protobuf_wire import read_doubles, read_fields, write_message
-from needleforce.devices.sunrise_emulator import SunriseSettings, emulate_sunrise
 from needleforce.devices.sunrise_messages import (
     COMMAND_KIND,
     MONITORING_KIND,

@@ -16,7 +16,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.devices.datagram_link import LOOPBACK
-from needleforce.devices.emulators import Window, is_within
+from needleforce.devices.emulators.wire import Window, is_within
 
 FRANKA_PORT = 1337
 FRANKA_VERSION = 5

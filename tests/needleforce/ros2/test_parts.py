@@ -15,8 +15,7 @@ from needleforce.ros2.messages import read_joint_state
 from needleforce.ros2.parameters import PARAMETERS, settings_from_values
 from needleforce.ros2.reports import NodeHealth, layer_reports
 from needleforce.ros2.ros_modules import import_ros
-from needleforce.ros2.tare_run import TareRun
-from tests.insertion_run import insert, samples, short_run, tare_index
+from tests.insertion_run import insert, short_run
 
 JOINTS = ("arm_joint_1", "arm_joint_2", "arm_joint_3")
 MS_NS = 10**6
@@ -175,37 +174,6 @@ def test_parameters_have_defaults_and_take_whole_numbers_for_real_ones():
 def test_a_parameter_that_cannot_be_is_refused_with_a_sentence(values, text):
     with pytest.raises(Ros2ParameterError, match=text):
         settings_from_values(values)
-
-
-@pytest.mark.slow
-def test_a_tare_runs_beside_the_updates_and_a_second_one_records_first():
-    session = InsertionSession(short_run().robot)
-    run = TareRun(recording_s=1.0)
-    tare = tare_index(short_run())
-    ends = []
-    for k, sample in samples(short_run()):
-        if k in (tare, tare + 1500):
-            assert run.start(session) is None
-            assert run.start(session).message == "a tare is under way already"
-        answer = run.after(session, session.update(*sample))
-        if answer is not None:
-            ends.append((k - tare, answer))
-        if k == tare + 1600:
-            assert not session.tared
-            break
-
-    [(ticks, answer)] = ends
-    assert answer == (True, "tared")
-    assert 100 < ticks < 1500
-
-
-def test_a_tare_without_motion_is_refused_with_advice():
-    session = InsertionSession(short_run().robot)
-    answer = TareRun(recording_s=1.0).start(session)
-
-    assert answer is not None
-    assert not answer.success
-    assert "; " in answer.message
 
 
 def health(session, reader, estimate, **changes):

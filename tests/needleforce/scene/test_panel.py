@@ -12,7 +12,7 @@ pytest.importorskip("viser")
 
 from needleforce import NeedleTool, load_lwr
 from needleforce.anatomy import Grid, Volume
-from needleforce.cli.plan_file import crop_scan
+from needleforce.plan_file import crop_scan
 from needleforce.scene import PlanScene, Viewer
 from needleforce.scene.nodes import NeedlePose, free_shift_m, label_shifts_m
 from needleforce.scene.scan_slices import PIXELS, TIP_ROW, ScanSlices

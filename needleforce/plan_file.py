@@ -1,9 +1,12 @@
-"""The plan of an insertion from a file, for `live` and `view`.
+"""The plan of an insertion from a file, for a session and the scene.
+
+    plan = read_plan("plan")
+    plan.follow_with(session)
 
 The file is `plan.json`, see docs/how-to/scene.md; a segmentation may lie beside it.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 from itertools import product
 from pathlib import Path
@@ -13,6 +16,7 @@ import msgspec
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.errors import NeedleforceError
 from needleforce.anatomy import (
     AnatomyError,
     FreeSpace,
@@ -34,19 +38,13 @@ from needleforce.anatomy.clearance import (
     too_near,
 )
 from needleforce.anatomy.labels import SHOWN_VOXEL_m
-from needleforce.cli.plan_binding import (
+from needleforce.needle_on_plan import PlannedPath
+from needleforce.plan_binding import (
     MadeOf,
     check_files,
     check_registration,
     path_sha256,
 )
-from needleforce.cli.terminal import (
-    GIVE_PLAN,
-    CommandError,
-    progress_bar,
-    say,
-)
-from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import PlanScene
 
 if TYPE_CHECKING:
@@ -54,26 +52,29 @@ if TYPE_CHECKING:
 
 PLAN = "plan.json"
 
-CROP_MARGIN_M = 0.1
-"""The scene keeps the CT up to here from the path [m]."""
 
 MIN_VOXELS = 500
 """Structures with fewer voxels are not shown."""
 
-MAX_COORDINATE_M = 10.0
-"""A larger coordinate is not in metres [m]."""
 
 ROTATION_TOLERANCE = 1e-3
 """By so much the rows of a rotation may miss being orthonormal."""
 
-MAX_ROUNDING = 1e-12
-"""By so much a variance may be negative: it is written in decimals."""
 
 UNBOUND_VERSION = 1
 """Of plans that do not say what they were made of."""
 
 MISSING_PATH = "neither layers nor entry_m and target_m in it"
 MISSING_LAYERS = "no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it"
+
+
+GIVE_PLAN = "Give plan.json, or the folder that holds it beside labels.nii.gz."
+
+
+class PlanFileError(NeedleforceError, ValueError):
+    """A plan's file that cannot be read, or whose plan cannot be followed."""
+
+    usual_advice = GIVE_PLAN
 
 
 class Point(NamedTuple):
@@ -218,30 +219,12 @@ class _Anatomy(NamedTuple):
     warnings: tuple[str, ...] = ()
 
 
-def load_plan(
-    place: Path | None, *, is_past: bool = False, situs_inversus: bool = False
-) -> LoadedPlan | None:
-    """Return a plan from its file, and say its warnings on stderr; see `read_plan`.
-
-    Without a file there is no plan.
-
-    Raises:
-        CommandError: As `read_plan`; or a situs inversus is stated of no plan.
-    """
-    if place is None:
-        if situs_inversus:
-            raise CommandError(
-                "--situs-inversus belongs to the labels of a plan: expected --plan"
-            )
-        return None
-    plan = read_plan(place, is_past=is_past, situs_inversus=situs_inversus)
-    for warning in plan.warnings:
-        say(f"warning: {warning}")
-    return plan
-
-
 def read_plan(
-    place: Path, *, is_past: bool = False, situs_inversus: bool = False
+    place: str | Path,
+    *,
+    is_past: bool = False,
+    situs_inversus: bool = False,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> LoadedPlan:
     """Return a plan from its file, or from a folder with `plan.json`.
 
@@ -249,17 +232,20 @@ def read_plan(
         place: The file or folder.
         is_past: The insertion is over: obstacles on its path are a warning.
         situs_inversus: Liver and spleen are exchanged, whether or not the plan says so.
+        progress: Takes the fraction of the surfaces that is made.
 
     Raises:
-        CommandError: The file cannot be read, or holds no plan that can be followed.
+        PlanFileError: The file cannot be read, or holds no plan that can be followed.
     """
-    path = place / PLAN if place.is_dir() else place
+    path = Path(place)
+    if path.is_dir():
+        path /= PLAN
     try:
         plan = msgspec.json.decode(path.read_bytes(), type=_PlanFile)
         plan.situs_inversus |= situs_inversus
         _require_metres(plan)
         _require_registration(plan)
-        scene, labels, changes = _anatomy_of(plan, path.parent)
+        scene, labels, changes = _anatomy_of(plan, path.parent, progress)
         layers = _planned_layers(plan) or list(scene.layers)
         planned = _path_of(plan, scene)
         warnings = [
@@ -280,7 +266,7 @@ def read_plan(
             else plan.accepted_obstacles,
         )
     except (OSError, ValueError, msgspec.MsgspecError, AnatomyError) as error:
-        raise CommandError(f"{path}: {error}", GIVE_PLAN) from error
+        raise PlanFileError(f"{path}: {error}") from error
     entry_m = None if scene.entry_m is None else scene.to_robot(scene.entry_m)
     return LoadedPlan(
         scene._replace(
@@ -339,6 +325,8 @@ def _largest_std_m(plan: _PlanFile) -> float:
 
 def _path_of(plan: _PlanFile, scene: PlanScene) -> PlannedPath | None:
     """Return the planned path in the robot's base; None without entry and target."""
+    # By so much a variance may be negative: it is written in decimals
+    max_rounding = 1e-12
     if scene.entry_m is None or scene.target_m is None:
         return None
     entry_m = scene.to_robot(scene.entry_m)
@@ -350,7 +338,7 @@ def _path_of(plan: _PlanFile, scene: PlanScene) -> PlannedPath | None:
         raise ValueError("covariance in it is not 6 x 6")
     covariance = np.array(plan.covariance)
     least = np.linalg.eigvalsh(covariance)[0]
-    if not np.allclose(covariance, covariance.T) or least < -MAX_ROUNDING:
+    if not np.allclose(covariance, covariance.T) or least < -max_rounding:
         raise ValueError("covariance in it is not symmetric and positive")
     return PlannedPath(
         entry_m,
@@ -403,13 +391,14 @@ def _check_obstacles(
 
 def _require_metres(plan: _PlanFile) -> None:
     """Refuse one end of the path without the other, and places in millimetres."""
+    max_coordinate_m = 10.0  # A larger coordinate is not in metres [m]
     if (plan.entry_m is None) != (plan.target_m is None):
         raise ValueError("one of entry_m and target_m in it: expected both, or neither")
     points = (plan.translation_m, plan.entry_m or (), plan.target_m or ())
     coordinates_m = [coordinate for point in points for coordinate in point]
-    if not all(abs(coordinate) < MAX_COORDINATE_M for coordinate in coordinates_m):
+    if not all(abs(coordinate) < max_coordinate_m for coordinate in coordinates_m):
         raise ValueError(
-            f"a place beyond {MAX_COORDINATE_M:g} m in it: expected metres, not "
+            f"a place beyond {max_coordinate_m:g} m in it: expected metres, not "
             "millimetres"
         )
 
@@ -440,7 +429,9 @@ def _require_registration(plan: _PlanFile) -> None:
         )
 
 
-def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
+def _anatomy_of(
+    plan: _PlanFile, folder: Path, progress: Callable[[float], None]
+) -> _Anatomy:
     """Return the scene of a plan, and the labels beside it.
 
     Surfaces are those of the labels in a folder, and so are the layers between entry
@@ -467,7 +458,7 @@ def _anatomy_of(plan: _PlanFile, folder: Path) -> _Anatomy:
     labels, scan, warnings = _read_files(plan, file, folder)
     if scan is not None:
         scene = scene._replace(scan=crop_scan(scan, entry_m, target_m))
-    surfaces = _large_surfaces(labels)
+    surfaces = _large_surfaces(labels, progress)
     layers = [] if plan.layers else labels.layers_along(entry_m, target_m)
     return _Anatomy(
         scene._replace(surfaces=surfaces, layers=layers), labels, tuple(warnings)
@@ -523,9 +514,10 @@ def _check_made_of(plan: _PlanFile, scan: Volume, labels: Labels) -> list[str]:
 
 def crop_scan(scan: Volume, entry_m: Array, target_m: Array) -> Volume | None:
     """Return the part of a CT around a path; None where the CT does not reach it."""
+    crop_margin_m = 0.1  # The scene keeps the CT up to here from the path [m]
     corners_m = np.array([entry_m, target_m])
-    low_m = corners_m.min(axis=0) - CROP_MARGIN_M
-    high_m = corners_m.max(axis=0) + CROP_MARGIN_M
+    low_m = corners_m.min(axis=0) - crop_margin_m
+    high_m = corners_m.max(axis=0) + crop_margin_m
     corners = np.array(list(product(*zip(low_m, high_m, strict=True))))
     indices = scan.grid.indices(corners)
     first = np.clip(np.floor(indices.min(axis=0)), 0, scan.grid.shape).astype(int)
@@ -564,13 +556,12 @@ def large_structures(labels: Labels) -> list[str]:
     return [item.name for item in labels.structures if item.voxels >= MIN_VOXELS]
 
 
-def _large_surfaces(labels: Labels) -> Sequence[object]:
+def _large_surfaces(
+    labels: Labels, progress: Callable[[float], None]
+) -> Sequence[object]:
     """Return the surfaces of the structures that are shown."""
-    with progress_bar("surfaces") as progress:
-        surfaces = labels.surfaces(
-            large_structures(labels), progress, voxel_m=SHOWN_VOXEL_m
-        )
-    return tuple(surfaces.values())
+    names = large_structures(labels)
+    return tuple(labels.surfaces(names, progress, voxel_m=SHOWN_VOXEL_m).values())
 
 
 def _planned_layers(plan: _PlanFile) -> list[Layer]:

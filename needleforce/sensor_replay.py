@@ -1,17 +1,23 @@
-"""The virtual sensor over a log, sample by sample, as on the robot."""
+"""The virtual sensor over a log, sample by sample, as on the robot.
+
+    replay = SensorReplay(robot, config)
+    rows = [replay.run(chunk) for chunk in LogStream(tables, request)]
+    replay.finish(is_whole=True)
+
+Unlike `session_replay` it needs no insertion, takes its tare from any window of the
+log, and keeps what a summary needs, however long the log is.
+"""
 
 import math
 from collections import Counter
-from collections.abc import Sequence
-from dataclasses import replace
+from collections.abc import Callable, Sequence
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import Array
-from needleforce.cli.logs.tare_schedule import TareSchedule, TareWindow
-from needleforce.cli.shared_options import SensorOptions
-from needleforce.cli.terminal import OTHER_ROBOT, CommandError
+from foundation.errors import NeedleforceError
 from needleforce.recordings.log_stream import LogChunk
 from residual import (
     SensorConfig,
@@ -20,19 +26,30 @@ from residual import (
     TareError,
     VirtualForceSensor,
 )
+from residual.bias.model import Tare
 from residual.checks.input import ROUNDING_S
 from residual.estimate import WrenchEstimate
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
+
+AUTOMATIC_TARE_S = 2.0
+"""Without a window of the user's, so much from the start of the log is taken for free
+motion [s]: whoever records an insertion starts before contact, but not long before."""
+
+OTHER_ROBOT = "Load the robot of the log, or name its columns in the `mapping`."
+
+
+class ReplayError(NeedleforceError, ValueError):
+    """A log that is another robot's, or that cannot be tared where it should."""
+
+    usual_advice = "Name another window of free motion, or go without a tare."
+
 
 STATUS_CODES = {status: code for code, status in enumerate(Status)}
 """Numbers of the states in files."""
 
 ROWS_AT_A_TIME = 1000
 """So many estimates are in memory at once."""
-
-MAX_REASONS = 50
-"""Different reasons of rejection that are counted; the others are counted together."""
 
 ForceRows = dict[str, NDArray]
 """Estimates of the rows of a log, by column; numbers are NaN where a row was rejected.
@@ -56,27 +73,214 @@ def has_status(rows: ForceRows, status: Status) -> NDArray[np.bool_]:
     return rows["force_status"] == STATUS_CODES[status]
 
 
+class TareWindow(NamedTuple):
+    """A stretch of motion without contact, and its tare once it was taken.
+
+    Attributes:
+        start_s: Start on the log's clock [s].
+        end_s: End on the log's clock [s].
+        note: In brackets, how it differs from the one that was asked for; mostly empty.
+        tare: The tare; None before it was taken.
+        name: Of the window in messages.
+    """
+
+    start_s: float
+    end_s: float
+    note: str = ""
+    tare: Tare | None = None
+    name: str = "the tare"
+
+    def __str__(self) -> str:
+        return f"{self.start_s:.12g} to {self.end_s:.12g} s"
+
+
+def describe_rejections(rejected: Counter[str]) -> str:
+    """Return how many samples were rejected, and for which reasons; empty if none."""
+    common = rejected.most_common(4)
+    reasons = [f"{count} x {reason}" for reason, count in common]
+    if others := len(rejected) - len(reasons):
+        reasons.append(f"{others} other reasons")
+    return f"{rejected.total()}: {'; '.join(reasons)}" if reasons else ""
+
+
+class _LogTare:
+    """Starts the tare recording and takes the tare when their times come.
+
+    Args:
+        sensor: The sensor that is tared.
+        rejected: Reasons for which samples were rejected, counted by the caller.
+        first_s: Time of the log's first row [s].
+        window: Where it is tared; None for the first free motion.
+        ignore_contact: Whether a tare is taken where contact is seen.
+
+    Attributes:
+        done: The window whose tare was taken; None before.
+
+    Raises:
+        ReplayError: The window lies outside the log.
+    """
+
+    def __init__(
+        self,
+        sensor: VirtualForceSensor,
+        rejected: Counter[str],
+        first_s: float,
+        window: TareWindow | None,
+        *,
+        ignore_contact: bool,
+    ) -> None:
+        self.done: TareWindow | None = None
+        self._sensor = sensor
+        self._first_s = first_s
+        self._ignore_contact = ignore_contact
+        self._rejected = rejected
+        self._rejected_at_start = Counter[str]()
+        self._window: TareWindow | None = None
+        if window is not None:
+            self._require_inside(window, math.inf)
+            self._window = window._replace(start_s=max(window.start_s, first_s))
+        self._is_asked = window is not None
+        self._must_start = self._is_asked
+        self._has_settled = False
+        self._first_used_s = math.nan
+        self._latest_used_s = math.nan
+
+    def before(self, t_s: float) -> None:
+        """Start the recording or take the tare, before the sample of this time [s]."""
+        window = self._window
+        if window is None or self.done is not None:
+            return
+        if self._must_start and t_s >= window.start_s:
+            self._sensor.start_tare_recording()
+            self._rejected_at_start = self._rejected.copy()
+            self._must_start = False
+        if t_s > window.end_s:
+            self._take_tare(window)
+
+    def after(self, t_s: float, status: Status) -> None:
+        """Note whether the filters have settled, after the sample of this time [s].
+
+        Without a window of the user's, the automatic one begins then.
+        """
+        if self._must_start or self.done is not None:
+            return
+        self._latest_used_s = t_s
+        if math.isnan(self._first_used_s):
+            self._first_used_s = t_s
+        if status is not Status.NOT_TARED:
+            return
+        self._has_settled = True
+        if self._window is None:
+            self._window = TareWindow(t_s, t_s + AUTOMATIC_TARE_S)
+
+    def finish(self, last_s: float, *, is_whole: bool) -> None:
+        """Take a tare whose window ends with the log.
+
+        Args:
+            last_s: Time of the log's last row [s].
+            is_whole: The log was read to its end; one that was broken off may end
+                before the window.
+        """
+        window = self._window
+        if self.done is not None:
+            return
+        if window is not None and last_s >= window.end_s:
+            self._take_tare(window)
+        elif is_whole:
+            if window is not None and self._is_asked:
+                self._require_inside(window, last_s)
+            self._refuse_saturated()
+            raise ReplayError(
+                "the log ends before the filters have settled and "
+                f"{AUTOMATIC_TARE_S:g} s of free motion were seen, so it cannot be "
+                f"tared{self._rejections_since_start}"
+            )
+
+    @property
+    def _rejections_since_start(self) -> str:
+        rejected = self._rejected - self._rejected_at_start
+        if not rejected:
+            return ""
+        advice = ""
+        if any(reason.startswith("dq ") for reason in rejected):
+            advice = "; without velocities (dq) they are estimated from q"
+        return f"; samples were rejected, {describe_rejections(rejected)}{advice}"
+
+    def _require_inside(self, window: TareWindow, last_s: float) -> None:
+        """Refuse a window that ends before it starts, or lies outside the log."""
+        first = f"{self._first_s:.12g} s"
+        if not window.start_s < window.end_s:
+            raise ReplayError(
+                f"{window.name}: the start must come before the end in a log whose "
+                f"first stamp is {first}; or the unit of time is wrong"
+            )
+        if self._first_s < window.end_s <= last_s and window.start_s < last_s:
+            return
+        log = f"runs from {first} to {last_s:.12g} s"
+        if math.isinf(last_s):
+            log = f"starts at {first}"
+        raise ReplayError(f"{window.name}: lies outside the log, which {log}")
+
+    def _refuse_saturated(self) -> None:
+        """Refuse torques that were beyond their range from the start, if that shows."""
+        error = self._sensor.explain_saturation()
+        if error is not None:
+            count = self._rejected.total()
+            text = f"no tare: {count} samples were rejected for torques beyond their"
+            raise error.reworded(f"{text} range: {error}")
+
+    def _take_tare(self, window: TareWindow) -> None:
+        """Tare the sensor on what was recorded in a window."""
+        window = self._used_part(window)
+        if not self._has_settled:
+            self._refuse_saturated()
+            raise ReplayError(
+                f"no tare from {window}{window.note}: the filters had not settled by "
+                f"then{self._rejections_since_start}"
+            )
+        try:
+            tare = self._sensor.tare(ignore_contact=self._ignore_contact)
+        except TareError as error:
+            text = f"no tare from {window}{window.note}: {error}"
+            raise error.reworded(text) from error
+        self.done = window._replace(tare=tare)
+
+    def _used_part(self, window: TareWindow) -> TareWindow:
+        """Return the part of a window from which samples were used."""
+        max_unused_s = 0.1  # the filters bridge no longer gap
+        first_s = self._first_used_s
+        latest_s = self._latest_used_s
+        part = window
+        if first_s > window.start_s + max_unused_s:
+            part = part._replace(start_s=first_s)
+        if latest_s < window.end_s - max_unused_s:
+            part = part._replace(end_s=latest_s)
+        if part == window:
+            return window
+        return part._replace(note=f" (of {window}; the rest has no samples to use)")
+
+
 def require_joints(q_rad: Array, robot: Robot) -> None:
     """Refuse a log whose channels have another number of joints than the robot.
 
     Args:
         q_rad: Joint positions of the log, shape (m, n).
-        robot: The robot that the options describe.
+        robot: The robot.
 
     Raises:
-        CommandError: The numbers differ.
+        ReplayError: The numbers differ.
     """
     columns = q_rad.shape[1]
     names = robot.joint_names
     if columns != len(names):
-        raise CommandError(
+        raise ReplayError(
             f"the log has {columns} columns per joint signal, the robot has "
             f"{len(names)} joints: {', '.join(names)}",
             OTHER_ROBOT,
         )
 
 
-class SteadyClock:
+class _SteadyClock:
     """A clock that runs on when the log's clock is set back.
 
     Attributes:
@@ -107,7 +311,7 @@ class SteadyClock:
         return time_s
 
 
-class ToolTravel:
+class _ToolTravel:
     """Travel of the tool along the insertion axis as it stood in the first finite row.
 
     Args:
@@ -139,11 +343,20 @@ class ToolTravel:
 class SensorReplay:
     """The virtual sensor, run over a log of which any number of rows may come at once.
 
+    Args:
+        robot: The robot.
+        config: Settings of the sensor.
+        is_external: The log has the external torque that the robot estimates itself.
+        is_tared: Whether a tare is taken.
+        find_window: Takes the time of the log's first row [s]; returns where it is
+            tared. None: the first `AUTOMATIC_TARE_S` after the filters have settled.
+        ignore_contact: Whether the tare is taken where contact is seen.
+
     Attributes:
         sensor: The sensor.
         robot: Its robot.
         config: Its settings.
-        is_external: The log has the external torque that the robot estimates itself.
+        is_external: As given.
         frame: Link at which forces are estimated.
         tare: The tare that was taken; None before `finish`, or without one.
         rejected: How many samples were rejected, by reason.
@@ -157,12 +370,19 @@ class SensorReplay:
     """
 
     def __init__(
-        self, robot: Robot, config: SensorConfig, options: SensorOptions
+        self,
+        robot: Robot,
+        config: SensorConfig,
+        *,
+        is_external: bool = False,
+        is_tared: bool = True,
+        find_window: Callable[[float], TareWindow] | None = None,
+        ignore_contact: bool = False,
     ) -> None:
         self.sensor = VirtualForceSensor(robot, config)
         self.robot = robot
         self.config = config
-        self.is_external = options.external_torque
+        self.is_external = is_external
         self.frame = config.frame if config.frame is not None else robot.tool_frame
         self.tare: TareWindow | None = None
         self.rejected: Counter[str] = Counter()
@@ -172,13 +392,15 @@ class SensorReplay:
         self.longest_gap_s = 0.0
         self.survives_refusal = False
         self.refusal: TareError | None = None
-        self._options = options
+        self._is_tared = is_tared
+        self._find_window = find_window
+        self._ignore_contact = ignore_contact
         self._has_velocity = False
-        self._travel = ToolTravel(
+        self._travel = _ToolTravel(
             ToolKinematics(robot, config.frame, config.insertion_axis)
         )
-        self._schedule: TareSchedule | None = None
-        self._clock = SteadyClock(0.0)
+        self._clock: _SteadyClock | None = None
+        self._log_tare: _LogTare | None = None
 
     @property
     def description(self) -> str:
@@ -195,13 +417,15 @@ class SensorReplay:
     @property
     def duration_s(self) -> float:
         """Time from the first row to the latest [s], on a clock never set back."""
-        return self._clock.latest_s - self._clock.first_s
+        clock = self._clock
+        return 0.0 if clock is None else clock.latest_s - clock.first_s
 
     def run(self, chunk: LogChunk) -> ForceRows:
         """Return the estimates of further rows, at least one.
 
         Raises:
-            CommandError: The log has other joints than the robot, or the tare fails.
+            ReplayError: The log has other joints than the robot, or cannot be tared.
+            residual.TareError: The tare is refused.
         """
         # An estimate is an object of some kilobytes: few are kept at a time.
         parts = [
@@ -218,14 +442,13 @@ class SensorReplay:
         dq_rad_s = chunk.channels.get("dq_rad_s")
         torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
         self._has_velocity = dq_rad_s is not None
-        if self._schedule is None:
-            self._schedule = self._start(q_rad, float(chunk.t_s[0]))
+        clock = self._clock or self._start(q_rad, float(chunk.t_s[0]))
         estimates: list[WrenchEstimate] = []
         elapsed_s: list[float] = []
         std_of_bias_N: list[float] = []
         steps = zip(chunk.t_s.tolist(), chunk.dt_s.tolist(), strict=True)
         for row, (stamp_s, dt_s) in enumerate(steps):
-            time_s = self._clock.update(stamp_s, dt_s)
+            time_s = clock.update(stamp_s, dt_s)
             advances = dt_s > 0.0
             if advances:
                 self._tare_if_due(time_s)
@@ -238,7 +461,8 @@ class SensorReplay:
                 self._count_rejection(estimate, advances=advances)
             else:
                 elapsed_s.append(self.sensor.elapsed_s)
-                self._schedule.after(time_s, estimate.status)
+                if self._log_tare is not None:
+                    self._log_tare.after(time_s, estimate.status)
                 self._keep_messages(estimate)
         after_gap = np.array(elapsed_s) > self.config.max_gap_s + ROUNDING_S
         self.gaps += np.count_nonzero(after_gap)
@@ -250,12 +474,6 @@ class SensorReplay:
             "after_gap": after_gap,
         }
 
-    def _go_on_without_tare(self, refusal: TareError, first_s: float) -> None:
-        """Keep the reason of a refused tare, and plan no other."""
-        self.refusal = refusal
-        options = replace(self._options, no_tare=True, tare=None)
-        self._schedule = TareSchedule(self.sensor, self.rejected, options, first_s)
-
     def finish(self, *, is_whole: bool) -> None:
         """Take a tare whose window ends with the log.
 
@@ -263,33 +481,48 @@ class SensorReplay:
             is_whole: The log was read to its end.
 
         Raises:
-            CommandError: The tare fails, or a whole log has no room for its window.
+            ReplayError: A whole log has no room for the window.
+            residual.TareError: The tare is refused.
         """
-        if self._schedule is not None:
-            try:
-                self._schedule.finish(self._clock.latest_s, is_whole=is_whole)
-            except TareError as error:
-                if not self.survives_refusal:
-                    raise
-                self.refusal = error
-            self.tare = self._schedule.done
+        log_tare = self._log_tare
+        if log_tare is None or self._clock is None:
+            return
+        try:
+            log_tare.finish(self._clock.latest_s, is_whole=is_whole)
+        except TareError as error:
+            self._survive(error)
+        self.tare = log_tare.done
 
     def _tare_if_due(self, time_s: float) -> None:
         """Start the recording or take the tare, before the sample of this time [s]."""
-        if self._schedule is None:
+        if self._log_tare is None:
             return
         try:
-            self._schedule.before(time_s)
+            self._log_tare.before(time_s)
         except TareError as error:
-            if not self.survives_refusal:
-                raise
-            self._go_on_without_tare(error, self._clock.first_s)
+            self._survive(error)
+            self._log_tare = None
 
-    def _start(self, q_rad: Array, first_s: float) -> TareSchedule:
+    def _survive(self, refusal: TareError) -> None:
+        """Keep why a tare was refused, or raise it."""
+        if not self.survives_refusal:
+            raise refusal
+        self.refusal = refusal
+
+    def _start(self, q_rad: Array, first_s: float) -> _SteadyClock:
         """Check the joints of the first rows, start the clock, and plan the tare."""
         require_joints(q_rad, self.robot)
-        self._clock = SteadyClock(first_s)
-        return TareSchedule(self.sensor, self.rejected, self._options, first_s)
+        if self._is_tared:
+            window = None if self._find_window is None else self._find_window(first_s)
+            self._log_tare = _LogTare(
+                self.sensor,
+                self.rejected,
+                first_s,
+                window,
+                ignore_contact=self._ignore_contact,
+            )
+        self._clock = _SteadyClock(first_s)
+        return self._clock
 
     def _update(
         self, q_rad: Array, dq_rad_s: Array | None, torque_Nm: Array, dt_s: float
@@ -305,7 +538,7 @@ class SensorReplay:
         reason = "time does not advance"
         if advances:
             reason = estimate.message.split(";")[0]
-        if reason not in self.rejected and len(self.rejected) >= MAX_REASONS:
+        if reason not in self.rejected and len(self.rejected) >= 50:  # of bounded size
             reason = "other reasons"
         self.rejected[reason] += 1
 

@@ -14,39 +14,6 @@ from needleforce.anatomy import Labels, Layer, Structure, Volume
 PIXEL_m = 7e-4
 """Size of a pixel."""
 
-BESIDE_m = 0.08
-"""How far the planes along the path reach to either side."""
-
-BEFORE_m = 0.025
-"""How far they begin before the skin."""
-
-BEHIND_m = 0.05
-"""How far they reach behind the target."""
-
-PROBE_HALF_m = 0.045
-"""Half the edge of a slice across the path."""
-
-PROBE_SLICES = 6
-"""Slices across the path, from the skin to the target."""
-
-WINDOW_HU = (-160.0, 240.0)
-"""From black to white: soft tissue."""
-
-AIR_HU = -1000.0
-"""Of what lies outside the scan."""
-
-MIN_PIXELS = 40
-"""Structures with fewer pixels in a plane get no outline."""
-
-PLAIN = ("fat", "lean", "body", "skin")
-"""Structures without an outline: the CT shows them, and they surround everything."""
-
-HEAD_UP = np.array([0.0, 0.0, 1.0])
-BACK = np.array([0.0, 1.0, 0.0])
-MAX_COSINE = 0.9
-"""Of the angle between the path and the direction that is up; above it another one
-is."""
-
 PATH_COLOUR = "#ffd400"
 """Of the needle: seen on grey by all."""
 
@@ -54,20 +21,6 @@ RUPTURE_COLOUR = "#56b4e9"
 """Of what was found on the way."""
 
 M_TO_MM = 1e3
-
-
-class ScannedBody(Protocol):
-    """CT and labels, such as a `PatientCase`."""
-
-    @property
-    def scan(self) -> Volume:
-        """The CT."""
-        ...
-
-    @property
-    def labels(self) -> Labels:
-        """The segmentation."""
-        ...
 
 
 class DrawnPath(Protocol):
@@ -94,20 +47,6 @@ class DrawnPath(Protocol):
         ...
 
 
-class PathFrame(NamedTuple):
-    """Directions of a path.
-
-    Attributes:
-        axis: From entry to target, (3,).
-        side: Across it, (3,).
-        up: Across both, (3,).
-    """
-
-    axis: Array
-    side: Array
-    up: Array
-
-
 class Plane(NamedTuple):
     """A plane through the patient.
 
@@ -131,17 +70,23 @@ class Plane(NamedTuple):
         return (columns_mm[0], columns_mm[-1], rows_mm[-1], rows_mm[0])
 
 
-def path_frame(path: DrawnPath) -> PathFrame:
-    """Return the directions of a path: up is to the head, as far as it can be."""
+def _find_frame(path: DrawnPath) -> tuple[Array, Array, Array]:
+    """Return the directions of a path: along it, to the side, and up.
+
+    Up is to the head, as far as it can be; to the back where the path nearly runs to
+    the head.
+    """
     axis = (path.target_m - path.entry_m) / path.length_m
-    towards = BACK if abs(axis @ HEAD_UP) > MAX_COSINE else HEAD_UP
+    head = np.array([0.0, 0.0, 1.0])
+    towards = np.array([0.0, 1.0, 0.0]) if abs(axis @ head) > 0.9 else head
     up = towards - (towards @ axis) * axis
     up /= np.linalg.norm(up)
-    return PathFrame(axis, np.cross(axis, up), up)
+    return axis, np.cross(axis, up), up
 
 
 def draw_along(
-    case: ScannedBody,
+    scan: Volume,
+    labels: Labels,
     path: DrawnPath,
     place: Path,
     *,
@@ -151,7 +96,8 @@ def draw_along(
     """Draw the two planes that hold the path into a file; return its name.
 
     Args:
-        case: CT and labels.
+        scan: The CT.
+        labels: The segmentation.
         path: The path.
         place: The file.
         ruptures_m: Depths of ruptures below the entry.
@@ -159,17 +105,18 @@ def draw_along(
     """
     import matplotlib.pyplot as plt
 
-    frame = path_frame(path)
-    along_m = np.arange(-BEFORE_m, path.length_m + BEHIND_m, PIXEL_m)
-    across_m = np.arange(-BESIDE_m, BESIDE_m, PIXEL_m)
+    axis, side, up = _find_frame(path)
+    before_m = 0.025  # shown in front of the skin
+    along_m = np.arange(-before_m, path.length_m + 0.05, PIXEL_m)
+    across_m = np.arange(-0.08, 0.08, PIXEL_m)
     figure, panels = plt.subplots(1, 2, figsize=(6.4, 3.9), layout="constrained")
     structures: dict[str, Structure] = {}
-    directions = {"towards side": frame.side, "towards head": frame.up}
+    directions = {"towards side": side, "towards head": up}
     for axes, (name, direction) in zip(panels, directions.items(), strict=True):
-        plane = _cut(case, path.entry_m, frame.axis, direction, along_m, across_m)
-        structures |= _draw_plane(axes, case.labels, plane)
+        plane = _cut(scan, labels, path.entry_m, axis, direction, along_m, across_m)
+        structures |= _draw_plane(axes, labels, plane)
         length_mm = M_TO_MM * path.length_m
-        axes.plot([0.0, 0.0], [-M_TO_MM * BEFORE_m, length_mm], color=PATH_COLOUR)
+        axes.plot([0.0, 0.0], [-M_TO_MM * before_m, length_mm], color=PATH_COLOUR)
         axes.plot(0.0, length_mm, "o", mfc="none", mec=PATH_COLOUR, ms=10)
         for layer in path.layers[:-1]:
             axes.plot([-4.0, 4.0], [M_TO_MM * layer.exit_m] * 2, color=PATH_COLOUR)
@@ -187,12 +134,13 @@ def draw_along(
 
 
 def draw_probe_view(
-    case: ScannedBody, path: DrawnPath, needed_m: float, place: Path
+    scan: Volume, labels: Labels, path: DrawnPath, needed_m: float, place: Path
 ) -> Path:
     """Draw slices across the path as the needle sees them; return the file's name.
 
     Args:
-        case: CT and labels.
+        scan: The CT.
+        labels: The segmentation.
         path: The path.
         needed_m: Radius that stays clear about the path.
         place: The file.
@@ -200,16 +148,17 @@ def draw_probe_view(
     import matplotlib.pyplot as plt
     from matplotlib.patches import Circle
 
-    frame = path_frame(path)
-    span_m = np.arange(-PROBE_HALF_m, PROBE_HALF_m, PIXEL_m)
+    axis, side, up = _find_frame(path)
+    half_m = 0.045  # half the edge of a slice
+    span_m = np.arange(-half_m, half_m, PIXEL_m)
     figure, panels = plt.subplots(2, 3, figsize=(6.4, 5.4), layout="constrained")
     structures: dict[str, Structure] = {}
-    depths_m = np.linspace(0.0, path.length_m, PROBE_SLICES)
+    depths_m = np.linspace(0.0, path.length_m, panels.size)
     for axes, depth_m in zip(panels.flat, depths_m.tolist(), strict=True):
-        centre_m = path.entry_m + depth_m * frame.axis
+        centre_m = path.entry_m + depth_m * axis
         # Rows run downwards in a picture, and up is to the head.
-        plane = _cut(case, centre_m, -frame.up, frame.side, span_m, span_m)
-        structures |= _draw_plane(axes, case.labels, plane)
+        plane = _cut(scan, labels, centre_m, -up, side, span_m, span_m)
+        structures |= _draw_plane(axes, labels, plane)
         axes.add_patch(
             Circle((0.0, 0.0), M_TO_MM * needed_m, fill=False, color=PATH_COLOUR)
         )
@@ -217,7 +166,7 @@ def draw_probe_view(
         axes.set(
             title=f"{M_TO_MM * depth_m:.0f} mm", xlabel="side [mm]", ylabel="head [mm]"
         )
-        axes.set_ylim(M_TO_MM * PROBE_HALF_m, -M_TO_MM * PROBE_HALF_m)
+        axes.set_ylim(M_TO_MM * half_m, -M_TO_MM * half_m)
         axes.yaxis.set_major_formatter(lambda value, _: f"{0.0 - value:.0f}")
     _add_legend(figure, structures)
     figure.savefig(place, dpi=200)
@@ -226,7 +175,8 @@ def draw_probe_view(
 
 
 def _cut(
-    case: ScannedBody,
+    scan: Volume,
+    labels: Labels,
     centre_m: Array,
     row_axis: Array,
     column_axis: Array,
@@ -239,12 +189,11 @@ def _cut(
         + rows_m[:, None, None] * row_axis
         + columns_m[None, :, None] * column_axis
     )
-    index = np.moveaxis(case.scan.grid.indices(points_m), -1, 0)
-    values_HU = np.full(index.shape[1:], AIR_HU)
-    ndimage.map_coordinates(
-        case.scan.values, index, output=values_HU, order=1, cval=AIR_HU
-    )
-    return Plane(rows_m, columns_m, values_HU, _owners(case.labels, points_m))
+    index = np.moveaxis(scan.grid.indices(points_m), -1, 0)
+    air_HU = -1000.0  # outside the scan
+    values_HU = np.full(index.shape[1:], air_HU)
+    ndimage.map_coordinates(scan.values, index, output=values_HU, order=1, cval=air_HU)
+    return Plane(rows_m, columns_m, values_HU, _owners(labels, points_m))
 
 
 def _owners(labels: Labels, points_m: Array) -> NDArray[np.intp]:
@@ -253,7 +202,9 @@ def _owners(labels: Labels, points_m: Array) -> NDArray[np.intp]:
     is_valid = np.all((index >= 0) & (index < labels.grid.shape), axis=-1)
     voxels = tuple(np.moveaxis(np.where(is_valid[..., None], index, 0), -1, 0))
     owners = np.full(is_valid.shape, -1)
-    order = sorted(range(len(labels.structures)), key=lambda n: -_voxels(labels, n))
+    order = sorted(
+        range(len(labels.structures)), key=lambda n: -labels.structures[n].voxels
+    )
     for number in order:
         item = labels.structures[number]
         is_inside = labels.volumes[item.volume][voxels] == item.value
@@ -261,24 +212,23 @@ def _owners(labels: Labels, points_m: Array) -> NDArray[np.intp]:
     return owners
 
 
-def _voxels(labels: Labels, number: int) -> int:
-    return labels.structures[number].voxels
-
-
 def _draw_plane(axes: Any, labels: Labels, plane: Plane) -> dict[str, Structure]:
     """Draw a plane of the CT with the outlines of structures; return these by name."""
     axes.imshow(
         plane.values_HU,
         cmap="gray",
-        vmin=WINDOW_HU[0],
-        vmax=WINDOW_HU[1],
+        vmin=-160.0,  # HU: from black to white, soft tissue
+        vmax=240.0,
         extent=plane.extent_mm,
         aspect="equal",
     )
+    # The CT shows these, and they surround everything.
+    plain = ("fat", "lean", "body", "skin")
+    min_pixels = 40  # of an outline
     drawn: dict[str, Structure] = {}
     for number, item in enumerate(labels.structures):
         is_owned = plane.owners == number
-        if item.name in PLAIN or np.count_nonzero(is_owned) < MIN_PIXELS:
+        if item.name in plain or np.count_nonzero(is_owned) < min_pixels:
             continue
         axes.contour(
             M_TO_MM * plane.columns_m,

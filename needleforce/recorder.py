@@ -1,5 +1,9 @@
 """A recording written by a process of its own: the loop with the arm never waits.
 
+    with Recorder(Path("arm.mcap"), robot.joint_names) as recorder:
+        for sample in arm:
+            recorder.put(sample)
+
 Fifty samples take a bag some milliseconds to write, more than the millisecond in which
 an arm needs its answer.
 """
@@ -19,7 +23,7 @@ from typing import Any, Self
 
 import numpy as np
 
-from needleforce.cli.terminal import CHECK_ARM, OTHER_PLACE, CommandError
+from foundation.errors import NeedleforceError
 from needleforce.devices import ArmReading
 from needleforce.recordings.output import check_writable, open_table
 from needleforce.recordings.table import TableLabels
@@ -40,6 +44,10 @@ Chunks = SimpleQueue[dict[str, Any] | None]
 
 NO_LABELS = TableLabels()
 """Of a recording that does not show the arm."""
+
+
+class RecorderError(NeedleforceError, RuntimeError):
+    """A recording that cannot go on; what was put before is in its file."""
 
 
 class Recorder:
@@ -101,9 +109,9 @@ class Recorder:
         """Take a sample, in microseconds."""
         fields = [field for field in COLUMNS if getattr(sample, field) is not None]
         if self.rows and fields != self._fields:
-            raise CommandError(
+            raise RecorderError(
                 f"samples had {self._fields}, one has {fields}, expected the same",
-                CHECK_ARM,
+                "Check that the arm runs, and sends the same signals in every sample.",
             )
         self._fields = fields
         self.time_s += sample.dt_s if self.rows else 0.0
@@ -122,8 +130,9 @@ class Recorder:
         try:
             error = self._answers.recv()
         except EOFError:
-            error = CommandError(
-                "the process that writes the recording has ended", OTHER_PLACE
+            error = RecorderError(
+                "the process that writes the recording has ended",
+                "Make room on the disk, or give another place.",
             )
         if error is not None:
             raise error

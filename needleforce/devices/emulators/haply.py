@@ -1,4 +1,4 @@
-"""An emulator of the service of `haply`, with one device in an operator's hand."""
+"""An emulator of the service of `devices.haply`: one device, in an operator's hand."""
 
 import json
 import threading

@@ -1,4 +1,4 @@
-"""An emulator of a Net F/T box, which speaks the protocol of `rdt`."""
+"""An emulator of a Net F/T box, which speaks the protocol of `devices.rdt`."""
 
 import threading
 import time
@@ -12,13 +12,10 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.devices import rdt
 from needleforce.devices.datagram_link import LOOPBACK, Datagram
-from needleforce.devices.emulators import FaultyWire, WireFaults
+from needleforce.devices.emulators.wire import FaultyWire, WireFaults
 
 DEFAULT_SCALE = rdt.Scale(per_N=1e6, per_Nm=1e6)
 """Of the emulated sensor, unless said otherwise."""
-
-REQUEST_WAIT_S = 1e-3
-"""So long the box listens for requests before it sends what is due."""
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -51,7 +48,8 @@ def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
     pipe.send({"port": box.wire.address.port, "page": page})
     while not pipe.poll():
         box.send_due_records()
-        for datagram in box.wire.received(time.monotonic() + REQUEST_WAIT_S):
+        # It listens for requests for a millisecond before it sends what is due.
+        for datagram in box.wire.received(time.monotonic() + 1e-3):
             box.take_request(datagram)
 
     return {"records": box.record_count, "sent": box.wire.sent}

@@ -18,20 +18,9 @@ from numpy.typing import ArrayLike, NDArray
 from foundation.arrays import Array
 from needleforce.anatomy import Grid, Labels, Layer, Registration, Volume
 
-MAX_SHIFT_m = 0.1e-3
-"""By so much corners of a grid may lie elsewhere: files hold decimals."""
-
-MAX_LAYER_SHIFT_m = 2e-3
-"""By so much a boundary may lie elsewhere in labels that were touched up."""
-
 SKIN_m = 5e-3
 """So far in front of the entry there is air, also where skin lies between voxels."""
 
-MAX_POINT_SHIFT_m = 0.1e-3
-"""By so much entry and target may lie elsewhere in the robot's base than registered."""
-
-MAX_ERROR_RATIO = 1.01
-"""By this factor an error of the covariance may differ from the registered one."""
 
 AGAIN = "plan again with `needleforce plan`, and register"
 
@@ -163,6 +152,8 @@ def check_files(
 
 def _require_geometry(name: str, now: Grid, then: Grid) -> None:
     """Refuse a volume that lies elsewhere than the one that a plan was made of."""
+    # By so much corners of a grid may lie elsewhere: files hold decimals
+    max_shift_m = 0.1e-3
     if now.shape != then.shape:
         voxels_then = " x ".join(map(str, then.shape))
         voxels_now = " x ".join(map(str, now.shape))
@@ -171,7 +162,7 @@ def _require_geometry(name: str, now: Grid, then: Grid) -> None:
             f"{voxels_now}: another patient or scan; {AGAIN}"
         )
     shift_m = float(np.linalg.norm(now.corners_m() - then.corners_m(), axis=1).max())
-    if shift_m > MAX_SHIFT_m:
+    if shift_m > max_shift_m:
         raise ValueError(
             f"{1e3 * shift_m:.1f} mm lie between the {name} now and when the plan was "
             f"made: another scan; {AGAIN}"
@@ -201,6 +192,8 @@ def _is_inside(labels: Labels, point_m: Array) -> bool:
 
 def _require_layers(now: Sequence[Layer], then: Sequence[Layer], text: str) -> None:
     """Refuse a plan whose layers are not those along its path."""
+    # By so much a boundary may lie elsewhere in labels that were touched up
+    max_layer_shift_m = 2e-3
     names_now = [layer.name for layer in now]
     names_then = [layer.name for layer in then]
     if names_now != names_then:
@@ -209,7 +202,7 @@ def _require_layers(now: Sequence[Layer], then: Sequence[Layer], text: str) -> N
             f"{', '.join(names_then)} as the plan says; {AGAIN}"
         )
     for one, other in zip(now, then, strict=True):
-        if abs(one.exit_m - other.exit_m) > MAX_LAYER_SHIFT_m:
+        if abs(one.exit_m - other.exit_m) > max_layer_shift_m:
             raise ValueError(
                 f"{text}, and {one.name} ends at {1e3 * one.exit_m:.1f} mm, not at "
                 f"{1e3 * other.exit_m:.1f} mm as the plan says; {AGAIN}"
@@ -249,6 +242,10 @@ def check_registration(
     Raises:
         ValueError: A place or an error is not the registered one.
     """
+    # By this factor an error of the covariance may differ from the registered one
+    max_error_ratio = 1.01
+    # By so much entry and target may lie elsewhere in the robot's base than registered
+    max_point_shift_m = 0.1e-3
     again = "register again with `needleforce register`"
     try:
         place = msgspec.convert(registered, RegisteredPlace)
@@ -264,14 +261,14 @@ def check_registration(
         ("target", target_m, place.target_in_base_m, place.target_error_rms_m),
     ):
         shift_m = float(np.linalg.norm(registration.to_robot(point_m) - then_m))
-        if shift_m > MAX_POINT_SHIFT_m:
+        if shift_m > max_point_shift_m:
             raise ValueError(
                 f"its {name} lies {1e3 * shift_m:.1f} mm from where it was registered "
                 "in the robot's base: rotation, translation or path were changed (RAS "
                 f"for LPS, ends exchanged, a point moved?); {again}"
             )
         now_m = registration.tre_m(point_m)
-        if not error_m / MAX_ERROR_RATIO <= now_m <= error_m * MAX_ERROR_RATIO:
+        if not error_m / max_error_ratio <= now_m <= error_m * max_error_ratio:
             raise ValueError(
                 f"its covariance says {1e3 * now_m:.3g} mm error at the {name}, its "
                 f"registration {1e3 * error_m:.3g} mm: the covariance was changed; "
