@@ -130,6 +130,7 @@ def test_a_component_with_an_older_rupture_denies_the_alarm():
         layer=1,
         probability=0.99,
         alarm=Alarm(time_s=3.0, since_reset_s=3.0, depth_m=0.012),
+        contact_std_mm=0.1,
     )
     evidence = weigh_evidence(mixture, alarm, 1)
 
