@@ -1004,7 +1004,12 @@ class InsertionSession:
             self._identifier.doubt_zero(doubted_N, JUMP_SEEN_S)
 
     def _watch_air(self, wrench: WrenchEstimate, elapsed_s: float) -> None:
-        """Look for a force where none can be; let the identifier doubt its zero."""
+        """Look for a force where none can be; let the identifier doubt its zero.
+
+        The published method is told of no contact, so it never leaves the air.
+        """
+        if not self._is_watched:
+            return
         contact_m = self._contact_m
         is_in_air = contact_m is None or self._travel.depth_m < contact_m - _OUTSIDE_M
         if not is_in_air or self._course.channel is not None:
