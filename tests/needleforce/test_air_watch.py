@@ -4,6 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from identification import MULTILAYER, PUBLISHED
 from needleforce import InsertionSession, SensorWarning
 from needleforce.air_watch import AirWatch
 from tests.insertion_run import samples, short_run, tare_index
@@ -72,3 +73,19 @@ def test_a_payload_gripped_anew_after_the_tare_is_said_before_the_entry():
     assert SensorWarning.UNEXPLAINED in estimates[touched - 50].warnings
     assert np.mean(np.abs(error_N) < 2.0 * std_N) > 0.95
     assert session.snapshot().air.doubt_N > 0.05
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+def test_nothing_is_unexplained_in_an_undisturbed_insertion(config):
+    run = short_run()
+    tare = tare_index(run)
+    touched = int(np.searchsorted(run.signals.t_s, run.truth.contact_s))
+    session = InsertionSession(run.robot, identifier_config=config)
+    for k, (q, dq, tau, dt_s) in samples(run):
+        if k == tare:
+            session.tare()
+        estimate = session.update(q, dq, tau, dt_s)
+        assert SensorWarning.UNEXPLAINED not in estimate.wrench.warnings
+        if k == touched + 5_000:
+            break
