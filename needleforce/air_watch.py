@@ -62,7 +62,7 @@ class AirWatch(NamedTuple):
 
     def in_tissue(self) -> "AirWatch":
         """Return the same where the needle has met tissue: the doubt stays."""
-        return AirWatch(doubt_N=self.doubt_N)
+        return AirWatch(mean_N=self.mean_N, doubt_N=self.doubt_N)
 
 
 FIRST_AIR_WATCH = AirWatch()

@@ -1013,7 +1013,7 @@ class InsertionSession:
         contact_m = self._contact_m
         is_in_air = contact_m is None or self._travel.depth_m < contact_m - _OUTSIDE_M
         if not is_in_air or self._course.channel is not None:
-            if self._air.mean_N != 0.0:
+            if self._air.odd_s + self._air.quiet_s > 0.0:
                 self._air = self._air.in_tissue()
             return
         was_odd = self._air.doubt_N > 0.0
