@@ -68,8 +68,8 @@ def touch(folder, seed, count, noise_m):
 @pytest.mark.parametrize(
     ("seed", "count", "noise_m", "is_accurate"),
     [
-        (1001, 100, 0.5e-3, True),
-        (1004, 200, 0.3e-3, True),
+        (1001, 200, 0.1e-3, True),
+        (1004, 200, 0.1e-3, True),
         (1000, 40, 0.5e-3, False),
         (1002, 15, 0.5e-3, False),
         (1003, 15, 0.5e-3, False),

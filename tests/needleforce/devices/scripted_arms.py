@@ -355,4 +355,6 @@ def drive(name, end, path):
 
 
 if __name__ == "__main__":
+    # A shell lets what it starts in the background ignore this signal.
+    signal.signal(signal.SIGINT, signal.default_int_handler)
     drive(*sys.argv[1:])
