@@ -243,7 +243,6 @@ JUMP_SEEN_S = 0.6
 """Within it a changed zero is noticed: a rupture since may be that change."""
 
 _OUTSIDE_M = 2e-3  # In front of the first contact the tissue is left behind for sure
-_TISSUE_SIGMAS = 3.0  # Deviations of a force that shows that the tip is in tissue
 
 
 class InsertionSession:

@@ -29,6 +29,7 @@ from benchmarks.results import Figure, make_figures
 from identification.estimate import SampleStatus
 from identification.multilayer import method as multilayer
 from identification.multilayer.hard_contact import HardContactState
+from identification.multilayer.innovation_watch import InnovationWatch
 from identification.multilayer.needle_pull import NeedlePull
 from identification.multilayer.noise_levels import Texture
 from identification.multilayer.rest_force import RestForce
@@ -97,6 +98,9 @@ PARTS: Mapping[str, Callable[[], tuple[Any, ...]]] = {
     ),
     "texture": lambda: (patch.object(Texture, "with_force", _unchanged),),
     "own speed": lambda: (_no_own_speed(),),
+    "innovations": lambda: (
+        patch.object(InnovationWatch, "with_innovation", _unchanged),
+    ),
     "waiting for the speed": lambda: (
         patch.object(multilayer, "may_be_braking", lambda *_: False),
     ),
