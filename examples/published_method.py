@@ -9,7 +9,7 @@ import matplotlib.pyplot as plt
 import numpy as np
 
 from groundtruth import insert_needle
-from identification import MULTILAYER, PUBLISHED, replay
+from identification import MIXTURE, PUBLISHED, replay
 
 run = insert_needle("stack-constant", rate_hz=200.0)
 inserting = (run.depth_m > 0.0) & (run.speed_m_s > 1e-4)
@@ -22,7 +22,7 @@ for layer in range(1, len(run.scenario.layers) + 1):
 true_N = (run.truth.axial_N - friction_N.sum(axis=1))[inserting]
 
 plt.plot(depth_mm, run.force_N[inserting], color="lightgray", label="measured force")
-for config, name in ((PUBLISHED, "published"), (MULTILAYER, "ours")):
+for config, name in ((PUBLISHED, "published"), (MIXTURE, "ours")):
     result = replay(run.t_s, run.depth_m, run.force_N, run.speed_m_s, config)
     enhanced_N = np.array([estimate.enhanced_force_N for estimate in result.estimates])
     enhanced_N = enhanced_N[inserting]

@@ -4,7 +4,7 @@ The law takes depth and speed of the tip and returns the force.
 
 It has ruptures of finite travel, membranes, cutting, presliding and relaxation. It is
 not the law that the published method identifies (equation 3): it shares the geometry
-with it and, at each layer's reference speed, the shaft friction. Our multilayer
+with it and, at each layer's reference speed, the shaft friction. Our mixture
 estimator does share its form (cutting onset, release, presliding), so
 `groundtruth.variations` departs from it.
 """

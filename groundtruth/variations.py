@@ -1,4 +1,4 @@
-"""Tissues outside the law that our multilayer estimator assumes, each with its source.
+"""Tissues outside the law that our mixture estimator assumes, each with its source.
 
 A catalogued layer has a nearly linear tip force that is released at once and
 altogether, friction in proportion to the embedded length, no texture, and half of its

@@ -8,16 +8,16 @@ force at the tip.
     estimate = identifier.update(depth_m, speed_m_s, force_N, dt_s)
 
 Reading order: `identifier`, `sample_check` (which samples are not used, such as those
-with a NaN), `travel_filter`; the multi-layer method in the package `multilayer`; the
-published method, online and offline, in `published`; `channel` (a needle that comes
+with a NaN), `travel_filter`; the mixture of event hypotheses in the package `mixture`;
+the published method, online and offline, in `published`; `channel` (a needle that comes
 back to its channel).
 """
 
 from identification.config import (
-    MULTILAYER,
+    MIXTURE,
     PUBLISHED,
     PUBLISHED_KV,
-    MultilayerConfig,
+    MixtureConfig,
     PublishedConfig,
 )
 from identification.errors import IdentificationError
@@ -40,7 +40,7 @@ from identification.published.offline import (
 )
 
 __all__ = [
-    "MULTILAYER",
+    "MIXTURE",
     "PUBLISHED",
     "PUBLISHED_KV",
     "Estimate",
@@ -49,7 +49,7 @@ __all__ = [
     "Identifier",
     "LayerEstimate",
     "LayerSpan",
-    "MultilayerConfig",
+    "MixtureConfig",
     "OfflineIdentification",
     "OfflineLayer",
     "PublishedConfig",

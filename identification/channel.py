@@ -11,9 +11,9 @@ from typing import NamedTuple
 
 from foundation.records import read_column
 from identification.identifier import Snapshot
-from identification.multilayer.evidence import MM_PER_M
-from identification.multilayer.force_model import MEMBRANE, OFFSET
-from identification.multilayer.method import MultilayerState
+from identification.mixture.evidence import MM_PER_M
+from identification.mixture.force_model import MEMBRANE, OFFSET
+from identification.mixture.method import MixtureMethodState
 from identification.published.state import PublishedState
 from identification.sample_check import CheckState
 from identification.travel_filter import TravelState
@@ -52,7 +52,7 @@ def has_cut(snapshot: Snapshot) -> bool:
     It is never known of the published method.
     """
     state = snapshot.state
-    if not isinstance(state, MultilayerState) or not state.posterior.in_contact:
+    if not isinstance(state, MixtureMethodState) or not state.posterior.in_contact:
         return False
     mixture = state.mixture.mixture
     likeliest = int(mixture.log_weights.argmax())
@@ -68,7 +68,7 @@ def read_friction(channel: Snapshot) -> ChannelFriction | None:
         channel: State of the identifier when the needle left the channel.
     """
     state = channel.state
-    if not isinstance(state, MultilayerState):
+    if not isinstance(state, MixtureMethodState):
         return None
     shaft = state.posterior.shaft
     return ChannelFriction(
@@ -119,7 +119,7 @@ def continue_channel(
 
 def _with_offset(
     channel: Snapshot, present: Snapshot
-) -> PublishedState | MultilayerState:
+) -> PublishedState | MixtureMethodState:
     """Return a channel's state with the force in free air that is measured now.
 
     Since the channel was left the sensor may have drifted, or have been tared. Where
@@ -128,8 +128,8 @@ def _with_offset(
     state = channel.state
     in_air = present.state
     if not (
-        isinstance(state, MultilayerState)
-        and isinstance(in_air, MultilayerState)
+        isinstance(state, MixtureMethodState)
+        and isinstance(in_air, MixtureMethodState)
         and not in_air.posterior.in_contact
     ):
         return state

@@ -71,8 +71,8 @@ class CheckConfig:
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
-class MultilayerConfig:
-    """Settings of the multi-layer method; its physical priors stand where they act.
+class MixtureConfig:
+    """Settings of the mixture; its physical priors stand where they act.
 
     Attributes:
         alarm_probability: Of one more rupture, at which an alarm is raised. Chosen: if
@@ -81,7 +81,7 @@ class MultilayerConfig:
         provisional_probability: The same for a provisional alarm, at most as large.
         hard_contact_N_per_m: Growth of the force per travel beyond which a contact is
             hard, as bone: twice what a tip of 18 G meets in cartilage, see
-            `multilayer.hard_contact`.
+            `mixture.hard_contact`.
         check: Limits of a plausible sample.
     """
 
@@ -105,7 +105,7 @@ class MultilayerConfig:
             )
 
 
-MULTILAYER = MultilayerConfig()
+MIXTURE = MixtureConfig()
 """For simulated and real, force-torque and virtual sensors alike."""
 
 
@@ -165,7 +165,7 @@ class PublishedConfig:
 
 
 PUBLISHED = PublishedConfig()
-"""The multi-layer model with the published settings."""
+"""The multi-layer model of the paper with the published settings."""
 
 PUBLISHED_KV = PublishedConfig(model="kv")
 """The Kelvin-Voigt model with the published settings (blue line of Figure 8)."""

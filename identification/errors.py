@@ -11,7 +11,7 @@ class IdentificationError(NeedleforceError):
     """Base of every error raised by `identification`."""
 
     usual_advice = (
-        "Correct the field of `MultilayerConfig` or `PublishedConfig` that the "
+        "Correct the field of `MixtureConfig` or `PublishedConfig` that the "
         "message names."
     )
 

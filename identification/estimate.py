@@ -46,7 +46,7 @@ class TissueWarning(IntFlag):
     layer becomes final, and standard deviations hold half of the swing of the force."""
     HARD_CONTACT = 2
     """The tip is at something harder than soft tissue, such as bone: the force has
-    grown faster per travel than `MultilayerConfig.hard_contact_N_per_m`."""
+    grown faster per travel than `MixtureConfig.hard_contact_N_per_m`."""
     UNEXPLAINED = 4
     """No hypothesis explains the force: it differs from what all predict by more than
     the deviation stated for the tip's force. The cause has no name; deviations hold
@@ -78,7 +78,7 @@ class Rupture:
         probability: That the tissue ruptured there and it is no chance of the signal, 0
             to 1; of a retracted one, what is left of it.
         is_final: Whether it is settled: while False it may still be retracted.
-        contact_depth_m: Depth of first contact: found by the multi-layer method, known
+        contact_depth_m: Depth of first contact: found by the mixture, known
             beforehand in `published`.
         contact_depth_std_m: Standard deviation of that depth, None in `published`.
     """
@@ -100,7 +100,7 @@ class Rupture:
 class LayerEstimate:
     """A layer that has been traversed, as known now.
 
-    The multi-layer method reports a layer twice: provisionally, a millimetre after its
+    The mixture reports a layer twice: provisionally, a millimetre after its
     rupture, and finally, some millimetres later. The values are those at the rupture's
     speed. Standard deviations are None where the method states none (`published`).
 

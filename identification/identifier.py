@@ -1,6 +1,6 @@
 """The online identifier: check a sample, filter its travel, ask the method, report.
 
-The methods stand in `identification.multilayer` and `identification.published`.
+The methods stand in `identification.mixture` and `identification.published`.
 """
 
 import math
@@ -12,7 +12,7 @@ from typing import Any, NamedTuple, Protocol
 from foundation.jit import compile_waiting
 from foundation.records import as_record, from_record, read_field
 from foundation.state import SAME_KIND, StateError, check_state
-from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
+from identification.config import MIXTURE, MixtureConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import (
     NO_EVENTS,
@@ -27,7 +27,7 @@ from identification.estimate import (
     TissueWarning,
     make_estimate,
 )
-from identification.multilayer.method import MultilayerMethod, MultilayerState
+from identification.mixture.method import MixtureMethod, MixtureMethodState
 from identification.published.state import PublishedState
 from identification.sample_check import STATUSES, CheckState, as_scalar
 from identification.travel_filter import TravelState, process_sample
@@ -97,21 +97,21 @@ class Method(Protocol):
         ...
 
 
-def make_method(config: MultilayerConfig | PublishedConfig) -> Method:
+def make_method(config: MixtureConfig | PublishedConfig) -> Method:
     """Return a new method of a configuration.
 
     Raises:
         InvalidConfigError: Another type of configuration.
     """
-    if type(config) is MultilayerConfig:
-        return MultilayerMethod(config)
+    if type(config) is MixtureConfig:
+        return MixtureMethod(config)
     if type(config) is PublishedConfig:
         # Imported here: what only it needs is compiled when it is asked for.
         from identification.published.online import PublishedMethod
 
         return PublishedMethod(config)
     raise InvalidConfigError(
-        "config must be one of MultilayerConfig, PublishedConfig, got "
+        "config must be one of MixtureConfig, PublishedConfig, got "
         f"{type(config).__name__}"
     )
 
@@ -127,10 +127,10 @@ class Snapshot(NamedTuple):
         last: Last estimate.
     """
 
-    config: MultilayerConfig | PublishedConfig
+    config: MixtureConfig | PublishedConfig
     check: CheckState
     travel: TravelState
-    state: PublishedState | MultilayerState
+    state: PublishedState | MixtureMethodState
     last: Estimate
 
 
@@ -144,11 +144,11 @@ class Identifier:
 
     __copy__ = deepcopy  # A shallow copy would share what every sample changes
 
-    def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
+    def __init__(self, config: MixtureConfig | PublishedConfig = MIXTURE) -> None:
         """Choose the method by its configuration.
 
         Args:
-            config: `MULTILAYER` or `PUBLISHED`, or one of these with changed fields.
+            config: `MIXTURE` or `PUBLISHED`, or one of these with changed fields.
 
         Raises:
             InvalidConfigError: Another type of configuration.

@@ -9,7 +9,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from foundation.errors import Suspicion
-from identification.config import MULTILAYER, MultilayerConfig, PublishedConfig
+from identification.config import MIXTURE, MixtureConfig, PublishedConfig
 from identification.estimate import Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
 from identification.published.offline import read_column
@@ -136,10 +136,10 @@ class ReplayStream:
     Estimates, ruptures and layers are on the clock of the recording.
 
     Args:
-        config: `MULTILAYER`, `PUBLISHED` or a variant.
+        config: `MIXTURE`, `PUBLISHED` or a variant.
     """
 
-    def __init__(self, config: MultilayerConfig | PublishedConfig = MULTILAYER) -> None:
+    def __init__(self, config: MixtureConfig | PublishedConfig = MIXTURE) -> None:
         self._identifier = Identifier(config)
         self._signs = SignCheck()
         self._min_gap_s = float(config.check.gap_s)
@@ -250,7 +250,7 @@ def replay(
     depth_m: ArrayLike,
     force_N: ArrayLike,
     speed_m_s: ArrayLike | None = None,
-    config: MultilayerConfig | PublishedConfig = MULTILAYER,
+    config: MixtureConfig | PublishedConfig = MIXTURE,
     *,
     dt_s: ArrayLike | None = None,
 ) -> Replay:
@@ -267,7 +267,7 @@ def replay(
         force_N: Axial force, positive when tissue pushes back [N], shape (n,).
         speed_m_s: Rate of depth [m/s]; estimated from depth, see `Identifier.update`,
             if None.
-        config: `MULTILAYER`, `PUBLISHED` or a variant.
+        config: `MIXTURE`, `PUBLISHED` or a variant.
         dt_s: Time since the latest row that advanced [s], shape (n,), not positive for
             a row that does not; None to count from the latest stamp.
 

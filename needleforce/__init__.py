@@ -25,7 +25,7 @@ if TYPE_CHECKING:
     from identification import Estimate as Estimate
     from identification import Identifier as Identifier
     from identification import LayerEstimate as LayerEstimate
-    from identification import MultilayerConfig as MultilayerConfig
+    from identification import MixtureConfig as MixtureConfig
     from identification import PublishedConfig as PublishedConfig
     from identification import Rupture as Rupture
     from identification import replay as replay
@@ -65,7 +65,7 @@ _NAMES_OF = {
         "Estimate",
         "Identifier",
         "LayerEstimate",
-        "MultilayerConfig",
+        "MixtureConfig",
         "PublishedConfig",
         "Rupture",
         "replay",

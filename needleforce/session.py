@@ -17,13 +17,13 @@ from foundation.state import (
     StateError,
     check_state,
 )
-from identification import MULTILAYER as DEFAULT_IDENTIFIER
+from identification import MIXTURE as DEFAULT_IDENTIFIER
 from identification import (
     Estimate,
     IdentificationError,
     Identifier,
     LayerEstimate,
-    MultilayerConfig,
+    MixtureConfig,
     PublishedConfig,
 )
 from identification import Snapshot as IdentifierSnapshot
@@ -286,7 +286,7 @@ class InsertionSession:
         self,
         robot: Robot,
         sensor_config: SensorConfig = DEFAULT_SENSOR,
-        identifier_config: MultilayerConfig | PublishedConfig = DEFAULT_IDENTIFIER,
+        identifier_config: MixtureConfig | PublishedConfig = DEFAULT_IDENTIFIER,
         *,
         speed_lag_s: float = 0.0,
     ) -> None:
@@ -295,7 +295,7 @@ class InsertionSession:
         self.sensor_config = sensor_config
         self._identifier = Identifier(identifier_config)
         self._identifier_config = identifier_config
-        self._is_watched = isinstance(identifier_config, MultilayerConfig)
+        self._is_watched = isinstance(identifier_config, MixtureConfig)
         self._tool = self._sensor.kinematics
         self._speed_lag_s = float(speed_lag_s)
         self._plan = PlanFollower(None, None)

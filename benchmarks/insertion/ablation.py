@@ -27,14 +27,14 @@ from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
 from benchmarks.jobs import Job, Progress
 from benchmarks.results import Figure, make_figures
 from identification.estimate import SampleStatus
-from identification.multilayer import method as multilayer
-from identification.multilayer.hard_contact import HardContactState
-from identification.multilayer.innovation_watch import InnovationWatch
-from identification.multilayer.needle_pull import NeedlePull
-from identification.multilayer.noise_levels import Texture
-from identification.multilayer.rest_force import RestForce
-from identification.multilayer.tissue_motion import TissueMotion
-from identification.multilayer.tissue_pull import TissuePull
+from identification.mixture import method
+from identification.mixture.hard_contact import HardContactState
+from identification.mixture.innovation_watch import InnovationWatch
+from identification.mixture.needle_pull import NeedlePull
+from identification.mixture.noise_levels import Texture
+from identification.mixture.rest_force import RestForce
+from identification.mixture.tissue_motion import TissueMotion
+from identification.mixture.tissue_pull import TissuePull
 
 SCENARIO = "stack-constant"
 
@@ -66,12 +66,12 @@ def _unchanged(state: Any, *_: object, **__: object) -> Any:
 
 def _no_swing() -> Any:
     """Let no speed before the filter reach the method: the needle never swings."""
-    update = multilayer.MultilayerMethod.update
+    update = method.MixtureMethod.update
 
     def update_without(self: Any, sample: Any) -> Any:
         return update(self, sample._replace(raw_speed_m_s=0.0))
 
-    return patch.object(multilayer.MultilayerMethod, "update", update_without)
+    return patch.object(method.MixtureMethod, "update", update_without)
 
 
 def _no_own_speed() -> Any:
@@ -80,7 +80,7 @@ def _no_own_speed() -> Any:
     def own_speed(state: Any, depth: float, speed: float, *_: float) -> Any:
         return speed, state
 
-    return patch.object(multilayer, "filter_speed", own_speed)
+    return patch.object(method, "filter_speed", own_speed)
 
 
 PARTS: Mapping[str, Callable[[], tuple[Any, ...]]] = {
@@ -102,7 +102,7 @@ PARTS: Mapping[str, Callable[[], tuple[Any, ...]]] = {
         patch.object(InnovationWatch, "with_innovation", _unchanged),
     ),
     "waiting for the speed": lambda: (
-        patch.object(multilayer, "may_be_braking", lambda *_: False),
+        patch.object(method, "may_be_braking", lambda *_: False),
     ),
 }
 """Parts by name, with what switches each off."""

@@ -24,11 +24,11 @@ from foundation.arrays import Array
 from groundtruth import Run
 from groundtruth.rupture_match import nearest_pairs
 from identification import (
-    MULTILAYER,
+    MIXTURE,
     PUBLISHED,
     Estimate,
     LayerEstimate,
-    MultilayerConfig,
+    MixtureConfig,
     PublishedConfig,
     Replay,
     SampleStatus,
@@ -53,8 +53,8 @@ METHODS: Mapping[Method, SensorConfig] = {
     "published-one-setting": PUBLISHED_SENSOR,
 }
 """Settings of the virtual sensor, by the name they are reported under."""
-IDENTIFIERS: Mapping[Method, MultilayerConfig | PublishedConfig] = {
-    "ours": MULTILAYER,
+IDENTIFIERS: Mapping[Method, MixtureConfig | PublishedConfig] = {
+    "ours": MIXTURE,
     "published-one-setting": PUBLISHED,
 }
 """Settings of the identification; one configuration each for every run."""
@@ -131,9 +131,7 @@ def run_session(
             assumes known.
     """
     is_published = method == "published-one-setting"
-    config = (
-        replace(PUBLISHED, contact_depth_m=contact_m) if is_published else MULTILAYER
-    )
+    config = replace(PUBLISHED, contact_depth_m=contact_m) if is_published else MIXTURE
     # The published method takes speed as exact: as an arm measures it (0.12 mm/s of
     # noise on 2.3 mm/s) its friction error on the 50 % gel is 125 %, through this
     # low-pass 11 %. Ours has the same inside and is given the raw speed.
@@ -347,7 +345,7 @@ class Identified:
 
     signal: NeedleSignal
     method: Method
-    config: MultilayerConfig | PublishedConfig
+    config: MixtureConfig | PublishedConfig
     start: int
     result: Replay
     alarms: tuple[Alarm, ...]
@@ -374,7 +372,7 @@ def identify(
     signal: NeedleSignal,
     truth: InsertionTruth,
     method: Method,
-    config: MultilayerConfig | PublishedConfig | None = None,
+    config: MixtureConfig | PublishedConfig | None = None,
     result: Replay | None = None,
 ) -> Identified:
     """Run a method from the end of the tare to the end of the run.

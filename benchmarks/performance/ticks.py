@@ -15,7 +15,7 @@ from benchmarks.jobs import Job, Progress
 from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth import Run, simulate
-from identification import MULTILAYER, PUBLISHED, MultilayerConfig, PublishedConfig
+from identification import MIXTURE, PUBLISHED, MixtureConfig, PublishedConfig
 from needleforce import InsertionSession
 from residual import DEFAULT, MomentumObserver, VirtualForceSensor
 from residual.bias.estimator import BiasEstimator
@@ -95,7 +95,7 @@ class ChainUpdate:
         robot: Robot,
         signals: JointSignals,
         tare: int,
-        identifier: MultilayerConfig | PublishedConfig = MULTILAYER,
+        identifier: MixtureConfig | PublishedConfig = MIXTURE,
     ) -> None:
         self._session = InsertionSession(robot, on_lwr(DEFAULT), identifier)
         self._samples = signals.samples()
@@ -203,7 +203,7 @@ def make_chains(run: Run, sent: Mapping[str, JointSignals]) -> dict[str, ChainUp
         name + how: ChainUpdate(
             run.robot, signals, first_counted(run, signals) - 1, config
         )
-        for name, config in ((CHAIN, MULTILAYER), (PUBLISHED_CHAIN, PUBLISHED))
+        for name, config in ((CHAIN, MIXTURE), (PUBLISHED_CHAIN, PUBLISHED))
         for how, signals in sent.items()
     }
 

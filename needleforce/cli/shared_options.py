@@ -241,7 +241,7 @@ class SensorOptions:
     force_tare: Annotated[bool, Parameter(group=TARE)] = False
 
 
-Method = Literal["multilayer", "published", "published-kv"]
+Method = Literal["mixture", "published", "published-kv"]
 
 
 @Parameter(name="*", group=SENSOR)
@@ -250,13 +250,13 @@ class IdentificationOptions:
     """How forces become layers.
 
     Attributes:
-        method: Ours (multilayer, default), or as published with the multi-layer or
+        method: Ours (mixture, default), or as published with the multi-layer or
             Kelvin-Voigt model.
         ignore_status: Also use rows that `needleforce force` has marked as not tared,
             initializing or doubtful.
     """
 
-    method: Method = "multilayer"
+    method: Method = "mixture"
     ignore_status: bool = False
 
 

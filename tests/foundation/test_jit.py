@@ -13,7 +13,7 @@ import pytest
 from foundation import compile_cache, first_use, jit
 from foundation.arrays import Vector
 from foundation.jit import COMPILER, compiled, compiled_inside
-from identification import MULTILAYER, PUBLISHED, replay
+from identification import MIXTURE, PUBLISHED, replay
 from needleforce import InsertionSession
 from urdf import NeedleTool, load_lwr
 
@@ -380,7 +380,7 @@ def chain_numbers(joint_rows, needle_rows):
     force_N += 0.005 * rng.normal(size=needle_rows)
     force_N[100] = np.nan
     depth_m[200:] += 0.05
-    for config in (MULTILAYER, PUBLISHED):
+    for config in (MIXTURE, PUBLISHED):
         made = replay(0.01 * np.arange(needle_rows), depth_m, force_N, config=config)
         found += [
             [e.tip_force_N, e.enhanced_force_N, e.predicted_force_N]

@@ -13,11 +13,11 @@ import pytest
 
 from foundation.records import as_record, read_field
 from identification.config import (
-    MULTILAYER,
+    MIXTURE,
     PUBLISHED,
     PUBLISHED_KV,
     CheckConfig,
-    MultilayerConfig,
+    MixtureConfig,
     PublishedConfig,
 )
 from identification.errors import InvalidConfigError, InvalidSnapshotError
@@ -67,7 +67,7 @@ BAD_ANYWHERE = [
 ]
 
 
-@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+@pytest.mark.parametrize("config", [MIXTURE, PUBLISHED])
 @pytest.mark.parametrize(
     ("place", "value", "status"),
     [
@@ -115,7 +115,7 @@ def test_numpy_scalars_integers_and_fractions_are_welcome(sample):
     assert Identifier(PUBLISHED).update(*sample).status is SampleStatus.OK
 
 
-@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+@pytest.mark.parametrize("config", [MIXTURE, PUBLISHED])
 @pytest.mark.parametrize("dt_s", [1e308, 1e-13])
 def test_an_absurd_interval_leaves_every_number_finite(config, dt_s):
     identifier = Identifier(config)
@@ -164,7 +164,7 @@ def test_a_sample_without_a_usable_time_is_rejected(time_s):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+@pytest.mark.parametrize("config", [MIXTURE, PUBLISHED])
 def test_events_count_depth_from_the_callers_zero(config):
     config = replace(config, contact_depth_m=3e-3) if config is PUBLISHED else config
     plain = Identifier(config)
@@ -194,7 +194,7 @@ def test_events_count_depth_from_the_callers_zero(config):
     assert moved_rupture.contact_depth_m - rupture.contact_depth_m == shift_m
     assert moved_layer.start_depth_m - layer.start_depth_m == shift_m
 
-    if config is MULTILAYER:
+    if config is MIXTURE:
         assert plain.contact_depth_m == pytest.approx(3e-3, abs=0.5e-3)
         assert moved.contact_depth_m - plain.contact_depth_m == shift_m
     else:
@@ -323,7 +323,7 @@ def test_unknown_configuration_and_foreign_snapshots_are_refused():
 
 FIELDS = [
     (kind, field.name)
-    for kind in (PublishedConfig, MultilayerConfig, CheckConfig)
+    for kind in (PublishedConfig, MixtureConfig, CheckConfig)
     for field in fields(kind)
 ]
 

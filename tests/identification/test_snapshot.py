@@ -7,7 +7,7 @@ from enum import Enum
 import numpy as np
 import pytest
 
-from identification import MULTILAYER, PUBLISHED, Identifier
+from identification import MIXTURE, PUBLISHED, Identifier
 from identification.errors import InvalidSnapshotError
 from needleforce import read_snapshot, write_snapshot
 
@@ -28,7 +28,7 @@ def run(identifier, rows):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+@pytest.mark.parametrize("config", [MIXTURE, PUBLISHED])
 def test_memory_is_bounded(config):
     rng = np.random.default_rng(6)
     identifier = Identifier(config)
@@ -43,7 +43,7 @@ def test_memory_is_bounded(config):
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize(("config", "least"), [(MULTILAYER, 10), (PUBLISHED, 1)])
+@pytest.mark.parametrize(("config", "least"), [(MIXTURE, 10), (PUBLISHED, 1)])
 def test_every_state_resumes_bit_for_bit(config, least, tmp_path):
     """One of 29, and from a file one of 25 of those taken while work is left."""
     whole = Identifier(config)
@@ -59,7 +59,7 @@ def test_every_state_resumes_bit_for_bit(config, least, tmp_path):
         # ended.
         is_at_work = (
             snapshot.state.is_at_work
-            if config is MULTILAYER
+            if config is MIXTURE
             else bool(snapshot.state.ruptured)
         )
         files += is_at_work
@@ -102,7 +102,7 @@ def nudged(value):
 
 
 def test_all_that_a_method_remembers_is_in_the_next_snapshot(in_tissue):
-    snapshot = in_tissue[MULTILAYER].snapshot()
+    snapshot = in_tissue[MIXTURE].snapshot()
     identifier = Identifier()
     for name in (field.name for field in fields(snapshot.state)):
         changed = copy_with(snapshot.state, name, nudged(getattr(snapshot.state, name)))
@@ -115,7 +115,7 @@ def test_all_that_a_method_remembers_is_in_the_next_snapshot(in_tissue):
 @pytest.fixture(scope="module")
 def in_tissue():
     """An identifier of each method in tissue."""
-    identifiers = {config: Identifier(config) for config in (MULTILAYER, PUBLISHED)}
+    identifiers = {config: Identifier(config) for config in (MIXTURE, PUBLISHED)}
     for identifier in identifiers.values():
         run(identifier, samples(2800))
     return identifiers
@@ -131,16 +131,16 @@ def copy_with(state, name, value):
 @pytest.mark.parametrize(
     ("config", "place", "change"),
     [
-        (MULTILAYER, "mixture.covariances", np.triu),  # not symmetric
-        (MULTILAYER, "mixture.covariances", lambda matrices: matrices[:, :2, :2]),
-        (MULTILAYER, "mixture.assumptions", lambda numbers: numbers + 7.0),
-        (MULTILAYER, "mixture.log_weights", lambda weights: weights.astype(int)),
-        (MULTILAYER, "levels", lambda _: None),
-        (MULTILAYER, "levels.differences.squares_N2", lambda squares: squares + np.inf),
-        (MULTILAYER, "contact.deepest_m", lambda _: np.nan),
-        (MULTILAYER, "posterior.offset", lambda _: np.inf),
-        (MULTILAYER, "tissue.search.unit", lambda _: 10**6),
-        (MULTILAYER, "stage", lambda _: 10**9),
+        (MIXTURE, "mixture.covariances", np.triu),  # not symmetric
+        (MIXTURE, "mixture.covariances", lambda matrices: matrices[:, :2, :2]),
+        (MIXTURE, "mixture.assumptions", lambda numbers: numbers + 7.0),
+        (MIXTURE, "mixture.log_weights", lambda weights: weights.astype(int)),
+        (MIXTURE, "levels", lambda _: None),
+        (MIXTURE, "levels.differences.squares_N2", lambda squares: squares + np.inf),
+        (MIXTURE, "contact.deepest_m", lambda _: np.nan),
+        (MIXTURE, "posterior.offset", lambda _: np.inf),
+        (MIXTURE, "tissue.search.unit", lambda _: 10**6),
+        (MIXTURE, "stage", lambda _: 10**9),
         (PUBLISHED, "rls.friction_variance", lambda variance: -variance),
         (PUBLISHED, "tracker.machine", lambda _: 5),
         (PUBLISHED, "sums", lambda _: None),
@@ -168,7 +168,7 @@ def test_a_damaged_state_is_refused_and_changes_nothing(
 
 @pytest.mark.parametrize("name", ["check", "travel"])
 def test_damaged_numbers_of_the_samples_are_refused(in_tissue, name):
-    identifier = in_tissue[MULTILAYER]
+    identifier = in_tissue[MIXTURE]
     snapshot = identifier.snapshot()
     damaged = replace(getattr(snapshot, name), depth_m=float("nan"))
     for value in (damaged, None):

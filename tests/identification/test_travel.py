@@ -8,8 +8,8 @@ import pytest
 
 from foundation.records import as_record, from_record
 from identification import Identifier, SampleStatus
-from identification.config import CheckConfig, MultilayerConfig
-from identification.multilayer.speed_filter import FIRST_SPEED_FILTER, filter_speed
+from identification.config import CheckConfig, MixtureConfig
+from identification.mixture.speed_filter import FIRST_SPEED_FILTER, filter_speed
 from identification.travel_filter import (
     DEPTH,
     DEPTH_MEANS,
@@ -198,7 +198,7 @@ def test_after_a_gap_it_starts_anew():
 
 @pytest.mark.parametrize(("gap_s", "restarts"), [(0.25, True), (1.0, False)])
 def test_the_configured_gap_is_that_of_the_filter(gap_s, restarts):
-    identifier = Identifier(MultilayerConfig(check=CheckConfig(gap_s=gap_s)))
+    identifier = Identifier(MixtureConfig(check=CheckConfig(gap_s=gap_s)))
     for k in range(2000):
         identifier.update(3e-6 * k, None, 0.0, 1e-3)
     estimate = identifier.update(7.5e-3, None, 0.0, 0.5)

@@ -4,7 +4,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from identification import MULTILAYER, PUBLISHED
+from identification import MIXTURE, PUBLISHED
 from needleforce import InsertionSession, SensorWarning
 from needleforce.air_watch import AirWatch
 from tests.insertion_run import samples, short_run, tare_index
@@ -76,7 +76,7 @@ def test_a_payload_gripped_anew_after_the_tare_is_said_before_the_entry():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("config", [MULTILAYER, PUBLISHED])
+@pytest.mark.parametrize("config", [MIXTURE, PUBLISHED])
 def test_nothing_is_unexplained_in_an_undisturbed_insertion(config):
     run = short_run()
     tare = tare_index(run)

@@ -8,7 +8,7 @@ import pinocchio as pin
 import pytest
 
 from benchmarks.insertion.signals import JointSignals, measured_travel
-from identification import MultilayerConfig, SampleStatus
+from identification import MixtureConfig, SampleStatus
 from identification.config import CheckConfig
 from needleforce import InsertionError, InsertionSession
 from residual import DEFAULT, PUBLISHED, SensorWarning, Status, TareError
@@ -238,7 +238,7 @@ def test_a_clock_that_was_set_takes_no_time(dt_s):
 
 @pytest.mark.slow
 def test_a_force_rejected_by_identifier_is_unused():
-    config = MultilayerConfig(check=CheckConfig(force_limit_N=1.0))
+    config = MixtureConfig(check=CheckConfig(force_limit_N=1.0))
     session = InsertionSession(RUN.robot, identifier_config=config)
     insert(session, TARE)
     kinematics = ToolKinematics(RUN.robot)

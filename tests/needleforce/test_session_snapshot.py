@@ -11,7 +11,7 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from foundation.state import MAX_FILE_BYTES, STATE_VERSION
-from identification import MULTILAYER, PUBLISHED, RuptureState
+from identification import MIXTURE, PUBLISHED, RuptureState
 from needleforce import (
     InsertionError,
     InsertionSession,
@@ -31,7 +31,7 @@ from tests.insertion_run import (
 )
 from urdf import Payload
 
-CONFIGS = {"multilayer": MULTILAYER, "published": PUBLISHED}
+CONFIGS = {"mixture": MIXTURE, "published": PUBLISHED}
 TARE = tare_index(short_run())
 IN_TISSUE = TARE + 4000
 BEYOND = 1500  # ticks for which the resumed session is compared

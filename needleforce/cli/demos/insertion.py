@@ -77,12 +77,12 @@ class ComparedInsertion(NamedTuple):
 
     Attributes:
         run: The insertion.
-        multilayer: What `InsertionSession` does when nothing is set.
+        mixture: What `InsertionSession` does when nothing is set.
         published: The published method.
     """
 
     run: Run
-    multilayer: JudgedSession
+    mixture: JudgedSession
     published: JudgedSession
 
 
@@ -137,12 +137,12 @@ def compare(seed: int) -> ComparedInsertion:
     # Sessions begin outside of a bar: the compiler shows its own progress.
     session = InsertionSession(insertion.robot)
     with staged_progress("estimating from joint signals") as progress:
-        multilayer = run_session(insertion, session, progress)
+        mixture = run_session(insertion, session, progress)
     session = published_session(insertion)
     with staged_progress("the same by the published method") as progress:
         published = run_session(insertion, session, progress)
     return ComparedInsertion(
-        insertion, judge(insertion, multilayer), judge(insertion, published)
+        insertion, judge(insertion, mixture), judge(insertion, published)
     )
 
 
@@ -165,7 +165,7 @@ def _wrapped(text: str) -> str:
 
 def answer(compared: ComparedInsertion) -> str:
     """Return in one sentence what the insertion showed."""
-    ours = compared.multilayer
+    ours = compared.mixture
     return (
         f"{ours.found} of {len(ours.ruptures)} ruptures found, {ours.false_alarms} "
         "false alarms; force on the needle within "
@@ -177,7 +177,7 @@ def answer(compared: ComparedInsertion) -> str:
 def layer_note(compared: ComparedInsertion) -> str:
     """Return what the table of layers means, and what looks odd in the figure."""
     run = compared.run
-    ours = compared.multilayer
+    ours = compared.mixture
     behind = is_insertion(run) & (run.truth.t_s > run.truth.ruptures[-1].end_s)
     note = (
         "True: what the simulation knows. ±: the standard deviation that the method "
@@ -199,7 +199,7 @@ def layer_note(compared: ComparedInsertion) -> str:
 def layer_rows(compared: ComparedInsertion) -> tuple[tuple[str, ...], ...]:
     """Return the cells of every layer: true values, and what was found of them."""
     run = compared.run
-    ruptures = compared.multilayer.ruptures
+    ruptures = compared.mixture.ruptures
     return tuple(
         _layer_cells(run, rupture) for rupture in ruptures if rupture.true.layer > 0
     )
@@ -246,7 +246,7 @@ def _unbroken(text: str) -> str:
 
 def method_rows(compared: ComparedInsertion) -> tuple[tuple[str, ...], ...]:
     """Return label and numbers of both methods, line by line."""
-    methods = (compared.multilayer, compared.published)
+    methods = (compared.mixture, compared.published)
     force = [f"{method.force_error_N:.3f} N" for method in methods]
     tip = [f"{method.tip_error_N:.3f} N" for method in methods]
     found = [f"{method.found} of {len(method.ruptures)}" for method in methods]
@@ -279,7 +279,7 @@ def next_text() -> str:
 def force_chart(compared: ComparedInsertion) -> Chart:
     """Return the forces on the needle and at its tip over the depth."""
     run = compared.run
-    ours = compared.multilayer.result
+    ours = compared.mixture.result
     published = compared.published.result
     drawn = np.flatnonzero(is_insertion(run))[::20]
     panels = (

@@ -9,7 +9,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from identification import (
-    MULTILAYER,
+    MIXTURE,
     PUBLISHED,
     PUBLISHED_KV,
     Estimate,
@@ -27,7 +27,7 @@ from needleforce.recordings.log_stream import LogChunk
 from needleforce.recordings.output import OpenTable
 
 METHODS = {
-    "multilayer": MULTILAYER,
+    "mixture": MIXTURE,
     "published": PUBLISHED,
     "published-kv": PUBLISHED_KV,
 }

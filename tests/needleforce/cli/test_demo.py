@@ -40,7 +40,7 @@ def command(compared, monkeypatch, tmp_path):
 
 
 def test_the_rupture_and_its_layer_are_found_near_the_truth(compared):
-    (rupture,) = compared.multilayer.ruptures
+    (rupture,) = compared.mixture.ruptures
 
     assert rupture.true.layer_friction_N == pytest.approx(GEL_FRICTION_N, rel=0.02)
     assert rupture.true.onset_m == pytest.approx(GEL_m, abs=0.1e-3)
@@ -54,13 +54,13 @@ def test_the_rupture_and_its_layer_are_found_near_the_truth(compared):
         abs(layer.stiffness_N_per_m - GEL_STIFFNESS_N_per_m)
         < 3.0 * layer.stiffness_std_N_per_m
     )
-    assert compared.multilayer.false_alarms == 0
+    assert compared.mixture.false_alarms == 0
 
 
 def test_the_force_is_nearer_the_truth_than_the_published_methods(compared):
-    assert compared.multilayer.force_error_N < 0.15
-    assert compared.multilayer.force_error_N < compared.published.force_error_N
-    assert compared.multilayer.tip_error_N < compared.published.tip_error_N
+    assert compared.mixture.force_error_N < 0.15
+    assert compared.mixture.force_error_N < compared.published.force_error_N
+    assert compared.mixture.tip_error_N < compared.published.tip_error_N
 
 
 def test_a_method_needs_the_signals_and_no_truth(compared):
@@ -69,7 +69,7 @@ def test_a_method_needs_the_signals_and_no_truth(compared):
     blind = replace(run, signals=cut(run.signals, beginning), truth=None)
     result = run_session(blind, InsertionSession(run.robot))
 
-    assert np.array_equal(result.force_N, compared.multilayer.result.force_N[beginning])
+    assert np.array_equal(result.force_N, compared.mixture.result.force_N[beginning])
 
 
 def test_the_command_prints_tables_picture_and_what_to_try_next(command, capsys):

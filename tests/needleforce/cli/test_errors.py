@@ -153,7 +153,7 @@ USAGE = {
         "--from -inf --to -inf: expected --from"
     ),
     "force good.csv --from soon": 'unable to convert "soon" into float',
-    "identify good.csv --method ferro": 'Choose from: "multilayer", "published"',
+    "identify good.csv --method ferro": 'Choose from: "mixture", "published"',
     "identify empty.csv": "it is empty",
     "identify good.csv": "no column found for depth",
     "report good.csv": "DIR requires an argument",

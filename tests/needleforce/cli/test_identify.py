@@ -87,7 +87,7 @@ def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("method", "start_s"),
-    [("multilayer", 1.7e9), ("published", 100.0), ("published-kv", 0.0)],
+    [("mixture", 1.7e9), ("published", 100.0), ("published-kv", 0.0)],
 )
 def test_alarm_is_on_the_logs_clock(needle, identify, method, start_s):
     rows, (layer,), _ = identify("--method", method, t_s=needle["t_s"] + start_s)

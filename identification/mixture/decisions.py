@@ -1,0 +1,206 @@
+"""Decisions: whether to raise an alarm, to retract one, or to wait for the speed.
+
+Lengths are in mm, speeds in mm/s, forces in N.
+"""
+
+from typing import NamedTuple
+
+from foundation.arrays import Vector
+from foundation.jit import compiled, compiled_inside
+from foundation.linear_algebra import index_of_largest
+from foundation.records import read_element
+from identification.mixture.block import Block
+from identification.mixture.events import History
+from identification.mixture.evidence import Evidence
+from identification.mixture.force_model import (
+    FADING,
+    OFFSET,
+    RELEASED,
+    Assumptions,
+)
+from identification.mixture.mixture import Mixture
+from identification.mixture.tissue_motion import TissueMotion
+
+CLEAR_FALL_SIGMAS = 3.0
+"""Released force for an alarm, in standard deviations of a block's force."""
+
+MIN_CLEAR_FALL_N = 0.1
+"""Released force for an alarm: two thirds of the least rupture seen in real liver."""
+
+VISIBLE_FRACTION = 0.3
+"""Fraction of that force by which the force must have fallen: else it only grows
+slower."""
+
+LATE_ALARM_S = 0.5
+"""If an alarm comes later than this, the force must still be lower."""
+
+EARLY_FALL_FRACTION = 0.12
+"""Fall, as a fraction of the force, that no robot makes by braking before its speed is
+known."""
+
+FALL_RATE_PER_S = 1.5
+"""The same per time since it began."""
+
+LARGE_FALL_FRACTION = 0.3
+"""A fall of more than this fraction of the force is large."""
+
+MIN_SPEED_LAG_S = 0.1
+"""By which the speed is late, at least."""
+
+SPEED_LAG_FACTOR = 3.0
+"""Lag of the speed per ratio of the filter's noise of depth and of speed."""
+
+MAX_SPEED_LAG_S = 0.3
+"""By which the speed is late, at most."""
+
+MIN_SPEED_LOSS = 0.02
+"""Fraction of the speed lost, below which it is noise of the filtered speed."""
+
+FALL_PER_SPEED_LOSS = 3.0
+"""Relative fall that braking explains, per fraction of the speed lost: more than 1,
+since the speed is late and travel shows its mean."""
+
+LARGE_FALL_PER_SPEED_LOSS = 2.0
+"""The same of a large fall."""
+
+RECENT_RUPTURE_S = 0.5
+"""So long after a rupture the travel since then shows the speed better, less noisy."""
+
+MIN_SPEED_MM_S = 1e-3
+"""Speed that a loss refers to, at least."""
+
+MIN_SPEED_STD_MM_S = 1e-9
+"""Deviation of the speed that a lag is computed with, at least."""
+
+
+class RuptureCount(NamedTuple):
+    """What the components say about the number of ruptures.
+
+    Attributes:
+        more: Probability of more ruptures than reported and a clear fall of the force.
+        fewer: Probability of fewer than reported.
+        likeliest_with_more: The likeliest component with more, -1 without any.
+        likeliest: Number of ruptures of the likeliest component of all.
+    """
+
+    more: float
+    fewer: float
+    likeliest_with_more: int
+    likeliest: int
+
+
+@compiled_inside
+def released_force(mean: Vector, assumption: Assumptions, history: History) -> float:
+    """Return the force that the last rupture of a component has released."""
+    released = mean[RELEASED] - mean[FADING]
+    # At most all of the force has fallen.
+    return min(released, history.rupture_force_N - mean[OFFSET])
+
+
+@compiled_inside
+def is_undone(history: History, block: Block) -> bool:
+    """Return whether the force is higher again, long after the rupture.
+
+    A late component with a rupture is then rather a change of the tissue.
+    """
+    is_late = block.time_s - history.rupture_s > LATE_ALARM_S
+    return is_late and history.rupture_force_N <= block.force_N
+
+
+@compiled
+def compare_counts(
+    evidence: Evidence, reported: int, block: Block, clear_fall: float
+) -> RuptureCount:
+    """Compare the number of ruptures reported with those of the components.
+
+    Args:
+        evidence: Of n components.
+        reported: Ruptures reported so far.
+        block: The last one.
+        clear_fall: Released force that counts as a rupture.
+    """
+    mixture = evidence.mixture
+    more = 0.0
+    fewer = 0.0
+    likeliest = -1
+    for k in range(len(evidence.weights)):
+        weight = evidence.weights[k]
+        if evidence.ruptures[k] < reported:
+            fewer += weight
+        elif evidence.ruptures[k] > reported:
+            history = mixture.history[k]
+            released = released_force(mixture.means[k], mixture.assumptions[k], history)
+            if released > clear_fall and not is_undone(history, block):
+                more += weight
+                if likeliest < 0 or weight > evidence.weights[likeliest]:
+                    likeliest = k
+    if likeliest >= 0:
+        history = mixture.history[likeliest]
+        fallen = history.rupture_force_N - history.min_force_N
+        if fallen <= VISIBLE_FRACTION * clear_fall:
+            more = 0.0
+    ruptures = int(evidence.ruptures[index_of_largest(evidence.weights)])
+    return RuptureCount(more, fewer, likeliest, ruptures)
+
+
+def count_ruptures(evidence: Evidence, reported: int, block: Block) -> RuptureCount:
+    """Return what the components say about the number of ruptures reported."""
+    clear_fall_N = max(CLEAR_FALL_SIGMAS * block.noise_std_N, MIN_CLEAR_FALL_N)
+    return compare_counts(evidence, reported, block, clear_fall_N)
+
+
+def speed_lag(depth_std: float, speed_std: float) -> float:
+    """Return by how much the speed may be late [s].
+
+    The ratio of the noise that the travel filter leaves in depth and speed is about its
+    time constant.
+    """
+    lag_s = SPEED_LAG_FACTOR * depth_std / max(speed_std, MIN_SPEED_STD_MM_S)
+    return min(max(lag_s, MIN_SPEED_LAG_S), MAX_SPEED_LAG_S)
+
+
+def may_be_braking(
+    mixture: Mixture, component: int, block: Block, time_s: float, tissue: TissueMotion
+) -> bool:
+    """Return whether a needle that slows down could explain the fall of the force.
+
+    Friction falls with the speed at once, but the speed is known late. So a relatively
+    small fall waits until the speed would show braking, and counts only if it exceeds
+    what that explains.
+
+    Args:
+        mixture: As it is now.
+        component: The one that says that there was a rupture.
+        block: The last one.
+        time_s: Now, since the reset.
+        tissue: Its own motion.
+    """
+    history = read_element(History, mixture.history, component)
+    force_N = abs(history.rupture_force_N - float(mixture.means[component, OFFSET]))
+    fall_N = history.rupture_force_N - block.force_N
+    since_s = time_s - history.rupture_s
+    quick_fall = max(EARLY_FALL_FRACTION, FALL_RATE_PER_S * since_s)
+    if since_s < block.speed_lag_s and fall_N < quick_fall * force_N:
+        return True
+    loss = _speed_loss(history, block, tissue)
+    is_large = fall_N > LARGE_FALL_FRACTION * force_N
+    explained = LARGE_FALL_PER_SPEED_LOSS if is_large else FALL_PER_SPEED_LOSS
+    return loss > MIN_SPEED_LOSS and fall_N < explained * loss * force_N
+
+
+def _speed_loss(history: History, block: Block, tissue: TissueMotion) -> float:
+    """Return the fraction of the needle's own speed lost since a rupture."""
+    speed = block.speed_mm_s
+    speed_before = history.rupture_speed_mm_s
+    travel_mm = block.unfiltered_depth_mm - history.rupture_mm
+    if tissue.is_known:  # only the needle's own speed is known late
+        start = tissue.motion_at(history.rupture_s)
+        end = tissue.motion_at(block.time_s)
+        speed = speed + end.speed_mm_s
+        speed_before = speed_before + start.speed_mm_s
+        travel_mm = travel_mm + end.place_mm - start.place_mm
+    travelled_s = block.time_s - history.rupture_s
+    if 0.0 < travelled_s < RECENT_RUPTURE_S:
+        # A filtered depth is as late as its speed, an unfiltered one is not.
+        speed = min(speed, travel_mm / travelled_s)
+    return 1.0 - speed / max(speed_before, MIN_SPEED_MM_S)

@@ -1,0 +1,52 @@
+"""How probable each component is, and how many ruptures it counts."""
+
+import math
+from typing import NamedTuple
+
+import numpy as np
+
+from foundation.arrays import WrittenVector
+from foundation.records import read_column
+from identification.estimate import Rupture
+from identification.mixture.mixture import MIN_BETWEEN_RUPTURES_MM, Mixture
+
+MM_PER_M = 1e3
+"""Millimetres per metre."""
+
+
+class Evidence(NamedTuple):
+    """The mixture, the probability of each component, and how many ruptures it counts.
+
+    Attributes:
+        mixture: Of n components.
+        weights: Their probabilities, shape (n,).
+        ruptures: Number of ruptures that each counts, shape (n,).
+    """
+
+    mixture: Mixture
+    weights: WrittenVector
+    ruptures: WrittenVector
+
+    def weights_of(self, ruptures: int) -> WrittenVector:
+        """Return the probabilities of components with so many ruptures, of others 0."""
+        return np.where(self.ruptures == ruptures, self.weights, 0.0)
+
+
+def weigh_evidence(mixture: Mixture, alarm: Rupture | None, reported: int) -> Evidence:
+    """Return the evidence after the last of the alarms reported.
+
+    A component whose last rupture lies clearly before the alarm's denies that one.
+
+    Args:
+        mixture: As it is now.
+        alarm: The last one, None before the first.
+        reported: Ruptures reported so far.
+    """
+    clearly_before_mm = -math.inf
+    if alarm is not None:
+        clearly_before_mm = MM_PER_M * alarm.depth_m - MIN_BETWEEN_RUPTURES_MM
+    ruptures = read_column(mixture.assumptions, "ruptures")
+    denies_alarm = read_column(mixture.history, "rupture_mm") < clearly_before_mm
+    without_alarm = np.minimum(ruptures, reported - 1.0)
+    counted = np.where(denies_alarm, without_alarm, ruptures)
+    return Evidence(mixture, mixture.weights, counted)

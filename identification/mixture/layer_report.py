@@ -1,0 +1,299 @@
+"""Ruptures and layers traversed, as the mixture reports them."""
+
+import math
+from dataclasses import replace
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from foundation.arrays import Array
+from foundation.records import read_column, read_element
+from identification.estimate import LayerEstimate, Rupture
+from identification.mixture.block import Block
+from identification.mixture.events import History
+from identification.mixture.evidence import MM_PER_M, Evidence
+from identification.mixture.force_model import (
+    AIR,
+    FRICTION_BEFORE,
+    FRICTION_LAST,
+    MEMBRANE,
+    RELEASED,
+)
+from identification.mixture.force_split import IDENTIFIED_FRACTION
+from identification.mixture.mixture import MIN_BRANCH_MM
+
+MIN_PROBABILITY = 0.3
+"""Probability of all components with the last rupture, to say what it was."""
+
+MIN_THICKNESS_MM = 1e-3
+"""Thickness of a layer, at least."""
+
+MIN_SPEED_M_S = 1e-6
+"""Speed at a rupture, at least."""
+
+
+class LayerFriction(NamedTuple):
+    """Friction of a layer traversed.
+
+    Attributes:
+        force_N: Mean of the friction.
+        std_N: Standard deviation of the friction.
+    """
+
+    force_N: float
+    std_N: float
+
+
+class Alarm(NamedTuple):
+    """The sample that raises an alarm.
+
+    Attributes:
+        time_s: On the caller's clock.
+        since_reset_s: Time since the reset.
+        depth_m: Depth of the tip.
+    """
+
+    time_s: float
+    since_reset_s: float
+    depth_m: float
+
+
+def contact_std_mm(evidence: Evidence, block: Block) -> float:
+    """Return the standard deviation of the depth at which tissue was met [mm].
+
+    To be asked before the first rupture: all that outlives it may say the same depth.
+
+    Args:
+        evidence: Of the mixture.
+        block: The last one.
+    """
+    is_in_air = read_column(evidence.mixture.assumptions, "medium") == AIR
+    weights = np.where(is_in_air, 0.0, evidence.weights)
+    if not weights.any():
+        return 0.0
+    contacts_mm = read_column(evidence.mixture.history, "contact_mm")
+    return _std_of_event(weights, contacts_mm, block.speed_mm_s, block)
+
+
+def _std_of_event(
+    weights: Array, depths_mm: Array, speed_mm_s: float, block: Block
+) -> float:
+    """Return the standard deviation of the depth of the likeliest component's event.
+
+    An event may begin anywhere in a block, but a component dates it to its beginning.
+    """
+    likeliest_mm = depths_mm[np.argmax(weights)]
+    spread_mm2 = float(weights @ (depths_mm - likeliest_mm) ** 2) / float(weights.sum())
+    step_mm = max(speed_mm_s * block.duration_s, MIN_BRANCH_MM)
+    return math.sqrt(spread_mm2 + step_mm**2 + block.depth_std_mm**2)
+
+
+def report_rupture(
+    evidence: Evidence,
+    component: int,
+    layer: int,
+    probability: float,
+    alarm: Alarm,
+    contact_std_mm: float,
+) -> Rupture:
+    """Return the last rupture of a component.
+
+    Args:
+        evidence: Of the mixture.
+        component: Its row.
+        layer: Number of the layer that ends.
+        probability: Of the rupture.
+        alarm: The sample that raises it.
+        contact_std_mm: Standard deviation of the depth of first contact.
+    """
+    history = _history(evidence, component)
+    since_s = max(alarm.since_reset_s - history.rupture_s, 0.0)
+    return Rupture(
+        layer=layer,
+        alarm_s=alarm.time_s,
+        alarm_depth_m=alarm.depth_m,
+        time_s=alarm.time_s - since_s,
+        depth_m=history.rupture_mm / MM_PER_M,
+        force_N=history.rupture_force_N,
+        speed_m_s=history.rupture_speed_mm_s / MM_PER_M,
+        probability=min(probability, 1.0),
+        contact_depth_m=history.contact_mm / MM_PER_M,
+        contact_depth_std_m=contact_std_mm / MM_PER_M,
+    )
+
+
+def _history(evidence: Evidence, component: int) -> History:
+    return read_element(History, evidence.mixture.history, component)
+
+
+def _has_met_membrane(evidence: Evidence) -> NDArray[np.bool_]:
+    """Return which components push a membrane that they met under a layer, (n,)."""
+    assumptions = evidence.mixture.assumptions
+    is_membrane = read_column(assumptions, "medium") == MEMBRANE
+    return is_membrane & (read_column(assumptions, "holds_force") > 0.0)
+
+
+def friction_of_last_layer(
+    evidence: Evidence, ruptures: int, force_variance: float
+) -> LayerFriction | None:
+    """Return the friction of the layer that the last rupture ended.
+
+    None where other components are likelier than those that know of this rupture as the
+    last.
+
+    Args:
+        evidence: Of the mixture.
+        ruptures: Number of ruptures reported.
+        force_variance: Variance of the force's slow error, which is in the friction
+            [N²].
+    """
+    weights = evidence.weights_of(ruptures)
+    # Where a membrane was met, another friction record has begun.
+    unknowns = np.where(_has_met_membrane(evidence), FRICTION_BEFORE, FRICTION_LAST)
+    return _mix_friction(evidence, weights, unknowns, force_variance)
+
+
+def friction_of_layer_before(
+    evidence: Evidence, ruptures: int, force_variance: float
+) -> LayerFriction | None:
+    """Return the friction of the layer before that; see `friction_of_last_layer`."""
+    weights = evidence.weights_of(ruptures)
+    weights[_has_met_membrane(evidence)] = 0.0
+    unknowns = np.full(len(weights), FRICTION_BEFORE)
+    return _mix_friction(evidence, weights, unknowns, force_variance)
+
+
+def _mix_friction(
+    evidence: Evidence, weights: Array, unknowns: NDArray[np.int64], variance_N2: float
+) -> LayerFriction | None:
+    """Return the mixture of an unknown of each component, shapes (n,)."""
+    total = float(weights.sum())
+    if total < MIN_PROBABILITY:
+        return None
+    mixture = evidence.mixture
+    components = np.arange(len(weights))
+    fractions = weights / total
+    frictions_N = mixture.means[components, unknowns]
+    variances_N2 = mixture.covariances[components, unknowns, unknowns]
+    mean_N = float(fractions @ frictions_N)
+    spread_N2 = np.maximum(variances_N2, 0.0) + (frictions_N - mean_N) ** 2
+    mixed_N2 = float(fractions @ spread_N2)
+    return LayerFriction(mean_N, math.sqrt(mixed_N2 + variance_N2))
+
+
+def report_layer(
+    evidence: Evidence,
+    rupture: Rupture,
+    ruptures: int,
+    friction: LayerFriction,
+    block: Block,
+) -> LayerEstimate | None:
+    """Return the layer, or the part of one, that the last rupture ended.
+
+    None where no component knows of it.
+
+    Args:
+        evidence: Of the mixture.
+        rupture: The last one.
+        ruptures: Number of ruptures reported.
+        friction: Of the layer.
+        block: The last one.
+    """
+    weights = evidence.weights_of(ruptures)
+    weights[_has_met_membrane(evidence)] = 0.0
+    if not weights.any():
+        return None
+    component = int(np.argmax(weights))
+    mixture = evidence.mixture
+    history = _history(evidence, component)
+    thickness_mm = max(history.rupture_mm - history.section_start_mm, MIN_THICKNESS_MM)
+    end_std_mm = _std_of_event(
+        weights,
+        read_column(mixture.history, "rupture_mm"),
+        history.rupture_speed_mm_s,
+        block,
+    )
+    stiffness = MM_PER_M * max(history.stiffness_N_per_mm, 0.0)
+    stiffness_std = MM_PER_M * _std(history.stiffness_variance)
+    coulomb = MM_PER_M * max(history.coulomb_N_per_mm, 0.0)
+    coulomb_std = MM_PER_M * _std(history.coulomb_variance)
+    viscous = MM_PER_M * MM_PER_M * max(history.viscous_Ns_per_mm2, 0.0)
+    viscous_std = MM_PER_M * MM_PER_M * _std(history.viscous_variance)
+    layer = LayerEstimate(
+        layer=rupture.layer,
+        is_final=False,
+        start_depth_m=history.section_start_mm / MM_PER_M,
+        thickness_m=thickness_mm / MM_PER_M,
+        end_depth_std_m=end_std_mm / MM_PER_M,
+        rupture=rupture,
+        force_drop_N=float(mixture.means[component, RELEASED]),
+        force_drop_std_N=_std(
+            float(mixture.covariances[component, RELEASED, RELEASED])
+        ),
+        stiffness_N_per_m=stiffness,
+        stiffness_std_N_per_m=stiffness_std,
+        stiffness_identified=_is_identified(stiffness, stiffness_std),
+        friction_N=max(history.section_friction_N, 0.0),
+        friction_Ns_per_m2=0.0,
+        friction_identified=False,
+        coulomb_N_per_m=coulomb,
+        coulomb_std_N_per_m=coulomb_std,
+        coulomb_identified=_is_identified(coulomb, coulomb_std),
+        viscous_Ns_per_m2=viscous,
+        viscous_std_Ns_per_m2=viscous_std,
+        viscous_identified=_is_identified(viscous, viscous_std),
+    )
+    return with_friction(layer, friction)
+
+
+def _std(variance: float) -> float:
+    return math.sqrt(max(variance, 0.0))
+
+
+def _is_identified(value: float, std: float) -> bool:
+    return 0.0 < std <= IDENTIFIED_FRACTION * value
+
+
+def with_doubt(layer: LayerEstimate, std_N: float) -> LayerEstimate:
+    """Return a layer that is not final, its force in doubt by so much at least."""
+    thickness_m = layer.thickness_m
+    speed_m_s = max(layer.rupture.speed_m_s, MIN_SPEED_M_S)
+    per_length = std_N / thickness_m
+    viscous = per_length / speed_m_s
+    return replace(
+        layer,
+        is_final=False,
+        rupture=replace(layer.rupture, is_final=False),
+        force_drop_std_N=max(layer.force_drop_std_N or 0.0, std_N),
+        stiffness_std_N_per_m=max(layer.stiffness_std_N_per_m or 0.0, per_length),
+        stiffness_identified=False,
+        friction_std_N=max(layer.friction_std_N or 0.0, std_N),
+        friction_std_Ns_per_m2=max(layer.friction_std_Ns_per_m2 or 0.0, viscous),
+        friction_identified=False,
+        coulomb_std_N_per_m=max(layer.coulomb_std_N_per_m or 0.0, per_length),
+        coulomb_identified=False,
+        viscous_std_Ns_per_m2=max(layer.viscous_std_Ns_per_m2 or 0.0, viscous),
+        viscous_identified=False,
+    )
+
+
+def with_friction(layer: LayerEstimate, friction: LayerFriction) -> LayerEstimate:
+    """Return a layer with its friction known better.
+
+    Its Coulomb and viscous parts keep their ratio.
+    """
+    force_N = max(friction.force_N, 0.0)
+    scale = force_N / layer.friction_N if layer.friction_N > 0.0 else 1.0
+    speed_m_s = max(layer.rupture.speed_m_s, MIN_SPEED_M_S)
+    per_length_and_speed = 1.0 / (layer.thickness_m * speed_m_s)
+    return replace(
+        layer,
+        friction_N=force_N,
+        friction_std_N=friction.std_N,
+        friction_Ns_per_m2=per_length_and_speed * force_N,
+        friction_std_Ns_per_m2=per_length_and_speed * friction.std_N,
+        friction_identified=_is_identified(force_N, friction.std_N),
+        coulomb_N_per_m=scale * (layer.coulomb_N_per_m or 0.0),
+        viscous_Ns_per_m2=scale * (layer.viscous_Ns_per_m2 or 0.0),
+    )

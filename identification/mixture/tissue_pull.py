@@ -1,0 +1,116 @@
+"""A needle that advances and is pulled: tissue that moves overtakes it.
+
+Tissue at rest resists a needle that advances, at its tip and along its shaft. Where
+tissue moves with the breath, by 5 to 20 mm and faster than the needle, its friction
+turns and pulls the needle inwards once a breath. Neither friction nor stiffness is then
+known any better than by half of the swing of the force: over a breath friction acts
+both ways.
+"""
+
+import math
+from typing import NamedTuple
+
+from identification.estimate import Outputs, widen_forces
+from identification.mixture.block import Block
+
+PULL_SIGMAS = 3.0
+"""Standard deviations below zero from which on the force pulls."""
+
+MIN_PULL_N = 0.1
+"""And at least so far below: less is the inertia or the weight of a needle."""
+
+MIN_PULL_S = 0.2
+"""The force pulls for so long at least: friction that turns does for half a breath."""
+
+MAX_FOLLOWED_MM = 2.0
+"""Amplitude of a motion found in the force up to which ruptures are found beside it."""
+
+REMEMBERED_S = 15.0
+"""Tissue that has pulled moves for so much longer: two breaths at 8 a minute."""
+
+
+class TissuePull(NamedTuple):
+    """Whether tissue has pulled at the advancing needle; immutable.
+
+    Attributes:
+        zero_N: Force in free air before the first contact.
+        zero_variance_N2: Variance of that.
+        is_met: Whether tissue has been met.
+        pulled_s: Time for which it has pulled in one go.
+        moves_until_s: Tissue counts as moving until then, since the reset.
+        highest_N: Highest force of late, without its zero.
+        lowest_N: Lowest force of late.
+        doubt_N: Standard deviation of friction that the swing of the force leaves.
+    """
+
+    zero_N: float = 0.0
+    zero_variance_N2: float = 0.0
+    is_met: bool = False
+    pulled_s: float = 0.0
+    moves_until_s: float = -REMEMBERED_S
+    highest_N: float = 0.0
+    lowest_N: float = 0.0
+    doubt_N: float = 0.0
+
+    def is_moving(self, time_s: float) -> bool:
+        """Return whether tissue counts as moving at a time since the reset."""
+        return time_s < self.moves_until_s
+
+    def with_zero(
+        self, zero_N: float, variance_N2: float, *, is_met: bool
+    ) -> "TissuePull":
+        """Return the same with the force in free air; from the contact on it is kept.
+
+        Where tissue comes and goes, what is taken for free air later may be none.
+        """
+        if self.is_met:
+            return self
+        return self._replace(zero_N=zero_N, zero_variance_N2=variance_N2, is_met=is_met)
+
+    def with_force(
+        self,
+        block: Block,
+        variance_N2: float,
+        amplitude_mm: float,
+        *,
+        is_sliding: bool,
+    ) -> "TissuePull":
+        """Return the same after the force of a block.
+
+        Args:
+            block: The block.
+            variance_N2: Variance of its force, without what moving tissue adds.
+            amplitude_mm: Of the tissue's motion, if it is known, else 0.
+            is_sliding: Whether the needle has advanced for long enough that friction
+                along all of the shaft opposes it.
+        """
+        net_N = block.force_N - self.zero_N
+        std_N = math.sqrt(variance_N2 + self.zero_variance_N2)
+        remaining = math.exp(-block.duration_s / REMEMBERED_S)
+        highest_N = max(self.highest_N * remaining, net_N)
+        lowest_N = min(self.lowest_N * remaining, net_N)
+        is_sliding = is_sliding and self.is_met
+        is_pulled = is_sliding and net_N < -max(PULL_SIGMAS * std_N, MIN_PULL_N)
+        pulled_s = self.pulled_s + block.duration_s if is_pulled else 0.0
+        moves_until_s = self.moves_until_s
+        if pulled_s >= MIN_PULL_S or amplitude_mm > MAX_FOLLOWED_MM:
+            moves_until_s = block.time_s + REMEMBERED_S
+        elif amplitude_mm > 0.0:
+            moves_until_s = min(moves_until_s, block.time_s)
+        doubt_N = self.doubt_N
+        if block.time_s < moves_until_s:
+            doubt_N = max(doubt_N, 0.5 * (highest_N - lowest_N))
+        return self._replace(
+            pulled_s=pulled_s,
+            moves_until_s=moves_until_s,
+            highest_N=highest_N,
+            lowest_N=lowest_N,
+            doubt_N=doubt_N,
+        )
+
+    def widen(self, outputs: Outputs) -> Outputs:
+        """Return what is reported of a sample with the doubt in its deviations.
+
+        Neither stiffness nor friction then counts as identified.
+        """
+        return widen_forces(outputs, self.doubt_N, keeps_identified=False)
