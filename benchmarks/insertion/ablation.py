@@ -27,7 +27,7 @@ from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
 from benchmarks.jobs import Job, Progress
 from benchmarks.results import Figure, make_figures
 from identification.estimate import SampleStatus
-from identification.mixture import method
+from identification.mixture import learner, method, reporter
 from identification.mixture.hard_contact import HardContactState
 from identification.mixture.innovation_watch import InnovationWatch
 from identification.mixture.needle_pull import NeedlePull
@@ -80,7 +80,7 @@ def _no_own_speed() -> Any:
     def own_speed(state: Any, depth: float, speed: float, *_: float) -> Any:
         return speed, state
 
-    return patch.object(method, "filter_speed", own_speed)
+    return patch.object(learner, "filter_speed", own_speed)
 
 
 PARTS: Mapping[str, Callable[[], tuple[Any, ...]]] = {
@@ -102,7 +102,7 @@ PARTS: Mapping[str, Callable[[], tuple[Any, ...]]] = {
         patch.object(InnovationWatch, "with_innovation", _unchanged),
     ),
     "waiting for the speed": lambda: (
-        patch.object(method, "may_be_braking", lambda *_: False),
+        patch.object(reporter, "may_be_braking", lambda *_: False),
     ),
 }
 """Parts by name, with what switches each off."""

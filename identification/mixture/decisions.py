@@ -44,15 +44,6 @@ FALL_RATE_PER_S = 1.5
 LARGE_FALL_FRACTION = 0.3
 """A fall of more than this fraction of the force is large."""
 
-MIN_SPEED_LAG_S = 0.1
-"""By which the speed is late, at least."""
-
-SPEED_LAG_FACTOR = 3.0
-"""Lag of the speed per ratio of the filter's noise of depth and of speed."""
-
-MAX_SPEED_LAG_S = 0.3
-"""By which the speed is late, at most."""
-
 MIN_SPEED_LOSS = 0.02
 """Fraction of the speed lost, below which it is noise of the filtered speed."""
 
@@ -68,9 +59,6 @@ RECENT_RUPTURE_S = 0.5
 
 MIN_SPEED_MM_S = 1e-3
 """Speed that a loss refers to, at least."""
-
-MIN_SPEED_STD_MM_S = 1e-9
-"""Deviation of the speed that a lag is computed with, at least."""
 
 
 class RuptureCount(NamedTuple):
@@ -147,16 +135,6 @@ def count_ruptures(evidence: Evidence, reported: int, block: Block) -> RuptureCo
     """Return what the components say about the number of ruptures reported."""
     clear_fall_N = max(CLEAR_FALL_SIGMAS * block.noise_std_N, MIN_CLEAR_FALL_N)
     return compare_counts(evidence, reported, block, clear_fall_N)
-
-
-def speed_lag(depth_std: float, speed_std: float) -> float:
-    """Return by how much the speed may be late [s].
-
-    The ratio of the noise that the travel filter leaves in depth and speed is about its
-    time constant.
-    """
-    lag_s = SPEED_LAG_FACTOR * depth_std / max(speed_std, MIN_SPEED_STD_MM_S)
-    return min(max(lag_s, MIN_SPEED_LAG_S), MAX_SPEED_LAG_S)
 
 
 def may_be_braking(

@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from foundation.arrays import Array
 from foundation.records import read_column, read_element
-from identification.estimate import LayerEstimate, Rupture
+from identification.estimate import LayerEstimate, Rupture, Sample
 from identification.mixture.block import Block
 from identification.mixture.events import History
 from identification.mixture.evidence import MM_PER_M, Evidence
@@ -43,20 +43,6 @@ class LayerFriction(NamedTuple):
 
     force_N: float
     std_N: float
-
-
-class Alarm(NamedTuple):
-    """The sample that raises an alarm.
-
-    Attributes:
-        time_s: On the caller's clock.
-        since_reset_s: Time since the reset.
-        depth_m: Depth of the tip.
-    """
-
-    time_s: float
-    since_reset_s: float
-    depth_m: float
 
 
 def contact_std_mm(evidence: Evidence, block: Block) -> float:
@@ -94,7 +80,7 @@ def report_rupture(
     component: int,
     layer: int,
     probability: float,
-    alarm: Alarm,
+    alarm: Sample,
     contact_std_mm: float,
 ) -> Rupture:
     """Return the last rupture of a component.
@@ -108,7 +94,7 @@ def report_rupture(
         contact_std_mm: Standard deviation of the depth of first contact.
     """
     history = _history(evidence, component)
-    since_s = max(alarm.since_reset_s - history.rupture_s, 0.0)
+    since_s = max(alarm.clock_s - history.rupture_s, 0.0)
     return Rupture(
         layer=layer,
         alarm_s=alarm.time_s,

@@ -3,14 +3,15 @@
 import pytest
 
 from foundation.records import read_column
+from identification.estimate import NO_SAMPLE
 from identification.mixture.decisions import (
     count_ruptures,
     may_be_braking,
-    speed_lag,
 )
 from identification.mixture.evidence import weigh_evidence
 from identification.mixture.force_model import LAYER, OFFSET, RELEASED
-from identification.mixture.layer_report import Alarm, report_rupture
+from identification.mixture.layer_report import report_rupture
+from identification.mixture.learner import lag_of_speed
 from identification.mixture.mixture import first_mixture
 from identification.mixture.tissue_motion import TissueMotion
 from tests.identification.mixture.mixtures import (
@@ -69,9 +70,9 @@ def test_a_fall_that_braking_explains_is_no_rupture(
 
 
 def test_a_coarse_encoder_makes_the_speed_later():
-    assert speed_lag(0.0, 0.0) == 0.1
-    assert speed_lag(1.0, 1e-9) == 0.3
-    assert speed_lag(0.0041, 0.0558) == pytest.approx(0.22, abs=1e-3)
+    assert lag_of_speed(0.0, 0.0) == 0.1
+    assert lag_of_speed(1.0, 1e-9) == 0.3
+    assert lag_of_speed(0.0041, 0.0558) == pytest.approx(0.22, abs=1e-3)
 
 
 @pytest.mark.parametrize(
@@ -129,7 +130,7 @@ def test_a_component_with_an_older_rupture_denies_the_alarm():
         component=1,
         layer=1,
         probability=0.99,
-        alarm=Alarm(time_s=3.0, since_reset_s=3.0, depth_m=0.012),
+        alarm=NO_SAMPLE._replace(time_s=3.0, clock_s=3.0, depth_m=0.012),
         contact_std_mm=0.1,
     )
     evidence = weigh_evidence(mixture, alarm, 1)

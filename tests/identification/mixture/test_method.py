@@ -18,7 +18,7 @@ from identification import (
 )
 from identification.config import CheckConfig
 from identification.errors import InvalidConfigError
-from identification.mixture import method
+from identification.mixture import reporter
 from identification.mixture.decisions import count_ruptures
 
 SPEED_M_S = 4e-3
@@ -169,7 +169,7 @@ def test_an_alarm_is_raised_from_a_probability_of_98_percent_on(
         count = count_ruptures(*args)
         return count._replace(more=min(count.more, most))
 
-    monkeypatch.setattr(method, "count_ruptures", count_doubtfully)
+    monkeypatch.setattr(reporter, "count_ruptures", count_doubtfully)
     _, estimates = run(straight()[:5200])
 
     assert len(values_of(estimates, "rupture")) == alarms
@@ -420,12 +420,12 @@ def test_the_configured_gap_is_that_of_the_method(gap_s, is_gap):
         identifier.update(*row)
         if identifier.snapshot().state.contact.block_s == 0.0:
             break
-    steps = identifier.snapshot().state.levels.differences.steps
+    steps = identifier.snapshot().state.learner.levels.differences.steps
     estimate = identifier.update(*rows[3100]._replace(dt_s=0.5))
     state = identifier.snapshot().state
 
     assert estimate.status is (SampleStatus.TIME_GAP if is_gap else SampleStatus.OK)
-    assert state.levels.differences.steps == (0.0 if is_gap else steps + 1.0)
+    assert state.learner.levels.differences.steps == (0.0 if is_gap else steps + 1.0)
 
 
 @pytest.mark.slow
@@ -435,7 +435,7 @@ def test_noise_of_the_force_is_known_at_any_rate(rate_hz):
     slow = insertion([(46e-3, 23.0)], seed=8, noise_N=0.02)
     rows = [row._replace(dt_s=1e-3 * stride) for row in slow[::stride]]
     identifier, _ = run(rows)
-    levels = identifier.snapshot().state.levels
+    levels = identifier.snapshot().state.learner.levels
     samples = max(round(0.01 * rate_hz), 1)
 
     assert levels.variances.white == pytest.approx(0.02**2 / samples, rel=0.5)

@@ -56,7 +56,7 @@ def insert_trembling(tremor_m, speed_m_s=3e-3):
             error_N = abs(estimate.tip_force_N - true_tip_N[k])
             is_covered.append(error_N < 2.0 * estimate.tip_force_std_N)
         if k % 50 == 0:
-            swings += identifier.snapshot().state.block.is_swing
+            swings += identifier.snapshot().state.learner.block.is_swing
     onset_s = run.truth.ruptures[0].onset_s
     return Trembling(ruptures, onset_s, swings, float(np.mean(is_covered)))
 

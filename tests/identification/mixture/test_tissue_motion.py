@@ -47,7 +47,7 @@ def insertion(waves, name="gel-25-constant", seed=5):
         if run.tare_end_s < times_s[k] < end_s:
             estimates.append(identifier.update(*sample, 1e-3, CLOCK_S + times_s[k]))
             if k % 500 == 0:
-                motions.append(identifier.snapshot().state.tissue)
+                motions.append(identifier.snapshot().state.learner.tissue)
     return Insertion(run, estimates, motions)
 
 
@@ -197,7 +197,7 @@ def test_an_insertion_resumes_in_moving_tissue():
         first.update(*row, 1e-3)
     second.restore(first.snapshot())
 
-    assert first.snapshot().state.tissue.is_known
+    assert first.snapshot().state.learner.tissue.is_known
 
     for row in rows[12_000:]:
         assert second.update(*row, 1e-3) == first.update(*row, 1e-3)
