@@ -62,6 +62,7 @@ from identification.mixture.force_model import (
 )
 from identification.mixture.kalman import map_rows
 from identification.mixture.priors import (
+    MIN_SPEED_MM_S,
     add_friction_prior,
     add_membrane_prior,
     add_stiffness_prior,
@@ -417,7 +418,9 @@ def update_assumption(
         child.release_start_mm = block.depth_mm
     # The layer behind a membrane has rubbed since the membrane was met.
     child.layer_start_mm = parent.tip_start_mm if is_puncture else block.depth_mm
-    child.is_fraction_used = 0.0 if event.next_medium == LAYER else 1.0
+    child.prior_speed_mm_s = 0.0
+    if event.next_medium == LAYER:
+        child.prior_speed_mm_s = max(block.speed_mm_s, MIN_SPEED_MM_S)
     child.tip_start_mm = block.depth_mm
     child.medium = event.next_medium
     child.holds_force = 1.0 if event.kind == MEMBRANE_MET else 0.0

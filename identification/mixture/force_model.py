@@ -183,9 +183,9 @@ class Assumptions:
         release_length_mm: Travel that the release takes.
         holds_force: 1 where `HELD` is the tip force at which a membrane was met under a
             layer, 0 where it is the cutting force.
-        is_fraction_used: 0 while `priors.use_friction_fraction` is still to be applied
-            in this layer. It starts at 1: in air and at a membrane there is no layer
-            to apply it to.
+        prior_speed_mm_s: Speed at which the layer's first prior was made, while
+            `priors.use_friction_fraction` is still to be applied in it; then, in air
+            and at a membrane 0.
         ruptures: Number of ruptures; counts at most one more than were reported.
         unchecked_force_N: Force of the layer before, until its release has been
             checked; then 0.
@@ -198,7 +198,7 @@ class Assumptions:
     release_start_mm: float = NO_RELEASE_MM
     release_length_mm: float = 1.0
     holds_force: float = 0.0
-    is_fraction_used: float = 1.0
+    prior_speed_mm_s: float = 0.0
     ruptures: float = 0.0
     unchecked_force_N: float = 0.0
     is_punctured: float = 0.0

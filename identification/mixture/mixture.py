@@ -410,7 +410,6 @@ def first_mixture() -> Mixture:
     assumptions = record_array(Assumptions, 1)
     read_column(assumptions, "release_start_mm")[:] = NO_RELEASE_MM
     read_column(assumptions, "release_length_mm")[:] = 1.0
-    read_column(assumptions, "is_fraction_used")[:] = 1.0
     return Mixture(
         means=np.zeros((1, UNKNOWNS)),
         covariances=covariances,
@@ -679,12 +678,13 @@ def penalise_implausible(
         covariance = mixture.covariances[k]
         assumption = mixture.assumptions[k]
         travel = block.depth_mm - assumption.tip_start_mm
-        is_fraction_due = assumption.is_fraction_used == 0.0
+        is_fraction_due = assumption.prior_speed_mm_s > 0.0
         if is_advancing and is_fraction_due and travel > FRACTION_TRAVEL_MM:
             is_late = travel >= MAX_FRACTION_TRAVEL_MM
             speed = block.speed_mm_s
-            is_used = use_friction_fraction(mean, covariance, speed, is_late)
-            assumption.is_fraction_used = 1.0 if is_used else 0.0
+            prior_speed = assumption.prior_speed_mm_s
+            if use_friction_fraction(mean, covariance, speed, prior_speed, is_late):
+                assumption.prior_speed_mm_s = 0.0
         log_weight = constrain_sign(mean, covariance, assumption)
         log_weight = mixture.log_weights[k] + log_weight
         if is_release_too_small(mean, assumption, block):
@@ -904,7 +904,7 @@ def branch_parents(
             )
             start_mm = assumption.layer_start_mm + MIN_LAYER_ABOVE_MEMBRANE_MM
             is_deep = block.depth_mm > start_mm
-            is_known = assumption.is_fraction_used != 0.0
+            is_known = assumption.prior_speed_mm_s == 0.0
             if medium == LAYER and is_membrane_due and is_deep and is_known:
                 rate = MEMBRANES_PER_RUPTURE * MEMBRANE_STEP_MM * RUPTURES_PER_MM
                 event = Event(MEMBRANE_MET, MEMBRANE, False, NO_RELEASES_MM, rate)

@@ -23,7 +23,7 @@ from identification.mixture.force_model import (
     STIFFNESS,
     UNKNOWNS,
 )
-from identification.mixture.kalman import times, update_to_zero
+from identification.mixture.kalman import times, update, update_to_zero
 
 SLOPE_N_PER_MM = 0.03
 """Prior mean of the growth of the force in a layer, stiffness and friction together."""
@@ -174,23 +174,25 @@ def add_friction_prior(
 
 @compiled_inside
 def use_friction_fraction(
-    mean: WrittenVector, covariance: WrittenMatrix, speed: float, is_due: bool
+    mean: WrittenVector,
+    covariance: WrittenMatrix,
+    speed: float,
+    prior_speed: float,
+    is_due: bool,
 ) -> bool:
     """Apply the prior of friction's fraction to the growth of the force, now known.
 
     The priors at the beginning of a layer contain the fraction already, but for an
-    assumed growth, with deviations in N/mm. Once the growth is known, the fraction is
-    applied once more, with deviations in proportion to that growth: the force of a
-    needle that advances at constant speed does not tell stiffness from friction.
-
-    The first use is not taken out again, so strictly the fraction counts twice. At
-    3 mm/s the first use carries about a seventh of the second's information where the
-    growth is 0.03 N/mm, and as much as the second where it is 0.08 N/mm.
+    assumed growth, with deviations in N/mm: too sure where the force grows fast, since
+    a needle that advances at constant speed does not tell stiffness from friction. Once
+    the growth is known, that part of the first prior is taken out again, and the
+    fraction applied with deviations in proportion to the growth.
 
     Args:
         mean: Of the unknowns, shape (20,).
         covariance: Theirs, shape (20, 20).
         speed: Of the needle.
+        prior_speed: Speed at which the first prior was made.
         is_due: Whether to apply it even where the growth is not known well.
 
     Returns:
@@ -213,6 +215,7 @@ def use_friction_fraction(
     row[LAYER_COULOMB] = 1.0 - friction.fraction
     row[LAYER_VISCOUS] = (1.0 - friction.fraction) * speed
     update_to_zero(mean, covariance, row, (friction.std * slope) ** 2)
+    forget_first_fraction(mean, covariance, speed, prior_speed)
     # And Coulomb's part of the friction is as the speed says.
     coulomb = friction.coulomb
     row[STIFFNESS] = 0.0
@@ -222,3 +225,33 @@ def use_friction_fraction(
     std = std * friction.fraction * slope
     update_to_zero(mean, covariance, row, std**2)
     return True
+
+
+@compiled_inside
+def forget_first_fraction(
+    mean: WrittenVector, covariance: WrittenMatrix, speed: float, prior_speed: float
+) -> None:
+    """Divide out what a layer's first prior said of friction's share in the growth.
+
+    Of stiffness K and friction F per length, independent in that prior with variances a
+    and b, it is the factor of b K - a F, the combination that is independent of K + F.
+    """
+    first = friction_fraction(prior_speed)
+    viscous_speed = max(prior_speed, MIN_VISCOUS_SPEED_MM_S)
+    viscous = (1.0 - first.coulomb) * speed / viscous_speed
+    part_variance = (PART_STD_FRACTION * SLOPE_STD_N_PER_MM) ** 2  # a
+    friction_variance = part_variance * (first.coulomb**2 + viscous**2)  # b
+    stiffness = (1.0 - first.fraction) * SLOPE_N_PER_MM
+    friction = first.fraction * (first.coulomb + viscous) * SLOPE_N_PER_MM
+    row = np.zeros(UNKNOWNS)
+    row[STIFFNESS] = friction_variance
+    row[LAYER_COULOMB] = -part_variance
+    row[LAYER_VISCOUS] = -part_variance * speed
+    prior_value = friction_variance * stiffness - part_variance * friction
+    prior_variance = part_variance * friction_variance
+    prior_variance *= part_variance + friction_variance
+    cross_covariance = times(covariance, row)
+    innovation = prior_value - dot(row, mean)
+    # A measurement of negative variance: what it adds is taken away.
+    total_variance = dot(row, cross_covariance) - prior_variance
+    update(mean, covariance, cross_covariance, innovation, total_variance)
