@@ -29,11 +29,11 @@ if TYPE_CHECKING:
     from identification import PublishedConfig as PublishedConfig
     from identification import Rupture as Rupture
     from identification import replay as replay
-    from needleforce.session import InsertionError as InsertionError
     from needleforce.session import InsertionSession as InsertionSession
     from needleforce.session import SessionEstimate as SessionEstimate
-    from needleforce.session import SessionSnapshot as SessionSnapshot
     from needleforce.session_replay import replay_session as replay_session
+    from needleforce.session_snapshot import InsertionError as InsertionError
+    from needleforce.session_snapshot import SessionSnapshot as SessionSnapshot
     from needleforce.state import SnapshotFileError as SnapshotFileError
     from needleforce.state import read_snapshot as read_snapshot
     from needleforce.state import write_snapshot as write_snapshot
@@ -70,13 +70,9 @@ _NAMES_OF = {
         "Rupture",
         "replay",
     ),
-    "needleforce.session": (
-        "InsertionError",
-        "InsertionSession",
-        "SessionEstimate",
-        "SessionSnapshot",
-    ),
+    "needleforce.session": ("InsertionSession", "SessionEstimate"),
     "needleforce.session_replay": ("replay_session",),
+    "needleforce.session_snapshot": ("InsertionError", "SessionSnapshot"),
     "needleforce.state": (
         "SnapshotFileError",
         "read_snapshot",

@@ -68,6 +68,30 @@ class InsertionProgress(NamedTuple):
     channel_state: ChannelState = ChannelState.FRESH
     channel: OldChannel | None = None
 
+    def moved_to(self, depth_m: float) -> "InsertionProgress":
+        """Return the course with the tip at a depth."""
+        if depth_m > self.deepest_m:
+            return self._replace(deepest_m=depth_m, highest_m=depth_m)
+        if depth_m < self.highest_m:
+            return self._replace(highest_m=depth_m)
+        return self
+
+    def has_retreated(self, depth_m: float, contact_m: float | None) -> bool:
+        """Return whether the needle has gone back in free air and advances again.
+
+        Args:
+            depth_m: Depth of the tip.
+            contact_m: Depth of first contact; None where tissue has not been met.
+        """
+        # Advance after a retreat with which the next approach begins
+        advance_m = 0.5e-3
+        # Retreat in free air that ends an insertion or an approach: more than tissue
+        # rises with the needle that leaves it
+        retreat_m = 3e-3
+        last_m = self.deepest_m if contact_m is None else contact_m
+        is_back = self.highest_m < last_m - retreat_m
+        return is_back and depth_m > self.highest_m + advance_m
+
     def with_depths_moved(self, by_m: float) -> "InsertionProgress":
         """Return the same course with depths that count from another zero."""
         channel = self.channel
@@ -131,72 +155,3 @@ def follow_needle(
         has_moved_aside(place.height_m, place.aside_m, place.cosine),
         place.aside_m > LEFT_M,
     )
-
-
-class InsertionCourse:
-    """Follows the needle through an insertion.
-
-    Attributes:
-        line: See `InsertionProgress`.
-        is_met: See `InsertionProgress`.
-        channel: See `InsertionProgress`.
-        channel_state: See `InsertionProgress`.
-    """
-
-    def __init__(self, insertion: InsertionProgress) -> None:
-        self.begin(insertion)
-
-    def begin(self, insertion: InsertionProgress) -> None:
-        """Follow this insertion from now on."""
-        self._begin = insertion
-        self.line = insertion.line
-        self.is_met = insertion.is_met
-        self.channel = insertion.channel
-        self.channel_state = insertion.channel_state
-        self._deepest_m = insertion.deepest_m
-        self._highest_m = insertion.highest_m
-
-    @property
-    def insertion(self) -> InsertionProgress:
-        """The course so far; immutable."""
-        return self._begin._replace(
-            is_met=self.is_met,
-            channel=self.channel,
-            deepest_m=self._deepest_m,
-            highest_m=self._highest_m,
-        )
-
-    @property
-    def layers_before(self) -> tuple[LayerEstimate, ...]:
-        """Layers of the insertion before, until tissue is met."""
-        return () if self.is_met else self._begin.layers_before
-
-    def meet(self, line: TravelZero, depth_m: float, *, is_met: bool) -> None:
-        """Follow a needle that meets tissue here, or that is found to have met none."""
-        self.begin(
-            self.insertion._replace(line=line, line_depth_m=depth_m, is_met=is_met)
-        )
-
-    def move_to(self, depth_m: float) -> None:
-        """Follow the tip to a depth."""
-        if depth_m > self._deepest_m:
-            self._deepest_m = depth_m
-            self._highest_m = depth_m
-        elif depth_m < self._highest_m:
-            self._highest_m = depth_m
-
-    def has_retreated(self, depth_m: float, contact_m: float | None) -> bool:
-        """Return whether the needle has gone back in free air and advances again.
-
-        Args:
-            depth_m: Depth of the tip.
-            contact_m: Depth of first contact; None where tissue has not been met.
-        """
-        # Advance after a retreat with which the next approach begins
-        advance_m = 0.5e-3
-        # Retreat in free air that ends an insertion or an approach: more than tissue
-        # rises with the needle that leaves it
-        retreat_m = 3e-3
-        last_m = self._deepest_m if contact_m is None else contact_m
-        is_back = self._highest_m < last_m - retreat_m
-        return is_back and depth_m > self._highest_m + advance_m

@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from foundation.arrays import Array
-from identification import Estimate, Identifier, Rupture
+from identification import Estimate, Rupture
 from needleforce.needle_on_plan import (
     PlanDeviation,
     PlannedEntry,
@@ -237,15 +237,15 @@ class PlanFollower:
         )
         self.resume(memory, None)
 
-    def update(
-        self, identification: Estimate, depth_m: float, identifier: Identifier
+    def match(
+        self, identification: Estimate, depth_m: float, contact_m: float | None
     ) -> None:
         """Match new events, and evaluate the plan after events or travel.
 
         Args:
             identification: Estimate of this sample, with its events.
             depth_m: Depth of the tip at this sample [m].
-            identifier: Gives the depth of first contact.
+            contact_m: Depth of first contact [m]; None before contact.
         """
         # Travel after which the plan is evaluated again, besides at events. An
         # evaluation takes much longer than a tick.
@@ -262,7 +262,7 @@ class PlanFollower:
             ruptures=ruptures,
             depth_m=depth_m,
             deepest_m=max(memory.deepest_m, depth_m) if was_evaluated else depth_m,
-            contact_m=identifier.contact_depth_m,
+            contact_m=contact_m,
         )
         self.resume(memory, self.evaluate(memory))
 

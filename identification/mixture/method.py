@@ -17,11 +17,12 @@ from identification.config import MixtureConfig
 from identification.estimate import (
     NO_EVENTS,
     NO_SAMPLE,
-    Events,
+    Estimate,
     LayerEstimate,
     Outputs,
-    RuptureState,
     Sample,
+    SampleStatus,
+    make_estimate,
 )
 from identification.mixture.block import Block
 from identification.mixture.evidence import MM_PER_M, Evidence
@@ -106,9 +107,6 @@ class MixtureMethod:
 
     Attributes:
         contact_depth_m: Depth at which tissue was met first, as known now; None before.
-        is_pulled: Whether no tissue exerts the force, not even one that moves.
-        warnings: What about the tissue keeps the estimate from being what it is
-            elsewhere.
     """
 
     def __init__(self, config: MixtureConfig) -> None:
@@ -130,24 +128,9 @@ class MixtureMethod:
         )
 
     @property
-    def rupture_state(self) -> RuptureState:
-        """Where it stands with respect to a rupture."""
-        return self._reporter.state.rupture_state
-
-    @property
-    def rupture_probability(self) -> float:
-        """Probability of one rupture more than the alarms have reported, now."""
-        return self._reporter.state.rupture_probability
-
-    @property
     def layers(self) -> tuple[LayerEstimate, ...]:
         """Layers traversed."""
         return self._reporter.state.layers
-
-    @property
-    def events(self) -> Events:
-        """What happened at the last sample."""
-        return self._reporter.events
 
     @property
     def is_at_work(self) -> bool:
@@ -178,15 +161,15 @@ class MixtureMethod:
 
     def _read_faults(self) -> None:
         """Keep what is wrong with force and tissue since the last block."""
-        self.is_pulled = self._watch.is_foreign
-        self.warnings = self._watch.warnings
+        self._is_pulled = self._watch.is_foreign
+        self._warnings = self._watch.warnings
 
-    def report(self) -> Outputs:
-        """Return what there is to report without a sample."""
-        return self._estimate(NO_SAMPLE)
+    def first_estimate(self) -> Estimate:
+        """Return the estimate before the first sample."""
+        return self._estimate(NO_SAMPLE, SampleStatus.OK, self._split(NO_SAMPLE))
 
-    def update(self, sample: Sample) -> Outputs:
-        """Use one sample; return what to report of it beside the events."""
+    def use(self, sample: Sample, status: SampleStatus) -> Estimate:
+        """Use one sample; return the estimate after it."""
         arm_m_s = sample.speed_m_s
         sample = self._learner.seen_by_tissue(sample)
         is_full, outputs = update_sample(
@@ -207,11 +190,11 @@ class MixtureMethod:
         self._reporter.events = NO_EVENTS
         if is_full:
             self._use_block(sample)
+            outputs = self._split(sample)
         elif self.is_at_work:
             self._do_next_part(sample)
-        else:
-            return self._watch.widen(outputs)
-        return self._estimate(sample)
+            outputs = self._split(sample)
+        return self._estimate(sample, status, outputs)
 
     def doubt_zero(self, std_N: float) -> None:
         """Take the zero of the force for changed, in every component alike."""
@@ -221,8 +204,8 @@ class MixtureMethod:
         """Count no ruptures of the last time, and take them for unlikely."""
         self._reporter.doubt_ruptures(age_s)
 
-    def _estimate(self, sample: Sample) -> Outputs:
-        """Return what to report of a sample by what is known now."""
+    def _split(self, sample: Sample) -> Outputs:
+        """Return what the force of a sample is, by what is known now."""
         outputs = estimate_sample(
             self._posterior,
             self._contact,
@@ -232,7 +215,22 @@ class MixtureMethod:
             sample.force_N,
         )
         self._tip_std_N = outputs[TIP_STD] or 0.0
-        return self._watch.widen(outputs)
+        return outputs
+
+    def _estimate(
+        self, sample: Sample, status: SampleStatus, outputs: Outputs
+    ) -> Estimate:
+        """Put the estimate together, its deviations as wide as what is in doubt."""
+        reporter = self._reporter
+        return make_estimate(
+            sample.time_s,
+            SampleStatus.NEEDLE_PULLED if self._is_pulled else status,
+            reporter.state.rupture_state,
+            self._watch.widen(outputs),
+            reporter.events,
+            reporter.state.rupture_probability,
+            self._warnings,
+        )
 
     def _use_block(self, sample: Sample) -> None:
         """Do what is left for the last block, then use the one that is full."""
