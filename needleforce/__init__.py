@@ -8,8 +8,10 @@ The names below live in `urdf`, `residual`, `identification` and the modules of 
 package; each is imported when it is first used, so that ``import needleforce`` costs
 next to nothing.
 
-Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
-it), `plan_file` (a plan from its file), `needle_on_plan` (whether the needle is on it),
+Reading order: `session` (the whole chain, tick by tick), `insertion_course` (where an
+insertion begins and ends), `rewinding` (what a push on the arm undoes), `zero_watch`
+(what shows another zero), `session_snapshot`; `plan_follower` (a plan beside it),
+`plan_file` (a plan from its file), `needle_on_plan` (whether the needle is on it),
 `session_replay` (over a recording), `sensor_replay` (the virtual sensor over a log),
 `tare_run` (when it is tared), `recorder` (an arm's signals into a file), `state` (stop
 and resume); then the packages `recordings`, `plots`, `cli`, `control` (what moves the

@@ -105,6 +105,8 @@ class PlanFollower:
         surroundings: The structures at risk around the path, if they are known.
 
     Attributes:
+        has_plan: Whether there is a plan to match ruptures with.
+        has_path: Whether there is a path, or an entry, to compare the needle with.
         memory: Immutable.
         state: Result of the last evaluation; None without a plan, or before the first.
         deviation: The needle against the planned path; None without a path.
@@ -124,6 +126,8 @@ class PlanFollower:
         self.clearances: tuple[NeedleClearance, ...] = ()
         self._plan = plan
         self._path = path
+        self.has_plan = plan is not None
+        self.has_path = path is not None
         self._entry_m = None if path is None else path.entry_m
         entry = "" if path is None else f" along {path.fingerprint}"
         self.deviation: PlanDeviation | None = None

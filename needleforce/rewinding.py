@@ -48,6 +48,8 @@ class RewindingIdentifier:
             it.
         contact_m: Depth of the first contact, as known now; None before.
         unused_s: Time of valid samples since the last one that was used.
+        is_save_due: Whether a state to rewind to is to be saved. This is put off until
+            the sample after the one that made it due, to spread the work.
         checkpoints: States to rewind to.
     """
 
@@ -86,7 +88,7 @@ class RewindingIdentifier:
         self.last = checkpoint.identifier.last
         self.contact_m = self.identifier.contact_depth_m
         self.unused_s = time_s - checkpoint.time_s
-        self._is_due = False
+        self.is_save_due = False
         self._had_events = False
 
     def restore(
@@ -131,6 +133,7 @@ class RewindingIdentifier:
             time_s=time_s,
             force_std_N=force_std_N,
         )
+        self.contact_m = self.identifier.contact_depth_m
         self.unused_s = 0.0
         return estimate
 
@@ -140,24 +143,17 @@ class RewindingIdentifier:
         # before it is detected.
         period_s = 0.25
         self.last = estimate
-        self.contact_m = self.identifier.contact_depth_m
         self._had_events = estimate.has_events
         due_s = self.checkpoints.newer.time_s + period_s
-        self._is_due = self._had_events or time_s >= due_s
+        self.is_save_due = self._had_events or time_s >= due_s
 
-    def save_if_due(self, time_s: float) -> None:
-        """Save a state to rewind to.
-
-        This is put off until the sample after the one that made it due, to spread the
-        work.
-        """
-        if not self._is_due:
-            return
+    def save(self, time_s: float) -> None:
+        """Save a state to rewind to."""
         newer = Checkpoint(time_s, self.identifier.snapshot())
         # An event must not be reported twice: nothing before it is kept.
         older = newer if self._had_events else self.checkpoints.newer
         self.checkpoints = Checkpoints(older, newer)
-        self._is_due = False
+        self.is_save_due = False
 
     def skip(self, elapsed_s: float, time_s: float, *, is_spoilt: bool) -> None:
         """Leave out a sample; rewind if those before it are spoilt, too."""

@@ -11,7 +11,7 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from identification import MIXTURE as DEFAULT_IDENTIFIER
 from identification import Estimate, LayerEstimate, MixtureConfig, PublishedConfig
-from needleforce.insertion_tracker import InsertionTracker
+from needleforce.insertion_course import InsertionCourse
 from needleforce.needle_channels import ChannelState
 from needleforce.needle_on_plan import (
     PlanDeviation,
@@ -172,8 +172,11 @@ class InsertionSession:
         self._is_watched = isinstance(identifier_config, MixtureConfig)
         self._speed_lag_s = float(speed_lag_s)
         self._zero_watch = ZeroWatch(self._sensor, self._identifier)
-        self._needle = InsertionTracker(
-            self._sensor, self._identifier, self._zero_watch, self._speed_lag_s
+        self._needle = InsertionCourse(
+            self._sensor.kinematics,
+            self._identifier,
+            self._zero_watch,
+            self._speed_lag_s,
         )
 
     @property
@@ -389,7 +392,8 @@ class InsertionSession:
         needle = self._needle
         identifier = self._identifier
         zero_watch = self._zero_watch
-        identifier.save_if_due(needle.time_s)
+        if identifier.is_save_due:
+            identifier.save(needle.time_s)
         return SessionSnapshot(
             sensor=self._sensor.snapshot(),
             identifier=identifier.identifier.snapshot(),
@@ -433,68 +437,72 @@ class InsertionSession:
         self._zero_watch.jump_std_N = snapshot.jump_std_N
         needle.restore(snapshot)
         needle.plan.resume(snapshot.plan, plan_state)
-        needle.plan.compare_with(self._sensor.kinematics)
+        if needle.plan.has_path:
+            needle.plan.compare_with(self._sensor.kinematics)
 
     def _process(self, wrench: WrenchEstimate) -> SessionEstimate:
         """Follow the needle and, where the force is usable, identify."""
+        sensor = self._sensor
         needle = self._needle
         identifier = self._identifier
-        identifier.save_if_due(needle.time_s)
+        if identifier.is_save_due:
+            identifier.save(needle.time_s)
         if wrench.status is Status.REJECTED:
             return self._repeat_last(wrench)
-        needle.advance()
-        elapsed_s = self._sensor.elapsed_s
-        is_spoilt = self._sensor.is_measuring_jump
+        elapsed_s = sensor.elapsed_s
+        is_spoilt = sensor.is_measuring_jump
+        needle.advance(sensor.velocity_rad_s, elapsed_s, sensor.filter_lag_s)
         warnings = wrench.warnings
         # Without any, the test of a flag, which takes a microsecond, is left out.
         is_unusable = warnings is not SensorWarning.NONE and bool(warnings & UNUSABLE)
         if wrench.status is not Status.OK or is_unusable or is_spoilt:
             return self._skip_sample(wrench, elapsed_s, is_spoilt=is_spoilt)
         is_resuming = identifier.unused_s > 0.0
+        is_outside = False
         if self._is_watched:
-            needle.find_insertion(is_resuming=is_resuming)
+            is_outside = needle.find_insertion(is_resuming=is_resuming)
         # The warnings of a push come from periodic checks, which may miss one that is
         # still there: a gap ends only once a check of this very sample shows none.
-        if is_resuming and self._sensor.recheck(wrench).warnings & PUSHED:
+        if is_resuming and sensor.recheck(wrench).warnings & PUSHED:
             return self._skip_sample(wrench, elapsed_s)
-        self._zero_watch.doubt_after_jump()
-        if self._is_watched:
-            self._zero_watch.watch_air(wrench, elapsed_s, is_outside=needle.is_outside)
-        identification = self._identify(wrench, elapsed_s)
-        if identification.rupture is not None:
-            # A push on the arm looks like a rupture, even before the periodic checks
-            # detect it.
-            wrench = self._sensor.recheck(wrench)
-            if wrench.warnings & PUSHED:
-                # The identifier has used this sample, so its time is not added here.
-                # The rewind that follows undoes that and counts it as unused.
-                return self._skip_sample(wrench, elapsed_s=0.0)
-        identifier.accept(identification, needle.time_s)
-        needle.plan.match(
-            identification, needle.travel.delayed_depth_m, identifier.contact_m
-        )
-        needle.check_channel(wrench)
-        return self._estimate(wrench, is_used=identification.status.is_used)
-
-    def _identify(self, wrench: WrenchEstimate, elapsed_s: float) -> Estimate:
-        """Return the identifier's estimate after this sample.
-
-        It gets the force before smoothing, since it filters on its own. That force
-        lags by the observer only; depth and speed are delayed to match.
-        """
-        needle = self._needle
+        self._zero_watch.watch(wrench, elapsed_s, is_outside=is_outside)
+        # The identifier gets the force before smoothing, since it filters on its own.
+        # That force lags by the observer only; depth and speed are delayed to match.
         # `axial_std` is the deviation of the smoothed force: error of the tare, drift,
         # uncertain torque of motion, what the lag hides, noise that smoothing leaves.
         # The identifier wants just this slow error: it learns the sample noise itself,
         # and a wrong scale of the torques scales all that it finds alike.
-        return self._identifier.use(
+        identification = identifier.use(
             needle.travel.delayed_depth_m,
             needle.travel.delayed_speed_m_s,
             wrench.axial_unsmoothed,
             elapsed_s,
             needle.time_s,
-            self._sensor.std_of_bias_N(wrench),
+            sensor.std_of_bias_N(wrench),
         )
+        if identification.rupture is not None:
+            # A push on the arm looks like a rupture, even before the periodic checks
+            # detect it.
+            wrench = sensor.recheck(wrench)
+            if wrench.warnings & PUSHED:
+                # The identifier has used this sample, so its time is not added here.
+                # The rewind that follows undoes that and counts it as unused.
+                return self._skip_sample(wrench, elapsed_s=0.0)
+        self._accept(identification, wrench)
+        return self._estimate(wrench, is_used=identification.status.is_used)
+
+    def _accept(self, identification: Estimate, wrench: WrenchEstimate) -> None:
+        """Keep what was identified with a sample; match it with plan and channel."""
+        needle = self._needle
+        identifier = self._identifier
+        identifier.accept(identification, needle.time_s)
+        if needle.plan.has_plan:
+            needle.plan.match(
+                identification, needle.travel.delayed_depth_m, identifier.contact_m
+            )
+        channel = needle.insertion.channel
+        if channel is not None:
+            needle.check_channel(channel, wrench)
 
     def _skip_sample(
         self, wrench: WrenchEstimate, elapsed_s: float, *, is_spoilt: bool = False
@@ -533,7 +541,7 @@ class InsertionSession:
             plan=plan.reported_state,
             deviation=plan.deviation,
             clearances=plan.clearances,
-            plan_events=plan.take_events(),
+            plan_events=plan.take_events() if plan.has_path else (),
         )
 
 

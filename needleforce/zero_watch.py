@@ -106,27 +106,24 @@ class ZeroWatch:
         self.jumps = self._sensor.jumps
         self.jump_std_N = self._sensor.jump_std_N
 
-    def doubt_after_jump(self) -> None:
-        """Let the identifier doubt the zero, once after a jump of a torque.
-
-        When the torque returns it is doubted again, by as much as before.
-        """
-        if self.jumps != self._sensor.jumps:
-            old_std_N = self.jump_std_N
-            self.begin_insertion()
-            doubted_N = max(old_std_N, self.jump_std_N)
-            self._identifier.identifier.doubt_zero(doubted_N, JUMP_SEEN_S)
-
-    def watch_air(
+    def watch(
         self, wrench: WrenchEstimate, elapsed_s: float, *, is_outside: bool
     ) -> None:
-        """Look for a force where none can be; let the identifier doubt its zero.
+        """Let the identifier doubt the zero after a jump, or a force where none can be.
+
+        It does so once after a jump of a torque; when the torque returns again, by as
+        much as before.
 
         Args:
             wrench: Force of a sample.
             elapsed_s: Time since the sample before.
             is_outside: Whether nothing touches the needle.
         """
+        if self.jumps != self._sensor.jumps:
+            old_std_N = self.jump_std_N
+            self.begin_insertion()
+            doubted_N = max(old_std_N, self.jump_std_N)
+            self._identifier.identifier.doubt_zero(doubted_N, JUMP_SEEN_S)
         if not is_outside:
             if self.air.odd_s + self.air.quiet_s > 0.0:
                 self.air = self.air.in_tissue()

@@ -9,7 +9,7 @@ needle does not advance, the one that fills a block reports as well. One more ma
 for moving tissue.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from foundation.records import as_record, from_record, read_field
@@ -75,31 +75,14 @@ class MixtureMethodState:
         tip_std_N: Deviation of the tip's force that was stated last.
     """
 
-    mixture: MixtureState
-    contact: NeedleContact
-    posterior: ShaftPosterior
-    learner: LearnerState
-    watch: ForceWatchState
-    reporter: ReporterState
+    mixture: MixtureState = field(default_factory=lambda: first_mixture().state)
+    contact: NeedleContact = field(default_factory=NeedleContact)
+    posterior: ShaftPosterior = field(default_factory=ShaftPosterior)
+    learner: LearnerState = field(default_factory=LearnerState)
+    watch: ForceWatchState = field(default_factory=ForceWatchState)
+    reporter: ReporterState = field(default_factory=ReporterState)
     stage: Stage = Stage.DONE
     tip_std_N: float = 0.0
-
-    @property
-    def is_at_work(self) -> bool:
-        """Whether something is left to do for the last block."""
-        return self.reporter.is_at_work or self.stage is not Stage.DONE
-
-
-def first_state() -> MixtureMethodState:
-    """Return the state before the first sample."""
-    return MixtureMethodState(
-        mixture=first_mixture().state,
-        contact=NeedleContact(),
-        posterior=ShaftPosterior(),
-        learner=LearnerState(),
-        watch=ForceWatchState(),
-        reporter=ReporterState(),
-    )
 
 
 class MixtureMethod:
@@ -111,7 +94,7 @@ class MixtureMethod:
 
     def __init__(self, config: MixtureConfig) -> None:
         self._config = config
-        self.restore(first_state())
+        self.restore(MixtureMethodState())
 
     @property
     def state(self) -> MixtureMethodState:
@@ -133,9 +116,10 @@ class MixtureMethod:
         return self._reporter.state.layers
 
     @property
-    def is_at_work(self) -> bool:
+    def _is_at_work(self) -> bool:
         """Whether something is left to do for the last block."""
-        return self._stage is not DONE or self._reporter.state.is_at_work
+        due = self._reporter.state
+        return due.is_due or due.is_layer_due or self._stage is not DONE
 
     def restore(self, state: MixtureMethodState) -> None:
         """Go on from a state."""
@@ -151,7 +135,7 @@ class MixtureMethod:
         self._stage = state.stage
         self._tip_std_N = state.tip_std_N
         self._read_contact()
-        self._read_faults()
+        self._read_state()
 
     def _read_contact(self) -> None:
         """Keep the depth of first contact, which callers want at every sample."""
@@ -159,9 +143,11 @@ class MixtureMethod:
         depth_m = float(read_field(self._posterior, "contact_depth_m"))
         self.contact_depth_m = depth_m if is_met else None
 
-    def _read_faults(self) -> None:
-        """Keep what is wrong with force and tissue since the last block."""
+    def _read_state(self) -> None:
+        """Keep what every sample asks for, and only work on a block changes."""
+        self._is_tissue_known = self._learner.state.tissue.is_known
         self._is_pulled = self._watch.is_foreign
+        self._is_in_doubt = self._watch.doubt_N > 0.0
         self._warnings = self._watch.warnings
 
     def first_estimate(self) -> Estimate:
@@ -171,7 +157,8 @@ class MixtureMethod:
     def use(self, sample: Sample, status: SampleStatus) -> Estimate:
         """Use one sample; return the estimate after it."""
         arm_m_s = sample.speed_m_s
-        sample = self._learner.seen_by_tissue(sample)
+        if self._is_tissue_known:
+            sample = self._learner.seen_by_tissue(sample)
         is_full, outputs = update_sample(
             self._posterior,
             self._contact,
@@ -188,11 +175,12 @@ class MixtureMethod:
             sample.raw_speed_m_s,
         )
         self._reporter.events = NO_EVENTS
-        if is_full:
-            self._use_block(sample)
-            outputs = self._split(sample)
-        elif self.is_at_work:
-            self._do_next_part(sample)
+        if is_full or self._is_at_work:
+            if is_full:
+                self._use_block(sample)
+            else:
+                self._do_next_part(sample)
+            self._read_state()
             outputs = self._split(sample)
         return self._estimate(sample, status, outputs)
 
@@ -221,12 +209,14 @@ class MixtureMethod:
         self, sample: Sample, status: SampleStatus, outputs: Outputs
     ) -> Estimate:
         """Put the estimate together, its deviations as wide as what is in doubt."""
+        if self._is_in_doubt:
+            outputs = self._watch.widen(outputs)
         reporter = self._reporter
         return make_estimate(
             sample.time_s,
             SampleStatus.NEEDLE_PULLED if self._is_pulled else status,
             reporter.state.rupture_state,
-            self._watch.widen(outputs),
+            outputs,
             reporter.events,
             reporter.state.rupture_probability,
             self._warnings,
@@ -234,10 +224,9 @@ class MixtureMethod:
 
     def _use_block(self, sample: Sample) -> None:
         """Do what is left for the last block, then use the one that is full."""
-        while self.is_at_work:  # blocks are of one or two samples
+        while self._is_at_work:  # blocks are of one or two samples
             self._do_next_part(sample)
         self._learn(sample)
-        self._read_faults()
         if not self._reporter.state.is_due:
             # The needle does not advance: the next sample has nothing to add.
             self._report(sample)
