@@ -15,17 +15,11 @@ from foundation.state import SAME_KIND, StateError, check_state
 from identification.config import MIXTURE, MixtureConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import (
-    NO_EVENTS,
     Estimate,
-    Events,
     LayerEstimate,
-    Outputs,
     Rupture,
-    RuptureState,
     Sample,
     SampleStatus,
-    TissueWarning,
-    make_estimate,
 )
 from identification.mixture.method import MixtureMethod, MixtureMethodState
 from identification.published.state import PublishedState
@@ -47,41 +41,16 @@ class Method(Protocol):
         ...
 
     @property
-    def is_pulled(self) -> bool:
-        """Whether no tissue exerts the force."""
-        ...
-
-    @property
-    def rupture_state(self) -> RuptureState:
-        """Where it stands with respect to a rupture."""
-        ...
-
-    @property
-    def rupture_probability(self) -> float | None:
-        """Probability of one more rupture than was reported; None if it has none."""
-        ...
-
-    @property
-    def events(self) -> Events:
-        """What happened at the last sample."""
-        ...
-
-    @property
-    def warnings(self) -> TissueWarning:
-        """What about the tissue keeps the estimate from being what it is elsewhere."""
-        ...
-
-    @property
     def state(self) -> Any:
         """Everything that it remembers, as an immutable tree."""
         ...
 
-    def report(self) -> Outputs:
-        """Return what there is to report without a sample."""
+    def first_estimate(self) -> Estimate:
+        """Return the estimate before the first sample."""
         ...
 
-    def update(self, sample: Sample) -> Outputs:
-        """Use one sample; return what to report of it beside the events."""
+    def use(self, sample: Sample, status: SampleStatus) -> Estimate:
+        """Use one sample; return the estimate after it."""
         ...
 
     def restore(self, state: Any) -> None:
@@ -182,14 +151,7 @@ class Identifier:
         self._check = as_record(CheckState())
         self._read_removed()
         self._travel = as_record(TravelState())
-        self._last = make_estimate(
-            0.0,
-            SampleStatus.OK,
-            self._method.rupture_state,
-            self._method.report(),
-            self._method.events,
-            self._method.rupture_probability,
-        )
+        self._last = self._method.first_estimate()
 
     def update(
         self,
@@ -270,7 +232,11 @@ class Identifier:
             raw_speed_m_s=speed_m_s,
             clock_s=clock_s,
         )
-        return self._process(sample, status)
+        estimate = self._method.use(sample, status)
+        if self._removed_m != 0.0 and estimate.has_events:
+            estimate = move_events(estimate, self._removed_m)
+        self._last = estimate
+        return estimate
 
     def doubt_zero(self, std_N: float, age_s: float) -> None:
         """Take the zero of the force for changed a short while before the last sample.
@@ -332,27 +298,6 @@ class Identifier:
     def _read_removed(self) -> None:
         """Keep the sum of the jumps that were removed from the depth."""
         self._removed_m = float(read_field(self._check, "removed_m"))
-
-    def _process(self, sample: Sample, status: SampleStatus) -> Estimate:
-        """Let the method use a sample, and report in the depth of the caller."""
-        method = self._method
-        outputs = method.update(sample)
-        events = method.events
-        if events is not NO_EVENTS:
-            events = move_events(events, self._removed_m)
-        warnings = method.warnings
-        if method.is_pulled:
-            status = SampleStatus.NEEDLE_PULLED
-        self._last = make_estimate(
-            sample.time_s,
-            status,
-            method.rupture_state,
-            outputs,
-            events,
-            method.rupture_probability,
-            warnings,
-        )
-        return self._last
 
     def _update_unchecked(
         self,
@@ -431,19 +376,17 @@ def move_layer(layer: LayerEstimate, by_m: float) -> LayerEstimate:
     )
 
 
-def move_events(events: Events, by_m: float) -> Events:
-    """Return events whose depths count from another zero."""
-    if by_m == 0.0:
-        return events
-    layer = events.identified_layer
-    contact = events.hard_contact
+def move_events(estimate: Estimate, by_m: float) -> Estimate:
+    """Return an estimate the depths of whose events count from another zero."""
+    layer = estimate.identified_layer
+    contact = estimate.hard_contact
     if contact is not None:
         contact = replace(contact, depth_m=contact.depth_m + by_m)
-    return Events(
-        rupture=move_rupture(events.rupture, by_m),
+    return estimate._replace(
+        rupture=move_rupture(estimate.rupture, by_m),
         identified_layer=None if layer is None else move_layer(layer, by_m),
-        retracted=move_rupture(events.retracted, by_m),
-        provisional=move_rupture(events.provisional, by_m),
-        provisional_retracted=move_rupture(events.provisional_retracted, by_m),
+        retracted=move_rupture(estimate.retracted, by_m),
+        provisional=move_rupture(estimate.provisional, by_m),
+        provisional_retracted=move_rupture(estimate.provisional_retracted, by_m),
         hard_contact=contact,
     )

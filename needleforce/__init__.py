@@ -8,8 +8,10 @@ The names below live in `urdf`, `residual`, `identification` and the modules of 
 package; each is imported when it is first used, so that ``import needleforce`` costs
 next to nothing.
 
-Reading order: `session` (the whole chain, tick by tick), `plan_follower` (a plan beside
-it), `plan_file` (a plan from its file), `needle_on_plan` (whether the needle is on it),
+Reading order: `session` (the whole chain, tick by tick), `insertion_course` (where an
+insertion begins and ends), `rewinding` (what a push on the arm undoes), `zero_watch`
+(what shows another zero), `session_snapshot`; `plan_follower` (a plan beside it),
+`plan_file` (a plan from its file), `needle_on_plan` (whether the needle is on it),
 `session_replay` (over a recording), `sensor_replay` (the virtual sensor over a log),
 `tare_run` (when it is tared), `recorder` (an arm's signals into a file), `state` (stop
 and resume); then the packages `recordings`, `plots`, `cli`, `control` (what moves the
@@ -29,11 +31,11 @@ if TYPE_CHECKING:
     from identification import PublishedConfig as PublishedConfig
     from identification import Rupture as Rupture
     from identification import replay as replay
-    from needleforce.session import InsertionError as InsertionError
     from needleforce.session import InsertionSession as InsertionSession
     from needleforce.session import SessionEstimate as SessionEstimate
-    from needleforce.session import SessionSnapshot as SessionSnapshot
     from needleforce.session_replay import replay_session as replay_session
+    from needleforce.session_snapshot import InsertionError as InsertionError
+    from needleforce.session_snapshot import SessionSnapshot as SessionSnapshot
     from needleforce.state import SnapshotFileError as SnapshotFileError
     from needleforce.state import read_snapshot as read_snapshot
     from needleforce.state import write_snapshot as write_snapshot
@@ -70,13 +72,9 @@ _NAMES_OF = {
         "Rupture",
         "replay",
     ),
-    "needleforce.session": (
-        "InsertionError",
-        "InsertionSession",
-        "SessionEstimate",
-        "SessionSnapshot",
-    ),
+    "needleforce.session": ("InsertionSession", "SessionEstimate"),
     "needleforce.session_replay": ("replay_session",),
+    "needleforce.session_snapshot": ("InsertionError", "SessionSnapshot"),
     "needleforce.state": (
         "SnapshotFileError",
         "read_snapshot",

@@ -1,25 +1,49 @@
-"""Where an insertion begins and ends, from the needle's place alone.
+"""Follows the needle: its depth, where an insertion begins and ends, old channels.
 
 In free air a turn, a retreat followed by an advance, or a move aside ends an insertion;
 a move aside that no tissue allows ends it anywhere.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from foundation.arrays import Vector
+from foundation.arrays import Array, Vector
 from foundation.jit import compiled, compiled_inside
 from foundation.linear_algebra import dot
-from identification.channel import count_depth_from
-from identification.estimate import LayerEstimate
-from needleforce.needle_channels import NEEDLE_DIAMETER_M, ChannelState, OldChannel
+from identification import LayerEstimate
+from identification import Snapshot as IdentifierSnapshot
+from identification.channel import (
+    continue_channel,
+    count_depth_from,
+    has_cut,
+    read_friction,
+)
+from needleforce.needle_channels import (
+    MIN_LENGTH_M,
+    NEEDLE_DIAMETER_M,
+    ChannelState,
+    NeedleChannel,
+    OldChannel,
+    add_channel,
+    find_channel,
+    remove_channel,
+)
+from needleforce.plan_follower import PlanFollower
+from needleforce.rewinding import Checkpoint, RewindingIdentifier
 from needleforce.tip_travel import (
     Needle,
+    TipTravel,
     TravelZero,
     place_beside_line,
     place_tip,
     tip_speed,
 )
+from needleforce.zero_watch import ZeroWatch
+from residual import WrenchEstimate
+from residual.tool_kinematics import ToolKinematics
+
+if TYPE_CHECKING:
+    from needleforce.session_snapshot import SessionSnapshot
 
 MAX_TURN_COSINE = math.cos(math.radians(3.0))
 """Cosine of the turn in free air from which on depth counts along the new axis: its
@@ -67,6 +91,30 @@ class InsertionProgress(NamedTuple):
     layers_before: tuple[LayerEstimate, ...] = ()
     channel_state: ChannelState = ChannelState.FRESH
     channel: OldChannel | None = None
+
+    def moved_to(self, depth_m: float) -> "InsertionProgress":
+        """Return the course with the tip at a depth."""
+        if depth_m > self.deepest_m:
+            return self._replace(deepest_m=depth_m, highest_m=depth_m)
+        if depth_m < self.highest_m:
+            return self._replace(highest_m=depth_m)
+        return self
+
+    def has_retreated(self, depth_m: float, contact_m: float | None) -> bool:
+        """Return whether the needle has gone back in free air and advances again.
+
+        Args:
+            depth_m: Depth of the tip.
+            contact_m: Depth of first contact; None where tissue has not been met.
+        """
+        # Advance after a retreat with which the next approach begins
+        advance_m = 0.5e-3
+        # Retreat in free air that ends an insertion or an approach: more than tissue
+        # rises with the needle that leaves it
+        retreat_m = 3e-3
+        last_m = self.deepest_m if contact_m is None else contact_m
+        is_back = self.highest_m < last_m - retreat_m
+        return is_back and depth_m > self.highest_m + advance_m
 
     def with_depths_moved(self, by_m: float) -> "InsertionProgress":
         """Return the same course with depths that count from another zero."""
@@ -123,10 +171,11 @@ def follow_needle(
         it `has_moved_aside`; whether the tip is beside its channel.
     """
     tip = place_tip(needle)
+    speed_m_s = tip_speed(tip, needle, dq)
     place = place_beside_line(tip, line_start, line_axis)
     return (
         dot(axis, tip.position_m),
-        tip_speed(tip, needle, dq),
+        speed_m_s,
         dot(axis, tip.direction) < MAX_TURN_COSINE,
         has_moved_aside(place.height_m, place.aside_m, place.cosine),
         place.aside_m > LEFT_M,
@@ -134,69 +183,355 @@ def follow_needle(
 
 
 class InsertionCourse:
-    """Follows the needle through an insertion.
+    """Follows the needle, and tells identifier and plan where an insertion begins.
+
+    Args:
+        tool: Places the needle.
+        identifier: Begins anew, or goes on, with every insertion.
+        zero_watch: Begins with every insertion.
+        speed_lag_s: Time constant of a low-pass on the speed [s].
 
     Attributes:
-        line: See `InsertionProgress`.
-        is_met: See `InsertionProgress`.
-        channel: See `InsertionProgress`.
-        channel_state: See `InsertionProgress`.
+        plan: Follows a plan beside the insertion.
+        time_s: The session's clock, see `SessionEstimate`.
+        zero: Where depth counts from.
+        travel: Depth and speed of the tip.
+        insertion: Its course.
+        channels: Those that earlier insertions have cut.
     """
 
-    def __init__(self, insertion: InsertionProgress) -> None:
-        self.begin(insertion)
+    zero: TravelZero
+    channels: tuple[NeedleChannel, ...]
 
-    def begin(self, insertion: InsertionProgress) -> None:
-        """Follow this insertion from now on."""
-        self._begin = insertion
-        self.line = insertion.line
-        self.is_met = insertion.is_met
-        self.channel = insertion.channel
-        self.channel_state = insertion.channel_state
-        self._deepest_m = insertion.deepest_m
-        self._highest_m = insertion.highest_m
+    def __init__(
+        self,
+        tool: ToolKinematics,
+        identifier: RewindingIdentifier,
+        zero_watch: ZeroWatch,
+        speed_lag_s: float,
+    ) -> None:
+        self._identifier = identifier
+        self._zero_watch = zero_watch
+        self._speed_lag_s = speed_lag_s
+        self._tool = tool
+        self.plan = PlanFollower(None, None)
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget everything, the channels included."""
+        self.time_s = 0.0
+        self.channels = ()
+        self._is_started = False
+        self.begin_here()
+
+    def restore(self, snapshot: "SessionSnapshot") -> None:
+        """Continue from a snapshot, but for the plan."""
+        self._count_depth_from(snapshot.zero)
+        self.travel = snapshot.travel
+        self.time_s = snapshot.time_s
+        self.insertion = snapshot.insertion
+        self.channels = snapshot.channels
+        self._is_started = snapshot.sensor.last is not None
 
     @property
-    def insertion(self) -> InsertionProgress:
-        """The course so far; immutable."""
-        return self._begin._replace(
-            is_met=self.is_met,
-            channel=self.channel,
-            deepest_m=self._deepest_m,
-            highest_m=self._highest_m,
+    def layers(self) -> tuple[LayerEstimate, ...]:
+        """Layers traversed so far; before the contact those of the insertion before."""
+        before = () if self.insertion.is_met else self.insertion.layers_before
+        return self._identifier.identifier.layers or before
+
+    @property
+    def _line(self) -> TravelZero:
+        """Where the tip is now, and the needle's direction."""
+        tool = self._tool
+        return TravelZero(
+            start_in_base_m=tool.pose[:3, 3].copy(),
+            axis_in_base=tool.axis_in_base.copy(),
         )
 
     @property
-    def layers_before(self) -> tuple[LayerEstimate, ...]:
-        """Layers of the insertion before, until tissue is met."""
-        return () if self.is_met else self._begin.layers_before
+    def _is_in_air(self) -> bool:
+        """Whether the tip is in front of the tissue, or none has been met."""
+        contact_m = self._identifier.contact_m
+        return contact_m is None or self.travel.depth_m < contact_m
 
-    def meet(self, line: TravelZero, depth_m: float, *, is_met: bool) -> None:
-        """Follow a needle that meets tissue here, or that is found to have met none."""
-        self.begin(
-            self.insertion._replace(line=line, line_depth_m=depth_m, is_met=is_met)
-        )
+    @property
+    def is_in_tissue(self) -> bool:
+        """Whether tip and force are where tissue has been met.
 
-    def move_to(self, depth_m: float) -> None:
-        """Follow the tip to a depth."""
-        if depth_m > self._deepest_m:
-            self._deepest_m = depth_m
-            self._highest_m = depth_m
-        elif depth_m < self._highest_m:
-            self._highest_m = depth_m
+        A contact that the force does not show may be none.
+        """
+        # Deviations of a force that shows that the tip is in tissue
+        tissue_sigmas = 3.0
+        if self._is_in_air:
+            return False
+        identification = self._identifier.last
+        net_N = identification.tip_force_N + identification.shaft_friction_N
+        std_N = identification.tip_force_std_N or 0.0
+        return abs(net_N) > tissue_sigmas * std_N or self._length_to_remember_m > 0.0
 
-    def has_retreated(self, depth_m: float, contact_m: float | None) -> bool:
-        """Return whether the needle has gone back in free air and advances again.
+    def advance(
+        self, velocity_rad_s: Array, elapsed_s: float, force_lag_s: float
+    ) -> None:
+        """Follow the needle to a valid sample; the first one sets zero depth.
 
         Args:
-            depth_m: Depth of the tip.
-            contact_m: Depth of first contact; None where tissue has not been met.
+            velocity_rad_s: Of the joints, shape (n,).
+            elapsed_s: Time since the last valid sample. It includes the steps of
+                samples rejected in between, but not the jump of a clock that was set.
+            force_lag_s: Lag of the force.
         """
-        # Advance after a retreat with which the next approach begins
-        advance_m = 0.5e-3
-        # Retreat in free air that ends an insertion or an approach: more than tissue
-        # rises with the needle that leaves it
-        retreat_m = 3e-3
-        last_m = self._deepest_m if contact_m is None else contact_m
-        is_back = self._highest_m < last_m - retreat_m
-        return is_back and depth_m > self._highest_m + advance_m
+        if self._is_started:
+            self.time_s += elapsed_s
+        else:
+            self._zero_depth()
+            self.insertion = InsertionProgress(self.zero)
+            self.plan.begin(*self.zero)
+            self._is_started = True
+        line = self.insertion.line
+        position_m, speed_m_s, self._is_turned, self._is_aside, self._is_off_line = (
+            follow_needle(
+                self.zero.axis_in_base,
+                line.start_in_base_m,
+                line.axis_in_base,
+                self._tool.needle,
+                velocity_rad_s,
+            )
+        )
+        self.travel = self.travel.advanced(
+            position_m - self._start_m,
+            speed_m_s,
+            elapsed_s,
+            speed_lag_s=self._speed_lag_s,
+            force_lag_s=force_lag_s,
+        )
+        if self.plan.has_path:
+            self.plan.compare_with(self._tool)
+
+    def find_insertion(self, *, is_resuming: bool) -> bool:
+        """Begin another insertion where the needle has left the last.
+
+        Args:
+            is_resuming: Whether samples before this one were not used, in which the
+                needle may have gone anywhere.
+
+        Returns:
+            Whether nothing touches the needle for sure, no old channel either.
+        """
+        # In front of the first contact the tissue is left behind for sure
+        outside_m = 2e-3
+        self._begin_where_left(is_resuming=is_resuming)
+        if self.insertion.channel is not None:
+            return False
+        contact_m = self._identifier.contact_m
+        return contact_m is None or self.travel.depth_m < contact_m - outside_m
+
+    def _begin_where_left(self, *, is_resuming: bool) -> None:
+        """Begin another insertion where the needle has left the last."""
+        depth_m = self.travel.depth_m
+        contact_m = self._identifier.contact_m
+        insertion = self.insertion.moved_to(depth_m)
+        is_met = contact_m is not None
+        if insertion.is_met != is_met:
+            # Tissue is met here, or has turned out not to have been met.
+            insertion = insertion._replace(
+                line=self._line, line_depth_m=depth_m, is_met=is_met
+            )
+            self._is_aside = False
+            self._is_off_line = False
+        self.insertion = insertion
+        if contact_m is not None and depth_m >= contact_m:
+            if not self._is_aside:
+                return
+            if not is_resuming:
+                # No tissue lets a needle move so.
+                self.insertion = insertion._replace(is_met=False)
+            self._leave_insertion()
+        elif (
+            self._is_aside
+            or insertion.has_retreated(depth_m, contact_m)
+            or (is_met and self._is_off_line)
+            or self._is_turned
+        ):
+            self._leave_insertion()
+        if self.channels and not self.insertion.is_met:
+            self.go_on_in_channel()
+
+    def _leave_insertion(self) -> None:
+        """Remember the channel and begin anew, along the needle's axis if it turned."""
+        self.remember_channel()
+        if self._is_turned:
+            self._zero_depth()
+            self.travel = TipTravel()
+        self.begin_anew()
+
+    def begin_anew(self) -> None:
+        """Begin an insertion here; layers stay until tissue is met."""
+        depth_m = self.travel.depth_m
+        self._begin(
+            InsertionProgress(
+                line=self._line,
+                line_depth_m=depth_m,
+                deepest_m=depth_m,
+                highest_m=depth_m,
+                layers_before=self.layers,
+            )
+        )
+
+    def begin_here(self) -> None:
+        """Begin an insertion with depth zero here."""
+        self._zero_depth()
+        self.travel = TipTravel()
+        self._begin(InsertionProgress(self.zero))
+
+    def begin_tare(self) -> None:
+        """Begin an insertion where a tare says that there is free air."""
+        if self._is_in_air:
+            self.remember_channel()
+        self.begin_here()
+
+    def begin_where_tared(self) -> None:
+        """Count depth from here at the end of a tare; no sample was used since."""
+        self._zero_depth()
+        self.travel = TipTravel()
+        self.insertion = InsertionProgress(self.zero)
+        self._identifier.date(self.time_s)
+        self.plan.begin(*self.zero)
+
+    def _begin(self, insertion: InsertionProgress) -> None:
+        """Begin an insertion: forget what was identified."""
+        self.insertion = insertion
+        self._identifier.begin(self.time_s)
+        self._zero_watch.begin_insertion()
+        self.plan.begin(*self.zero)
+
+    def move_zero_here(self) -> None:
+        """Count depth from here; what is known of the tissue stays."""
+        travel = self.travel
+        moved_m = -travel.depth_m
+        self._zero_depth()
+        self.travel = travel._replace(
+            depth_m=0.0, delayed_depth_m=travel.delayed_depth_m + moved_m
+        )
+        self.insertion = self.insertion.with_depths_moved(moved_m)
+        self._identifier.move_zero(moved_m, self.time_s)
+        self.plan.move_zero(*self.zero, moved_m)
+
+    def _zero_depth(self) -> None:
+        """Count depth from where the tip is, along the needle's present direction."""
+        self._count_depth_from(self._line)
+
+    def _count_depth_from(self, zero: TravelZero) -> None:
+        self._start_m = float(zero.axis_in_base.dot(zero.start_in_base_m))
+        self.zero = zero
+
+    def _snapshot(self) -> IdentifierSnapshot:
+        return self._identifier.identifier.snapshot()
+
+    @property
+    def _length_to_remember_m(self) -> float:
+        """Length of the channel that this insertion has cut; 0 if it has cut none."""
+        contact_m = self._identifier.contact_m
+        if contact_m is None or not self.insertion.is_met:
+            return 0.0
+        length_m = self.insertion.deepest_m - contact_m
+        is_long = length_m >= MIN_LENGTH_M
+        return length_m if is_long and has_cut(self._snapshot()) else 0.0
+
+    def remember_channel(self) -> None:
+        """Remember the channel that this insertion has cut, if it has cut one."""
+        contact_m = self._identifier.contact_m
+        length_m = self._length_to_remember_m
+        if contact_m is None or length_m == 0.0:
+            return
+        insertion = self.insertion
+        start_m, axis = insertion.line
+        entry_m = start_m + (contact_m - insertion.line_depth_m) * axis
+        channel = NeedleChannel(
+            entry=TravelZero(entry_m, axis),
+            length_m=length_m,
+            entry_depth_m=contact_m,
+            left_s=self.time_s,
+            identifier=self._snapshot(),
+        )
+        self.channels = add_channel(self.channels, channel)
+
+    def go_on_in_channel(self) -> None:
+        """Go on in a channel that the needle comes to, or is in."""
+        channel = find_channel(self.channels, self._tool.needle)
+        if channel is None:
+            return
+        friction = read_friction(channel.identifier)
+        if friction is None:
+            return
+        start_m, zero_axis = self.zero
+        entry_depth_m = float(zero_axis.dot(channel.entry.start_in_base_m - start_m))
+        end_m = entry_depth_m + channel.length_m
+        depth_m = self.travel.depth_m
+        in_air = self._snapshot()
+        known = continue_channel(
+            channel.identifier,
+            in_air,
+            moved_m=entry_depth_m - channel.entry_depth_m,
+            passed_s=self.time_s - channel.left_s,
+        )
+        self._identifier.resume(known, self.time_s)
+        old = OldChannel(
+            begin_m=entry_depth_m,
+            end_m=end_m,
+            friction=friction,
+            in_air_s=self.time_s,
+            in_air=in_air,
+            checked_m=depth_m,
+        )
+        self.insertion = InsertionProgress(
+            line=channel.entry,
+            line_depth_m=entry_depth_m,
+            is_met=True,
+            deepest_m=end_m,
+            highest_m=depth_m,
+            channel_state=ChannelState.REMEMBERED,
+            channel=old,
+        )
+        layers = self._identifier.identifier.layers
+        self.plan.begin(*self.zero, tuple(layer.rupture for layer in layers))
+
+    def check_channel(self, old: OldChannel, wrench: WrenchEstimate) -> None:
+        """Compare the force with the friction of the channel; drop it if they differ.
+
+        Args:
+            old: The channel in which the needle goes on.
+            wrench: Force of a sample that was used.
+        """
+        identification = self._identifier.last
+        friction_N = identification.predicted_force_N
+        excess_N = wrench.axial_unsmoothed - friction_N
+        old = old.compared(self.travel, excess_N, wrench.axial_std)
+        self.insertion = self.insertion._replace(channel=old)
+        if old.is_contradicted(
+            self.travel.delayed_speed_m_s,
+            friction_N,
+            wrench.axial_std,
+            identification.tip_force_std_N or 0.0,
+        ):
+            self._drop_channel(old)
+
+    def _drop_channel(self, old: OldChannel) -> None:
+        """Forget a channel, and what was identified since the needle came to it.
+
+        The identification goes on where the needle was still in free air; the time
+        since then is a gap.
+        """
+        line = self.insertion.line
+        self.channels = remove_channel(
+            self.channels, line, length_m=old.end_m - old.begin_m
+        )
+        self._identifier.go_back(Checkpoint(old.in_air_s, old.in_air), self.time_s)
+        depth_m = self.travel.depth_m
+        self.insertion = InsertionProgress(
+            line=line,
+            line_depth_m=old.begin_m,
+            deepest_m=depth_m,
+            highest_m=depth_m,
+            channel_state=ChannelState.CONTRADICTED,
+        )
+        self.plan.begin(*self.zero)

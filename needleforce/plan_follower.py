@@ -5,7 +5,7 @@ from typing import TYPE_CHECKING, NamedTuple, Protocol
 import numpy as np
 
 from foundation.arrays import Array
-from identification import Estimate, Identifier, Rupture
+from identification import Estimate, Rupture
 from needleforce.needle_on_plan import (
     PlanDeviation,
     PlannedEntry,
@@ -105,6 +105,8 @@ class PlanFollower:
         surroundings: The structures at risk around the path, if they are known.
 
     Attributes:
+        has_plan: Whether there is a plan to match ruptures with.
+        has_path: Whether there is a path, or an entry, to compare the needle with.
         memory: Immutable.
         state: Result of the last evaluation; None without a plan, or before the first.
         deviation: The needle against the planned path; None without a path.
@@ -124,6 +126,8 @@ class PlanFollower:
         self.clearances: tuple[NeedleClearance, ...] = ()
         self._plan = plan
         self._path = path
+        self.has_plan = plan is not None
+        self.has_path = path is not None
         self._entry_m = None if path is None else path.entry_m
         entry = "" if path is None else f" along {path.fingerprint}"
         self.deviation: PlanDeviation | None = None
@@ -237,15 +241,15 @@ class PlanFollower:
         )
         self.resume(memory, None)
 
-    def update(
-        self, identification: Estimate, depth_m: float, identifier: Identifier
+    def match(
+        self, identification: Estimate, depth_m: float, contact_m: float | None
     ) -> None:
         """Match new events, and evaluate the plan after events or travel.
 
         Args:
             identification: Estimate of this sample, with its events.
             depth_m: Depth of the tip at this sample [m].
-            identifier: Gives the depth of first contact.
+            contact_m: Depth of first contact [m]; None before contact.
         """
         # Travel after which the plan is evaluated again, besides at events. An
         # evaluation takes much longer than a tick.
@@ -262,7 +266,7 @@ class PlanFollower:
             ruptures=ruptures,
             depth_m=depth_m,
             deepest_m=max(memory.deepest_m, depth_m) if was_evaluated else depth_m,
-            contact_m=identifier.contact_depth_m,
+            contact_m=contact_m,
         )
         self.resume(memory, self.evaluate(memory))
 

@@ -8,7 +8,7 @@ import os
 from foundation.state import SAME_KIND, StateError, read_sealed_state, seal_state
 from identification import Snapshot as IdentifierSnapshot
 from needleforce.files import whole_file
-from needleforce.session import SessionSnapshot, SnapshotFileError
+from needleforce.session_snapshot import SessionSnapshot, SnapshotFileError
 from residual.virtual_force_sensor import SensorState
 
 AnySnapshot = SessionSnapshot | SensorState | IdentifierSnapshot

@@ -66,12 +66,12 @@ def _unchanged(state: Any, *_: object, **__: object) -> Any:
 
 def _no_swing() -> Any:
     """Let no speed before the filter reach the method: the needle never swings."""
-    update = method.MixtureMethod.update
+    use = method.MixtureMethod.use
 
-    def update_without(self: Any, sample: Any) -> Any:
-        return update(self, sample._replace(raw_speed_m_s=0.0))
+    def use_without(self: Any, sample: Any, status: Any) -> Any:
+        return use(self, sample._replace(raw_speed_m_s=0.0), status)
 
-    return patch.object(method.MixtureMethod, "update", update_without)
+    return patch.object(method.MixtureMethod, "use", use_without)
 
 
 def _no_own_speed() -> Any:

@@ -121,16 +121,9 @@ class ForceWatch:
         *,
         is_advancing: bool,
     ) -> list[float]:
-        """Judge whether tissue exerts the force of a block.
+        """Judge whether tissue exerts the force of a block, once it is predicted.
 
         What has pulled for long is a new zero.
-
-        Args:
-            block: As it was predicted.
-            sample: The last one.
-            alarm: The last one.
-            contact_m: Depth of the first contact, if tissue has been met.
-            is_advancing: Whether the needle advances.
 
         Returns:
             Times before the sample since when ruptures are less likely than none [s]:
@@ -278,10 +271,7 @@ class ForceWatch:
     def watch_motion(self, sample: Sample, *, is_met: bool, is_even: bool) -> bool:
         """Look with the last block for tissue that overtakes the needle.
 
-        Args:
-            sample: The last one.
-            is_met: Whether the needle is in tissue.
-            is_even: Whether the needle has advanced evenly.
+        `is_even`: the needle has advanced evenly.
 
         Returns:
             Whether more of the force is in doubt than before.
@@ -310,12 +300,7 @@ class ForceWatch:
         return new.doubt_N > old.doubt_N
 
     def find_hard_contact(self, sample: Sample, *, is_even: bool) -> HardContact | None:
-        """Return the hard contact that the last block shows, if it is new.
-
-        Args:
-            sample: The last one.
-            is_even: Whether the needle has advanced evenly, in tissue.
-        """
+        """Return the hard contact that the last block shows, if it is new."""
         block = self._learner.state.block
         contact = self.state.hard_contact.with_force(
             block,

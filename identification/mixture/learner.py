@@ -108,23 +108,6 @@ class Travel(NamedTuple):
     fresh_mm: float
 
 
-class Likeliest(NamedTuple):
-    """What the likeliest component says.
-
-    Attributes:
-        mean: Of its unknowns, 20 numbers.
-        assumptions: What it takes for granted.
-    """
-
-    mean: list[float]
-    assumptions: Assumptions
-
-    def damping(self, depth_mm: float) -> float:
-        """Return viscous friction of the whole shaft [N/(mm/s)]."""
-        length_mm = max(depth_mm - self.assumptions.layer_start_mm, 0.0)
-        return self.mean[TRAVERSED_VISCOUS] + self.mean[LAYER_VISCOUS] * length_mm
-
-
 def take_block(
     contacts: list[NeedleContact], last: Block, since_reset_s: float
 ) -> Block:
@@ -243,9 +226,7 @@ class Learner:
         store.covariances[: self.memory.size, OFFSET, OFFSET] += std_N * std_N
 
     def seen_by_tissue(self, sample: Sample) -> Sample:
-        """Return a sample as the tissue, which may move, meets the needle."""
-        if not self.state.tissue.is_known:
-            return sample
+        """Return a sample as the tissue, which moves, meets the needle."""
         motion = self.state.tissue.motion_at(sample.clock_s)
         place_m = motion.place_mm / MM_PER_M
         return sample._replace(
@@ -304,25 +285,34 @@ class Learner:
         if means.is_swing is not last.is_swing:
             # Blocks of another length show other noise.
             state.levels = state.levels._replace(differences=NO_DIFFERENCES)
-        likeliest = self._likeliest()
         levels = state.levels.beside(state.tissue, since_reset_s)
         own_speed = self._own_speed(means, is_gap=travel.is_gap)
-        added_N = likeliest.damping(means.depth_mm) * (own_speed - last.speed_mm_s)
+        added_N = self._damping(means.depth_mm) * (own_speed - last.speed_mm_s)
         block = means._replace(
             speed_mm_s=own_speed,
             noise_std_N=levels.noise_std_N,
             force_by_speed_N=last.force_by_speed_N + added_N,
         )
         state.deepest_mm = max(state.deepest_mm, block.depth_mm)
-        noise = self._process_noise(block, travel.fresh_mm, levels, likeliest)
+        noise = self._process_noise(block, travel.fresh_mm, levels)
         predict(self.memory.store, self.memory.size, noise)
         return block
 
-    def _likeliest(self) -> Likeliest:
-        """Return what the likeliest component says."""
-        store = self.memory.store
-        assumptions = read_element(Assumptions, store.assumptions, 0)
-        return Likeliest(store.means[0].tolist(), assumptions)
+    @property
+    def _mean(self) -> list[float]:
+        """The unknowns of the likeliest component, 20 numbers."""
+        return self.memory.store.means[0].tolist()
+
+    @property
+    def _assumptions(self) -> Assumptions:
+        """What the likeliest component takes for granted."""
+        return read_element(Assumptions, self.memory.store.assumptions, 0)
+
+    def _damping(self, depth_mm: float) -> float:
+        """Return viscous friction of the whole shaft [N/(mm/s)]."""
+        mean = self._mean
+        length_mm = max(depth_mm - self._assumptions.layer_start_mm, 0.0)
+        return mean[TRAVERSED_VISCOUS] + mean[LAYER_VISCOUS] * length_mm
 
     def _own_speed(self, means: Block, *, is_gap: bool) -> float:
         """Return the needle's own speed, less jitter and the tissue's speed."""
@@ -351,7 +341,7 @@ class Learner:
         )
 
     def _process_noise(
-        self, block: Block, fresh_mm: float, levels: NoiseLevels, likeliest: Likeliest
+        self, block: Block, fresh_mm: float, levels: NoiseLevels
     ) -> ProcessNoise:
         """Return what may change over a block, beside events.
 
@@ -369,7 +359,7 @@ class Learner:
         # Motion of tissue with the heart, one standard deviation, if the beat is not
         # known
         unknown_motion_mm = 0.1
-        mean = likeliest.mean
+        mean = self._mean
         slope = mean[STIFFNESS] + mean[LAYER_COULOMB]
         slope = slope + mean[LAYER_VISCOUS] * block.speed_mm_s
         slope = max(slope, min_slope_N_per_mm)
@@ -382,7 +372,7 @@ class Learner:
             tip_N + TRAVERSED_ERROR_FRACTION * abs(traversed_N)
         )
         heartbeat_N2 = levels.variances.heartbeat
-        if likeliest.assumptions.medium != AIR and not self.state.tissue.is_known:
+        if self._assumptions.medium != AIR and not self.state.tissue.is_known:
             # Before a few beats have been seen nobody knows whether the tissue moves.
             heartbeat_N2 = max(heartbeat_N2, (unknown_motion_mm * slope) ** 2)
         return ProcessNoise(
@@ -405,19 +395,10 @@ class Learner:
         is_met: bool,
         is_releasing: bool,
     ) -> Block:
-        """Learn noise and texture from a block's force.
+        """Learn noise and texture from a block's force; return it with its noise.
 
-        Args:
-            block: As `predict` returned it.
-            travel: Of the block.
-            filtered_speed: Of the needle, as the travel filter has it.
-            since_reset_s: Now.
-            is_met: Whether the needle is in tissue.
-            is_releasing: Whether a rupture releases the force: that is no noise, nor is
-                what the speed does; beats are.
-
-        Returns:
-            The block with the noise of its force.
+        A force that a rupture is releasing is no noise, nor is what the speed does;
+        beats are. The speed here is that of the travel filter.
         """
         state = self.state
         force_N = block.force_N - block.force_by_speed_N
@@ -445,22 +426,21 @@ class Learner:
         unsettled_fraction = 0.3
         last = self.state.block
         levels = self.state.levels
-        likeliest = self._likeliest()
         # A speed is as late as its filter: where it changes it is off by a block's
         # change.
         speed_change = block.speed_mm_s - last.speed_mm_s
         speed_std = math.hypot(2.0 * block.speed_std_mm_s, speed_change)
-        damping = likeliest.damping(block.depth_mm)
+        damping = self._damping(block.depth_mm)
         white_N2 = levels.variances.white * levels.differences.step / block.duration_s
         variance_N2 = max(white_N2, min_white_N2) + (damping * speed_std) ** 2
         variance_N2 = variance_N2 + block.motion_variance_N2
-        if likeliest.assumptions.medium != AIR:
+        if self._assumptions.medium != AIR:
             turning = 1.0 - block.deflection
             if block.is_swing and last.is_swing:
                 # From one swing to the next only its change is not settled.
                 turning = abs(block.deflection - last.deflection)
             unsettled = max(turning, self.state.resumed)
-            net_N = block.force_N - likeliest.mean[OFFSET]
+            net_N = block.force_N - self.zero_N
             variance_N2 += (unsettled_fraction * unsettled * net_N) ** 2
         innovation = correct(self.memory.store, self.memory.size, block, variance_N2)
         penalise_implausible(self.memory.store, self.memory.size, block, is_advancing)
@@ -472,13 +452,7 @@ class Learner:
         self.state.texture = self.state.texture.restarted()
 
     def pause(self, block: Block, travel: Travel, reported: int) -> None:
-        """Learn nothing from a block: after a gap, at rest, in the own channel.
-
-        Args:
-            block: As `predict` returned it.
-            travel: Of the block.
-            reported: Ruptures reported so far.
-        """
+        """Learn nothing from a block: after a gap, at rest, in the own channel."""
         # What a reversal leaves, where a rest leaves 1: it is over in half the travel.
         reversal = 0.3
         self.forget_course()
@@ -525,22 +499,13 @@ class Learner:
         rupture_mm[is_new] = depth_mm
 
     def keep(self, block: Block, force_std_N: float) -> None:
-        """Take a block for the last one.
-
-        Args:
-            block: As the components have learnt from it.
-            force_std_N: Standard deviation of the force's slow error.
-        """
+        """Take a block for the last one."""
         net_N = block.force_N - self.zero_N
         model_error_N = self.state.texture.model_error(net_N, force_std_N)
         self.state.block = block._replace(model_error_N=model_error_N)
 
     def branch(self, reported: int) -> None:
-        """Begin components of what may have happened in the last block's travel.
-
-        Args:
-            reported: Ruptures reported so far.
-        """
+        """Begin components of what may have happened in the last block's travel."""
         if self.memory.size <= MAX_KEPT:
             self._branch(self.state.block, reported)
 
@@ -567,16 +532,15 @@ class Learner:
         # Square of the growth of the force that shows its motion, at least [N²/mm²]
         min_slope_square = 1e-4
         variances = self.state.levels.beside(self.state.tissue, block.time_s).variances
-        likeliest = self._likeliest()
-        mean = likeliest.mean
-        travel_mm = max(block.depth_mm - likeliest.assumptions.tip_start_mm, 0.0)
+        mean = self._mean
+        travel_mm = max(block.depth_mm - self._assumptions.tip_start_mm, 0.0)
         slope = mean[STIFFNESS] + 2.0 * mean[STIFFENING] * travel_mm
         slope += (
             mean[LAYER_COULOMB] * block.deflection
             + mean[LAYER_VISCOUS] * block.speed_mm_s
         )
         slope = max(slope, 0.0)
-        damping = max(likeliest.damping(block.depth_mm), 0.0)
+        damping = max(self._damping(block.depth_mm), 0.0)
         variance = 0.0
         for force_N2, frequency_hz, max_mm2 in (
             (variances.heartbeat, HEARTBEAT_HZ, max_heartbeat_mm2),

@@ -9,7 +9,7 @@ needle does not advance, the one that fills a block reports as well. One more ma
 for moving tissue.
 """
 
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from enum import Enum
 
 from foundation.records import as_record, from_record, read_field
@@ -17,11 +17,12 @@ from identification.config import MixtureConfig
 from identification.estimate import (
     NO_EVENTS,
     NO_SAMPLE,
-    Events,
+    Estimate,
     LayerEstimate,
     Outputs,
-    RuptureState,
     Sample,
+    SampleStatus,
+    make_estimate,
 )
 from identification.mixture.block import Block
 from identification.mixture.evidence import MM_PER_M, Evidence
@@ -74,31 +75,14 @@ class MixtureMethodState:
         tip_std_N: Deviation of the tip's force that was stated last.
     """
 
-    mixture: MixtureState
-    contact: NeedleContact
-    posterior: ShaftPosterior
-    learner: LearnerState
-    watch: ForceWatchState
-    reporter: ReporterState
+    mixture: MixtureState = field(default_factory=lambda: first_mixture().state)
+    contact: NeedleContact = field(default_factory=NeedleContact)
+    posterior: ShaftPosterior = field(default_factory=ShaftPosterior)
+    learner: LearnerState = field(default_factory=LearnerState)
+    watch: ForceWatchState = field(default_factory=ForceWatchState)
+    reporter: ReporterState = field(default_factory=ReporterState)
     stage: Stage = Stage.DONE
     tip_std_N: float = 0.0
-
-    @property
-    def is_at_work(self) -> bool:
-        """Whether something is left to do for the last block."""
-        return self.reporter.is_at_work or self.stage is not Stage.DONE
-
-
-def first_state() -> MixtureMethodState:
-    """Return the state before the first sample."""
-    return MixtureMethodState(
-        mixture=first_mixture().state,
-        contact=NeedleContact(),
-        posterior=ShaftPosterior(),
-        learner=LearnerState(),
-        watch=ForceWatchState(),
-        reporter=ReporterState(),
-    )
 
 
 class MixtureMethod:
@@ -106,14 +90,11 @@ class MixtureMethod:
 
     Attributes:
         contact_depth_m: Depth at which tissue was met first, as known now; None before.
-        is_pulled: Whether no tissue exerts the force, not even one that moves.
-        warnings: What about the tissue keeps the estimate from being what it is
-            elsewhere.
     """
 
     def __init__(self, config: MixtureConfig) -> None:
         self._config = config
-        self.restore(first_state())
+        self.restore(MixtureMethodState())
 
     @property
     def state(self) -> MixtureMethodState:
@@ -130,29 +111,15 @@ class MixtureMethod:
         )
 
     @property
-    def rupture_state(self) -> RuptureState:
-        """Where it stands with respect to a rupture."""
-        return self._reporter.state.rupture_state
-
-    @property
-    def rupture_probability(self) -> float:
-        """Probability of one rupture more than the alarms have reported, now."""
-        return self._reporter.state.rupture_probability
-
-    @property
     def layers(self) -> tuple[LayerEstimate, ...]:
         """Layers traversed."""
         return self._reporter.state.layers
 
     @property
-    def events(self) -> Events:
-        """What happened at the last sample."""
-        return self._reporter.events
-
-    @property
-    def is_at_work(self) -> bool:
+    def _is_at_work(self) -> bool:
         """Whether something is left to do for the last block."""
-        return self._stage is not DONE or self._reporter.state.is_at_work
+        due = self._reporter.state
+        return due.is_due or due.is_layer_due or self._stage is not DONE
 
     def restore(self, state: MixtureMethodState) -> None:
         """Go on from a state."""
@@ -168,7 +135,7 @@ class MixtureMethod:
         self._stage = state.stage
         self._tip_std_N = state.tip_std_N
         self._read_contact()
-        self._read_faults()
+        self._read_state()
 
     def _read_contact(self) -> None:
         """Keep the depth of first contact, which callers want at every sample."""
@@ -176,19 +143,22 @@ class MixtureMethod:
         depth_m = float(read_field(self._posterior, "contact_depth_m"))
         self.contact_depth_m = depth_m if is_met else None
 
-    def _read_faults(self) -> None:
-        """Keep what is wrong with force and tissue since the last block."""
-        self.is_pulled = self._watch.is_foreign
-        self.warnings = self._watch.warnings
+    def _read_state(self) -> None:
+        """Keep what every sample asks for, and only work on a block changes."""
+        self._is_tissue_known = self._learner.state.tissue.is_known
+        self._is_pulled = self._watch.is_foreign
+        self._is_in_doubt = self._watch.doubt_N > 0.0
+        self._warnings = self._watch.warnings
 
-    def report(self) -> Outputs:
-        """Return what there is to report without a sample."""
-        return self._estimate(NO_SAMPLE)
+    def first_estimate(self) -> Estimate:
+        """Return the estimate before the first sample."""
+        return self._estimate(NO_SAMPLE, SampleStatus.OK, self._split(NO_SAMPLE))
 
-    def update(self, sample: Sample) -> Outputs:
-        """Use one sample; return what to report of it beside the events."""
+    def use(self, sample: Sample, status: SampleStatus) -> Estimate:
+        """Use one sample; return the estimate after it."""
         arm_m_s = sample.speed_m_s
-        sample = self._learner.seen_by_tissue(sample)
+        if self._is_tissue_known:
+            sample = self._learner.seen_by_tissue(sample)
         is_full, outputs = update_sample(
             self._posterior,
             self._contact,
@@ -205,13 +175,14 @@ class MixtureMethod:
             sample.raw_speed_m_s,
         )
         self._reporter.events = NO_EVENTS
-        if is_full:
-            self._use_block(sample)
-        elif self.is_at_work:
-            self._do_next_part(sample)
-        else:
-            return self._watch.widen(outputs)
-        return self._estimate(sample)
+        if is_full or self._is_at_work:
+            if is_full:
+                self._use_block(sample)
+            else:
+                self._do_next_part(sample)
+            self._read_state()
+            outputs = self._split(sample)
+        return self._estimate(sample, status, outputs)
 
     def doubt_zero(self, std_N: float) -> None:
         """Take the zero of the force for changed, in every component alike."""
@@ -221,8 +192,8 @@ class MixtureMethod:
         """Count no ruptures of the last time, and take them for unlikely."""
         self._reporter.doubt_ruptures(age_s)
 
-    def _estimate(self, sample: Sample) -> Outputs:
-        """Return what to report of a sample by what is known now."""
+    def _split(self, sample: Sample) -> Outputs:
+        """Return what the force of a sample is, by what is known now."""
         outputs = estimate_sample(
             self._posterior,
             self._contact,
@@ -232,14 +203,30 @@ class MixtureMethod:
             sample.force_N,
         )
         self._tip_std_N = outputs[TIP_STD] or 0.0
-        return self._watch.widen(outputs)
+        return outputs
+
+    def _estimate(
+        self, sample: Sample, status: SampleStatus, outputs: Outputs
+    ) -> Estimate:
+        """Put the estimate together, its deviations as wide as what is in doubt."""
+        if self._is_in_doubt:
+            outputs = self._watch.widen(outputs)
+        reporter = self._reporter
+        return make_estimate(
+            sample.time_s,
+            SampleStatus.NEEDLE_PULLED if self._is_pulled else status,
+            reporter.state.rupture_state,
+            outputs,
+            reporter.events,
+            reporter.state.rupture_probability,
+            self._warnings,
+        )
 
     def _use_block(self, sample: Sample) -> None:
         """Do what is left for the last block, then use the one that is full."""
-        while self.is_at_work:  # blocks are of one or two samples
+        while self._is_at_work:  # blocks are of one or two samples
             self._do_next_part(sample)
         self._learn(sample)
-        self._read_faults()
         if not self._reporter.state.is_due:
             # The needle does not advance: the next sample has nothing to add.
             self._report(sample)

@@ -76,11 +76,6 @@ class ReporterState:
     force_std_in_air_N: float = 0.0
     model_errors_N: tuple[float, float] = (0.0, 0.0)
 
-    @property
-    def is_at_work(self) -> bool:
-        """Whether something is due."""
-        return self.is_due or self.is_layer_due
-
 
 class Reporter:
     """Turns what the mixture says into alarms and layers.
@@ -159,10 +154,7 @@ class Reporter:
         """Count no ruptures of the last time, and take them for unlikely.
 
         A component may count several ruptures of that time; it knows that of the last.
-
-        Args:
-            age_s: That time.
-            most: Ruptures that remain in the components that change, at most.
+        At most so many remain in the components that change.
         """
         mixture = self._learner.mixture
         rupture_s = read_column(mixture.history, "rupture_s")
@@ -174,12 +166,7 @@ class Reporter:
         self.state.is_due = True
 
     def doubt_fall(self, age_s: float, time_s: float) -> None:
-        """Take ruptures of a fall for less likely than none, that of an alarm too.
-
-        Args:
-            age_s: Time since the fall.
-            time_s: Now, on the caller's clock.
-        """
+        """Take ruptures of a fall for less likely than none, that of an alarm too."""
         alarm = self.state.alarm
         is_alarm = alarm is not None and time_s - alarm.time_s < age_s
         self.doubt_ruptures(age_s, self.state.ruptures - is_alarm)
@@ -354,11 +341,7 @@ class Reporter:
         return is_revised or self._is_layer_final(alarm)
 
     def report_layer(self, force_std_N: float) -> None:
-        """Report the layer that the last rupture ended, or revise it.
-
-        Args:
-            force_std_N: Standard deviation of the force's slow error.
-        """
+        """Report the layer that the last rupture ended, or revise it."""
         state = self.state
         state.is_layer_due = False
         alarm = state.alarm

@@ -18,13 +18,15 @@ from identification.config import PublishedConfig
 from identification.estimate import (
     NO_EVENTS,
     NO_SAMPLE,
+    Estimate,
     Events,
     LayerEstimate,
     Outputs,
     Rupture,
     RuptureState,
     Sample,
-    TissueWarning,
+    SampleStatus,
+    make_estimate,
 )
 from identification.published.state import (
     DETECTED,
@@ -416,18 +418,10 @@ class PublishedMethod:
     Attributes:
         contact_depth_m: None: a setting, nothing that is identified.
         layers: Layers identified so far.
-        rupture_state: State of the rupture machine.
-        events: What happened at the last sample.
-        is_pulled: False: the method has no zero to compare with.
-        warnings: None: the method looks neither for motion nor for hard contacts.
     """
 
     contact_depth_m = None
-    is_pulled = False
-    warnings = TissueWarning.NONE
     layers: tuple[LayerEstimate, ...]
-    rupture_state: RuptureState
-    events: Events
 
     def __init__(self, config: PublishedConfig) -> None:
         self._config = config
@@ -442,7 +436,6 @@ class PublishedMethod:
                 min_speed_m_s=config.least_speed_m_s,
             )
         )
-        self.rupture_probability = None  # the method states none
         self._variances = InitialVariances(
             stiffness=float(config.var_stiffness), friction=float(config.var_friction)
         )
@@ -487,12 +480,17 @@ class PublishedMethod:
         self._windows = state.windows
         self._ruptured = state.ruptured
         self.layers = state.layers
-        self.rupture_state = STATES[state.tracker.machine]
-        self.events = NO_EVENTS
+        self._rupture_state = STATES[state.tracker.machine]
 
-    def report(self, sample: Sample = NO_SAMPLE) -> Outputs:
-        """Return what there is to report of a sample that has been used, or of none."""
-        return published_outputs(
+    def first_estimate(self) -> Estimate:
+        """Return the estimate before the first sample."""
+        return self._estimate(NO_SAMPLE, SampleStatus.OK, NO_EVENTS)
+
+    def _estimate(
+        self, sample: Sample, status: SampleStatus, events: Events
+    ) -> Estimate:
+        """Return the estimate of a sample by what is known now."""
+        outputs = published_outputs(
             sample.raw_depth_m,
             sample.raw_speed_m_s,
             sample.force_N,
@@ -500,9 +498,12 @@ class PublishedMethod:
             self._tracker,
             self._rls,
         )
+        return make_estimate(
+            sample.time_s, status, self._rupture_state, outputs, events
+        )
 
-    def update(self, sample: Sample) -> Outputs:
-        """Use one sample; return what to report of it beside the events."""
+    def use(self, sample: Sample, status: SampleStatus) -> Estimate:
+        """Use one sample; return the estimate after it."""
         due, outputs = update_published(
             sample.dt_s,
             sample.raw_depth_m,
@@ -513,23 +514,23 @@ class PublishedMethod:
             self._rls,
             self._sums,
         )
-        self.events = NO_EVENTS
         if due == NOTHING:
-            return outputs
+            return make_estimate(
+                sample.time_s, status, self._rupture_state, outputs, NO_EVENTS
+            )
         rupture = None
         layer = None
         is_new_state = due >= STATE_HAS_CHANGED
-        self.rupture_state = STATES[read_field(self._tracker, "machine")]
-        if is_new_state and self.rupture_state is RuptureState.DETECTED:
+        self._rupture_state = STATES[read_field(self._tracker, "machine")]
+        if is_new_state and self._rupture_state is RuptureState.DETECTED:
             rupture = self._open_layer(sample)
         elif due != STATE_HAS_CHANGED:
             self._windows = self._close_window(self._windows)
-        is_identified = self.rupture_state is RuptureState.FRICTION_IDENTIFIED
+        is_identified = self._rupture_state is RuptureState.FRICTION_IDENTIFIED
         if is_new_state and is_identified and self._ruptured is not None:
             layer = self._identify(self._ruptured, sample.force_N)
-        if rupture is not None or layer is not None:
-            self.events = Events(rupture=rupture, identified_layer=layer)
-        return self.report(sample)
+        events = Events(rupture=rupture, identified_layer=layer)
+        return self._estimate(sample, status, events)
 
     def _close_window(self, windows: Array) -> Array:
         """Reset the covariance; return the windows with the one that has ended."""

@@ -347,7 +347,7 @@ def test_past_the_target_is_one_event_and_is_said_in_live_and_scene(past_target_
     assert estimates[-1].plan.name != "off plan"
 
     again = InsertionSession(RUN.robot)
-    again.follow(MATCH, path=session._plan._path)
+    again.follow(MATCH, path=session._needle.plan._path)
     again.restore(session.snapshot())
     row = next(iter(following(TARE + 400, 1)))
     assert again.update(*row).plan_events == ()

@@ -162,8 +162,7 @@ def test_an_invalid_plan_or_entry_is_refused():
 
 def test_a_retracted_alarm_restores_the_plan():
     """After an alarm is retracted the plan is as before it."""
-    unmet = Identifier()
-    quiet = unmet.snapshot().last
+    quiet = Identifier().snapshot().last
     numbers = {
         "layer": 1,
         "alarm_s": 5.0,
@@ -176,23 +175,23 @@ def test_a_retracted_alarm_restores_the_plan():
     wrong, right = (PlanFollower(MATCH, None) for _ in range(2))
     for follower in (wrong, right):
         follower.begin(np.zeros(3), np.array([0.0, 0.0, 1.0]))
-        follower.update(quiet, 0.0125, unmet)
+        follower.match(quiet, 0.0125, None)
 
     unmoved = right.state
-    wrong.update(quiet._replace(rupture=alarm), 0.0125, unmet)
+    wrong.match(quiet._replace(rupture=alarm), 0.0125, None)
 
     assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.state != unmoved
 
     # The depth may have been counted anew since.
-    wrong.update(quiet._replace(retracted=replace(alarm, depth_m=0.013)), 0.0125, unmet)
+    wrong.match(quiet._replace(retracted=replace(alarm, depth_m=0.013)), 0.0125, None)
 
     assert (wrong.memory, wrong.state) == (right.memory, unmoved)
 
     # Above a rupture there is no other one: the needle has been pushed in again.
-    wrong.update(quiet._replace(rupture=alarm), 0.0125, unmet)
+    wrong.match(quiet._replace(rupture=alarm), 0.0125, None)
     shallow = SimpleNamespace(depth_m=0.005)
-    wrong.update(quiet._replace(rupture=shallow), 0.005, unmet)
+    wrong.match(quiet._replace(rupture=shallow), 0.005, None)
 
     assert wrong.memory.ruptures == ((5.0, 0.012),)
     assert wrong.memory.deepest_m == 0.0125

@@ -6,7 +6,7 @@ import pytest
 
 from identification import MIXTURE, PUBLISHED
 from needleforce import InsertionSession, SensorWarning
-from needleforce.air_watch import AirWatch
+from needleforce.zero_watch import AirWatch
 from tests.insertion_run import samples, short_run, tare_index
 
 STD_N = 0.02

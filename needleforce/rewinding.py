@@ -1,0 +1,168 @@
+"""An identifier that can undo what it has made of the last samples.
+
+A push on the arm looks like a force at the tip until it is detected: then the
+identification goes back to where it was before the push began.
+"""
+
+from typing import NamedTuple
+
+from identification import Estimate, Identifier, MixtureConfig, PublishedConfig
+from identification import Snapshot as IdentifierSnapshot
+from identification.channel import count_depth_from
+
+
+class Checkpoint(NamedTuple):
+    """State of the identification at one instant, to which a session can rewind.
+
+    Attributes:
+        time_s: See `SessionEstimate`.
+        identifier: State of the identifier at that time.
+    """
+
+    time_s: float
+    identifier: IdentifierSnapshot
+
+
+class Checkpoints(NamedTuple):
+    """The two checkpoints that a session keeps.
+
+    A push on the arm rewinds to the older one. While the two differ, this undoes at
+    least a quarter of a second. They are equal, and less may be undone, from an event,
+    a rewind or the start of an insertion until the next checkpoint.
+
+    Attributes:
+        older: The one before ``newer``, or the same one: events are never undone.
+        newer: State after the sample that made it due, saved when the next one comes.
+    """
+
+    older: Checkpoint
+    newer: Checkpoint
+
+
+class RewindingIdentifier:
+    """An identifier with checkpoints. Every ``time_s`` is on the session's clock.
+
+    Attributes:
+        identifier: Identifies.
+        last: Its estimate after the last sample that was used, or what is repeated of
+            it.
+        contact_m: Depth of the first contact, as known now; None before.
+        unused_s: Time of valid samples since the last one that was used.
+        is_save_due: Whether a state to rewind to is to be saved. This is put off until
+            the sample after the one that made it due, to spread the work.
+        checkpoints: States to rewind to.
+    """
+
+    def __init__(self, config: MixtureConfig | PublishedConfig) -> None:
+        self.identifier = Identifier(config)
+        self.begin(0.0)
+
+    def begin(self, time_s: float) -> None:
+        """Forget what was identified, and identify anew from now on."""
+        self.identifier.reset()
+        self._forget_way_back(time_s)
+
+    def resume(self, snapshot: IdentifierSnapshot, time_s: float) -> None:
+        """Go on from a state of the identifier, without a way back."""
+        self.identifier.resume(snapshot)
+        self._forget_way_back(time_s)
+
+    def _forget_way_back(self, time_s: float) -> None:
+        here = Checkpoint(time_s, self.identifier.snapshot())
+        self._stand_at(here, time_s)
+
+    def date(self, time_s: float) -> None:
+        """Count unused time from now on, where no sample was used since the begin."""
+        self._stand_at(Checkpoint(time_s, self.checkpoints.newer.identifier), time_s)
+
+    def go_back(self, checkpoint: Checkpoint, time_s: float) -> None:
+        """Undo what was identified since a checkpoint: the time since then is a gap."""
+        # `resume` is `restore` without checks: the state is this identifier's own, or
+        # was checked when the session was restored.
+        self.identifier.resume(checkpoint.identifier)
+        self._stand_at(checkpoint, time_s)
+
+    def _stand_at(self, checkpoint: Checkpoint, time_s: float) -> None:
+        """Take the identifier's state for that of a checkpoint, and keep no other."""
+        self.checkpoints = Checkpoints(checkpoint, checkpoint)
+        self.last = checkpoint.identifier.last
+        self.contact_m = self.identifier.contact_depth_m
+        self.unused_s = time_s - checkpoint.time_s
+        self.is_save_due = False
+        self._had_events = False
+
+    def restore(
+        self, snapshot: IdentifierSnapshot, checkpoints: Checkpoints, unused_s: float
+    ) -> None:
+        """Continue from a snapshot; refused as `Identifier.restore` refuses it."""
+        self.identifier.restore(snapshot)
+        self._stand_at(checkpoints.newer, checkpoints.newer.time_s)
+        self.checkpoints = checkpoints
+        self.last = snapshot.last.without_events()
+        self.unused_s = unused_s
+
+    def move_zero(self, moved_m: float, time_s: float) -> None:
+        """Count depth from another zero; unused time goes on.
+
+        Args:
+            moved_m: Depth of a place from the new zero less its depth from the old one.
+            time_s: Now.
+        """
+        unused_s = self.unused_s
+        self.resume(count_depth_from(self.identifier.snapshot(), moved_m), time_s)
+        self.unused_s = unused_s
+
+    def use(
+        self,
+        depth_m: float,
+        speed_m_s: float,
+        force_N: float,
+        elapsed_s: float,
+        time_s: float,
+        force_std_N: float,
+    ) -> Estimate:
+        """Return the identifier's estimate after a sample; see `Identifier.update`.
+
+        `accept` keeps it, `skip` may undo it.
+        """
+        estimate = self.identifier.update(
+            depth_m,
+            speed_m_s,
+            force_N,
+            elapsed_s + self.unused_s,
+            time_s=time_s,
+            force_std_N=force_std_N,
+        )
+        self.contact_m = self.identifier.contact_depth_m
+        self.unused_s = 0.0
+        return estimate
+
+    def accept(self, estimate: Estimate, time_s: float) -> None:
+        """Keep the estimate of a sample."""
+        # Time between states to rewind to: a push on the arm grows for up to this long
+        # before it is detected.
+        period_s = 0.25
+        self.last = estimate
+        self._had_events = estimate.has_events
+        due_s = self.checkpoints.newer.time_s + period_s
+        self.is_save_due = self._had_events or time_s >= due_s
+
+    def save(self, time_s: float) -> None:
+        """Save a state to rewind to."""
+        newer = Checkpoint(time_s, self.identifier.snapshot())
+        # An event must not be reported twice: nothing before it is kept.
+        older = newer if self._had_events else self.checkpoints.newer
+        self.checkpoints = Checkpoints(older, newer)
+        self.is_save_due = False
+
+    def skip(self, elapsed_s: float, time_s: float, *, is_spoilt: bool) -> None:
+        """Leave out a sample; rewind if those before it are spoilt, too."""
+        self.unused_s += elapsed_s
+        used_s = time_s - self.unused_s - self.checkpoints.older.time_s
+        # Half a time step allows for the rounding of sums of time steps.
+        if is_spoilt and used_s > 0.5 * elapsed_s:
+            self.go_back(self.checkpoints.older, time_s)
+
+    def end_events(self) -> None:
+        """Repeat the last estimate, its events over."""
+        self.last = self.last.without_events()

@@ -1,0 +1,144 @@
+"""What shows that the force's zero has changed: free air, and jumps of a torque sensor.
+
+In free air nothing acts on the needle: a force that shows there is an error. A payload
+that was gripped anew after the tare, a cable, a sensor that has moved: free air shows
+them before the tissue hides them.
+"""
+
+import math
+from typing import NamedTuple
+
+from needleforce.rewinding import RewindingIdentifier
+from residual import SensorWarning, VirtualForceSensor, WrenchEstimate
+
+JUMP_SEEN_S = 0.6
+"""Within it a changed zero is noticed: a rupture since may be that change."""
+
+MEAN_S = 0.15
+"""Time constant of the mean: as long a memory as a mean over 0.3 s."""
+
+ODD_SIGMAS = 4.0
+"""Mean force in free air, in its own deviations, that is no chance: once in 16,000
+insertions. Its error is slow, one draw in each."""
+
+GONE_SIGMAS = 1.0
+"""Mean force below which it counts as gone."""
+
+GONE_S = 1.0
+"""Time for which it stays there: a force that turns crosses zero."""
+
+MAX_ONSET_S = 1.0
+"""A contact is told from free air within this time: a force that resists and began
+later may be the contact's."""
+
+
+class AirWatch(NamedTuple):
+    """What the axial force in free air has shown since the tare; immutable.
+
+    Attributes:
+        mean_N: Mean force of late.
+        odd_s: Time for which it has been no chance.
+        quiet_s: Time for which it has been gone.
+        doubt_N: Deviation of the axial force that it has shown; 0 for none.
+    """
+
+    mean_N: float = 0.0
+    odd_s: float = 0.0
+    quiet_s: float = 0.0
+    doubt_N: float = 0.0
+
+    def with_force(self, axial_N: float, std_N: float, dt_s: float) -> "AirWatch":
+        """Return the same after a sample in free air.
+
+        Args:
+            axial_N: Axial force, positive where it resists.
+            std_N: Its deviation.
+            dt_s: Time since the sample before.
+        """
+        mean_N = self.mean_N - math.expm1(-dt_s / MEAN_S) * (axial_N - self.mean_N)
+        size_N = abs(mean_N)
+        is_odd = size_N > ODD_SIGMAS * std_N
+        odd_s = self.odd_s + dt_s if is_odd else 0.0
+        quiet_s = self.quiet_s + dt_s if size_N < GONE_SIGMAS * std_N else 0.0
+        doubt_N = self.doubt_N
+        if doubt_N > 0.0:
+            doubt_N = 0.0 if quiet_s > GONE_S else max(size_N, std_N)
+        elif is_odd and (mean_N < 0.0 or odd_s > MAX_ONSET_S):
+            doubt_N = size_N
+        return AirWatch(mean_N, odd_s, quiet_s, doubt_N)
+
+    def in_tissue(self) -> "AirWatch":
+        """Return the same where the needle has met tissue: the doubt stays."""
+        return AirWatch(mean_N=self.mean_N, doubt_N=self.doubt_N)
+
+
+FIRST_AIR_WATCH = AirWatch()
+"""After a tare."""
+
+
+class ZeroWatch:
+    """Lets the identifier doubt the force's zero where something shows a change of it.
+
+    Args:
+        sensor: Counts the jumps of its torque sensors.
+        identifier: Doubts the zero, and ruptures since then.
+
+    Attributes:
+        air: What the force in free air has shown.
+        jumps: Number of jumps that the identifier knows of.
+        jump_std_N: Standard deviation of the axial force due to these; 0 without one.
+    """
+
+    def __init__(
+        self, sensor: VirtualForceSensor, identifier: RewindingIdentifier
+    ) -> None:
+        self._sensor = sensor
+        self._identifier = identifier
+        self.begin_tare()
+        self.begin_insertion()
+
+    def begin_tare(self) -> None:
+        """Forget what free air has shown: the tare takes it out."""
+        self.air = FIRST_AIR_WATCH
+
+    def begin_insertion(self) -> None:
+        """Take all jumps so far for known: the identifier begins with this zero."""
+        self.jumps = self._sensor.jumps
+        self.jump_std_N = self._sensor.jump_std_N
+
+    def watch(
+        self, wrench: WrenchEstimate, elapsed_s: float, *, is_outside: bool
+    ) -> None:
+        """Let the identifier doubt the zero after a jump, or a force where none can be.
+
+        It does so once after a jump of a torque; when the torque returns again, by as
+        much as before.
+
+        Args:
+            wrench: Force of a sample.
+            elapsed_s: Time since the sample before.
+            is_outside: Whether nothing touches the needle.
+        """
+        if self.jumps != self._sensor.jumps:
+            old_std_N = self.jump_std_N
+            self.begin_insertion()
+            doubted_N = max(old_std_N, self.jump_std_N)
+            self._identifier.identifier.doubt_zero(doubted_N, JUMP_SEEN_S)
+        if not is_outside:
+            if self.air.odd_s + self.air.quiet_s > 0.0:
+                self.air = self.air.in_tissue()
+            return
+        was_odd = self.air.doubt_N > 0.0
+        self.air = self.air.with_force(wrench.axial, wrench.axial_std, elapsed_s)
+        is_new = self.air.doubt_N > 0.0 and not was_odd
+        if is_new and self._identifier.contact_m is None:
+            self._identifier.identifier.doubt_zero(self.air.doubt_N, JUMP_SEEN_S)
+
+    def widen(self, wrench: WrenchEstimate) -> WrenchEstimate:
+        """Return an estimate with what free air has shown in its deviation."""
+        if self.air.doubt_N == 0.0:
+            return wrench
+        return wrench._replace(
+            axial_std=math.hypot(wrench.axial_std, self.air.doubt_N),
+            warnings=wrench.warnings | SensorWarning.UNEXPLAINED,
+        )
