@@ -81,6 +81,8 @@ class InsertionProgress(NamedTuple):
             is met.
         channel_state: Whether it goes on in an earlier channel.
         channel: That channel; None where there is none.
+        is_too_fast: Whether the needle has outrun the force, see
+            `SensorWarning.TOO_FAST`.
     """
 
     line: TravelZero
@@ -91,6 +93,7 @@ class InsertionProgress(NamedTuple):
     layers_before: tuple[LayerEstimate, ...] = ()
     channel_state: ChannelState = ChannelState.FRESH
     channel: OldChannel | None = None
+    is_too_fast: bool = False
 
     def moved_to(self, depth_m: float) -> "InsertionProgress":
         """Return the course with the tip at a depth."""
@@ -306,6 +309,20 @@ class InsertionCourse:
         )
         if self.plan.has_path:
             self.plan.compare_with(self._tool)
+
+    def judge_speed(self, force_lag_s: float) -> None:
+        """Note for the whole insertion if the needle outruns the force in tissue.
+
+        Args:
+            force_lag_s: Time by which the force is late.
+        """
+        # In gels a rupture takes 0.1 to 0.5 mm of travel. If the needle travels further
+        # within the lag, the fall is lost in the rise that follows it.
+        max_travel_m = 0.4e-3
+        if self.travel.speed_m_s * force_lag_s <= max_travel_m or self._is_in_air:
+            return
+        if not self.insertion.is_too_fast:
+            self.insertion = self.insertion._replace(is_too_fast=True)
 
     def find_insertion(self, *, is_resuming: bool) -> bool:
         """Begin another insertion where the needle has left the last.

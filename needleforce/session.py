@@ -489,6 +489,7 @@ class InsertionSession:
                 # The rewind that follows undoes that and counts it as unused.
                 return self._skip_sample(wrench, elapsed_s=0.0)
         self._accept(identification, wrench)
+        needle.judge_speed(sensor.filter_lag_s)
         return self._estimate(wrench, is_used=identification.status.is_used)
 
     def _accept(self, identification: Estimate, wrench: WrenchEstimate) -> None:
@@ -528,8 +529,12 @@ class InsertionSession:
         if entry_m is None:
             entry_m = self._identifier.contact_m
         depth_m = needle.travel.depth_m
+        wrench = self._zero_watch.widen(wrench)
+        if needle.insertion.is_too_fast:
+            warnings = wrench.warnings | SensorWarning.TOO_FAST
+            wrench = wrench._replace(warnings=warnings)
         return SessionEstimate(
-            wrench=self._zero_watch.widen(wrench),
+            wrench=wrench,
             depth_m=depth_m,
             speed_m_s=needle.travel.speed_m_s,
             identification=self._identifier.last,
