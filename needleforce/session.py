@@ -480,7 +480,8 @@ class InsertionSession:
             needle.time_s,
             sensor.std_of_bias_N(wrench),
         )
-        if identification.rupture is not None:
+        alarm = identification.rupture or identification.provisional
+        if alarm is not None:
             # A push on the arm looks like a rupture, even before the periodic checks
             # detect it.
             wrench = sensor.recheck(wrench)

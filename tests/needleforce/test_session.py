@@ -312,6 +312,7 @@ def test_a_push_on_the_elbow_raises_no_rupture(first):
     estimates = [session.update(*row) for row in rows]
 
     assert ruptures(estimates) == []
+    assert not any(e.identification.provisional for e in estimates)
 
     flagged = [
         k for k, e in enumerate(estimates) if SensorWarning.MODEL_MISMATCH in e.warnings
@@ -321,6 +322,24 @@ def test_a_push_on_the_elbow_raises_no_rupture(first):
     assert "do not fit" in estimates[flagged[0]].wrench.message
     assert not any(estimates[k].used_for_identification for k in flagged)
     assert all(e.status is Status.OK for e in estimates)
+
+
+@pytest.mark.parametrize("kind", ["rupture", "provisional"])
+def test_no_alarm_of_a_push_is_reported_before_it_is_known(monkeypatch, kind):
+    session, rows = resumed_after(INSIDE, 2)
+    before = session.update(*rows[0])
+    alarmed = before.identification._replace(**{kind: object()})
+    monkeypatch.setattr(session._identifier, "use", lambda *_: alarmed)
+    monkeypatch.setattr(
+        session._sensor,
+        "recheck",
+        lambda wrench: wrench._replace(warnings=SensorWarning.ARM_PUSHED),
+    )
+
+    estimate = session.update(*rows[1])
+
+    assert getattr(estimate.identification, kind) is None
+    assert not estimate.used_for_identification
 
 
 @pytest.mark.slow
