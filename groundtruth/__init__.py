@@ -2,12 +2,10 @@
 
 The estimators never see it.
 
-There are two simulations of one scenario.
-
-Two simulations of one scenario: `insert_needle` moves the needle by itself, in half a
-second; `simulate` has the arm move it, in MuJoCo, and reports what the arm's sensors
-read. In closed loop `rig_arm.SimulatedArm` takes joint velocities, one sample at a
-time.
+There are two simulations of one scenario: `insert_needle` moves the needle by itself,
+in half a second; `simulate` has the arm move it, in MuJoCo, and reports what the arm's
+sensors read. In closed loop `rig_arm.SimulatedArm` takes joint velocities, one sample
+at a time.
 
 Reading order: `scenarios` (what is simulated), `tissue` (the laws), `materials` and
 `plant_model` (every number and its source), `simulation` (both simulations and their

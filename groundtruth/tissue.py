@@ -1,4 +1,4 @@
-"""The force law of tissue, and the ground truth of a whole run.
+"""The material law of simulated tissue, and the ground truth of a whole run.
 
 The law takes depth and speed of the tip and returns the force.
 

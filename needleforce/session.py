@@ -1,4 +1,9 @@
-"""One insertion, tick by tick, from joint signals to the force at the needle's tip."""
+"""One insertion, tick by tick, from joint signals to the force at the needle's tip.
+
+Left to others: the torque of the environment to `residual.momentum_observer` and the
+force that it shows to `residual.wrench_estimator`, both called by `VirtualForceSensor`;
+ruptures, layers and the tip force to `identification`.
+"""
 
 import math
 import numbers
@@ -114,7 +119,7 @@ class SessionEstimate(NamedTuple):
 
     @property
     def warnings(self) -> SensorWarning:
-        """Possible errors of the force beyond its standard deviation."""
+        """Possible errors beyond the standard deviation, or that have widened it."""
         return self.wrench.warnings
 
 

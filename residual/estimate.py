@@ -29,7 +29,7 @@ class Status(StrEnum):
 
 
 class SensorWarning(IntFlag):
-    """What may be wrong beyond the standard deviation.
+    """What may be wrong beyond the standard deviation, or has widened it.
 
     The first three make a sample `REJECTED`.
     """
@@ -111,7 +111,7 @@ class WrenchEstimate(NamedTuple):
         model_mismatch: Normalised residual: joint torque that no wrench of the assumed
             kind explains, rms over what its covariance allows: about 1 when all is
             well; 0 where the mode has as many unknowns as there are joints.
-        warnings: What may be wrong beyond the standard deviation.
+        warnings: What may be wrong beyond the standard deviation, or has widened it.
     """
 
     axial: float

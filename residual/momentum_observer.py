@@ -8,6 +8,9 @@ Neither M nor C is formed. With the twist v of every link and the spatial moment
 the subtree it carries, both from one pass over the links, ``p = S . h`` and ``C' dq =
 (v x S) . h`` for a joint that moves along S: the gradient of the kinetic energy (in the
 spirit of De Luca and Ferrajoli, ICRA 2009), in a third of the time of the matrices.
+
+What the residual reads without contact is left to `bias`, the force that it shows to
+`wrench_estimator`.
 """
 
 import math

@@ -2,7 +2,8 @@
 
 Of the components of a force, one is *along* the insertion direction, the others are
 *across* it, that is, perpendicular to it. The residual here is always r - r0: that of
-the momentum observer, less the offset.
+the momentum observer, less the offset. How much of the force acts at the tip, and how
+much along the shaft, is left to `identification`.
 """
 
 import math

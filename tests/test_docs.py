@@ -175,6 +175,21 @@ def test_every_link_leads_to_a_file(page):
     assert [name for name in files if not (ROOT / name).is_file()] == []
 
 
+def test_the_names_that_contributing_gives_stand_in_the_files_it_names():
+    paths = project_files()
+    missing = []
+    for item in re.split(r"\n(?=\d+\. |- |\| |\n)", CONTRIBUTING):
+        words = re.findall(r"`([^`\s]+)`", item)
+        names = re.findall(r"`([\w.]*(?:_\w+|[A-Z]{3,}))`", item)
+        ends = tuple(f"/{word}" for word in words if word.endswith(".py"))
+        files = [path for path in paths if ends and path.as_posix().endswith(ends)]
+        text = " ".join(path.read_text(encoding="utf-8") for path in files)
+        parts = {part for name in names for part in name.split(".")}
+        missing += sorted(parts - set(re.findall(r"\w+", text))) if ends else []
+
+    assert missing == []
+
+
 @pytest.mark.parametrize(
     "page", ["loop", "noise-and-rate", "stop-and-resume", "tool-and-payload"]
 )

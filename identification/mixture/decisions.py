@@ -1,4 +1,6 @@
-"""Decisions: whether to raise an alarm, to retract one, or to wait for the speed.
+"""How likely more or fewer ruptures are than reported; whether braking explains a fall.
+
+What follows from it, an alarm or its retraction, is left to `reporter`.
 
 Lengths are in mm, speeds in mm/s, forces in N.
 """
@@ -22,7 +24,7 @@ from identification.mixture.mixture import Mixture
 from identification.mixture.tissue_motion import TissueMotion
 
 CLEAR_FALL_SIGMAS = 3.0
-"""Released force for an alarm, in standard deviations of a block's force."""
+"""Released force for an alarm, in standard deviations of a block's force: chosen."""
 
 MIN_CLEAR_FALL_N = 0.1
 """Released force for an alarm: two thirds of the least rupture seen in real liver."""

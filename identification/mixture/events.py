@@ -13,6 +13,8 @@ stays there until the membrane ruptures (`HELD`).
 A rupture is *reported* once the caller has been told of it by an alarm, and until that
 alarm is retracted. A hypothesis may count one rupture more than were reported.
 
+When an event may begin a hypothesis, and which are dropped, is left to `mixture`.
+
 Lengths are in mm, speeds in mm/s, forces in N.
 """
 

@@ -1,5 +1,7 @@
 """The force of one hypothesis: linear in twenty unknowns, given a history of ruptures.
 
+This is the material law of the estimator; what a rupture does is left to `events`.
+
 A hypothesis assumes where the tissue ruptured and what the tip is in (`Assumptions`).
 The axial force is then
 

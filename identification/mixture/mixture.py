@@ -16,6 +16,8 @@ which the mixture sees the means (`Block`). `method.MixtureMethod` calls:
    with or without a membrane: each has its own quota, since what an event was may show
    only at the next one.
 
+What the weights say of ruptures is left to `decisions`.
+
 Lengths are in mm, speeds in mm/s, forces in N.
 """
 
@@ -94,7 +96,7 @@ MAX_BRANCH_MM = 1.0
 """Maximum travel for which one call of `branch` counts the probability of events."""
 
 RUPTURES_PER_MM = 0.02
-"""Prior rate of ruptures per travel."""
+"""Prior rate of ruptures per travel: chosen, one in 50 mm."""
 
 RELEASES_MM = np.array([0.15, 0.3, 0.5, 1.0, 1.5, 2.0])
 """Travel of a release, one hypothesis each: gels take 0.1 to 0.5 mm, real liver up to 2
@@ -353,7 +355,7 @@ class MixtureState(NamedTuple):
         covariances: Theirs, shape (n, 20, 20).
         log_weights: Logarithm of each one's probability, shape (n,).
         assumptions: Fields of `Assumptions`, shape (n, 10).
-        history: Fields of `History`, shape (n, 16).
+        history: Fields of `History`, shape (n, 15).
     """
 
     means: Array

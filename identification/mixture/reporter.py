@@ -2,8 +2,9 @@
 
 The mixture's hypotheses become reports here: how likely one more rupture is, an alarm
 or a provisional one, its retraction; a layer a millimetre after the rupture that ended
-it, revised from then on, and final some millimetres later. `decisions` says whether a
-rupture is likely enough, `layer_report` makes the records.
+it, revised from then on, and final some millimetres later. `decisions` says how
+likely a rupture is and whether braking explains it, `layer_report` makes the records.
+The forces of every sample are left to `force_split`.
 """
 
 import math
@@ -191,7 +192,7 @@ class Reporter:
             sample has to report again, this one has had enough to do.
         """
         expecting_probability = 0.5  # of one more rupture
-        retracting_probability = 0.9  # of fewer
+        retracting_probability = 0.9  # of fewer: chosen
         state = self.state
         alarm = state.alarm
         evidence = weigh_evidence(self._learner.mixture, alarm, state.ruptures)
