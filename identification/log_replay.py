@@ -52,7 +52,7 @@ class SignCheck:
         self._smallest_N = np.inf
         self._largest_N = -np.inf
 
-    def update(self, depth_m: Array, speed_m_s: Array | None, force_N: Array) -> None:
+    def add_rows(self, depth_m: Array, speed_m_s: Array | None, force_N: Array) -> None:
         """Use further rows: columns of shape (n,), with gaps; a speed if recorded."""
         previous_m = self._last_m if self._last_m.size else depth_m[:1]
         change_m = np.diff(depth_m, prepend=previous_m)
@@ -210,7 +210,7 @@ class ReplayStream:
             first = int(np.argmax(np.isfinite(t_s)))
             dt_s[: first + 1] = usual_s
         self._gaps += int((dt_s > self._gap_s).sum())
-        self._signs.update(depth_m, speed_m_s, force_N)
+        self._signs.add_rows(depth_m, speed_m_s, force_N)
         estimates: list[Estimate] = []
         self._contacts_m = []
         for row in zip(

@@ -29,7 +29,6 @@ from needleforce.needle_channels import (
     remove_channel,
 )
 from needleforce.plan_follower import PlanFollower
-from needleforce.rewinding import Checkpoint, RewindingIdentifier
 from needleforce.tip_travel import (
     Needle,
     TipTravel,
@@ -38,12 +37,12 @@ from needleforce.tip_travel import (
     place_tip,
     tip_speed,
 )
-from needleforce.zero_watch import ZeroWatch
-from residual import WrenchEstimate
-from residual.tool_kinematics import ToolKinematics
 
 if TYPE_CHECKING:
-    from needleforce.session_snapshot import SessionSnapshot
+    from needleforce.rewinding import RewindingIdentifier
+    from needleforce.zero_watch import ZeroWatch
+    from residual import WrenchEstimate
+    from residual.tool_kinematics import ToolKinematics
 
 MAX_TURN_COSINE = math.cos(math.radians(3.0))
 """Cosine of the turn in free air from which on depth counts along the new axis: its
@@ -208,9 +207,9 @@ class InsertionCourse:
 
     def __init__(
         self,
-        tool: ToolKinematics,
-        identifier: RewindingIdentifier,
-        zero_watch: ZeroWatch,
+        tool: "ToolKinematics",
+        identifier: "RewindingIdentifier",
+        zero_watch: "ZeroWatch",
         speed_lag_s: float,
     ) -> None:
         self._identifier = identifier
@@ -227,14 +226,23 @@ class InsertionCourse:
         self._is_started = False
         self.begin_here()
 
-    def restore(self, snapshot: "SessionSnapshot") -> None:
-        """Continue from a snapshot, but for the plan."""
-        self._count_depth_from(snapshot.zero)
-        self.travel = snapshot.travel
-        self.time_s = snapshot.time_s
-        self.insertion = snapshot.insertion
-        self.channels = snapshot.channels
-        self._is_started = snapshot.sensor.last is not None
+    def restore(
+        self,
+        zero: TravelZero,
+        travel: TipTravel,
+        time_s: float,
+        insertion: InsertionProgress,
+        channels: tuple[NeedleChannel, ...],
+        *,
+        is_started: bool,
+    ) -> None:
+        """Continue from a state; the plan has one of its own."""
+        self._count_depth_from(zero)
+        self.travel = travel
+        self.time_s = time_s
+        self.insertion = insertion
+        self.channels = channels
+        self._is_started = is_started
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
@@ -512,7 +520,7 @@ class InsertionCourse:
         layers = self._identifier.identifier.layers
         self.plan.begin(*self.zero, tuple(layer.rupture for layer in layers))
 
-    def check_channel(self, old: OldChannel, wrench: WrenchEstimate) -> None:
+    def check_channel(self, old: OldChannel, wrench: "WrenchEstimate") -> None:
         """Compare the force with the friction of the channel; drop it if they differ.
 
         Args:
@@ -542,7 +550,7 @@ class InsertionCourse:
         self.channels = remove_channel(
             self.channels, line, length_m=old.end_m - old.begin_m
         )
-        self._identifier.go_back(Checkpoint(old.in_air_s, old.in_air), self.time_s)
+        self._identifier.go_back(old.in_air, old.in_air_s, self.time_s)
         depth_m = self.travel.depth_m
         self.insertion = InsertionProgress(
             line=line,

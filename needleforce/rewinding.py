@@ -60,34 +60,40 @@ class RewindingIdentifier:
     def begin(self, time_s: float) -> None:
         """Forget what was identified, and identify anew from now on."""
         self.identifier.reset()
-        self._forget_way_back(time_s)
+        self._stand_at(self.identifier.snapshot(), time_s, time_s)
 
     def resume(self, snapshot: IdentifierSnapshot, time_s: float) -> None:
         """Go on from a state of the identifier, without a way back."""
-        self.identifier.resume(snapshot)
-        self._forget_way_back(time_s)
-
-    def _forget_way_back(self, time_s: float) -> None:
-        here = Checkpoint(time_s, self.identifier.snapshot())
-        self._stand_at(here, time_s)
+        self.go_back(snapshot, time_s, time_s)
 
     def date(self, time_s: float) -> None:
         """Count unused time from now on, where no sample was used since the begin."""
-        self._stand_at(Checkpoint(time_s, self.checkpoints.newer.identifier), time_s)
+        self._stand_at(self.checkpoints.newer.identifier, time_s, time_s)
 
-    def go_back(self, checkpoint: Checkpoint, time_s: float) -> None:
-        """Undo what was identified since a checkpoint: the time since then is a gap."""
+    def go_back(
+        self, snapshot: IdentifierSnapshot, begin_s: float, time_s: float
+    ) -> None:
+        """Undo what was identified since a state: the time since then is a gap.
+
+        Args:
+            snapshot: State of the identifier.
+            begin_s: Its time.
+            time_s: Now.
+        """
         # `resume` is `restore` without checks: the state is this identifier's own, or
         # was checked when the session was restored.
-        self.identifier.resume(checkpoint.identifier)
-        self._stand_at(checkpoint, time_s)
+        self.identifier.resume(snapshot)
+        self._stand_at(snapshot, begin_s, time_s)
 
-    def _stand_at(self, checkpoint: Checkpoint, time_s: float) -> None:
-        """Take the identifier's state for that of a checkpoint, and keep no other."""
+    def _stand_at(
+        self, snapshot: IdentifierSnapshot, begin_s: float, time_s: float
+    ) -> None:
+        """Take the identifier's state for the only one to rewind to."""
+        checkpoint = Checkpoint(begin_s, snapshot)
         self.checkpoints = Checkpoints(checkpoint, checkpoint)
-        self.last = checkpoint.identifier.last
+        self.last = snapshot.last
         self.contact_m = self.identifier.contact_depth_m
-        self.unused_s = time_s - checkpoint.time_s
+        self.unused_s = time_s - begin_s
         self.is_save_due = False
         self._had_events = False
 
@@ -96,10 +102,9 @@ class RewindingIdentifier:
     ) -> None:
         """Continue from a snapshot; refused as `Identifier.restore` refuses it."""
         self.identifier.restore(snapshot)
-        self._stand_at(checkpoints.newer, checkpoints.newer.time_s)
-        self.checkpoints = checkpoints
+        self._stand_at(snapshot, 0.0, unused_s)
         self.last = snapshot.last.without_events()
-        self.unused_s = unused_s
+        self.checkpoints = checkpoints
 
     def move_zero(self, moved_m: float, time_s: float) -> None:
         """Count depth from another zero; unused time goes on.
@@ -161,7 +166,8 @@ class RewindingIdentifier:
         used_s = time_s - self.unused_s - self.checkpoints.older.time_s
         # Half a time step allows for the rounding of sums of time steps.
         if is_spoilt and used_s > 0.5 * elapsed_s:
-            self.go_back(self.checkpoints.older, time_s)
+            older = self.checkpoints.older
+            self.go_back(older.identifier, older.time_s, time_s)
 
     def end_events(self) -> None:
         """Repeat the last estimate, its events over."""

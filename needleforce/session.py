@@ -440,7 +440,14 @@ class InsertionSession:
         self._zero_watch.air = snapshot.air
         self._zero_watch.jumps = snapshot.jumps
         self._zero_watch.jump_std_N = snapshot.jump_std_N
-        needle.restore(snapshot)
+        needle.restore(
+            snapshot.zero,
+            snapshot.travel,
+            snapshot.time_s,
+            snapshot.insertion,
+            snapshot.channels,
+            is_started=snapshot.sensor.last is not None,
+        )
         needle.plan.resume(snapshot.plan, plan_state)
         if needle.plan.has_path:
             needle.plan.compare_with(self._sensor.kinematics)

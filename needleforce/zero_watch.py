@@ -6,30 +6,12 @@ them before the tissue hides them.
 """
 
 import math
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from needleforce.rewinding import RewindingIdentifier
 from residual import SensorWarning, VirtualForceSensor, WrenchEstimate
 
-JUMP_SEEN_S = 0.6
-"""Within it a changed zero is noticed: a rupture since may be that change."""
-
-MEAN_S = 0.15
-"""Time constant of the mean: as long a memory as a mean over 0.3 s."""
-
-ODD_SIGMAS = 4.0
-"""Mean force in free air, in its own deviations, that is no chance: once in 16,000
-insertions. Its error is slow, one draw in each."""
-
-GONE_SIGMAS = 1.0
-"""Mean force below which it counts as gone."""
-
-GONE_S = 1.0
-"""Time for which it stays there: a force that turns crosses zero."""
-
-MAX_ONSET_S = 1.0
-"""A contact is told from free air within this time: a force that resists and began
-later may be the contact's."""
+if TYPE_CHECKING:
+    from needleforce.rewinding import RewindingIdentifier
 
 
 class AirWatch(NamedTuple):
@@ -55,15 +37,27 @@ class AirWatch(NamedTuple):
             std_N: Its deviation.
             dt_s: Time since the sample before.
         """
-        mean_N = self.mean_N - math.expm1(-dt_s / MEAN_S) * (axial_N - self.mean_N)
+        # Time constant of the mean: as long a memory as a mean over 0.3 s
+        mean_s = 0.15
+        # Mean force in free air, in its own deviations, that is no chance: once in
+        # 16,000 insertions. Its error is slow, one draw in each.
+        odd_sigmas = 4.0
+        # Mean force below which it counts as gone
+        gone_sigmas = 1.0
+        # Time for which it stays there: a force that turns crosses zero
+        gone_s = 1.0
+        # A contact is told from free air within this time: a force that resists and
+        # began later may be the contact's
+        max_onset_s = 1.0
+        mean_N = self.mean_N - math.expm1(-dt_s / mean_s) * (axial_N - self.mean_N)
         size_N = abs(mean_N)
-        is_odd = size_N > ODD_SIGMAS * std_N
+        is_odd = size_N > odd_sigmas * std_N
         odd_s = self.odd_s + dt_s if is_odd else 0.0
-        quiet_s = self.quiet_s + dt_s if size_N < GONE_SIGMAS * std_N else 0.0
+        quiet_s = self.quiet_s + dt_s if size_N < gone_sigmas * std_N else 0.0
         doubt_N = self.doubt_N
         if doubt_N > 0.0:
-            doubt_N = 0.0 if quiet_s > GONE_S else max(size_N, std_N)
-        elif is_odd and (mean_N < 0.0 or odd_s > MAX_ONSET_S):
+            doubt_N = 0.0 if quiet_s > gone_s else max(size_N, std_N)
+        elif is_odd and (mean_N < 0.0 or odd_s > max_onset_s):
             doubt_N = size_N
         return AirWatch(mean_N, odd_s, quiet_s, doubt_N)
 
@@ -90,7 +84,7 @@ class ZeroWatch:
     """
 
     def __init__(
-        self, sensor: VirtualForceSensor, identifier: RewindingIdentifier
+        self, sensor: VirtualForceSensor, identifier: "RewindingIdentifier"
     ) -> None:
         self._sensor = sensor
         self._identifier = identifier
@@ -119,11 +113,13 @@ class ZeroWatch:
             elapsed_s: Time since the sample before.
             is_outside: Whether nothing touches the needle.
         """
+        # Within it a changed zero is noticed: a rupture since may be that change
+        jump_seen_s = 0.6
         if self.jumps != self._sensor.jumps:
             old_std_N = self.jump_std_N
             self.begin_insertion()
             doubted_N = max(old_std_N, self.jump_std_N)
-            self._identifier.identifier.doubt_zero(doubted_N, JUMP_SEEN_S)
+            self._identifier.identifier.doubt_zero(doubted_N, jump_seen_s)
         if not is_outside:
             if self.air.odd_s + self.air.quiet_s > 0.0:
                 self.air = self.air.in_tissue()
@@ -132,7 +128,7 @@ class ZeroWatch:
         self.air = self.air.with_force(wrench.axial, wrench.axial_std, elapsed_s)
         is_new = self.air.doubt_N > 0.0 and not was_odd
         if is_new and self._identifier.contact_m is None:
-            self._identifier.identifier.doubt_zero(self.air.doubt_N, JUMP_SEEN_S)
+            self._identifier.identifier.doubt_zero(self.air.doubt_N, jump_seen_s)
 
     def widen(self, wrench: WrenchEstimate) -> WrenchEstimate:
         """Return an estimate with what free air has shown in its deviation."""

@@ -30,9 +30,9 @@ PRODUCT = (
     "needleforce",
 )
 ALL = (*PRODUCT, "benchmarks")
-MAX_FILES_PER_UPDATE = 29
+MAX_FILES_PER_UPDATE = 35
 MAX_FILES_PER_ROW = 17
-MAX_CHAIN = 24
+MAX_CHAIN = 25
 
 
 def file_of(code):

@@ -23,44 +23,12 @@ from identification.mixture.force_model import (
 from identification.mixture.mixture import Mixture
 from identification.mixture.tissue_motion import TissueMotion
 
-CLEAR_FALL_SIGMAS = 3.0
-"""Released force for an alarm, in standard deviations of a block's force: chosen."""
-
-MIN_CLEAR_FALL_N = 0.1
-"""Released force for an alarm: two thirds of the least rupture seen in real liver."""
-
 VISIBLE_FRACTION = 0.3
 """Fraction of that force by which the force must have fallen: else it only grows
 slower."""
 
 LATE_ALARM_S = 0.5
 """If an alarm comes later than this, the force must still be lower."""
-
-EARLY_FALL_FRACTION = 0.12
-"""Fall, as a fraction of the force, that no robot makes by braking before its speed is
-known."""
-
-FALL_RATE_PER_S = 1.5
-"""The same per time since it began."""
-
-LARGE_FALL_FRACTION = 0.3
-"""A fall of more than this fraction of the force is large."""
-
-MIN_SPEED_LOSS = 0.02
-"""Fraction of the speed lost, below which it is noise of the filtered speed."""
-
-FALL_PER_SPEED_LOSS = 3.0
-"""Relative fall that braking explains, per fraction of the speed lost: more than 1,
-since the speed is late and travel shows its mean."""
-
-LARGE_FALL_PER_SPEED_LOSS = 2.0
-"""The same of a large fall."""
-
-RECENT_RUPTURE_S = 0.5
-"""So long after a rupture the travel since then shows the speed better, less noisy."""
-
-MIN_SPEED_MM_S = 1e-3
-"""Speed that a loss refers to, at least."""
 
 
 class RuptureCount(NamedTuple):
@@ -135,7 +103,11 @@ def compare_counts(
 
 def count_ruptures(evidence: Evidence, reported: int, block: Block) -> RuptureCount:
     """Return what the components say about the number of ruptures reported."""
-    clear_fall_N = max(CLEAR_FALL_SIGMAS * block.noise_std_N, MIN_CLEAR_FALL_N)
+    # Released force for an alarm, in standard deviations of a block's force
+    clear_fall_sigmas = 3.0
+    # Released force for an alarm: two thirds of the least rupture seen in real liver
+    min_clear_fall_N = 0.1
+    clear_fall_N = max(clear_fall_sigmas * block.noise_std_N, min_clear_fall_N)
     return compare_counts(evidence, reported, block, clear_fall_N)
 
 
@@ -155,21 +127,39 @@ def may_be_braking(
         time_s: Now, since the reset.
         tissue: Its own motion.
     """
+    # Fall, as a fraction of the force, that no robot makes by braking before its speed
+    # is known
+    early_fall_fraction = 0.12
+    # The same per time since it began
+    fall_rate_per_s = 1.5
+    # A fall of more than this fraction of the force is large
+    large_fall_fraction = 0.3
+    # Fraction of the speed lost, below which it is noise of the filtered speed
+    min_speed_loss = 0.02
+    # Relative fall that braking explains, per fraction of the speed lost: more than 1,
+    # since the speed is late and travel shows its mean
+    fall_per_speed_loss = 3.0
+    # The same of a large fall
+    large_fall_per_speed_loss = 2.0
     history = read_element(History, mixture.history, component)
     force_N = abs(history.rupture_force_N - float(mixture.means[component, OFFSET]))
     fall_N = history.rupture_force_N - block.force_N
     since_s = time_s - history.rupture_s
-    quick_fall = max(EARLY_FALL_FRACTION, FALL_RATE_PER_S * since_s)
+    quick_fall = max(early_fall_fraction, fall_rate_per_s * since_s)
     if since_s < block.speed_lag_s and fall_N < quick_fall * force_N:
         return True
     loss = _speed_loss(history, block, tissue)
-    is_large = fall_N > LARGE_FALL_FRACTION * force_N
-    explained = LARGE_FALL_PER_SPEED_LOSS if is_large else FALL_PER_SPEED_LOSS
-    return loss > MIN_SPEED_LOSS and fall_N < explained * loss * force_N
+    is_large = fall_N > large_fall_fraction * force_N
+    explained = large_fall_per_speed_loss if is_large else fall_per_speed_loss
+    return loss > min_speed_loss and fall_N < explained * loss * force_N
 
 
 def _speed_loss(history: History, block: Block, tissue: TissueMotion) -> float:
     """Return the fraction of the needle's own speed lost since a rupture."""
+    # So long after a rupture the travel since then shows the speed better, less noisy
+    recent_rupture_s = 0.5
+    # Speed that a loss refers to, at least
+    min_speed_mm_s = 1e-3
     speed = block.speed_mm_s
     speed_before = history.rupture_speed_mm_s
     travel_mm = block.unfiltered_depth_mm - history.rupture_mm
@@ -180,7 +170,7 @@ def _speed_loss(history: History, block: Block, tissue: TissueMotion) -> float:
         speed_before = speed_before + start.speed_mm_s
         travel_mm = travel_mm + end.place_mm - start.place_mm
     travelled_s = block.time_s - history.rupture_s
-    if 0.0 < travelled_s < RECENT_RUPTURE_S:
+    if 0.0 < travelled_s < recent_rupture_s:
         # A filtered depth is as late as its speed, an unfiltered one is not.
         speed = min(speed, travel_mm / travelled_s)
-    return 1.0 - speed / max(speed_before, MIN_SPEED_MM_S)
+    return 1.0 - speed / max(speed_before, min_speed_mm_s)

@@ -8,6 +8,7 @@ at, and what they find becomes a warning, a wider deviation, or a doubt of ruptu
 
 import math
 from dataclasses import dataclass, field, replace
+from typing import TYPE_CHECKING
 
 from identification.estimate import (
     HardContact,
@@ -22,10 +23,12 @@ from identification.mixture.evidence import MM_PER_M
 from identification.mixture.force_model import TRAVERSED_COULOMB, TRAVERSED_VISCOUS
 from identification.mixture.hard_contact import HardContactState
 from identification.mixture.innovation_watch import InnovationWatch
-from identification.mixture.learner import Learner
 from identification.mixture.needle_pull import ONSET_S, NeedlePull, NetForce
 from identification.mixture.rest_force import NEVER_AT_REST, HeldForce, RestForce
 from identification.mixture.tissue_pull import TissuePull
+
+if TYPE_CHECKING:
+    from identification.mixture.learner import Learner
 
 
 @dataclass(slots=True)
@@ -55,7 +58,7 @@ class ForceWatch:
     """
 
     def __init__(
-        self, learner: Learner, state: ForceWatchState, hard_contact_N_per_m: float
+        self, learner: "Learner", state: ForceWatchState, hard_contact_N_per_m: float
     ) -> None:
         self.state = replace(state)
         self._learner = learner

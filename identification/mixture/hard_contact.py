@@ -22,18 +22,6 @@ STEP_MM = 0.1
 """Travel between two points that the growth is taken from: it is that over one to two
 steps."""
 
-MIN_GROWTH_MM = 0.125
-"""Growth of a hard contact, at least: the bound times this travel."""
-
-GROWTH_SIGMAS = 5.0
-"""The same in standard deviations of a block's force."""
-
-MAX_SPEED_RATIO = 1.3
-"""The needle may have become faster by this ratio, at most."""
-
-OVER_FRACTION = 0.5
-"""Part of the force at a hard contact below which that is over."""
-
 
 class ContactPoint(NamedTuple):
     """A point that the growth of the force is taken from.
@@ -88,7 +76,9 @@ class HardContactState(NamedTuple):
             bound_N_per_mm: Growth beyond which a contact is hard.
             is_even: Whether the needle has advanced evenly.
         """
-        if self.is_hard and net_N < OVER_FRACTION * self.force_N:
+        # Part of the force at a hard contact below which that is over
+        over_fraction = 0.5
+        if self.is_hard and net_N < over_fraction * self.force_N:
             return HardContactState()
         growth_N_per_mm = 0.0
         if is_even:
@@ -112,13 +102,19 @@ class HardContactState(NamedTuple):
 
     def _growth(self, block: Block, net_N: float, bound_N_per_mm: float) -> float:
         """Return the growth of the force since the first point [N/mm]; 0 if unclear."""
+        # Growth of a hard contact, at least: the bound times this travel
+        min_growth_mm = 0.125
+        # The same in standard deviations of a block's force
+        growth_sigmas = 5.0
+        # The needle may have become faster by this ratio, at most
+        max_speed_ratio = 1.3
         if not self.first.is_known:
             return 0.0
         growth_N = net_N - self.first.force_N
         min_growth_N = max(
-            MIN_GROWTH_MM * bound_N_per_mm, GROWTH_SIGMAS * block.noise_std_N
+            min_growth_mm * bound_N_per_mm, growth_sigmas * block.noise_std_N
         )
-        is_faster = block.speed_mm_s > MAX_SPEED_RATIO * self.first.speed_mm_s
+        is_faster = block.speed_mm_s > max_speed_ratio * self.first.speed_mm_s
         if is_faster or growth_N < min_growth_N:
             return 0.0
         return growth_N / max(block.depth_mm - self.first.depth_mm, STEP_MM)

@@ -9,27 +9,6 @@ whoever reads that deviation must be told before anyone knows the cause.
 import math
 from typing import NamedTuple
 
-FAST_S = 0.15
-"""Time constant of the fast mean: as long a memory as a mean over 0.3 s."""
-
-SLOW_S = 1.5
-"""Of the slow mean: as long a memory as a mean over 3 s."""
-
-FAST_SIGMAS = 3.0
-"""Unexplained force in the fast mean that is no chance, in deviations of the tip's
-force. Ordinary insertions show 0.8 in one of a hundred blocks, ruptures left out."""
-
-SLOW_SIGMAS = 1.0
-"""The same in the slow mean, where they show 0.16 at most."""
-
-MIN_STD_N = 0.01
-"""Deviation of the tip's force that the unexplained force is compared with, at
-least."""
-
-REMEMBERED_S = 3.0
-"""The force counts as unexplained for so much longer: as long as the slow mean
-remembers."""
-
 
 class InnovationWatch(NamedTuple):
     """What the innovations have shown; immutable.
@@ -72,15 +51,31 @@ class InnovationWatch(NamedTuple):
             tip_std_N: That is stated for the force at the tip without this doubt, or
                 for the force itself if that is more.
         """
+        # Time constant of the fast mean: as long a memory as a mean over 0.3 s
+        fast_s = 0.15
+        # Of the slow mean: as long a memory as a mean over 3 s
+        slow_s = 1.5
+        # Unexplained force in the fast mean that is no chance, in deviations of the
+        # tip's force. Ordinary insertions show 0.8 in one of a hundred blocks, ruptures
+        # left out.
+        fast_sigmas = 3.0
+        # The same in the slow mean, where they show 0.16 at most
+        slow_sigmas = 1.0
+        # Deviation of the tip's force that the unexplained force is compared with, at
+        # least
+        min_std_N = 0.01
+        # The force counts as unexplained for so much longer: as long as the slow mean
+        # remembers
+        remembered_s = 3.0
         excess_N2 = innovation_N * innovation_N - variance_N2
-        fast = -math.expm1(-duration_s / FAST_S)
-        slow = -math.expm1(-duration_s / SLOW_S)
+        fast = -math.expm1(-duration_s / fast_s)
+        slow = -math.expm1(-duration_s / slow_s)
         fast_N2 = self.fast_N2 + fast * (excess_N2 - self.fast_N2)
         slow_N2 = self.slow_N2 + slow * (excess_N2 - self.slow_N2)
-        tip_N2 = max(tip_std_N, MIN_STD_N) ** 2
+        tip_N2 = max(tip_std_N, min_std_N) ** 2
         doubt_N = self.doubt_at(time_s)
         until_s = self.doubted_until_s
-        if fast_N2 > FAST_SIGMAS**2 * tip_N2 or slow_N2 > SLOW_SIGMAS**2 * tip_N2:
+        if fast_N2 > fast_sigmas**2 * tip_N2 or slow_N2 > slow_sigmas**2 * tip_N2:
             doubt_N = max(doubt_N, math.sqrt(max(fast_N2, slow_N2)))
-            until_s = time_s + REMEMBERED_S
+            until_s = time_s + remembered_s
         return InnovationWatch(fast_N2, slow_N2, doubt_N, until_s)

@@ -23,12 +23,6 @@ from identification.mixture.force_model import (
 from identification.mixture.force_split import IDENTIFIED_FRACTION
 from identification.mixture.mixture import MIN_BRANCH_MM
 
-MIN_PROBABILITY = 0.3
-"""Probability of all components with the last rupture, to say what it was."""
-
-MIN_THICKNESS_MM = 1e-3
-"""Thickness of a layer, at least."""
-
 MIN_SPEED_M_S = 1e-6
 """Speed at a rupture, at least."""
 
@@ -154,8 +148,10 @@ def _mix_friction(
     evidence: Evidence, weights: Array, unknowns: NDArray[np.int64], variance_N2: float
 ) -> LayerFriction | None:
     """Return the mixture of an unknown of each component, shapes (n,)."""
+    # Probability of all components with the last rupture, to say what it was
+    min_probability = 0.3
     total = float(weights.sum())
-    if total < MIN_PROBABILITY:
+    if total < min_probability:
         return None
     mixture = evidence.mixture
     components = np.arange(len(weights))
@@ -186,6 +182,8 @@ def report_layer(
         friction: Of the layer.
         block: The last one.
     """
+    # Thickness of a layer, at least
+    min_thickness_mm = 1e-3
     weights = evidence.weights_of(ruptures)
     weights[_has_met_membrane(evidence)] = 0.0
     if not weights.any():
@@ -193,7 +191,7 @@ def report_layer(
     component = int(np.argmax(weights))
     mixture = evidence.mixture
     history = _history(evidence, component)
-    thickness_mm = max(history.rupture_mm - history.section_start_mm, MIN_THICKNESS_MM)
+    thickness_mm = max(history.rupture_mm - history.section_start_mm, min_thickness_mm)
     end_std_mm = _std_of_event(
         weights,
         read_column(mixture.history, "rupture_mm"),

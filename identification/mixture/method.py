@@ -25,7 +25,7 @@ from identification.estimate import (
     make_estimate,
 )
 from identification.mixture.block import Block
-from identification.mixture.evidence import MM_PER_M, Evidence
+from identification.mixture.evidence import MM_PER_M
 from identification.mixture.force_split import estimate_sample, update_sample
 from identification.mixture.force_watch import ForceWatch, ForceWatchState
 from identification.mixture.learner import (
@@ -338,13 +338,10 @@ class MixtureMethod:
 
     def _report(self, sample: Sample) -> None:
         """Report ruptures, and summarise the mixture for the next samples."""
-        evidence = self._reporter.report_ruptures(sample)
-        if evidence is not None:
-            self._summarise(evidence)
-
-    def _summarise(self, evidence: Evidence) -> None:
-        """Keep what the mixture knows of the shaft, until the next report."""
         reporter = self._reporter
+        evidence = reporter.report_ruptures(sample)
+        if evidence is None:
+            return
         update_posterior(
             self._posterior,
             evidence,

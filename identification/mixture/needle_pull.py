@@ -14,51 +14,15 @@ taken for the sensor's new zero in the end.
 import math
 from typing import NamedTuple
 
-PULL_SIGMAS = 3.0
-"""Standard deviations below the least force of tissue from which on a force pulls."""
-
-MIN_PULL_N = 0.1
-"""Least distance below it from which on a force pulls: less is a needle's inertia, or
-its weight."""
-
 STILL_PULLED = 0.5
 """A pull lasts while the force is below the least one of tissue by more than this
 fraction of that distance; a force that is as low may pull soon."""
 
-STILL_LOW = 0.25
-"""A force that may pull soon does so while it is below by more than this fraction."""
-
 BRAKING_S = 0.1
 """Time after the last advance for which a needle that brakes counts as advancing."""
 
-BACK_MM = 0.1
-"""Way back from the deepest point up to which a needle that is pulled still is."""
-
-BEGIN_BACK_MM = 0.03
-"""Way back up to which a pull may begin: a tenth of the way over which friction turns,
-so that a needle that is drawn back, and held by the tissue, is not taken for one that
-is pulled."""
-
-OVER_S = 0.3
-"""A fall is over if the force has not been lower for so long."""
-
 ONSET_S = 0.05
 """Time by which a rupture that the fall looks like may be dated before it."""
-
-MAX_PULL_S = 2.5
-"""Longest pull at a steady force, as long as a push on the arm: then the zero has
-changed."""
-
-MAX_WAIT_S = 0.15
-"""Longest time for which alarms wait whether a force that is low will pull: a step is
-over sooner, with the lag of a virtual sensor."""
-
-RECENT_S = 0.05
-"""Time constant of the force that a quick fall is seen beside."""
-
-QUICK_FRACTION = 0.35
-"""Part of a fall by which the force is then lower, if the fall is quicker than
-breathing: friction takes at least 0.2 s to turn with it."""
 
 BELOW_FRICTION_S = 0.15
 """Time for which a force must be below the friction that remains: a speed that falls,
@@ -93,7 +57,13 @@ class NetForce(NamedTuple):
     @property
     def limit_N(self) -> float:
         """Distance below the least force of tissue from which on a force pulls."""
-        return max(PULL_SIGMAS * self.std_N, MIN_PULL_N)
+        # Standard deviations below the least force of tissue from which on a force
+        # pulls
+        pull_sigmas = 3.0
+        # Least distance below it from which on a force pulls: less is a needle's
+        # inertia, or its weight
+        min_pull_N = 0.1
+        return max(pull_sigmas * self.std_N, min_pull_N)
 
 
 class NeedlePull(NamedTuple):
@@ -137,11 +107,17 @@ class NeedlePull(NamedTuple):
     @property
     def may_pull(self) -> bool:
         """Whether the force has just become so low that it may pull soon."""
-        return 0.0 < self.low_for_s <= MAX_WAIT_S
+        # Longest time for which alarms wait whether a force that is low will pull: a
+        # step is over sooner, with the lag of a virtual sensor
+        max_wait_s = 0.15
+        return 0.0 < self.low_for_s <= max_wait_s
 
     def is_new_zero(self, time_s: float) -> bool:
         """Return whether the force has pulled for so long that the zero has changed."""
-        return self.is_pulled and time_s - self.low_s > MAX_PULL_S
+        # Longest pull at a steady force, as long as a push on the arm: then the zero
+        # has changed
+        max_pull_s = 2.5
+        return self.is_pulled and time_s - self.low_s > max_pull_s
 
     def restarted(self) -> "NeedlePull":
         """Return the same without a pull, once the zero has changed."""
@@ -158,20 +134,32 @@ class NeedlePull(NamedTuple):
 
     def _least_force_N(self, force: NetForce) -> float:
         """Return the least force of tissue where the needle is; -inf if unknown."""
-        back_mm = BACK_MM if self.is_pulled else BEGIN_BACK_MM
+        # Way back up to which a pull may begin: a tenth of the way over which friction
+        # turns, so that a needle that is drawn back, and held by the tissue, is not
+        # taken for one that is pulled
+        begin_back_mm = 0.03
+        # The same once it is pulled
+        still_back_mm = 0.1
+        back_mm = still_back_mm if self.is_pulled else begin_back_mm
         if force.is_outside or force.behind_mm < back_mm:
             return 0.0
         return -self.highest_N if self.highest_N > 0.0 else -math.inf
 
     def _judged(self, force: NetForce) -> "NeedlePull":
         """Return the same with a judgement on the force of a block."""
+        # A force that may pull soon does so while it is below by more than this
+        # fraction
+        still_low = 0.25
+        # Part of a fall by which the force is then lower, if the fall is quicker than
+        # breathing: friction takes at least 0.2 s to turn with it
+        quick_fraction = 0.35
         limit_N = force.limit_N
         below_N = self._least_force_N(force) - force.value_N
-        low_fraction = STILL_LOW if self.low_for_s else STILL_PULLED
+        low_fraction = still_low if self.low_for_s else STILL_PULLED
         is_low = below_N > low_fraction * limit_N
         low_for_s = self.low_for_s + force.duration_s if is_low else 0.0
         quick_N = max(self.quick_N, self.recent_N - force.value_N)
-        is_quick = quick_N > QUICK_FRACTION * (self.peak_N - force.value_N)
+        is_quick = quick_N > quick_fraction * (self.peak_N - force.value_N)
         friction_N = min(self.friction_N, force.friction_N)
         is_below_friction = force.is_advancing and force.value_N < friction_N - limit_N
         has_fallen = is_quick or self.below_friction_s > 0.0
@@ -198,13 +186,17 @@ class NeedlePull(NamedTuple):
 
     def _with_recent(self, force: NetForce) -> "NeedlePull":
         """Return the same with the mean force of late."""
+        # Time constant of the force that a quick fall is seen beside
+        recent_s = 0.05
         step_N = force.value_N - self.recent_N
-        recent_N = self.recent_N - math.expm1(-force.duration_s / RECENT_S) * step_N
+        recent_N = self.recent_N - math.expm1(-force.duration_s / recent_s) * step_N
         return self._replace(recent_N=recent_N)
 
     def _with_fall(self, force: NetForce) -> "NeedlePull":
         """Return the same with the fall of the force followed."""
-        is_over = force.value_N > self.peak_N or force.time_s - self.low_s > OVER_S
+        # A fall is over if the force has not been lower for so long
+        over_s = 0.3
+        is_over = force.value_N > self.peak_N or force.time_s - self.low_s > over_s
         if is_over and not self.is_pulled:
             return self._replace(
                 friction_N=force.friction_N,

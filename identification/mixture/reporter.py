@@ -9,6 +9,7 @@ The forces of every sample are left to `force_split`.
 
 import math
 from dataclasses import dataclass, replace
+from typing import TYPE_CHECKING
 
 import numpy as np
 
@@ -30,7 +31,6 @@ from identification.mixture.decisions import (
 )
 from identification.mixture.evidence import MM_PER_M, Evidence, weigh_evidence
 from identification.mixture.force_split import LAYER_COLUMNS
-from identification.mixture.force_watch import ForceWatch
 from identification.mixture.layer_report import (
     contact_std_mm,
     friction_of_last_layer,
@@ -40,9 +40,12 @@ from identification.mixture.layer_report import (
     with_doubt,
     with_friction,
 )
-from identification.mixture.learner import Learner
 from identification.mixture.mixture import SMALL_RELEASE_PENALTY
 from identification.mixture.tissue_pull import REMEMBERED_S
+
+if TYPE_CHECKING:
+    from identification.mixture.force_watch import ForceWatch
+    from identification.mixture.learner import Learner
 
 
 @dataclass(slots=True)
@@ -89,8 +92,8 @@ class Reporter:
 
     def __init__(
         self,
-        learner: Learner,
-        watch: ForceWatch,
+        learner: "Learner",
+        watch: "ForceWatch",
         state: ReporterState,
         config: MixtureConfig,
     ) -> None:

@@ -10,52 +10,11 @@ no rupture.
 import math
 from typing import NamedTuple
 
-REST_MM = 0.02
-"""Travel within which a needle rests, beyond the noise of its depth: a fourteenth of
-that over which friction turns."""
-
-DEPTH_SIGMAS = 3.0
-"""Standard deviations of the depth's noise by which a needle may seem to move."""
-
 SETTLED_S = 0.3
 """Time at rest after which a force has settled: a soft arm swings until then."""
 
-MEAN_S = 0.1
-"""Time constant of the mean that a force is compared with: a beating heart changes it
-more slowly."""
-
-MIN_CHANGE_N = 0.3
-"""Least quick change, twice the least rupture seen in real liver."""
-
 CHANGE_SIGMAS = 6.0
 """Least quick change in standard deviations of the force's noise."""
-
-CHANGE_FRACTION = 0.4
-"""Least quick change as a fraction of the force: when the needle is drawn back,
-friction turns by less over the travel that is still rest."""
-
-SLOW_SIGMAS = 3.0
-"""Least quick change in standard deviations of the force's slow error, which holds what
-an arm adds that begins to move."""
-
-MIN_WAIT_S = 0.1
-"""Time for which a change lasts at least: an arm that begins to move has the needle out
-of its rest by then."""
-
-MAX_WAIT_S = 0.6
-"""Time after which a change that may be one of the arm's is the usual force."""
-
-MAX_CHANGED_S = 2.5
-"""Time after which a force that has changed is the usual one."""
-
-RELAXATION_S = 1.5
-"""Shortest time constant with which tissue relaxes: liver takes 8.5 s."""
-
-MIN_FALL_N = 0.2
-"""Least fall below what relaxation leaves that is none of tissue."""
-
-FALLING_S = 2.0
-"""Time after the force has settled in which a fall after a rupture is looked for."""
 
 
 class HeldForce(NamedTuple):
@@ -110,7 +69,15 @@ class RestForce(NamedTuple):
 
     def with_force(self, force: HeldForce) -> "RestForce":
         """Return the same after the force of a block."""
-        play_mm = REST_MM + DEPTH_SIGMAS * force.depth_std_mm
+        # Travel within which a needle rests, beyond the noise of its depth: a
+        # fourteenth of that over which friction turns
+        rest_mm = 0.02
+        # Standard deviations of the depth's noise by which a needle may seem to move
+        depth_sigmas = 3.0
+        # Time constant of the mean that a force is compared with: a beating heart
+        # changes it more slowly
+        mean_s = 0.1
+        play_mm = rest_mm + depth_sigmas * force.depth_std_mm
         if abs(force.depth_mm - self.depth_mm) > play_mm:
             return RestForce(
                 depth_mm=force.depth_mm, mean_N=force.value_N, settled_N=force.value_N
@@ -124,40 +91,61 @@ class RestForce(NamedTuple):
             if abs(change_N) > self._limit_N(force):
                 return after._with_wait(force)
         step_N = force.value_N - self.mean_N
-        mean_N = self.mean_N - math.expm1(-force.duration_s / MEAN_S) * step_N
+        mean_N = self.mean_N - math.expm1(-force.duration_s / mean_s) * step_N
         settled_N = mean_N if after.rest_s <= SETTLED_S else self.settled_N
         return after._replace(mean_N=mean_N, settled_N=settled_N, wait_s=0.0)
 
     def _limit_N(self, force: HeldForce) -> float:
         """Return the change from which on a force is other than usual."""
+        # Least quick change, twice the least rupture seen in real liver
+        min_change_N = 0.3
+        # Least quick change as a fraction of the force: when the needle is drawn back,
+        # friction turns by less over the travel that is still rest
+        change_fraction = 0.4
         noise_N = CHANGE_SIGMAS * force.noise_std_N
-        return max(MIN_CHANGE_N, noise_N, CHANGE_FRACTION * abs(self.mean_N))
+        return max(min_change_N, noise_N, change_fraction * abs(self.mean_N))
 
     def _with_fall(self, force: HeldForce) -> "RestForce":
         """Return the same with a judgement on a force that falls after a rupture."""
+        # Shortest time constant with which tissue relaxes: liver takes 8.5 s
+        relaxation_s = 1.5
+        # Least fall below what relaxation leaves that is none of tissue
+        min_fall_N = 0.2
+        # Time after the force has settled in which a fall after a rupture is looked for
+        falling_s = 2.0
         settled_s = self.rest_s - SETTLED_S
-        relaxed_N = max(self.settled_N, 0.0) * math.exp(-settled_s / RELAXATION_S)
-        margin_N = max(MIN_FALL_N, CHANGE_SIGMAS * force.noise_std_N)
+        relaxed_N = max(self.settled_N, 0.0) * math.exp(-settled_s / relaxation_s)
+        margin_N = max(min_fall_N, CHANGE_SIGMAS * force.noise_std_N)
         is_low = force.value_N < relaxed_N - margin_N
-        falls_on = force.has_ruptured and settled_s < FALLING_S and is_low
+        falls_on = force.has_ruptured and settled_s < falling_s and is_low
         return self._replace(falls_on=self.falls_on or falls_on)
 
     def _with_wait(self, force: HeldForce) -> "RestForce":
         """Return the same while a force is other than usual: is it the arm's motion?"""
+        # Least quick change in standard deviations of the force's slow error, which
+        # holds what an arm adds that begins to move
+        slow_sigmas = 3.0
+        # Time for which a change lasts at least: an arm that begins to move has the
+        # needle out of its rest by then
+        min_wait_s = 0.1
+        # Time after which a change that may be one of the arm's is the usual force
+        max_wait_s = 0.6
         wait_s = self.wait_s + force.duration_s
         change_N = force.value_N - self.mean_N
-        is_clear = abs(change_N) > SLOW_SIGMAS * force.slow_std_N
-        if wait_s > MIN_WAIT_S and is_clear:
+        is_clear = abs(change_N) > slow_sigmas * force.slow_std_N
+        if wait_s > min_wait_s and is_clear:
             return self._replace(change_N=change_N, changed_s=0.0, wait_s=0.0)
-        if wait_s > MAX_WAIT_S:
+        if wait_s > max_wait_s:
             return self._replace(mean_N=force.value_N, wait_s=0.0)
         return self._replace(wait_s=wait_s)
 
     def _with_change(self, force: HeldForce) -> "RestForce":
         """Return the same while a quick change lasts; a needle then rests anew."""
+        # Time after which a force that has changed is the usual one
+        max_changed_s = 2.5
         changed_s = self.changed_s + force.duration_s
         is_back = abs(force.value_N - self.mean_N) < 0.5 * abs(self.change_N)
-        if is_back or changed_s > MAX_CHANGED_S:
+        if is_back or changed_s > max_changed_s:
             return RestForce(
                 depth_mm=self.depth_mm, mean_N=force.value_N, settled_N=force.value_N
             )

@@ -13,18 +13,6 @@ from typing import NamedTuple
 from identification.estimate import Outputs, widen_forces
 from identification.mixture.block import Block
 
-PULL_SIGMAS = 3.0
-"""Standard deviations below zero from which on the force pulls."""
-
-MIN_PULL_N = 0.1
-"""And at least so far below: less is the inertia or the weight of a needle."""
-
-MIN_PULL_S = 0.2
-"""The force pulls for so long at least: friction that turns does for half a breath."""
-
-MAX_FOLLOWED_MM = 2.0
-"""Amplitude of a motion found in the force up to which ruptures are found beside it."""
-
 REMEMBERED_S = 15.0
 """Tissue that has pulled moves for so much longer: two breaths at 8 a minute."""
 
@@ -84,16 +72,26 @@ class TissuePull(NamedTuple):
             is_sliding: Whether the needle has advanced for long enough that friction
                 along all of the shaft opposes it.
         """
+        # Standard deviations below zero from which on the force pulls
+        pull_sigmas = 3.0
+        # And at least so far below: less is the inertia or the weight of a needle
+        min_pull_N = 0.1
+        # The force pulls for so long at least: friction that turns does for half a
+        # breath
+        min_pull_s = 0.2
+        # Amplitude of a motion found in the force up to which ruptures are found beside
+        # it
+        max_followed_mm = 2.0
         net_N = block.force_N - self.zero_N
         std_N = math.sqrt(variance_N2 + self.zero_variance_N2)
         remaining = math.exp(-block.duration_s / REMEMBERED_S)
         highest_N = max(self.highest_N * remaining, net_N)
         lowest_N = min(self.lowest_N * remaining, net_N)
         is_sliding = is_sliding and self.is_met
-        is_pulled = is_sliding and net_N < -max(PULL_SIGMAS * std_N, MIN_PULL_N)
+        is_pulled = is_sliding and net_N < -max(pull_sigmas * std_N, min_pull_N)
         pulled_s = self.pulled_s + block.duration_s if is_pulled else 0.0
         moves_until_s = self.moves_until_s
-        if pulled_s >= MIN_PULL_S or amplitude_mm > MAX_FOLLOWED_MM:
+        if pulled_s >= min_pull_s or amplitude_mm > max_followed_mm:
             moves_until_s = block.time_s + REMEMBERED_S
         elif amplitude_mm > 0.0:
             moves_until_s = min(moves_until_s, block.time_s)

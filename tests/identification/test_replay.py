@@ -111,7 +111,7 @@ def test_wrong_speed_sign_and_still_depth_get_hints(columns):
         ),
     ):
         check = SignCheck()
-        check.update(depth, speed, force_N)
+        check.add_rows(depth, speed, force_N)
         assert words in check.hints()[-1].text
         assert check.hints()[-1].advice == advice
 
