@@ -22,7 +22,7 @@ from tests.insertion_run import short_run
 def needle():
     """Columns of an insertion from the end of the free motion until it has left the
     gel."""
-    run = insert_needle("gel-50-constant", seed=1, rate_hz=150.0)
+    run = insert_needle("gel-50-constant", seed=1, rate_hz=250.0)
     rows = slice(
         *np.searchsorted(run.t_s, (run.tare_end_s, run.truth.rupture_s[0] + 5.0))
     )

@@ -20,9 +20,9 @@ ID = "gel-25-constant"
 
 @pytest.fixture(scope="module")
 def run():
-    """One simulated insertion at 250 Hz, without its withdrawal, for all tests."""
+    """One simulated insertion at 500 Hz, without its withdrawal, for all tests."""
     whole = short_run()
-    rows = slice(None, None, 4)
+    rows = slice(None, None, 2)
     return replace(
         whole, signals=cut(whole.signals, rows), truth=cut(whole.truth, rows)
     )
