@@ -1,8 +1,9 @@
 """Arms whose controllers are scripts: they keep every velocity that they are told.
 
 The clients of Franka and UR are replaced by objects that do what the drivers call. As a
-program, ``scripted_arms.py KIND END FILE``, one of them is driven until the program
-ends by an error, or by a signal; what the arm was told is written into the file.
+program, ``scripted_arms.py END FOLDER``, each kind is driven by a process of its own
+until that ends by an error, or by a signal; what the arm was told is written into a
+file in the folder.
 """
 
 import atexit
@@ -357,4 +358,9 @@ def drive(name, end, path):
 if __name__ == "__main__":
     # A shell lets what it starts in the background ignore this signal.
     signal.signal(signal.SIGINT, signal.default_int_handler)
-    drive(*sys.argv[1:])
+    for kind in KINDS:
+        pid = os.fork()  # rather than importing all again
+        if pid == 0:
+            drive(kind, sys.argv[1], f"{sys.argv[2]}/{kind}.npy")
+            break
+        os.waitpid(pid, 0)
