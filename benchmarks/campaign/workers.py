@@ -171,8 +171,15 @@ def _on_cluster(
 
         def alone(index: int) -> Answer | None:
             client.wait_for_workers(1, timeout=RESTART_S)
+            future = client.submit(work, jobs[index], pure=False)
+            while not future.done():
+                # A job may take long, but not for ever where no worker comes back.
+                client.wait_for_workers(1, timeout=RESTART_S)
+                with suppress(TimeoutError, KilledWorker):
+                    future.result(timeout=RESTART_S)
             with suppress(KilledWorker):
-                return client.submit(work, jobs[index], pure=False).result()
+                return future.result()
+            return None
 
         try:
             for future in coming:
