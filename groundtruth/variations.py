@@ -1,9 +1,9 @@
 """Tissues outside the law that our mixture estimator assumes, each with its source.
 
-A catalogued layer has a nearly linear tip force that is released at once and
-altogether, friction in proportion to the embedded length, no texture, and half of its
-force in friction. The estimator assumes the same. A variation changes one of these in
-every layer, and nothing else.
+A catalogued layer has a nearly linear tip force that is released altogether within
+half a millimetre, friction in proportion to the embedded length, and no texture. The
+estimator expects such a layer first, others with smaller priors. A variation changes
+one of these in every layer, and nothing else.
 """
 
 from dataclasses import dataclass, replace

@@ -7,7 +7,8 @@ which the mixture sees the means (`Block`). `learner.Learner` calls 1 to 3,
 
 1. `predict`, for every block: the unknowns go on by the block's time and travel.
 2. `correct` and `penalise_implausible`, unless the needle is in tissue and does not
-   advance, or the block is a gap in the samples: components learn from the force.
+   advance, the force is pulled, or the block is a gap in the samples: components learn
+   from the force.
 3. `MixtureMemory.branch`, some samples later, where the needle advances fast enough
    and `MIN_BRANCH_MM` beyond the last call; for a gap twice. It picks parents, the
    likeliest component in each state of the tip, and gives each parent children: one
@@ -228,7 +229,8 @@ MIN_RELEASED_SIGMAS = 2.0
 """Minimum force that a rupture releases, in standard deviations of a block's force."""
 
 SMALL_RELEASE_PENALTY = 12.0
-"""Reduction of the log weight where less was released: then it was no rupture."""
+"""Reduction of the log weight where less was released, or where a rupture is doubted:
+then it was no rupture."""
 
 SIGN_TRAVEL_MM = 2.0
 """Travel since the last event beyond which the signs of stiffness and friction are

@@ -1,7 +1,7 @@
 """What is assumed of a layer or a membrane before its force is measured.
 
 All these values are chosen; no measurement is known that gives them. Two of friction,
-its fraction and how well its Coulomb part is known, were compared with recordings in
+`FRICTION_FRACTION` and `COULOMB_SPEED_LOG_STD`, were compared with recordings in
 liver before they were kept, so results on these recordings are no independent test.
 
 The growth of the force is its change per mm of travel at one speed: stiffness plus
