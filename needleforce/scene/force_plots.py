@@ -53,8 +53,8 @@ CURVES = (
 class ForcePlots:
     """The two plots.
 
-    Over depth the planned boundaries are drawn, too, from the start. A curve that begins
-    with nan would leave a plot empty; where nothing is known yet, curves end early.
+    Over depth the planned boundaries are drawn, too, from the start. A curve that
+    begins with nan would leave a plot empty: where nothing is known yet, curves end.
 
     Args:
         gui: Of the page.
