@@ -173,12 +173,12 @@ def _add_chart(gui: Any, x_label: str) -> Any:
         bands=tuple(bands),
         scales={
             "x": uplot.Scale(time=False, auto=True),
-            # At least from 0 to 1 N.
+            # At least from 0 to 1.1 N: the boundaries reach to 1 N.
             "y": uplot.Scale(
                 auto=True,
                 range={
                     "min": {"pad": 0.1, "soft": 0.0, "mode": 1},
-                    "max": {"pad": 0.1, "soft": 1.0, "mode": 1},
+                    "max": {"pad": 0.1, "soft": 1.1, "mode": 1},
                 },
             ),
         },
