@@ -6,6 +6,7 @@ landmarks and 40 touches around the entry, as `needleforce register` gets them.
 
 import tempfile
 from collections.abc import Iterator
+from functools import cache
 from importlib import import_module
 from pathlib import Path
 from time import process_time
@@ -114,17 +115,28 @@ class Drawn(NamedTuple):
     truth_m: Array
 
 
+CASES = (*RIGHT, *MOVED, "time beside small_gicp")
+"""A job each, so that an interrupted run goes on."""
+
+
 def run(job: Job, progress: Progress) -> Iterator[Figure]:
-    """Yield the figures of every case."""
+    """Yield the figures of a case."""
+    bodies = _bodies(job.data)
+    number = CASES.index(job.case)
+    if job.case == CASES[-1]:
+        yield from _time(bodies, np.random.default_rng([job.seed, 12]))
+        return
+    rng = np.random.default_rng([job.seed, 11, number])
+    yield from _measure(job.case, bodies, rng, progress)
+
+
+@cache
+def _bodies(data: Path | None) -> list[Body]:
+    """Return the bodies, read once in a process."""
     bodies = [_torso()]
-    if job.data is not None:
-        bodies.append(_scanned_body(job.data / CT_FOLDER))
-    cases = RIGHT | MOVED
-    for number, (name, case) in enumerate(cases.items()):
-        rng = np.random.default_rng([job.seed, 11, number])
-        yield from _measure(name, case, bodies, rng)
-        progress((number + 1) / len(cases))
-    yield from _time(bodies, np.random.default_rng([job.seed, 12]))
+    if data is not None:
+        bodies.append(_scanned_body(data / CT_FOLDER))
+    return bodies
 
 
 def _torso() -> Body:
@@ -197,15 +209,18 @@ def draw(body: Body, case: Case, rng: np.random.Generator) -> Drawn:
 
 
 def _measure(
-    name: str, case: Case, bodies: list[Body], rng: np.random.Generator
+    name: str, bodies: list[Body], rng: np.random.Generator, progress: Progress
 ) -> Iterator[Figure]:
     """Yield what becomes of the runs of a case."""
+    case = (RIGHT | MOVED)[name]
+    count = RUNS * len(bodies)
     errors_m = []
     stated_m = []
     alone_m = []
     inside = []
-    for body in bodies:
-        for _ in range(RUNS):
+    for place, body in enumerate(bodies):
+        for turn in range(RUNS):
+            progress((RUNS * place + turn) / count)
             drawn = draw(body, case, rng)
             rough = fit_landmarks(
                 body.landmarks_m,
@@ -229,7 +244,6 @@ def _measure(
             rough_m = rough.to_robot(body.target_m) - drawn.truth_m
             alone_m.append(np.linalg.norm(rough_m))
             inside.append(fit.region_contains(body.target_m, drawn.truth_m))
-    count = RUNS * len(bodies)
     if name in MOVED:
         missed = len(inside) - sum(inside)
         yield Figure("motion_found_pct", 100.0 * (1.0 - missed / count), name)

@@ -68,19 +68,19 @@ def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
         problem: Landmarks and touches.
         fit: Their solution without a motion.
     """
-    # Probability that a patient moved, before anything was measured. With less, one who
-    # moved by 5 mm is outside his region too often; with more, regions are too wide.
-    moved = 0.3
+    moved = 0.5  # before anything was measured nobody knows whether he did
+    between = 0.8  # of those who moved: before the touches (seeds below 1000)
     count = len(problem.touches_m)
     firsts = np.unique(np.linspace(0.0, count, 9)[:-1].astype(int))
     axes = _axes_of_motion(problem, fit.pose)
     known = np.asarray(np.linalg.inv(axes.T @ axes), dtype=np.float64)
     moments = _fit_motions(problem, fit, firsts, known)
     near = 0.4 * axes
-    kinds = [*(axis[None] for axis in axes), axes, near, near[:3], near[3:]]
-    # Half of it between landmarks and touches.
-    priors = np.full(len(firsts), 0.5 * moved / (len(firsts) - 1))
-    priors[0] = 0.5 * moved
+    kinds = [*(axis[None] for axis in axes), near, near[:3], near[3:]]
+    # One axis, all, turns alone and shifts alone are equally probable.
+    shares = np.append(np.full(6, 0.25 / 6.0), np.full(3, 0.25))
+    priors = np.full(len(firsts), (1.0 - between) * moved / (len(firsts) - 1))
+    priors[0] = between * moved
     odds = np.zeros((len(firsts), len(kinds)))
     motions = np.zeros((len(firsts), len(kinds), 6))
     spreads = np.zeros((len(firsts), len(kinds), 6, 6))
@@ -91,7 +91,8 @@ def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
             spread = ways.T @ np.linalg.solve(inner, ways)
             motion = spread @ pull
             gain = 0.5 * float(pull @ motion - np.linalg.slogdet(inner)[1])
-            odds[number, kind] = priors[number] / len(kinds) * np.exp(min(gain, 500.0))
+            prior = priors[number] * shares[kind]
+            odds[number, kind] = prior * np.exp(min(gain, 500.0))
             motions[number, kind] = motion
             spreads[number, kind] = spread
     probabilities = odds / (1.0 - moved + odds.sum())
@@ -146,6 +147,7 @@ def _fit_motions(
         motion_information: What is known of a motion, (6, 6).
     """
     rounds = 8
+    far_rounds = 5  # the first ones, in which touches count that lie far away
     fine_rounds = 2  # the last ones, with normals averaged around each place
     far_m = 20e-3  # at first so far touches count: the patient may have moved by it
     count = len(problem.touches_m)
@@ -167,6 +169,8 @@ def _fit_motions(
         hessians = np.einsum("bni,bnj->bij", touches.rows, weighted) + prior
         off_prior = np.array([problem.off_prior(pose) for pose in poses])
         off_prior = np.hstack([off_prior, motions])
+        misfits = 0.5 * np.einsum("bi,ij,bj->b", off_prior, prior, off_prior)
+        misfits += _misfits(touches.lengths_m, variance_m2)
         if number == rounds:
             break
         gradients = np.einsum("bni,bn->bi", weighted, touches.distances_m)
@@ -182,21 +186,28 @@ def _fit_motions(
         ]
         motions = motions + steps[:, 7:]
         number += 1
-    misfits = 0.5 * np.einsum("bi,ij,bj->b", off_prior, prior, off_prior)
-    misfits += _misfits(touches.lengths_m, variance_m2)
+        if number == far_rounds:
+            # What explains less than no motion does follows touches that slipped: it
+            # begins again where there is none.
+            is_astray = misfits > misfits[-1]
+            motions[is_astray] = 0.0
+            poses = [
+                poses[-1] if is_one else pose
+                for pose, is_one in zip(poses, is_astray, strict=True)
+            ]
     gains = np.maximum(misfits[-1] - misfits, 0.0)[:-1]
     mixed = hessians[:-1, :7, 7:]
     follow = -np.linalg.solve(hessians[:-1, :7, :7], mixed)
     information = hessians[:-1, 7:, 7:] + np.swapaxes(mixed, 1, 2) @ follow
     pull = np.einsum("bij,bj->bi", information, motions[:-1])
-    # Where a smooth surface slides along itself, normals that differ from facet to
-    # facet look like information: it is no more than the fits bear out.
-    expected = 0.5 * np.einsum("bi,bi->b", motions[:-1], pull)
-    least = 0.02
-    parts = np.clip(gains / np.maximum(expected, 1e-9), least, 1.0)
-    information = (information - motion_information) * parts[:, None, None]
+    # Normals differ from facet to facet, so that a motion may promise to explain more
+    # than its fit does: what speaks for it is what the fit explains.
+    promised = 0.5 * np.einsum("bi,bi->b", motions[:-1], pull)
+    parts = np.minimum(gains / np.maximum(promised, 1e-9), 1.0)
     follow[:, :6] += np.eye(6)
-    return _Moments(information, pull * parts[:, None], follow)
+    return _Moments(
+        information - motion_information, pull * np.sqrt(parts)[:, None], follow
+    )
 
 
 class _Measured(NamedTuple):

@@ -243,7 +243,7 @@ def _registration(
 def _require_still(motion: PatientMotion, problem: Problem) -> None:
     """Refuse a patient who has moved."""
     # Of a motion: right registrations pass it in 99 of 100 (seeds below 1000).
-    max_probability = 0.8
+    max_probability = 0.9
     if motion.probability <= max_probability:
         return
     size_m = rms_length(problem.jacobian @ motion.motion)

@@ -53,7 +53,8 @@ CURVES = (
 class ForcePlots:
     """The two plots.
 
-    Over depth the planned boundaries are drawn, too, from the start.
+    Over depth the planned boundaries are drawn, too, from the start. A curve that
+    begins with nan would leave a plot empty: where nothing is known yet, curves end.
 
     Args:
         gui: Of the page.
@@ -83,7 +84,8 @@ class ForcePlots:
         rows = shown_rows(rows)
         times_s = rows[:, COLUMN["time_s"]]
         curves = _curves_of(rows)
-        self.charts[TIME_LABEL].data = (times_s, np.zeros(len(times_s)), *curves)
+        axis_s = times_s if len(times_s) else np.array([0.0, 1.0])
+        self.charts[TIME_LABEL].data = (axis_s, np.zeros(len(axis_s)), *curves)
         deepest = deepest_rows(rows)
         depths_mm = M_TO_MM * (deepest[:, COLUMN["depth_m"]] - zero_m)
         self.charts[DEPTH_LABEL].data = self._over_depth(depths_mm, _curves_of(deepest))
@@ -94,23 +96,21 @@ class ForcePlots:
         A boundary is a line that rises and falls at one depth; between boundaries it
         lies on the axis. Forces beyond the depths that are known are not drawn.
         """
-        if not len(self._boundaries_mm):
-            return (depths_mm, np.zeros(len(depths_mm)), *curves)
-        places_mm = np.sort(np.concatenate([depths_mm, self._boundaries_mm.repeat(3)]))
+        boundaries_mm = self._boundaries_mm
+        if len(depths_mm):
+            boundaries_mm = boundaries_mm[boundaries_mm >= depths_mm[0]]
+        elif not len(boundaries_mm):
+            depths_mm = np.array([0.0, 1.0])
+            return (depths_mm, np.zeros(2), *curves)
+        places_mm = np.sort(np.concatenate([depths_mm, boundaries_mm.repeat(3)]))
         top_N = max((float(curve.max()) for curve in curves if len(curve)), default=1.0)
         planned_N = np.zeros(len(places_mm))
-        starts = np.searchsorted(places_mm, self._boundaries_mm)
+        starts = np.searchsorted(places_mm, boundaries_mm)
         planned_N[starts + 1] = max(top_N, 1.0)
         if not len(depths_mm):
-            return (
-                places_mm,
-                planned_N,
-                *(np.full(len(places_mm), np.nan),) * len(curves),
-            )
-        shown = [
-            np.interp(places_mm, depths_mm, curve, left=np.nan, right=np.nan)
-            for curve in curves
-        ]
+            return (places_mm, planned_N, *curves)
+        reached_mm = places_mm[places_mm <= depths_mm[-1]]
+        shown = [np.interp(reached_mm, depths_mm, curve) for curve in curves]
         return (places_mm, planned_N, *shown)
 
 
@@ -173,7 +173,14 @@ def _add_chart(gui: Any, x_label: str) -> Any:
         bands=tuple(bands),
         scales={
             "x": uplot.Scale(time=False, auto=True),
-            "y": uplot.Scale(auto=True),
+            # At least from 0 to 1.1 N: the boundaries reach to 1 N.
+            "y": uplot.Scale(
+                auto=True,
+                range={
+                    "min": {"pad": 0.1, "soft": 0.0, "mode": 1},
+                    "max": {"pad": 0.1, "soft": 1.1, "mode": 1},
+                },
+            ),
         },
         axes=(uplot.Axis(label=x_label), uplot.Axis(label=FORCE_LABEL)),
         # Its entries would be taller than the plot; the words above it say the same.

@@ -36,7 +36,7 @@ LANDMARKS_m = MESH.vertices[[int((MESH.vertices @ way).argmax()) for way in WAYS
 FRONT_m = MESH.vertices[(MESH.vertices @ [0.0, -1.0, 0.0]).argmax()]
 
 
-def touch(rng, indentation_m=0.0, radius_m=0.11, move=None, first=0):
+def touch(rng, indentation_m=0.0, radius_m=0.11, move=None, first=0, slips_m=0.0):
     """Landmarks and touches in the base, and where the target lies at the end."""
     rotation = Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix()
     shift_m = 0.5 * rng.normal(size=3)
@@ -47,7 +47,7 @@ def touch(rng, indentation_m=0.0, radius_m=0.11, move=None, first=0):
         "nk,nkj->nj", rng.dirichlet([1, 1, 1], 40), MESH.triangles[chosen]
     )
     pressed_m = indentation_m * (1.0 + 0.4 * rng.uniform(-1.0, 1.0, (40, 1)))
-    points_m = points_m - pressed_m * MESH.face_normals[chosen]
+    points_m = points_m + (slips_m - pressed_m) * MESH.face_normals[chosen]
     target_m = TARGET_m
     if move is not None:
         points_m[first:] += move
@@ -128,6 +128,21 @@ def test_touches_close_together_are_no_worse_than_landmarks_alone():
 
     alone_m, together_m = np.sqrt(np.mean(np.square(errors_m), axis=0))
     assert together_m < 1.1 * alone_m
+
+
+def test_last_touches_that_slipped_are_no_patient_who_moved():
+    rng = np.random.default_rng(12)
+    refused = 0
+    for _ in range(10):
+        slips_m = np.zeros((40, 1))
+        slips_m[[36, 37, 38], 0] = rng.uniform(-0.02, 0.02, 3)
+        landmarks_m, touches_m, _ = touch(rng, 1.5e-3, slips_m=slips_m)
+        try:
+            fit(landmarks_m, touches_m)
+        except RegistrationError:
+            refused += 1
+
+    assert refused <= 1
 
 
 def test_landmarks_of_another_ct_are_refused():

@@ -164,7 +164,24 @@ def test_before_the_first_sample_the_plan_is_shown():
     assert "100.0 mm from the planned entry to the target" in words
     assert "Watched, no distance yet: rib, portal vein" in words
     assert depths_mm[planned_N > 0.0].tolist() == [0.0, 20.0, 50.0, 80.0]
-    assert np.isnan(forces_N).all()
+    assert not any(len(force_N) for force_N in forces_N)
+
+
+def test_no_number_of_the_plots_is_nan_which_would_leave_them_empty():
+    viewer = Viewer(load_lwr(payload=NeedleTool()), watched_plan(), port=8497)
+    try:
+        for rows in ([], [row(1.0, 0.01)], [row(2.0, 0.03), row(3.0, 0.055)]):
+            viewer.append(np.array(rows))
+            viewer.show()
+            for chart in viewer._plots.charts.values():
+                assert np.isfinite(np.concatenate(chart.data)).all()
+
+        depths_mm, planned_N, axial_N, *_ = viewer._plots.charts["depth [mm]"].data
+    finally:
+        viewer.stop()
+
+    assert depths_mm[planned_N > 0.0].tolist() == [20.0, 50.0, 80.0]
+    assert depths_mm[len(axial_N) - 1] == 55.0  # boundaries ahead stay in sight
 
 
 def test_without_a_path_there_is_no_card():
