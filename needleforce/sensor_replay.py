@@ -10,7 +10,7 @@ log, and keeps what a summary needs, however long the log is.
 
 import math
 from collections import Counter
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -29,6 +29,14 @@ from residual import (
 from residual.bias.model import Tare
 from residual.checks.input import ROUNDING_S
 from residual.estimate import WrenchEstimate
+from residual.estimate_rows import (
+    AXIAL,
+    AXIAL_STD,
+    STD_OF_BIAS,
+    UNSMOOTHED,
+    EstimateRows,
+    RowNote,
+)
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
@@ -310,6 +318,16 @@ class _SteadyClock:
         self.latest_s = time_s
         return time_s
 
+    def update_rows(self, stamps_s: Array, dt_s: Array) -> None:
+        """Do for many rows what `update` does for one."""
+        times_s = stamps_s + self._shift_s
+        is_steady = (dt_s > 0.0).all() and (np.diff(times_s) > 0.0).all()
+        if is_steady and times_s[0] > self.latest_s:
+            self.latest_s = times_s.item(-1)
+            return
+        for stamp_s, step_s in zip(stamps_s.tolist(), dt_s.tolist(), strict=True):
+            self.update(stamp_s, step_s)
+
 
 class _ToolTravel:
     """Travel of the tool along the insertion axis as it stood in the first finite row.
@@ -325,13 +343,21 @@ class _ToolTravel:
 
     def of_rows(self, q_rad: Array) -> Array:
         """Return the travel at joint positions of shape (m, n) [m], shape (m,)."""
-        positions_m = np.full((len(q_rad), 3), np.nan)
-        for row in np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist():
+        places_m = np.full((len(q_rad), 3), np.nan)
+        axes = np.zeros((len(q_rad), 3, 3))
+        place_m, own_axes, _, tip_m, _ = self._tool.needle
+        finite = np.flatnonzero(np.isfinite(q_rad).all(axis=1)).tolist()
+        for row in finite:
             self._tool.update(q_rad[row])
-            positions_m[row] = self._tool.pose[:3, 3]
-            if self._start_m is None:
-                self._start_m = positions_m[row].copy()
-                self._axis = self._tool.pose[:3, :3].dot(self._tool.axis_in_tool)
+            places_m[row] = place_m
+            axes[row] = own_axes
+        positions_m = places_m + axes[:, 0] * tip_m[0]
+        positions_m += axes[:, 1] * tip_m[1]
+        positions_m += axes[:, 2] * tip_m[2]
+        if self._start_m is None and finite:
+            self._tool.update(q_rad[finite[0]])
+            self._start_m = positions_m[finite[0]].copy()
+            self._axis = self._tool.axis_in_base
         if self._start_m is None:
             return positions_m[:, 0]
         # Not a matrix product, whose rounding may depend on how many rows come at a
@@ -427,50 +453,96 @@ class SensorReplay:
             ReplayError: The log has other joints than the robot, or cannot be tared.
             residual.TareError: The tare is refused.
         """
-        # An estimate is an object of some kilobytes: few are kept at a time.
-        parts = [
-            self._run_rows(_rows_of(chunk, slice(start, start + ROWS_AT_A_TIME)))
-            for start in range(0, len(chunk.t_s), ROWS_AT_A_TIME)
-        ]
+        self._has_velocity = "dq_rad_s" in chunk.channels
+        if self._clock is None:
+            self._start(chunk.channels["q_rad"], float(chunk.t_s[0]))
+        parts: list[ForceRows] = []
+        start = 0
+        while start < len(chunk.t_s):
+            rows = _rows_of(chunk, slice(start, start + ROWS_AT_A_TIME))
+            estimates = self._estimate_rows(rows)
+            taken = _rows_of(rows, slice(len(estimates.numbers)))
+            parts.append(self._columns(taken, estimates))
+            start += len(taken.t_s)
         return {
             name: np.concatenate([part[name] for part in parts]) for name in parts[0]
         }
 
-    def _run_rows(self, chunk: LogChunk) -> ForceRows:
-        """Return the estimates of further rows, all at once."""
-        q_rad = chunk.channels["q_rad"]
-        dq_rad_s = chunk.channels.get("dq_rad_s")
-        torque_Nm = chunk.channels["tau_ext_Nm" if self.is_external else "tau_Nm"]
-        self._has_velocity = dq_rad_s is not None
-        clock = self._clock or self._start(q_rad, float(chunk.t_s[0]))
-        estimates: list[WrenchEstimate] = []
-        elapsed_s: list[float] = []
-        std_of_bias_N: list[float] = []
+    def _estimate_rows(self, chunk: LogChunk) -> EstimateRows:
+        """Return the estimates of a chunk's rows, of those before a tare in it."""
+        if self._log_tare is not None and self._log_tare.done is None:
+            return self._estimate_until_tare(chunk, self._log_tare)
+        q_rad, dq_rad_s, torque_Nm = self._signals(chunk)
+        self._running_clock.update_rows(chunk.t_s, chunk.dt_s)
+        # It reads no first time step.
+        dt_s = np.where(chunk.dt_s > 0.0, chunk.dt_s, 0.0)
+        rows = self.sensor.update_rows(
+            q_rad, dq_rad_s, torque_Nm, dt_s, is_external=self.is_external
+        )
+        for note in rows.notes:
+            self._keep(note, dt_s.item(note.first_row))
+        return rows
+
+    def _estimate_until_tare(self, chunk: LogChunk, log_tare: _LogTare) -> EstimateRows:
+        """Return the estimates of a chunk's rows up to the first after a tare."""
+        q_rad, dq_rad_s, torque_Nm = self._signals(chunk)
+        rows = self.sensor.rows_of_size(len(q_rad))
         steps = zip(chunk.t_s.tolist(), chunk.dt_s.tolist(), strict=True)
         for row, (stamp_s, dt_s) in enumerate(steps):
-            time_s = clock.update(stamp_s, dt_s)
-            advances = dt_s > 0.0
-            if advances:
+            time_s = self._running_clock.update(stamp_s, dt_s)
+            if dt_s > 0.0:
                 self._tare_if_due(time_s)
             velocity = None if dq_rad_s is None else dq_rad_s[row]
             estimate = self._update(q_rad[row], velocity, torque_Nm[row], dt_s)
-            estimates.append(estimate)
-            std_of_bias_N.append(self.sensor.std_of_bias_N(estimate))
-            if estimate.status is Status.REJECTED:
-                elapsed_s.append(0.0)
-                self._count_rejection(estimate, advances=advances)
-            else:
-                elapsed_s.append(self.sensor.elapsed_s)
-                if self._log_tare is not None:
-                    self._log_tare.after(time_s, estimate.status)
-                self._keep_messages(estimate)
-        after_gap = np.array(elapsed_s) > self.config.max_gap_s + ROUNDING_S
+            self.sensor.put(rows, row, estimate)
+            self._keep(rows.notes[-1], dt_s)
+            if self._log_tare is None or log_tare.done is not None:
+                return rows.first(row + 1)
+            if estimate.status is not Status.REJECTED:
+                log_tare.after(time_s, estimate.status)
+        return rows
+
+    def _signals(self, chunk: LogChunk) -> tuple[Array, Array | None, Array]:
+        """Return the channels that the sensor is given: q, dq or None, and torque."""
+        q_rad = chunk.channels["q_rad"]
+        if self.is_external:
+            return q_rad, None, chunk.channels["tau_ext_Nm"]
+        return q_rad, chunk.channels.get("dq_rad_s"), chunk.channels["tau_Nm"]
+
+    @property
+    def _running_clock(self) -> _SteadyClock:
+        assert self._clock is not None, "it runs from the first row on"
+        return self._clock
+
+    def _columns(self, chunk: LogChunk, rows: EstimateRows) -> ForceRows:
+        """Return rows as columns, NaN where a sample was rejected."""
+        after_gap = rows.elapsed_s > self.config.max_gap_s + ROUNDING_S
         self.gaps += np.count_nonzero(after_gap)
-        self.longest_gap_s = max(self.longest_gap_s, *elapsed_s)
+        self.longest_gap_s = max(self.longest_gap_s, float(rows.elapsed_s.max()))
+        numbers = rows.numbers
+        wrench = rows.wrench
+        torque_Nm = wrench[:, 3:] if wrench.shape[1] > 3 else np.zeros_like(wrench)
+        columns = {
+            "travel_m": self._travel.of_rows(chunk.channels["q_rad"]),
+            "axial_N": numbers[:, AXIAL].copy(),
+            "axial_std_N": numbers[:, AXIAL_STD].copy(),
+            "axial_unsmoothed_N": numbers[:, UNSMOOTHED].copy(),
+            "axial_unsmoothed_std_N": numbers[:, STD_OF_BIAS].copy(),
+            "force_N": wrench[:, :3].copy(),
+            "torque_Nm": torque_Nm.copy(),
+            "std": np.sqrt(rows.variances),
+            "model_mismatch": rows.model_mismatch,
+        }
+        status = rows.statuses(STATUS_CODES)
+        is_rejected = status == STATUS_CODES[Status.REJECTED]
+        for name, values in columns.items():
+            if name != "travel_m":
+                values[is_rejected] = np.nan
         return {
             "t_s": chunk.t_s,
-            "travel_m": self._travel.of_rows(q_rad),
-            **_columns(estimates, std_of_bias_N),
+            **columns,
+            "force_warnings": rows.warnings,
+            "force_status": status,
             "after_gap": after_gap,
         }
 
@@ -509,7 +581,7 @@ class SensorReplay:
             raise refusal
         self.refusal = refusal
 
-    def _start(self, q_rad: Array, first_s: float) -> _SteadyClock:
+    def _start(self, q_rad: Array, first_s: float) -> None:
         """Check the joints of the first rows, start the clock, and plan the tare."""
         require_joints(q_rad, self.robot)
         if self._is_tared:
@@ -522,7 +594,6 @@ class SensorReplay:
                 ignore_contact=self._ignore_contact,
             )
         self._clock = _SteadyClock(first_s)
-        return self._clock
 
     def _update(
         self, q_rad: Array, dq_rad_s: Array | None, torque_Nm: Array, dt_s: float
@@ -533,60 +604,28 @@ class SensorReplay:
             return self.sensor.update_external_torque(q_rad, None, torque_Nm, step_s)
         return self.sensor.update(q_rad, dq_rad_s, torque_Nm, step_s)
 
-    def _count_rejection(self, estimate: WrenchEstimate, *, advances: bool) -> None:
-        """Count a rejected sample under its reason, the part before a semicolon."""
-        reason = "time does not advance"
-        if advances:
-            reason = estimate.message.split(";")[0]
-        if reason not in self.rejected and len(self.rejected) >= 50:  # of bounded size
-            reason = "other reasons"
-        self.rejected[reason] += 1
+    def _keep(self, note: RowNote, dt_s: float) -> None:
+        """Count a rejection, or keep messages about velocities and doubtful signals.
 
-    def _keep_messages(self, estimate: WrenchEstimate) -> None:
-        """Keep the latest messages about velocities and doubtful signals."""
-        if not estimate.message or estimate.status is Status.INITIALIZING:
-            return
-        if estimate.warnings & SensorWarning.VELOCITY:
-            self.velocity_fault = estimate.message
-        else:
-            self.question = self.sensor.question or self.question
+        Args:
+            note: What a row says of itself.
+            dt_s: Time since the latest row that advanced.
+        """
+        status, message, _, warnings = note.assessment
+        if status is Status.REJECTED:
+            reason = message.split(";")[0] if dt_s > 0.0 else "time does not advance"
+            is_new = reason not in self.rejected
+            if is_new and len(self.rejected) >= 50:  # of bounded size
+                reason = "other reasons"
+            self.rejected[reason] += 1
+        elif message and status is not Status.INITIALIZING:
+            if warnings & SensorWarning.VELOCITY:
+                self.velocity_fault = message
+            else:
+                self.question = note.question or self.question
 
 
 def _rows_of(chunk: LogChunk, rows: slice) -> LogChunk:
     """Return some rows of a chunk."""
     channels = {name: column[rows] for name, column in chunk.channels.items()}
     return LogChunk(t_s=chunk.t_s[rows], dt_s=chunk.dt_s[rows], channels=channels)
-
-
-_FIELD_OF_COLUMN = {
-    "axial_N": "axial",
-    "axial_std_N": "axial_std",
-    "axial_unsmoothed_N": "axial_unsmoothed",
-    "force_N": "force",
-    "torque_Nm": "torque",
-    "model_mismatch": "model_mismatch",
-}
-"""Fields of `residual.WrenchEstimate` that are columns as they are."""
-
-
-def _columns(
-    estimates: Sequence[WrenchEstimate], std_of_bias_N: Sequence[float]
-) -> ForceRows:
-    """Return estimates as columns, NaN where a sample was rejected.
-
-    Args:
-        estimates: Of each row.
-        std_of_bias_N: Standard deviation for the identification, of each row.
-    """
-    columns = {
-        name: np.array([getattr(estimate, field) for estimate in estimates])
-        for name, field in _FIELD_OF_COLUMN.items()
-    }
-    covariances = np.array([estimate.covariance for estimate in estimates])
-    columns["axial_unsmoothed_std_N"] = np.array(std_of_bias_N)
-    columns["std"] = np.sqrt(np.diagonal(covariances, axis1=1, axis2=2))
-    status = np.array([STATUS_CODES[estimate.status] for estimate in estimates])
-    for values in columns.values():
-        values[status == STATUS_CODES[Status.REJECTED]] = np.nan
-    warnings = np.array([int(estimate.warnings) for estimate in estimates])
-    return {**columns, "force_warnings": warnings, "force_status": status}

@@ -98,6 +98,12 @@ class ToolKinematics:
         ).homogeneous
 
     @property
+    def rotation(self) -> Array:
+        """Rotation from the frame's own axes to those of the base, shape (3, 3)."""
+        pose = pin.updateFramePlacement(self._model, self._data, self._frame_id)
+        return np.ascontiguousarray(pose.rotation)
+
+    @property
     def axial_jacobian(self) -> Array:
         """Row of the Jacobian along the insertion axis [m], shape (n,).
 

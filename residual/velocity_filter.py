@@ -13,7 +13,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
+from foundation.arrays import Array, Matrix, Vector, WrittenBlocks, WrittenMatrix
 from foundation.jit import compile_waiting, compiled
 from residual.checks.input import (
     ROUNDING_S,
@@ -45,6 +45,7 @@ ROWS = 4
 """Number of rows."""
 
 
+@compiled
 def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
     """Return the factors of the exact step of two equal lags in a row, shape (3, ROWS).
 
@@ -58,9 +59,17 @@ def lag_pair_coefficients(bandwidth_per_s: float, dt_s: float) -> Array:
     per_tick = 1.0 / tick
     from_start = gained * per_tick - decay
     from_end = 1.0 + decay - 2.0 * gained * per_tick
-    first = np.array([decay, 0.0, from_start, 1.0 - gained * per_tick])
-    second = np.array([decay * tick, decay, 2.0 * from_start - tick * decay, from_end])
-    return np.stack((first, second, bandwidth_per_s * (first - second)))
+    factors = np.zeros((3, ROWS))
+    factors[0, FIRST_LAG] = decay
+    factors[0, INPUT_BEFORE] = from_start
+    factors[0, INPUT] = 1.0 - gained * per_tick
+    factors[1, FIRST_LAG] = decay * tick
+    factors[1, SECOND_LAG] = decay
+    factors[1, INPUT_BEFORE] = 2.0 * from_start - tick * decay
+    factors[1, INPUT] = from_end
+    for k in range(ROWS):
+        factors[2, k] = bandwidth_per_s * (factors[0, k] - factors[1, k])
+    return factors
 
 
 @compiled
@@ -99,6 +108,32 @@ def lag_pair_step(
             matched[0, j] = second
             matched[1, j] = rate
     return matched
+
+
+@compiled
+def lag_pair_rows(
+    rows: WrittenMatrix,
+    bandwidth_per_s: float,
+    dt_s: Vector,
+    signals: Matrix,
+    is_held: bool,
+    matched: WrittenBlocks,
+) -> None:
+    """Bring the rows of position and torque to the end of many ticks.
+
+    Args:
+        rows: See `lag_pair_step`.
+        bandwidth_per_s: See `lag_pair_coefficients`.
+        dt_s: Length of every tick, shape (m,).
+        signals: As of `lag_pair_step`, of every tick, shape (m, 2 n).
+        is_held: See there.
+        matched: Output: what that returns, of every tick, shape (m, 3, n).
+    """
+    factors = np.zeros((3, ROWS))
+    for k in range(len(signals)):
+        if k == 0 or dt_s[k] != dt_s[k - 1]:
+            factors = lag_pair_coefficients(bandwidth_per_s, dt_s[k])
+        matched[k] = lag_pair_step(rows, factors, signals[k], is_held)
 
 
 class MatchedSample(NamedTuple):
@@ -192,6 +227,12 @@ class VelocityEstimator:
         """Common delay of position, velocity and torque [s]."""
         return 2.0 / self._bandwidth
 
+    @property
+    def is_settled(self) -> bool:
+        """Whether the start of the filter has faded."""
+        memory = self.memory
+        return memory.started and memory.age_s >= self._settling_s - ROUNDING_S
+
     def noise_per_position_noise(self, dt_s: float) -> float:
         """Return the velocity noise [rad/s] per rad of white position noise.
 
@@ -234,7 +275,30 @@ class VelocityEstimator:
             self._dt_s = dt_s
         matched = lag_pair_step(memory.rows, self._coefficients, signals, self._is_held)
         memory.age_s += dt_s
-        return matched, memory.age_s >= self._settling_s - ROUNDING_S
+        return matched, self.is_settled
+
+    def step_rows(self, samples: Array, dt_s: Array) -> Array:
+        """Do for many ticks what `step` does for one, once it is settled.
+
+        Args:
+            samples: As of `step`, of every tick, shape (m, 2, n).
+            dt_s: Checked time steps, none longer than ``max_gap_s``, shape (m,).
+
+        Returns:
+            The arrays of every tick's `MatchedSample`, shape (m, 3, n).
+        """
+        matched = np.empty((len(samples), 3, self._joints))
+        lag_pair_rows(
+            self.memory.rows,
+            self._bandwidth,
+            dt_s,
+            samples.reshape(len(samples), 2 * self._joints),
+            self._is_held,
+            matched,
+        )
+        for step_s in dt_s.tolist():
+            self.memory.age_s += step_s
+        return matched
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""

@@ -7,11 +7,12 @@ much along the shaft, is left to `identification`.
 """
 
 import math
+from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Array, Matrix, Vector, WrittenVector
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compile_waiting, compiled, compiled_inside
 from foundation.linear_algebra import (
     decompose_symmetric,
@@ -29,6 +30,15 @@ from residual.estimate import (
     UNSEEN_STD,
     Assessment,
     WrenchEstimate,
+)
+from residual.estimate_rows import (
+    AXIAL,
+    AXIAL_STD,
+    LATERAL,
+    LATERAL_STD,
+    STD_OF_BIAS,
+    UNSMOOTHED,
+    WRENCH,
 )
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
@@ -72,6 +82,8 @@ UNSEEN_VARIANCE = UNSEEN_STD**2
 _NOTHING = np.zeros(3)
 _NOTHING.setflags(write=False)
 
+_UNTURNED = np.eye(3)
+
 
 class WrenchGain(NamedTuple):
     """The map from joint torque to force at one configuration; arrays are read-only.
@@ -86,11 +98,11 @@ class WrenchGain(NamedTuple):
         noises_N2: The part of both that is noise of a single sample, shape (2,).
     """
 
-    configuration_rad: Array
-    matrix: Array
-    direction: Array
-    variances_N2: Array
-    noises_N2: Array
+    configuration_rad: Vector
+    matrix: Matrix
+    direction: Vector
+    variances_N2: Vector
+    noises_N2: Vector
 
 
 class Observability(NamedTuple):
@@ -210,7 +222,7 @@ def condition_number(information: Matrix) -> float:
     return MAX_CONDITIONING
 
 
-@compiled
+@compiled_inside
 def weighted_inverse(
     jacobian: Matrix, error_covariance: Matrix, precision: Matrix, damping: Vector
 ) -> WrenchSolution:
@@ -258,7 +270,7 @@ def weighted_inverse(
     return WrenchSolution(matrix, covariance, conditioning, damping_fraction)
 
 
-@compiled
+@compiled_inside
 def smallest_singular_value(rows: Matrix) -> float:
     """Return the smallest of the min(k, n) singular values of a (k, n) matrix."""
     count, joints = rows.shape
@@ -266,7 +278,7 @@ def smallest_singular_value(rows: Matrix) -> float:
     return math.sqrt(max(eigenvalues[max(count - joints, 0)], 0.0))
 
 
-@compiled
+@compiled_inside
 def unexplained_form(rows: Matrix, precision: Matrix) -> Array:
     """Return the quadratic form of the joint torque that no wrench explains.
 
@@ -292,26 +304,93 @@ def unexplained_form(rows: Matrix, precision: Matrix) -> Array:
     return form
 
 
-@compiled
+@compiled_inside
 def axial_variances(direction: Vector, covariance: Matrix) -> Array:
     """Return the variances of a force along and across a direction [N^2], shape (2,).
 
-    Across it, it is the variance in the direction that is known least. The direction,
-    shape (3,), and the covariance of the force, shape (3, 3), have the same axes; if a
-    component is not observed, both variances are those of the unseen.
+    Across it, it is the variance in the direction that is known least; if a component
+    is not observed, both are those of the unseen. The mode ``axial`` assumes that there
+    is no lateral force: its variance is not known.
+
+    Args:
+        direction: The direction, shape (3,).
+        covariance: Of the components that the mode estimates, in the same axes, shape
+            (k, k), the force first.
     """
     variances = np.full(2, UNSEEN_VARIANCE)
+    if len(covariance) == 1:
+        variances[0] = covariance[0, 0]
+        return variances
     for i in range(3):
         if covariance[i, i] >= UNSEEN_VARIANCE:
             return variances
+    of_force = np.zeros((3, 3))
     across = np.zeros((3, 3))  # the projector across the direction
     for i in range(3):
         for j in range(3):
+            of_force[i, j] = covariance[i, j]
             across[i, j] = (1.0 if i == j else 0.0) - direction[i] * direction[j]
-    covariance_across = multiply(multiply(across, covariance), across)
-    variances[0] = dot(direction, multiply_vector(covariance, direction))
+    covariance_across = multiply(multiply(across, of_force), across)
+    variances[0] = dot(direction, multiply_vector(of_force, direction))
     variances[1] = decompose_symmetric(covariance_across).values[2]
     return variances
+
+
+@compiled
+def gain_at(
+    jacobian: Matrix,
+    rotation: Matrix,
+    axis: Vector,
+    covariance_Nm2: Matrix,
+    noise_Nm2: Matrix,
+    precision: Matrix,
+    precision_of_error: Matrix,
+    damping: Vector,
+) -> tuple[Array, Array, Array, Array, Array, float, Array, float, Array]:
+    """Find the gain at a configuration, and how well the joints see the contact.
+
+    Args:
+        jacobian: Of the tip, in the tool's axes, shape (6, n).
+        rotation: From the tool's axes to those asked for, shape (3, 3).
+        axis: Insertion direction in the tool's axes, shape (3,).
+        covariance_Nm2: Covariance of the torque's error that is stated, shape (n, n),
+            without noise that the smoothing removes.
+        noise_Nm2: Noise of a single sample, shape (n, n).
+        precision: Weights W of `weighted_inverse`, shape (n, n).
+        precision_of_error: Unit of what no wrench explains, shape (n, n).
+        damping: See `weighted_inverse`; one number per unknown: 1, 3 or 6.
+
+    Returns:
+        The fields of `WrenchGain` after the first, and those of `Observability`: Python
+        takes longer to receive named tuples.
+    """
+    count = len(damping)
+    direction = multiply_vector(rotation, axis)
+    force_rows = multiply(rotation, jacobian[:3])
+    if count == 1:
+        rows = multiply(direction.reshape((1, 3)), force_rows)
+    elif count == 3:
+        rows = force_rows
+    else:
+        rows = np.concatenate((force_rows, multiply(rotation, jacobian[3:])))
+    solution = weighted_inverse(rows, covariance_Nm2, precision, damping)
+    matrix = solution.matrix
+    if count == 1:
+        matrix = multiply(direction.reshape((3, 1)), solution.matrix)
+    noise = multiply_transposed(multiply(solution.matrix, noise_Nm2), solution.matrix)
+    for i in range(count):
+        noise[i, i] += MIN_NOISE_N2
+    return (
+        matrix,
+        direction,
+        axial_variances(direction, solution.covariance),
+        axial_variances(direction, noise),
+        solution.covariance,
+        solution.conditioning,
+        solution.damping_fraction,
+        smallest_singular_value(rows),
+        unexplained_form(rows, precision_of_error),
+    )
 
 
 @compiled
@@ -469,6 +548,76 @@ def wrench_step(
     return -along, std, lateral, std_across, -unsmoothed
 
 
+@compiled
+def wrench_rows(
+    residuals: Matrix,
+    q: Matrix,
+    dt_s: Vector,
+    gain: WrenchGain,
+    variances: Vector,
+    smoothing_s: float,
+    observer_lag_s: float,
+    scale_std: float,
+    smoothed: WrittenVector,
+    follower: WrittenVector,
+    hidden_N2: WrittenVector,
+    numbers: WrittenMatrix,
+) -> int:
+    """Estimate the force of many ticks by one gain, as `wrench_step` does of one.
+
+    Args:
+        residuals: External joint torques after offset removal [Nm], shape (m, n).
+        q: Configurations [rad], shape (m, n).
+        dt_s: Time since the sample before, shape (m,).
+        gain: The gain.
+        variances: Of the components that the mode estimates, shape (k,).
+        smoothing_s: Lag of the smoothing while the force stays within its noise.
+        observer_lag_s: Lag of the momentum observer.
+        scale_std: Standard deviation of the torques' scale, relative to it.
+        smoothed: See `wrench_step`, like the next two.
+        follower: See there.
+        hidden_N2: See there.
+        numbers: Output, see `AXIAL` and the others.
+
+    Returns:
+        Before which row the arm has turned too far for the gain; m if nowhere.
+    """
+    components = len(smoothed)
+    for row in range(len(residuals)):
+        if has_turned(q[row], gain.configuration_rad):
+            return row
+        axial, axial_std, lateral, lateral_std, unsmoothed = wrench_step(
+            residuals[row],
+            gain.matrix,
+            gain.direction,
+            gain.variances_N2,
+            gain.noises_N2,
+            smoothing_s / dt_s[row],
+            observer_lag_s / dt_s[row],
+            smoothed,
+            follower,
+            hidden_N2,
+        )
+        scale_error_N = scale_std * axial
+        with_scale = math.hypot(axial_std, scale_error_N)
+        numbers[row, AXIAL] = axial
+        numbers[row, AXIAL_STD] = with_scale
+        numbers[row, LATERAL] = lateral
+        numbers[row, LATERAL_STD] = math.hypot(lateral_std, scale_std * lateral)
+        numbers[row, STD_OF_BIAS] = math.sqrt(
+            max(with_scale * with_scale - scale_error_N * scale_error_N, 0.0)
+        )
+        numbers[row, UNSMOOTHED] = unsmoothed
+        for k in range(components):
+            numbers[row, WRENCH + k] = smoothed[k]
+        for k in range(len(variances)):
+            unknown = axial if len(variances) == 1 else smoothed[k]
+            numbers[row, WRENCH + components + k] = (
+                variances[k] + (scale_std * unknown) ** 2
+            )
+    return len(residuals)
+
+
 class WrenchEstimator:
     """Wrench of the environment on the tool, by covariance-weighted least squares.
 
@@ -594,43 +743,19 @@ class WrenchEstimator:
         """Compute the gain at a configuration [rad], shape (n,), for `solve`."""
         tool = self.kinematics
         tool.update(q)
-        jacobian = tool.jacobian
-        direction = tool.axis_in_tool
-        if self._in_base:
-            rotation = tool.pose[:3, :3]
-            jacobian = np.concatenate(
-                (rotation.dot(jacobian[:3]), rotation.dot(jacobian[3:]))
-            )
-            direction = rotation.dot(direction)
-        is_axial = len(self._directions) == 1
-        directions = force_direction(direction) if is_axial else self._directions
-        rows = directions.dot(jacobian)
-        # The weights are those of a single sample. The stated covariance is that of the
-        # smoothed force, without the noise that smoothing removes.
-        solution = weighted_inverse(
-            rows,
+        found = gain_at(
+            np.ascontiguousarray(tool.jacobian),
+            tool.rotation if self._in_base else _UNTURNED,
+            tool.axis_in_tool,
             self.torque_covariance + self._jump_Nm2 - self._smoothed_noise,
+            self._noise,
+            # The weights are those of a single sample.
             self._inverse if self._is_weighted else np.eye(self._joints),
+            self._inverse_with_jump,
             self._damping,
         )
-        matrix = solution.matrix
-        noise = matrix.dot(self._noise).dot(matrix.T) + MIN_NOISE_N2 * np.eye(
-            len(matrix)
-        )
-        self.gain = WrenchGain(
-            configuration_rad=q.copy(),
-            matrix=directions[:, : self.size].T.dot(matrix),
-            direction=direction,
-            variances_N2=_variances(direction, solution.covariance),
-            noises_N2=_variances(direction, noise),
-        )
-        self.observability = Observability(
-            covariance=solution.covariance,
-            conditioning=solution.conditioning,
-            damping_fraction=solution.damping_fraction,
-            smallest_singular_value_m=smallest_singular_value(rows),
-            unexplained=unexplained_form(rows, self._inverse_with_jump),
-        )
+        self.gain = WrenchGain(q.copy(), *found[:4])
+        self.observability = Observability(*found[4:])
         self.observability.covariance.setflags(write=False)
         self.observability.damping_fraction.setflags(write=False)
 
@@ -680,14 +805,53 @@ class WrenchEstimator:
         )
         if not math.isfinite(axial):
             raise SampleError("q and residual must be finite")
+        if self.scale_std:
+            axial_std = math.hypot(axial_std, self.scale_std * axial)
+            lateral_std = math.hypot(lateral_std, self.scale_std * lateral)
+        numbers = axial, axial_std, lateral, lateral_std, axial_unsmoothed
+        return self._make_estimate(numbers, residual, smoothed.copy(), assessment)
+
+    def estimate_of_row(
+        self,
+        numbers: Array,
+        residual: Array,
+        state: WrenchFilterState,
+        assessment: Assessment,
+    ) -> WrenchEstimate:
+        """Return the estimate of the last tick of `solve_rows`.
+
+        Args:
+            numbers: What is known of it, a row of `EstimateRows.numbers`.
+            residual: As of `solve`.
+            state: See there.
+            assessment: See there.
+        """
+        own = numbers[[AXIAL, AXIAL_STD, LATERAL, LATERAL_STD, UNSMOOTHED]].tolist()
+        smoothed = state.smoothed.copy()
+        return self._make_estimate(own, residual, smoothed, assessment)
+
+    def _make_estimate(
+        self,
+        numbers: Sequence[float],
+        residual: Array,
+        wrench: Array,
+        assessment: Assessment,
+    ) -> WrenchEstimate:
+        """Return an estimate, whose arrays become read-only.
+
+        Args:
+            numbers: Axial force, its deviation, the lateral force, that of its
+                components, and the axial force before it is smoothed [N].
+            residual: As of `solve`.
+            wrench: The smoothed wrench.
+            assessment: As of `solve`.
+        """
+        axial, axial_std, lateral, lateral_std, axial_unsmoothed = numbers
         residual.setflags(write=False)
-        wrench = smoothed.copy()
         wrench.setflags(write=False)
         covariance, conditioning, damping_fraction, _, _ = self.observability
         status, message, model_mismatch, warnings = assessment
         if self.scale_std:
-            axial_std = math.hypot(axial_std, self.scale_std * axial)
-            lateral_std = math.hypot(lateral_std, self.scale_std * lateral)
             covariance = self._with_scale_error(covariance, axial, wrench)
         has_torque = self.size > 3
         # All fields in order: by name it takes 0.5 us more in every tick.
@@ -708,6 +872,49 @@ class WrenchEstimator:
             model_mismatch,
             warnings,
         )
+
+    def solve_rows(
+        self,
+        residuals: Array,
+        q: Array,
+        dt_s: Array,
+        state: WrenchFilterState,
+        smoothing_s: float,
+        observer_lag_s: float,
+        numbers: Array,
+    ) -> None:
+        """Do for many ticks what `renew_gain` and `solve` do for one.
+
+        Args:
+            residuals: External joint torques after offset removal [Nm], shape (m, n).
+            q: Configurations [rad], shape (m, n).
+            dt_s: Time since the sample before, shape (m,).
+            state: Of the smoothing; brought to the end of the last tick.
+            smoothing_s: Lag of the smoothing while the force stays within its noise.
+            observer_lag_s: Lag of the momentum observer.
+            numbers: Output, see `AXIAL` and the others.
+
+        Raises:
+            SampleError: For numbers that are not finite.
+        """
+        row = 0
+        while row < len(residuals):
+            row += wrench_rows(
+                residuals[row:],
+                q[row:],
+                dt_s[row:],
+                self.gain,
+                self.observability.covariance.diagonal().copy(),
+                smoothing_s,
+                observer_lag_s,
+                self.scale_std,
+                *state,
+                numbers[row:],
+            )
+            if row < len(residuals):
+                self.compute_gain(q[row])
+        if not np.isfinite(numbers).all():
+            raise SampleError("q and residual must be finite")
 
     def _with_scale_error(
         self, covariance: Array, axial: float, wrench: Array
@@ -737,11 +944,3 @@ class WrenchEstimator:
 def force_direction(direction: Array) -> Array:
     """Return a force along a direction, shape (3,), as a wrench, shape (1, 6)."""
     return np.concatenate((direction, _NOTHING))[None]
-
-
-def _variances(direction: Array, covariance: Array) -> Array:
-    """Return `axial_variances` of estimated components, shape (k, k), of any mode."""
-    if len(covariance) == 1:
-        # The mode ``axial`` assumes that there is no lateral force.
-        return np.array([covariance[0, 0], UNSEEN_VARIANCE])
-    return axial_variances(direction, np.ascontiguousarray(covariance[:3, :3]))

@@ -105,9 +105,10 @@ def test_the_readmes_example_finds_the_layers(monkeypatch):
     for layer, true_layer in zip(names["session"].layers, truth, strict=True):
         assert layer.thickness_m == pytest.approx(true_layer.thickness_m, abs=1e-3)
 
-    assert len(re.findall(r"^\d\d mm, \d\.\d\d N of friction$", said, re.M)) == len(
-        truth
-    )
+    shown = re.search(r"prints one line per layer: `(.*?)` and two more", README)
+
+    assert said.splitlines()[0] == shown[1] == "28 mm, 0.26 N of friction"
+    assert len(said.splitlines()) == 3
 
 
 def run_explanation(page):

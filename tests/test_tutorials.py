@@ -11,8 +11,11 @@ from pathlib import Path
 
 import pytest
 
+from groundtruth import simulate
+from needleforce import InsertionSession, NeedleTool, load_lwr
 from needleforce.cli import main
 from needleforce.plan_file import read_plan
+from needleforce.recordings import write_table
 
 TUTORIALS = Path(__file__).parents[1] / "docs" / "tutorials"
 ANSWERS = r"^```sh\n(needleforce .*?)\n```$(?:\n\n^```text\n(.*?)^```$)?"
@@ -67,6 +70,18 @@ def is_like(shown, printed):
     )
 
 
+def require_shown(answer, printed):
+    """Refuse a line of a page that is like none of the printed ones."""
+    for shown in answer.splitlines():
+        start = shown.removesuffix("...").rstrip()
+        lines = [
+            line[: len(start)] if "..." in shown else line
+            for line in printed.splitlines()
+        ]
+
+        assert any(is_like(start, line) for line in lines), shown
+
+
 @pytest.mark.slow
 @pytest.mark.parametrize("name", ["csv", "arm-log"])
 def test_the_commands_of_a_recording_print_what_is_shown(
@@ -79,13 +94,83 @@ def test_the_commands_of_a_recording_print_what_is_shown(
 
         assert code == (2 if answer.startswith("error: ") else 0)
 
-        for shown in answer.splitlines():
-            start = shown.removesuffix("...").rstrip()
-            lines = [
-                line[: len(start)] if "..." in shown else line
-                for line in printed.splitlines()
-            ]
-            assert any(is_like(start, line) for line in lines), shown
+        require_shown(answer, printed)
+
+
+@pytest.mark.slow
+def test_a_recording_of_the_live_arm_prints_what_is_shown(
+    tmp_path, monkeypatch, capsys
+):
+    """The recording is what the emulated controller sends, without the network."""
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    signals = simulate("gel-25-constant", plant="clean").signals
+    sent = {"t_s": signals.t_s, "q_rad": signals.q_rad, "tau_Nm": signals.tau_Nm}
+    write_table("live.csv", {name: values[:40_000] for name, values in sent.items()})
+    said = ""
+    for arguments, answer in commands("live-arm"):
+        if arguments[0] in ("force", "identify"):
+            code, printed = print_of(arguments, capsys)
+            said += printed
+
+            assert code == 0
+
+            require_shown(answer, said)
+
+
+@pytest.mark.slow
+def test_a_session_finds_what_the_live_arm_is_shown_to_print():
+    signals = simulate("gel-25-constant", plant="clean").signals
+    shown = {
+        round(float(time_s) * 1e3): [float(text) for text in numbers]
+        for time_s, *numbers in re.findall(
+            r"^ +(\d+\.\d) s .* force +(\S+) ± (\S+) N  tip +(\S+) N  depth +(\S+) mm",
+            page("live-arm"),
+            re.MULTILINE,
+        )
+    }
+    session = InsertionSession(load_lwr(payload=NeedleTool()))
+    found = {}
+    ruptures = []
+    for tick in range(max(shown) + 1):
+        if tick == 13_001:
+            session.start_tare()
+        estimate = session.update(signals.q_rad[tick], None, signals.tau_Nm[tick], 1e-3)
+        if estimate.identification.rupture is not None:
+            ruptures.append(estimate.identification.rupture)
+        wrench = estimate.wrench
+        tip_N = estimate.identification.tip_force_N
+        if tick in shown:
+            found[tick] = [wrench.axial, wrench.axial_std, tip_N, estimate.depth_m]
+    (rupture,) = ruptures
+    (layer_mm,) = re.findall(r"^rupture of layer 1 at (\S+) mm", page("live-arm"), re.M)
+    contact_m = rupture.contact_depth_m
+
+    assert 1e3 * (rupture.depth_m - contact_m) == pytest.approx(
+        float(layer_mm), abs=0.1
+    )
+
+    for tick, (force_N, std_N, tip_N, depth_mm) in shown.items():
+        *forces_N, depth_m = found[tick]
+        zero_m = 0.0 if tick == 13_000 else contact_m
+
+        assert forces_N == pytest.approx([force_N, std_N, tip_N], abs=0.015)
+        assert 1e3 * (depth_m - zero_m) == pytest.approx(depth_mm, abs=0.2)
+
+
+@pytest.mark.slow
+def test_the_plan_of_the_page_is_the_one_shown(tmp_path, monkeypatch, capsys):
+    pytest.importorskip("SimpleITK")
+    monkeypatch.chdir(tmp_path)
+    for arguments, answer in commands("ct-to-needle"):
+        if arguments[0] in ("simulate", "plan") and "sim" not in arguments[1]:
+            code, printed = print_of(arguments, capsys)
+
+            assert code == 0
+
+            require_shown(answer, printed)
+        if arguments[0] == "plan":
+            return
 
 
 @pytest.mark.slow

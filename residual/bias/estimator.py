@@ -8,7 +8,8 @@ from typing import ClassVar, Self
 import numpy as np
 import pinocchio as pin
 
-from foundation.arrays import Array
+from foundation.arrays import Array, Matrix, Vector, WrittenVector
+from foundation.jit import compiled
 from foundation.steps import Steps, finish
 from residual.bias.fit import FreeMotionFit
 from residual.bias.joint_states import joint_states_step
@@ -209,6 +210,31 @@ class BiasState:
     request: TareRequest | None = None
 
 
+@compiled
+def sum_torques(
+    torque_sum: WrittenVector, tau: Matrix, dt_s: Vector, now_s: float, due_s: float
+) -> tuple[int, float]:
+    """Add up torques until a time.
+
+    Args:
+        torque_sum: Their sum [Nm], shape (n,), to which they are added.
+        tau: Torques [Nm], shape (m, n).
+        dt_s: Time since the one before, shape (m,).
+        now_s: Time before the first.
+        due_s: The time that all stay before.
+
+    Returns:
+        How many were added, and the time of the last.
+    """
+    for k in range(len(tau)):
+        if now_s + dt_s[k] >= due_s:
+            return k, now_s
+        now_s += dt_s[k]
+        for j in range(len(torque_sum)):
+            torque_sum[j] += tau[k, j]
+    return len(tau), now_s
+
+
 class BiasEstimator:
     """Subtracts the bias, the residual without contact, from the observer's output.
 
@@ -294,6 +320,29 @@ class BiasEstimator:
             return False
         self._renew()
         return True
+
+    def update_rows(self, q: Array, dq: Array, tau: Array, dt_s: Array) -> int:
+        """Do for many samples what `update` does for one, until a renewal is due.
+
+        Args:
+            q: Positions [rad], shape (m, n).
+            dq: Velocities [rad/s], shape (m, n).
+            tau: Torques [Nm], shape (m, n).
+            dt_s: Time since the sample before, at most `LEAP_S`, shape (m,).
+
+        Returns:
+            How many samples were taken.
+        """
+        memory = self.memory
+        count, memory.now_s = sum_torques(
+            memory.torque_sum, tau, dt_s, memory.now_s, memory.due_s - ROUNDING_S
+        )
+        if count:
+            memory.q = q[count - 1]
+            memory.dq = dq[count - 1]
+            memory.tau = tau[count - 1]
+            memory.summed += count
+        return count
 
     def _renew(self) -> None:
         """Renew what changes slowly: joint states, bias and the error by motion."""

@@ -12,6 +12,7 @@ from typing import Any
 import numpy as np
 
 from foundation.arrays import Array
+from foundation.jit import compiled_inside
 from residual.errors import (
     NEXT_TIME_STEP,
     ConfigurationError,
@@ -54,6 +55,7 @@ FLOAT64 = np.dtype(np.float64)
 """The ``dtype`` of arrays of floats."""
 
 
+@compiled_inside
 def round_step(dt_s: float) -> float:
     """Return the time step on the grid of `STEP_GRID_S` that is nearest.
 

@@ -304,15 +304,28 @@ def velocity_match_step(
     return VelocityMatch(motion, sums)
 
 
+@compiled
+def has_excess(checked_s: Vector, excess: Vector, moments: Blocks) -> bool:
+    """Return whether travels of any joint differ by far more than is tolerated.
+
+    Arguments are fields of `TravelSums`.
+    """
+    for i in range(len(excess)):
+        is_large = excess[i] > MIN_EXCESS_RATIO**2 * moments[i, 1, 1]
+        if is_large and checked_s[i] >= MIN_CHECKED_S:
+            return True
+    return False
+
+
 def velocity_fault(match: VelocityMatch) -> str:
     """Return the faults of velocities by joint, with likely reasons; "" without one."""
     sums = match.sums
+    if not has_excess(sums.checked_s, sums.excess, sums.moments):
+        return ""
     is_checked = sums.checked_s >= MIN_CHECKED_S
     square_dq = sums.moments[:, 0, 0]
     product = sums.moments[:, 0, 1]
     square = sums.moments[:, 1, 1]
-    if not (is_checked & (sums.excess > MIN_EXCESS_RATIO**2 * square)).any():
-        return ""
     difference = square_dq - 2.0 * product + square
     differs = is_checked & (difference > MIN_DIFFERENCE_RATIO**2 * square)
     joints_by_fault: dict[str, list[int]] = {}
