@@ -16,7 +16,7 @@ from residual.bias.model import Tare, TareBlocks
 from residual.bias.separation import JointSeparation
 from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.checks.input import SampleClock, long_step_message
-from residual.checks.monitor import ConsistencyMonitor, MonitorState
+from residual.checks.monitor import ConsistencyMonitor
 from residual.checks.velocity import is_velocity_missing
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import (
@@ -377,7 +377,7 @@ class VirtualForceSensor:
             covariance_Nm2,
             tare.noise_Nm2,
             np.diag(smoothed_Nm2),
-            self._monitor.state.jump_Nm2,
+            self._monitor.state.doubt.jump_Nm2,
         )
 
     def start_tare_recording(self) -> None:
@@ -388,7 +388,7 @@ class VirtualForceSensor:
         """
         self._offset.start_tare_recording()
         self.tare_refusal = None
-        self._monitor.forget_velocity()
+        self._monitor.forget_tare()
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
@@ -406,7 +406,7 @@ class VirtualForceSensor:
         """Forget the samples of a stream, before another begins."""
         self.tare_refusal: TareError | None = None
         self._offset.reset()
-        self._monitor.restore(MonitorState())
+        self._monitor.reset()
         self._wrench_filter = WrenchFilterState.at_zero(self._wrench.size)
         self._is_smoothing = False
         self._unchecked_s = 0.0
@@ -570,6 +570,7 @@ class VirtualForceSensor:
         residual = total_residual - bias.bias
         if due is DueWork.CHECK:
             self._check(sample, stream, residual)
+        residual -= self._monitor.state.doubt.level_Nm
         smoothing_lag = 0.0
         observer_lag = 0.0
         if self._is_smoothing:
@@ -598,7 +599,9 @@ class VirtualForceSensor:
         due = self._due
         self._due = DueWork.CHECK if is_renewed else AFTER[due]
         is_tick = due is DueWork.GAIN or (is_renewed and due is DueWork.CHECK)
-        if is_tick and (self._offset.is_covariance_due or self._monitor.wants_widening):
+        if is_tick and (
+            self._offset.is_covariance_due or self._monitor.state.is_covariance_due
+        ):
             self._renew_gain()
 
     def _check(
