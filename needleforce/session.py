@@ -1000,7 +1000,9 @@ class InsertionSession:
             self._jumps = self._sensor.jumps
             self._jump_std_N = self._sensor.jump_std_N
             doubted_N = max(old_std_N, self._jump_std_N)
-            self._identifier.doubt_zero(doubted_N, JUMP_SEEN_S)
+            # The identifier's clock has stood still since samples are not used.
+            since_s = max(self._sensor.jump_since_s - self._unused_s, 0.0)
+            self._identifier.doubt_zero(doubted_N, min(since_s, JUMP_SEEN_S))
 
     def _watch_air(self, wrench: WrenchEstimate, elapsed_s: float) -> None:
         """Look for a force where none can be; let the identifier doubt its zero.

@@ -173,6 +173,11 @@ class VirtualForceSensor:
         return self._monitor.jumps
 
     @property
+    def jump_since_s(self) -> float:
+        """Time since the latest jump can have begun, or since the tare [s]."""
+        return self._monitor.state.doubt.since_s
+
+    @property
     def jump_std_N(self) -> float:
         """Standard deviation of the axial force by these jumps."""
         return self._monitor.jump_std_N

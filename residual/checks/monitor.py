@@ -125,7 +125,7 @@ class ConsistencyMonitor:
             change = self._next_change(residual, dt_s)
             course = state.course or TorqueCourse.after_tare(tare_error_Nm2)
             course, finding = course.advanced(self._tip_rows, residual, max(dt_s, 0.0))
-            doubt = doubt.after_finding(finding)
+            doubt = doubt.after_finding(finding, change.pushed_s)
             if doubt.jumps > state.doubt.jumps:
                 # The jump is known by now: it is no push.
                 change = change._replace(reference=change.present, pushed_s=0.0)
@@ -141,7 +141,7 @@ class ConsistencyMonitor:
             warnings |= SensorWarning.MODEL_MISMATCH
         match = self._next_match(q, dq, dt_s)
         self.state = MonitorState(
-            doubt=doubt,
+            doubt=doubt._replace(since_s=doubt.since_s + max(dt_s, 0.0)),
             is_covariance_due=state.is_covariance_due
             or doubt is not state.doubt
             or doubt.is_too_narrow(mismatch_squared),

@@ -27,6 +27,7 @@ class TorqueDoubt(NamedTuple):
             one it lasts until torques are where they were before the first jump, or
             until the next tare.
         level_Nm2: Its covariance, shape (n, n).
+        since_s: Time since the latest jump can have begun, or since the tare.
         jumps: Number of jumps measured.
     """
 
@@ -34,13 +35,14 @@ class TorqueDoubt(NamedTuple):
     step_Nm2: Array
     level_Nm: Array
     level_Nm2: Array
+    since_s: float
     jumps: int
 
     @classmethod
     def after_tare(cls, joints: int) -> "TorqueDoubt":
         """Return no doubt."""
         still = np.zeros(joints)
-        return cls(1.0, still, still, np.zeros((joints, joints)), 0)
+        return cls(1.0, still, still, np.zeros((joints, joints)), 0.0, 0)
 
     def is_too_narrow(self, mismatch_squared: float) -> bool:
         """Return whether the covariance is clearly too small for a model mismatch."""
@@ -60,8 +62,14 @@ class TorqueDoubt(NamedTuple):
         """Covariance of the torques by jumps, shape (n, n)."""
         return self.level_Nm2 + np.diag(self.step_Nm2)
 
-    def after_finding(self, finding: JumpFinding) -> "TorqueDoubt":
-        """Return the doubt after a look at the torques; the same where it stays."""
+    def after_finding(self, finding: JumpFinding, pushed_s: float) -> "TorqueDoubt":
+        """Return the doubt after a look at the torques; the same where it stays.
+
+        Args:
+            finding: What the look has shown.
+            pushed_s: Time for which they have changed as by a push on the arm; 0 where
+                they have not.
+        """
         kind, steps = finding
         if steps is None:
             return self
@@ -70,9 +78,15 @@ class TorqueDoubt(NamedTuple):
             return self._replace(step_Nm2=still)
         if kind is JumpKind.BACK:
             no_doubt = TorqueDoubt.after_tare(len(still))
-            return no_doubt._replace(widening=self.widening, jumps=self.jumps + 1)
+            return no_doubt._replace(
+                widening=self.widening, since_s=self.since_s, jumps=self.jumps + 1
+            )
         if kind is JumpKind.JUMPED:
-            return self._replace(step_Nm2=_bound_steps(steps))
+            since_s = self.since_s
+            if not self.step_Nm2.any():
+                # A push is seen within the lags of its check, a jump within all blocks.
+                since_s = pushed_s + 0.1 if pushed_s else 0.6
+            return self._replace(step_Nm2=_bound_steps(steps), since_s=since_s)
         # Each joint may have jumped, as probably as its step explains the change; the
         # covariance of the change is known within a factor of four or so.
         log_odds = (steps.ratios - steps.ratios.max()) / (2.0 * 4.0)

@@ -68,7 +68,7 @@ def doubt_after(*torques_Nm, seconds=2.0):
         for _ in range(round(seconds / 0.02)):
             noisy_Nm = torque_Nm + 0.005 * rng.normal(size=7)
             course, finding = course.advanced(ALONG_NEEDLE, noisy_Nm, 0.02)
-            doubt = doubt.after_finding(finding)
+            doubt = doubt.after_finding(finding, 0.0)
     return doubt
 
 
@@ -127,7 +127,7 @@ def measured(step_Nm, force_N=(0.0, 0.0, 0.0)):
     change_Nm = step_Nm + np.array(force_N) @ LWR_ROWS
     steps = fit_steps(LWR_ROWS, change_Nm, np.diag(np.full(7, 0.05**2)), 1.0)
     finding = JumpFinding(JumpKind.MEASURED, steps)
-    return TorqueDoubt.after_tare(7).after_finding(finding)
+    return TorqueDoubt.after_tare(7).after_finding(finding, 0.0)
 
 
 @pytest.mark.parametrize("joint", [1, 3, 5])
@@ -160,3 +160,15 @@ def test_the_covariance_follows_a_mismatch_once_it_is_a_tenth_too_small():
     assert doubt.widening == 3.0  # 1 + 2 (2 - 1)
     assert not doubt.is_too_narrow(2.14)
     assert doubt.is_too_narrow(2.16)
+
+
+@pytest.mark.parametrize(("pushed_s", "since_s"), [(0.0, 0.6), (0.02, 0.12)])
+def test_a_jump_began_before_it_was_noticed(pushed_s, since_s):
+    usual_Nm2 = np.diag(np.full(7, 0.05**2))
+    steps = fit_steps(LWR_ROWS, step_of(1, 3.0), usual_Nm2, ANY_FORCE_N)
+    finding = JumpFinding(JumpKind.JUMPED, steps)
+    doubt = TorqueDoubt.after_tare(7).after_finding(finding, pushed_s)
+    later = doubt.after_finding(finding, pushed_s + 1.0)
+
+    assert doubt.since_s == pytest.approx(since_s)
+    assert later.since_s == doubt.since_s
