@@ -165,12 +165,13 @@ class VirtualForceSensor:
 
         By how much is then known within 0.6 s.
         """
-        return self._monitor.is_measuring_jump
+        course = self._monitor.state.course
+        return course is not None and course.measured_s > 0.0
 
     @property
     def jumps(self) -> int:
         """Number of jumps of torque sensors that were measured since the tare."""
-        return self._monitor.jumps
+        return self._monitor.state.doubt.jumps
 
     @property
     def jump_since_s(self) -> float:

@@ -154,18 +154,13 @@ class TorqueDiagnosis:
 
     def describe_unchecked(self) -> str:
         """Return what the motion cannot show; empty if it shows every joint."""
-        unseen = self.unchecked_joints
-        with_lever = [
-            joint for joint in unseen if self.axial_lever_m[joint] > MIN_LEVER_M
-        ]
-        without = [joint for joint in unseen if joint not in with_lever]
+        has_lever = self.axial_lever_m > MIN_LEVER_M
         texts: list[str] = []
-        if with_lever:
-            reason = "too little gravity in this motion"
-            texts.append(f"{named_joints(with_lever)} not checked ({reason})")
-        if without:
-            reason = "too little gravity and no axial lever in this motion"
-            texts.append(f"{named_joints(without)} not checked ({reason})")
+        for sees_axial, reason in ((True, ""), (False, " and no axial lever")):
+            joints = [k for k in self.unchecked_joints if has_lever[k] == sees_axial]
+            if joints:
+                reason = f"too little gravity{reason} in this motion"
+                texts.append(f"{named_joints(joints)} not checked ({reason})")
         return ", ".join(texts)
 
     def describe_torques(self) -> str:

@@ -65,9 +65,6 @@ class ConsistencyMonitor:
             are none.
         warnings: Warnings of the last check.
         message: The same in words.
-        is_measuring_jump: Whether a torque has jumped just now, by how much is not
-            certain yet.
-        jumps: Number of jumps of torque sensors since the tare that were measured.
         assessment: All of this for an estimate of which nothing else is wrong.
     """
 
@@ -293,9 +290,6 @@ class ConsistencyMonitor:
 
     def _report(self, velocity_fault: str) -> None:
         """Set the attributes that report the result of a check."""
-        doubt = self.state.doubt
-        self.is_measuring_jump = bool(doubt.step_Nm2.any())
-        self.jumps = doubt.jumps
         self.velocity_fault = velocity_fault
         self.mismatch = math.sqrt(self.state.mismatch_squared)
         self.warnings = SensorWarning(self.state.warnings)

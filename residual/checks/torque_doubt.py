@@ -62,17 +62,19 @@ class TorqueDoubt(NamedTuple):
         """Covariance of the torques by jumps, shape (n, n)."""
         return self.level_Nm2 + np.diag(self.step_Nm2)
 
-    def after_finding(self, finding: JumpFinding, pushed_s: float) -> "TorqueDoubt":
-        """Return the doubt after a look at the torques; the same where it stays.
+    def after_finding(
+        self, finding: JumpFinding | None, pushed_s: float
+    ) -> "TorqueDoubt":
+        """Return the doubt after a look at the torques.
 
         Args:
-            finding: What the look has shown.
+            finding: What the look has shown; None for nothing.
             pushed_s: Time for which they have changed as by a push on the arm; 0 where
                 they have not.
         """
-        kind, steps = finding
-        if steps is None:
+        if finding is None:
             return self
+        kind, steps = finding
         still = np.zeros_like(self.step_Nm2)
         if kind is JumpKind.MISTAKEN:
             return self._replace(step_Nm2=still)

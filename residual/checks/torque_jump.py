@@ -39,8 +39,6 @@ ROUNDING_S = 1e-6
 class JumpKind(StrEnum):
     """What a look at the torques has shown of a jump."""
 
-    NOTHING = ""
-    """Nothing new."""
     JUMPED = "jumped"
     """A torque has jumped; by how much is being measured."""
     MEASURED = "measured"
@@ -96,14 +94,11 @@ class JumpFinding(NamedTuple):
 
     Attributes:
         kind: What it has shown.
-        steps: Step that each joint may have made; None where nothing was shown.
+        steps: Step that each joint may have made.
     """
 
     kind: JumpKind
-    steps: TorqueSteps | None = None
-
-
-NO_JUMP = JumpFinding(JumpKind.NOTHING)
+    steps: TorqueSteps
 
 
 @compiled
@@ -204,8 +199,8 @@ class TorqueCourse(NamedTuple):
 
     def advanced(
         self, rows: Array, torque_Nm: Array, dt_s: float
-    ) -> tuple["TorqueCourse", JumpFinding]:
-        """Return the course after a check, and what that has shown.
+    ) -> tuple["TorqueCourse", JumpFinding | None]:
+        """Return the course after a check, and what that has shown; None for nothing.
 
         Args:
             rows: As of `fit_steps`, where the tool is.
@@ -220,7 +215,7 @@ class TorqueCourse(NamedTuple):
             open_s=self.open_s + dt_s,
         )
         if course.open_s < block_s - ROUNDING_S or len(rows) >= len(torque_Nm):
-            return course, NO_JUMP
+            return course, None
         return course._with_block()._judged(rows, course.open_s)
 
     def _with_block(self) -> "TorqueCourse":
@@ -237,7 +232,9 @@ class TorqueCourse(NamedTuple):
             open_s=0.0,
         )
 
-    def _judged(self, rows: Array, dt_s: float) -> tuple["TorqueCourse", JumpFinding]:
+    def _judged(
+        self, rows: Array, dt_s: float
+    ) -> tuple["TorqueCourse", JumpFinding | None]:
         """Return the course after a look at a new block, a time after the last."""
         after_Nm = self.blocks_Nm[-BLOCKS_AFTER:].mean(axis=0)
         if self.measured_s > 0.0:
@@ -253,15 +250,15 @@ class TorqueCourse(NamedTuple):
             return jumped, JumpFinding(JumpKind.JUMPED, steps)
         max_usual_ratio = 16.0
         if steps.ratios.max() > max_usual_ratio:
-            return self, NO_JUMP
+            return self, None
         weight = min(dt_s / USUAL_S, 1.0)
         product_Nm2 = np.outer(steps.remaining_Nm, steps.remaining_Nm)
         usual_Nm2 = self.usual_Nm2 + weight * (product_Nm2 - self.usual_Nm2)
-        return self._replace(usual_Nm2=usual_Nm2), NO_JUMP
+        return self._replace(usual_Nm2=usual_Nm2), None
 
     def _measured(
         self, rows: Array, after_Nm: Array, dt_s: float
-    ) -> tuple["TorqueCourse", JumpFinding]:
+    ) -> tuple["TorqueCourse", JumpFinding | None]:
         """Return the course after a look at a jump that is still being measured."""
         # Until then all blocks after the jump are behind it, and until then a push of a
         # hand is over.
