@@ -63,9 +63,9 @@ class SensorWarning(IntFlag):
     on the arm? At most 2.5 s; then they count as what the arm feels by itself."""
     TORQUE_JUMP = 512
     """One joint's torque has stepped beside any force at the tip: its sensor has
-    jumped, or something pushes the arm and stays. Which joint is not certain, so
-    nothing is corrected; ``axial_std`` holds the doubt. It stays until the torques are
-    back, or until the next tare."""
+    jumped, or something pushes the arm and stays. Once it has stayed for 0.6 s its new
+    level counts as the zero; ``axial_std`` holds what is not certain of it. The warning
+    stays until the torques are back, or until the next tare."""
     UNEXPLAINED = 1024
     """In free air, since the tare, a force acts on the needle where nothing can: a tool
     gripped anew, a cable, a sensor that has moved. ``axial_std`` holds what was seen.

@@ -16,7 +16,7 @@ from residual.bias.model import Tare, TareBlocks
 from residual.bias.separation import JointSeparation
 from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.checks.input import SampleClock, all_fit, long_step_message
-from residual.checks.monitor import ConsistencyMonitor, MonitorState
+from residual.checks.monitor import ConsistencyMonitor
 from residual.checks.velocity import is_velocity_missing
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import (
@@ -166,12 +166,18 @@ class VirtualForceSensor:
 
         By how much is then known within 0.6 s.
         """
-        return self._monitor.is_measuring_jump
+        course = self._monitor.state.course
+        return course is not None and course.measured_s > 0.0
 
     @property
     def jumps(self) -> int:
         """Number of jumps of torque sensors that were measured since the tare."""
-        return self._monitor.jumps
+        return self._monitor.state.doubt.jumps
+
+    @property
+    def jump_since_s(self) -> float:
+        """Time since the latest jump can have begun, or since the tare [s]."""
+        return self._monitor.state.doubt.since_s
 
     @property
     def jump_std_N(self) -> float:
@@ -409,6 +415,7 @@ class VirtualForceSensor:
         if chosen.start == chosen.stop:
             return
         residual = run.residual[chosen] - self._offset.memory.bias
+        residual -= self._monitor.state.doubt.level_Nm
         written = slice(first_row + chosen.start, first_row + chosen.stop)
         numbers = rows.numbers[written]
         self._wrench.solve_rows(
@@ -585,7 +592,7 @@ class VirtualForceSensor:
             covariance_Nm2,
             tare.noise_Nm2,
             np.diag(smoothed_Nm2),
-            self._monitor.state.jump_Nm2,
+            self._monitor.state.doubt.jump_Nm2,
         )
 
     def start_tare_recording(self) -> None:
@@ -596,7 +603,7 @@ class VirtualForceSensor:
         """
         self._offset.start_tare_recording()
         self.tare_refusal = None
-        self._monitor.forget_velocity()
+        self._monitor.forget_tare()
 
     def reset(self) -> None:
         """Forget everything, the tare included."""
@@ -615,7 +622,7 @@ class VirtualForceSensor:
         """Forget the samples of a stream, before another begins."""
         self.tare_refusal: TareError | None = None
         self._offset.reset()
-        self._monitor.restore(MonitorState())
+        self._monitor.reset()
         self._wrench_filter = WrenchFilterState.at_zero(self._wrench.size)
         self._is_smoothing = False
         self._unchecked_s = 0.0
@@ -779,6 +786,7 @@ class VirtualForceSensor:
         residual = total_residual - bias.bias
         if due is DueWork.CHECK:
             self._check(q, dq if stream.has_velocity else None, residual)
+        residual -= self._monitor.state.doubt.level_Nm
         smoothing_lag = 0.0
         observer_lag = 0.0
         if self._is_smoothing:
@@ -809,7 +817,7 @@ class VirtualForceSensor:
         is_tick = due is DueWork.GAIN or (is_renewed and due is DueWork.CHECK)
         if not is_tick:
             return False
-        return self._offset.is_covariance_due or self._monitor.wants_widening
+        return self._offset.is_covariance_due or self._monitor.state.is_covariance_due
 
     def _check(self, q: Array, dq: Array | None, residual: Array) -> None:
         """Check consistency; arguments as of `ConsistencyMonitor.check`."""

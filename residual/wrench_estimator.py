@@ -680,7 +680,7 @@ class WrenchEstimator:
         covariance_Nm2: Array,
         noise_Nm2: Array | None = None,
         smoothed_noise_Nm2: Array | float = 0.0,
-        jump_Nm2: Array | None = None,
+        jump_Nm2: Array | float = 0.0,
     ) -> None:
         """Set how far the residual may be trusted, for the next `compute_gain`.
 
@@ -691,9 +691,9 @@ class WrenchEstimator:
                 for all.
             smoothed_noise_Nm2: What `smoothing_step` removes of that while nothing
                 changes.
-            jump_Nm2: Variance of each torque by jumps of its sensor, shape (n,); None
-                for none. It widens what is stated, and leaves the gain as it is: a
-                constant error is better than other weights from one sample to the next.
+            jump_Nm2: Covariance by jumps of torque sensors, shape (n, n). It widens
+                what is stated, and leaves the gain as it is: a constant error is better
+                than other weights from one sample to the next.
 
         Raises:
             ConfigurationError: If it has another shape or is not positive definite.
@@ -711,10 +711,10 @@ class WrenchEstimator:
             )
         self.torque_covariance = covariance
         self._inverse = inverse
-        self._jump_Nm2 = 0.0 if jump_Nm2 is None else np.diag(jump_Nm2)
+        self._jump_Nm2 = jump_Nm2
         self._inverse_with_jump = inverse
-        if jump_Nm2 is not None:
-            with_jump_Nm2 = covariance + self._jump_Nm2
+        if np.any(jump_Nm2):
+            with_jump_Nm2 = covariance + jump_Nm2
             self._inverse_with_jump = np.asarray(
                 np.linalg.inv(with_jump_Nm2), dtype=np.float64
             )

@@ -370,17 +370,12 @@ def explain_external_residual(basis: BiasModel, blocks: TareBlocks) -> Suspicion
     is_gravity = _rms(residual - factor * gravity) < 0.2 * size
     if not is_gravity or abs(abs(factor) - 1.0) >= 0.15:
         return None
-    text = (
-        f"the residual is {factor:.2f} times gravity's torque g(q): it seems to be the"
-    )
-    if factor > 0.0:
-        return Suspicion(
-            f"{text} measured torque",
-            "Call `update` instead of `update_external_torque`.",
-        )
+    is_negated = factor < 0.0
     return Suspicion(
-        f"{text} negated measured torque",
-        "Negate them and call `update` instead of `update_external_torque`.",
+        f"the residual is {factor:.2f} times gravity's torque g(q): it seems to be the "
+        f"{'negated ' if is_negated else ''}measured torque",
+        f"{'Negate them and call' if is_negated else 'Call'} `update` instead of "
+        "`update_external_torque`.",
     )
 
 

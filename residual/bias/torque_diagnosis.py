@@ -6,7 +6,7 @@ where the tare passes with the motion corrected so; what was seen is said in any
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from itertools import combinations
 from typing import NamedTuple
@@ -37,6 +37,9 @@ FAULT_LOG = 3.0
 
 MAX_SCALE_STD = 0.25
 """A factor that is known less well than this, relative to itself, is none."""
+
+MIN_LEVER_M = 5e-3
+"""A joint with less hardly feels a force along the needle."""
 
 PAYLOAD_STD = np.array([2.0, 0.3, 0.3, 0.3])
 """Prior deviations of a payload that was left out: mass [kg], first moments [kg m]."""
@@ -126,13 +129,23 @@ class TorqueDiagnosis:
         return self.scale_std < MAX_SCALE_STD
 
     @property
+    def deviating_joints(self) -> list[int]:
+        """Indices of joints whose scale is not 1 by more than three deviations."""
+        error = np.abs(self.joint_scale - 1.0)
+        return np.flatnonzero(error > SIGMAS * self.joint_scale_std).tolist()
+
+    @property
     def scale_doubt(self) -> float:
         """Standard deviation of the scale of a force, relative to the force."""
         # Where the motion shows nothing of it: a torque sensor's scale is within 10 %.
-        known_std = 1.0 / math.hypot(1.0 / self.scale_std, 1.0 / 0.1)
-        if not self.scale_deviates:
-            return known_std
-        return math.hypot(known_std, self.scale - 1.0)
+        doubt = 1.0 / math.hypot(1.0 / self.scale_std, 1.0 / 0.1)
+        if self.scale_deviates:
+            doubt = math.hypot(doubt, self.scale - 1.0)
+        # The joint of a wrong scale may be the one that feels the force.
+        wrong = [
+            k for k in self.deviating_joints if self.axial_lever_m[k] > MIN_LEVER_M
+        ]
+        return max([doubt, *np.abs(self.joint_scale[wrong] - 1.0).tolist()])
 
     @property
     def unchecked_joints(self) -> list[int]:
@@ -141,17 +154,13 @@ class TorqueDiagnosis:
 
     def describe_unchecked(self) -> str:
         """Return what the motion cannot show; empty if it shows every joint."""
-        unseen = self.unchecked_joints
-        # A joint with less than 5 mm hardly feels a force along the needle.
-        with_lever = [joint for joint in unseen if self.axial_lever_m[joint] > 5e-3]
-        without = [joint for joint in unseen if joint not in with_lever]
+        has_lever = self.axial_lever_m > MIN_LEVER_M
         texts: list[str] = []
-        if with_lever:
-            reason = "too little gravity in this motion"
-            texts.append(f"{named_joints(with_lever)} not checked ({reason})")
-        if without:
-            reason = "too little gravity and no axial lever in this motion"
-            texts.append(f"{named_joints(without)} not checked ({reason})")
+        for sees_axial, reason in ((True, ""), (False, " and no axial lever")):
+            joints = [k for k in self.unchecked_joints if has_lever[k] == sees_axial]
+            if joints:
+                reason = f"too little gravity{reason} in this motion"
+                texts.append(f"{named_joints(joints)} not checked ({reason})")
         return ", ".join(texts)
 
     def describe_torques(self) -> str:
@@ -169,11 +178,24 @@ class TorqueDiagnosis:
             f"mean torque by joint, expected / measured: {joints} Nm; residual "
             f"{rms_Nm:.3g} Nm rms"
         )
-        if not self.is_scale_known:
-            return text
+        if self.is_scale_known:
+            text += (
+                f"; all together tau is {self.scale:.3g} +/- {self.scale_std:.2g} "
+                "times what the model expects"
+            )
+        return "; ".join(filter(None, (text, self.describe_one_joint())))
+
+    def describe_one_joint(self) -> str:
+        """Return the scale of the one joint that deviates, in words.
+
+        It is empty where none does, or several do: they may have a common cause.
+        """
+        if len(self.deviating_joints) != 1:
+            return ""
+        (joint,) = self.deviating_joints
         return (
-            f"{text}; all together tau is {self.scale:.3g} +/- {self.scale_std:.2g} "
-            "times what the model expects"
+            f"tau of {named_joints([joint])} is {self.joint_scale[joint]:.3g} +/- "
+            f"{self.joint_scale_std[joint]:.2g} times what the model expects"
         )
 
 
@@ -258,11 +280,9 @@ def _fit_explanations(fit: TorqueFit, basis: BiasModel) -> Steps[list[Explanatio
     """Return what may be wrong with the torques, each fitted to the motion."""
     as_given = fit.as_given
     toggled = replace(as_given, adds_gravity=not as_given.adds_gravity)
+    found = yield from _evaluate(fit, [Explanation("gravity", toggled, 0.0)])
     # Where gravity is added to torque that has it, something else may be wrong, too.
     starts = [as_given, toggled] if as_given.adds_gravity else [as_given]
-    found: list[Explanation] = []
-    gravity = yield from fit.evaluate(toggled)
-    found.append(Explanation("gravity", toggled, gravity.log))
     for start in starts:
         own = yield from _fit_factors(fit, start, np.ones(fit.robot.nv), UNITS)
         if np.ptp(fit.effort_Nm) > 0.0:
@@ -281,6 +301,17 @@ def _fit_explanations(fit: TorqueFit, basis: BiasModel) -> Steps[list[Explanatio
     return [one._replace(log=one.log - FAULT_LOG) for one in found]
 
 
+def _evaluate(
+    fit: TorqueFit, candidates: list[Explanation]
+) -> Steps[list[Explanation]]:
+    """Return explanations that had the logarithm of their prior, with the motion's."""
+    found: list[Explanation] = []
+    for one in candidates:
+        now = yield from fit.evaluate(one.correction)
+        found.append(one._replace(log=one.log + now.log))
+    return found
+
+
 def _fit_factors(
     fit: TorqueFit, start: Correction, base: Array, units: dict[float, str]
 ) -> Steps[list[Explanation]]:
@@ -288,9 +319,8 @@ def _fit_factors(
 
     Measured torque is the factor times the true one over ``base``, shape (n,).
     """
-    start = replace(start, factors=base)
     weights = 1.0 / np.square(fit.effort_Nm)
-    model_Nm = fit.model_Nm - (fit.gravity_Nm if start.adds_gravity else 0.0)
+    model_Nm = fit.torque_without(start)
     size = max(float((weights * np.square(model_Nm)).sum()), 1e-300)
     scale = float((weights * fit.measured_Nm * base * model_Nm).sum()) / size
     std = math.inf
@@ -305,25 +335,22 @@ def _fit_factors(
         scale *= min(max(1.0 - float(now.extra[0]), 1.0 / 3.0), 3.0)
     if std > MAX_SCALE_STD:
         return []
-    found: list[Explanation] = []
-    for unit, text in units.items():
+    near = [
+        Explanation("unit", replace(start, factors=base / unit), 0.0, unit, text)
+        for unit, text in units.items()
         # Torque sensors of an arm have a scale within some per cent.
-        if abs(scale / unit - 1.0) < SIGMAS * std + 0.05:
-            correction = replace(start, factors=base / unit)
-            now = yield from fit.evaluate(correction)
-            found.append(Explanation("unit", correction, now.log, unit, text))
-    if found or abs(scale - 1.0) < SIGMAS * std:
-        return found
+        if abs(scale / unit - 1.0) < SIGMAS * std + 0.05
+    ]
+    if near or abs(scale - 1.0) < SIGMAS * std:
+        return (yield from _evaluate(fit, near))
     return [Explanation("scale", replace(start, factors=base / scale), log, scale)]
 
 
 def _fit_joint_scales(fit: TorqueFit, start: Correction) -> Steps[list[Explanation]]:
     """Return a factor for each joint, and the signs that some joints' torques have."""
     joints = fit.robot.nv
-    model_Nm = fit.model_Nm - (fit.gravity_Nm if start.adds_gravity else 0.0)
-    each = yield from fit.evaluate(
-        start, model_Nm[:, :, None] * np.eye(joints), np.ones(joints)
-    )
+    columns = fit.torque_without(start)[:, :, None] * np.eye(joints)
+    each = yield from fit.evaluate(start, columns, np.ones(joints))
     scale = 1.0 - each.extra
     # Factors of either sign from 1e-4 to 1e4 are equally probable at every joint.
     width = 2.0 * math.log(1e8) / math.sqrt(2.0 * math.pi)
@@ -333,9 +360,8 @@ def _fit_joint_scales(fit: TorqueFit, start: Correction) -> Steps[list[Explanati
     is_turned = is_known & (scale < 0.0)
     if 0 < np.count_nonzero(is_turned) < np.count_nonzero(is_known):
         correction = replace(start, factors=np.where(is_turned, -1.0, 1.0))
-        now = yield from fit.evaluate(correction)
-        log = now.log - joints * math.log(2.0)
-        found.append(Explanation("signs", correction, log))
+        signs = Explanation("signs", correction, -joints * math.log(2.0))
+        found += yield from _evaluate(fit, [signs])
     return found
 
 
@@ -346,6 +372,9 @@ def _fit_payload(fit: TorqueFit) -> Steps[list[Explanation]]:
     missing = -now.extra
     mass_kg = float(missing[0])
     given_kg = 0.0 if robot.payload is None else robot.payload.mass_kg
+    given_kgm = np.zeros(3)
+    if robot.payload is not None:
+        given_kgm = given_kg * np.array(robot.payload.com_m)
     # The model cannot have much more mass too much there than it has.
     least_kg = -1.2 * float(robot.model.inertias[robot.nv].mass) - 0.1
     most_kg = 1.3 * rated_payload_kg(robot) - given_kg
@@ -354,31 +383,22 @@ def _fit_payload(fit: TorqueFit) -> Steps[list[Explanation]]:
     is_far = moment > 0.5 * (abs(mass_kg) + float(now.extra_std[0]))
     if is_far or not least_kg <= mass_kg <= most_kg:
         return []
-    missing, text = _round_payload(robot, missing)
+    text = "none at all; --without LINK leaves a hand out"
+    # The payload on the flange, rounded, as the lines of a file.
+    rounded_kg = round(mass_kg + given_kg, 2)
+    if rounded_kg > 0.0:
+        frame = robot.bare_model.frames[robot.frame_id(robot.flange_frame)]
+        turn = frame.placement.rotation
+        place_m = frame.placement.translation
+        moment_kgm = turn.T @ (missing[1:] - mass_kg * place_m) + given_kgm
+        com_m = np.round(moment_kgm / rounded_kg, 3) + 0.0
+        mass_kg = rounded_kg - given_kg
+        more_kgm = turn @ (rounded_kg * com_m - given_kgm)
+        missing = np.append(mass_kg, more_kgm + mass_kg * place_m)
+        numbers = ", ".join(f"{one:.3f}" for one in com_m)
+        text = f"mass_kg = {rounded_kg:.2f} and com_m = [{numbers}], a line each"
     correction = replace(fit.as_given, payload=missing)
     return [Explanation("payload", correction, now.log, text=text)]
-
-
-def _round_payload(robot: Robot, missing: Array) -> tuple[Array, str]:
-    """Return what a model lacks, and the payload on the flange, both rounded.
-
-    The payload is written as the lines of a file.
-    """
-    placement = robot.bare_model.frames[robot.frame_id(robot.flange_frame)].placement
-    given_kg = 0.0 if robot.payload is None else robot.payload.mass_kg
-    given_kgm = np.zeros(3)
-    if robot.payload is not None:
-        given_kgm = given_kg * np.array(robot.payload.com_m)
-    mass_kg = round(float(missing[0]) + given_kg, 2)
-    if mass_kg <= 0.0:
-        return missing, "none at all; --without LINK leaves a hand out"
-    moment = placement.rotation.T @ (missing[1:] - missing[0] * placement.translation)
-    com_m = np.round((moment + given_kgm) / mass_kg, 3) + 0.0
-    more_kg = mass_kg - given_kg
-    more_kgm = placement.rotation @ (mass_kg * com_m - given_kgm)
-    rounded = np.append(more_kg, more_kgm + more_kg * placement.translation)
-    com = ", ".join(f"{one:.3f}" for one in com_m)
-    return rounded, f"mass_kg = {mass_kg:.2f} and com_m = [{com}], a line each"
 
 
 def _fit_direction(fit: TorqueFit, start: Correction) -> Steps[list[Explanation]]:
@@ -400,56 +420,43 @@ def _fit_direction(fit: TorqueFit, start: Correction) -> Steps[list[Explanation]
         gravity = np.round(gravity * (size / np.linalg.norm(gravity)), 2) + 0.0
     if float(np.linalg.norm(gravity - given)) < 0.03 * size:
         return []
-    correction = replace(start, gravity_m_s2=gravity)
-    again = yield from fit.evaluate(correction)
     # On a wall or a ceiling are six directions; slopes are as probable all round the
     # sphere, and the fit says how widely.
     spread = min(max(float(np.median(now.extra_std)) / size, 1e-3), 1.0)
     is_slope = np.count_nonzero(gravity) > 1
-    log = again.log - (2.0 * math.log(2.0 / spread) if is_slope else math.log(6.0))
-    return [Explanation("direction", correction, log)]
+    log = -2.0 * math.log(2.0 / spread) if is_slope else -math.log(6.0)
+    turned = replace(start, gravity_m_s2=gravity)
+    return (yield from _evaluate(fit, [Explanation("direction", turned, log)]))
 
 
 def _fit_orders(fit: TorqueFit, start: Correction) -> Steps[list[Explanation]]:
-    """Return the two most probable orders of the torques alone."""
-    orders = list(dict.fromkeys(_orders_of(fit)))
-    quick: list[tuple[float, Correction]] = []
-    for order in orders:
-        correction = replace(start, order=order)
-        now = yield from fit.evaluate(correction, sizes=(1.0, 0.0, 2.0, 2.0))
-        quick.append((now.log, correction))
-    quick.sort(key=lambda one: -one[0])
-    found: list[Explanation] = []
-    for _, correction in quick[:2]:
-        now = yield from fit.evaluate(correction)
-        moved = np.count_nonzero(np.array(correction.order) != fit.as_given.order)
-        # Two joints are one exchange of so many; each further joint is one more.
-        log = now.log - (moved - 1) * math.log(len(orders))
-        found.append(Explanation("order", correction, log))
-    return found
+    """Return the two most probable orders of the torques alone.
 
-
-def _orders_of(fit: TorqueFit) -> Iterator[tuple[int, ...]]:
-    """Yield exchanges of two joints, turns of all, and the order nearest the model."""
+    Tried are exchanges of two joints, turns of all, and the order nearest the model.
+    """
     identity = fit.as_given.order
-    for first, second in combinations(identity, 2):
-        order = list(identity)
-        order[first] = second
-        order[second] = first
-        yield tuple(order)
+    tried = [
+        tuple({first: second, second: first}.get(one, one) for one in identity)
+        for first, second in combinations(identity, 2)
+    ]
     apart = fit.model_Nm[:, :, None] - fit.measured_Nm[:, None, :]
     cost = np.square(apart / fit.effort_Nm[:, None]).mean(axis=0)
     # Of equal orders the one that moves fewest joints is meant.
     cost = cost + 1e-6 * cost.max() * (1.0 - np.eye(len(cost)))
-    assigned = tuple(int(one) for one in linear_sum_assignment(cost)[1])
-    turns = [
-        identity[::-1],
-        (*identity[1:], identity[0]),
-        (identity[-1], *identity[:-1]),
-    ]
-    for order in (*turns, assigned):
-        if order != identity:
-            yield order
+    nearest = tuple(int(one) for one in linear_sum_assignment(cost)[1])
+    tried += [identity[::-1], (*identity[1:], identity[0])]
+    tried += [(identity[-1], *identity[:-1]), nearest]
+    orders = [order for order in dict.fromkeys(tried) if order != identity]
+    quick: list[tuple[float, Explanation]] = []
+    for order in orders:
+        correction = replace(start, order=order)
+        now = yield from fit.evaluate(correction, sizes=(1.0, 0.0, 2.0, 2.0))
+        moved = np.count_nonzero(np.array(order) != identity)
+        # Two joints are one exchange of so many; each further joint is one more.
+        log = -float(moved - 1) * math.log(len(orders))
+        quick.append((now.log, Explanation("order", correction, log)))
+    quick.sort(key=lambda one: -one[0])
+    return (yield from _evaluate(fit, [one for _, one in quick[:2]]))
 
 
 def _fit_orders_of_all(
@@ -459,8 +466,7 @@ def _fit_orders_of_all(
 
     Drivers of ROS sort joints by name; others count them from the hand.
     """
-    robot = fit.robot
-    names = list(robot.joint_names)
+    names = list(fit.robot.joint_names)
     alphabet = sorted(names)
     by_name = tuple(alphabet.index(name) for name in names)
     found: list[Explanation] = []
@@ -469,7 +475,7 @@ def _fit_orders_of_all(
         motion = fit.corrected_motion(correction)
         yield
         ordered = yield from TorqueFit.in_steps(
-            robot, basis, motion, adds_gravity=start.adds_gravity
+            fit.robot, basis, motion, adds_gravity=start.adds_gravity
         )
         now = yield from ordered.evaluate(ordered.as_given)
         text = "the alphabet's" if order == by_name else "reversed"

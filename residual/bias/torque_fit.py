@@ -117,6 +117,7 @@ class TorqueFit:
         measured = blocks.torque_Nm
         count = len(measured)
         parts = np.array_split(np.arange(count), min(MAX_SEGMENTS, count))
+        self._parts = parts
         self.measured_Nm = _mean_of(measured, parts)
         self.model_Nm = _mean_of(self._model_Nm, parts)
         self.gravity_Nm = _mean_of(self._gravity_Nm, parts)
@@ -219,16 +220,9 @@ class TorqueFit:
             scatter_Nm2=blocks.scatter_Nm2[order] * np.square(correction.factors),
         )
 
-    def difference_Nm(self, correction: Correction) -> Array:
-        """Return torque of the model minus corrected torque, shape (k, n)."""
-        model_Nm = self.model_Nm + self.payload_columns @ correction.payload
-        if correction.gravity_m_s2 is not None:
-            turned_Nm = self.gravity_columns @ correction.gravity_m_s2
-            model_Nm = model_Nm - self.gravity_Nm + turned_Nm
-        torque_Nm = self.measured_Nm[:, correction.order] * correction.factors
-        if correction.adds_gravity:
-            torque_Nm = torque_Nm + self.gravity_Nm
-        return model_Nm - torque_Nm
+    def torque_without(self, correction: Correction) -> Array:
+        """Return the model's torque without gravity that is added, shape (k, n)."""
+        return self.model_Nm - (self.gravity_Nm if correction.adds_gravity else 0.0)
 
     def evaluate(
         self,
@@ -256,7 +250,8 @@ class TorqueFit:
             std = np.concatenate((std, extra_std))
             groups = np.concatenate((groups, np.full(count, 3)))
         factor = correction.factors
-        difference_Nm = self.difference_Nm(correction)
+        motion = self.corrected_motion(correction)
+        difference_Nm = _mean_of(motion.residual_Nm, self._parts)
         squares = columns.transpose(1, 2, 0) @ columns.transpose(1, 0, 2)
         products = np.einsum("kjp,kj->jp", columns, difference_Nm)
         sum_of_squares = np.square(difference_Nm).sum(axis=0)

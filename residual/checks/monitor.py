@@ -10,14 +10,8 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
-from residual.checks.pushed_arm import (
-    BESIDE,
-    LEARNED_S,
-    TorqueChange,
-    change_step,
-    first_change,
-    unusual_change,
-)
+from residual.checks.pushed_arm import TorqueChange, change_step, first_change
+from residual.checks.torque_doubt import TorqueDoubt
 from residual.checks.torque_jump import TorqueCourse
 from residual.checks.velocity import (
     VelocityMatch,
@@ -30,40 +24,19 @@ from residual.estimate import Assessment, SensorWarning, Status, WrenchEstimate
 from residual.wrench_estimator import WrenchEstimator
 from urdf import Robot
 
-LIMIT_MARGIN_RAD = 0.01
-"""Half a degree from its limit a joint counts as being there."""
-
-MAX_POSITION_RAD = 4.0 * math.pi
-"""Two turns: a position beyond a limit and this is hardly in radians."""
-
-MIN_SINGULAR_VALUE_M = 0.05
-"""At this value a newton makes a twentieth of a newton metre in all joints together, as
-much as the noise of one torque sample; below it the pose is near singular."""
-
-MISMATCH_MEMORY_S = 0.2
-"""Time constant of the model mismatch: a knock of a few milliseconds is none."""
-
 MAX_MISMATCH = 4.0
 """Largest model mismatch that may be chance, in standard deviations of all joints
 together."""
-
-VARIANCE_GAIN = 2.0
-"""Growth of the covariance with the model mismatch squared: four directions show a
-variance only within a factor of two."""
-
-WIDENING_RATIO = 1.1
-"""Ratio of the wanted to the present widening from which the covariance is renewed."""
 
 
 class MonitorState(NamedTuple):
     """State of a `ConsistencyMonitor`; its arrays are never written again.
 
     Attributes:
+        doubt: What is doubted of the torques.
+        is_covariance_due: Whether the covariance in use is clearly less than that.
         mismatch_squared: Smoothed mean square of the model mismatch, in units of the
             covariance before it was widened.
-        widening: Factor by which the covariance in use was widened.
-        jump_Nm2: Variance of each torque by jumps of its sensor, in use, shape (n,);
-            None for none.
         warnings: Of the last check, as a number.
         at_limit: Indices of joints at a position limit in that check.
         match: Of measured velocities with positions; None before a check, and where
@@ -72,9 +45,9 @@ class MonitorState(NamedTuple):
         course: Torque of the last second, and its jumps; None before the tare.
     """
 
+    doubt: TorqueDoubt
+    is_covariance_due: bool = False
     mismatch_squared: float = 0.0
-    widening: float = 1.0
-    jump_Nm2: Array | None = None
     warnings: int = 0
     at_limit: tuple[int, ...] = ()
     match: VelocityMatch | None = None
@@ -92,22 +65,22 @@ class ConsistencyMonitor:
             are none.
         warnings: Warnings of the last check.
         message: The same in words.
-        is_measuring_jump: Whether a torque has jumped just now, by how much is not
-            certain yet.
-        jumps: Number of jumps of torque sensors since the tare that were measured.
         assessment: All of this for an estimate of which nothing else is wrong.
     """
 
     def __init__(self, robot: Robot, wrench: WrenchEstimator) -> None:
-        lower = robot.position_lower_rad + LIMIT_MARGIN_RAD
-        upper = robot.position_upper_rad - LIMIT_MARGIN_RAD
+        # Half a degree from its limit a joint counts as being there.
+        margin_rad = 0.01
+        lower = robot.position_lower_rad + margin_rad
+        upper = robot.position_upper_rad - margin_rad
         # A joint without a range has no limit: descriptions write 0 and 0 for
         # "unknown".
         is_free = upper <= lower
         self._lower_rad = np.where(is_free, -np.inf, lower).tolist()
         self._upper_rad = np.where(is_free, np.inf, upper).tolist()
         self._wrench = wrench
-        self.restore(MonitorState())
+        self._joints = robot.nv
+        self.reset()
 
     def check(
         self,
@@ -122,46 +95,61 @@ class ConsistencyMonitor:
         Args:
             q: Configuration [rad], shape (n,).
             dq: Velocity as measured [rad/s], shape (n,); None where it is estimated.
-            residual: External joint torque after offset removal [Nm], shape (n,).
+            residual: External joint torque after removal of the tare's offset, but not
+                of the level learnt since [Nm], shape (n,).
             dt_s: Time since the last check.
             tare_error_Nm2: Variance of the residual in free air that lasts, as the tare
                 has shown it, shape (n,); None before the tare.
         """
-        tared = tare_error_Nm2 is not None
+        state = self.state
         at_limit = self._joints_at_limit(q)
-        mismatch_squared = self._next_mismatch(residual, dt_s, tared=tared)
-        change = self._next_change(residual, dt_s) if tared else None
-        course = None
-        if tare_error_Nm2 is not None:
-            course = self._next_course(residual, dt_s, tare_error_Nm2)
-        if change is not None and course is not None and course.jumps > self.jumps:
-            # The jump is known by now: it is no push.
-            change = change._replace(reference=change.present, pushed_s=0.0)
-        match_before = self.state.match
-        match = self._next_match(q, dq, dt_s)
         warnings = SensorWarning.NONE
         if at_limit:
             warnings |= SensorWarning.JOINT_LIMIT
+        # A newton then makes a twentieth of a newton metre in all joints together, as
+        # much as the noise of one torque sample.
+        min_singular_value_m = 0.05
         observability = self._wrench.observability
-        if observability.smallest_singular_value_m < MIN_SINGULAR_VALUE_M:
+        if observability.smallest_singular_value_m < min_singular_value_m:
             warnings |= SensorWarning.NEAR_SINGULAR
+        doubt = state.doubt
+        change = None
+        course = None
+        square = 0.0  # before the tare the covariance is the prior's
+        if tare_error_Nm2 is not None:
+            own_residual = residual - doubt.level_Nm
+            square = doubt.widening * self._wrench.mismatch_squared(own_residual)
+            change = self._next_change(residual, dt_s)
+            course = state.course or TorqueCourse.after_tare(tare_error_Nm2)
+            course, finding = course.advanced(self._tip_rows, residual, max(dt_s, 0.0))
+            doubt = doubt.after_finding(finding, change.pushed_s)
+            if doubt.jumps > state.doubt.jumps:
+                # The jump is known by now: it is no push.
+                change = change._replace(reference=change.present, pushed_s=0.0)
+            if change.pushed_s > 0.0:
+                warnings |= SensorWarning.ARM_PUSHED
+            if doubt.has_jumped:
+                warnings |= SensorWarning.TORQUE_JUMP
+        memory_s = 0.2  # A knock of a few milliseconds is no mismatch.
+        faded = -math.expm1(-dt_s / memory_s)
+        mismatch_squared = state.mismatch_squared
+        mismatch_squared += faded * (square - mismatch_squared)
         if mismatch_squared > MAX_MISMATCH**2:
             warnings |= SensorWarning.MODEL_MISMATCH
-        if change is not None and change.pushed_s > 0.0:
-            warnings |= SensorWarning.ARM_PUSHED
-        if course is not None and course.has_jumped:
-            warnings |= SensorWarning.TORQUE_JUMP
+        match = self._next_match(q, dq, dt_s)
         self.state = MonitorState(
+            doubt=doubt._replace(since_s=doubt.since_s + max(dt_s, 0.0)),
+            is_covariance_due=state.is_covariance_due
+            or doubt is not state.doubt
+            or doubt.is_too_narrow(mismatch_squared),
             mismatch_squared=mismatch_squared,
-            widening=self.state.widening,
-            jump_Nm2=self.state.jump_Nm2,
             warnings=int(warnings),
             at_limit=at_limit,
             match=match,
             change=change,
             course=course,
         )
-        self._report(self._next_velocity_fault(match, match_before))
+        self._report(self._next_velocity_fault(match, state.match))
 
     def _joints_at_limit(self, q: Array) -> tuple[int, ...]:
         return tuple(
@@ -169,14 +157,6 @@ class ConsistencyMonitor:
             for i, position_rad in enumerate(q.tolist())
             if not self._lower_rad[i] < position_rad < self._upper_rad[i]
         )
-
-    def _next_mismatch(self, residual: Array, dt_s: float, *, tared: bool) -> float:
-        """Return the next `MonitorState.mismatch_squared`; arguments of `check`."""
-        square = 0.0  # before the tare the covariance is the prior's
-        if tared:
-            square = self.state.widening * self._wrench.mismatch_squared(residual)
-        smoothed = self.state.mismatch_squared
-        return smoothed - math.expm1(-dt_s / MISMATCH_MEMORY_S) * (square - smoothed)
 
     def _next_change(self, residual: Array, dt_s: float) -> TorqueChange:
         """Return the next change of torque, after a residual [Nm], shape (n,)."""
@@ -196,15 +176,14 @@ class ConsistencyMonitor:
             dt_s,
         )
 
-    def _next_course(
-        self, residual: Array, dt_s: float, tare_error_Nm2: Array
-    ) -> TorqueCourse:
-        """Return the next course of the torque; arguments of `check`."""
-        course = self.state.course or TorqueCourse.after_tare(tare_error_Nm2)
-        # A force at the tip in any direction, or with a torque where the mode has one.
+    @property
+    def _tip_rows(self) -> Array:
+        """Torque per unit of a force at the tip in any direction, shape (k, n).
+
+        With a torque where the mode has one.
+        """
         directions = max(self._wrench.size, 3)
-        rows = self._wrench.kinematics.jacobian[:directions]
-        return course.advanced(np.ascontiguousarray(rows), residual, max(dt_s, 0.0))
+        return np.ascontiguousarray(self._wrench.kinematics.jacobian[:directions])
 
     def _next_match(
         self, q: Array, dq: Array | None, dt_s: float
@@ -229,53 +208,35 @@ class ConsistencyMonitor:
         return velocity_fault(match)
 
     @property
-    def _wanted_widening(self) -> float:
-        return 1.0 + VARIANCE_GAIN * max(0.0, self.state.mismatch_squared - 1.0)
-
-    @property
-    def wants_widening(self) -> bool:
-        """Whether the covariance in use is clearly too small for the mismatch.
-
-        Or whether it is not that of the jumps of torque sensors.
-        """
-        is_too_small = self._wanted_widening > WIDENING_RATIO * self.state.widening
-        used_Nm2 = self.state.jump_Nm2
-        jump_Nm2 = self._jump_Nm2
-        if used_Nm2 is None or jump_Nm2 is None:
-            return is_too_small or used_Nm2 is not jump_Nm2
-        return is_too_small or not np.array_equal(used_Nm2, jump_Nm2)
-
-    @property
-    def _jump_Nm2(self) -> Array | None:
-        """Variance of each torque by jumps of its sensor, shape (n,); None for none."""
-        course = self.state.course
-        return None if course is None else course.jump_Nm2
-
-    @property
     def jump_std_N(self) -> float:
         """Standard deviation of the axial force by jumps of torque sensors."""
-        if self._jump_Nm2 is None:
-            return 0.0
         gain = self._wrench.gain
         axial_per_Nm = gain.direction.dot(gain.matrix[:3])
-        return math.sqrt(float(np.square(axial_per_Nm).dot(self._jump_Nm2)))
+        return math.sqrt(axial_per_Nm.dot(self.state.doubt.jump_Nm2).dot(axial_per_Nm))
 
     def widen(self, covariance_Nm2: Array) -> Array:
         """Return a covariance widened by the joint torque that no wrench explains.
 
-        It may come of a push on the arm, or of a wrong model. This is the variance
-        factor of least squares: errors seen in directions that no wrench explains are
-        likely in the other directions, too. See `VARIANCE_GAIN`.
+        It is the tare's, shape (n, n).
         """
-        self.state = self.state._replace(
-            widening=self._wanted_widening, jump_Nm2=self._jump_Nm2
-        )
-        return self.state.widening * covariance_Nm2
+        doubt = self.state.doubt.widened(self.state.mismatch_squared)
+        self.state = self.state._replace(doubt=doubt, is_covariance_due=False)
+        return doubt.widening * covariance_Nm2
 
-    def forget_velocity(self) -> None:
-        """Compare velocities with positions anew."""
+    def forget_tare(self) -> None:
+        """Doubt nothing any more, and compare velocities with positions anew."""
         warnings = int(self.warnings & ~SensorWarning.VELOCITY)
-        self.restore(self.state._replace(match=None, warnings=warnings))
+        doubt = TorqueDoubt.after_tare(self._joints)
+        self.restore(
+            self.state._replace(
+                doubt=doubt._replace(widening=self.state.doubt.widening),
+                is_covariance_due=True,
+                warnings=warnings,
+                match=None,
+                change=None,
+                course=None,
+            )
+        )
 
     def recheck(
         self, estimate: WrenchEstimate, estimate_before: WrenchEstimate
@@ -291,21 +252,14 @@ class ConsistencyMonitor:
             self._wrench.mismatch_squared(estimate_before.residual),
         )
         warnings = SensorWarning.NONE
-        if self.state.widening * square > MAX_MISMATCH**2:
+        if self.state.doubt.widening * square > MAX_MISMATCH**2:
             warnings |= SensorWarning.MODEL_MISMATCH
-        if self._has_push_begun():
+        change = self.state.change
+        axial_row = self._wrench.kinematics.axial_jacobian[None]
+        if change is not None and change.has_begun(axial_row):
             warnings |= SensorWarning.ARM_PUSHED
         message = "; ".join(filter(None, (estimate.message, *_reasons(warnings))))
         return estimate._replace(warnings=estimate.warnings | warnings, message=message)
-
-    def _has_push_begun(self) -> bool:
-        """Return whether the torques change as no force along the needle does."""
-        change = self.state.change
-        if change is None or change.learned_s < LEARNED_S:
-            return False
-        axial = self._wrench.kinematics.axial_jacobian[None]
-        difference = change.present - change.reference
-        return unusual_change(axial, difference, change.usual, BESIDE) > BESIDE
 
     @property
     def limit(self) -> str:
@@ -318,10 +272,16 @@ class ConsistencyMonitor:
         """Whether q is in degrees, asked where positions are far beyond; else empty."""
         if not self.state.at_limit:
             return ""
+        # Two turns: a position beyond a limit and this is hardly in radians.
+        max_position_rad = 4.0 * math.pi
         largest_rad = np.abs(self._wrench.gain.configuration_rad).max()
-        return (
-            f"{self.limit}: is q in degrees?" if largest_rad > MAX_POSITION_RAD else ""
-        )
+        if largest_rad <= max_position_rad:
+            return ""
+        return f"{self.limit}: is q in degrees?"
+
+    def reset(self) -> None:
+        """Forget everything."""
+        self.restore(MonitorState(TorqueDoubt.after_tare(self._joints)))
 
     def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""
@@ -330,9 +290,6 @@ class ConsistencyMonitor:
 
     def _report(self, velocity_fault: str) -> None:
         """Set the attributes that report the result of a check."""
-        course = self.state.course
-        self.is_measuring_jump = course is not None and course.is_settling
-        self.jumps = 0 if course is None else course.jumps
         self.velocity_fault = velocity_fault
         self.mismatch = math.sqrt(self.state.mismatch_squared)
         self.warnings = SensorWarning(self.state.warnings)
@@ -355,8 +312,8 @@ _REASONS = {
         "the joint torques change as no force at the tip changes them"
     ),
     SensorWarning.TORQUE_JUMP: (
-        "a torque has jumped, by its sensor or a steady push on the arm; which one is "
-        "not certain, axial_std holds the doubt: withdraw and tare again"
+        "a torque has jumped, by its sensor or a steady push on the arm; its new level "
+        "counts as the zero, axial_std holds the doubt: withdraw and tare again"
     ),
 }
 

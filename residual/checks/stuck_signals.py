@@ -22,11 +22,9 @@ ORDER = 3
 """Order of the differences that show noise: a smooth motion has almost none over three
 ticks."""
 
-MEDIAN_OF_NORMAL = 0.6745
-"""Median of the absolute value of a standard normal variable."""
-
-DIFFERENCE_VARIANCE = 20.0
-"""Variance of the third difference of white noise of variance 1: 1 + 9 + 9 + 1."""
+SCALE = 0.6745 * math.sqrt(20.0)
+"""Median of the absolute third difference of white noise of deviation 1: its variance
+is 1 + 9 + 9 + 1, and the median of a normal variable 0.6745 deviations."""
 
 MIN_REPEAT_S = 0.02
 """Shortest repeat that counts as a stuck source, whatever the signal."""
@@ -88,8 +86,7 @@ def white_noise(rows: Array) -> Array:
     if len(rows) <= ORDER:
         return np.zeros(rows.shape[1])
     differences = np.abs(np.diff(rows, n=ORDER, axis=0))
-    scale = MEDIAN_OF_NORMAL * math.sqrt(DIFFERENCE_VARIANCE)
-    return np.asarray(np.median(differences, axis=0) / scale)
+    return np.asarray(np.median(differences, axis=0) / SCALE)
 
 
 def is_noise_resolved(rows: Array) -> NDArray[np.bool_]:
@@ -101,11 +98,9 @@ def is_noise_resolved(rows: Array) -> NDArray[np.bool_]:
     gaps = np.diff(np.sort(np.diff(rows, axis=0), axis=0), axis=0)
     resolution = np.where(gaps > ROUNDING, gaps, np.inf).min(axis=0)
     second = np.median(np.abs(np.diff(rows, n=2, axis=0)), axis=0)
-    third = np.median(np.abs(np.diff(rows, n=ORDER, axis=0)), axis=0)
-    # As in `white_noise`. Resolution alone makes less than two thirds of a step of such
-    # noise.
-    noise = third / (MEDIAN_OF_NORMAL * np.sqrt(DIFFERENCE_VARIANCE))
-    return (third > MIN_WHITENESS * second) & (noise >= resolution)
+    # Resolution alone makes less than two thirds of a step of such noise.
+    noise = white_noise(rows)
+    return (noise > MIN_WHITENESS * second / SCALE) & (noise >= resolution)
 
 
 @dataclass(slots=True, eq=False)

@@ -410,7 +410,8 @@ def test_a_push_beginning_in_unused_ticks_rewinds_once():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "count", "late"),
-    [(-5_700, 200, 10), (-100, 300, 900), (-50, 1_500, 2_150), (-400, 1_200, 1_500)],
+    # The last two: while the hand still leans on the arm.
+    [(-5_700, 200, 10), (-100, 300, 900), (-50, 1_500, 1_400), (-400, 1_200, 750)],
 )
 def test_a_rupture_around_an_elbow_push_is_found(first, count, late):
     session, rows = resumed_after(INSIDE, 9_000)
@@ -418,10 +419,12 @@ def test_a_rupture_around_an_elbow_push_is_found(first, count, late):
     (layer,) = session.layers
     session, rows = resumed_after(INSIDE, 9_000)
     rows = pushed(rows, (0.0, 2.0, 0.0), undisturbed_alarm + first, count, joint=4)
-    (alarm,) = ruptures([session.update(*row) for row in rows])
+    estimates = [session.update(*row) for row in rows]
+    (alarm,) = ruptures(estimates)
 
     # Blocks of the identifier begin elsewhere after the pause.
-    assert max(first + count, -10) < alarm - undisturbed_alarm < late
+    assert -10 < alarm - undisturbed_alarm < late
+    assert all(e.identification.retracted is None for e in estimates)
     assert abs(session.layers[0].friction_N / layer.friction_N - 1.0) < 0.15
 
 
@@ -456,7 +459,7 @@ def test_a_session_restored_during_a_jump_knows_of_it():
     restored.restore(snapshot)
     (alarm,) = ruptures([restored.update(*row) for row in jumped[1_900:]])
 
-    assert snapshot.jump_std_N > 0.1
+    assert snapshot.jump_std_N > 0.05
     assert 3_000 < alarm < 5_000
 
     with pytest.raises(InsertionError, match="snapshot"):

@@ -144,6 +144,44 @@ def test_a_factor_near_one_is_measured_and_widens_the_force(lwr, factor):
     assert estimate.axial_std > 0.7 * abs(factor - 1.0) * abs(estimate.axial)
 
 
+@pytest.mark.slow
+def test_a_wrong_scale_of_one_joint_is_said_and_widens_the_force(lwr):
+    factors = np.ones(7)
+    factors[1] = 1.33
+    sensor = sensor_after(lwr, lambda tau, _: tau * factors)
+    tare = sensor.tare()
+
+    assert sensor.diagnosis.deviating_joints == [1]
+    assert sensor.diagnosis.describe_one_joint().startswith(
+        "tau of joint 2 is 1.33 +/-"
+    )
+    assert sensor.diagnosis.advice is None
+    assert tare.scale_std == pytest.approx(0.33, abs=0.05)
+
+
+@pytest.mark.slow
+def test_a_wrong_scale_of_a_joint_without_a_lever_does_not_widen_the_force(lwr):
+    factors = np.ones(7)
+    factors[5] = 1.33
+    sensor = sensor_after(lwr, lambda tau, _: tau * factors)
+    tare = sensor.tare()
+
+    assert sensor.diagnosis.deviating_joints == [5]
+    assert tare.scale_std < 0.05
+
+
+@pytest.mark.slow
+def test_a_wrong_scale_of_one_joint_that_looks_like_a_contact_is_refused(lwr):
+    factors = np.ones(7)
+    factors[3] = 1.33
+    sensor = sensor_after(lwr, lambda tau, _: tau * factors)
+    with pytest.raises(TareError, match=r"tau of joint 4 is 1.33 \+/-") as caught:
+        sensor.tare()
+
+    assert caught.value.diagnosis.advice is None
+    assert "multiply" not in str(caught.value)
+
+
 def test_a_right_torque_raises_no_doubt_and_its_scale_is_known(lwr):
     sensor = sensor_after(lwr, lambda tau, _: tau)
     sensor.tare()

@@ -48,15 +48,22 @@ def test_a_jump_is_reported_within_half_a_second_and_in_the_deviation(
     assert sensor.jumps == 1
 
 
-def test_a_jump_leaves_the_gain_as_it_is(lwr):
+@pytest.mark.parametrize(("joint", "step_Nm"), [(3, -3.0), (5, 1.0), (5, -3.0)])
+def test_the_new_level_of_a_torque_counts_as_the_zero(lwr, joint, step_Nm):
     steady, rows = tared(lwr, more=2.5)
     sensor, _ = tared(lwr, more=2.5)
     axial_N = np.array([e.axial for e in feed(steady, rows)])
-    changed_N = np.array([e.axial for e in feed(sensor, with_step(rows, 5, 0.3, 500))])
-    error_N = (changed_N - axial_N)[1_500:]
+    changed = feed(sensor, with_step(rows, joint, step_Nm, 500))
+    error_N = np.array([e.axial for e in changed]) - axial_N
+    std_N = np.array([e.axial_std for e in changed])
+    after = slice(1_700, None)
 
-    assert abs(error_N.mean()) > 0.2
-    assert error_N.std() < 0.05 * abs(error_N.mean())  # the arm moves on
+    assert np.abs(error_N[700:900]).mean() > 4.0  # before its level is known
+    assert np.abs(error_N[after]).max() < 0.1
+    assert (np.abs(error_N[after]) < 2.0 * std_N[after]).all()
+    assert error_N[after].std() < 0.02  # the gain stays, and the arm moves on
+    assert std_N[after].max() < 1.0
+    assert JUMP in changed[-1].warnings
 
 
 @pytest.mark.slow

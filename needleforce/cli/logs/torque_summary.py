@@ -56,14 +56,18 @@ def describe_doubt(
     diagnosis: TorqueDiagnosis | None, log: LogSession, replay: "SensorReplay"
 ) -> str:
     """Return what is doubtful about the torques of a tare; empty if nothing is."""
-    if diagnosis is None or not (diagnosis.advice or diagnosis.scale_deviates):
+    if diagnosis is None:
+        return ""
+    one_joint = diagnosis.describe_one_joint()
+    if not (diagnosis.advice or diagnosis.scale_deviates or one_joint):
         return ""
     if cure := _name_cure(diagnosis, log, replay):
         text = "" if diagnosis.advice is None else f"{diagnosis.advice.text}. "
         return f"{text}{cure}"
+    seen = one_joint or f"tau is {describe_scale(diagnosis)}"
     return (
-        f"tau is {describe_scale(diagnosis)}: the sensors' scale, or masses of the "
-        "model, are off; the force's deviation has that in it"
+        f"{seen}: the sensors' scale, or masses of the model, are off; the force's "
+        "deviation has that in it"
     )
 
 
