@@ -31,10 +31,10 @@ from identification.mixture.priors import (
     FRICTION_FRACTION_STD,
 )
 
-WINDOW_STEP_S = 0.05
+WINDOW_STEP_S = 0.1
 """The window holds means over so long."""
 
-WINDOW_MEANS = 256
+WINDOW_MEANS = 128
 """Means that it holds at most: 13 s."""
 
 MAX_BREATHING_HZ = 0.6
@@ -257,7 +257,6 @@ class Window:
             values[k] = value / std
         self._information = np.diag(stds**-2.0) + rows.T @ rows
         self._pull = rows.T @ values
-        self._expected = np.linalg.solve(self._information, self._pull)
 
     def _rows(self, places: Array, speeds: Array) -> Array:
         """Return the rows of the force for motions, shape (m, n, unknowns).
@@ -336,37 +335,42 @@ class Window:
         is_lower = self.error_at_rest > max(factor * fit.error, min_error_at_rest)
         return is_lower and fit.error < FAIR_ERROR * self.count
 
-    def first_fit(self, breath_hz: float | None, time_s: float) -> Fit:
-        """Return a motion that a needle in tissue as expected would have felt so.
+    def first_frequencies(self, breath_hz: Array, time_s: float) -> Fit:
+        """Return beats without a size yet: breaths, and the heartbeat beside them.
 
-        Args:
-            breath_hz: Frequency of its breath, if it has one. That of its heartbeat
-                is that of the largest waves which the breath leaves.
-            time_s: From which phases count.
+        The heartbeat is that of the largest waves which these breaths leave.
         """
-        rest = self.solve(Fit().beats, time_s)
-        expected = rest._replace(linear=self._expected)
-        breath = np.zeros((0 if breath_hz is None else 1, 5))
-        breath[:, 0] = breath_hz or 0.0
+        breath = np.zeros((len(breath_hz), 5))
+        breath[:, 0] = breath_hz
+        columns, change = self._small_motion(breath, time_s)
+        errors = self.solve(breath, time_s).errors - columns @ change
         heartbeat = np.zeros((1, 5))
-        heartbeat[0, 0] = self._heartbeat_hz(self._left_by(breath, expected, time_s))
-        beats = np.vstack((breath, heartbeat))
-        target = beats
-        fit = Fit(beats, time_s)
-        change = self._gauss_newton_step(fit, expected, target, _stds(beats))[:, 1:]
+        heartbeat[0, 0] = self._heartbeat_hz(errors)
+        return Fit(np.vstack((breath, heartbeat)), time_s)
+
+    def first_sizes(self, fit: Fit) -> Fit:
+        """Return beats with the sizes that tissue as expected would show so."""
+        beats = fit.beats
+        _, change = self._small_motion(beats, fit.at_s)
+        sizes = change[len(self._pull) :].reshape(beats.shape)[:, 1:]
         limits = _stds(beats)[:, 1:2]
         fits = []
         for scale in (0.5, 1.0, 2.0):  # the law is known roughly
             tried = beats.copy()
-            tried[:, 1:] = np.clip(scale * change, -limits, limits)
-            fits.append(Fit(tried, time_s, self.solve(tried, time_s).error))
+            tried[:, 1:] = np.clip(scale * sizes, -limits, limits)
+            fits.append(Fit(tried, fit.at_s, self.solve(tried, fit.at_s).error))
         return min(fits, key=lambda fit: fit.error)
 
-    def _left_by(self, beats: Array, expected: Solution, time_s: float) -> Array:
-        """Return the errors that small beats of these frequencies leave."""
-        slopes = self._slopes(Fit(beats, time_s), expected.linear)
-        columns = np.hstack((expected.rows, slopes))
-        return expected.errors - columns @ np.linalg.lstsq(columns, expected.errors, rcond=1e-9)[0]
+    def _small_motion(self, beats: Array, time_s: float) -> tuple[Array, Array]:
+        """Return the step from rest in tissue as expected, as `_gauss_newton_step`."""
+        solution = self.solve(beats, time_s)
+        expected = np.linalg.solve(self._information, self._pull)
+        return self._gauss_newton_step(
+            Fit(beats, time_s),
+            solution._replace(linear=expected),
+            beats,
+            _stds(beats),
+        )
 
     def _heartbeat_hz(self, errors: Array) -> float:
         """Return the frequency of the heartbeat whose waves are largest."""
@@ -411,7 +415,8 @@ class Window:
         else:
             target[:, 1:] = 0.0
         cost = solution.error + _prior_cost(beats, target, stds)
-        change = self._gauss_newton_step(fit, solution, target, stds)
+        _, change = self._gauss_newton_step(fit, solution, target, stds)
+        change = change[len(self._pull) :].reshape(beats.shape)
         for _ in range(3):
             tried = beats + change
             error = self.solve(tried, fit.at_s).error
@@ -427,8 +432,8 @@ class Window:
 
     def _gauss_newton_step(
         self, fit: Fit, solution: Solution, target: Array, stds: Array
-    ) -> Array:
-        """Return the change of the beats by a step, shape (m, 5)."""
+    ) -> tuple[Array, Array]:
+        """Return columns of all unknowns, the beats' last, and their change by a step."""
         slopes = self._slopes(fit, solution.linear)
         known = len(solution.linear)
         columns = np.hstack((solution.rows, slopes))
@@ -441,22 +446,22 @@ class Window:
         diagonal = np.arange(known, len(square))
         square[diagonal, diagonal] += information
         square[diagonal, diagonal] *= 1.0 + fit.damping
-        return np.linalg.solve(square, right_side)[known:].reshape(fit.beats.shape)
+        return columns, np.linalg.solve(square, right_side)
 
     def _rms_N(self, error: float) -> float:
         """Return the force that a fit leaves, by its sum of squares."""
         middle = len(self._weight) // 2
         median_weight = max(float(np.partition(self._weight, middle)[middle]), 1.0)
         # Of a short window a motion goes on for less long as it was.
-        length = max(self.count, 50)
+        length = max(self.count, 25)
         return math.sqrt(error / self.count) / median_weight * WINDOW_MEANS / length
 
 
 def _growth(force_N: Array) -> float:
     """Return how far the force in a layer has grown, turns of friction left out."""
-    oldest = np.sort(force_N[:25])
-    newest = np.sort(force_N[-25:])
-    rank = -min(5, len(oldest))  # above most turns
+    oldest = np.sort(force_N[:12])
+    newest = np.sort(force_N[-12:])
+    rank = -min(3, len(oldest))  # above most turns
     return float(newest[rank] - oldest[rank])
 
 

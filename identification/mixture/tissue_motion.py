@@ -23,16 +23,16 @@ from identification.mixture.motion_fit import (
     turned,
 )
 
-NEWEST_LEFT_OUT = 7
+NEWEST_LEFT_OUT = 4
 """Newest means that are left out: a release may have begun there."""
 
-MIN_WINDOW_MEANS = NEWEST_LEFT_OUT + 50
+MIN_WINDOW_MEANS = NEWEST_LEFT_OUT + 25
 """Least number of means of a window that is fitted: of 2.5 s."""
 
-BREATH_SIZES_MM = (0.7, 1.4)
+BREATH_SIZES_MM = (1.0,)
 """Sizes of a breath that a search begins with."""
 
-FIT_UNITS = 8
+FIT_UNITS = 7
 """Units of a fit: its begin, and Gauss-Newton steps."""
 
 SEARCH_UNITS = (len(BREATHS_HZ) + 3) * FIT_UNITS + 1
@@ -254,17 +254,20 @@ class TissueMotion(NamedTuple):
     def _fit(self, window: Window, part: int, step: int, time_s: float) -> Fit:
         """Return the fit after a step of a part of the search."""
         breaths = len(BREATHS_HZ)
-        if step >= 3 or (step > 0 and not 0 < part <= breaths):
-            return window.stepped(self.tried)
-        if part == 0:
-            return window.first_fit(None, time_s)
-        if part == breaths + 1:
-            return turned(self.best_start, time_s)
-        if part == breaths + 2:
+        if part > breaths:
+            if step > 0:
+                return window.stepped(self.tried)
+            if part == breaths + 1:
+                return turned(self.best_start, time_s)
             return self.tried._replace(beats=self.tried.beats[:1], error=1e30)
+        hz = BREATHS_HZ[part - 1 : part] if part else BREATHS_HZ[:0]
         if step == 0:
-            return window.first_fit(float(BREATHS_HZ[part - 1]), time_s)
-        return window.turned_fit(self.tried, BREATH_SIZES_MM[step - 1])
+            return window.first_frequencies(hz, time_s)
+        if step == 1:
+            return window.first_sizes(self.tried)
+        if part and step - 2 < len(BREATH_SIZES_MM):
+            return window.turned_fit(self.tried, BREATH_SIZES_MM[step - 2])
+        return window.stepped(self.tried)
 
     def _choose(self, window: Window, time_s: float) -> "TissueMotion":
         """Return the motion after a search: its best fit in use, if it found one."""
