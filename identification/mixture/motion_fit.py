@@ -56,6 +56,12 @@ LAYER_UNKNOWNS = 7
 """Linear unknowns that a layer has of its own: c, b, T, K, H, E, F."""
 
 
+CLEARLY_LOWER = 5.0
+"""By which a motion lowers the sum of squares of the errors at least."""
+
+GOOD_ERROR = 0.05
+"""Mean square of a good fit's errors."""
+
 FAIR_ERROR = 0.5
 """Mean square of a fair fit's errors."""
 
@@ -313,27 +319,37 @@ class Window:
         """Sum of squares of the errors if the tissue does not move."""
         return self.solve(Fit().beats, 0.0).error
 
-    def is_clear(self, fit: Fit) -> bool:
-        """Return whether a fit is good, and shows that the tissue moves."""
+    def is_clear(self, fit: Fit, *, is_proven: bool = False) -> bool:
+        """Return whether a fit is good, and shows that the tissue moves.
+
+        Args:
+            fit: Of a motion.
+            is_proven: Whether it has explained what came later: then less than two
+                breaths do.
+        """
         length_s = self.count * WINDOW_STEP_S
         factor = 4.0
-        min_error_at_rest = fit.error + 10.0
+        max_error = FAIR_ERROR
+        min_error_at_rest = fit.error + CLEARLY_LOWER
         for hz in fit.beats[:, 0].tolist():
             is_breath = hz < MAX_BREATHING_HZ
             known_hz = BREATHS_HZ if is_breath else HEARTBEATS_HZ
             margin_hz = 0.03
             if not known_hz[0] - margin_hz < hz < known_hz[-1] + margin_hz:
                 return False
-            # Less than two breaths may be a course of the needle or a layer that bends.
-            if length_s < (max(10.0, 2.0 / hz) if is_breath else 4.0 / hz):
+            # A shorter window takes part of a breath for a quick one.
+            if length_s < (max(6.0, 1.0 / hz) if is_breath else 4.0 / hz):
                 return False
             if is_breath:
-                factor = 20.0
+                is_long = is_proven or length_s > max(10.0, 2.0 / hz)
+                # A layer that bends looks like less than two breaths.
+                factor = 20.0 if is_long else 100.0
+                max_error = FAIR_ERROR if is_long else GOOD_ERROR
                 # A membrane, or a layer of another law, bends the force as a slow
                 # breath would, within what the law admits: a mean square of 1.
                 min_error_at_rest = max(min_error_at_rest, 1.5 * self.count)
         is_lower = self.error_at_rest > max(factor * fit.error, min_error_at_rest)
-        return is_lower and fit.error < FAIR_ERROR * self.count
+        return is_lower and fit.error < max_error * self.count
 
     def first_frequencies(self, breath_hz: Array, time_s: float) -> Fit:
         """Return beats without a size yet: breaths, and the heartbeat beside them.
