@@ -243,17 +243,23 @@ class Window:
         stds = np.array((offset_std_N, force_N, force_N / 3, *of_layer * layers))
         # Known beforehand: Coulomb friction + speed * viscous friction = value ± std.
         known = []
-        sizes = (first_N, *(slope,) * layers)
-        coulombs = (1, *range(SHARED_UNKNOWNS, len(stds), LAYER_UNKNOWNS))
-        for coulomb, size in zip(coulombs, sizes, strict=True):
-            known += [
+        frictions = (
+            # The force at the begin of the window may be any part of it friction.
+            (1, FRICTION_FRACTION * first_N, 0.5 * first_N, split_std * force_N),
+            *(
                 (
-                    coulomb,
-                    mean_speed,
-                    FRICTION_FRACTION * size,
-                    FRICTION_FRACTION_STD * size,
-                ),
-                (coulomb, -COULOMB_SPEED_MM_S, 0.0, split_std * size),
+                    first,
+                    FRICTION_FRACTION * slope,
+                    FRICTION_FRACTION_STD * slope,
+                    split_std * slope,
+                )
+                for first in range(SHARED_UNKNOWNS, len(stds), LAYER_UNKNOWNS)
+            ),
+        )
+        for coulomb, friction, std, split in frictions:
+            known += [
+                (coulomb, mean_speed, friction, std),
+                (coulomb, -COULOMB_SPEED_MM_S, 0.0, split),
             ]
         rows = np.zeros((len(known), len(stds)))
         values = np.zeros(len(known))
