@@ -31,10 +31,10 @@ from identification.mixture.priors import (
     FRICTION_FRACTION_STD,
 )
 
-WINDOW_STEP_S = 0.1
+WINDOW_STEP_S = 0.05
 """The window holds means over so long."""
 
-WINDOW_MEANS = 128
+WINDOW_MEANS = 256
 """Means that it holds at most: 13 s."""
 
 MAX_BREATHING_HZ = 0.6
@@ -56,7 +56,7 @@ LAYER_UNKNOWNS = 7
 """Linear unknowns that a layer has of its own: c, b, T, K, H, E, F."""
 
 
-CLEARLY_LOWER = 5.0
+CLEARLY_LOWER = 10.0
 """By which a motion lowers the sum of squares of the errors at least."""
 
 GOOD_ERROR = 0.05
@@ -475,15 +475,15 @@ class Window:
         middle = len(self._weight) // 2
         median_weight = max(float(np.partition(self._weight, middle)[middle]), 1.0)
         # Of a short window a motion goes on for less long as it was.
-        length = max(self.count, 25)
+        length = max(self.count, 50)
         return math.sqrt(error / self.count) / median_weight * WINDOW_MEANS / length
 
 
 def _growth(force_N: Array) -> float:
     """Return how far the force in a layer has grown, turns of friction left out."""
-    oldest = np.sort(force_N[:12])
-    newest = np.sort(force_N[-12:])
-    rank = -min(3, len(oldest))  # above most turns
+    oldest = np.sort(force_N[:25])
+    newest = np.sort(force_N[-25:])
+    rank = -min(5, len(oldest))  # above most turns
     return float(newest[rank] - oldest[rank])
 
 

@@ -26,10 +26,10 @@ from identification.mixture.motion_fit import (
     turned,
 )
 
-NEWEST_LEFT_OUT = 4
+NEWEST_LEFT_OUT = 7
 """Newest means that are left out: a release may have begun there."""
 
-MIN_WINDOW_MEANS = NEWEST_LEFT_OUT + 25
+MIN_WINDOW_MEANS = NEWEST_LEFT_OUT + 50
 """Least number of means of a window that is fitted: of 2.5 s."""
 
 BREATH_SIZES_MM = (1.0,)
