@@ -867,12 +867,14 @@ class MixtureMethod:
             + block.motion_variance_N2
         )
         doubt_N = self._state.tissue_pull.doubt_N
+        levels = self._state.levels.beside(self._state.tissue, block.time_s)
         self._state.tissue_pull = self._state.tissue_pull.with_zero(
             zero_N, zero_variance_N2, is_met=is_met
         ).with_force(
             block,
             variance_N2,
             self._state.tissue.amplitude_mm,
+            levels.variances.breathing,
             is_sliding=is_even
             and block.deflection > MIN_SLIDING_DEFLECTION
             and not self._state.pull.is_foreign,

@@ -295,7 +295,7 @@ class Window:
         place, speed = displacement(beats, self._time_s - at_s)
         rows = self._rows(place[None], speed[None])[0]
         square = rows.T @ rows + self._information
-        linear = np.linalg.solve(square, rows.T @ self._force + self._pull)
+        linear = _solve(square, rows.T @ self._force + self._pull)
         errors = self._force - rows @ linear
         return Solution(rows, linear, errors, float(errors @ errors))
 
@@ -455,7 +455,7 @@ class Window:
     def _gauss_newton_step(
         self, fit: Fit, solution: Solution, target: Array, stds: Array
     ) -> tuple[Array, Array]:
-        """Return columns of all unknowns, the beats' last, and their change by a step."""
+        """Return columns of all unknowns, the beats' last, and what a step changes."""
         slopes = self._slopes(fit, solution.linear)
         known = len(solution.linear)
         columns = np.hstack((solution.rows, slopes))
@@ -468,7 +468,7 @@ class Window:
         diagonal = np.arange(known, len(square))
         square[diagonal, diagonal] += information
         square[diagonal, diagonal] *= 1.0 + fit.damping
-        return columns, np.linalg.solve(square, right_side)
+        return columns, _solve(square, right_side)
 
     def _rms_N(self, error: float) -> float:
         """Return the force that a fit leaves, by its sum of squares."""
@@ -485,6 +485,12 @@ def _growth(force_N: Array) -> float:
     newest = np.sort(force_N[-25:])
     rank = -min(5, len(oldest))  # above most turns
     return float(newest[rank] - oldest[rank])
+
+
+def _solve(square: Array, right_side: Array) -> Array:
+    """Solve normal equations, also where nothing separates some unknowns."""
+    square.ravel()[:: len(square) + 1] *= 1.0 + 1e-9
+    return np.linalg.solve(square, right_side)
 
 
 def _stds(beats: Array) -> Array:

@@ -4,7 +4,8 @@ Tissue at rest resists a needle that advances, at its tip and along its shaft. W
 tissue moves with the breath, by 5 to 20 mm and faster than the needle, its friction
 turns and pulls the needle inwards once a breath. Neither friction nor stiffness is then
 known any better than by half of the swing of the force: over a breath friction acts
-both ways.
+both ways. A pull shows that, and so does breathing that was learnt as noise of the
+force and is too large a part of it.
 """
 
 import math
@@ -21,6 +22,15 @@ MIN_PULL_N = 0.1
 
 MIN_PULL_S = 0.2
 """The force pulls for so long at least: friction that turns does for half a breath."""
+
+SWING_FRACTION = 0.2
+"""Part of the highest force of late that the deviation of what breathing adds exceeds
+where friction turns with it. Tissue at rest showed 0.08 at most, with texture and the
+noise of an arm; breaths of 5 and 10 mm from end to end 0.35 to 0.6."""
+
+SWING_SIGMAS = 2.0
+"""It exceeds the deviation of the force so many times as well: noise of an arm passes
+for breathing in part."""
 
 MAX_FOLLOWED_MM = 2.0
 """Amplitude of a motion found in the force up to which ruptures are found beside it."""
@@ -72,6 +82,7 @@ class TissuePull(NamedTuple):
         block: Block,
         variance_N2: float,
         amplitude_mm: float,
+        breathing_N2: float,
         *,
         is_sliding: bool,
     ) -> "TissuePull":
@@ -81,6 +92,7 @@ class TissuePull(NamedTuple):
             block: The block.
             variance_N2: Variance of its force, without what moving tissue adds.
             amplitude_mm: Of the tissue's motion, if it is known, else 0.
+            breathing_N2: Variance of the force that was learnt to be breathing.
             is_sliding: Whether the needle has advanced for long enough that friction
                 along all of the shaft opposes it.
         """
@@ -93,7 +105,11 @@ class TissuePull(NamedTuple):
         is_pulled = is_sliding and net_N < -max(PULL_SIGMAS * std_N, MIN_PULL_N)
         pulled_s = self.pulled_s + block.duration_s if is_pulled else 0.0
         moves_until_s = self.moves_until_s
-        if pulled_s >= MIN_PULL_S or amplitude_mm > MAX_FOLLOWED_MM:
+        noise_N = SWING_SIGMAS * std_N
+        swing_N = max(SWING_FRACTION * highest_N, noise_N, MIN_PULL_N)
+        is_swinging = self.is_met and math.sqrt(breathing_N2) > swing_N
+        is_far = amplitude_mm > MAX_FOLLOWED_MM
+        if pulled_s >= MIN_PULL_S or is_swinging or is_far:
             moves_until_s = block.time_s + REMEMBERED_S
         elif amplitude_mm > 0.0:
             moves_until_s = min(moves_until_s, block.time_s)
