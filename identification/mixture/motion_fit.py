@@ -242,24 +242,16 @@ class Window:
         of_layer = (slope, slope / 3, force_N, slope, slope / 10, slope, slope / 10)
         stds = np.array((offset_std_N, force_N, force_N / 3, *of_layer * layers))
         # Known beforehand: Coulomb friction + speed * viscous friction = value ± std.
-        known = []
-        frictions = (
-            # The force at the begin of the window may be any part of it friction.
-            (1, FRICTION_FRACTION * first_N, 0.5 * first_N, split_std * force_N),
-            *(
-                (
-                    first,
-                    FRICTION_FRACTION * slope,
-                    FRICTION_FRACTION_STD * slope,
-                    split_std * slope,
-                )
-                for first in range(SHARED_UNKNOWNS, len(stds), LAYER_UNKNOWNS)
-            ),
-        )
-        for coulomb, friction, std, split in frictions:
+        # The force at the begin of the window may be any part of it friction.
+        known = [
+            (1, mean_speed, FRICTION_FRACTION * first_N, 0.5 * first_N),
+            (1, -COULOMB_SPEED_MM_S, 0.0, split_std * force_N),
+        ]
+        growth = FRICTION_FRACTION * slope
+        for coulomb in range(SHARED_UNKNOWNS, len(stds), LAYER_UNKNOWNS):
             known += [
-                (coulomb, mean_speed, friction, std),
-                (coulomb, -COULOMB_SPEED_MM_S, 0.0, split),
+                (coulomb, mean_speed, growth, FRICTION_FRACTION_STD * slope),
+                (coulomb, -COULOMB_SPEED_MM_S, 0.0, split_std * slope),
             ]
         rows = np.zeros((len(known), len(stds)))
         values = np.zeros(len(known))
@@ -489,8 +481,8 @@ def _growth(force_N: Array) -> float:
 
 def _solve(square: Array, right_side: Array) -> Array:
     """Solve normal equations, also where nothing separates some unknowns."""
-    square.ravel()[:: len(square) + 1] *= 1.0 + 1e-9
-    return np.linalg.solve(square, right_side)
+    regular = square + np.diag(1e-9 * np.diag(square))
+    return np.asarray(np.linalg.solve(regular, right_side), dtype=np.float64)
 
 
 def _stds(beats: Array) -> Array:

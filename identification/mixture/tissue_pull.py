@@ -32,6 +32,10 @@ SWING_SIGMAS = 2.0
 """It exceeds the deviation of the force so many times as well: noise of an arm passes
 for breathing in part."""
 
+MIN_SWING_S = 4.0
+"""And for so long at least, a breath at 15 a minute: where a layer begins, the force
+bends for less."""
+
 MAX_FOLLOWED_MM = 2.0
 """Amplitude of a motion found in the force up to which ruptures are found beside it."""
 
@@ -47,6 +51,7 @@ class TissuePull(NamedTuple):
         zero_variance_N2: Variance of that.
         is_met: Whether tissue has been met.
         pulled_s: Time for which it has pulled in one go.
+        swinging_s: Time for which breathing has been a large part of the force.
         moves_until_s: Tissue counts as moving until then, since the reset.
         highest_N: Highest force of late, without its zero.
         lowest_N: Lowest force of late.
@@ -57,6 +62,7 @@ class TissuePull(NamedTuple):
     zero_variance_N2: float = 0.0
     is_met: bool = False
     pulled_s: float = 0.0
+    swinging_s: float = 0.0
     moves_until_s: float = -REMEMBERED_S
     highest_N: float = 0.0
     lowest_N: float = 0.0
@@ -108,8 +114,9 @@ class TissuePull(NamedTuple):
         noise_N = SWING_SIGMAS * std_N
         swing_N = max(SWING_FRACTION * highest_N, noise_N, MIN_PULL_N)
         is_swinging = self.is_met and math.sqrt(breathing_N2) > swing_N
-        is_far = amplitude_mm > MAX_FOLLOWED_MM
-        if pulled_s >= MIN_PULL_S or is_swinging or is_far:
+        swinging_s = self.swinging_s + block.duration_s if is_swinging else 0.0
+        is_shown = pulled_s >= MIN_PULL_S or swinging_s >= MIN_SWING_S
+        if is_shown or amplitude_mm > MAX_FOLLOWED_MM:
             moves_until_s = block.time_s + REMEMBERED_S
         elif amplitude_mm > 0.0:
             moves_until_s = min(moves_until_s, block.time_s)
@@ -118,6 +125,7 @@ class TissuePull(NamedTuple):
             doubt_N = max(doubt_N, 0.5 * (highest_N - lowest_N))
         return self._replace(
             pulled_s=pulled_s,
+            swinging_s=swinging_s,
             moves_until_s=moves_until_s,
             highest_N=highest_N,
             lowest_N=lowest_N,

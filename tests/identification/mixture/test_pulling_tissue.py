@@ -55,17 +55,18 @@ def test_tissue_moves_where_its_motion_is_too_large_to_be_followed(
 
 
 @pytest.mark.parametrize(
-    ("force_N", "breathing_N", "is_moving"),
+    ("force_N", "breathing_N", "seconds", "is_moving"),
     [
-        (1.0, 0.35, True),
-        (1.0, 0.1, False),  # texture, and the noise of an arm
-        (0.2, 0.08, False),  # little force: noise is a large part of it
+        (1.0, 0.35, 5.0, True),
+        (1.0, 0.35, 3.0, False),  # the force bends where a layer begins
+        (1.0, 0.1, 5.0, False),  # texture, and the noise of an arm
+        (0.2, 0.08, 5.0, False),  # little force: noise is a large part of it
     ],
 )
 def test_tissue_moves_where_breathing_is_a_large_part_of_the_force(
-    force_N, breathing_N, is_moving
+    force_N, breathing_N, seconds, is_moving
 ):
-    pull, time_s = course((force_N, 1.0), breathing_N=breathing_N)
+    pull, time_s = course((force_N, seconds), breathing_N=breathing_N)
 
     assert pull.is_moving(time_s) == is_moving
 
