@@ -341,7 +341,7 @@ class Window:
             if is_breath:
                 is_long = is_proven or length_s > max(10.0, 2.0 / hz)
                 # A layer that bends looks like less than two breaths.
-                factor = 20.0 if is_long else 100.0
+                factor = 40.0 if is_long else 100.0
                 max_error = FAIR_ERROR if is_long else GOOD_ERROR
                 # A membrane, or a layer of another law, bends the force as a slow
                 # breath would, within what the law admits: a mean square of 1.

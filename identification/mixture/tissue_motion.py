@@ -32,9 +32,6 @@ NEWEST_LEFT_OUT = 7
 MIN_WINDOW_MEANS = NEWEST_LEFT_OUT + 50
 """Least number of means of a window that is fitted: of 2.5 s."""
 
-BREATH_SIZES_MM = (1.0,)
-"""Sizes of a breath that a search begins with."""
-
 FIT_UNITS = 7
 """Units of a fit: its begin, and Gauss-Newton steps."""
 
@@ -310,8 +307,8 @@ class TissueMotion(NamedTuple):
             return window.first_frequencies(hz, time_s)
         if step == 1:
             return window.first_sizes(self.tried)
-        if part and step - 2 < len(BREATH_SIZES_MM):
-            return window.turned_fit(self.tried, BREATH_SIZES_MM[step - 2])
+        if step == 2 and part > 0:
+            return window.turned_fit(self.tried, 1.0)
         return window.stepped(self.tried)
 
     def _choose(self, window: Window, time_s: float) -> "TissueMotion":

@@ -25,8 +25,8 @@ MIN_PULL_S = 0.2
 
 SWING_FRACTION = 0.2
 """Part of the highest force of late that the deviation of what breathing adds exceeds
-where friction turns with it. Tissue at rest showed 0.08 at most, with texture and the
-noise of an arm; breaths of 5 and 10 mm from end to end 0.35 to 0.6."""
+where friction turns with it. Breaths of 5 and 10 mm from end to end showed 0.35 to 0.6,
+layers at rest less, but for noise and where they begin."""
 
 SWING_SIGMAS = 2.0
 """It exceeds the deviation of the force so many times as well: noise of an arm passes
