@@ -139,7 +139,7 @@ def copy_with(state, name, value):
         (MIXTURE, "levels.differences.squares_N2", lambda squares: squares + np.inf),
         (MIXTURE, "contact.deepest_m", lambda _: np.nan),
         (MIXTURE, "posterior.offset", lambda _: np.inf),
-        (MIXTURE, "tissue.search.unit", lambda _: 10**6),
+        (MIXTURE, "tissue.unit", lambda _: 10**6),
         (MIXTURE, "stage", lambda _: 10**9),
         (PUBLISHED, "rls.friction_variance", lambda variance: -variance),
         (PUBLISHED, "tracker.machine", lambda _: 5),
