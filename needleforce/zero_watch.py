@@ -121,9 +121,7 @@ class ZeroWatch:
             doubted_N = max(old_std_N, self.jump_std_N)
             # The identifier's clock has stood still since samples are not used.
             since_s = max(self._sensor.jump_since_s - self._identifier.unused_s, 0.0)
-            self._identifier.identifier.doubt_zero(
-                doubted_N, min(since_s, jump_seen_s)
-            )
+            self._identifier.identifier.doubt_zero(doubted_N, min(since_s, jump_seen_s))
         if not is_outside:
             if self.air.odd_s + self.air.quiet_s > 0.0:
                 self.air = self.air.in_tissue()

@@ -11,7 +11,7 @@ a contact or a rupture does to them), `mixture` (predict, correct, branch, prune
 `needle_contact` (the block being filled), `shaft_posterior`, `force_split` (tip force
 of every sample); `method` (what happens when). Beside them: `block`, `kalman`,
 `disturbances`, `noise_levels`, `speed_filter`, `needle_stop`, `needle_swing` (tremor);
-tissue that moves by itself: `tissue_motion`, `motion_search`, `motion_fit`; forces that
+tissue that moves by itself: `tissue_motion`, `motion_fit`; forces that
 are no such tissue's, `force_watch`: `needle_pull`, `rest_force`, `tissue_pull`,
 `hard_contact`, `innovation_watch`.
 """

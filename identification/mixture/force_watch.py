@@ -288,6 +288,7 @@ class ForceWatch:
             + sample.force_std_N**2
             + block.motion_variance_N2
         )
+        levels = learner.state.levels.beside(learner.state.tissue, block.time_s)
         old = self.state.tissue_pull
         new = old.with_zero(
             learner.zero_N, learner.zero_variance_N2, is_met=is_met
@@ -295,6 +296,7 @@ class ForceWatch:
             block,
             variance_N2,
             learner.state.tissue.amplitude_mm,
+            levels.variances.breathing,
             is_sliding=is_even
             and block.deflection > min_sliding_deflection
             and not self.state.pull.is_foreign,

@@ -150,7 +150,7 @@ def copy_with(state, name, value):
         ),
         (MIXTURE, "contact.deepest_m", lambda _: np.nan),
         (MIXTURE, "posterior.offset", lambda _: np.inf),
-        (MIXTURE, "learner.tissue.search.unit", lambda _: 10**6),
+        (MIXTURE, "learner.tissue.unit", lambda _: 10**6),
         (MIXTURE, "stage", lambda _: 10**9),
         (PUBLISHED, "rls.friction_variance", lambda variance: -variance),
         (PUBLISHED, "tracker.machine", lambda _: 5),

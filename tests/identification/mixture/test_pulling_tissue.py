@@ -8,7 +8,7 @@ from identification.mixture.tissue_pull import TissuePull
 DT_S = 0.05
 
 
-def course(*stretches, amplitude_mm=0.0, is_sliding=True):
+def course(*stretches, amplitude_mm=0.0, breathing_N=0.0, is_sliding=True):
     """Tissue after stretches of a force [N] and its seconds; the needle advances."""
     pull = TissuePull(is_met=True)
     time_s = 0.0
@@ -16,7 +16,9 @@ def course(*stretches, amplitude_mm=0.0, is_sliding=True):
         for _ in range(round(seconds / DT_S)):
             time_s += DT_S
             block = Block(time_s=time_s, duration_s=DT_S, force_N=force_N)
-            pull = pull.with_force(block, 1e-4, amplitude_mm, is_sliding=is_sliding)
+            pull = pull.with_force(
+                block, 1e-4, amplitude_mm, breathing_N**2, is_sliding=is_sliding
+            )
     return pull, time_s
 
 
@@ -48,6 +50,23 @@ def test_tissue_moves_where_its_motion_is_too_large_to_be_followed(
     amplitude_mm, is_moving
 ):
     pull, time_s = course((0.5, 1.0), amplitude_mm=amplitude_mm)
+
+    assert pull.is_moving(time_s) == is_moving
+
+
+@pytest.mark.parametrize(
+    ("force_N", "breathing_N", "seconds", "is_moving"),
+    [
+        (1.0, 0.35, 5.0, True),
+        (1.0, 0.35, 3.0, False),  # the force bends where a layer begins
+        (1.0, 0.1, 5.0, False),  # texture, and the noise of an arm
+        (0.2, 0.08, 5.0, False),  # little force: noise is a large part of it
+    ],
+)
+def test_tissue_moves_where_breathing_is_a_large_part_of_the_force(
+    force_N, breathing_N, seconds, is_moving
+):
+    pull, time_s = course((force_N, seconds), breathing_N=breathing_N)
 
     assert pull.is_moving(time_s) == is_moving
 

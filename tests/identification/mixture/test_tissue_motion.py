@@ -12,7 +12,6 @@ from groundtruth.scenarios import Wave
 from identification import Identifier, SampleStatus, replay
 from identification.mixture.block import Block
 from identification.mixture.motion_fit import Fit, displacement, turned
-from identification.mixture.motion_search import MotionSearch
 from identification.mixture.needle_contact import contact_along
 from identification.mixture.tissue_motion import TissueMotion
 
@@ -169,7 +168,7 @@ def test_a_bad_fit_is_noise_only_once_it_stays():
 @pytest.mark.parametrize("force_N", [0.0, 1e3, -1e3])
 @pytest.mark.parametrize("speed_mm_s", [0.0, 1.0, 1e6])
 def test_work_never_fails(force_N, speed_mm_s):
-    motion = TissueMotion(search=MotionSearch(unit=0))
+    motion = TissueMotion(unit=0)
     for k in range(400):
         time_s = 0.05 * k
         block = Block(
