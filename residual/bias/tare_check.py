@@ -370,12 +370,15 @@ def explain_external_residual(basis: BiasModel, blocks: TareBlocks) -> Suspicion
     is_gravity = _rms(residual - factor * gravity) < 0.2 * size
     if not is_gravity or abs(abs(factor) - 1.0) >= 0.15:
         return None
-    is_negated = factor < 0.0
+    source = "measured torque"
+    advice = "Call `update` instead of `update_external_torque`."
+    if factor < 0.0:
+        source = "negated measured torque"
+        advice = "Negate them and call `update` instead of `update_external_torque`."
     return Suspicion(
         f"the residual is {factor:.2f} times gravity's torque g(q): it seems to be the "
-        f"{'negated ' if is_negated else ''}measured torque",
-        f"{'Negate them and call' if is_negated else 'Call'} `update` instead of "
-        "`update_external_torque`.",
+        f"{source}",
+        advice,
     )
 
 

@@ -36,7 +36,7 @@ LANDMARKS_m = MESH.vertices[[int((MESH.vertices @ way).argmax()) for way in WAYS
 FRONT_m = MESH.vertices[(MESH.vertices @ [0.0, -1.0, 0.0]).argmax()]
 
 
-def touch(rng, indentation_m=0.0, radius_m=0.11, move=None, first=0, slips_m=0.0):
+def touch(rng, indentation_m=0.0, radius_m=0.11, move=None, first=0, slips_m=None):
     """Landmarks and touches in the base, and where the target lies at the end."""
     rotation = Rotation.random(random_state=int(rng.integers(1 << 30))).as_matrix()
     shift_m = 0.5 * rng.normal(size=3)
@@ -47,7 +47,9 @@ def touch(rng, indentation_m=0.0, radius_m=0.11, move=None, first=0, slips_m=0.0
         "nk,nkj->nj", rng.dirichlet([1, 1, 1], 40), MESH.triangles[chosen]
     )
     pressed_m = indentation_m * (1.0 + 0.4 * rng.uniform(-1.0, 1.0, (40, 1)))
-    points_m = points_m + (slips_m - pressed_m) * MESH.face_normals[chosen]
+    if slips_m is not None:
+        pressed_m = pressed_m - slips_m
+    points_m = points_m - pressed_m * MESH.face_normals[chosen]
     target_m = TARGET_m
     if move is not None:
         points_m[first:] += move
