@@ -107,7 +107,7 @@ def test_the_readmes_example_finds_the_layers(monkeypatch):
 
     shown = re.search(r"prints one line per layer: `(.*?)` and two more", README)
 
-    assert said.splitlines()[0] == shown[1] == "28 mm, 0.26 N of friction"
+    assert said.splitlines()[0] == shown[1] == "28 mm, 0.57 N of friction"
     assert len(said.splitlines()) == 3
 
 

@@ -86,6 +86,7 @@ def test_many_samples_are_estimated_as_one_by_one(
     sensor, twin = twins(lwr, config, with_velocity, is_external)
     q, dq, tau, dt_s = faulty_signals(lwr, config, with_velocity)
     update = twin.update_external_torque if is_external else twin.update
+    singles = []
     start = 0
     while start < ROWS:
         block = slice(start, start + 700)
