@@ -393,6 +393,10 @@ class Window:
         power = np.abs(np.fft.rfft(errors, size)) ** 2
         hz = np.fft.rfftfreq(size, step_s)
         first, last = np.searchsorted(hz, (HEARTBEATS_HZ[0], HEARTBEATS_HZ[-1]))
+        # Means that are far apart, as of a slow log or with gaps, show no fast waves.
+        last = min(last, len(power) // 2)
+        if last <= first:
+            return float(HEARTBEATS_HZ.mean())
         with_double = power[first:last] + power[2 * first : 2 * last : 2]
         return float(hz[first + np.argmax(with_double)])
 

@@ -374,7 +374,8 @@ class Texture(NamedTuple):
         # Friction lies between none and all of the force, so no deviation exceeds half
         # of that.
         shown_N = min(math.sqrt(max(variance - expected, 0.0)), 0.5 * abs(force_N))
-        hidden_N = min(math.sqrt(self.hidden_N2), MAX_HIDDEN_FRACTION * abs(force_N))
+        hidden_N = math.sqrt(max(self.hidden_N2, 0.0))
+        hidden_N = min(hidden_N, MAX_HIDDEN_FRACTION * abs(force_N))
         return max(shown_N, hidden_N)
 
 

@@ -205,8 +205,8 @@ def force_noise(robot, config, amplitude):
     quick."""
     rng = np.random.default_rng(0)
     sensor = VirtualForceSensor(robot, config)
-    for size in (0.01, amplitude):
-        _, q, dq, tau = swing(robot, seconds=3.0, amplitude=size)
+    for start_s in (0.0, 3.0):  # one motion: a robot that leaps has jumped
+        _, q, dq, tau = swing(robot, seconds=3.0, amplitude=amplitude, start=start_s)
         noisy = dq + 2e-4 * rng.normal(size=dq.shape)
         forces_N = [
             sensor.update(*sample, 1e-3).axial
@@ -231,8 +231,8 @@ def worst_force_in_quick_free_motion(robot, config):
     swings."""
     rng = np.random.default_rng(0)
     sensor = VirtualForceSensor(robot, config)
-    for size in (0.02, 0.1):
-        _, q, _, tau = swing(robot, seconds=3.0, amplitude=size)
+    for start_s in (0.0, 3.0):
+        _, q, _, tau = swing(robot, seconds=3.0, amplitude=0.1, start=start_s)
         rows = rows_of(q + 1e-5 * rng.normal(size=q.shape), None, tau)
         forces_N = [estimate.axial_unsmoothed for estimate in feed(sensor, rows)]
         if not sensor.tared:

@@ -9,7 +9,7 @@ import pytest
 from groundtruth import insert_needle, scenario
 from groundtruth.scenarios import TissueMotion as TrueMotion
 from groundtruth.scenarios import Wave
-from identification import Identifier, SampleStatus, replay
+from identification import MIXTURE, Identifier, SampleStatus, replay
 from identification.mixture.block import Block
 from identification.mixture.motion_fit import Fit, displacement, turned
 from identification.mixture.needle_contact import contact_along
@@ -214,3 +214,17 @@ def test_tissue_that_draws_back_beyond_the_tip_ends_the_search_for_its_motion():
 
     assert len(result.estimates) == run.t_s.size
     assert result.estimates[-1].status is SampleStatus.OK
+
+
+@pytest.mark.parametrize("dt_s", [0.1, 0.2, 0.24])
+def test_a_log_too_slow_for_a_heartbeat_is_identified(dt_s):
+    identifier = Identifier(MIXTURE)
+    rng = np.random.default_rng(1)
+    for tick in range(round(40.0 / dt_s)):
+        depth_m = 1e-3 * tick * dt_s - 3e-3
+        breath_N = 0.2 * np.sin(2.0 * np.pi * 0.25 * tick * dt_s)
+        force_N = 30.0 * max(depth_m, 0.0) + breath_N * (depth_m > 0.0)
+        noise_N = 5e-3 * float(rng.standard_normal())
+        estimate = identifier.update(depth_m, 1e-3, force_N + noise_N, dt_s)
+
+    assert estimate.status is SampleStatus.OK
