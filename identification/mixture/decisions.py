@@ -24,8 +24,8 @@ from identification.mixture.mixture import Mixture
 from identification.mixture.tissue_motion import TissueMotion
 
 VISIBLE_FRACTION = 0.3
-"""Fraction of that force by which the force must have fallen: else it only grows
-slower."""
+"""Fraction of the released force that counts as a rupture by which the force must have
+fallen: else it only grows slower."""
 
 LATE_ALARM_S = 0.5
 """If an alarm comes later than this, the force must still be lower."""

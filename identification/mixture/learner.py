@@ -211,9 +211,9 @@ class Learner:
         return self.state.resumed < SETTLED
 
     def has_settled_since(self, depth_mm: float) -> bool:
-        """Return whether the needle advances, and had far enough at a depth.
+        """Return whether the needle advances, and went on cutting before a depth.
 
-        A stop lets the force fall.
+        Or friction is back since: a stop lets the force fall.
         """
         min_resumed = 1e-9  # for the logarithm
         since_mm = self.state.block.depth_mm - depth_mm

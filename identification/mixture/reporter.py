@@ -285,7 +285,7 @@ class Reporter:
         """Raise a provisional alarm, or retract the one raised.
 
         Unlike an alarm it does not wait until the speed shows whether the needle
-        brakes.
+        brakes, nor whether a low force will pull.
         """
         unlikely_probability = 0.5  # of one more rupture
         state = self.state

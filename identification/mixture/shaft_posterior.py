@@ -106,7 +106,7 @@ class ShaftPosterior:
         layer: Number of the layer that the tip is in, from 1; 0 before the contact.
         contact_depth_m: Depth at which the first was met.
         depth_mm: Depth that all this is of.
-        noise_variance: Of a sample's force [N²].
+        noise_variance: Of a block's force [N²].
         tip_force: At that depth [N].
         rupture_speed_mm_s: Speed of the last rupture, 0 before the first.
         model_error_variance: Of the force model [N²].
