@@ -333,7 +333,7 @@ class InsertionCourse:
             force_lag_s: Time by which the force follows the torques.
             dt_s: Since the sample before.
         """
-        # An estimated speed is noisy: one that is only seldom above the limit is slower.
+        # An estimated speed is noisy: one that is seldom above the limit is slower.
         min_excess_s = 0.05
         if self._is_in_air or self.insertion.is_too_fast:
             return
