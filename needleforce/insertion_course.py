@@ -66,6 +66,12 @@ ASIDE_PER_TRAVEL = math.tan(FAR_TURN_RAD)
 """... unless it is no more than such a turn about the entry makes of the travel."""
 
 
+MAX_TRAVEL_IN_LAG_M = 0.3e-3
+"""Travel within the lag of the force beyond which the needle is too fast for it. A
+rupture of a gel takes 0.1 to 0.5 mm: the fall is then lost in the rise that follows
+it."""
+
+
 class InsertionProgress(NamedTuple):
     """Course of an insertion, from the approach on.
 
@@ -80,8 +86,9 @@ class InsertionProgress(NamedTuple):
             is met.
         channel_state: Whether it goes on in an earlier channel.
         channel: That channel; None where there is none.
-        is_too_fast: Whether the needle has outrun the force, see
-            `SensorWarning.TOO_FAST`.
+        too_fast_s: Time for which the needle has outrun the force; time in which it has
+            not is subtracted.
+        is_too_fast: Whether that has lasted, see `SensorWarning.TOO_FAST`.
     """
 
     line: TravelZero
@@ -92,6 +99,7 @@ class InsertionProgress(NamedTuple):
     layers_before: tuple[LayerEstimate, ...] = ()
     channel_state: ChannelState = ChannelState.FRESH
     channel: OldChannel | None = None
+    too_fast_s: float = 0.0
     is_too_fast: bool = False
 
     def moved_to(self, depth_m: float) -> "InsertionProgress":
@@ -318,19 +326,27 @@ class InsertionCourse:
         if self.plan.has_path:
             self.plan.compare_with(self._tool)
 
-    def judge_speed(self, force_lag_s: float) -> None:
+    def judge_speed(self, force_lag_s: float, dt_s: float) -> None:
         """Note for the whole insertion if the needle outruns the force in tissue.
 
         Args:
-            force_lag_s: Time by which the force is late.
+            force_lag_s: Time by which the force follows the torques.
+            dt_s: Since the sample before.
         """
-        # In gels a rupture takes 0.1 to 0.5 mm of travel. If the needle travels further
-        # within the lag, the fall is lost in the rise that follows it.
-        max_travel_m = 0.4e-3
-        if self.travel.speed_m_s * force_lag_s <= max_travel_m or self._is_in_air:
+        # An estimated speed is noisy: one that is seldom above the limit is slower.
+        min_excess_s = 0.05
+        if self._is_in_air or self.insertion.is_too_fast:
             return
-        if not self.insertion.is_too_fast:
-            self.insertion = self.insertion._replace(is_too_fast=True)
+        excess_s = self.insertion.too_fast_s
+        if self.travel.speed_m_s * force_lag_s > MAX_TRAVEL_IN_LAG_M:
+            excess_s += dt_s
+        elif excess_s == 0.0:
+            return
+        else:
+            excess_s = max(excess_s - dt_s, 0.0)
+        self.insertion = self.insertion._replace(
+            too_fast_s=excess_s, is_too_fast=excess_s > min_excess_s
+        )
 
     def find_insertion(self, *, is_resuming: bool) -> bool:
         """Begin another insertion where the needle has left the last.

@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from identification import MIXTURE as DEFAULT_IDENTIFIER
 from identification import Estimate, LayerEstimate, MixtureConfig, PublishedConfig
-from needleforce.insertion_course import InsertionCourse
+from needleforce.insertion_course import MAX_TRAVEL_IN_LAG_M, InsertionCourse
 from needleforce.needle_channels import ChannelState
 from needleforce.needle_on_plan import (
     PlanDeviation,
@@ -502,7 +502,7 @@ class InsertionSession:
                 # The rewind that follows undoes that and counts it as unused.
                 return self._skip_sample(wrench, elapsed_s=0.0)
         self._accept(identification, wrench)
-        needle.judge_speed(sensor.filter_lag_s)
+        needle.judge_speed(sensor.lag_s, elapsed_s)
         return self._estimate(wrench, is_used=identification.status.is_used)
 
     def _accept(self, identification: Estimate, wrench: WrenchEstimate) -> None:
@@ -544,8 +544,7 @@ class InsertionSession:
         depth_m = needle.travel.depth_m
         wrench = self._zero_watch.widen(wrench)
         if needle.insertion.is_too_fast:
-            warnings = wrench.warnings | SensorWarning.TOO_FAST
-            wrench = wrench._replace(warnings=warnings)
+            wrench = _with_too_fast(wrench, self._sensor.lag_s)
         return SessionEstimate(
             wrench=wrench,
             depth_m=depth_m,
@@ -561,6 +560,18 @@ class InsertionSession:
             clearances=plan.clearances,
             plan_events=plan.take_events() if plan.has_path else (),
         )
+
+
+def _with_too_fast(wrench: WrenchEstimate, lag_s: float) -> WrenchEstimate:
+    """Return the force with the warning that the needle outruns it."""
+    max_mm_s = 1e3 * MAX_TRAVEL_IN_LAG_M / lag_s
+    reason = (
+        f"the needle has outrun the force, which is {1e3 * lag_s:.0f} ms late: advance "
+        f"by at most {max_mm_s:.0f} mm/s in tissue"
+    )
+    message = "; ".join(filter(None, (wrench.message, reason)))
+    warnings = wrench.warnings | SensorWarning.TOO_FAST
+    return wrench._replace(warnings=warnings, message=message)
 
 
 def _checked_entry(entry_in_base_m: ArrayLike) -> Array:

@@ -71,10 +71,11 @@ class SensorWarning(IntFlag):
     gripped anew, a cable, a sensor that has moved. ``axial_std`` holds what was seen.
     It stays until free air shows none, or until the next tare."""
     TOO_FAST = 2048
-    """The needle has advanced further than 0.4 mm within the lag of the force: the fall
-    at a rupture is lost in what follows it, so ruptures may be missed, and tip force
-    and friction divided wrongly, by more than their deviations. It stays for the
-    insertion. Advance slower, or raise `SensorConfig.gain_per_s`."""
+    """In tissue the needle has advanced further than 0.3 mm within the force's lag: the
+    fall at a rupture is lost in what follows it, so ruptures may be missed, and tip
+    force and friction divided wrongly, by more than their deviations. It stays for the
+    insertion. Advance slower, measure the velocities, or raise
+    `SensorConfig.gain_per_s`."""
 
 
 class WrenchEstimate(NamedTuple):

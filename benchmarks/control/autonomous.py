@@ -12,6 +12,7 @@ import numpy as np
 from benchmarks.control.loop import OPEN_N, SERVOS, STANDOFF_M, Insertion
 from benchmarks.jobs import Job, Progress
 from benchmarks.results import Figure, Source
+from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm, Wall
 from needleforce.control import InsertionPlan, SafetyLimits
@@ -69,9 +70,14 @@ def _rupture(
     )
     plan = InsertionPlan(speed_m_s=1e-3 * mm_s, depth_m=0.125, layer=layer)
     run = Insertion(rig, plan, SafetyLimits(axial_N=OPEN_N), with_ft=sensor == "F/T")
-    for _ in run:
-        pass
+    reason = ""
+    for situation in run:
+        reason = situation.reason
     source = SOURCES[sensor]
+    is_refused = "has outrun the force" in reason
+    yield Figure("refused_as_too_fast", is_refused, source)
+    if is_refused:
+        return
     truth = rig.tissue_truth()
     ends = [
         rupture
@@ -129,7 +135,9 @@ def _side(servo: str, plant: str, seed: int) -> Iterator[Figure]:
 
 def _lost(servo: str, what: str, plant: str, seed: int) -> Iterator[Figure]:
     """Insert into gel, and lose a signal for a while."""
-    run = _in_gel(servo, plant, seed, 20.0)
+    has_velocity = PLANT_MODELS[plant].velocity_noise_std_rad_s is not None
+    # Faster than the force allows, it would be stopped before.
+    run = _in_gel(servo, plant, seed, 20.0 if has_velocity else 10.0)
     lost_s = 0.3
     start = 0
     for situation in run:

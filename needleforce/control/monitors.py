@@ -338,6 +338,7 @@ class Monitors:
             self._check_hard_contact(estimate)
             or self._check_axial(estimate, axial_N, ahead_N)
             or side_force
+            or self._check_speed(estimate, beside)
             or self._check_plan(estimate)
         )
         if self._state == State.TELEOP and not self.has_device:
@@ -347,6 +348,16 @@ class Monitors:
                 or f"the haptic device has been silent for {silent_ms:.0f} ms"
             )
         return ("limit", stop) if stop else ("", "")
+
+    def _check_speed(self, estimate: "SessionEstimate", beside: Beside) -> str:
+        """Return what is wrong with an advance that outruns the session's force.
+
+        In teleoperation the hand decides.
+        """
+        is_too_fast = SensorWarning.TOO_FAST in estimate.warnings
+        if self._state != State.INSERTION or beside.axial_N is not None:
+            return ""
+        return estimate.wrench.message if is_too_fast else ""
 
     def _check_plan(self, estimate: "SessionEstimate") -> str:
         """Return what stops an advance by the plan; empty if nothing does."""

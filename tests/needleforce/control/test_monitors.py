@@ -42,6 +42,11 @@ BONE = HardContact(alarm_s=4.0, depth_m=32.1e-3, force_N=1.2, growth_N_per_m=900
             State.STOPPED,
             "a torque has jumped",
         ),
+        (
+            {"warnings": SensorWarning.TOO_FAST, "message": "has outrun the force"},
+            State.STOPPED,
+            "has outrun the force",
+        ),
     ],
 )
 def test_monitors_stop_an_insertion_and_say_why(change, state, reason):
