@@ -63,7 +63,7 @@ class SensorWarning(IntFlag):
     on the arm? At most 2.5 s; then they count as what the arm feels by itself."""
     TORQUE_JUMP = 512
     """One joint's torque has stepped beside any force at the tip: its sensor has
-    jumped, or something pushes the arm and stays. Once it has stayed for 0.6 s its new
+    jumped, or something pushes the arm and stays. Once it has stayed for 2 s its new
     level counts as the zero; ``axial_std`` holds what is not certain of it. The warning
     stays until the torques are back, or until the next tare."""
     UNEXPLAINED = 1024

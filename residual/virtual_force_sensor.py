@@ -164,7 +164,7 @@ class VirtualForceSensor:
     def is_measuring_jump(self) -> bool:
         """Whether a torque sensor has jumped just now.
 
-        By how much is then known within 0.6 s.
+        By how much is then known 2 to 2.5 s later.
         """
         course = self._monitor.state.course
         return course is not None and course.measured_s > 0.0

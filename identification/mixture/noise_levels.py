@@ -308,7 +308,11 @@ class NoiseLevels(NamedTuple):
         is_due = differences.steps % STEPS_BETWEEN_LEVELS == 0.0
         if is_due and differences.counts[0] > MIN_FIRST_DIFFERENCES:
             levels = estimate_levels(
-                differences.squares_N2, differences.counts, DESIGN, speed_mm_s
+                differences.squares_N2,
+                differences.counts,
+                DESIGN,
+                round(math.log2(differences.step / STEP_S)),
+                speed_mm_s,
             )
             variances = NoiseVariances(*levels.tolist())
         return NoiseLevels(differences, variances)
@@ -449,31 +453,36 @@ def chance_of_motion(levels: Vector, counts: Vector, design: Matrix) -> Vector:
 
 @compiled
 def estimate_levels(
-    squares: Matrix, counts: Vector, design: Matrix, speed: float
+    squares: Matrix, counts: Vector, design: Matrix, doublings: int, speed: float
 ) -> Vector:
     """Return the variance of each part, each taking what the faster ones leave.
 
     Args:
         squares: Of the differences, shape (8, n).
         counts: Of the differences, shape (8,).
-        design: What a part of variance 1 shows in each, shape (4, 8).
+        design: What a part of variance 1 shows at each lag, shape (4, 8).
+        doublings: Of `STEP_S` to the step of these differences: what steps are too long
+            for shows as white noise.
         speed: Of the needle [mm/s].
     """
     levels = np.zeros(PARTS)
     unexplained = np.zeros(LAGS)
     chance = np.zeros(LAGS)
+    shown = np.zeros_like(design)
     for k in range(LAGS):
+        shown[:, k] = design[:, min(k + doublings, LAGS - 1)]
         if counts[k] > min(2 * 2**k, MIN_DIFFERENCES):
             unexplained[k] = difference_variance(squares, counts, k)
     for part in range(PARTS):
-        for k in (2 * part, 2 * part + 1):
+        for lag in (2 * part, 2 * part + 1):
+            k = lag if part == WHITE else lag - doublings
             is_motion = part in (HEART, BREATH)
-            is_too_far = is_motion and 2**k * STEP_S * speed >= MAX_LAG_MM
-            if counts[k] > 2 * 2**k and not is_too_far:
-                level = (unexplained[k] - chance[k]) / design[part, k]
+            is_too_far = is_motion and 2**lag * STEP_S * speed >= MAX_LAG_MM
+            if k >= 0 and counts[k] > 2 * 2**k and not is_too_far:
+                level = (unexplained[k] - chance[k]) / shown[part, k]
                 levels[part] = max(levels[part], level)
         for k in range(LAGS):
-            unexplained[k] -= levels[part] * design[part, k]
+            unexplained[k] -= levels[part] * shown[part, k]
         if part == COLOURED:
-            chance = chance_of_motion(levels, counts, design)
+            chance = chance_of_motion(levels, counts, shown)
     return levels

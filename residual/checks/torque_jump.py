@@ -261,8 +261,9 @@ class TorqueCourse(NamedTuple):
     ) -> tuple["TorqueCourse", JumpFinding | None]:
         """Return the course after a look at a jump that is still being measured."""
         # Until then all blocks after the jump are behind it, and until then a push of a
-        # hand is over.
-        min_measured_s = 0.6
+        # hand is over, of half a second to two: one change of torque at one joint, at
+        # another or by a push may look the same, and the force of each is another.
+        min_measured_s = 2.0
         max_measured_s = 2.5
         newest_Nm = self.blocks_Nm[-2:].mean(axis=0)
         older_Nm = self.blocks_Nm[-BLOCKS_AFTER:-2].mean(axis=0)

@@ -344,7 +344,7 @@ def test_no_alarm_of_a_push_is_reported_before_it_is_known(monkeypatch, kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (0.7, 1.0))]
+    ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (2.1, 2.4))]
 )
 def test_a_small_push_shows_in_torque_changes(count, seconds):
     session, rows = resumed_after(INSIDE, 5_000)
@@ -410,8 +410,8 @@ def test_a_push_beginning_in_unused_ticks_rewinds_once():
 @pytest.mark.slow
 @pytest.mark.parametrize(
     ("first", "count", "late"),
-    # The last two: while the hand still leans on the arm.
-    [(-5_700, 200, 10), (-100, 300, 900), (-50, 1_500, 1_400), (-400, 1_200, 750)],
+    # The last two: within a push, so only after it.
+    [(-5_700, 200, 10), (-100, 300, 900), (-50, 1_500, 1_850), (-400, 1_200, 1_200)],
 )
 def test_a_rupture_around_an_elbow_push_is_found(first, count, late):
     session, rows = resumed_after(INSIDE, 9_000)
@@ -449,18 +449,18 @@ def test_a_torque_that_jumps_back_makes_no_rupture(joint, step_Nm):
 def test_a_session_restored_during_a_jump_knows_of_it():
     session, rows = resumed_after(INSIDE, 9_000)
     jumped = [
-        (q, dq, tau - 0.3 * np.eye(7)[3] * (500 <= k < 2_000), dt_s)
+        (q, dq, tau - 0.3 * np.eye(7)[3] * (500 <= k < 3_500), dt_s)
         for k, (q, dq, tau, dt_s) in enumerate(rows)
     ]
-    for row in jumped[:1_900]:
+    for row in jumped[:3_400]:
         session.update(*row)
     snapshot = session.snapshot()
     restored, _ = resumed_after(INSIDE, 1)
     restored.restore(snapshot)
-    (alarm,) = ruptures([restored.update(*row) for row in jumped[1_900:]])
+    (alarm,) = ruptures([restored.update(*row) for row in jumped[3_400:]])
 
     assert snapshot.jump_std_N > 0.05
-    assert 3_000 < alarm < 5_000
+    assert 1_500 < alarm < 3_500
 
     with pytest.raises(InsertionError, match="snapshot"):
         restored.restore(snapshot._replace(jump_std_N=math.nan))
@@ -483,7 +483,7 @@ def test_a_torque_sensor_that_jumps_makes_no_rupture_and_hides_none(joint, step_
 
     assert 500 < flagged[0] <= 1_000
     assert onset < alarm + INSIDE + 1 < onset + 300
-    assert sum(not e.used_for_identification for e in estimates) < 1_300
+    assert sum(not e.used_for_identification for e in estimates) < 2_700
 
 
 @pytest.mark.slow

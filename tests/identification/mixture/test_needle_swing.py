@@ -61,7 +61,7 @@ def insert_trembling(tremor_m, speed_m_s=3e-3):
     return Trembling(ruptures, onset_s, swings, float(np.mean(is_covered)))
 
 
-@pytest.mark.parametrize("tremor_m", [0.05e-3, 0.12e-3])
+@pytest.mark.parametrize("tremor_m", [0.03e-3, 0.05e-3, 0.12e-3])
 def test_a_rupture_is_found_by_a_needle_that_trembles(tremor_m):
     insertion = insert_trembling(tremor_m)
     [rupture] = insertion.ruptures

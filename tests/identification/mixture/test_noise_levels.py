@@ -21,6 +21,17 @@ def test_noise_is_learned_part_by_part():
     assert levels.restarted().with_force(1.0, 0.01, 2.0).differences.steps == 1.0
 
 
+def test_a_slow_bend_is_no_noise_in_long_blocks():
+    # Blocks of a swing last about 0.1 s.
+    levels = NoiseLevels()
+    noise_N = 0.01 * np.random.default_rng(9).standard_normal(400)
+    for k, white_N in enumerate(noise_N.tolist()):
+        bend_N = 0.5 * np.sin(2.0 * np.pi * 0.1 * k / 10.0)
+        levels = levels.with_force(bend_N + white_N, 0.1, 3.0)
+
+    assert 0.01 < levels.noise_std_N < 0.05
+
+
 def test_a_ramp_is_no_noise():
     levels = NoiseLevels()
     for k in range(2000):

@@ -30,7 +30,7 @@ def swinging(rate_hz, amplitude_m_s, *, seconds=2.0, noise_m_s=0.0):
 def test_a_tremor_is_a_swing_until_it_ends(rate_hz):
     is_swinging, ends = swinging(rate_hz, 4e-3)
 
-    assert is_swinging[500:1000].all()
+    assert is_swinging[650:1000].all()
     assert not is_swinging[1100:].any()
     assert ends == pytest.approx(2.0 * rate_hz, abs=1)
 
@@ -40,13 +40,19 @@ def test_a_tremor_is_a_swing_until_it_ends(rate_hz):
     [
         (2.0, 4e-3),  # a motion of its own
         (35.0, 9e-3),  # vibration
-        (9.0, 1.2e-3),  # the needle hardly slows down: its force shows the speed
+        (9.0, 0.4e-3),  # noise of a measured speed
     ],
 )
 def test_what_is_no_tremor_is_no_swing(rate_hz, amplitude_m_s):
     is_swinging, _ = swinging(rate_hz, amplitude_m_s)
 
     assert not is_swinging.any()
+
+
+def test_a_tremor_that_hardly_slows_the_needle_is_a_swing():
+    is_swinging, _ = swinging(9.0, 1.2e-3)
+
+    assert is_swinging[650:1000].all()
 
 
 def test_noise_of_single_speeds_neither_hides_a_tremor_nor_makes_one():
@@ -67,13 +73,13 @@ def swings_after(halves_s):
     return swing.is_swinging
 
 
-def test_three_turns_in_a_row_are_a_swing_and_one_that_is_vibration_begins_anew():
-    assert swings_after([0.05] * 3 + [0.03])
-    assert not swings_after([0.05] * 2 + [0.03])
-    assert not swings_after([0.05] * 2 + [0.014] + [0.05] * 2 + [0.03])
-    assert swings_after([0.05] * 2 + [0.014] + [0.05] * 4 + [0.03])
+def test_twelve_turns_in_a_row_are_a_swing_and_one_that_is_vibration_begins_anew():
+    assert swings_after([0.05] * 12 + [0.03])
+    assert not swings_after([0.05] * 11 + [0.03])
+    assert not swings_after([0.05] * 11 + [0.014] + [0.05] * 11 + [0.03])
+    assert swings_after([0.05] * 2 + [0.014] + [0.05] * 13 + [0.03])
 
 
 def test_a_pause_of_more_than_0_12_s_begins_anew():
-    assert swings_after([0.05, 0.05, 0.11, 0.03])
-    assert not swings_after([0.05, 0.05, 0.13, 0.03])
+    assert swings_after([0.05] * 11 + [0.11, 0.03])
+    assert not swings_after([0.05] * 11 + [0.13, 0.03])
