@@ -22,6 +22,7 @@ class Block(NamedTuple):
         force_by_speed_N: Shaft friction that changes of the speed have added so far.
         model_error_N: Standard deviation of the force model's error that the tissue's
             texture shows.
+        force_std_N: Standard deviation of the force's slow error, 0 of a force sensor.
         depth_std_mm: Standard deviation of the depth's noise.
         speed_std_mm_s: Standard deviation of the speed's noise.
         motion_variance_N2: Variance of the force where the arm accelerates.
@@ -42,6 +43,7 @@ class Block(NamedTuple):
     force_before_N: float = 0.0
     force_by_speed_N: float = 0.0
     model_error_N: float = 0.0
+    force_std_N: float = 0.0
     depth_std_mm: float = 0.0
     speed_std_mm_s: float = 0.0
     motion_variance_N2: float = 0.0

@@ -251,7 +251,11 @@ def release_model_error(
     clear_rows(step, MODEL_ERROR, MODEL_ERROR_SLOPE + 1)
     shaft_friction = block.force_before_N - mean[OFFSET] - dot(tip_row, mean)
     error_std = MODEL_ERROR_FRACTION * TRAVERSED_ERROR_FRACTION * shaft_friction
-    step.variance[MODEL_ERROR] = error_std**2
+    # Where the force falls, the hysteresis of torque sensors turns round: part of the
+    # force's slow error is another one, until the joints have moved on.
+    hysteresis_fraction = 0.25  # of that error's standard deviation, chosen
+    hysteresis_std = hysteresis_fraction * block.force_std_N
+    step.variance[MODEL_ERROR] = error_std**2 + hysteresis_std**2
     step.variance[MODEL_ERROR_SLOPE] = step.variance[MODEL_ERROR] / MODEL_ERROR_MM**2
 
 

@@ -502,7 +502,9 @@ class Learner:
         """Take a block for the last one."""
         net_N = block.force_N - self.zero_N
         model_error_N = self.state.texture.model_error(net_N, force_std_N)
-        self.state.block = block._replace(model_error_N=model_error_N)
+        self.state.block = block._replace(
+            model_error_N=model_error_N, force_std_N=force_std_N
+        )
 
     def branch(self, reported: int) -> None:
         """Begin components of what may have happened in the last block's travel."""

@@ -13,10 +13,11 @@ from identification.mixture.force_model import (
     LAYER_COULOMB,
     LAYER_VISCOUS,
     MEMBRANE,
+    MODEL_ERROR,
     TRAVERSED_COULOMB,
 )
 from identification.mixture.layer_report import friction_of_last_layer
-from identification.mixture.mixture import CAPACITY
+from identification.mixture.mixture import CAPACITY, MixtureMemory
 from tests.identification.mixture.mixtures import (
     BLOCK,
     branch,
@@ -118,3 +119,23 @@ def test_a_part_of_the_cutting_force_stays_on_the_shaft_as_friction():
     )
 
     assert (doubt_N2 > (0.8 * on_shaft_N) ** 2).all()
+
+
+def test_a_rupture_may_change_the_slow_error_of_torque_sensors():
+    # By 0.05 N where it is 0.2 N: their hysteresis turns round as the force falls.
+    grown_N2 = _model_error_at_end(0.2) - _model_error_at_end(0.0)
+
+    assert grown_N2 == pytest.approx(0.05**2)
+
+
+def _model_error_at_end(force_std_N):
+    """Variance of the model's error just after a layer ends, equal in all children."""
+    memory = MixtureMemory(component(5, LAYER))
+    block = BLOCK._replace(force_std_N=force_std_N)
+    memory.branch(block, block.depth_mm - 0.3, 0.0, 1)
+    ruptures = read_column(memory.mixture.assumptions, "ruptures")
+    variances_N2 = memory.mixture.covariances[ruptures == 2.0, MODEL_ERROR, MODEL_ERROR]
+
+    assert variances_N2.min() == pytest.approx(variances_N2.max())
+
+    return float(variances_N2[0])
