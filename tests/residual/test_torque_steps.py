@@ -59,8 +59,8 @@ def test_a_step_of_five_deviations_is_a_jump(sigmas, is_jump):
     assert steps.is_jump == is_jump
 
 
-def doubt_after(*torques_Nm, seconds=2.0):
-    """The doubt after a while of each of these torques, after two seconds without."""
+def doubt_after(*torques_Nm, seconds=3.0):
+    """The doubt after a while of each of these torques, after the same without any."""
     course = TorqueCourse.after_tare(np.full(7, 0.005**2))
     doubt = TorqueDoubt.after_tare(7)
     rng = np.random.default_rng(0)
