@@ -20,8 +20,11 @@ def documented():
 
 @pytest.fixture(scope="module")
 def results():
-    study = FaultStudy(through_layer=False)
-    return list(study.session_results())
+    """Of every third fault of a signal: `python -m benchmarks run faults` has all."""
+    with pytest.MonkeyPatch.context() as patch:
+        chosen = dict(list(SIGNAL_FAULTS.items())[::3])
+        patch.setattr("benchmarks.faults.study.SIGNAL_FAULTS", chosen)
+        return list(FaultStudy(through_layer=False).session_results())
 
 
 def test_every_kind_of_fault_is_documented():
@@ -43,7 +46,7 @@ def test_every_kind_of_fault_is_documented():
         assert any(word in name for name in names), word
 
 
-def test_every_fault_is_recovered_from_as_documented(results):
+def test_faults_are_recovered_from_as_documented(results):
     page = documented()
     for result in results:
         assert result.is_finite, result
