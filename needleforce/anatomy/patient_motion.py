@@ -69,7 +69,7 @@ def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
         fit: Their solution without a motion.
     """
     moved = 0.5  # before anything was measured nobody knows whether he did
-    between = 0.5  # of those who moved: before the touches (seeds below 1000)
+    between = 0.65  # of those who moved: before the touches (seeds below 1000)
     count = len(problem.touches_m)
     firsts = np.unique(np.linspace(0.0, count, 9)[:-1].astype(int))
     axes = _axes_of_motion(problem, fit.pose)
