@@ -45,6 +45,7 @@ TIP_STD_m = 0.1e-3
 
 OFF_PLAN = "off plan"
 PAST_TARGET = "past target"
+TOO_NEAR = "too near"
 CANNOT_TELL = "cannot tell"
 ON_PLAN = "on plan"
 
@@ -319,7 +320,10 @@ class Surroundings(Protocol):
     """Interface of what lies around; `anatomy.NeedleSurroundings` is one."""
 
     def clearances(self, tip_m: Array, axis: Array) -> Sequence["NeedleClearance"]:
-        """Return how near a needle comes to each structure, the nearest first."""
+        """Return how near a needle comes to each structure.
+
+        What is too near comes first, then the nearest.
+        """
         ...
 
 
@@ -335,9 +339,22 @@ def describe_clearances(clearances: Sequence["NeedleClearance"], count: int = 3)
     """Return the nearest structures in words; empty without any."""
     if not clearances:
         return ""
-    if clearances[0].is_too_near:
-        return describe_too_near(clearances[0])
+    near = [describe_too_near(one) for one in clearances if one.is_too_near]
+    if near:
+        return "; ".join(near)
     return f"clear: {', '.join(map(str, clearances[:count]))}"
+
+
+def find_verdict(
+    deviation: PlanDeviation, clearances: Sequence["NeedleClearance"] = ()
+) -> str:
+    """Return what holds first: `PlanDeviation.verdict`, or too near to a structure.
+
+    Off the plan and past the target come before it, cannot tell comes after.
+    """
+    verdict = deviation.verdict
+    is_near = any(one.is_too_near for one in clearances)
+    return TOO_NEAR if is_near and verdict in (CANNOT_TELL, ON_PLAN) else verdict
 
 
 def state_values(
@@ -351,7 +368,7 @@ def state_values(
         deviation: The needle against the planned path.
         clearances: How near it comes to structures at risk.
     """
-    values: dict[str, Any] = {"verdict": deviation.verdict}
+    values: dict[str, Any] = {"verdict": find_verdict(deviation, clearances)}
     values |= deviation._asdict()
     nearest = {
         one.name: {

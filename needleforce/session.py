@@ -98,7 +98,7 @@ class SessionEstimate(NamedTuple):
             the needle is off the plan it names no layer.
         deviation: The needle against the planned path, at every tick; None without one.
         clearances: How near the needle, and its way ahead, come to structures at risk,
-            the nearest first; empty where that is not known.
+            those too near first, then the nearest; empty where that is not known.
         plan_events: What happened on the plan with this tick: ``past_target``,
             ``too_near``.
     """

@@ -57,17 +57,35 @@ class NeedleClearance(NamedTuple):
         return min(self.needle_m, self.ahead_m)
 
     @property
+    def is_ahead(self) -> bool:
+        """Whether the way ahead comes nearer than the needle is."""
+        return self.ahead_m < self.needle_m
+
+    @property
     def is_too_near(self) -> bool:
         """Whether less stays free than must."""
         return self.distance_m <= self.needed_m
 
     def __str__(self) -> str:
-        part = "the needle" if self.needle_m <= self.ahead_m else "the way ahead"
+        part = "the way ahead" if self.is_ahead else "the needle"
         if self.distance_m == 0.0:
             return f"{part} meets {self.name}"
         distance_mm = MM_PER_M * self.distance_m
         std_mm = MM_PER_M * self.std_m
         return f"{part} passes {self.name} at {distance_mm:.1f} ± {std_mm:.1f} mm"
+
+
+def sort_clearances(
+    clearances: Iterable[NeedleClearance],
+) -> tuple[NeedleClearance, ...]:
+    """Return clearances, those of what is too near first, then the nearest first.
+
+    What must stay free differs: a structure that the plan itself passes may be nearest
+    and not too near, while another one is.
+    """
+    return tuple(
+        sorted(clearances, key=lambda one: (not one.is_too_near, one.distance_m))
+    )
 
 
 class NeedleSurroundings:
@@ -134,7 +152,9 @@ class NeedleSurroundings:
         self._found: tuple[NeedleClearance, ...] = ()
 
     def clearances(self, tip_m: Array, axis: Array) -> tuple[NeedleClearance, ...]:
-        """Return how near the needle comes to structures within 0.1 m, nearest first.
+        """Return how near the needle comes to structures within 0.1 m.
+
+        Those that are too near come first, then the nearest.
 
         Args:
             tip_m: Tip of the needle in the robot's base, (3,).
@@ -171,7 +191,7 @@ class NeedleSurroundings:
         return self._found
 
     def _clearances(self) -> tuple[NeedleClearance, ...]:
-        """Return the measured distances of structures within 0.1 m, nearest first."""
+        """Return the measured distances of structures within 0.1 m, in order."""
         inside_m, ahead_m = self._distances_m.tolist()
         if not self._was_inside:
             inside_m = [np.inf] * len(inside_m)
@@ -194,7 +214,7 @@ class NeedleSurroundings:
             for number, item in enumerate(self._structures)
             if min(inside_m[number], ahead_m[number]) < np.inf
         ]
-        return tuple(sorted(found, key=lambda one: one.distance_m))
+        return sort_clearances(found)
 
 
 @compiled

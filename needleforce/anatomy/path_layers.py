@@ -5,7 +5,8 @@ kernel; the label with most votes holds the point. Where the winner changes is a
 boundary, refined between two points. The layers therefore follow each other without
 gaps or overlaps, which rays through the surfaces of neighbouring structures do not
 grant. The votes smooth thin structures away; one that they leave out is a layer all the
-same wherever the path runs through one of its voxels.
+same wherever the path runs through one of its voxels. Between two others it begins
+where these others' votes say that they end: its own are too few.
 """
 
 from collections.abc import Sequence
@@ -38,6 +39,11 @@ WIDTH_VOXELS = 1.2
 
 STEP_VOXELS = 0.5
 """Distance of points on the path."""
+
+
+SIZE_STD = 0.105
+"""Standard deviation of the difference of two votes, from the voxels' size alone: of
+the analytic torso's seeds below 1000, at 1 and 3 mm."""
 
 
 MIN_FALL = 1e-9
@@ -118,6 +124,37 @@ class _Boundaries(NamedTuple):
     fall: Array
 
 
+class _Votes(NamedTuple):
+    """Votes at points of a path.
+
+    Attributes:
+        depths_m: Of the points, at equal steps, (n,).
+        shares: Of the candidates at each point, (n, candidates).
+        candidates: By rank.
+    """
+
+    depths_m: Array
+    shares: Array
+    candidates: list[_Candidate]
+
+    def of(self, *names: str) -> Array:
+        """Return the share of some candidates together, (n,)."""
+        ranks = [rank for rank, one in enumerate(self.candidates) if one.name in names]
+        return np.asarray(self.shares[:, ranks].sum(axis=1), dtype=np.float64)
+
+
+class _End(NamedTuple):
+    """Where a layer begins or ends.
+
+    Attributes:
+        depth_m: Along the path.
+        std_m: Its standard deviation.
+    """
+
+    depth_m: float
+    std_m: float
+
+
 def find_layers(
     labels: Segmentation,
     entry_m: ArrayLike,
@@ -142,13 +179,18 @@ def find_layers(
         stds_m=[0.0, *np.minimum(std_m, path.length_m).tolist(), 0.0],
     )
     structures = [item for item in labels.structures if item.name not in TISSUES]
+    counted = _Votes(fractions * path.length_m, votes, candidates)
     for crossing in find_crossings(labels.volumes, structures, path.start, path.way):
-        layers = _with_crossing(layers, crossing, path)
+        layers = _with_crossing(layers, crossing, path, counted, boundary_std_m)
     return layers
 
 
 def _with_crossing(
-    layers: Sequence[Layer], crossing: Crossing, path: _Path
+    layers: Sequence[Layer],
+    crossing: Crossing,
+    path: _Path,
+    votes: _Votes,
+    boundary_std_m: float,
 ) -> list[Layer]:
     """Return layers with a stretch through voxels of a structure among them.
 
@@ -167,10 +209,16 @@ def _with_crossing(
     )
     if has_layer:
         return list(layers)
-    # Its ends are faces of voxels: they say where it begins to within a voxel.
-    std_m = path.voxel_m / np.sqrt(12.0)
-    begin_std_m = std_m if begin_m > 0.0 else 0.0
-    end_std_m = std_m if end_m < path.length_m else 0.0
+    ends = _ends_by_neighbours(layers, crossing, path, votes)
+    if ends is None:
+        std_m = _std_of_grazed_m(crossing, path, votes)
+        ends = _End(begin_m, std_m), _End(end_m, std_m)
+    (begin_m, begin_std_m), (end_m, end_std_m) = ends
+    begin_std_m = np.hypot(begin_std_m, boundary_std_m) if begin_m > 0.0 else 0.0
+    is_within = end_m < path.length_m
+    end_std_m = np.hypot(end_std_m, boundary_std_m) if is_within else 0.0
+    begin_std_m = min(float(begin_std_m), path.length_m)
+    end_std_m = min(float(end_std_m), path.length_m)
     before = [
         layer
         if layer.exit_m <= begin_m
@@ -188,6 +236,63 @@ def _with_crossing(
     stds_m = (begin_std_m, end_std_m)
     crossed = Layer(item.name, begin_m, end_m, *stds_m, item.is_obstacle)
     return [*before, crossed, *behind]
+
+
+def _ends_by_neighbours(
+    layers: Sequence[Layer], crossing: Crossing, path: _Path, votes: _Votes
+) -> tuple[_End, _End] | None:
+    """Return where the layers on both sides of a thin one say that they end.
+
+    None where there are no two such layers, or where they say something else than the
+    faces of its voxels, which are right to within one.
+    """
+    faces_m = path.length_m * np.array([crossing.begin, crossing.end])
+    pairs = [
+        (leader.name, follower.name)
+        for leader, follower in pairwise(layers)
+        if faces_m[0] < leader.exit_m < faces_m[1]
+    ]
+    if len(pairs) != 1:
+        return None
+    ((leader, follower),) = pairs
+    name = crossing.structure.name
+    leads = (
+        votes.of(leader) - votes.of(name, follower),
+        votes.of(leader, name) - votes.of(follower),
+    )
+    step_m = float(votes.depths_m[1])
+    ends: list[_End] = []
+    for lead, face_m in zip(leads, faces_m, strict=True):
+        (index,) = np.nonzero((lead[:-1] > 0.0) & (lead[1:] <= 0.0))
+        falls = lead[index] - lead[index + 1]
+        depths_m = votes.depths_m[index] + step_m * lead[index] / falls
+        is_near = np.abs(depths_m - face_m) < path.voxel_m
+        if np.count_nonzero(is_near) != 1:
+            return None
+        std_m = SIZE_STD * step_m / float(falls[is_near][0])
+        ends.append(_End(float(depths_m[is_near][0]), std_m))
+    begin, end = ends
+    return (begin, end) if begin.depth_m < end.depth_m else None
+
+
+def _std_of_grazed_m(crossing: Crossing, path: _Path, votes: _Votes) -> float:
+    """Return the standard deviation of the ends of a layer that the path grazes.
+
+    Near the middle of the layer its share of the votes is a parabola: an error of the
+    votes moves the ends the further the flatter it is.
+    """
+    around_voxels = 2.5  # from the middle, in which the parabola is fitted
+    least_curvature = 0.02  # per voxel squared: three voxels, more was not seen
+    middle_m = 0.5 * (crossing.begin + crossing.end) * path.length_m
+    offsets = (votes.depths_m - middle_m) / path.voxel_m
+    is_near = np.abs(offsets) <= around_voxels
+    curvature = 0.0
+    if np.count_nonzero(is_near) > 3:
+        share = votes.of(crossing.structure.name)[is_near]
+        # Of the lead of what is around it: that loses what this one gains.
+        curvature = -4.0 * float(np.polyfit(offsets[is_near], share, 2)[0])
+    curvature = max(curvature, least_curvature)
+    return path.voxel_m * float(np.sqrt(2.0 * SIZE_STD / curvature))
 
 
 def _stack_layers(
@@ -265,10 +370,7 @@ def _boundary_std_m(
     if boundary_std_m and len(boundaries.depth_m):
         indices = path.indices(boundaries.depth_m / path.length_m)
         votes_per_m = _votes_per_m(labels, indices, boundaries)
-    # Of the difference of two votes, from the voxels' size alone: of the analytic
-    # torso's seeds below 1000, at 1 and 3 mm.
-    size_std = 0.105
-    vote_std = np.hypot(size_std, boundary_std_m * votes_per_m)
+    vote_std = np.hypot(SIZE_STD, boundary_std_m * votes_per_m)
     return vote_std * boundaries.step_m / boundaries.fall
 
 

@@ -69,13 +69,13 @@ def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
         fit: Their solution without a motion.
     """
     moved = 0.5  # before anything was measured nobody knows whether he did
-    between = 0.8  # of those who moved: before the touches (seeds below 1000)
+    between = 0.65  # of those who moved: before the touches (seeds below 1000)
     count = len(problem.touches_m)
     firsts = np.unique(np.linspace(0.0, count, 9)[:-1].astype(int))
     axes = _axes_of_motion(problem, fit.pose)
     known = np.asarray(np.linalg.inv(axes.T @ axes), dtype=np.float64)
     moments = _fit_motions(problem, fit, firsts, known)
-    near = 0.4 * axes
+    near = 0.5 * axes
     kinds = [*(axis[None] for axis in axes), near, near[:3], near[3:]]
     # One axis, all, turns alone and shifts alone are equally probable.
     shares = np.append(np.full(6, 0.25 / 6.0), np.full(3, 0.25))
@@ -118,8 +118,8 @@ def _axes_of_motion(problem: Problem, pose: Pose) -> Array:
     In rows three turns about the axes of the CT through his middle, and three shifts
     along them, each of one standard deviation, (6, 6).
     """
-    turn_std_rad = np.radians(5.0)
-    shift_std_m = 10e-3
+    turn_std_rad = np.radians(4.0)
+    shift_std_m = 8e-3
     middle_m = pose.rotation @ problem.surface.vertices_m.mean(axis=0)
     middle_m = middle_m + pose.translation_m
     axes = np.zeros((6, 6))
@@ -272,10 +272,14 @@ def _measure(
 
 
 def _misfits(lengths_m: Array, variance_m2: float) -> Array:
-    """Return half the sums of squares, of each touch at most as of one that slipped."""
-    slipped = 5.0  # standard deviations beyond which a touch says nothing of a motion
-    near = 1.0 - np.minimum(lengths_m**2 / (slipped**2 * variance_m2), 1.0)
-    return np.asarray(slipped**2 / 6.0 * (1.0 - near**3).sum(axis=1))
+    """Return how improbable the touches are in each fit, as negative logarithms, (b,).
+
+    A touch is off as usual or, anywhere, slipped: it counts in full up to where the
+    latter is as probable, and no further.
+    """
+    slipped = 3.0  # standard deviations at which both are as probable
+    usual = -0.5 * lengths_m**2 / variance_m2
+    return np.asarray(-np.logaddexp(usual, -0.5 * slipped**2).sum(axis=1))
 
 
 def _least_variance_m2(

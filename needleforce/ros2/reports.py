@@ -84,19 +84,18 @@ def plan_reports(name: str, estimate: SessionEstimate | None) -> list[NamedRepor
     """
     if estimate is None or estimate.deviation is None:
         return []
-    values = state_values(estimate.deviation)
+    values = state_values(estimate.deviation, estimate.clearances)
+    for name_of_structure, clearance in values.pop("clearances").items():
+        for key, value in clearance.items():
+            values[f"clearance/{name_of_structure}/{key}"] = value
     texts = {
         key: value if isinstance(value, str) else format_value(value)
         for key, value in values.items()
-        if key != "clearances"
     }
-    for one in estimate.clearances:
-        texts[f"clearance_m/{one.name}"] = format_value(one.distance_m)
     near = [one for one in estimate.clearances if one.is_too_near]
-    is_good = estimate.deviation.verdict == ON_PLAN and not near
     message = describe_deviation(estimate.deviation)
     sentences = [message, *map(describe_too_near, near)]
-    level = OK if is_good else WARNING
+    level = OK if values["verdict"] == ON_PLAN else WARNING
     return [NamedReport(f"{name}: plan", level, "; ".join(sentences), texts)]
 
 

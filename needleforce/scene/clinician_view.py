@@ -22,6 +22,7 @@ from needleforce.scene.row_text import (
     aside_text,
     banner_of,
     near_name,
+    near_part,
     target_parts,
 )
 from needleforce.scene.scan_slices import needle_frame
@@ -225,5 +226,5 @@ def _nearest_html(row: ViewRow | None, plan: PlanScene) -> str:
         f"{M_TO_MM * row.near_std_m:.1f} mm"
     )
     if row.is_too_near:
-        return _box_html(RED, f"⚠ TOO NEAR: {text}", "from the needle or its way ahead")
-    return _box_html(GREEN, f"Nearest: {text}", "from the needle or its way ahead")
+        return _box_html(RED, f"⚠ TOO NEAR: {text}", near_part(row))
+    return _box_html(GREEN, f"Nearest: {text}", near_part(row))

@@ -123,8 +123,13 @@ def near_text(row: ViewRow, watched: Sequence[str]) -> str:
     """Return the structure at risk that is nearest to the needle or its way ahead."""
     return (
         f"nearest: {near_name(row, watched)} at {M_TO_MM * row.near_distance_m:.1f} ± "
-        f"{M_TO_MM * row.near_std_m:.1f} mm from the needle or its way ahead"
+        f"{M_TO_MM * row.near_std_m:.1f} mm {near_part(row)}"
     )
+
+
+def near_part(row: ViewRow) -> str:
+    """Return from what part the distance to the nearest structure is."""
+    return "from its way ahead" if row.near_is_ahead == 1.0 else "from the needle"
 
 
 def state_lines(

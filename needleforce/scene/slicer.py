@@ -5,6 +5,7 @@ coordinates, turned from LPS metres to Slicer's RAS millimetres.
 """
 
 import math
+from collections.abc import Sequence
 from functools import partial
 from typing import Any
 
@@ -14,6 +15,7 @@ from numpy.typing import ArrayLike
 
 from foundation.extras import install_command
 from needleforce.depth_zero import DepthZero, find_depth_zero
+from needleforce.needle_on_plan import find_verdict
 from needleforce.scene.state_ring import FREE_PORT, Closing, SceneError
 
 PORT = 18944
@@ -88,8 +90,8 @@ class SlicerOutput(Closing):
         self._send_pose(pose_m)
         self._send_forces(estimate)
         if getattr(estimate, "deviation", None) is not None:
-            nearest = getattr(estimate, "clearances", ())[:1]
-            self._send_deviation(estimate.deviation, *nearest)
+            clearances = getattr(estimate, "clearances", ())
+            self._send_deviation(estimate.deviation, clearances)
         return True
 
     def _send_rupture(self, rupture: Any, zero: DepthZero) -> None:
@@ -122,10 +124,10 @@ class SlicerOutput(Closing):
         }
         self._send(self._igtl.StringMessage(_to_json(values), device_name="Force"))
 
-    def _send_deviation(self, deviation: Any, nearest: Any = None) -> None:
+    def _send_deviation(self, deviation: Any, clearances: Sequence[Any]) -> None:
         """Send the needle against the plan, and the nearest structure at risk."""
         values = {
-            "verdict": deviation.verdict,
+            "verdict": find_verdict(deviation, clearances),
             "is_off_plan": deviation.is_off_plan,
             "is_past_target": deviation.is_past_target,
             "entry_mm": M_TO_MM * deviation.entry_m,
@@ -139,10 +141,11 @@ class SlicerOutput(Closing):
         if not math.isnan(deviation.to_target_m):
             values["to_target_mm"] = M_TO_MM * deviation.to_target_m
             values["to_target_std_mm"] = M_TO_MM * deviation.to_target_std_m
-        if nearest is not None:
+        for nearest in clearances[:1]:
             values["nearest"] = nearest.name
             values["nearest_mm"] = M_TO_MM * nearest.distance_m
             values["nearest_std_mm"] = M_TO_MM * nearest.std_m
+            values["nearest_is_ahead"] = nearest.is_ahead
             values["is_too_near"] = nearest.is_too_near
         self._send(self._igtl.StringMessage(_to_json(values), device_name="Plan"))
 

@@ -71,9 +71,10 @@ class ViewRow(NamedTuple):
         aside_is_off_plan: 1 if the needle is off the plan, else 0.
         aside_is_past_target: 1 if the tip is past the target, else 0.
         aside_is_doubtful: 1 if it cannot be told that the needle is on the plan.
-        near_number: Number of the structure at risk that is nearest to the needle or
-            its way ahead, NaN where none is known.
+        near_number: Number of the structure at risk that is too near, or nearest, to
+            the needle or its way ahead, NaN where none is known.
         near_distance_m: Its distance.
+        near_is_ahead: 1 if that is from the way ahead, 0 if from the needle.
         near_std_m: Standard deviation of that distance.
         near_is_too_near: 1 if it is nearer than it may be, else 0.
         near_x_m: Where it is nearest, in the robot's base.
@@ -119,6 +120,7 @@ class ViewRow(NamedTuple):
     aside_is_doubtful: float = math.nan
     near_number: float = math.nan
     near_distance_m: float = math.nan
+    near_is_ahead: float = math.nan
     near_std_m: float = math.nan
     near_is_too_near: float = math.nan
     near_x_m: float = math.nan

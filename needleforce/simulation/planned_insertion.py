@@ -210,19 +210,43 @@ def register(
     out_m = skin.vertices_m @ FRONT
     # What lies behind cannot be reached by landmark or touch.
     front_m = skin.vertices_m[out_m > np.quantile(out_m, 0.4)]
-    landmarks_m = front_m[_spread_indices(front_m, LANDMARKS, rng)]
-    noise_m = 1e-3 * rng.normal(size=landmarks_m.shape)
-    rough = anatomy.fit_landmarks(
-        landmarks_m,
-        placement.to_robot(landmarks_m) + noise_m,
-        std_m=1.5e-3,  # more than they have: who knows his own errors
-        is_std_known=True,
-    )
+    rough = _register_landmarks(front_m, placement, rng)
     touched_m = placement.to_robot(_touch(front_m, entry_m, rng))
     try:
         return Registrations(rough, anatomy.fit_surface(skin, touched_m, rough))
     except anatomy.RegistrationError:
         return Registrations(rough, rough)
+
+
+def _register_landmarks(
+    front_m: Array, placement: Pose, rng: np.random.Generator
+) -> anatomy.Registration:
+    """Register by landmarks far from each other.
+
+    On a symmetric torso they may lie symmetrically, and be refused: then others are
+    touched, one more than before.
+
+    Args:
+        front_m: Points of the skin that can be touched, (n, 3).
+        placement: Where the patient lies.
+        rng: Draws landmarks and their errors.
+    """
+    most = LANDMARKS + 2
+    count = LANDMARKS
+    while True:
+        landmarks_m = front_m[_spread_indices(front_m, count, rng)]
+        noise_m = 1e-3 * rng.normal(size=landmarks_m.shape)
+        try:
+            return anatomy.fit_landmarks(
+                landmarks_m,
+                placement.to_robot(landmarks_m) + noise_m,
+                std_m=1.5e-3,  # more than they have: who knows his own errors
+                is_std_known=True,
+            )
+        except anatomy.RegistrationError:
+            count += 1
+            if count > most:
+                raise
 
 
 def _touch(front_m: Array, entry_m: Array, rng: np.random.Generator) -> Array:

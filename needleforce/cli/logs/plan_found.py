@@ -10,6 +10,7 @@ from foundation.arrays import Array
 from identification import LayerEstimate
 from needleforce import plots
 from needleforce.anatomy import Layer, NeedleClearance, PlanError, PlanMatch, PlanState
+from needleforce.anatomy.needle_surroundings import sort_clearances
 from needleforce.cli.logs.outputs import Answer
 from needleforce.depth_zero import PLANNED_ENTRY, DepthZero
 from needleforce.needle_on_plan import (
@@ -57,7 +58,8 @@ class PlanFound(NamedTuple):
         deepest: The needle against the planned path where it was deepest; None without
             a planned path, or above its entry.
         nearest: Of each structure at risk the nearest that the needle, below the
-            planned entry, or its way ahead came to it; the nearest first.
+            planned entry, or its way ahead came to it; what is too near first, then
+            the nearest.
         off_fraction: Fraction of the time below the planned entry for which the needle
             was off the plan.
         warnings: What is wrong with the plan, or could not be compared.
@@ -260,9 +262,7 @@ class PlanWatch:
             ruptures=ruptures,
             last=last,
             deepest=self._deepest,
-            nearest=tuple(
-                sorted(self._nearest.values(), key=lambda one: one.distance_m)
-            ),
+            nearest=sort_clearances(self._nearest.values()),
             off_fraction=self._rows_off / max(self._rows_below, 1),
             warnings=tuple(warnings),
         )

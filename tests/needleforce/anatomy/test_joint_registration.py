@@ -3,6 +3,7 @@
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
+from scipy.special import ndtri
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("igl")
@@ -15,6 +16,7 @@ from needleforce.anatomy import (  # noqa: E402
     fit_surface,
     require_lps,
 )
+from needleforce.anatomy.patient_motion import _misfits  # noqa: E402
 
 LANDMARK_STD_m = 1.5e-3
 TARGET_m = np.array([0.02, 0.03, 0.01])
@@ -160,3 +162,16 @@ def test_a_softness_in_millimetres_is_refused():
 
     with pytest.raises(RegistrationError, match=r"softness_m=3\.0.*in metres"):
         fit_surface(SKIN, touches_m, rough, softness_m=3.0)
+
+
+def test_touches_that_are_off_as_usual_count_and_slipped_ones_no_further():
+    std_m = 0.6e-3
+    usual_m = std_m * ndtri((np.arange(400) + 0.5) / 400)
+    # All touches half a standard deviation further off: a logarithm of 1/8 each, of
+    # which nine tenths are left where any touch may have slipped.
+    near, off = _misfits(np.abs([usual_m, usual_m + 0.5 * std_m]), std_m**2)
+    assert off - near == pytest.approx(400 / 8, rel=0.12)
+
+    near, far = _misfits(np.array([[6.0], [30.0]]) * std_m, std_m**2)
+    assert far - near < 1e-3
+    assert far == pytest.approx(4.5, abs=0.1)

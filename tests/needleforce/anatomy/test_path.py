@@ -12,6 +12,8 @@ from needleforce.anatomy import Grid, Labels, Structure, VolumeError
 
 SPACING_MM = (3.0, 3.0, 3.0)
 
+X = np.array([1.0, 0.0, 0.0])
+
 
 @pytest.fixture(scope="module")
 def scanned():
@@ -61,6 +63,70 @@ def slabs(names, spacing_m=1e-3, kind=np.uint8):
     return Labels.of(
         [values], grid, [Structure.named(n, i) for i, n in enumerate(names, 1)]
     )
+
+
+def drawn(values_at):
+    """Structures fat, muscle, liver by values at the indices of 40 voxels a side."""
+    values = values_at(np.indices((40, 40, 40), float)).astype(np.uint8)
+    grid = Grid(values.shape, np.zeros(3), 1e-3 * np.eye(3))
+    structures = [
+        Structure.named(name, number)
+        for number, name in enumerate(["fat", "muscle", "liver"], 1)
+        if (values == number).any()
+    ]
+    return Labels.of([values], grid, structures)
+
+
+def test_a_layer_thinner_than_a_voxel_begins_where_its_neighbour_ends():
+    way = np.array([1.0, 0.31, 0.17])
+    way /= np.linalg.norm(way)
+    begin_voxels = 22.0
+    end_voxels = 22.5
+
+    def slanting(indices):
+        along = np.tensordot(way, indices, axes=1)
+        return 1 + (along > begin_voxels) + (along > end_voxels)
+
+    labels = drawn(slanting)
+    errors_mm = []
+    for start in np.random.default_rng(1).uniform(10.0, 24.0, (60, 2)):
+        entry = np.array([8.0, *start])
+        layers = labels.layers_along(1e-3 * entry, 1e-3 * (entry + 18.0 * X))
+        beside = way[1:] @ start
+        for layer in layers:
+            if layer.name == "muscle":
+                ends = (1e3 * layer.entry_m, 1e3 * layer.exit_m)
+                for found, true in zip(ends, (begin_voxels, end_voxels), strict=True):
+                    errors_mm.append(found - ((true - beside) / way[0] - 8.0))
+
+    assert len(errors_mm) > 40
+    assert np.sqrt(np.mean(np.square(errors_mm))) < 0.15
+
+
+def test_a_grazed_layer_states_how_little_is_known_of_its_ends():
+    centre = np.array([20.0, 20.0, 20.0])
+    radius = 9.0
+
+    def ball(indices):
+        away = indices - centre[:, None, None, None]
+        return 1 + (np.linalg.norm(away, axis=0) < radius)
+
+    labels = drawn(ball)
+    scores = []
+    for depth, turn in np.random.default_rng(1).uniform(
+        [0.0, 0.0], [0.4, 7.0], (150, 2)
+    ):
+        beside = (radius - depth) * np.array([np.cos(turn), np.sin(turn)])
+        entry = np.array([2.0, *(centre[1:] + beside)])
+        layers = labels.layers_along(1e-3 * entry, 1e-3 * (entry + 36.0 * X))
+        half = np.sqrt(radius**2 - beside @ beside)
+        for layer in layers:
+            if layer.name == "muscle":
+                error_mm = 1e3 * layer.entry_m - (18.0 - half)
+                scores.append(error_mm / (1e3 * layer.entry_std_m))
+
+    assert len(scores) > 20
+    assert np.sqrt(np.mean(np.square(scores))) < 1.3
 
 
 def test_flat_layers_are_exact_and_bone_obstructs():
