@@ -563,12 +563,19 @@ class InsertionSession:
 
 
 def _with_too_fast(wrench: WrenchEstimate, lag_s: float) -> WrenchEstimate:
-    """Return the force with the warning that the needle outruns it."""
-    max_mm_s = 1e3 * MAX_TRAVEL_IN_LAG_M / lag_s
-    reason = (
-        f"the needle has outrun the force, which is {1e3 * lag_s:.0f} ms late: advance "
-        f"by at most {max_mm_s:.0f} mm/s in tissue"
-    )
+    """Return the force with the warning that the needle has outrun it.
+
+    Args:
+        wrench: The force.
+        lag_s: Time by which it is late; 0 where the robot estimates the torques.
+    """
+    reason = "the needle has outrun the force: advance slower"
+    if lag_s > 0.0:  # the torques may have come another way when the needle was fast
+        max_mm_s = 1e3 * MAX_TRAVEL_IN_LAG_M / lag_s
+        reason = (
+            f"the needle has outrun the force, which is {1e3 * lag_s:.0f} ms late: "
+            f"advance by at most {max_mm_s:.0f} mm/s in tissue"
+        )
     message = "; ".join(filter(None, (wrench.message, reason)))
     warnings = wrench.warnings | SensorWarning.TOO_FAST
     return wrench._replace(warnings=warnings, message=message)

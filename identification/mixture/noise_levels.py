@@ -470,11 +470,13 @@ def estimate_levels(
     chance = np.zeros(LAGS)
     shown = np.zeros_like(design)
     for k in range(LAGS):
+        # The k-th lag of long steps is as long as this one of short steps.
         shown[:, k] = design[:, min(k + doublings, LAGS - 1)]
         if counts[k] > min(2 * 2**k, MIN_DIFFERENCES):
             unexplained[k] = difference_variance(squares, counts, k)
     for part in range(PARTS):
         for lag in (2 * part, 2 * part + 1):
+            # A lag is a time to every part but white noise, which has none.
             k = lag if part == WHITE else lag - doublings
             is_motion = part in (HEART, BREATH)
             is_too_far = is_motion and 2**lag * STEP_S * speed >= MAX_LAG_MM

@@ -260,9 +260,9 @@ class TorqueCourse(NamedTuple):
         self, rows: Array, after_Nm: Array, dt_s: float
     ) -> tuple["TorqueCourse", JumpFinding | None]:
         """Return the course after a look at a jump that is still being measured."""
-        # Until then all blocks after the jump are behind it, and until then a push of a
-        # hand is over, of half a second to two: one change of torque at one joint, at
-        # another or by a push may look the same, and the force of each is another.
+        # Until then all blocks after the jump are behind it. A push of a hand lasts
+        # half a second to two; within it, the change may also be that of another joint
+        # or of the push, and each explanation leaves another force at the tip.
         min_measured_s = 2.0
         max_measured_s = 2.5
         newest_Nm = self.blocks_Nm[-2:].mean(axis=0)

@@ -6,8 +6,11 @@ from typing import Any, cast
 import numpy as np
 import pytest
 
+from needleforce import InsertionSession
 from needleforce.insertion_course import InsertionCourse, InsertionProgress
 from needleforce.tip_travel import TravelZero
+from residual import SensorWarning
+from urdf import load_lwr
 
 LAG_S = 24.3e-3  # of the default gain and estimated velocities
 
@@ -60,3 +63,21 @@ def test_noise_of_an_estimated_speed_makes_no_needle_too_fast():
         advance(needle, 0.01)  # noise lasts as long as the lag of the estimate
 
     assert not needle.insertion.is_too_fast
+
+
+def test_the_warning_says_how_fast_a_needle_may_be_where_the_lag_is_known():
+    robot = load_lwr()
+    session = InsertionSession(robot)
+    still = np.zeros(robot.nv)
+    needle = session._needle
+    session.update(still, None, still, 1e-3)
+    needle.insertion = needle.insertion._replace(is_too_fast=True)
+
+    own = session.update(still, None, still, 1e-3).wrench
+    # The robot's own estimate of the torques: how late it is, nobody has said.
+    robots = session.update_external_torque(still, None, still, 1e-3).wrench
+
+    assert SensorWarning.TOO_FAST in own.warnings
+    assert "24 ms late: advance by at most 12 mm/s" in own.message
+    assert SensorWarning.TOO_FAST in robots.warnings
+    assert "advance slower" in robots.message
