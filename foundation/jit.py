@@ -1,15 +1,19 @@
 """The decorators of functions that every tick calls.
 
-The compiler is numba; what it has made is kept on disk (`foundation.compile_cache`).
-With ``NUMBA_DISABLE_JIT=1`` in the environment everything runs as plain Python, fifty
-times slower, for debugging.
+The compiler is numba, which keeps what it has made on disk (``NUMBA_CACHE_DIR``). With
+``NUMBA_DISABLE_JIT=1`` in the environment everything runs as plain Python, fifty times
+slower, for debugging.
 """
 
-from collections.abc import Callable, Sequence
+import sys
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import is_dataclass
 from functools import cache
+from hashlib import sha256
 from importlib import import_module
 from inspect import signature
+from pathlib import Path
 from threading import RLock
 from typing import (
     Annotated,
@@ -22,9 +26,6 @@ from typing import (
 )
 
 import numpy as np
-
-from foundation.compile_cache import FunctionCache, writable_root
-from foundation.first_use import Entry, compile_cold
 
 numba: Any = import_module("numba")  # its annotations do not describe its own use
 types: Any = numba.types
@@ -42,8 +43,11 @@ SCALARS = {float: types.float64, int: types.int64, bool: types.boolean}
 _lock = RLock()
 """One thread at a time compiles."""
 
-entries: list[Entry] = []
-"""Functions that Python may call."""
+ROOT = Path(__file__).resolve().parents[1]
+"""The folder of the packages."""
+
+dispatchers: list[Any] = []
+"""Compiled functions that Python may call."""
 
 _inside: list[Any] = []
 """What `compiled_inside` has made. The compiler holds only weak references to it."""
@@ -74,12 +78,29 @@ def compiled(function: Function) -> Function:
     if not COMPILER:
         return function
     dispatcher = numba.njit(function)
-    cache: Any = FunctionCache(cast(Any, function))
-    dispatcher._cache = cache  # as the compiler's own option `cache` does
-    entry = Entry(dispatcher, parameter_types(function), cache)
-    entries.append(entry)
-    _compile_on_demand(entry)
+    with suppress(RuntimeError):  # where no folder can be written
+        dispatcher.enable_caching()
+        dispatcher._cache._cache_file._source_stamp = _stamp_of(function.__module__)
+    _compile_on_demand(dispatcher)
+    dispatchers.append(dispatcher)
     return dispatcher
+
+
+def _stamp_of(module: str) -> str:
+    """Return what says that kept code is of these sources; numba looks at one file."""
+    parts = module.split(".")
+    own = parts[:2] if parts[0] == "needleforce" else parts[:1]
+    return _hash_sources("/".join(own))
+
+
+@cache
+def _hash_sources(package: str) -> str:
+    """Return a hash of the sources of a package, and of this one."""
+    digest = sha256()
+    for folder in (package, "foundation"):
+        for path in sorted((ROOT / folder).rglob("*.py")):
+            digest.update(path.read_bytes())
+    return digest.hexdigest()
 
 
 def compiled_inside(function: Function) -> Function:
@@ -95,68 +116,61 @@ def compiled_inside(function: Function) -> Function:
     if not COMPILER:
         return function
     dispatcher = numba.njit(no_cpython_wrapper=True, no_cfunc_wrapper=True)(function)
-    entry = Entry(dispatcher, parameter_types(function), None)
-    _compile_on_demand(entry)
+    _compile_on_demand(dispatcher)
     _inside.append(dispatcher)
     typing_context = registry.cpu_target.typing_context
     typing_context.insert_global(function, types.Dispatcher(dispatcher))
     return function
 
 
-def _compile_on_demand(entry: Entry) -> None:
+def _compile_on_demand(dispatcher: Any) -> None:
     """Let a function be compiled when compiled code or Python calls it first.
 
     The compiler asks a dispatcher for a template to type a call in compiled code, and
     has it compile for the arguments when Python calls it. Both are replaced, since it
     would compile a version for each combination of types.
     """
-    dispatcher = entry.dispatcher
+    parameters = parameter_types(dispatcher.py_func)
     find_template = dispatcher.get_call_template
+
+    def compile_once() -> None:
+        if not dispatcher.overloads:
+            dispatcher.compile(tuple(parameters))
+            dispatcher.disable_compile()
 
     def get_call_template(arguments: Any, keywords: Any) -> Any:
         # Its one signature: arguments are converted, rather than compiled for anew.
-        entry.compile()
+        compile_once()
         return find_template(arguments, keywords)
 
     def compile_for_arguments(*arguments: Any, **keywords: Any) -> Any:
-        compile_waiting()
-        entry.compile()
+        compile_once()
         del dispatcher._compile_for_args
         _, values = dispatcher._compiler.fold_argument_types(arguments, keywords)
-        entry.check_types(values)
-        return dispatcher.overloads[tuple(entry.parameters)].entry_point
+        context = dispatcher.targetdescr.typing_context
+        for value, wanted in zip(values, parameters, strict=True):
+            given = dispatcher.typeof_pyval(value)
+            if context.can_convert(given, wanted) is None:
+                name = dispatcher.py_func.__qualname__
+                raise TypeError(f"{name} takes {wanted}, got {given}")
+        return dispatcher.overloads[tuple(parameters)].entry_point
 
+    dispatcher.compile_once = compile_once
     dispatcher.get_call_template = get_call_template
     dispatcher._compile_for_args = compile_for_arguments
 
 
 def compile_waiting() -> None:
-    """Compile all functions of the modules imported so far, or load them from disk.
-
-    Says so on stderr where it takes more than a moment. Where enough has to be compiled
-    and can be kept, a second process compiles half of it: the compiler works on one
-    function at a time in each.
-    """
+    """Compile all functions of the modules imported so far, or load them from disk."""
     with _lock:
-        waiting = [entry for entry in entries if not entry.dispatcher.overloads]
-        cold = [entry for entry in waiting if entry.is_cold]
-        if cold:
-            compile_cold(cold, is_kept=writable_root() is not None)
-        for entry in waiting:
-            entry.compile()
-
-
-def compile_modules(modules: Sequence[str]) -> None:
-    """Compile and keep the functions of some modules: the work of the second process.
-
-    Args:
-        modules: Their dotted names.
-    """
-    for module in modules:
-        import_module(module)
-    for entry in entries:
-        if entry.module in modules:
-            entry.compile()
+        waiting = [one for one in dispatchers if not one.overloads]
+        for number, dispatcher in enumerate(waiting, 1):
+            dispatcher.compile_once()
+            is_slow = not dispatcher.stats.cache_hits and sys.stderr is not None
+            if is_slow and number % 20 == 0:
+                sys.stderr.write(
+                    f"needleforce: compiling once, {number} of {len(waiting)}\n"
+                )
 
 
 def parameter_types(function: Callable[..., Any]) -> list[Any]:

@@ -14,7 +14,7 @@ from identification.identifier import Snapshot
 from identification.mixture.evidence import MM_PER_M
 from identification.mixture.force_model import MEMBRANE, OFFSET
 from identification.mixture.method import MixtureMethodState
-from identification.published.state import PublishedState
+from identification.published.online import PublishedState
 from identification.sample_check import CheckState
 from identification.travel_filter import TravelState
 

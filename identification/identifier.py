@@ -22,7 +22,7 @@ from identification.estimate import (
     SampleStatus,
 )
 from identification.mixture.method import MixtureMethod, MixtureMethodState
-from identification.published.state import PublishedState
+from identification.published.online import PublishedState
 from identification.sample_check import STATUSES, CheckState, as_scalar
 from identification.travel_filter import TravelState, process_sample
 

@@ -1,7 +1,7 @@
 """The virtual sensor over a log, sample by sample, as on the robot.
 
     replay = SensorReplay(robot, config)
-    rows = [replay.run(chunk) for chunk in LogStream(tables, request)]
+    rows = [replay.run(chunk) for chunk in log.parts()]
     replay.finish(is_whole=True)
 
 Unlike `session_replay` it needs no insertion, takes its tare from any window of the
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 
 from foundation.arrays import Array
 from foundation.errors import NeedleforceError
-from needleforce.recordings.log_stream import LogChunk
+from needleforce.recordings.log import LogRows
 from residual import (
     SensorConfig,
     SensorWarning,
@@ -29,15 +29,8 @@ from residual import (
 from residual.bias.model import Tare
 from residual.checks.input import ROUNDING_S
 from residual.estimate import WrenchEstimate
-from residual.estimate_rows import (
-    AXIAL,
-    AXIAL_STD,
-    STD_OF_BIAS,
-    UNSMOOTHED,
-    EstimateRows,
-    RowNote,
-)
 from residual.tool_kinematics import ToolKinematics
+from residual.wrench_estimator import COMPONENTS
 from urdf import Robot
 
 AUTOMATIC_TARE_S = 2.0
@@ -56,8 +49,14 @@ class ReplayError(NeedleforceError, ValueError):
 STATUS_CODES = {status: code for code, status in enumerate(Status)}
 """Numbers of the states in files."""
 
-ROWS_AT_A_TIME = 1000
-"""So many estimates are in memory at once."""
+COLUMNS = (
+    "axial_N",
+    "axial_std_N",
+    "axial_unsmoothed_N",
+    "axial_unsmoothed_std_N",
+    "model_mismatch",
+)
+"""Numbers of an estimate that are columns as they are."""
 
 ForceRows = dict[str, NDArray]
 """Estimates of the rows of a log, by column; numbers are NaN where a row was rejected.
@@ -197,7 +196,6 @@ class _LogTare:
         elif is_whole:
             if window is not None and self._is_asked:
                 self._require_inside(window, last_s)
-            self._refuse_saturated()
             raise ReplayError(
                 "the log ends before the filters have settled and "
                 f"{AUTOMATIC_TARE_S:g} s of free motion were seen, so it cannot be "
@@ -229,19 +227,10 @@ class _LogTare:
             log = f"starts at {first}"
         raise ReplayError(f"{window.name}: lies outside the log, which {log}")
 
-    def _refuse_saturated(self) -> None:
-        """Refuse torques that were beyond their range from the start, if that shows."""
-        error = self._sensor.explain_saturation()
-        if error is not None:
-            count = self._rejected.total()
-            text = f"no tare: {count} samples were rejected for torques beyond their"
-            raise error.reworded(f"{text} range: {error}")
-
     def _take_tare(self, window: TareWindow) -> None:
         """Tare the sensor on what was recorded in a window."""
         window = self._used_part(window)
         if not self._has_settled:
-            self._refuse_saturated()
             raise ReplayError(
                 f"no tare from {window}{window.note}: the filters had not settled by "
                 f"then{self._rejections_since_start}"
@@ -286,47 +275,6 @@ def require_joints(q_rad: Array, robot: Robot) -> None:
             f"{len(names)} joints: {', '.join(names)}",
             OTHER_ROBOT,
         )
-
-
-class _SteadyClock:
-    """A clock that runs on when the log's clock is set back.
-
-    Attributes:
-        first_s: Time of the first row [s].
-        latest_s: Time of the latest row that advanced [s].
-    """
-
-    def __init__(self, first_s: float) -> None:
-        self.first_s = first_s
-        self.latest_s = -math.inf
-        self._shift_s = 0.0
-
-    def update(self, stamp_s: float, dt_s: float) -> float:
-        """Return the time of a row on this clock [s].
-
-        Args:
-            stamp_s: Time stamp of the row [s].
-            dt_s: Time since the latest row that advanced, zero or less for a row that
-                does not advance [s].
-        """
-        time_s = stamp_s + self._shift_s
-        if not dt_s > 0.0:
-            return time_s
-        if time_s <= self.latest_s:
-            self._shift_s += self.latest_s + dt_s - time_s
-            time_s = self.latest_s + dt_s
-        self.latest_s = time_s
-        return time_s
-
-    def update_rows(self, stamps_s: Array, dt_s: Array) -> None:
-        """Do for many rows what `update` does for one."""
-        times_s = stamps_s + self._shift_s
-        is_steady = (dt_s > 0.0).all() and (np.diff(times_s) > 0.0).all()
-        if is_steady and times_s[0] > self.latest_s:
-            self.latest_s = times_s.item(-1)
-            return
-        for stamp_s, step_s in zip(stamps_s.tolist(), dt_s.tolist(), strict=True):
-            self.update(stamp_s, step_s)
 
 
 class _ToolTravel:
@@ -425,7 +373,8 @@ class SensorReplay:
         self._travel = _ToolTravel(
             ToolKinematics(robot, config.frame, config.insertion_axis)
         )
-        self._clock: _SteadyClock | None = None
+        self._first_s = math.nan
+        self._latest_s = math.nan
         self._log_tare: _LogTare | None = None
 
     @property
@@ -442,11 +391,10 @@ class SensorReplay:
 
     @property
     def duration_s(self) -> float:
-        """Time from the first row to the latest [s], on a clock never set back."""
-        clock = self._clock
-        return 0.0 if clock is None else clock.latest_s - clock.first_s
+        """Time from the first row to the latest [s]."""
+        return 0.0 if math.isnan(self._first_s) else self._latest_s - self._first_s
 
-    def run(self, chunk: LogChunk) -> ForceRows:
+    def run(self, chunk: LogRows) -> ForceRows:
         """Return the estimates of further rows, at least one.
 
         Raises:
@@ -454,96 +402,58 @@ class SensorReplay:
             residual.TareError: The tare is refused.
         """
         self._has_velocity = "dq_rad_s" in chunk.channels
-        if self._clock is None:
-            self._start(chunk.channels["q_rad"], float(chunk.t_s[0]))
-        parts: list[ForceRows] = []
-        start = 0
-        while start < len(chunk.t_s):
-            rows = _rows_of(chunk, slice(start, start + ROWS_AT_A_TIME))
-            estimates = self._estimate_rows(rows)
-            taken = _rows_of(rows, slice(len(estimates.numbers)))
-            parts.append(self._columns(taken, estimates))
-            start += len(taken.t_s)
-        return {
-            name: np.concatenate([part[name] for part in parts]) for name in parts[0]
-        }
-
-    def _estimate_rows(self, chunk: LogChunk) -> EstimateRows:
-        """Return the estimates of a chunk's rows, of those before a tare in it."""
-        if self._log_tare is not None and self._log_tare.done is None:
-            return self._estimate_until_tare(chunk, self._log_tare)
-        q_rad, dq_rad_s, torque_Nm = self._signals(chunk)
-        self._running_clock.update_rows(chunk.t_s, chunk.dt_s)
-        # It reads no first time step.
-        dt_s = np.where(chunk.dt_s > 0.0, chunk.dt_s, 0.0)
-        rows = self.sensor.update_rows(
-            q_rad, dq_rad_s, torque_Nm, dt_s, is_external=self.is_external
-        )
-        for note in rows.notes:
-            self._keep(note, dt_s.item(note.first_row))
-        return rows
-
-    def _estimate_until_tare(self, chunk: LogChunk, log_tare: _LogTare) -> EstimateRows:
-        """Return the estimates of a chunk's rows up to the first after a tare."""
-        q_rad, dq_rad_s, torque_Nm = self._signals(chunk)
-        rows = self.sensor.rows_of_size(len(q_rad))
-        steps = zip(chunk.t_s.tolist(), chunk.dt_s.tolist(), strict=True)
-        for row, (stamp_s, dt_s) in enumerate(steps):
-            time_s = self._running_clock.update(stamp_s, dt_s)
-            if dt_s > 0.0:
-                self._tare_if_due(time_s)
-            velocity = None if dq_rad_s is None else dq_rad_s[row]
-            estimate = self._update(q_rad[row], velocity, torque_Nm[row], dt_s)
-            self.sensor.put(rows, row, estimate)
-            self._keep(rows.notes[-1], dt_s)
-            if self._log_tare is None or log_tare.done is not None:
-                return rows.first(row + 1)
-            if estimate.status is not Status.REJECTED:
-                log_tare.after(time_s, estimate.status)
-        return rows
-
-    def _signals(self, chunk: LogChunk) -> tuple[Array, Array | None, Array]:
-        """Return the channels that the sensor is given: q, dq or None, and torque."""
         q_rad = chunk.channels["q_rad"]
-        if self.is_external:
-            return q_rad, None, chunk.channels["tau_ext_Nm"]
-        return q_rad, chunk.channels.get("dq_rad_s"), chunk.channels["tau_Nm"]
+        if math.isnan(self._first_s):
+            self._start(q_rad, float(chunk.t_s[0]))
 
-    @property
-    def _running_clock(self) -> _SteadyClock:
-        assert self._clock is not None, "it runs from the first row on"
-        return self._clock
+        size = 6 if self.config.mode == "full" else 3
+        count = len(chunk.t_s)
+        numbers = np.full((count, 5), np.nan)
+        wrench = np.full((count, size), np.nan)
+        torque_Nm = np.zeros((count, 3))
+        std = np.full((count, COMPONENTS[self.config.mode]), np.nan)
+        state = np.zeros((count, 3), dtype=np.int64)
+        steps = zip(chunk.t_s.tolist(), chunk.dt_s.tolist(), strict=True)
+        for row, (time_s, dt_s) in enumerate(steps):
+            self._tare_if_due(time_s)
+            estimate = self._update(chunk, row, dt_s)
+            self._keep(estimate)
+            state[row, 0] = STATUS_CODES[estimate.status]
+            state[row, 1] = int(estimate.warnings)
+            if estimate.status is Status.REJECTED:
+                torque_Nm[row] = np.nan
+                continue
 
-    def _columns(self, chunk: LogChunk, rows: EstimateRows) -> ForceRows:
-        """Return rows as columns, NaN where a sample was rejected."""
-        after_gap = rows.elapsed_s > self.config.max_gap_s + ROUNDING_S
-        self.gaps += np.count_nonzero(after_gap)
-        self.longest_gap_s = max(self.longest_gap_s, float(rows.elapsed_s.max()))
-        numbers = rows.numbers
-        wrench = rows.wrench
-        torque_Nm = wrench[:, 3:] if wrench.shape[1] > 3 else np.zeros_like(wrench)
-        columns = {
-            "travel_m": self._travel.of_rows(chunk.channels["q_rad"]),
-            "axial_N": numbers[:, AXIAL].copy(),
-            "axial_std_N": numbers[:, AXIAL_STD].copy(),
-            "axial_unsmoothed_N": numbers[:, UNSMOOTHED].copy(),
-            "axial_unsmoothed_std_N": numbers[:, STD_OF_BIAS].copy(),
-            "force_N": wrench[:, :3].copy(),
-            "torque_Nm": torque_Nm.copy(),
-            "std": np.sqrt(rows.variances),
-            "model_mismatch": rows.model_mismatch,
-        }
-        status = rows.statuses(STATUS_CODES)
-        is_rejected = status == STATUS_CODES[Status.REJECTED]
-        for name, values in columns.items():
-            if name != "travel_m":
-                values[is_rejected] = np.nan
+            if self._log_tare is not None:
+                self._log_tare.after(time_s, estimate.status)
+
+            elapsed_s = self.sensor.elapsed_s
+            self.longest_gap_s = max(self.longest_gap_s, elapsed_s)
+            state[row, 2] = elapsed_s > self.config.max_gap_s + ROUNDING_S
+            numbers[row] = (
+                estimate.axial,
+                estimate.axial_std,
+                estimate.axial_unsmoothed,
+                self.sensor.std_of_bias_N(estimate),
+                estimate.model_mismatch,
+            )
+            wrench[row, :3] = estimate.force
+            torque_Nm[row] = estimate.torque if size > 3 else 0.0
+            std[row] = np.sqrt(estimate.covariance.diagonal())
+
+        self._latest_s = float(chunk.t_s[-1])
+        self.gaps += int(state[:, 2].sum())
+        columns = dict(zip(COLUMNS, numbers.T.copy(), strict=True))
         return {
             "t_s": chunk.t_s,
+            "travel_m": self._travel.of_rows(q_rad),
             **columns,
-            "force_warnings": rows.warnings,
-            "force_status": status,
-            "after_gap": after_gap,
+            "force_N": wrench[:, :3],
+            "torque_Nm": torque_Nm,
+            "std": std,
+            "force_warnings": state[:, 1],
+            "force_status": state[:, 0],
+            "after_gap": state[:, 2] > 0,
         }
 
     def finish(self, *, is_whole: bool) -> None:
@@ -557,10 +467,10 @@ class SensorReplay:
             residual.TareError: The tare is refused.
         """
         log_tare = self._log_tare
-        if log_tare is None or self._clock is None:
+        if log_tare is None or math.isnan(self._first_s):
             return
         try:
-            log_tare.finish(self._clock.latest_s, is_whole=is_whole)
+            log_tare.finish(self._latest_s, is_whole=is_whole)
         except TareError as error:
             self._survive(error)
         self.tare = log_tare.done
@@ -593,39 +503,25 @@ class SensorReplay:
                 window,
                 ignore_contact=self._ignore_contact,
             )
-        self._clock = _SteadyClock(first_s)
+        self._first_s = first_s
 
-    def _update(
-        self, q_rad: Array, dq_rad_s: Array | None, torque_Nm: Array, dt_s: float
-    ) -> WrenchEstimate:
+    def _update(self, chunk: LogRows, row: int, dt_s: float) -> WrenchEstimate:
         """Return the sensor's estimate after a sample; it reads no first time step."""
-        step_s = dt_s if dt_s > 0.0 else 0.0
+        q_rad = chunk.channels["q_rad"][row]
         if self.is_external:
-            return self.sensor.update_external_torque(q_rad, None, torque_Nm, step_s)
-        return self.sensor.update(q_rad, dq_rad_s, torque_Nm, step_s)
+            torque_Nm = chunk.channels["tau_ext_Nm"][row]
+            return self.sensor.update_external_torque(q_rad, None, torque_Nm, dt_s)
 
-    def _keep(self, note: RowNote, dt_s: float) -> None:
-        """Count a rejection, or keep messages about velocities and doubtful signals.
+        velocities = chunk.channels.get("dq_rad_s")
+        dq_rad_s = None if velocities is None else velocities[row]
+        return self.sensor.update(q_rad, dq_rad_s, chunk.channels["tau_Nm"][row], dt_s)
 
-        Args:
-            note: What a row says of itself.
-            dt_s: Time since the latest row that advanced.
-        """
-        status, message, _, warnings = note.assessment
-        if status is Status.REJECTED:
-            reason = message.split(";")[0] if dt_s > 0.0 else "time does not advance"
-            is_new = reason not in self.rejected
-            if is_new and len(self.rejected) >= 50:  # of bounded size
-                reason = "other reasons"
-            self.rejected[reason] += 1
-        elif message and status is not Status.INITIALIZING:
-            if warnings & SensorWarning.VELOCITY:
-                self.velocity_fault = message
+    def _keep(self, estimate: WrenchEstimate) -> None:
+        """Count a rejection, or keep messages about velocities and doubtful signals."""
+        if estimate.status is Status.REJECTED:
+            self.rejected[estimate.message.split(";")[0]] += 1
+        elif estimate.message and estimate.status is not Status.INITIALIZING:
+            if estimate.warnings & SensorWarning.VELOCITY:
+                self.velocity_fault = estimate.message
             else:
-                self.question = note.question or self.question
-
-
-def _rows_of(chunk: LogChunk, rows: slice) -> LogChunk:
-    """Return some rows of a chunk."""
-    channels = {name: column[rows] for name, column in chunk.channels.items()}
-    return LogChunk(t_s=chunk.t_s[rows], dt_s=chunk.dt_s[rows], channels=channels)
+                self.question = self.sensor.question or self.question

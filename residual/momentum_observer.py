@@ -24,7 +24,6 @@ from scipy.linalg import block_diag
 
 from foundation.arrays import (
     Array,
-    Blocks,
     Matrix,
     Vector,
     WrittenMatrix,
@@ -259,67 +258,6 @@ def momentum_step(
     return True
 
 
-@compiled
-def momentum_rows(
-    rows: WrittenMatrix,
-    twists: Blocks,
-    momenta: Blocks,
-    directions: Matrix,
-    crossing: Matrix,
-    armature: Vector,
-    loads: Matrix,
-    samples: Blocks,
-    dt_s: Vector,
-    gains_per_s: Vector,
-    is_held: bool,
-    noise_threshold: Vector,
-    residuals: WrittenMatrix,
-) -> int:
-    """Bring the residual to the end of many ticks, as `momentum_step` does of one.
-
-    Args:
-        rows: See `momentum_step`.
-        twists: As there, of every tick, shape (m, n, 6).
-        momenta: Likewise.
-        directions: See there, like the next two.
-        crossing: See there.
-        armature: See there.
-        loads: As there, of every tick, shape (m, n).
-        samples: As there, of every tick, shape (m, 3, n).
-        dt_s: Length of every tick, shape (m,); none is 0.
-        gains_per_s: See `set_step_weights`.
-        is_held: See there.
-        noise_threshold: See `momentum_step`.
-        residuals: Output: the residual after every tick [Nm], shape (m, n).
-
-    Returns:
-        How many ticks come before a sample that is not plausible; m if there is none.
-    """
-    weights = np.zeros((len(gains_per_s), ROWS))
-    step_s = 0.0
-    for k in range(len(samples)):
-        if round_step(dt_s[k]) != step_s:
-            step_s = round_step(dt_s[k])
-            set_step_weights(weights, gains_per_s, step_s, is_held)
-        is_plausible = momentum_step(
-            rows,
-            twists[k],
-            momenta[k],
-            directions,
-            crossing,
-            armature,
-            loads[k],
-            samples[k],
-            weights,
-            noise_threshold,
-            dt_s[k],
-        )
-        if not is_plausible:
-            return k
-        residuals[k] = rows[RESIDUAL]
-    return len(samples)
-
-
 @dataclass(slots=True, eq=False)
 class MomentumState:
     """State of a `MomentumObserver`.
@@ -476,48 +414,6 @@ class MomentumObserver:
             check_rows(_NAMES, sample)
         memory.started = True
         return memory.rows[RESIDUAL].copy()
-
-    def step_rows(self, samples: Array, dt_s: Array) -> Array:
-        """Do for many ticks what `step` does for one.
-
-        Args:
-            samples: As of `step`, of every tick, shape (m, 3, n).
-            dt_s: Checked time steps, none longer than ``max_gap_s``, shape (m,). There
-                was a sample before.
-
-        Returns:
-            The residual after every tick [Nm], shape (m, n).
-        """
-        count = len(samples)
-        loads = np.empty((count, self._joints))
-        twists = np.empty((count, self._joints, 6))
-        momenta = np.empty((count, self._joints, 6))
-        own_twists = self._twists
-        own_momenta = self._momenta
-        motion = zip(samples[:, 0], samples[:, 1], strict=True)
-        for k, (q, dq) in enumerate(motion):
-            loads[k] = self._find_load(q, dq)
-            twists[k] = own_twists
-            momenta[k] = own_momenta
-        residuals = np.empty((count, self._joints))
-        done = momentum_rows(
-            self.memory.rows,
-            twists,
-            momenta,
-            self._directions,
-            self._crossing,
-            self._armature,
-            loads,
-            samples,
-            dt_s,
-            self._gains,
-            self._is_held,
-            self._noise_threshold,
-            residuals,
-        )
-        if done < count:
-            check_rows(_NAMES, samples[done])  # always raises, as in `step`
-        return residuals
 
     def _find_load(self, q: Array, dq: Array) -> Array:
         """Return gravity and joint friction [Nm], and fill twists and momenta."""

@@ -47,16 +47,6 @@ class TorqueSample(NamedTuple):
     settled: bool
 
 
-class SampleRun(NamedTuple):
-    """Fields of `TorqueSample` of m consecutive samples; arrays (m, n)."""
-
-    q: Array
-    dq: Array
-    tau: Array
-    residual: Array
-    settled: bool
-
-
 @dataclass(slots=True, eq=False)
 class StreamState:
     """State of a `SampleStream`.
@@ -178,80 +168,6 @@ class SampleStream:
         if self._guard is not None:
             self._guard.accept(rows.ravel(), sample.dq, dt_s)
         return sample
-
-    @property
-    def is_steady(self) -> bool:
-        """Whether the filters are settled, noise is learnt and nothing seems stale."""
-        guard = self._guard
-        memory = self.memory
-        if guard is None or guard.memory.probe is not None or self.seems_stale:
-            return False
-        velocity = self._velocity
-        if velocity is not None and not velocity.is_settled:
-            return False
-        is_known = memory.probe is None and not memory.missed_s
-        return is_known and memory.age_s >= self._settling_s
-
-    def update_run(self, rows: Array, dt_s: Array) -> SampleRun:
-        """Take a sample, and with it those after it that are hardly off it.
-
-        It does for each what `update` does for one; the stream `is_steady`.
-
-        Args:
-            rows: Samples, shape (m, 2 or 3, n), of `read_block`.
-            dt_s: Time since the sample before, shape (m,); the first is checked.
-
-        Raises:
-            SampleError: As of `update`, for the first sample.
-        """
-        guard = self._guard
-        assert guard is not None, "a steady stream has one"
-        signals = rows.reshape(len(rows), -1)
-        first_s = dt_s.item(0)
-        has_jumped = self._judge(rows[0], first_s)
-        if has_jumped or first_s > self._max_gap_s:
-            q, dq, tau, residual, is_settled = self._estimate(rows[0], first_s)
-            guard.accept(signals[0], dq, first_s)
-            return SampleRun(q[None], dq[None], tau[None], residual[None], is_settled)
-        velocity = self._velocity
-        if velocity is None:
-            guard.accept(signals[0], rows[0, 1], first_s)
-            count = guard.count_sure(signals, dt_s, self._max_gap_s)
-            matched = rows[:count]
-        else:
-            first, _ = velocity.step(rows[0], first_s)
-            guard.accept(signals[0], first[1], first_s)
-            count = guard.count_sure(signals, dt_s, self._max_gap_s)
-            others = velocity.step_rows(rows[1:count], dt_s[1:count])
-            matched = np.concatenate((first[None], others))
-        dq = matched[:, 1]
-        guard.accept_sure(signals[:count], dq, dt_s[:count])
-        q = np.ascontiguousarray(matched[:, 0])
-        if self._observer is None:
-            torque = np.ascontiguousarray(rows[:count, -1])
-            return SampleRun(q, dq, torque, torque, True)
-        residual = self._observer.step_rows(matched, dt_s[:count])
-        for step_s in dt_s[:count].tolist():
-            self.memory.age_s += step_s
-        tau = np.ascontiguousarray(matched[:, 2])
-        return SampleRun(q, dq, tau, residual, True)
-
-    def read_block(self, q: Array, dq: Array | None, torque: Array) -> Array:
-        """Copy samples, shape (m, 2 or 3, n), and add gravity where it lacks.
-
-        Args:
-            q: Positions [rad], shape (m, n), of any numbers.
-            dq: Velocities [rad/s], likewise; None in a stream without them.
-            torque: Torques [Nm], likewise.
-        """
-        rows = np.stack((q, torque) if dq is None else (q, dq, torque), axis=1)
-        if self._adds_gravity:
-            for row in rows:
-                row[-1] += pin.computeGeneralizedGravity(
-                    self._model, self._data, row[0]
-                )
-        rows.setflags(write=False)
-        return rows
 
     def _judge(self, rows: Array, dt_s: float) -> bool:
         """Refuse a sample, shape (2 or 3, n), that is no measurement.

@@ -13,7 +13,7 @@ from typing import NamedTuple, get_args
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array, Matrix, Vector, WrittenBlocks, WrittenMatrix
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
 from foundation.jit import compile_waiting, compiled
 from residual.checks.input import (
     ROUNDING_S,
@@ -108,32 +108,6 @@ def lag_pair_step(
             matched[0, j] = second
             matched[1, j] = rate
     return matched
-
-
-@compiled
-def lag_pair_rows(
-    rows: WrittenMatrix,
-    bandwidth_per_s: float,
-    dt_s: Vector,
-    signals: Matrix,
-    is_held: bool,
-    matched: WrittenBlocks,
-) -> None:
-    """Bring the rows of position and torque to the end of many ticks.
-
-    Args:
-        rows: See `lag_pair_step`.
-        bandwidth_per_s: See `lag_pair_coefficients`.
-        dt_s: Length of every tick, shape (m,).
-        signals: As of `lag_pair_step`, of every tick, shape (m, 2 n).
-        is_held: See there.
-        matched: Output: what that returns, of every tick, shape (m, 3, n).
-    """
-    factors = np.zeros((3, ROWS))
-    for k in range(len(signals)):
-        if k == 0 or dt_s[k] != dt_s[k - 1]:
-            factors = lag_pair_coefficients(bandwidth_per_s, dt_s[k])
-        matched[k] = lag_pair_step(rows, factors, signals[k], is_held)
 
 
 class MatchedSample(NamedTuple):
@@ -276,29 +250,6 @@ class VelocityEstimator:
         matched = lag_pair_step(memory.rows, self._coefficients, signals, self._is_held)
         memory.age_s += dt_s
         return matched, self.is_settled
-
-    def step_rows(self, samples: Array, dt_s: Array) -> Array:
-        """Do for many ticks what `step` does for one, once it is settled.
-
-        Args:
-            samples: As of `step`, of every tick, shape (m, 2, n).
-            dt_s: Checked time steps, none longer than ``max_gap_s``, shape (m,).
-
-        Returns:
-            The arrays of every tick's `MatchedSample`, shape (m, 3, n).
-        """
-        matched = np.empty((len(samples), 3, self._joints))
-        lag_pair_rows(
-            self.memory.rows,
-            self._bandwidth,
-            dt_s,
-            samples.reshape(len(samples), 2 * self._joints),
-            self._is_held,
-            matched,
-        )
-        for step_s in dt_s.tolist():
-            self.memory.age_s += step_s
-        return matched
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""

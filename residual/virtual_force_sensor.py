@@ -12,10 +12,10 @@ from foundation.arrays import Array
 from foundation.jit import compile_waiting
 from foundation.state import SAME_KIND, SAME_SETTINGS
 from residual.bias.estimator import BiasEstimator
-from residual.bias.model import Tare, TareBlocks
+from residual.bias.model import Tare
 from residual.bias.separation import JointSeparation
 from residual.bias.torque_diagnosis import TorqueDiagnosis
-from residual.checks.input import SampleClock, all_fit, long_step_message
+from residual.checks.input import SampleClock, long_step_message
 from residual.checks.monitor import ConsistencyMonitor
 from residual.checks.velocity import is_velocity_missing
 from residual.config import DEFAULT, SensorConfig
@@ -35,8 +35,7 @@ from residual.estimate import (
     Status,
     WrenchEstimate,
 )
-from residual.estimate_rows import EstimateRows
-from residual.sample_stream import SampleRun, SampleStream, TorqueSample
+from residual.sample_stream import SampleStream, TorqueSample
 from residual.sensor_state import DueWork, SensorState
 from residual.snapshot import check_sensor_state, robot_digest, settings_text
 from residual.tool_kinematics import ToolKinematics
@@ -237,214 +236,6 @@ class VirtualForceSensor:
         """
         return self._update(q, dq, external_torque, dt_s, is_external=True)
 
-    def update_rows(
-        self,
-        q: Array,
-        dq: Array | None,
-        torque: Array,
-        dt_s: Array,
-        *,
-        is_external: bool = False,
-    ) -> EstimateRows:
-        """Take many samples at once, as those of a log.
-
-        Estimates, and the sensor afterwards, are those of `update` or
-        `update_external_torque` sample by sample, but for the last digits of a
-        deviation; a tared sensor takes half the time. Arrays that are not of floats, or
-        of another shape, are taken sample by sample.
-
-        Args:
-            q: Joint positions [rad], shape (m, n).
-            dq: Joint velocities [rad/s], shape (m, n), or None.
-            torque: Joint torques, measured or external [Nm], shape (m, n).
-            dt_s: Time since the sample before, shape (m,).
-            is_external: Whether the torques are external ones.
-        """
-        count = len(dt_s)
-        rows = self.rows_of_size(count)
-        signals = (q, torque) if dq is None else (q, dq, torque)
-        is_readable = all(
-            all_fit(tuple(array[:1]), self._robot.nv) and len(array) == count
-            for array in signals
-        )
-        samples = None
-        row = 0
-        while row < count:
-            stream = None
-            if is_readable:
-                stream = self._steady_stream(is_external, has_velocity=dq is not None)
-            if stream is not None:
-                if samples is None:
-                    samples = stream.read_block(q, dq, torque)
-                # The last sample by itself: `recheck` asks for the one before, too.
-                stop = count - 1
-                if row == stop:
-                    self._keep_last_row()
-                    stop = count
-                row += self._update_run(
-                    stream, samples[row:stop], dt_s[row:stop], row, rows
-                )
-                continue
-            self._keep_last_row()
-            velocity = None if dq is None else dq[row]
-            estimate = self._update(
-                q[row], velocity, torque[row], dt_s.item(row), is_external=is_external
-            )
-            self.put(rows, row, estimate)
-            row += 1
-        self._keep_last_row()
-        return rows
-
-    def rows_of_size(self, count: int) -> EstimateRows:
-        """Return room for the estimates of so many samples, see `put`."""
-        unknowns = COMPONENTS[self._config.mode]
-        return EstimateRows(count, self._wrench.size, unknowns)
-
-    def put(self, rows: EstimateRows, row: int, estimate: WrenchEstimate) -> None:
-        """Set one of the rows to the latest estimate."""
-        std_of_bias_N = self.std_of_bias_N(estimate)
-        rows.put(row, estimate, std_of_bias_N, self.elapsed_s, self.question)
-
-    def _steady_stream(
-        self, is_external: bool, *, has_velocity: bool
-    ) -> SampleStream | None:
-        """Return the stream if it may take many samples of such a kind at a time."""
-        stream = self._stream
-        if stream is None or stream.is_external != is_external:
-            return None
-        bias = self._offset.memory
-        is_tared = bias.tared and not bias.leapt_s and bias.request is None
-        is_same = stream.has_velocity == has_velocity and not self._clock.missed_s
-        if is_tared and is_same and self._is_smoothing and stream.is_steady:
-            return stream
-        return None
-
-    def _update_run(
-        self,
-        stream: SampleStream,
-        samples: Array,
-        dt_s: Array,
-        first_row: int,
-        rows: EstimateRows,
-    ) -> int:
-        """Take the first of some samples, and those that can be taken with it.
-
-        Args:
-            stream: The stream, which is steady.
-            samples: See `SampleStream.read_block`.
-            dt_s: Time since the sample before, shape (m,).
-            first_row: Row of the first.
-            rows: Where the estimates are written.
-
-        Returns:
-            How many samples were taken.
-        """
-        try:
-            self._clock.elapsed(dt_s.item(0))
-            run = stream.update_run(samples, dt_s)
-        except SampleError as error:
-            self._keep_last_row()
-            self.put(rows, first_row, self._reject(dt_s.item(0), error))
-            return 1
-        count = len(run.q)
-        if run.settled and not stream.seems_stale:
-            self._process_run(run, stream, dt_s[:count], first_row, rows)
-            return count
-        sample = TorqueSample(
-            run.q[0], run.dq[0], run.tau[0], run.residual[0], run.settled
-        )
-        estimate = self._process(sample, stream, dt_s.item(0))
-        self._last_row = None
-        self.put(rows, first_row, estimate)
-        return 1
-
-    def _process_run(
-        self,
-        run: SampleRun,
-        stream: SampleStream,
-        dt_s: Array,
-        first_row: int,
-        rows: EstimateRows,
-    ) -> None:
-        """Do what `_process` does, for valid samples of which nothing is wrong.
-
-        Wrenches are solved together up to where the bias, the gain or what the
-        estimates say of themselves changes.
-        """
-        offset = self._offset
-        count = len(dt_s)
-        solved = 0
-        row = 0
-        while row < count:
-            due = self._due
-            own = slice(row, row + 1 if due else count)
-            taken = offset.update_rows(run.q[own], run.dq[own], run.tau[own], dt_s[own])
-            is_renewed = not taken
-            if is_renewed:
-                self._solve_rows(run, dt_s, slice(solved, row), first_row, rows)
-                solved = row
-                taken = 1
-                offset.update(run.q[row], run.dq[row], run.tau[row], dt_s.item(row))
-            for step_s in dt_s[row : row + taken].tolist():
-                self._unchecked_s += step_s
-            is_gain_due = (is_renewed or due) and self._is_gain_due(is_renewed)
-            if is_gain_due or due is DueWork.CHECK:
-                self._solve_rows(run, dt_s, slice(solved, row), first_row, rows)
-                solved = row
-            if is_gain_due:
-                self._renew_gain()
-            if due is DueWork.CHECK:
-                q = run.q[row]
-                self._wrench.kinematics.update(q)
-                self._wrench.renew_gain(q)
-                dq = run.dq[row] if stream.has_velocity else None
-                self._check(q, dq, run.residual[row] - offset.memory.bias)
-            row += taken
-        self._solve_rows(run, dt_s, slice(solved, count), first_row, rows)
-        self.elapsed_s = dt_s.item(-1)
-
-    def _solve_rows(
-        self,
-        run: SampleRun,
-        dt_s: Array,
-        chosen: slice,
-        first_row: int,
-        rows: EstimateRows,
-    ) -> None:
-        """Estimate the wrenches of some samples of a run, by bias and gain as now."""
-        if chosen.start == chosen.stop:
-            return
-        residual = run.residual[chosen] - self._offset.memory.bias
-        residual -= self._monitor.state.doubt.level_Nm
-        written = slice(first_row + chosen.start, first_row + chosen.stop)
-        numbers = rows.numbers[written]
-        self._wrench.solve_rows(
-            residual,
-            run.q[chosen],
-            dt_s[chosen],
-            self._wrench_filter,
-            self._smoothing_s,
-            self.lag_s,
-            numbers,
-        )
-        rows.elapsed_s[written] = dt_s[chosen]
-        assessment = self._monitor.assessment
-        question = self.question if assessment.message else ""
-        rows.note(written.start, assessment, question)
-        self._last_row = run.q[chosen.stop - 1], residual[-1], numbers[-1]
-
-    def _keep_last_row(self) -> None:
-        """Make the last of many estimates the latest estimate, if it is not yet."""
-        if self._last_row is None:
-            return
-        q, residual, numbers = self._last_row
-        self._last_row = None
-        self.kinematics.update(q)
-        self._estimate_before = self._last_estimate
-        self._last_estimate = self._wrench.estimate_of_row(
-            numbers, residual, self._wrench_filter, self._monitor.assessment
-        )
-
     def tare(self, *, ignore_contact: bool = False) -> Tare:
         """Fit the offset to the recorded free motion and return it.
 
@@ -524,8 +315,6 @@ class VirtualForceSensor:
         """
         if self._monitor.velocity_fault and not ignore_contact:
             raise _velocity_error(self._monitor.velocity_fault)
-        if not ignore_contact and (saturated := self.explain_saturation()):
-            raise saturated
         return self._stream is not None and self._stream.is_external
 
     def _continue_tare(self) -> None:
@@ -539,23 +328,6 @@ class VirtualForceSensor:
             # The next sample computes the gain before it is used.
             self._due = DueWork.GAIN
             self._is_smoothing = False
-
-    def explain_saturation(self) -> TareError | None:
-        """Return why torques were beyond their range from the start, if that shows.
-
-        As of a tare that they would have been refused: they may be in another unit.
-        """
-        return self._offset.explain_saturation(self._contact)
-
-    def judge_motion(self, motion: TareBlocks) -> float | None:
-        """Return how probable a recorded motion is if this arm has made it.
-
-        That is a logarithm, but for a constant. None where a tare of it is refused.
-
-        Args:
-            motion: That of a `TorqueDiagnosis`, perhaps of another arm's model.
-        """
-        return self._offset.judge_motion(motion, self._contact)
 
     def _with_likely_causes(self, error: TareError) -> str:
         """Return the message of a refused tare with what may have caused it."""
@@ -613,7 +385,6 @@ class VirtualForceSensor:
         self._restart()
         self._estimate_before: WrenchEstimate | None = None
         self._last_estimate: WrenchEstimate | None = None
-        self._last_row: tuple[Array, Array, Array] | None = None
         self._clock = SampleClock(self._config.max_gap_s)
         self.rejected = 0
         self._refusal = ""
@@ -738,8 +509,6 @@ class VirtualForceSensor:
             elapsed_s = 0.0 if is_first else self._clock.elapsed(dt_s)
             sample = stream.update(q, dq, torque, elapsed_s)
         except SampleError as error:
-            if error.warning & SensorWarning.SATURATED and not is_external:
-                self._offset.keep_saturated(np.array(q, float), np.array(torque, float))
             return self._reject(dt_s, error)
         if stream is not self._stream:
             self._stream = stream

@@ -7,12 +7,11 @@ much along the shaft, is left to `identification`.
 """
 
 import math
-from collections.abc import Sequence
 from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.arrays import Array, Matrix, Vector, WrittenVector
 from foundation.jit import compile_waiting, compiled, compiled_inside
 from foundation.linear_algebra import (
     decompose_symmetric,
@@ -30,15 +29,6 @@ from residual.estimate import (
     UNSEEN_STD,
     Assessment,
     WrenchEstimate,
-)
-from residual.estimate_rows import (
-    AXIAL,
-    AXIAL_STD,
-    LATERAL,
-    LATERAL_STD,
-    STD_OF_BIAS,
-    UNSMOOTHED,
-    WRENCH,
 )
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
@@ -548,76 +538,6 @@ def wrench_step(
     return -along, std, lateral, std_across, -unsmoothed
 
 
-@compiled
-def wrench_rows(
-    residuals: Matrix,
-    q: Matrix,
-    dt_s: Vector,
-    gain: WrenchGain,
-    variances: Vector,
-    smoothing_s: float,
-    observer_lag_s: float,
-    scale_std: float,
-    smoothed: WrittenVector,
-    follower: WrittenVector,
-    hidden_N2: WrittenVector,
-    numbers: WrittenMatrix,
-) -> int:
-    """Estimate the force of many ticks by one gain, as `wrench_step` does of one.
-
-    Args:
-        residuals: External joint torques after offset removal [Nm], shape (m, n).
-        q: Configurations [rad], shape (m, n).
-        dt_s: Time since the sample before, shape (m,).
-        gain: The gain.
-        variances: Of the components that the mode estimates, shape (k,).
-        smoothing_s: Lag of the smoothing while the force stays within its noise.
-        observer_lag_s: Lag of the momentum observer.
-        scale_std: Standard deviation of the torques' scale, relative to it.
-        smoothed: See `wrench_step`, like the next two.
-        follower: See there.
-        hidden_N2: See there.
-        numbers: Output, see `AXIAL` and the others.
-
-    Returns:
-        Before which row the arm has turned too far for the gain; m if nowhere.
-    """
-    components = len(smoothed)
-    for row in range(len(residuals)):
-        if has_turned(q[row], gain.configuration_rad):
-            return row
-        axial, axial_std, lateral, lateral_std, unsmoothed = wrench_step(
-            residuals[row],
-            gain.matrix,
-            gain.direction,
-            gain.variances_N2,
-            gain.noises_N2,
-            smoothing_s / dt_s[row],
-            observer_lag_s / dt_s[row],
-            smoothed,
-            follower,
-            hidden_N2,
-        )
-        scale_error_N = scale_std * axial
-        with_scale = math.hypot(axial_std, scale_error_N)
-        numbers[row, AXIAL] = axial
-        numbers[row, AXIAL_STD] = with_scale
-        numbers[row, LATERAL] = lateral
-        numbers[row, LATERAL_STD] = math.hypot(lateral_std, scale_std * lateral)
-        numbers[row, STD_OF_BIAS] = math.sqrt(
-            max(with_scale * with_scale - scale_error_N * scale_error_N, 0.0)
-        )
-        numbers[row, UNSMOOTHED] = unsmoothed
-        for k in range(components):
-            numbers[row, WRENCH + k] = smoothed[k]
-        for k in range(len(variances)):
-            unknown = axial if len(variances) == 1 else smoothed[k]
-            numbers[row, WRENCH + components + k] = (
-                variances[k] + (scale_std * unknown) ** 2
-            )
-    return len(residuals)
-
-
 class WrenchEstimator:
     """Wrench of the environment on the tool, by covariance-weighted least squares.
 
@@ -808,45 +728,7 @@ class WrenchEstimator:
         if self.scale_std:
             axial_std = math.hypot(axial_std, self.scale_std * axial)
             lateral_std = math.hypot(lateral_std, self.scale_std * lateral)
-        numbers = axial, axial_std, lateral, lateral_std, axial_unsmoothed
-        return self._make_estimate(numbers, residual, smoothed.copy(), assessment)
-
-    def estimate_of_row(
-        self,
-        numbers: Array,
-        residual: Array,
-        state: WrenchFilterState,
-        assessment: Assessment,
-    ) -> WrenchEstimate:
-        """Return the estimate of the last tick of `solve_rows`.
-
-        Args:
-            numbers: What is known of it, a row of `EstimateRows.numbers`.
-            residual: As of `solve`.
-            state: See there.
-            assessment: See there.
-        """
-        own = numbers[[AXIAL, AXIAL_STD, LATERAL, LATERAL_STD, UNSMOOTHED]].tolist()
-        smoothed = state.smoothed.copy()
-        return self._make_estimate(own, residual, smoothed, assessment)
-
-    def _make_estimate(
-        self,
-        numbers: Sequence[float],
-        residual: Array,
-        wrench: Array,
-        assessment: Assessment,
-    ) -> WrenchEstimate:
-        """Return an estimate, whose arrays become read-only.
-
-        Args:
-            numbers: Axial force, its deviation, the lateral force, that of its
-                components, and the axial force before it is smoothed [N].
-            residual: As of `solve`.
-            wrench: The smoothed wrench.
-            assessment: As of `solve`.
-        """
-        axial, axial_std, lateral, lateral_std, axial_unsmoothed = numbers
+        wrench = smoothed.copy()
         residual.setflags(write=False)
         wrench.setflags(write=False)
         covariance, conditioning, damping_fraction, _, _ = self.observability
@@ -872,49 +754,6 @@ class WrenchEstimator:
             model_mismatch,
             warnings,
         )
-
-    def solve_rows(
-        self,
-        residuals: Array,
-        q: Array,
-        dt_s: Array,
-        state: WrenchFilterState,
-        smoothing_s: float,
-        observer_lag_s: float,
-        numbers: Array,
-    ) -> None:
-        """Do for many ticks what `renew_gain` and `solve` do for one.
-
-        Args:
-            residuals: External joint torques after offset removal [Nm], shape (m, n).
-            q: Configurations [rad], shape (m, n).
-            dt_s: Time since the sample before, shape (m,).
-            state: Of the smoothing; brought to the end of the last tick.
-            smoothing_s: Lag of the smoothing while the force stays within its noise.
-            observer_lag_s: Lag of the momentum observer.
-            numbers: Output, see `AXIAL` and the others.
-
-        Raises:
-            SampleError: For numbers that are not finite.
-        """
-        row = 0
-        while row < len(residuals):
-            row += wrench_rows(
-                residuals[row:],
-                q[row:],
-                dt_s[row:],
-                self.gain,
-                self.observability.covariance.diagonal().copy(),
-                smoothing_s,
-                observer_lag_s,
-                self.scale_std,
-                *state,
-                numbers[row:],
-            )
-            if row < len(residuals):
-                self.compute_gain(q[row])
-        if not np.isfinite(numbers).all():
-            raise SampleError("q and residual must be finite")
 
     def _with_scale_error(
         self, covariance: Array, axial: float, wrench: Array

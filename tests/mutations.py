@@ -17,7 +17,6 @@ from tempfile import TemporaryDirectory
 import msgspec
 from cyclopts import App
 
-from foundation.compile_cache import cache_roots
 from foundation.errors import NeedleforceError
 from needleforce.cli.terminal import run_command
 from tests.source_files import ROOT, project_files
@@ -87,8 +86,6 @@ def run_tests(tests, mutation=None):
         if mutation is not None:
             (copy / mutation.file).write_text(mutation.text(), encoding="utf-8")
         compiled = Path(folder) / "compiled"
-        if cache := next(filter(Path.is_dir, cache_roots()), None):
-            shutil.copytree(cache, compiled, copy_function=link_or_copy)
         environment = os.environ | {
             "PYTHONPATH": str(copy),
             "NUMBA_CACHE_DIR": str(compiled),

@@ -11,7 +11,6 @@ from pathlib import Path
 from typing import Any, NamedTuple
 
 from foundation import jit
-from foundation.compile_cache import cache_roots, writable_root
 from foundation.extras import EXTRAS, PACKAGE, install_command
 from needleforce.cli.terminal import aligned
 
@@ -43,7 +42,6 @@ def examine(*, with_sizes: bool) -> dict[str, Any]:
         with_sizes: Also measure the sizes of core and extras, which takes seconds.
     """
     _import_compiled()
-    root = writable_root()
     found: dict[str, Any] = {
         "version": version_of(PACKAGE) or "not installed",
         "folder": str(PROJECT),
@@ -61,10 +59,8 @@ def examine(*, with_sizes: bool) -> dict[str, Any]:
         "extras": [_examine_extra(extra) for extra in EXTRAS],
         "cache": {
             "compiler": jit.COMPILER,
-            "folder": str(root or next(cache_roots())),
-            "is_writable": root is not None,
-            "functions": len(jit.entries),
-            "kept_functions": sum(entry.cache.is_warm for entry in jit.entries),
+            "is_writable": all(one.stats.cache_path for one in jit.dispatchers),
+            "functions": len(jit.dispatchers),
         },
         "sizes": installed_sizes() if with_sizes else [],
     }
@@ -81,11 +77,6 @@ def describe(found: dict[str, Any]) -> str:
         ("python", f"{found['python']}, {found['executable']}"),
         ("packages", core),
         ("compiler", cache["compiler"] or "none"),
-        (
-            "cache",
-            f"{cache['folder']}, {cache['kept_functions']} of {cache['functions']} "
-            "functions compiled",
-        ),
         ("system", found["system"]),
         ("cores", f"{found['cores']}; OMP_NUM_THREADS is {threads}"),
         (
@@ -137,8 +128,6 @@ def _find_doubts(found: dict[str, Any]) -> Iterator[str]:
             "compiled code cannot be kept, and every start compiles: set "
             "NUMBA_CACHE_DIR to a folder that can be written"
         )
-    elif cache["kept_functions"] < cache["functions"]:
-        yield "the first estimator compiles: needleforce doctor --compile does it now"
 
 
 def _count_cores() -> int:

@@ -102,12 +102,9 @@ Over = Literal["time", "depth"]
 @Parameter(name="*", group=OUTPUT)
 @dataclass(frozen=True, kw_only=True)
 class Output:
-    """How long a log is read, and which files are written.
+    """Which files are written.
 
     Attributes:
-        follow: Go on reading as the file (CSV, MCAP) grows, until Ctrl-C or --idle.
-        idle: With --follow or a pipe: stop when nothing new has come for so many
-            seconds.
         output: Table of the estimates, row by row: .csv, .npz, .parquet, .mcap (a ROS 2
             bag), or - for CSV on standard output.
         figure: Figure: .png, .svg or .pdf.
@@ -118,8 +115,6 @@ class Output:
         report: Folder of a page, which `report` alone writes.
     """
 
-    follow: Annotated[bool, Parameter(group=LOG)] = False
-    idle: Annotated[float | None, Parameter(metavar="SECONDS", group=LOG)] = None
     output: Annotated[
         str | None,
         Parameter(name=("--output", "-o"), metavar="FILE", allow_leading_hyphen=True),

@@ -93,9 +93,9 @@ class Signal:
         """Whether values may be in another unit than that of a column."""
         return not self._origins.isdisjoint({UnitOrigin.ASSUMED, UnitOrigin.FORMAT})
 
-    def read(self, table: Table, rows: slice) -> Array:
+    def read(self, table: Table) -> Array:
         """Return values of a table in SI units, shape (n,) or (n, joints)."""
-        columns = [table.values(name)[rows] for name in self.source.columns]
+        columns = [table.values(name) for name in self.source.columns]
         values = np.column_stack(columns) * self.factors
         return values if self.channel.per_joint else values[:, 0]
 
@@ -202,41 +202,22 @@ class Signal:
         )
 
 
-class VelocityWatch:
-    """Notices velocities that are zero in all rows, as drivers send that have none."""
+def velocity_warnings(values: Mapping[str, Array]) -> tuple[str, ...]:
+    """Report velocities that are zero in all rows, as drivers send that have none."""
+    min_travel_rad = 1e-3  # one that moved less may have been at rest
+    if not values.keys() >= {"q_rad", "dq_rad_s"} or values["dq_rad_s"].any():
+        return ()
 
-    def __init__(self) -> None:
-        self._first_rad: Array | None = None
-        self._travel_rad = 0.0
-        self._is_sent = False
+    q_rad = values["q_rad"]
+    travel_rad = float(np.nan_to_num(np.abs(q_rad - q_rad[0])).max())
+    if travel_rad < min_travel_rad:
+        return ()
 
-    def update(self, values: Mapping[str, Array]) -> None:
-        """Look at further rows; channels by key, of shape (n, joints)."""
-        if not values.keys() >= {"q_rad", "dq_rad_s"} or self._is_sent:
-            return
-
-        q_rad = values["q_rad"]
-        self._is_sent = bool(values["dq_rad_s"].any())
-        if self._is_sent or not len(q_rad):
-            return
-
-        first_rad = q_rad[0].copy() if self._first_rad is None else self._first_rad
-        self._first_rad = first_rad
-        travel_rad = np.abs(q_rad - first_rad)
-        finite_rad = travel_rad[np.isfinite(travel_rad)]
-        self._travel_rad = max(self._travel_rad, float(finite_rad.max(initial=0.0)))
-
-    def warnings(self) -> tuple[str, ...]:
-        """Report, at the end, zeros in all rows of an arm that has moved."""
-        min_travel_rad = 1e-3  # one that moved less may have been at rest
-        if self._is_sent or self._travel_rad < min_travel_rad:
-            return ()
-
-        return (
-            f"dq is zero in all rows, and q moves by {self._travel_rad:.3g} rad: it "
-            f"seems not to be sent; leave it out with --dq {LEFT_OUT}, or with "
-            f'dq = "{LEFT_OUT}" in the mapping, and it is estimated from q',
-        )
+    return (
+        f"dq is zero in all rows, and q moves by {travel_rad:.3g} rad: it seems not to "
+        f"be sent; leave it out with --dq {LEFT_OUT}, or with "
+        f'dq = "{LEFT_OUT}" in the mapping, and it is estimated from q',
+    )
 
 
 def require_equal_sizes(table: Table, signals: Mapping[str, Signal]) -> None:

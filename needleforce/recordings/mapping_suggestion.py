@@ -2,20 +2,16 @@
 
 import json
 from collections.abc import Iterable, Sequence
-from contextlib import suppress
 from pathlib import Path
 
-from needleforce.recordings.bags.messages import is_bag
-from needleforce.recordings.bags.tables import learn_topics
-from needleforce.recordings.bags.topics import Bag
+from needleforce.recordings.bag_file import bag_head, is_bag
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.channel_units import units_of_columns
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.errors import ColumnError, UnitError, readable_path
-from needleforce.recordings.follow import STANDARD_STREAM, FollowOptions
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
-from needleforce.recordings.open_recording import stream_tables
-from needleforce.recordings.table import Table
+from needleforce.recordings.open_recording import columns_of
+from needleforce.recordings.table import STANDARD_STREAM, Table
 
 
 def suggest_mapping(
@@ -46,16 +42,17 @@ def suggest_mapping(
     if known.rate_hz is not None:
         lines += [f"rate_hz = {known.rate_hz}", ""]
 
+    table = columns_of(source, known)
     if str(source) != STANDARD_STREAM and is_bag(readable_path(source)):
-        bag = Bag(Path(source))
-        learn_topics(bag)
-        table = bag.table()
+        _, counts = bag_head(Path(source))
         is_time_needed = "time" in known.channels
-        lines += _bag_lines(bag)
-        lines += _reference_lines(bag, table, names, joints, known)
+        reference = known.reference_topic or max(counts, key=counts.__getitem__)
+        names_of = [each for each in table.joint_names.values() if {*joints} <= {*each}]
+        order = known.joint_order or (joints if names_of else ())
+        lines += [comment_line(f"  {each}: {n} messages") for each, n in counts.items()]
+        lines += ["", f"reference_topic = {json.dumps(reference)}"]
+        lines += [f"joints = {json.dumps(list(order))}", ""] if order else [""]
     else:
-        tables = stream_tables(source, FollowOptions(), knowledge=known.knowledge)
-        table = next(tables)
         known = ChannelRequest(known).with_layout(table).mapping
         is_time_needed = known.rate_hz is None
 
@@ -73,60 +70,6 @@ def comment_line(text: str) -> str:
     Names in it come from files and must not end its line.
     """
     return "# " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-
-
-def _bag_lines(bag: Bag) -> list[str]:
-    """Return the topics of a bag, and what is wrong with it, as comments."""
-    topics = [comment_line(f"  {topic.describe()}") for topic in bag.topics.values()]
-    return ["# Topics:", *topics, *map(comment_line, bag.warnings), ""]
-
-
-def _reference_lines(
-    bag: Bag,
-    table: Table,
-    channels: Sequence[str],
-    joints: Sequence[str],
-    known: ColumnMapping,
-) -> list[str]:
-    """Return lines on whose messages are the rows, and on the order of joints."""
-    columns: set[str] = set()
-    for name in channels:
-        with suppress(ColumnError):  # several would fit, which the mapping will say
-            request = ChannelRequest(known, optional=(name,))
-            columns |= request.columns(table) or set()
-
-    topics = [topic for topic in bag.topics.values() if topic.columns.keys() & columns]
-    if not topics:
-        return []
-
-    most_frequent = max(topics, key=lambda topic: topic.count)
-    reference = known.reference_topic or most_frequent.name
-    joint_names = dict.fromkeys(
-        joint for topic in topics for joint in topic.joint_names
-    )
-    return [
-        "# Rows are the messages of this topic; others are interpolated to its time "
-        "stamps.",
-        f"reference_topic = {json.dumps(reference)}",
-        *_joint_lines(list(joint_names), joints, known),
-        "",
-    ]
-
-
-def _joint_lines(
-    bag_joints: list[str], joints: Sequence[str], known: ColumnMapping
-) -> list[str]:
-    """Return lines on the order of joints, if the bag names any."""
-    if not bag_joints:
-        return []
-
-    has_all = bool(joints) and set(joints) <= set(bag_joints)
-    order = list(known.joint_order or (joints if has_all else bag_joints))
-    lines = ["# Joints in the order of the robot; they are found by these names."]
-    if joints and order != list(joints):
-        lines.append(comment_line(f"The robot calls them: {', '.join(joints)}"))
-
-    return [*lines, f"joints = {json.dumps(order)}"]
 
 
 def mapping_text(

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.files import whole_file
-from needleforce.recordings.bags.messages import METADATA, is_bag
+from needleforce.recordings.bag_file import METADATA, is_bag
 from needleforce.recordings.errors import (
     EQUAL_COLUMNS,
     KNOWN_SUFFIX,
@@ -19,9 +19,8 @@ from needleforce.recordings.errors import (
     LogError,
     file_errors,
 )
-from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.log import Log
-from needleforce.recordings.table import TableColumns, TableLabels
+from needleforce.recordings.table import STANDARD_STREAM, TableColumns, TableLabels
 from needleforce.recordings.writers import WRITERS, Append, Writer, csv_writer
 
 

@@ -15,8 +15,8 @@ from needleforce.recordings.time_stamps import exceed_float64
 TableColumns = Mapping[str, np.ndarray]
 """Columns by name, shape (n,) or (n, k)."""
 
-HEAD_ROWS = 200
-"""So many rows decide which columns a stream has, however they arrive."""
+STANDARD_STREAM = "-"
+"""Stands in place of a file for standard input or standard output."""
 
 MAX_LIST_NUMBERS = 64
 """Longer lists in cells are images and point clouds, no signals of joints."""

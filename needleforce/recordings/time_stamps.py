@@ -5,25 +5,14 @@ seconds in float64 such stamps would be rounded to 0.2 µs; then seconds are cou
 from the first stamp instead, see `start_of_clock`.
 """
 
-import math
-
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.ndimage import median_filter
 
 from foundation.arrays import Array
-from needleforce.recordings.errors import FaultCounts, LogError
+from needleforce.recordings.errors import LogError
 
 NS_PER_S = 1_000_000_000
-
-MIN_RUN_SET_BACK_S = 0.1
-"""A clock counts as set back when the rows behind the latest span so much time."""
-
-MIN_ROWS_SET_BACK = 3
-"""A clock counts as set back when so many rows follow each other behind the latest."""
-
-_SET_BACK = "time: clock set back, from where it counts anew"
-_BACKWARD = "time: stamps running backward"
-_REPEATED = "time: stamps repeated"
 
 
 def start_of_clock(first_ns: int) -> int:
@@ -118,112 +107,110 @@ def interpolate(
     return rows
 
 
-class RowClock:
-    """The time from row to row, where rows may come late or the clock be set back.
+def rows_in_order(
+    t_s: Array, values: Array, sorted_within_s: float
+) -> tuple[NDArray[np.intp], Array, list[str]]:
+    """Return the rows of a log in the order of time, and what was odd.
 
-    A row that is not later than those before is no step in time. If few rows are so,
-    they came late. If several follow each other behind the latest stamp, later than
-    each other, and span some time, the clock was set back: from there on it counts
-    anew. Rows that do not advance stay in a log; an online step skips them.
+    Rows without a stamp, with one that those around contradict, or with that of an
+    earlier row are left out; late rows are sorted. Stamps that most rows share, as of a
+    clock with few digits, are spread evenly.
+
+    Args:
+        t_s: Stamps in the order of the file, shape (n,).
+        values: A channel, shape (n,) or (n, k): rows that repeat it are no new samples.
+        sorted_within_s: Rows that come later than this are left out.
+
+    Returns:
+        Indices of the rows, shape (m,), their stamps, shape (m,), and notes.
+
+    Raises:
+        LogError: Fewer than two stamps advance.
     """
+    notes: list[str] = []
+    rows = np.flatnonzero(np.isfinite(t_s))
+    if missing := len(t_s) - len(rows):
+        first = int(np.argmin(np.isfinite(t_s)))
+        notes.append(
+            f"time: rows without a stamp, left out: {missing} (first: row {first + 1})"
+        )
 
-    def __init__(self) -> None:
-        self._latest_s = -math.inf
-        self._behind_s: list[float] = []
-        """Stamps before the latest, each later than the one before."""
-        self._row_count = 0
-        self._advance_count = 0
-        # Reported in this order.
-        self._faults = FaultCounts()
-        self._faults.note(_SET_BACK, "", 0)
-        self._faults.note(_BACKWARD, "", 0)
-
-    def update(self, t_s: Array, rows: Array | None = None) -> Array:
-        """Return the time since the latest row that advanced, for every row.
-
-        Args:
-            t_s: Time stamps, shape (n,).
-            rows: Their numbers in the file, for messages, shape (n,); None to count
-                from 1.
-
-        Returns:
-            Time in s, shape (n,): not positive for a row that does not advance, inf for
-            the first of all. The row at which a set clock is recognised advances by the
-            time for which that clock has run.
-        """
-        if rows is None:
-            rows = self._row_count + np.arange(1.0, t_s.size + 1.0)
-
-        self._row_count += t_s.size
-        dt_s = np.diff(t_s, prepend=self._latest_s)
-        if not dt_s.any():
-            if t_s.size:
-                stamp = f"{self._latest_s:.9g} s"
-                place = f"row {rows[0]:.0f}, {stamp} after {stamp}"
-                self._faults.note(_REPEATED, place, t_s.size)
-
-            return dt_s
-        if not (dt_s > 0.0).all():
-            numbered = zip(t_s.tolist(), rows.tolist(), strict=True)
-            return np.array(
-                [self._update_one(*stamp_and_row) for stamp_and_row in numbered]
+    stamps_s = t_s[rows]
+    step_s = float(np.median(np.diff(stamps_s[:200]))) if len(rows) > 1 else 0.0
+    if len(rows) > 8 and step_s > 0.0:
+        around_s = median_filter(stamps_s, 9, mode="nearest")
+        is_bad = np.abs(stamps_s - around_s) > max(sorted_within_s, 20.0 * step_s)
+        if is_bad.any():
+            first = rows[np.argmax(is_bad)]
+            notes.append(
+                f"rows with a bad time stamp, left out: {np.count_nonzero(is_bad)} "
+                f"(first: row {first + 1}, {t_s[first]:.13g} s)"
             )
+            rows, stamps_s = rows[~is_bad], stamps_s[~is_bad]
 
-        self._latest_s = float(t_s[-1])
-        self._behind_s.clear()
-        self._advance_count += t_s.size
-        return dt_s
+    stamps_s, set_back = _continue_clock(rows, stamps_s, step_s)
+    notes += set_back
+    lateness_s = np.fmax.accumulate(stamps_s) - stamps_s
+    is_late = (lateness_s > 0.0) & (lateness_s <= sorted_within_s)
+    if is_late.any():
+        kept = lateness_s <= sorted_within_s
+        order = np.argsort(stamps_s[kept], kind="stable")
+        rows, stamps_s = rows[kept][order], stamps_s[kept][order]
+        notes.append(f"time: rows out of order, sorted: {np.count_nonzero(is_late)}")
 
-    def _update_one(self, stamp_s: float, row: float) -> float:
-        """Return the time since the latest row that advanced, for the next row.
+    is_repeated = np.diff(stamps_s, prepend=-np.inf) <= 0.0
+    changed = (
+        np.diff(values[rows], axis=0).reshape(max(len(rows) - 1, 0), -1).any(axis=1)
+    )
+    if (
+        len(rows) > 2
+        and np.count_nonzero(is_repeated[1:] & changed) > 2 * len(rows) / 3
+    ):
+        starts = np.flatnonzero(~is_repeated)
+        stamps_s = np.interp(np.arange(len(rows)), starts, stamps_s[starts])
+        keep = np.arange(len(rows)) <= starts[-1]
+        notes.append("time: stamps are rounded; rows between were spread evenly")
+    else:
+        keep = stamps_s > np.concatenate(
+            ([-np.inf], np.maximum.accumulate(stamps_s)[:-1])
+        )
+        if not keep.all():
+            count = np.count_nonzero(~keep)
+            notes.append(f"time: rows whose stamps do not advance, left out: {count}")
 
-        Args:
-            stamp_s: Its time stamp.
-            row: Its number in the file.
-        """
-        latest_s = self._latest_s
-        dt_s = stamp_s - latest_s
-        fault = _REPEATED if dt_s == 0.0 else _BACKWARD
-        if dt_s < 0.0:
-            run_s = self._run_behind_latest(stamp_s)
-            if run_s is not None:
-                fault = _SET_BACK
-                dt_s = run_s
+    if np.count_nonzero(keep) < 2:
+        raise LogError(
+            f"no usable time: of {len(t_s)} rows at least two must have stamps that "
+            "advance",
+            "Give time stamps that increase; name their unit in the `mapping`, or give "
+            "`rate_hz` instead.",
+        )
 
-        if dt_s > 0.0:
-            self._latest_s = stamp_s
-            self._advance_count += 1
-            self._behind_s.clear()
+    return rows[keep], stamps_s[keep], notes
 
-        if stamp_s <= latest_s:
-            place = f"row {row:.0f}, {stamp_s:.9g} s after {latest_s:.9g} s"
-            self._faults.note(fault, place)
 
-        return dt_s
+def _continue_clock(
+    rows: NDArray[np.intp], stamps_s: Array, step_s: float
+) -> tuple[Array, list[str]]:
+    """Return stamps that run on where the clock was set back, and a note on each.
 
-    def _run_behind_latest(self, stamp_s: float) -> float | None:
-        """Return for how long a clock that was set back has run; None if it was not."""
-        if self._behind_s and stamp_s < self._behind_s[-1]:
-            self._behind_s.clear()
-        if not self._behind_s or stamp_s > self._behind_s[-1]:
-            self._behind_s.append(stamp_s)
-
-        run_s = stamp_s - self._behind_s[0]
-        is_set = len(self._behind_s) >= MIN_ROWS_SET_BACK
-        return run_s if is_set and run_s >= MIN_RUN_SET_BACK_S else None
-
-    def warnings(self) -> tuple[str, ...]:
-        """Report stamps that do not advance, by kind.
-
-        Raises:
-            LogError: Fewer than two rows advance; the first of all counts as one.
-        """
-        if self._advance_count < 2:
-            raise LogError(
-                f"no usable time: of {self._row_count} samples none is later than the "
-                "first; at least two time stamps must advance",
-                "Give time stamps that increase; name their unit in the "
-                "`mapping`, or give `rate_hz` instead.",
+    Args:
+        rows: Indices of the rows in the log, shape (m,).
+        stamps_s: Their stamps, shape (m,).
+        step_s: Usual time from one to the next.
+    """
+    notes: list[str] = []
+    for start in np.flatnonzero(np.diff(stamps_s) < 0.0).tolist():
+        # Rows behind the latest that follow each other for so long were not late.
+        is_behind = stamps_s[start + 1 :] < stamps_s[: start + 1].max()
+        is_next = np.diff(stamps_s[start + 1 :], prepend=-np.inf) > 0.0
+        run = stamps_s[start + 1 :][np.logical_and.accumulate(is_behind & is_next)]
+        if len(run) >= 3 and run[-1] - run[0] >= 0.1:
+            notes.append(
+                f"time: clock set back at row {rows[start + 1] + 1}, {run[0]:.9g} s "
+                f"after {stamps_s[start]:.9g} s; it was continued from there"
             )
+            stamps_s = stamps_s.copy()
+            stamps_s[start + 1 :] += stamps_s[start] - run[0] + step_s
 
-        return self._faults.lines()
+    return stamps_s, notes

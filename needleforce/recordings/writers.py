@@ -9,8 +9,7 @@ from typing import Any, BinaryIO
 
 import numpy as np
 
-from needleforce.recordings.bags.message_types import CDR, standard_types
-from needleforce.recordings.bags.written_topics import bag_topics
+from needleforce.recordings.bag_topics import bag_topics, standard_types
 from needleforce.recordings.errors import (
     EQUAL_COLUMNS,
     LogError,
@@ -167,7 +166,7 @@ def _register(bag: Any, name: str, kind: str) -> int:
     """Announce a topic, with its type, in a bag that is written; return its number."""
     definition, _ = standard_types().generate_msgdef(kind, ros_version=2)
     schema = bag.register_schema(kind, "ros2msg", definition.encode())
-    return bag.register_channel(name, CDR, schema)
+    return bag.register_channel(name, "cdr", schema)
 
 
 def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:

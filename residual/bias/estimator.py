@@ -8,8 +8,7 @@ from typing import ClassVar, Self
 import numpy as np
 import pinocchio as pin
 
-from foundation.arrays import Array, Matrix, Vector, WrittenVector
-from foundation.jit import compiled
+from foundation.arrays import Array
 from foundation.steps import Steps, finish
 from residual.bias.fit import FreeMotionFit
 from residual.bias.joint_states import joint_states_step
@@ -18,7 +17,6 @@ from residual.bias.separation import JointSeparation, separate_causes
 from residual.bias.tare_check import check_free_of_contact
 from residual.bias.tare_request import TareRequest
 from residual.bias.torque_diagnosis import TorqueDiagnosis
-from residual.bias.torque_fit import compute_motion
 from residual.checks.input import ROUNDING_S
 from residual.config import SensorConfig
 from residual.errors import TareError
@@ -210,31 +208,6 @@ class BiasState:
     request: TareRequest | None = None
 
 
-@compiled
-def sum_torques(
-    torque_sum: WrittenVector, tau: Matrix, dt_s: Vector, now_s: float, due_s: float
-) -> tuple[int, float]:
-    """Add up torques until a time.
-
-    Args:
-        torque_sum: Their sum [Nm], shape (n,), to which they are added.
-        tau: Torques [Nm], shape (m, n).
-        dt_s: Time since the one before, shape (m,).
-        now_s: Time before the first.
-        due_s: The time that all stay before.
-
-    Returns:
-        How many were added, and the time of the last.
-    """
-    for k in range(len(tau)):
-        if now_s + dt_s[k] >= due_s:
-            return k, now_s
-        now_s += dt_s[k]
-        for j in range(len(torque_sum)):
-            torque_sum[j] += tau[k, j]
-    return len(tau), now_s
-
-
 class BiasEstimator:
     """Subtracts the bias, the residual without contact, from the observer's output.
 
@@ -320,29 +293,6 @@ class BiasEstimator:
             return False
         self._renew()
         return True
-
-    def update_rows(self, q: Array, dq: Array, tau: Array, dt_s: Array) -> int:
-        """Do for many samples what `update` does for one, until a renewal is due.
-
-        Args:
-            q: Positions [rad], shape (m, n).
-            dq: Velocities [rad/s], shape (m, n).
-            tau: Torques [Nm], shape (m, n).
-            dt_s: Time since the sample before, at most `LEAP_S`, shape (m,).
-
-        Returns:
-            How many samples were taken.
-        """
-        memory = self.memory
-        count, memory.now_s = sum_torques(
-            memory.torque_sum, tau, dt_s, memory.now_s, memory.due_s - ROUNDING_S
-        )
-        if count:
-            memory.q = q[count - 1]
-            memory.dq = dq[count - 1]
-            memory.tau = tau[count - 1]
-            memory.summed += count
-        return count
 
     def _renew(self) -> None:
         """Renew what changes slowly: joint states, bias and the error by motion."""
@@ -575,7 +525,6 @@ class BiasEstimator:
         if request.ignore_contact:
             return fit.tare, None
         diagnosis = yield from check_free_of_contact(
-            self._robot,
             fit,
             wrench,
             self._config.contact_force_N,
@@ -601,80 +550,17 @@ class BiasEstimator:
         self.cancel_tare()
         return tare
 
-    def keep_saturated(self, q: Array, tau: Array) -> None:
-        """Keep a rejected sample with a torque beyond its range, of so many."""
-        if not self.memory.tared and len(self._saturated) < MAX_SATURATED:
-            self._saturated.append((q, tau))
-
-    def explain_saturation(self, wrench: WrenchEstimator) -> TareError | None:
-        """Return why torques were beyond their range from the start, if that shows.
-
-        They may be in another unit. None where free motion was recorded, or too few
-        samples were rejected.
-        """
-        count = len(self._saturated)
-        if len(self.memory.recorder.sums) or count < MAX_SATURATED:
-            return None
-        q_rad = np.array([q for q, _ in self._saturated])
-        torque_Nm = np.array([tau for _, tau in self._saturated])
-        gravity_Nm = np.array([self._basis.gravity_Nm(q) for q in q_rad])
-        measured_Nm = torque_Nm
-        if self._config.torque_is_gravity_compensated:
-            measured_Nm = torque_Nm - gravity_Nm
-        blocks = TareBlocks(
-            q_rad=q_rad,
-            states=np.zeros((count, self._basis.states, self._joints)),
-            residual_Nm=gravity_Nm - torque_Nm,
-            torque_Nm=measured_Nm,
-            age_s=np.linspace(1.0 - count, 0.0, count) * self.block_s,
-            scatter_Nm2=torque_Nm.var(axis=0),
-        )
-        try:
-            self._check_motion(blocks, wrench, is_whole=False)
-        except TareError as error:
-            seen = error.diagnosis
-            return error if seen is None or seen.is_certain or seen.advice else None
-        return None
-
-    def judge_motion(self, motion: TareBlocks, wrench: WrenchEstimator) -> float | None:
-        """Return how probable a motion is; see `VirtualForceSensor.judge_motion`."""
-        adds_gravity = self._config.torque_is_gravity_compensated
-        order = range(self._joints)
-        own = compute_motion(self._robot, motion, order, adds_gravity=adds_gravity)
-        try:
-            diagnosis = self._check_motion(own, wrench, is_whole=True)
-        except TareError:
-            return None
-        return None if diagnosis is None else diagnosis.log_evidence
-
-    def _check_motion(
-        self, blocks: TareBlocks, wrench: WrenchEstimator, *, is_whole: bool
-    ) -> TorqueDiagnosis | None:
-        """Refuse a motion that `tare` would refuse; see `check_free_of_contact`."""
-        check = check_free_of_contact(
-            self._robot,
-            finish(FreeMotionFit.in_steps(self._basis, blocks)),
-            wrench,
-            self._config.contact_force_N,
-            is_external=False,
-            adds_gravity=self._config.torque_is_gravity_compensated,
-            is_whole=is_whole,
-        )
-        return finish(check)
-
     def start_tare_recording(self) -> None:
         """Record free motion anew; the tare in force stays until the next."""
         self.memory.recorder = TareRecorder.of_size(self._joints, self._basis.states)
         self.memory.tared = False
         self.memory.leapt_s = 0.0
-        self._saturated = []
         self.cancel_tare()
 
     def reset(self) -> None:
         """Forget everything."""
         self._work: Steps[_FittedTare] | None = None
         self.diagnosis: TorqueDiagnosis | None = None
-        self._saturated: list[tuple[Array, Array]] = []
         still = np.zeros(self._joints)
         states = self._basis.states
         self.memory = BiasState(

@@ -6,13 +6,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from foundation.arrays import Array
-from foundation.errors import Suspicion
 from foundation.steps import Steps
 from residual.bias.fit import FreeMotionFit, JointRows
 from residual.bias.model import BiasModel, TareBlocks
 from residual.bias.torque_diagnosis import TorqueDiagnosis, diagnose_torques
-from residual.errors import TareError, named_joints
-from urdf import Robot
+from residual.bias.torque_fit import TorqueFit
+from residual.errors import TareError
 
 if TYPE_CHECKING:
     from residual.wrench_estimator import WrenchEstimator
@@ -22,10 +21,6 @@ SIGMAS = 5.0
 
 INTERVALS = 24
 """Parts of the motion; a contact begins and ends with one of them."""
-
-
-MAX_OFFSETS = 3.0
-"""Residual, in prior deviations of the offset, up to which offsets may be its cause."""
 
 
 class AxialForce(NamedTuple):
@@ -41,14 +36,12 @@ class AxialForce(NamedTuple):
 
 
 def check_free_of_contact(
-    robot: Robot,
     fit: FreeMotionFit,
     wrench: "WrenchEstimator",
     contact_force_N: float,
     *,
     is_external: bool,
-    adds_gravity: bool = False,
-    is_whole: bool = True,
+    adds_gravity: bool,
 ) -> Steps[TorqueDiagnosis | None]:
     """Refuse a tare whose motion was not free, or whose torques are of another kind.
 
@@ -58,77 +51,40 @@ def check_free_of_contact(
     coarse model explain is no contact.
 
     Args:
-        robot: The arm with its payload.
         fit: The tare.
         wrench: The caller's own estimator: its covariance and gain are overwritten.
         contact_force_N: Smallest axial force that is a contact.
         is_external: Whether the robot sends the external torque itself.
         adds_gravity: Whether gravity is added to the measured torque.
-        is_whole: Whether the states of friction and hysteresis are known; without them
-            a passing contact cannot be told from friction.
 
     Returns:
         What the motion shows of the torques; None of external ones.
 
     Raises:
-        TareError: With the force seen, or the causes with which the tare passes once
-            they are corrected.
+        TareError: With the force seen.
     """
-    basis = fit.basis
-    blocks = fit.blocks
-    torque = yield from tip_torques(blocks, wrench)
-    contacts = yield from find_contacts(
-        fit, torque, wrench, contact_force_N, is_whole=is_whole
-    )
-    if contacts and (missing := _missing_positions(blocks)):
-        raise TareError(f"{_describe_contact(contacts)}{missing.text}", missing.advice)
+    torque = yield from tip_torques(fit.blocks, wrench)
+    contacts = yield from find_contacts(fit, torque, wrench, contact_force_N)
     if is_external:
-        cause = explain_external_residual(basis, blocks)
-        if contacts or cause:
-            text = cause.text if cause else "the needle seems to be in contact"
-            advice = cause.advice if cause else ""
-            raise TareError(f"{_describe_contact(contacts)}{text}", advice)
+        if contacts:
+            raise TareError(
+                f"{_describe_contact(contacts)}the needle is in contact, or these are "
+                "not the external torques"
+            )
         return None
-
-    def passes(corrected: TareBlocks) -> Steps[bool]:
-        trial = yield from FreeMotionFit.in_steps(basis, corrected)
-        tip_torque = yield from tip_torques(corrected, wrench)
-        found = yield from find_contacts(
-            trial, tip_torque, wrench, contact_force_N, is_whole=is_whole
-        )
-        return not found and _offsets_of(basis, corrected) <= MAX_OFFSETS
-
     levers_m = torque @ wrench.kinematics.axis_in_tool
-    diagnosis = yield from diagnose_torques(
-        robot,
-        basis,
-        blocks,
-        adds_gravity=adds_gravity,
-        is_suspicious=bool(contacts),
-        axial_lever_m=np.abs(levers_m).max(axis=0),
-        passes=passes,
+    torque_fit = yield from TorqueFit.in_steps(
+        fit.basis, fit.blocks, adds_gravity=adds_gravity
     )
-    if not contacts and not diagnosis.is_certain:
+    diagnosis = yield from diagnose_torques(torque_fit, np.abs(levers_m).max(axis=0))
+    if not contacts and not diagnosis.wrong_joints:
         return diagnosis
-    texts = [diagnosis.describe_torques()]
-    if diagnosis.advice is not None:
-        texts.append(
-            "one explanation fits, and the tare is accepted with it: "
-            f"{diagnosis.advice.text}"
-        )
-    elif diagnosis.is_certain:
-        texts.append(
-            "the torques are of another kind, but no single unit, sign, order or "
-            "direction of gravity is the only explanation"
-        )
-    else:
-        texts.append(
-            "the needle is in contact, or payload, friction or torques are not those "
-            "of the model, and no single cause explains it: tare where the needle is "
-            "free"
-        )
+    text = "units, signs, order, payload or friction are not those of the model"
+    if contacts:
+        text = f"the needle is in contact, or {text}: tare where the needle is free"
+    seen = diagnosis.describe_torques()
     raise TareError(
-        f"{_describe_contact(contacts)}{'; '.join(texts)}",
+        f"{_describe_contact(contacts)}{'; '.join(filter(None, (seen, text)))}",
         diagnosis=diagnosis,
     )
 
@@ -143,18 +99,11 @@ def _describe_contact(contacts: list[AxialForce]) -> str:
     )
 
 
-def _offsets_of(basis: BiasModel, blocks: TareBlocks) -> float:
-    """Return the residual in prior deviations of the offset, rms over joints."""
-    return _rms(blocks.residual_Nm / (basis.prior.offset_fraction * basis.effort_Nm))
-
-
 def find_contacts(
     fit: FreeMotionFit,
     torque: Array,
     wrench: "WrenchEstimator",
     contact_force_N: float,
-    *,
-    is_whole: bool,
 ) -> Steps[list[AxialForce]]:
     """Return the forces in a motion that count as contacts, standing ones first.
 
@@ -162,7 +111,7 @@ def find_contacts(
     """
     standing = yield from largest_standing_force(fit.basis, fit.blocks, wrench)
     forces = [standing]
-    if is_whole and abs(standing.force_N) <= SIGMAS * standing.std_N:
+    if abs(standing.force_N) <= SIGMAS * standing.std_N:
         forces = yield from find_passing_contacts(fit, torque, wrench)
     return [
         force
@@ -352,49 +301,3 @@ def _best_range(information: Array, evidence: Array) -> Steps[tuple[int, int]]:
             if end % 5 == 0:
                 yield
     return best_range
-
-
-def explain_external_residual(basis: BiasModel, blocks: TareBlocks) -> Suspicion | None:
-    """Return why external torques are none: they are a multiple of gravity's.
-
-    None where they may be external torques.
-    """
-    scale = basis.prior.offset_fraction * basis.effort_Nm
-    residual = blocks.residual_Nm / scale
-    size = _rms(residual)
-    gravity = np.array([basis.gravity_Nm(q) for q in blocks.q_rad]) / scale
-    if size <= MAX_OFFSETS or not gravity.any():
-        return None
-    factor = float(np.vdot(residual, gravity) / np.vdot(gravity, gravity))
-    # Offsets are among what gravity leaves over.
-    is_gravity = _rms(residual - factor * gravity) < 0.2 * size
-    if not is_gravity or abs(abs(factor) - 1.0) >= 0.15:
-        return None
-    source = "measured torque"
-    advice = "Call `update` instead of `update_external_torque`."
-    if factor < 0.0:
-        source = "negated measured torque"
-        advice = "Negate them and call `update` instead of `update_external_torque`."
-    return Suspicion(
-        f"the residual is {factor:.2f} times gravity's torque g(q): it seems to be the "
-        f"{source}",
-        advice,
-    )
-
-
-def _rms(values: Array) -> float:
-    return float(np.sqrt(np.mean(np.square(values))))
-
-
-def _missing_positions(blocks: TareBlocks) -> Suspicion | None:
-    """Return which positions never changed while others did; None if there are none."""
-    travel_rad = np.ptp(blocks.q_rad, axis=0)
-    still_joints = np.flatnonzero(travel_rad < 1e-9)
-    if not still_joints.size or travel_rad.max() <= 0.01:
-        return None
-    return Suspicion(
-        f"q at {named_joints(still_joints)} never changed, others did: it seems to be "
-        "missing, unless the needle is in contact",
-        "Check that `q` holds every joint; if these joints do rest, tare "
-        "without contact.",
-    )

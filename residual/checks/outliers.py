@@ -13,9 +13,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.arrays import Array, Matrix, Vector
+from foundation.arrays import Array, Vector
 from foundation.jit import compiled
-from residual.checks.input import MIN_STEP_S, ROUNDING_S, known_limits
+from residual.checks.input import ROUNDING_S, known_limits
 from residual.checks.stuck_signals import (
     MAX_USUAL_S,
     NoiseProbe,
@@ -145,38 +145,6 @@ def fresh_distance(
     if position_repeats or torque_repeats:
         return math.inf
     return largest
-
-
-@compiled
-def count_fresh(
-    signals: Matrix,
-    weights: Vector,
-    joints: int,
-    gate: float,
-    dt_s: Vector,
-    max_step_s: float,
-    age_s: float,
-) -> int:
-    """Return how many samples, the first and those after it, surely pass.
-
-    Args:
-        signals: Samples, shape (m, 2 n) or (m, 3 n); the first has passed.
-        weights: See `fresh_distance`.
-        joints: See there.
-        gate: Distance to the sample before from which a sample needs a check.
-        dt_s: Time since the sample before, shape (m,).
-        max_step_s: Longest of them that is no gap.
-        age_s: Time since each torque was checked. A sample with which that is due again
-            comes first.
-    """
-    for k in range(1, len(signals)):
-        is_even = MIN_STEP_S <= dt_s[k] <= max_step_s
-        age_s += dt_s[k]
-        is_due = age_s >= CHECK_S - ROUNDING_S
-        distance = fresh_distance(signals[k], signals[k - 1], weights, joints)
-        if is_due or not is_even or distance >= gate:
-            return k
-    return len(signals)
 
 
 def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
@@ -323,27 +291,6 @@ class FaultDetector:
         distance = fresh_distance(signals, memory.last, self._weights, self._joints)
         return distance < self._narrowest_gate and not memory.is_loaded
 
-    def count_sure(self, signals: Array, dt_s: Array, max_step_s: float) -> int:
-        """Return how many samples, the first and those after it, surely pass.
-
-        Args:
-            signals: Samples, shape (m, size); the first was accepted.
-            dt_s: Time since the sample before, shape (m,).
-            max_step_s: Longest of them that is no gap.
-        """
-        memory = self.memory
-        if memory.is_loaded or memory.warning or memory.question:
-            return 1
-        return count_fresh(
-            signals,
-            self._weights,
-            self._joints,
-            self._narrowest_gate,
-            dt_s,
-            max_step_s,
-            memory.age_s,
-        )
-
     def check(self, signals: Array, dt_s: float) -> bool:
         """Judge a sample; it is compared with the last one that `accept` was given.
 
@@ -414,22 +361,6 @@ class FaultDetector:
         memory.age_s += dt_s
         if memory.age_s >= CHECK_S - ROUNDING_S:
             self._check_each_torque()
-
-    def accept_sure(self, signals: Array, velocities: Array, dt_s: Array) -> None:
-        """Do for the samples of `count_sure` after the first what `accept` does.
-
-        Args:
-            signals: All the samples, shape (m, size).
-            velocities: Their joint velocities [rad/s], shape (m, n).
-            dt_s: Time since the sample before, shape (m,).
-        """
-        if len(signals) == 1:
-            return
-        self._repeats = NO_REPEATS
-        self.memory.last = signals[-2]
-        for step_s in dt_s[1:-1].tolist():
-            self.memory.age_s += step_s
-        self.accept(signals[-1], velocities[-1], dt_s.item(-1))
 
     def _follow_repeats(self, velocity: Array, dt_s: float) -> None:
         """Count for how long signals have repeated; arguments of `accept`."""

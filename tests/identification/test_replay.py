@@ -12,7 +12,6 @@ from hypothesis import strategies as st
 from groundtruth import insert_needle
 from identification import Identifier, replay
 from identification.log_replay import HEAD_ROWS, ReplayStream, SignCheck
-from needleforce.recordings.time_stamps import RowClock
 
 
 class Columns(NamedTuple):
@@ -136,7 +135,7 @@ def test_late_rows_and_clock_steps_hide_no_event(columns, results, has_speed):
     signals = (depth_m, force_N, speed_m_s if has_speed else None)
     clean = results[has_speed]
     late = replay(late_s, *signals)
-    set_back = replay(back_s, *signals, dt_s=RowClock().update(back_s))
+    set_back = replay(back_s, *signals, dt_s=np.diff(back_s, prepend=-np.inf))
     rejected = [k for k, e in enumerate(set_back.estimates) if not e.status.is_used]
 
     assert len([k for k in rejected if k != 300]) <= 12

@@ -152,9 +152,9 @@ def copy_with(state, name, value):
         (MIXTURE, "posterior.offset", lambda _: np.inf),
         (MIXTURE, "learner.tissue.unit", lambda _: 10**6),
         (MIXTURE, "stage", lambda _: 10**9),
-        (PUBLISHED, "rls.friction_variance", lambda variance: -variance),
-        (PUBLISHED, "tracker.machine", lambda _: 5),
-        (PUBLISHED, "sums", lambda _: None),
+        (PUBLISHED, "friction_variance", lambda variance: -variance),
+        (PUBLISHED, "machine", lambda _: 5),
+        (PUBLISHED, "window", lambda _: None),
         (PUBLISHED, "windows", lambda windows: np.asfortranarray(windows)),
     ],
 )

@@ -18,7 +18,7 @@ from needleforce.cli.logs.layer_result import identify_layers
 from needleforce.cli.shared_options import IdentificationOptions
 from needleforce.recordings import ColumnMapping, read_table, write_table
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.log_stream import LogStream
+from needleforce.recordings.log import log_of_table
 
 pytestmark = pytest.mark.slow
 
@@ -134,8 +134,8 @@ def layers_of_log(log, folder, *, has_own_units=False):
     assert main(["force", str(folder / "arm.npz"), "--tare", tare, *output]) == 0
 
     request = ChannelRequest(ColumnMapping(), REQUIRED, OPTIONAL)
-    forces = LogStream([read_table(folder / "forces.npz")], request)
-    return identify_layers(forces, "forces", IdentificationOptions()).layers
+    forces = log_of_table(read_table(folder / "forces.npz"), request)
+    return identify_layers(forces.parts(), "forces", IdentificationOptions()).layers
 
 
 @cache

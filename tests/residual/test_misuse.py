@@ -24,13 +24,12 @@ from residual import (
 from tests.insertion_run import same
 from tests.residual.guarded_sensor import feed, rows_of, signals, tared
 from tests.residual.residual_signals import (
-    BIAS,
     MIDDLE,
     external_torque_of,
     gravity_of,
     swing,
 )
-from urdf import Payload, Robot, UnsupportedJointError
+from urdf import Robot, UnsupportedJointError
 
 
 @pytest.mark.parametrize(
@@ -220,48 +219,39 @@ def test_each_part_refuses_impossible_settings_by_name(lwr, make, settings):
         make(lwr, **settings)
 
 
-def hand(mass_kg):
-    return Payload(
-        mass_kg=mass_kg, com_m=np.array([0, 0, 0.1]), inertia_kg_m2=1e-3 * np.eye(3)
-    )
-
-
 WRONG = {
-    "missing gravity": (
-        lambda g, tau: tau - g,
-        {},
-        "torque_is_gravity_compensated=True",
-    ),
-    "gravity twice": (
-        lambda g, tau: tau,
-        {"torque_is_gravity_compensated": True},
-        "torque_is_gravity_compensated=False",
-    ),
-    "wrong sign": (lambda g, tau: -tau, {}, "wrong sign"),
-    "two joints": (
-        lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]],
-        {},
-        "take its numbers 1, 4, 3, 2, 5, 6, 7",
-    ),
+    "missing gravity": (lambda g, tau: tau - g, {}),
+    "gravity twice": (lambda g, tau: tau, {"torque_is_gravity_compensated": True}),
+    "wrong sign": (lambda g, tau: -tau, {}),
+    "two joints": (lambda g, tau: tau[:, [0, 3, 2, 1, 4, 5, 6]], {}),
 }
 
 
 @pytest.mark.slow
 @pytest.mark.parametrize("preset", [DEFAULT, PUBLISHED])
 @pytest.mark.parametrize("kind", WRONG)
-def test_a_refused_tare_names_the_likely_torques(lwr, kind, preset):
-    bend, settings, words = WRONG[kind]
+def test_a_tare_of_wrong_torques_is_refused(lwr, kind, preset):
+    bend, settings = WRONG[kind]
     q, dq, tau = signals(lwr, 3.0)
     sensor = VirtualForceSensor(lwr, replace(preset, **settings))
     feed(sensor, zip(q, dq, bend(gravity_of(lwr, q), tau), strict=True))
-    if kind == "wrong sign" and preset is PUBLISHED:
-        # In its short window the arm rests: one that hangs has the same torques.
-        words = "no single unit, sign, order or direction of gravity"
 
-    with pytest.raises(TareError, match=words):
+    with pytest.raises(TareError, match="units, signs, order, payload"):
         sensor.tare()
 
     sensor.tare(ignore_contact=True)
+
+
+@pytest.mark.parametrize("preset", [DEFAULT, PUBLISHED])
+def test_a_tare_of_right_torques_without_gravity_is_accepted(lwr, preset):
+    q, dq, tau = signals(lwr, 3.0)
+    sensor = VirtualForceSensor(
+        lwr, replace(preset, torque_is_gravity_compensated=True)
+    )
+    feed(sensor, zip(q, dq, tau - gravity_of(lwr, q), strict=True))
+    sensor.tare()
+
+    assert sensor.diagnosis.wrong_joints == []
 
 
 OTHERS = np.arange(7) != 3
@@ -275,7 +265,6 @@ OTHERS = np.arange(7) != 3
             lambda q, tau: (np.degrees(q), tau),
             "limit: .* is q in degrees. If not, the sensor",
         ),
-        (lambda q, tau: (q * OTHERS, tau), "q at joint 4 never changed"),
         (
             lambda q, tau: (q, tau * OTHERS),
             "tau at joint 4 has not .* If not, the sensor reads",
@@ -303,36 +292,13 @@ def test_a_tare_without_data_says_what_was_rejected(lwr):
         sensor.tare()
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize(
-    ("in_model", "on_arm", "words"),
-    [
-        (0.76, 0.0, r"has about 0\.[678]\d? kg too much"),
-        (0.0, 2.5, r"lacks about 2(\.[2-6])? kg"),
-    ],
-)
-def test_a_wrong_mass_at_the_flange_is_named(lwr, in_model, on_arm, words):
-    robot, model = (
-        lwr.with_payload(lwr.payload + hand(kg)) if kg else lwr
-        for kg in (on_arm, in_model)
-    )
-    _, q, dq, tau = swing(robot, seconds=3.0, amplitude=0.3)
-    sensor = VirtualForceSensor(model)
-    feed(sensor, zip(q, dq, tau - 0.3 * BIAS, strict=True))
-
-    with pytest.raises(TareError, match=f"{words} at the flange"):
-        sensor.tare()
-
-
-def test_measured_torque_given_as_external_torque_is_named(lwr):
+def test_measured_torque_given_as_external_torque_is_refused(lwr):
     q, _, tau = signals(lwr, 2.0)
     sensor = VirtualForceSensor(lwr)
     for one in zip(q, tau, strict=True):
         sensor.update_external_torque(one[0], None, one[1], 1e-3)
 
-    with pytest.raises(
-        TareError, match=r"(?s)the measured torque.*Call `update` instead"
-    ):
+    with pytest.raises(TareError, match="not the external torques"):
         sensor.tare()
 
 

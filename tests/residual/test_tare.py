@@ -83,7 +83,9 @@ def fitted_to(basis, blocks):
 
 def check(robot, basis, blocks, wrench):
     fit = fitted_to(basis, blocks)
-    finish(check_free_of_contact(robot, fit, wrench, 0.25, is_external=False))
+    finish(
+        check_free_of_contact(fit, wrench, 0.25, is_external=False, adds_gravity=False)
+    )
 
 
 def touched(robot, blocks, push_N):
@@ -201,7 +203,7 @@ def test_a_contact_is_refused_from_five_deviations_on(lwr, basis):
     clear = touched(lwr, blocks, 0.47 * LATE)
     torque_Nm = finish(tip_torques(clear, wrench))
     fit = fitted_to(basis, clear)
-    contacts = finish(find_contacts(fit, torque_Nm, wrench, 0.0, is_whole=True))
+    contacts = finish(find_contacts(fit, torque_Nm, wrench, 0.0))
 
     assert all(5.3 < abs(one.force_N) / one.std_N < 6.0 for one in contacts)
     with pytest.raises(TareError, match="in contact"):

@@ -15,9 +15,7 @@ from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_summary import (
     describe_doubt,
     describe_missing_mass,
-    describe_needless_factor,
     describe_scale,
-    with_cure,
 )
 from needleforce.cli.shared_options import (
     JointColumns,
@@ -26,13 +24,12 @@ from needleforce.cli.shared_options import (
     SensorOptions,
 )
 from needleforce.cli.terminal import stop_request, write_out
-from needleforce.recordings.log_stream import LogChunk
+from needleforce.recordings.log import LogRows
 from needleforce.sensor_replay import SensorReplay
 from residual import TareError
 from residual.bias.separation import JointSeparation, advise_motion
 from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.errors import named_joints
-from urdf.payload_rating import rated_payload_kg
 
 DOUBTFUL = 1
 """Exit code where something in the log is doubtful."""
@@ -75,8 +72,6 @@ class TorqueNumbers(msgspec.Struct):
         joint_scale_std: Its standard deviation.
         missing_mass_kg: Mass that the model lacks at the flange.
         missing_mass_std_kg: Its standard deviation.
-        rated_payload_kg: What the arm may carry.
-        advice: Kind of the one explanation that fits; empty where none does.
     """
 
     scale: float
@@ -85,8 +80,6 @@ class TorqueNumbers(msgspec.Struct):
     joint_scale_std: list[float]
     missing_mass_kg: float
     missing_mass_std_kg: float
-    rated_payload_kg: float
-    advice: str
 
 
 class LogCheck(msgspec.Struct):
@@ -162,27 +155,24 @@ def check_log(log: LogSession, replay: SensorReplay) -> LogCheck:
     replay.survives_refusal = True
     for chunk in log:
         if not result.counts:
-            log.warn(*tool_mass_warnings(log.tool_mass, replay.robot))
+            log.warn(*tool_mass_warnings(log.log.tool_mass, replay.robot))
         signals.add(chunk)
         result.add(replay.run(chunk))
-    result.count_bad_stamps(log.bad_stamp_count)
+    result.count_bad_stamps(log.log.left_out)
     replay.finish(is_whole=not log.is_stopped())
-    refusal = None
-    if replay.refusal is not None:
-        refusal = with_cure(replay.refusal, log, replay)
+    refusal = replay.refusal
     diagnosis = replay.sensor.diagnosis if refusal is None else refusal.diagnosis
-    rating_kg = rated_payload_kg(replay.robot)
     lines = [
         *_log_lines(log, replay, result),
         *signals.lines(),
         _velocity_line(replay, signals),
-        *_torque_lines(log, replay, diagnosis, refusal),
+        *_torque_lines(replay, diagnosis, refusal),
     ]
     return LogCheck(
         log=log.name,
         lines=lines,
         warnings=[*log.warnings, *replay.robot.warnings],
-        torque=None if diagnosis is None else _numbers_of(diagnosis, rating_kg),
+        torque=None if diagnosis is None else _numbers_of(diagnosis),
     )
 
 
@@ -210,7 +200,7 @@ class SignalRecord:
             return np.zeros(0)
         return self._highest - self._lowest
 
-    def add(self, chunk: LogChunk) -> None:
+    def add(self, chunk: LogRows) -> None:
         """Take further rows."""
         min_noise_rows = 100  # Fewest rows from which noise is estimated
         max_rate_rows = 20_000  # Rows from which the rate is taken
@@ -263,7 +253,7 @@ def _log_lines(
     log: LogSession, replay: SensorReplay, result: ForceResult
 ) -> Iterator[CheckLine]:
     """Yield the lines on channels, robot, clock and samples."""
-    for unit in log.units:
+    for unit in log.log.units:
         yield CheckLine(f"channel {unit.channel}", Outcome.READ, str(unit))
     for label, text in result.summary():
         if label in ROBOT_OUTCOMES:
@@ -299,7 +289,6 @@ def _velocity_line(replay: SensorReplay, signals: SignalRecord) -> CheckLine:
 
 
 def _torque_lines(
-    log: LogSession,
     replay: SensorReplay,
     diagnosis: TorqueDiagnosis | None,
     refusal: TareError | None,
@@ -323,16 +312,11 @@ def _torque_lines(
             yield CheckLine(topic, Outcome.UNCHECKED, reason)
         return
     is_taken = refusal is None
-    doubt = ""
-    if is_taken:
-        doubt = describe_needless_factor(diagnosis, log, replay)
-        doubt = doubt or describe_doubt(diagnosis, log, replay)
-    if doubt:
+    if is_taken and (doubt := describe_doubt(diagnosis)):
         yield CheckLine("torque", Outcome.DOUBTFUL, doubt)
     yield _sign_line(diagnosis, is_taken=is_taken)
     yield _scale_line(diagnosis, is_taken=is_taken)
-    rating_kg = rated_payload_kg(replay.robot)
-    yield _payload_line(diagnosis, rating_kg, is_taken=is_taken)
+    yield _payload_line(diagnosis, is_taken=is_taken)
 
 
 def _scale_line(diagnosis: TorqueDiagnosis, *, is_taken: bool) -> CheckLine:
@@ -373,9 +357,6 @@ def _separation_lines(
 def _sign_line(diagnosis: TorqueDiagnosis, *, is_taken: bool) -> CheckLine:
     """Return the line on order and signs of the joints."""
     topic = "order and signs"
-    advice = diagnosis.advice
-    if advice is not None and (advice.kind in ("signs", "order") or advice.scale < 0.0):
-        return CheckLine(topic, Outcome.DOUBTFUL, advice.text)
     unchecked = diagnosis.unchecked_joints
     checked = [k for k in range(len(diagnosis.joint_scale)) if k not in unchecked]
     opposed = [joint for joint in checked if diagnosis.joint_scale[joint] < 0.0]
@@ -393,16 +374,13 @@ def _sign_line(diagnosis: TorqueDiagnosis, *, is_taken: bool) -> CheckLine:
     return CheckLine(topic, outcome, "; ".join(texts))
 
 
-def _payload_line(
-    diagnosis: TorqueDiagnosis, rating_kg: float, *, is_taken: bool
-) -> CheckLine:
+def _payload_line(diagnosis: TorqueDiagnosis, *, is_taken: bool) -> CheckLine:
     """Return the line on the payload.
 
     Where a tare was refused for another cause, the mass that would explain the torques
     is none that is missing.
     """
-    advice = diagnosis.advice
-    if not is_taken and (advice is None or advice.kind != "payload"):
+    if not is_taken:
         reason = "the tare was refused; what it names must be right first"
         return CheckLine("payload", Outcome.UNCHECKED, reason)
     text = describe_missing_mass(diagnosis)
@@ -411,11 +389,10 @@ def _payload_line(
         return CheckLine("payload", Outcome.UNCHECKED, reason)
     is_missing = abs(diagnosis.payload_kg) > 3.0 * diagnosis.payload_std_kg
     outcome = Outcome.DOUBTFUL if is_missing else Outcome.VERIFIED
-    rating = f"the arm is taken to carry at most {rating_kg:.3g} kg"
-    return CheckLine("payload", outcome, f"{text}; {rating}")
+    return CheckLine("payload", outcome, text)
 
 
-def _numbers_of(diagnosis: TorqueDiagnosis, rating_kg: float) -> TorqueNumbers:
+def _numbers_of(diagnosis: TorqueDiagnosis) -> TorqueNumbers:
     """Return the numbers of a tare."""
     return TorqueNumbers(
         scale=diagnosis.scale,
@@ -424,6 +401,4 @@ def _numbers_of(diagnosis: TorqueDiagnosis, rating_kg: float) -> TorqueNumbers:
         joint_scale_std=diagnosis.joint_scale_std.tolist(),
         missing_mass_kg=diagnosis.payload_kg,
         missing_mass_std_kg=diagnosis.payload_std_kg,
-        rated_payload_kg=rating_kg,
-        advice="" if diagnosis.advice is None else diagnosis.advice.kind,
     )

@@ -14,11 +14,7 @@ from needleforce.cli.logs.replay_setup import (
 )
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.logs.tool_mass import tool_mass_warnings
-from needleforce.cli.logs.torque_summary import (
-    describe_doubt,
-    describe_needless_factor,
-    with_cure,
-)
+from needleforce.cli.logs.torque_summary import describe_doubt
 from needleforce.cli.robot import (
     payload_from_options,
     payload_lines,
@@ -30,12 +26,12 @@ from needleforce.cli.shared_options import (
     RobotOptions,
     SensorOptions,
 )
-from needleforce.cli.terminal import CommandError, write_out
-from needleforce.recordings.log_stream import LogChunk
+from needleforce.cli.terminal import write_out
+from needleforce.recordings.log import LogRows
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import TableLabels
 from needleforce.sensor_replay import ForceRows, SensorReplay
-from residual import SensorConfig, SensorWarning, Status, TareError
+from residual import SensorConfig, SensorWarning, Status
 
 if TYPE_CHECKING:
     from needleforce.cli.logs.plan_found import PlanWatch
@@ -116,28 +112,25 @@ def estimate_forces(
     config = replay.config
     result = ForceResult(log.name, replay)
     overview = RowOverview(_tracked_columns(config))
-    chunks: list[LogChunk] = []
+    chunks: list[LogRows] = []
     watch = None if plan is None else _watch_plan(plan, replay)
     # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
     frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
-    try:
-        with open_output(output, log, TableLabels(frame=frame)) as table:
-            for chunk in log:
-                if not result.counts:
-                    log.warn(*tool_mass_warnings(log.tool_mass, replay.robot))
-                rows = replay.run(chunk)
-                result.add(rows)
-                overview.add(rows)
-                if table is not None:
-                    table.append(force_table(rows, config))
-                if watch is not None:
-                    watch.add(chunk.channels["q_rad"], rows["travel_m"])
-                if layers is not None:
-                    chunks.append(_as_depth_log(chunk, rows))
-            result.count_bad_stamps(log.bad_stamp_count)
-            replay.finish(is_whole=not log.is_stopped())
-    except TareError as error:
-        raise with_cure(error, log, replay) from error
+    with open_output(output, log, TableLabels(frame=frame)) as table:
+        for chunk in log:
+            if not result.counts:
+                log.warn(*tool_mass_warnings(log.log.tool_mass, replay.robot))
+            rows = replay.run(chunk)
+            result.add(rows)
+            overview.add(rows)
+            if table is not None:
+                table.append(force_table(rows, config))
+            if watch is not None:
+                watch.add(chunk.channels["q_rad"], rows["travel_m"])
+            if layers is not None:
+                chunks.append(_as_depth_log(chunk, rows))
+        result.count_bad_stamps(log.log.left_out)
+        replay.finish(is_whole=not log.is_stopped())
     _warn_of_torques(log, replay, result)
     result.rows = overview.columns()
     if layers is None or not result.counts[Status.OK]:
@@ -154,7 +147,7 @@ def _watch_plan(plan: "LoadedPlan", replay: SensorReplay) -> "PlanWatch":
 
 def _with_layers(
     result: ForceResult,
-    chunks: list[LogChunk],
+    chunks: list[LogRows],
     options: IdentificationOptions,
     watch: "PlanWatch | None",
 ) -> ForcePage:
@@ -178,9 +171,7 @@ def _warn_of_torques(
 ) -> None:
     """Warn of what the tare, and the rows after it, show to be wrong with torques."""
     diagnosis = replay.sensor.diagnosis
-    if fault := describe_needless_factor(diagnosis, log, replay):
-        raise CommandError(fault, "Leave the factor of --tau out, and give that arm")
-    if doubt := describe_doubt(diagnosis, log, replay):
+    if doubt := describe_doubt(diagnosis):
         log.warn(f"torque: {doubt}")
     mismatched = result.warnings[SensorWarning.MODEL_MISMATCH]
     # A knock mismatches for a moment; a wrong arm or payload does most of the time.
@@ -212,7 +203,7 @@ _COLUMN_OF_CHANNEL = {
 """Columns of the forces that are the channels of the identification."""
 
 
-def _as_depth_log(chunk: LogChunk, rows: ForceRows) -> LogChunk:
+def _as_depth_log(chunk: LogRows, rows: ForceRows) -> LogRows:
     """Return forces as `needleforce identify` would read them from their table."""
     channels = {name: rows[column] for name, column in _COLUMN_OF_CHANNEL.items()}
     return replace(chunk, channels=channels)

@@ -23,7 +23,7 @@ from needleforce.cli.shared_options import IdentificationOptions
 from needleforce.cli.terminal import say
 from needleforce.depth_zero import FIRST_CONTACT, LOG_ZERO, DepthZero
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
-from needleforce.recordings.log_stream import LogChunk
+from needleforce.recordings.log import LogRows
 from needleforce.recordings.output import OpenTable
 
 METHODS = {
@@ -54,7 +54,7 @@ _UNTARED = "whose status says that the force is not tared or not settled"
 _DOUBTFUL = f"with a warning ({', '.join(WORTHLESS)})"
 
 
-def usable_force(chunk: LogChunk, ignored: Counter[str]) -> Array:
+def usable_force(chunk: LogRows, ignored: Counter[str]) -> Array:
     """Return the force [N], NaN where it is marked; untared it is off by a newton.
 
     The others are those that `needleforce.InsertionSession` gives to its identifier.
@@ -95,7 +95,7 @@ class IdentificationResult:
 
 
 def identify_layers(
-    chunks: Iterable[LogChunk],
+    chunks: Iterable[LogRows],
     name: str,
     options: IdentificationOptions,
     table: OpenTable | None = None,

@@ -4,11 +4,10 @@ from contextlib import suppress
 
 from needleforce import recordings
 from needleforce.cli.kept_joints import LogJoints
-from needleforce.recordings import ColumnError, ColumnMapping, FollowOptions
+from needleforce.recordings import ColumnError, ColumnMapping
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import readable_path
-from needleforce.recordings.follow import STANDARD_STREAM
-from needleforce.recordings.table import Table
+from needleforce.recordings.table import STANDARD_STREAM, Table
 
 
 def find_log_joints(source: str, mapping: ColumnMapping, torque: str) -> LogJoints:
@@ -24,10 +23,7 @@ def find_log_joints(source: str, mapping: ColumnMapping, torque: str) -> LogJoin
         return LogJoints(mapping.joint_order, len(mapping.joint_order))
     if source == STANDARD_STREAM or readable_path(source).is_fifo():
         return LogJoints()
-    tables = recordings.stream_tables(
-        source, FollowOptions(), knowledge=mapping.knowledge
-    )
-    table = next(tables)
+    table = recordings.columns_of(source, mapping)
     names: dict[str, None] = {}
     for column in _columns(table, mapping, ("q", torque)):
         names |= dict.fromkeys(table.joint_names.get(column, ()))

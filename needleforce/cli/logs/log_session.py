@@ -1,6 +1,5 @@
 """A command's log: the mapping of its columns, and its rows as they come."""
 
-import math
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -8,20 +7,12 @@ from pathlib import Path
 from needleforce import recordings
 from needleforce.cli.shared_options import Columns, Output
 from needleforce.cli.terminal import INTERRUPTED, CommandError, progress_bar, say
-from needleforce.recordings import (
-    ColumnMapping,
-    FollowOptions,
-    LogStream,
-    RecordingError,
-)
+from needleforce.recordings import ColumnMapping
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import ChannelUnit
 from needleforce.recordings.errors import readable_path
-from needleforce.recordings.follow import STANDARD_STREAM
-from needleforce.recordings.log_stream import LogChunk
+from needleforce.recordings.log import LogRows, log_of_table
 from needleforce.recordings.mapping import parse_column_spec
-from needleforce.recordings.stamp_order import SORTED_WITHIN_S
-from needleforce.recordings.table import ToolMass
+from needleforce.recordings.table import STANDARD_STREAM
 
 
 def mapping_from_options(columns: Columns) -> ColumnMapping:
@@ -72,10 +63,7 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
             "a report needs a file, not a pipe: write what comes into a file first"
         )
     mapping = mapping_from_options(columns)
-    tables = recordings.stream_tables(
-        source, FollowOptions(), knowledge=mapping.knowledge
-    )
-    table = next(tables)
+    table = recordings.columns_of(source, mapping)
     required = tuple(channels)
     try:
         return ChannelRequest(mapping, required).columns(table) is not None
@@ -94,22 +82,15 @@ class LogSession:
 
     Args:
         source: The log as the command line names it.
-        output: How long it is read.
+        output: Which files are written.
         request: Which channels are read.
-        is_stopped: Whether Ctrl-C has ended the log.
+        is_stopped: Whether Ctrl-C has ended the work.
 
     Attributes:
         name: Name of the log in messages.
-        is_live: Rows come as they are recorded, and results must not wait for the end.
-        is_stopped: Whether Ctrl-C has ended the log.
+        is_stopped: Whether Ctrl-C has ended the work.
         warnings: What was wrong with the log so far.
-        start_ns: Start of the log's clock, see `Table`; known with the first rows.
-        tool_mass: What the log says hangs on the flange; likewise.
-        bad_stamp_count: Rows that were left out so far for a bad time stamp.
-        units: In which unit each channel is read; known with the first rows.
-
-    Raises:
-        CommandError: The time of ``--idle`` is not positive.
+        log: The log.
     """
 
     def __init__(
@@ -119,65 +100,29 @@ class LogSession:
         request: ChannelRequest,
         is_stopped: Callable[[], bool],
     ) -> None:
-        if output.idle is not None and not 0.0 < output.idle < math.inf:
-            raise CommandError(
-                f"--idle {output.idle:g}: expected a number of seconds > 0"
-            )
         is_piped = source == STANDARD_STREAM
         self.name = "standard input" if is_piped else Path(source).name
-        self.is_live = output.follow or is_piped or Path(source).is_fifo()
         self.is_stopped = is_stopped
         self.warnings: list[str] = []
-        self.start_ns = 0
-        self.tool_mass: ToolMass | None = None
-        self.bad_stamp_count = 0
-        self.units: tuple[ChannelUnit, ...] = ()
-        self._source = source
-        self._output = output
-        self._request = request
+        self._shows_progress = output.output != STANDARD_STREAM
+        self.log = log_of_table(recordings.read_table(source, request), request)
+        self.warn(*self.log.warnings)
 
     @property
     def exit_code(self) -> int:
-        """Exit code of a command that has done its work.
+        """Exit code of a command that has done its work."""
+        return INTERRUPTED if self.is_stopped() else 0
 
-        Ctrl-C is how following ends; else it is an interruption.
-        """
-        was_interrupted = self.is_stopped() and not self._output.follow
-        return INTERRUPTED if was_interrupted else 0
-
-    def __iter__(self) -> Iterator[LogChunk]:
-        is_table_elsewhere = self._output.output != STANDARD_STREAM and not self.is_live
-        with progress_bar(self.name, is_wanted=is_table_elsewhere) as progress:
-            options = FollowOptions(
-                follow=self._output.follow,
-                idle_s=self._output.idle,
-                should_stop=self.is_stopped,
-                progress=progress,
-                warn=self.warn,
-            )
-            tables = recordings.stream_tables(self._source, options, self._request)
-            # Rows that come live are used at once.
-            sorted_within_s = 0.0 if self.is_live else SORTED_WITHIN_S
-            yield from self._chunks(LogStream(tables, self._request, sorted_within_s))
-        if self.exit_code:
-            say("interrupted: the results are those of the rows read so far")
-
-    def _chunks(self, stream: LogStream) -> Iterator[LogChunk]:
-        """Yield the rows of a stream, and report its warnings."""
-        try:
-            for chunk in stream:
-                self.start_ns = stream.start_ns
-                self.tool_mass = stream.tool_mass
-                self.units = stream.units
-                self.warn(*stream.take_warnings())
-                yield chunk
-        except RecordingError:
-            if self.is_stopped():
-                raise KeyboardInterrupt from None
-            raise
-        finally:
-            self.bad_stamp_count = stream.bad_stamp_count
-            self.warn(*stream.take_warnings())
+    def __iter__(self) -> Iterator[LogRows]:
+        with progress_bar(self.name, is_wanted=self._shows_progress) as progress:
+            done = 0
+            for rows in self.log.parts():
+                yield rows
+                done += len(rows.t_s)
+                progress(done / len(self.log))
+                if self.is_stopped():
+                    say("interrupted: the results are those of the rows read so far")
+                    return
 
     def warn(self, *warnings: str) -> None:
         """Report what is wrong with the log, and keep it for a page."""

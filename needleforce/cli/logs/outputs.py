@@ -20,9 +20,8 @@ from needleforce.cli.terminal import (
 from needleforce.recordings import output as output_files
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.errors import readable_path
-from needleforce.recordings.follow import STANDARD_STREAM
 from needleforce.recordings.output import OpenTable, open_table
-from needleforce.recordings.table import TableLabels
+from needleforce.recordings.table import STANDARD_STREAM, TableLabels
 
 NOTE = "Research only: not a medical device."
 
@@ -124,7 +123,7 @@ def _write_report(page: LogPage, log: LogSession, folder: Path) -> None:
 
 def _channel_lines(log: LogSession) -> str:
     """Return the unit in which each channel was read as lines below a result."""
-    lines = [(unit.channel, str(unit)) for unit in log.units]
+    lines = [(unit.channel, str(unit)) for unit in log.log.units]
     return f"\n{aligned([('channel', 'read as'), *lines])}" if lines else ""
 
 
@@ -133,7 +132,7 @@ def _channel_section(log: LogSession) -> plots.Section:
     table = plots.PageTable(
         caption="In which unit each channel was read, and whence that is known",
         head=("channel", "columns"),
-        rows=tuple((unit.channel, str(unit)) for unit in log.units),
+        rows=tuple((unit.channel, str(unit)) for unit in log.log.units),
     )
     return plots.Section(heading="Channels", anchor="channels", tables=(table,))
 
@@ -220,9 +219,8 @@ def open_output(
         yield None
         return
     replaces_table = path != STANDARD_STREAM and Path(path).is_file()
-    with open_table(
-        path, is_live=log.is_live, labels=lambda: replace(labels, start_ns=log.start_ns)
-    ) as table:
+    labels = replace(labels, start_ns=log.log.start_ns)
+    with open_table(path, labels=lambda: labels) as table:
         yield table
     if replaces_table and log.exit_code:
         say(

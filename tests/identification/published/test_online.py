@@ -1,33 +1,19 @@
 """The published method: its equations one by one, the re-run by windows, and its own
 model (3)."""
 
-from dataclasses import astuple, replace
-
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from foundation.records import as_record, from_record
 from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
 from identification.errors import InvalidConfigError
 from identification.identifier import Identifier
 from identification.published.online import (
     NO_WINDOWS,
-    ForceRatios,
-    InitialVariances,
-    Regressor,
-    Rls,
-    WindowSums,
-    add_sample,
+    PublishedMethod,
     append_window,
-    cusum_constants,
-    cusum_step,
-    derivative_step,
-    force_ratios,
     rerun_windows,
-    reweighted_friction_variance,
-    update_rls,
 )
 
 number = st.floats(-2.0, 2.0)
@@ -36,13 +22,11 @@ number = st.floats(-2.0, 2.0)
 @settings(deadline=None, max_examples=60)
 @given(st.lists(st.tuples(number, number, number), min_size=1, max_size=30))
 def test_rls_equals_ridge_regression(rows):
-    record = as_record(Rls(stiffness_variance=4.0, friction_variance=9.0))
-    for x, y, f in rows:
-        rls = from_record(Rls, record)
-        innovation = f - x * rls.stiffness - y * rls.friction
-        error = update_rls(record[0], Regressor(x, y), f)
-        assert error == pytest.approx(innovation)
-    rls = from_record(Rls, record)
+    config = PublishedConfig(model="kv", var_stiffness=4.0, var_friction=9.0)
+    method = PublishedMethod(config)
+    for row in rows:
+        method._update_rls(*row)
+    rls = method.state
     table = np.array(rows)
     phi = table[:, :2]
     f = table[:, 2]
@@ -56,58 +40,6 @@ def test_rls_equals_ridge_regression(rows):
     assert rls.stiffness_variance == pytest.approx(covariance[0, 0], abs=1e-8, rel=1e-5)
     assert rls.covariance == pytest.approx(covariance[0, 1], abs=1e-8, rel=1e-5)
     assert rls.friction_variance == pytest.approx(covariance[1, 1], abs=1e-8, rel=1e-5)
-
-
-def test_cusum_is_that_of_equation_9():
-    constants = cusum_constants(0.01, 0.08)
-    drift_N2 = constants.drift_N2
-
-    assert drift_N2 == pytest.approx((0.08**2 + 0.01**2) / 2)
-    assert constants.threshold_N2 == pytest.approx((0.08**2 - 0.01**2) / 2)
-    assert cusum_step(0.0, 0.01, drift_N2) == 0.0
-    assert cusum_step(0.5, 0.08, drift_N2) == pytest.approx(0.5 + 0.08**2 - drift_N2)
-
-
-@given(st.floats(1e-3, 1.0), st.floats(1e-3, 1.0))
-def test_derivative_of_a_ramp_needs_no_particular_step(first_s, second_s):
-    slope = 3.0
-    twice = derivative_step(1.0, slope * first_s, first_s, 0.2)
-    twice = derivative_step(twice, slope * second_s, second_s, 0.2)
-    once = derivative_step(1.0, slope * (first_s + second_s), first_s + second_s, 0.2)
-
-    assert twice == pytest.approx(once)
-
-
-def test_ratios_are_those_of_equation_11():
-    assert force_ratios(1.4, 2.6, 0.0, 2.3e-3) == pytest.approx((1.4 / 2.6, 1.2 / 2.6))
-
-    ratios = force_ratios(1.0, 3.0, 400.0, 2.5e-3)
-
-    assert ratios.elastic == pytest.approx(1.0 / 2.0)
-
-
-@given(number, st.floats(-1.0, 3.0))
-def test_ratios_stay_physical_whatever_was_measured(drop, force):
-    ratios = force_ratios(drop, force, 100.0, 2e-3)
-
-    assert 0.0 < ratios.elastic < 1.0
-    assert ratios.elastic + ratios.friction == pytest.approx(1.0)
-
-
-def test_reweighting_splits_the_force_by_the_ratios():
-    speed = 2.3e-3
-    ratio = 0.4
-    ratios = ForceRatios(elastic=1 - ratio, friction=ratio)
-    variance = reweighted_friction_variance(1e6, ratios, speed)
-
-    assert variance == pytest.approx(1e6 * ratio / (1 - ratio) / speed**2)
-
-    record = as_record(Rls(stiffness_variance=1e6, friction_variance=variance))
-    for depth in np.linspace(1e-4, 0.03, 200):
-        update_rls(record[0], Regressor(depth, depth * speed), 80.0 * depth)
-    friction = from_record(Rls, record).friction
-
-    assert friction * speed / 80.0 == pytest.approx(ratio, rel=1e-3)
 
 
 @settings(deadline=None, max_examples=40)
@@ -129,40 +61,21 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(
     )
     depth = 1e-3 + np.cumsum(speed) * 1e-3
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
-    variances = InitialVariances(1e6, 1e6 * ratio / 2.3e-3**2)
-    rls = as_record(
-        Rls(
-            stiffness_variance=variances.stiffness,
-            friction_variance=variances.friction,
-        )
+    variances = (1e6, 1e6 * ratio / 2.3e-3**2)
+    method = PublishedMethod(
+        PublishedConfig(var_stiffness=variances[0], var_friction=variances[1])
     )
-    sums = as_record(WindowSums())
     windows = NO_WINDOWS
     for k in range(length):
         if k and k % window == 0:
-            reset = replace(
-                from_record(Rls, rls),
-                stiffness_variance=variances.stiffness,
-                covariance=0.0,
-                friction_variance=variances.friction,
-            )
-            rls = as_record(reset)
-            windows = append_window(windows, row_of(sums), 4096)
-            sums = as_record(WindowSums())
-        phi = Regressor(depth[k], depth[k] * speed[k])
-        update_rls(rls[0], phi, force[k])
-        add_sample(sums[0], phi, force[k], speed[k])
-    windows = append_window(windows, row_of(sums), 4096)
-    parameters = from_record(Rls, rls)
-    expected = np.array([parameters.stiffness, parameters.friction])
+            windows = method._close_window(windows)
+        method._update_rls(float(depth[k]), float(speed[k]), float(force[k]))
+    windows = append_window(windows, method.state.window, 4096)
+    expected = np.array([method.state.stiffness, method.state.friction])
     scale = np.abs(expected) + np.sqrt(variances) * 1e-6
-    difference = np.abs(np.array(rerun_windows(windows, variances)) - expected)
+    difference = np.abs(np.array(rerun_windows(windows, *variances)) - expected)
 
     assert np.all(difference < 1e-6 * scale)
-
-
-def row_of(sums):
-    return np.array(astuple(from_record(WindowSums, sums)))
 
 
 DT_S = 1e-3

@@ -14,7 +14,7 @@ from tests.needleforce.cli.residual_command_log import (
     refusal,
     write_insertion,
 )
-from tests.residual.residual_signals import gravity_of, pose_of
+from tests.residual.residual_signals import pose_of
 from urdf import load_urdf
 
 TARE = ["--tare", "0:2.5"]
@@ -254,13 +254,8 @@ def test_clock_set_back_costs_few_rows_only(run, lwr):
     columns["t_s"][2600:] -= columns["t_s"][2600]
     forces, printed = run(columns, *TARE)
 
-    assert "samples      4000 in 3.998 s at 1000 Hz" in printed
-
-    rejected = np.flatnonzero(forces["force_status"] == 3)
-
-    assert 2600 in rejected
-    assert 3 <= len(rejected) <= 110
-    np.testing.assert_array_equal(forces["t_s"], columns["t_s"])
+    assert "samples      4000 in 3.999 s at 1000 Hz" in printed
+    assert not np.count_nonzero(forces["force_status"] == 3)
     assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
@@ -334,15 +329,6 @@ def test_velocities_lost_later_are_counted_with_advice(run, lwr):
     ("options", "advice"),
     [
         (
-            "0:2.5 --external-torque --tau-ext tau_Nm",
-            "torque. Leave --external-torque out and read",
-        ),
-        (
-            "0:2.5 --external-torque --tau-ext tau_Nm:Nm:-1",
-            "torque. Leave --external-torque out and negate the torques, as in --tau "
-            "tau_*:Nm:-1; --force-tare",
-        ),
-        (
             "1:1.01",
             "s of it). Choose a longer window with --tare START:END, without gaps",
         ),
@@ -351,26 +337,6 @@ def test_velocities_lost_later_are_counted_with_advice(run, lwr):
 def test_refused_tare_advises_options_and_no_code(log, capsys, options, advice):
     said = refusal(["force", log, "--tare", *options.split()], capsys)
     assert (advice in said, "update()" in said) == (True, False), said
-
-
-@pytest.mark.slow
-def test_option_cures_torque_without_gravity_or_negated(run, lwr, tmp_path, capsys):
-    columns = insertion(lwr)
-    gravity = gravity_of(lwr, columns["q_rad"])
-    expected, _ = run(columns, *TARE)
-    for tau_Nm, advice, cure in (
-        (
-            columns["tau_Nm"] - gravity,
-            "Give --gravity-compensated",
-            ["--gravity-compensated"],
-        ),
-        (-columns["tau_Nm"], "--tau tau_Nm:Nm:-1", ["--tau", "tau_Nm:Nm:-1"]),
-    ):
-        log = str(tmp_path / "wrong.npz")
-        write_table(log, columns | {"tau_Nm": tau_Nm})
-        assert advice in refusal(["force", log, *TARE], capsys)
-        forces, _ = run(log, *TARE, *cure)
-        np.testing.assert_allclose(forces["axial_N"], expected["axial_N"], atol=0.02)
 
 
 @pytest.mark.slow

@@ -190,11 +190,10 @@ def test_clock_set_back_hides_no_layer(needle, identify):
     assert "clock set back" in said
 
     columns = {name: needle[name] for name in ("depth_m", "force_N")}
-    expected_s = replay(whole_s, **columns).layers[0].rupture.time_s - whole_s[half]
+    expected_s = replay(whole_s, **columns).layers[0].rupture.time_s
 
     assert float(layer["rupture s"]) == pytest.approx(expected_s, abs=0.03)
-    np.testing.assert_array_equal(rows["t_s"], t_s)
-    assert 3 <= np.count_nonzero(rows["used"] == 0) <= 30
+    assert np.count_nonzero(rows["used"] == 0) <= 1
 
 
 def test_codes_match_sensor_and_session():

@@ -1,8 +1,5 @@
 """Bags as robots record them, whole or growing, and mappings in one line, for tests."""
 
-import threading
-import time
-from itertools import pairwise
 from pathlib import Path
 from struct import pack
 
@@ -14,13 +11,9 @@ from rosbags.rosbag2 import CompressionFormat, CompressionMode, StoragePlugin, W
 from rosbags.typesys import Stores, get_typestore
 
 from needleforce.recordings import ColumnMapping, ColumnSpec
-from needleforce.recordings.bags.mcap_file import MAGIC
-from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.follow import FollowOptions
-from needleforce.recordings.log_stream import LogStream
-from needleforce.recordings.open_recording import stream_tables
 
 TYPES = get_typestore(Stores.ROS2_HUMBLE)
+MAGIC = b"\x89MCAP0\r\n"
 START_NS = 1_700_000_000_123_456_789
 STEP_NS = 1_000_003
 
@@ -108,8 +101,6 @@ def data_file(folder):
     return path
 
 
-ASKED = {"required": ("q", "tau", "depth")}
-MAX_WAIT_S = 20.0  # so long nothing comes before a test gives up
 HEADER = b"\x01" + pack("<QII", 8, 0, 0)
 END = b"\x0f" + pack("<QI", 4, 0)
 
@@ -125,45 +116,6 @@ def without_chunks(folder):
                 break
 
     return MAGIC + HEADER + builder.end() + END
-
-
-def grow(path, pieces, pause_s=0.01, go_on=None):
-    """Append to a file from another thread; after the first piece only when reported
-    to go on."""
-    path.write_bytes(pieces[0])
-
-    def write():
-        if go_on is not None:
-            assert go_on.wait(MAX_WAIT_S)
-
-        for piece in pieces[1:]:
-            time.sleep(pause_s)
-            with path.open("ab") as stream:
-                stream.write(piece)
-
-    writer = threading.Thread(target=write)
-    writer.start()
-    return writer
-
-
-def in_pieces(data, count):
-    cuts = [len(data) * k // count for k in range(count + 1)]
-    return [data[a:b] for a, b in pairwise(cuts)]
-
-
-def followed(path, options=None, mapping=None, **asked):
-    """The log of a recording that is followed to its end."""
-    request = ChannelRequest(mapping=mapping or ColumnMapping(), **(asked or ASKED))
-    options = options or FollowOptions(follow=True, idle_s=MAX_WAIT_S)
-    return LogStream(stream_tables(path, options, request), request).joined()
-
-
-def assert_same(other, log):
-    """The rows and channels of two logs are equal, bit for bit."""
-    np.testing.assert_array_equal(other.t_s, log.t_s)
-    assert list(other.channels) == list(log.channels)
-    for key, values in other.channels.items():
-        np.testing.assert_array_equal(values, log[key])
 
 
 def mapped(rate_hz=None, **channels):

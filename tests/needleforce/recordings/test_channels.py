@@ -24,7 +24,7 @@ from needleforce.recordings.column_names import (
 )
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.mapping_suggestion import suggest_mapping
-from tests.needleforce.recordings.bag_samples import insertion_rows, mapped, write_bag
+from tests.needleforce.recordings.bag_samples import mapped
 
 JOINTS = ("q", "dq", "tau")
 
@@ -312,39 +312,6 @@ def test_a_suggested_mapping_reads_the_same_log(tmp_path, suffix):
 
     for name in plain.channels:
         np.testing.assert_array_equal(plain[name], same[name])
-
-
-def test_a_suggested_mapping_lists_the_bags_topics(tmp_path):
-    folder = write_bag(tmp_path / "bag", insertion_rows(40, names=("b", "a", "c")))
-    text = suggest_mapping(
-        folder, JOINTS, joints=("a", "b"), payload=['payload = "none"']
-    )
-    content = tomllib.loads(text)
-
-    assert content["reference_topic"] == "/joint_states"
-    assert content["joints"] == ["a", "b"]
-    assert content["payload"] == "none"
-    assert content["q"] == {
-        "columns": "/joint_states/position",
-        "unit": "rad",
-        "scale": 1.0,
-    }
-    assert "# columns = " in text.split("# [dq]")[1]
-
-    topic = "sensor_msgs/msg/JointState, 40 messages, 1000 Hz, source stamps"
-
-    assert f"#   /joint_states: {topic}" in text.splitlines()
-
-    known = {"rate_hz": 500.0, "joints": ["c", "a"], "reference_topic": "/ft"}
-    text = suggest_mapping(
-        folder, JOINTS, mapping=ColumnMapping(**known), joints=("a", "b", "c")
-    )
-
-    assert tomllib.loads(text).items() >= known.items()
-
-    text = suggest_mapping(folder, JOINTS, joints=("x", "y", "z"))
-
-    assert "# The robot calls them: x, y, z" in text.splitlines()
 
 
 def test_a_suggested_mapping_keeps_units_and_known_columns(tmp_path):

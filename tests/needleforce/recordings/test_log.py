@@ -3,9 +3,8 @@ recordings."""
 
 import numpy as np
 import pytest
-from hypothesis import example, given
+from hypothesis import given
 from hypothesis import strategies as st
-from hypothesis.extra import numpy as hnp
 
 from needleforce.recordings import (
     ChannelRequest,
@@ -22,9 +21,8 @@ from needleforce.recordings import (
     write_table,
 )
 from needleforce.recordings.channels import CHANNELS
-from needleforce.recordings.log_stream import LogStream
+from needleforce.recordings.log import log_of_table
 from needleforce.recordings.time_stamps import (
-    RowClock,
     start_of_clock,
     to_nanoseconds,
     to_seconds,
@@ -62,28 +60,6 @@ def test_invalid_logs_are_refused_with_the_reason(t_s, channels, message):
         Log(t_s=t_s, channels=channels)
 
 
-@example(np.array([3.0, 2.0, 1.0]))
-@example(np.ones(1))
-@given(
-    hnp.arrays(np.float64, st.integers(1, 30), elements=st.integers(-5, 5).map(float))
-)
-def test_stamps_that_do_not_advance_are_counted(t_s):
-    advancing = int(np.count_nonzero(RowClock().update(t_s)[1:] > 0.0))
-    if not advancing:
-        with pytest.raises(
-            LogError, match=r"no usable time.* at least two time stamps must advance"
-        ):
-            log_of(t_s=t_s, force_N=np.zeros(t_s.size), sorted_within_s=0.0)
-
-        return
-
-    log = log_of(t_s=t_s, force_N=np.zeros(t_s.size), sorted_within_s=0.0)
-    faults = [warning for warning in log.warnings if "set back" not in warning]
-    counted = sum(int(warning.split(": ")[2].split()[0]) for warning in faults)
-
-    assert advancing + counted == t_s.size - 1
-
-
 def test_missing_values_are_counted_by_row_not_refused():
     q_rad = np.zeros((4, 7))
     q_rad[2, 3] = np.nan
@@ -100,45 +76,12 @@ LATE_S[100::50] -= 0.02
 LATE_S[320] = LATE_S[319]
 
 
-def test_late_and_repeated_rows_do_not_advance():
-    dt_s = RowClock().update(LATE_S)
-
-    assert np.count_nonzero(dt_s <= 0.0) == 19
-    assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(LATE_S.max() - LATE_S[0])
-
-
-@pytest.mark.parametrize("back_s", [0.5, 3600.0])
-def test_a_clock_set_back_is_followed_after_rows(back_s):
-    t_s = np.concatenate((RAMP_S, RAMP_S[-1] + RAMP_S + 0.001 - back_s))
-    dt_s = RowClock().update(t_s)
-    late = dt_s[1000:] <= 0.0
-
-    assert 3 <= np.count_nonzero(late) <= 105
-    assert not late[110:].any()
-    assert dt_s[dt_s > 0.0][1:].sum() == pytest.approx(1.998, abs=0.002)
-
-
-@given(st.integers(1, 2500), st.integers(0, 900))
-def test_pieces_give_what_the_whole_gives(cut, late):
-    t_s = np.concatenate((RAMP_S, RAMP_S, RAMP_S + 2.0))
-    t_s[late] -= 0.3
-    clock = RowClock()
-    dt_s = np.concatenate([clock.update(t_s[:cut]), clock.update(t_s[cut:])])
-
-    np.testing.assert_array_equal(dt_s, RowClock().update(t_s))
-
-
 def test_a_log_reports_a_clock_set_back():
     log = log_of(t_s=np.concatenate((RAMP_S, RAMP_S)), force_N=np.ones(2000))
 
-    assert (
-        "clock set back, from where it counts anew: 1 (first: row 1101"
-        in log.warnings[0]
-    )
-    assert (
-        "stamps running backward: 100 (first: row 1001, 0 s after 0.999 s)"
-        in log.warnings[1]
-    )
+    assert "clock set back at row 1001, 0 s after 0.999 s" in log.warnings[0]
+    assert len(log) == 2000
+    assert (np.diff(log.t_s) > 0.0).all()
 
 
 @given(
@@ -181,7 +124,7 @@ def test_whole_nanoseconds_since_the_epoch_lose_no_digit(tmp_path, suffix):
 def log_of(mapping=None, required=(), optional=(), sorted_within_s=1.0, **columns):
     table = Table(columns=columns)
     request = ChannelRequest(mapping or mapped(), required, optional)
-    return LogStream([table], request, sorted_within_s).joined()
+    return log_of_table(table, request)
 
 
 T = np.arange(3.0) / 100
@@ -317,16 +260,6 @@ def test_what_forms_no_log_is_refused(mapping, required, error, message):
     }
     with pytest.raises(error, match=message):
         log_of(mapping, required, t=T, **columns)
-
-
-def test_omitted_columns_are_reported_when_nothing_fits(tmp_path):
-    log = tmp_path / "log.csv"
-    log.write_text("time,phase,tau,z\n0,noon,oops,1\n1,noon,oops,2\n")
-
-    with pytest.raises(ColumnError, match=r"'phase' holds text .*'noon'") as caught:
-        read_log(log, required=["tau"])
-
-    assert "'tau' holds text (line 2, 'oops') and was left out)" in str(caught.value)
 
 
 @pytest.mark.parametrize(

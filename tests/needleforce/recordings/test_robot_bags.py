@@ -3,23 +3,15 @@
 import numpy as np
 import pytest
 from rosbags.rosbag1 import Writer
-from rosbags.rosbag2 import StoragePlugin
-from rosbags.rosbag2 import Writer as Ros2Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from needleforce.cli.logs.tool_mass import model_tool_mass_kg, tool_mass_warnings
-from needleforce.recordings import ColumnError, FormatError, read_log
-from needleforce.recordings.bags.ros1_file import MAGIC
-from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.follow import FollowOptions
-from needleforce.recordings.log_stream import LogStream
-from needleforce.recordings.open_recording import stream_tables
+from needleforce.recordings import ColumnError, read_log
 from needleforce.recordings.table import ToolMass, choose_tool_mass
 from tests.needleforce.recordings.bag_samples import (
     START_NS,
     STEP_NS,
     joint_state,
-    number,
     write_bag,
 )
 from urdf import Payload
@@ -143,62 +135,6 @@ def test_joint_states_and_wrench_of_ros1_are_columns(tmp_path, ros1):
         read_log(path, required=["force"])
 
 
-def test_a_ros1_bag_that_was_cut_gives_what_is_whole(tmp_path, ros1):
-    path = write_ros1(tmp_path / "arm.bag", ros1, franka_rows(ros1))
-    data = path.read_bytes()
-    cut = tmp_path / "cut.bag.active"
-    cut.write_bytes(data[: data.index(b"op=\x04") * 2 // 3])
-    log = read_log(cut, required=["q", "tau"], optional=["dq"])
-
-    assert 10 < len(log) < ROWS
-    assert_franka(log, len(log))
-    assert "cut.bag.active is cut short" in log.warnings[0]
-    cut.write_bytes(b"#ROSBAG V1.2\n" + data)
-    with pytest.raises(FormatError, match="ROS 1 bag"):
-        read_log(cut)
-
-
-def test_franka_robot_states_of_ros2_are_put_in_order(tmp_path):
-    types = get_typestore(Stores.ROS2_HUMBLE)
-    kind = "franka_msgs/msg/FrankaRobotState"
-    types.register(get_types_from_msg(ROBOT_STATE, kind))
-    path = tmp_path / "bag"
-    with Ros2Writer(path, version=8, storage_plugin=StoragePlugin.MCAP) as bag:
-        connection = bag.add_connection("/state", kind, typestore=types)
-        for k in range(ROWS):
-            stamp_ns = START_NS + k * STEP_NS
-            q = Q_RAD[k][::-1]
-            names = JOINTS[::-1]
-            external = joint_state(stamp_ns, names, (), (), 4.0 * q)
-            vector = make(types, "geometry_msgs/msg/Vector3", 0.0, 0.0, 0.0)
-            inertia = make(types, "geometry_msgs/msg/Inertia", 0.9, vector, *[0.0] * 6)
-            content = make(
-                types,
-                kind,
-                external.header,
-                joint_state(stamp_ns, names, q, 2.0 * q, 3.0 * q),
-                joint_state(stamp_ns, names, 0.0 * q, 0.0 * q, 0.0 * q),
-                np.zeros(7),
-                external,
-                make(
-                    types, "geometry_msgs/msg/InertiaStamped", external.header, inertia
-                ),
-            )
-            data = types.serialize_cdr(content, kind)
-            bag.write(connection, stamp_ns + 500, data)
-
-    asked = ("q", "tau", "tau_ext")
-    assert_franka(read_log(path, required=("q", "tau", "dq"), joints=JOINTS))
-    np.testing.assert_allclose(
-        read_log(path, required=asked, joints=JOINTS)["tau_ext_Nm"], 4.0 * Q_RAD
-    )
-    request = ChannelRequest(required=("q",), joints=tuple(JOINTS))
-    stream = LogStream(stream_tables(path, FollowOptions(), request), request)
-    list(stream)
-
-    assert stream.tool_mass == ToolMass(0.9, "/state/inertia_total/inertia/m")
-
-
 @pytest.mark.parametrize(("stated_kg", "is_named"), [(0.32, False), (0.8, True)])
 def test_another_tool_mass_is_one_warning_with_both(lwr, stated_kg, is_named):
     payload = Payload(
@@ -228,23 +164,6 @@ def test_efforts_of_a_ur_driver_are_called_currents(tmp_path):
     assert any("motor currents in A" in text for text in log.warnings)
 
 
-@pytest.mark.parametrize("first_ns", [0, 5_000_000_000])
-def test_a_simulated_clock_is_the_clock_of_all_topics(tmp_path, first_ns):
-    rows = []
-    for k in range(ROWS):
-        log_ns = START_NS + k * STEP_NS
-        state = joint_state(first_ns + k * STEP_NS, JOINTS, Q_RAD[k])
-        rows += [("/joint_states", log_ns + 500, state)]
-        rows += [("/depth_mm", log_ns + 500, number(k))]
-
-    log = read_log(write_bag(tmp_path / "sim", rows), required=["q", "depth"])
-
-    assert log.t_s[0] == first_ns / 1e9
-    np.testing.assert_allclose(np.diff(log.t_s), STEP_NS / 1e9)
-    np.testing.assert_allclose(log["depth_m"], np.arange(ROWS) / 1e3, atol=2e-3)
-    assert any("put on the clock of /joint_states" in text for text in log.warnings)
-
-
 def test_a_bad_stamp_in_a_bag_costs_its_message(tmp_path):
     rows = []
     for k in range(ROWS):
@@ -255,33 +174,6 @@ def test_a_bad_stamp_in_a_bag_costs_its_message(tmp_path):
     log = read_log(write_bag(tmp_path / "bag", rows), required=["q"])
 
     np.testing.assert_allclose(log["q_rad"], np.delete(Q_RAD, 30, axis=0))
-    assert "messages with a bad time stamp, left out: 1 (first: " in log.warnings[0]
-
-
-def test_chunks_within_chunks_are_damage_that_is_read_around(tmp_path, ros1):
-    path = write_ros1(tmp_path / "arm.bag", ros1, franka_rows(ros1))
-    content = path.read_bytes()
-
-    def record(fields, data):
-        header = b"".join(
-            (len(name) + 1 + len(value)).to_bytes(4, "little") + name + b"=" + value
-            for name, value in fields.items()
-        )
-        sizes = [len(part).to_bytes(4, "little") for part in (header, data)]
-        return sizes[0] + header + sizes[1] + data
-
-    nested = b""
-    for _ in range(2000):
-        fields = {b"op": b"\x05", b"compression": b"none"}
-        fields |= {b"size": len(nested).to_bytes(4, "little")}
-        nested = record(fields, nested)
-    empty = record({b"op": b""}, b"")
-    path.write_bytes(content[: len(MAGIC)] + empty + nested + content[len(MAGIC) :])
-    log = read_log(path, required=["q", "tau"], optional=["dq"], joints=JOINTS)
-
-    assert_franka(log)
-    assert len(log.warnings) == 1
-    assert "is damaged" in log.warnings[0]
 
 
 @pytest.mark.parametrize(

@@ -8,7 +8,7 @@ import pytest
 from needleforce.cli.arm_frames import ArmFrames, read_description
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.recordings import read_log, write_table
-from needleforce.recordings.bags.message_types import standard_types
+from needleforce.recordings.bag_topics import standard_types
 from needleforce.recordings.table import TableLabels
 
 reader = pytest.importorskip("mcap.reader")

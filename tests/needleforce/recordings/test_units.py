@@ -14,7 +14,7 @@ from needleforce.recordings import (
 )
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.channels import KNOWLEDGE
-from needleforce.recordings.log_stream import LogStream
+from needleforce.recordings.log import log_of_table
 from needleforce.recordings.table import StatedUnit
 
 T_S = np.arange(3.0) / 100.0
@@ -83,7 +83,7 @@ def log_of(mapping=None, units=None, required=(), **columns):
     stated = {name: StatedUnit(text, 2) for name, text in (units or {}).items()}
     table = Table(columns={"t_s": T_S, **columns}, units=stated)
     request = ChannelRequest(ColumnMapping(channels=mapping or {}), required)
-    return LogStream([table], request).joined()
+    return log_of_table(table, request)
 
 
 @pytest.mark.parametrize(

@@ -2,11 +2,12 @@
 
 import re
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
-from needleforce.recordings.bags.message_types import standard_types
+from needleforce.recordings.errors import optional_library
 from needleforce.recordings.table import (
     LinkPoses,
     TableColumns,
@@ -27,6 +28,17 @@ EVENT_TEXTS = {
     "identified_layer": "layer {} identified",
 }
 """Columns that hold the number of a layer on the row of an event, and 0 elsewhere."""
+
+
+@cache
+def standard_types() -> Any:
+    """Return the type store of ROS's own messages.
+
+    Raises:
+        FileAccessError: rosbags is not installed.
+    """
+    library = optional_library("rosbags.typesys", "ROS 2 bags")
+    return library.get_typestore(library.Stores.ROS2_HUMBLE)
 
 
 class WrittenTopic(NamedTuple):
