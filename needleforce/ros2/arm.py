@@ -33,7 +33,7 @@ MAX_BLIND_S = 0.1
 """No velocity is taken for an arm that was not heard for so long."""
 
 MAX_SILENCE_S = 2.0
-"""Silence after which an arm that has sent is taken for gone."""
+"""Silence after which an arm that has sent is lost [s]."""
 
 
 class Ros2Arm(GuardedArm):
@@ -144,10 +144,10 @@ class Ros2Arm(GuardedArm):
         )
 
     def __iter__(self) -> Iterator[ArmReading]:
-        """Yield readings as they come, until the arm stays away.
+        """Yield readings as they come.
 
         Raises:
-            LinkError: None came within `MAX_START_S`.
+            LinkError: None came within `MAX_START_S`, or for `MAX_SILENCE_S`.
         """
         heard_s = monotonic()
         while self._is_open:
@@ -161,9 +161,12 @@ class Ros2Arm(GuardedArm):
                 raise LinkError(
                     f"{self._topic}: {self._reader.problem} within {MAX_START_S:g} s"
                 )
+            if self.report.used:
+                # What is still going on counts, too.
+                self.report.longest_gap_s = max(self.report.longest_gap_s, silent_s)
             if self.report.used and silent_s > MAX_SILENCE_S:
                 self.report.outages += 1
-                return
+                raise LinkError(f"{self._topic}: silent {silent_s:.1f} s")
 
     def _find_refusal(self) -> str:
         if self._controller is None:

@@ -55,6 +55,9 @@ LBR_JOINTS = 7
 REPORT_PERIOD_S = 1.0
 """Time between two messages of diagnostics and layers [s]."""
 
+SILENCE_STEP_S = 0.01
+"""Time between two looks at whether joint states still come [s]."""
+
 ROS_OWN_PREFIXES = ("qos_overrides.",)
 ROS_OWN_PARAMETERS = ("use_sim_time", "start_type_description_service")
 """Parameters that every node has."""
@@ -128,6 +131,7 @@ class NeedleNode:
         self._estimate: SessionEstimate | None = None
         self._stamp_ns = 0
         self._heard_s = time.monotonic()
+        self._is_silent = False
         self._lost_before = 0
         self._frame = settings.frame_id or robot.tool_frame
         self._advertise()
@@ -177,6 +181,7 @@ class NeedleNode:
         node.create_service(trigger, "~/begin_insertion", self._serve_begin)
         node.create_service(trigger, "~/stop", self._serve_stop)
         node.create_timer(REPORT_PERIOD_S, self._publish_reports)
+        node.create_timer(SILENCE_STEP_S, self._watch_silence)
         node.add_on_set_parameters_callback(self._check_changes)
 
     def _broadcast_tip(self, robot: Robot) -> None:
@@ -239,9 +244,10 @@ class NeedleNode:
 
     def _take_joint_state(self, message: Any, info: Any) -> None:
         """Process a joint state, and publish what it gives."""
-        self._heard_s = time.monotonic()
         self.loss.count(*identify_sender(info))
         sample = self._reader.read(self._read_message(message))
+        if sample is not None:
+            self._note_heard()
         if sample is not None and self._needs_pairing:
             sample = self._pairing.add_sample(sample)
         if sample is not None:
@@ -330,7 +336,7 @@ class NeedleNode:
             reader=self._reader,
             loss=self.loss,
             estimate=self._estimate,
-            silent_s=time.monotonic() - self._heard_s,
+            silent_s=self._silent_s,
             silence_limit_s=self._settings.silence_s,
             delay_max_s=self._delay.take_max_s(),
             lost_before=self._lost_before,
@@ -343,6 +349,28 @@ class NeedleNode:
             report_array(self._ros, reports, self._now_ns(), self._hardware)
         )
         self._publish_layers()
+
+    def _note_heard(self) -> None:
+        """Note that the arm was heard now."""
+        if self._is_silent:
+            self._is_silent = False
+            self._logger.warning(f"joint states again after {self._silent_s:.1f} s")
+        self._heard_s = time.monotonic()
+
+    @property
+    def _silent_s(self) -> float:
+        """Time since the latest joint state [s]."""
+        return time.monotonic() - self._heard_s
+
+    def _watch_silence(self) -> None:
+        """Report at once that joint states stay away; the timer calls it."""
+        has_come = self._reader.counts.used > 0
+        is_late = self._silent_s > self._settings.silence_s
+        if self._is_silent or not (has_come and is_late):
+            return
+        self._is_silent = True
+        self._logger.error(f"joint states silent {self._silent_s:.1f} s")
+        self._publish_reports()
 
     def _now_ns(self) -> int:
         """Return the time on the node's clock, simulated where it is [ns]."""

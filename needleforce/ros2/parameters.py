@@ -158,7 +158,7 @@ PARAMETERS = (
     ),
     NodeParameter(
         name="silence_s",
-        default=0.5,
+        default=0.08,
         description="Time without a joint state after which diagnostics show an error "
         "[s].",
         range=NumberRange(0.01, 60.0),

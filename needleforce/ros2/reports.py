@@ -138,7 +138,7 @@ class NodeHealth:
         if self.reader.problem:
             return [self.reader.problem]
         if self.silent_s > self.silence_limit_s:
-            return [f"no joint state for {self.silent_s:.1f} s"]
+            return [f"silent {self.silent_s:.1f} s"]
         return []
 
     def _find_warnings(self) -> list[str]:
@@ -173,7 +173,7 @@ class NodeHealth:
             "stale": counts.stale,
             "unmatched": counts.unmatched,
             "rejected": self.session.rejected,
-            "longest_gap_s": self.reader.longest_gap_s,
+            "longest_gap_s": max(self.reader.longest_gap_s, self.silent_s),
             "delay_max_s": self.delay_max_s,
             "estimator_lag_s": self.session.lag_s,
             "tared": self.session.tared,
