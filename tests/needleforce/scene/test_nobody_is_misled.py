@@ -1,4 +1,4 @@
-"""What a page says of the needle is true: deepest point, sides of the patient, tissue."""
+"""What a page says of the needle: deepest point, sides of the patient, tissue."""
 
 import re
 from base64 import b64decode
