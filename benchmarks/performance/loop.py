@@ -8,7 +8,7 @@ a cycle. Real-time priority is taken where the system grants it.
 
 import multiprocessing
 from collections.abc import Callable, Iterator
-from contextlib import ExitStack, contextmanager
+from contextlib import ExitStack, contextmanager, suppress
 from multiprocessing.connection import Connection
 from pathlib import Path
 from tempfile import TemporaryDirectory
@@ -22,7 +22,7 @@ from benchmarks.jobs import Job, Progress, progress_part
 from benchmarks.results import Figure
 from groundtruth import Run, simulate
 from needleforce import InsertionSession
-from needleforce.devices import ArmReading, FriArm
+from needleforce.devices import ArmReading, FriArm, LinkError
 from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
 from needleforce.devices.emulators.process import take_real_time
 from needleforce.recorder import Recorder, leave_real_time
@@ -135,14 +135,15 @@ def run_loop(run: Run, seconds: float, kind: str) -> Iterator[Figure]:
         put = stack.enter_context(_beside(kind, run.robot, beside))
         controller = stack.enter_context(Emulator(emulate_fri, settings))
         is_real_time = take_real_time()
-        for sample in arm:
-            begin_ns = perf_counter_ns()
-            tau = sample.tau_Nm
-            assert tau is not None  # an LWR sends it
-            estimate = session.update(sample.q_rad, None, tau, sample.dt_s)
-            put(estimate, sample)
-            arrived_us.append(begin_ns / 1e3)
-            taken_us.append((perf_counter_ns() - begin_ns) / 1e3)
+        with suppress(LinkError):  # the emulator has ended
+            for sample in arm:
+                begin_ns = perf_counter_ns()
+                tau = sample.tau_Nm
+                assert tau is not None  # an LWR sends it
+                estimate = session.update(sample.q_rad, None, tau, sample.dt_s)
+                put(estimate, sample)
+                arrived_us.append(begin_ns / 1e3)
+                taken_us.append((perf_counter_ns() - begin_ns) / 1e3)
         leave_real_time()
         counts = controller.counts()
     tick_us = np.array(taken_us[WARM_UP:])
