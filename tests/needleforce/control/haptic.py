@@ -1,4 +1,4 @@
-"""What a session estimates of a needle that a hand drives, and what its handle sends."""
+"""What a session estimates of a needle that a hand drives; what the handle sends."""
 
 from types import SimpleNamespace
 

@@ -31,7 +31,7 @@ Q = np.array([0.1, 0.6, -0.2, -1.2, 0.3, 1.3, 0.2])
 def figures_of(case, seed):
     """Numbers of a case of the benchmark."""
     job = Job(benchmark="control-priority", case=case, plant="clean", seed=seed)
-    return control_priority.run(job, lambda fraction: None)
+    return control_priority.run(job)
 
 
 def tool_at(q):
