@@ -256,7 +256,7 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
     write_table(log, columns)
     refused = refusal(["force", log, *TARE], capsys)
     for text in (
-        "rate of q: is it in deg/s?",
+        "is not the rate of q",
         "--force-tare",
         "Give unit and factor",
     ):
@@ -269,9 +269,7 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
     lines = printed.splitlines()
 
     assert any(line.startswith("warnings ") and "x velocity" in line for line in lines)
-    assert any(
-        line.startswith("velocity ") and "is it in deg/s?" in line for line in lines
-    )
+    assert any(line.startswith("velocity ") and "rate of q" in line for line in lines)
     assert (forces["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
 
 
@@ -279,7 +277,7 @@ def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsy
 @pytest.mark.parametrize(
     ("joint", "value", "fault"),
     [
-        (slice(None), 0.0, "stands still while q moves"),
+        (slice(None), 0.0, "rate of q"),
         (1, np.nan, "dq has no finite value at joint 2"),
     ],
     ids=["zeros", "NaN"],
