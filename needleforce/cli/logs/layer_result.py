@@ -14,13 +14,14 @@ from identification import (
     PUBLISHED_KV,
     Estimate,
     LayerEstimate,
+    SampleStatus,
     TissueWarning,
 )
 from identification.log_replay import ReplayStream
 from needleforce.cli.advice import describe_suspicion
 from needleforce.cli.logs.row_overview import RowOverview
 from needleforce.cli.shared_options import IdentificationOptions
-from needleforce.cli.terminal import say
+from needleforce.cli.terminal import CommandError, say
 from needleforce.depth_zero import FIRST_CONTACT, LOG_ZERO, DepthZero
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
 from needleforce.recordings.log import LogRows
@@ -110,6 +111,8 @@ def identify_layers(
     """
     stream = ReplayStream(METHODS[options.method])
     ignored = Counter[str]()
+    statuses = Counter[SampleStatus]()
+    steps_s: list[Array] = []
     overview = RowOverview(DRAWN_COLUMNS)
     for chunk in chunks:
         depth_m = chunk.channels["depth_m"]
@@ -124,11 +127,14 @@ def identify_layers(
             chunk.channels.get("speed_m_s"),
             chunk.channels.get("force_std_N"),
         )
+        statuses.update(estimate.status for estimate in estimates)
+        steps_s.append(chunk.dt_s[np.isfinite(chunk.dt_s)])
         below_m = depth_m - stream.contact_depths_m
         columns = estimate_table(chunk.t_s, below_m, estimates)
         overview.add({"depth_m": depth_m, "force_N": force_N} | columns)
         if table is not None:
             table.append(columns)
+    _require_used_rows(statuses, ignored, np.concatenate(steps_s))
     warnings = (*_count_ignored(ignored), *map(describe_suspicion, stream.hints))
     layers = stream.layers
     for warning in warnings:
@@ -141,6 +147,35 @@ def identify_layers(
         overview.columns(),
         _zero_at(stream.contact_depth_m),
     )
+
+
+def _require_used_rows(
+    statuses: Counter[SampleStatus], ignored: Counter[str], steps_s: Array
+) -> None:
+    """Refuse a log of which no row was used, or whose rows lie too far apart.
+
+    Args:
+        statuses: What became of the rows.
+        ignored: How many rows were ignored for which reason.
+        steps_s: Time steps [s], shape (n,).
+
+    Raises:
+        CommandError: The log holds nothing to identify; the message says why.
+    """
+    max_step_s = 0.5  # a rupture lasts less; nobody records a needle more slowly
+    if not any(status.is_used for status in statuses):
+        reasons = [f"{count} x {status.value}" for status, count in statuses.items()]
+        reasons += [f"{count} of them {reason}" for reason, count in (+ignored).items()]
+        raise CommandError(
+            f"none of {statuses.total()} rows could be used: {', '.join(reasons)}; "
+            "expected depth and force in the same row"
+        )
+    step_s = float(np.median(steps_s)) if steps_s.size else 0.0
+    if step_s > max_step_s:
+        raise CommandError(
+            f"{step_s:.4g} s lie between two rows, expected at most {max_step_s:g} s: "
+            "name the unit of time if it is another one, as in --time t:ms"
+        )
 
 
 def _zero_at(contact_m: float | None) -> DepthZero:

@@ -2,7 +2,7 @@
 
 import math
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, nullcontext
 from dataclasses import replace
 from pathlib import Path
 from typing import Any, NamedTuple, Protocol
@@ -87,10 +87,9 @@ def run_log(
         The exit code.
     """
     check_outputs(source, output)
-    with (
-        plots.whole_folder(output.report) as folder,
-        stop_request() as is_stopped,
-    ):
+    # Half a log is no report: Ctrl-C leaves the page that was there.
+    stopping = stop_request() if output.report is None else nullcontext(lambda: False)
+    with plots.whole_folder(output.report) as folder, stopping as is_stopped:
         log = LogSession(source, output, request, is_stopped)
         page = estimate(log)
         if folder is not None:

@@ -37,7 +37,7 @@ def test_a_sound_log_is_verified(tmp_path, capsys, columns):
     assert lines["scale"]["outcome"] == "verified"
     assert lines["tare"]["outcome"] == "verified"
     assert "joints" in lines["order and signs"]["text"]
-    assert "at 1000 Hz" in lines["rate"]["text"]
+    assert lines["rate"]["text"] == "4000 rows at 1000 Hz"
     assert lines["channel tau"]["text"].startswith("tau_Nm in Nm")
     assert found["torque"]["scale"] == pytest.approx(1.0, abs=0.1)
 

@@ -1,6 +1,9 @@
 """`needleforce identify`: from a recording to layers, a table and a figure."""
 
+import os
 import re
+import signal
+import threading
 
 import numpy as np
 import pytest
@@ -9,6 +12,7 @@ from groundtruth import insert_needle
 from identification import replay
 from needleforce import session
 from needleforce.cli import main
+from needleforce.cli.terminal import INTERRUPTED
 from needleforce.recordings import write_table
 from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
 from needleforce.simulation import signal_table
@@ -16,6 +20,7 @@ from residual import DEFAULT as SENSOR
 from residual import SensorWarning, Status
 from tests.chromium import PHONE, logged, measured, needs_chromium
 from tests.insertion_run import short_run
+from tests.needleforce.cli.residual_command_log import refusal
 
 
 @pytest.fixture(scope="module")
@@ -117,6 +122,47 @@ def test_wrong_signs_and_units_get_a_hint(needle, identify, tmp_path, capsys):
         assert "fz" not in said
     in_mN = {"speed_m_s": (), "force_N": (), "force": 1e3 * force_N}
     assert "rejected" not in identify("--force", "force:mN", **in_mN)[2]
+
+
+def test_a_log_of_which_no_row_is_used_is_refused(needle, tmp_path, capsys):
+    log = tmp_path / "log.csv"
+    depth_m = needle["depth_m"].copy()
+    force_N = needle["force_N"].copy()
+    depth_m[::2] = np.nan
+    force_N[1::2] = np.nan
+    write_table(log, {"t_s": needle["t_s"], "depth_m": depth_m, "force_N": force_N})
+    for argv in (["identify", str(log)], ["report", str(log), str(tmp_path / "page")]):
+        said = refusal(argv, capsys)
+        assert f"none of {len(depth_m)} rows" in said
+        assert f"{len(depth_m)} x not finite" in said
+    assert not (tmp_path / "page").exists()
+
+
+@pytest.mark.parametrize("factor", [1e3, 1e6])
+def test_a_time_in_ms_or_us_is_not_taken_for_seconds(needle, tmp_path, capsys, factor):
+    log = tmp_path / "log.csv"
+    names = ("depth_m", "force_N")
+    columns = {"t_s": factor * needle["t_s"]} | {name: needle[name] for name in names}
+    write_table(log, columns)
+
+    assert f"{factor / 250:.4g} s lie between" in refusal(
+        ["identify", str(log)], capsys
+    )
+
+
+@pytest.mark.slow
+def test_an_interrupted_report_leaves_the_page_that_was_there(needle, tmp_path, capsys):
+    log = tmp_path / "log.csv"
+    write_table(log, needle)
+    page = tmp_path / "page" / "index.html"
+    page.parent.mkdir()
+    page.write_text("of yesterday")
+    timer = threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT))
+    timer.start()
+
+    assert main(["report", str(log), str(page.parent)]) == INTERRUPTED
+    assert page.read_text() == "of yesterday"
+    assert os.listdir(page.parent) == ["index.html"]
 
 
 @pytest.mark.slow

@@ -12,6 +12,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from identification import TissueWarning
 from needleforce.cli import app, main
 from needleforce.cli.logs.outputs import check_outputs
 from needleforce.cli.logs.row_overview import RowOverview
@@ -30,6 +31,7 @@ from needleforce.cli.terminal import (
 from needleforce.plots import FiguresError
 from needleforce.recordings import FileAccessError, load_mapping, read_log, write_table
 from needleforce.recordings.table import TableLabels
+from residual import SensorWarning
 from tests.needleforce.cli.residual_command_log import insertion
 
 
@@ -355,3 +357,15 @@ def test_progress_bar_leaves_the_result_unchanged(tmp_path, monkeypatch, capsys)
     assert main(["identify", str(path)]) == 0
     assert capsys.readouterr().out == plain
     assert "log.csv" in stream.getvalue()
+
+
+@pytest.mark.parametrize(
+    ("warning", "text"),
+    [
+        (SensorWarning.NONE, "none"),
+        (SensorWarning.SPIKE | SensorWarning.JOINT_LIMIT, "spike, joint limit"),
+        (TissueWarning.TISSUE_MOVES, "tissue moves"),
+    ],
+)
+def test_a_warning_prints_its_names(warning, text):
+    assert str(warning) == f"{warning}" == text
