@@ -1,5 +1,6 @@
 """A log: channels in SI units, with one time stamp per row."""
 
+import re
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
@@ -212,6 +213,7 @@ def _find_time(table: Table, request: ChannelRequest) -> Signal:
     """Find the column of time stamps; `ColumnError` if there is none."""
     time = request.channels["time"]
     columns = request.find(table, time)
+    _require_whole_stamp(table, columns)
     if columns:
         return Signal(table, time, columns, request.mapping.channels.get("time"))
     if not table.has_header:
@@ -221,6 +223,35 @@ def _find_time(table: Table, request: ChannelRequest) -> Signal:
         f"no time column found. Columns are: {table.describe()}{table.left_out()}",
         "Name it under `time` in the `mapping`, or give `rate_hz`.",
     )
+
+
+def _require_whole_stamp(table: Table, chosen: Sequence[str]) -> None:
+    """Refuse stamps of which seconds and their fraction stand in two columns.
+
+    Args:
+        table: Of the log.
+        chosen: Columns of time that were found; none if there are none.
+
+    Raises:
+        ColumnError: Such a pair, and no other column of time.
+    """
+    for fraction in table.columns:
+        match = re.fullmatch(r"(?i)(.*?)(n|nano|u|micro)s(ec(ond)?s?)?", fraction)
+        if match is None:
+            continue
+
+        whole = rf"(?i){re.escape(match[1])}s(ec(ond)?s?)?"
+        seconds = next(
+            (name for name in table.columns if re.fullmatch(whole, name)), ""
+        )
+        if seconds and (not chosen or {seconds, fraction} & {*chosen}):
+            factor = 1e-9 if match[2].lower().startswith("n") else 1e-6
+            raise ColumnError(
+                f"time: the stamp stands in two columns, {seconds!r} and "
+                f"{fraction!r}; expected one",
+                f"Write a column of their sum, {seconds} + {factor:g} * {fraction}, "
+                "and name it as time.",
+            )
 
 
 def _find_channels(

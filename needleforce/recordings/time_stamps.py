@@ -5,6 +5,8 @@ seconds in float64 such stamps would be rounded to 0.2 µs; then seconds are cou
 from the first stamp instead, see `start_of_clock`.
 """
 
+from typing import NoReturn
+
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import median_filter
@@ -113,72 +115,41 @@ def rows_in_order(
     """Return the rows of a log in the order of time, and what was odd.
 
     Rows without a stamp, with one that those around contradict, or with that of an
-    earlier row are left out; late rows are sorted. Stamps that most rows share, as of a
-    clock with few digits, are spread evenly.
+    earlier row are left out; late rows are sorted.
 
     Args:
         t_s: Stamps in the order of the file, shape (n,).
         values: A channel, shape (n,) or (n, k): rows that repeat it are no new samples.
-        sorted_within_s: Rows that come later than this are left out.
+        sorted_within_s: Rows are sorted that come no later than this after newer ones;
+            at 0 none are, and late ones are left out.
 
     Returns:
         Indices of the rows, shape (m,), their stamps, shape (m,), and notes.
 
     Raises:
-        LogError: Fewer than two stamps advance.
+        LogError: Fewer than two stamps advance, the clock was set back, or samples
+            share stamps or came in bursts, so that stamps do not tell their times.
     """
     notes: list[str] = []
-    rows = np.flatnonzero(np.isfinite(t_s))
-    if missing := len(t_s) - len(rows):
-        first = int(np.argmin(np.isfinite(t_s)))
-        notes.append(
-            f"time: rows without a stamp, left out: {missing} (first: row {first + 1})"
-        )
+    rows = _rows_with_stamps(t_s, sorted_within_s, notes)
+    if sorted_within_s > 0.0:
+        rows = _sort_rows(t_s, rows, sorted_within_s, notes)
 
     stamps_s = t_s[rows]
-    step_s = float(np.median(np.diff(stamps_s[:200]))) if len(rows) > 1 else 0.0
-    if len(rows) > 8 and step_s > 0.0:
-        around_s = median_filter(stamps_s, 9, mode="nearest")
-        is_bad = np.abs(stamps_s - around_s) > max(sorted_within_s, 20.0 * step_s)
-        if is_bad.any():
-            first = rows[np.argmax(is_bad)]
-            notes.append(
-                f"rows with a bad time stamp, left out: {np.count_nonzero(is_bad)} "
-                f"(first: row {first + 1}, {t_s[first]:.13g} s)"
-            )
-            rows, stamps_s = rows[~is_bad], stamps_s[~is_bad]
+    latest_s = np.maximum.accumulate(stamps_s)
+    is_new = np.diff(stamps_s) > 0.0
+    is_changed = values[rows[1:]] != values[rows[:-1]]
+    is_sample = is_changed.any(axis=tuple(range(1, is_changed.ndim)))
+    if np.count_nonzero(~is_new & is_sample) > len(rows) / 3:
+        _refuse_groups(stamps_s, np.flatnonzero(is_new) + 1, "samples share stamps")
 
-    stamps_s, set_back = _continue_clock(rows, stamps_s, step_s)
-    notes += set_back
-    lateness_s = np.fmax.accumulate(stamps_s) - stamps_s
-    is_late = (lateness_s > 0.0) & (lateness_s <= sorted_within_s)
-    if is_late.any():
-        kept = lateness_s <= sorted_within_s
-        order = np.argsort(stamps_s[kept], kind="stable")
-        rows, stamps_s = rows[kept][order], stamps_s[kept][order]
-        notes.append(f"time: rows out of order, sorted: {np.count_nonzero(is_late)}")
+    keep = np.append(True, stamps_s[1:] > latest_s[:-1])[: len(rows)]
+    if not keep.all():
+        count = np.count_nonzero(~keep)
+        notes.append(f"time: rows whose stamps do not advance, left out: {count}")
 
-    is_repeated = np.diff(stamps_s, prepend=-np.inf) <= 0.0
-    changed = (
-        np.diff(values[rows], axis=0).reshape(max(len(rows) - 1, 0), -1).any(axis=1)
-    )
-    if (
-        len(rows) > 2
-        and np.count_nonzero(is_repeated[1:] & changed) > 2 * len(rows) / 3
-    ):
-        starts = np.flatnonzero(~is_repeated)
-        stamps_s = np.interp(np.arange(len(rows)), starts, stamps_s[starts])
-        keep = np.arange(len(rows)) <= starts[-1]
-        notes.append("time: stamps are rounded; rows between were spread evenly")
-    else:
-        keep = stamps_s > np.concatenate(
-            ([-np.inf], np.maximum.accumulate(stamps_s)[:-1])
-        )
-        if not keep.all():
-            count = np.count_nonzero(~keep)
-            notes.append(f"time: rows whose stamps do not advance, left out: {count}")
-
-    if np.count_nonzero(keep) < 2:
+    rows = rows[keep]
+    if len(rows) < 2:
         raise LogError(
             f"no usable time: of {len(t_s)} rows at least two must have stamps that "
             "advance",
@@ -186,31 +157,85 @@ def rows_in_order(
             "`rate_hz` instead.",
         )
 
-    return rows[keep], stamps_s[keep], notes
+    _refuse_bursts(t_s[rows])
+    return rows, t_s[rows], notes
 
 
-def _continue_clock(
-    rows: NDArray[np.intp], stamps_s: Array, step_s: float
-) -> tuple[Array, list[str]]:
-    """Return stamps that run on where the clock was set back, and a note on each.
+def _rows_with_stamps(
+    t_s: Array, sorted_within_s: float, notes: list[str]
+) -> NDArray[np.intp]:
+    """Return indices of the rows whose stamp those around do not contradict.
+
+    What is left out is added to the notes.
+    """
+    rows = np.flatnonzero(np.isfinite(t_s))
+    if missing := len(t_s) - len(rows):
+        first = int(np.argmin(np.isfinite(t_s)))
+        notes.append(
+            f"time: rows without a stamp, left out: {missing} (first: row {first + 1})"
+        )
+
+    step_s = float(np.median(np.diff(t_s[rows[:200]]))) if len(rows) > 8 else 0.0
+    if step_s <= 0.0:
+        return rows
+
+    around_s = median_filter(t_s[rows], 9, mode="nearest")
+    is_bad = np.abs(t_s[rows] - around_s) > max(sorted_within_s, 20.0 * step_s)
+    if is_bad.any():
+        first = rows[np.argmax(is_bad)]
+        notes.append(
+            f"rows with a bad time stamp, left out: {np.count_nonzero(is_bad)} "
+            f"(first: row {first + 1}, {t_s[first]:.13g} s)"
+        )
+
+    return rows[~is_bad]
+
+
+def _sort_rows(
+    t_s: Array, rows: NDArray[np.intp], sorted_within_s: float, notes: list[str]
+) -> NDArray[np.intp]:
+    """Return indices of rows by their stamps; `LogError` for a clock set back."""
+    lateness_s = np.maximum.accumulate(t_s[rows]) - t_s[rows]
+    latest_s = lateness_s.max(initial=0.0)
+    if latest_s > sorted_within_s:
+        row = rows[np.argmax(lateness_s > sorted_within_s)]
+        raise LogError(
+            f"time: the clock was set back at row {row + 1}, by up to {latest_s:.6g} s",
+            "Cut the file there and read its parts, or give the sample rate "
+            "(`rate_hz`, --rate) if no time is missing.",
+        )
+    if latest_s > 0.0:
+        late_count = np.count_nonzero(lateness_s)
+        notes.append(f"time: rows out of order, sorted: {late_count}")
+
+    return rows[np.argsort(t_s[rows], kind="stable")]
+
+
+def _refuse_bursts(stamps_s: Array) -> None:
+    """Raise `LogError` for stamps in bursts, shape (m,), m > 1."""
+    steps_s = np.diff(stamps_s)
+    is_pause = steps_s > 5.0 * np.median(steps_s)
+    starts = np.flatnonzero(is_pause) + 1
+    is_mostly_paused = steps_s[is_pause].sum() > 0.5 * steps_s.sum()
+    if len(starts) > 2 and is_mostly_paused and np.median(np.diff(starts)) >= 2:
+        _refuse_groups(stamps_s, starts, "stamps come in bursts")
+
+
+def _refuse_groups(stamps_s: Array, starts: NDArray[np.intp], fault: str) -> NoReturn:
+    """Raise `LogError` for samples whose stamps say only when each group came.
 
     Args:
-        rows: Indices of the rows in the log, shape (m,).
-        stamps_s: Their stamps, shape (m,).
-        step_s: Usual time from one to the next.
+        stamps_s: Of all rows, shape (m,).
+        starts: Where groups begin, shape (k,).
+        fault: What is wrong with the stamps.
     """
-    notes: list[str] = []
-    for start in np.flatnonzero(np.diff(stamps_s) < 0.0).tolist():
-        # Rows behind the latest that follow each other for so long were not late.
-        is_behind = stamps_s[start + 1 :] < stamps_s[: start + 1].max()
-        is_next = np.diff(stamps_s[start + 1 :], prepend=-np.inf) > 0.0
-        run = stamps_s[start + 1 :][np.logical_and.accumulate(is_behind & is_next)]
-        if len(run) >= 3 and run[-1] - run[0] >= 0.1:
-            notes.append(
-                f"time: clock set back at row {rows[start + 1] + 1}, {run[0]:.9g} s "
-                f"after {stamps_s[start]:.9g} s; it was continued from there"
-            )
-            stamps_s = stamps_s.copy()
-            stamps_s[start + 1 :] += stamps_s[start] - run[0] + step_s
-
-    return stamps_s, notes
+    # The first group may have begun before the log.
+    first, last = (starts[0], starts[-1]) if len(starts) > 1 else (0, len(stamps_s) - 1)
+    span_s = stamps_s[last] - stamps_s[first]
+    rate = f"{(last - first) / span_s:.3g}" if span_s > 0.0 else "HZ"
+    raise LogError(
+        f"time: {fault}: {len(stamps_s)} rows in {len(starts) + 1} groups, so they do "
+        "not tell when a sample was measured",
+        f"If the samples are even, give their rate: --rate {rate}, `rate_hz = {rate}` "
+        "in the mapping; else write stamps of the source with all digits.",
+    )

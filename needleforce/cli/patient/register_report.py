@@ -99,7 +99,7 @@ def describe_doubts(residuals: Sequence[LandmarkResidual]) -> list[str]:
 
 def _describe_residual(one: LandmarkResidual) -> str:
     """Return the residual of a landmark in words."""
-    text = f"{M_TO_MM * one.left_m:.1f} mm left"
+    text = f"residual {M_TO_MM * one.left_m:.1f} mm"
     if np.isfinite(one.left_out_m):
         text += f", {M_TO_MM * one.left_out_m:.1f} mm from where the others put it"
     if np.isfinite(one.probability):

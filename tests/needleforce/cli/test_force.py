@@ -249,17 +249,6 @@ def test_the_tare_window_is_reported_as_it_was_used(run, lwr):
 
 
 @pytest.mark.slow
-def test_clock_set_back_costs_few_rows_only(run, lwr):
-    columns = insertion(lwr)
-    columns["t_s"][2600:] -= columns["t_s"][2600]
-    forces, printed = run(columns, *TARE)
-
-    assert "samples      4000 in 3.999 s at 1000 Hz" in printed
-    assert not np.count_nonzero(forces["force_status"] == 3)
-    assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
-
-
-@pytest.mark.slow
 def test_velocities_in_degrees_are_refused_with_reason(run, lwr, tmp_path, capsys):
     columns = insertion(lwr)
     columns["dq_rad_s"] = np.degrees(columns["dq_rad_s"])

@@ -9,7 +9,6 @@ import numpy as np
 import pytest
 
 from groundtruth import insert_needle
-from identification import replay
 from needleforce import session
 from needleforce.cli import main
 from needleforce.cli.terminal import INTERRUPTED
@@ -223,23 +222,6 @@ def test_a_layout_of_the_user_is_known_to_the_command(tmp_path, capsys):
 
     assert 'columns = "droga [mm]"' in printed
     assert 'unit = "daN"' in printed
-
-
-@pytest.mark.slow
-def test_clock_set_back_hides_no_layer(needle, identify):
-    whole_s = needle["t_s"]
-    t_s = needle["t_s"].copy()
-    half = int(np.searchsorted(needle["depth_m"], 0.004))
-    t_s[half:] -= t_s[half]
-    rows, (layer,), said = identify(t_s=t_s, speed_m_s=())
-
-    assert "clock set back" in said
-
-    columns = {name: needle[name] for name in ("depth_m", "force_N")}
-    expected_s = replay(whole_s, **columns).layers[0].rupture.time_s
-
-    assert float(layer["rupture s"]) == pytest.approx(expected_s, abs=0.03)
-    assert np.count_nonzero(rows["used"] == 0) <= 1
 
 
 def test_codes_match_sensor_and_session():

@@ -70,20 +70,6 @@ def test_missing_values_are_counted_by_row_not_refused():
     np.testing.assert_array_equal(log["q_rad"], q_rad)
 
 
-RAMP_S = np.arange(1000) / 1000
-LATE_S = RAMP_S.copy()
-LATE_S[100::50] -= 0.02
-LATE_S[320] = LATE_S[319]
-
-
-def test_a_log_reports_a_clock_set_back():
-    log = log_of(t_s=np.concatenate((RAMP_S, RAMP_S)), force_N=np.ones(2000))
-
-    assert "clock set back at row 1001, 0 s after 0.999 s" in log.warnings[0]
-    assert len(log) == 2000
-    assert (np.diff(log.t_s) > 0.0).all()
-
-
 @given(
     first_ns=st.one_of(st.integers(0, 1 << 40), st.integers(1 << 60, (1 << 62) - 1)),
     since_ns=st.lists(st.integers(0, 86_400 * 10**9), min_size=1, max_size=20),

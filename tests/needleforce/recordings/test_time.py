@@ -1,0 +1,134 @@
+"""Time stamps of a log: their order, what is left out, what is refused."""
+
+import re
+
+import numpy as np
+import pytest
+
+from needleforce.recordings import (
+    ColumnError,
+    ColumnMapping,
+    LogError,
+    read_log,
+    write_table,
+)
+from tests.needleforce.recordings.bag_samples import mapped
+
+ROWS = 400
+T_S = 0.01 * np.arange(ROWS)
+FORCE_N = np.sin(T_S)
+REPEATED_S = T_S.copy()
+REPEATED_S[7] = REPEATED_S[6]
+LATE = np.arange(ROWS)
+LATE[100:140] = np.roll(LATE[100:140], 7)
+SPIKE_S = T_S.copy()
+SPIKE_S[50] += 3600.0
+MISSING_S = T_S.copy()
+MISSING_S[3] = np.nan
+
+
+def read(tmp_path, t_s, force_N=FORCE_N, **mapping):
+    path = tmp_path / "log.npz"
+    write_table(path, {"t_s": t_s, "force_N": force_N})
+    return read_log(path, ColumnMapping(**mapping), required=["force"])
+
+
+@pytest.mark.parametrize(
+    ("t_s", "kept", "word"),
+    [
+        (T_S, np.arange(ROWS), None),
+        (MISSING_S, np.delete(np.arange(ROWS), 3), "row 4"),
+        (SPIKE_S, np.delete(np.arange(ROWS), 50), "row 51"),
+        (REPEATED_S, np.delete(np.arange(ROWS), 7), "left out: 1"),
+        (T_S[LATE], np.argsort(LATE), "sorted: "),
+        (T_S + np.where(np.arange(ROWS) < 200, 0.0, 60.0), np.arange(ROWS), None),
+    ],
+    ids=["even", "missing", "bad stamp", "repeated", "late", "a gap"],
+)
+def test_rows_are_in_the_order_of_time_and_odd_ones_are_reported(
+    tmp_path, t_s, kept, word
+):
+    log = read(tmp_path, t_s)
+
+    np.testing.assert_array_equal(log.t_s, t_s[kept])
+    np.testing.assert_array_equal(log["force_N"], FORCE_N[kept])
+    assert log.left_out == ROWS - len(kept)
+    assert len(log.warnings) == (word is not None)
+    assert word is None or word in log.warnings[0]
+
+
+def test_the_mapping_says_how_late_a_row_may_come(tmp_path):
+    late = np.arange(ROWS)
+    late[100:300] = np.roll(late[100:300], 195)  # rows that come 2 s after newer ones
+    with pytest.raises(LogError, match="set back"):
+        read(tmp_path, T_S[late])
+
+    log = read(tmp_path, T_S[late], sort_within_s=5.0)
+    np.testing.assert_array_equal(log["force_N"], FORCE_N[np.argsort(late)])
+    assert len(read(tmp_path, T_S[late], sort_within_s=0.0)) < ROWS
+
+
+SET_BACK_S = np.concatenate((T_S[:300], T_S[:100]))
+ROUNDED_S = np.floor(T_S / 0.1) * 0.1
+BURSTS_S = np.floor(T_S / 0.08) * 0.08 + 0.0001 * (np.arange(ROWS) % 8)
+
+
+@pytest.mark.parametrize(
+    ("t_s", "word"),
+    [
+        (SET_BACK_S, "row 301"),
+        (ROUNDED_S, "share"),
+        (BURSTS_S, "bursts"),
+        (np.zeros(ROWS), "share"),
+        (np.append(np.zeros(1), np.full(ROWS - 1, np.nan)), "no usable time"),
+    ],
+    ids=["clock set back", "rounded", "bursts", "never advances", "one stamp"],
+)
+def test_stamps_that_do_not_tell_the_time_of_a_sample_are_refused(tmp_path, t_s, word):
+    with pytest.raises(LogError, match=word):
+        read(tmp_path, t_s)
+
+
+@pytest.mark.parametrize("t_s", [ROUNDED_S, BURSTS_S], ids=["rounded", "bursts"])
+def test_the_rate_that_the_refusal_names_reads_such_a_log(tmp_path, t_s):
+    with pytest.raises(LogError) as refused:
+        read(tmp_path, t_s)
+
+    rate = re.search(r"--rate ([\d.]+)", refused.value.advice)[1]
+    assert float(rate.strip(".")) == pytest.approx(100.0, rel=0.02)
+    np.testing.assert_allclose(read(tmp_path, t_s, rate_hz=100.0).t_s, T_S)
+
+
+def test_samples_that_repeat_a_value_under_one_stamp_are_one(tmp_path):
+    held = np.repeat(np.arange(ROWS // 4), 4)
+    log = read(tmp_path, 0.04 * held, FORCE_N[held])
+
+    np.testing.assert_array_equal(log["force_N"], FORCE_N[: ROWS // 4])
+
+
+@pytest.mark.parametrize(
+    ("whole", "fraction"),
+    [
+        ("header.stamp.sec", "header.stamp.nanosec"),
+        ("timestamp_sec", "timestamp_nanosec"),
+        ("secs", "nsecs"),
+    ],
+)
+def test_a_stamp_in_two_columns_is_refused(tmp_path, whole, fraction):
+    path = tmp_path / "log.csv"
+    columns = {whole: np.floor(T_S), fraction: T_S % 1.0, "force_N": FORCE_N}
+    write_table(path, columns)
+    for mapping in (None, mapped(time=whole)):
+        with pytest.raises(ColumnError, match=fraction):
+            read_log(path, mapping, required=["force"])
+
+    log = read_log(path, ColumnMapping(rate_hz=100.0), required=["force"])
+    np.testing.assert_allclose(log.t_s, T_S)
+
+
+def test_a_whole_stamp_beside_its_parts_is_taken(tmp_path):
+    path = tmp_path / "log.csv"
+    parts = {"stamp.secs": np.floor(T_S), "stamp.nsecs": 1e9 * (T_S % 1.0)}
+    write_table(path, {"t": T_S, **parts, "force_N": FORCE_N})
+
+    np.testing.assert_array_equal(read_log(path, required=["force"]).t_s, T_S)
