@@ -18,6 +18,7 @@ HEAVY = ("trimesh", "shapely", "lxml", "PIL", "matplotlib", "yourdfpy", "network
 CORE_MODULES = {"pinocchio", "coal", "numpy", "scipy", "numba", "msgspec", "cyclopts"}
 BROUGHT_BY_CYCLOPTS = {"rich"}
 DISTRIBUTIONS = {
+    "example_robot_data": "example-robot-data",
     "markupsafe": "jinja2",
     "skimage": "scikit-image",
     "igl": "libigl",

@@ -58,12 +58,13 @@ def view_command(
 
     needleforce view insertion.csv --tare 13
     """
-    from needleforce.cli.logs.session_view import ScenePage, view_recording
+    from needleforce.cli.logs.session_view import view_recording
 
     return view_recording(
         recording,
         robot,
-        ScenePage(options.host, options.port, options.export, options.allow_host),
+        address=(options.host, options.port, options.allow_host),
+        export=options.export,
         tare_s=options.tare,
         mapping=options.mapping,
         anatomy=options.anatomy,
