@@ -1,0 +1,95 @@
+"""The figures of README.md and docs/reference/results.md come from one campaign."""
+
+import math
+
+import pandas as pd
+import pytest
+
+from benchmarks.figures import (
+    METHOD_NAMES,
+    Part,
+    RowSpec,
+    fill_figures,
+    fill_line,
+    fill_pages,
+    read_figures,
+    read_specs,
+    summarize_part,
+)
+from tests.benchmarks.benchmark_cases import make_seeds
+
+TABLE = read_specs()[0]
+DELAY = RowSpec(
+    what="delay",
+    plant="fri",
+    parts=(Part("rupture_delay_ms", "median", ".0f", " ms"),),
+)
+
+
+def delays(*values, **changes):
+    return make_seeds(values, plant="fri", metric="rupture_delay_ms", **changes)
+
+
+def test_the_pages_show_the_figures_of_the_campaign():
+    for page, filled in fill_pages(read_figures()).items():
+        assert page.read_text(encoding="utf-8") == filled, page.name
+
+
+def test_every_column_is_a_method_with_a_name_for_people():
+    assert {name for table in read_specs() for name in table.methods} <= set(
+        METHOD_NAMES
+    )
+
+
+@pytest.mark.parametrize(
+    ("statistic", "value"),
+    [("median", 3.0), ("mean", 4.0), ("worst", 9.0), ("deviation", 3.0), ("sum", 20.0)],
+)
+def test_a_part_is_a_statistic_of_all_runs(statistic, value):
+    part = Part("rupture_delay_ms", statistic, ".0f")
+    values = pd.Series([3.0, 1.0, 9.0, 4.0, 3.0])
+
+    assert summarize_part(values, part) == pytest.approx(value)
+    assert math.isnan(summarize_part(pd.Series([0.1, math.nan]), part))
+
+
+@pytest.mark.parametrize(("delay_ms", "mark"), [(79.9, "met"), (80.1, "**missed**")])
+def test_our_figure_is_judged_by_the_target_of_its_plant(delay_ms, mark):
+    line = fill_line(delays(delay_ms), TABLE, DELAY)
+
+    assert line == ["delay", "–", "–", f"{delay_ms:.0f} ms", "80 ms", mark]
+
+
+def test_a_line_of_two_parts_names_which_is_missed():
+    recall = Part("rupture_recall", "mean", ".0f", " %", 100.0)
+    spec = RowSpec(what="both", plant="fri", parts=(*DELAY.parts, recall))
+    found = make_seeds((0.5,), plant="fri", metric="rupture_recall")
+    line = fill_line(pd.concat([delays(70.0), found]), TABLE, spec)
+
+    assert line[-3:] == ["70 ms; 50 %", "80 ms; 97 %", "**missed** (second)"]
+
+
+def test_a_closed_loop_is_judged_on_every_plant_of_the_table():
+    spec = RowSpec(
+        what="past",
+        plant="fri",
+        scenarios=("control-autonomous/*-20",),
+        parts=(Part("travel_past_rupture_mm", "worst", ".1f", " mm"),),
+    )
+    results = make_seeds(
+        (0.4, 22.0),
+        plant="fri",
+        metric="travel_past_rupture_mm",
+        scenario="control-autonomous/I-20",
+    )
+
+    assert fill_line(results, TABLE, spec)[-3:] == ["22.0 mm", "1.0 mm", "**missed**"]
+
+
+def test_what_was_not_measured_is_said():
+    figures = fill_figures(delays(70.0, 72.0), "abc")
+    lines = figures["tables"]["headline"]
+
+    assert lines[0][-1] == "not measured"
+    assert lines[2][-1] == "met"
+    assert figures["runs"] == {"fri": 2}
