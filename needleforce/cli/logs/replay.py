@@ -186,10 +186,6 @@ def identify(
         write_out(suggest_mapping(source, wanted, mapping=mapping))
         return 0
     check_outputs(source, output)
-    log = recordings.read_log(
-        source, mapping, required=("depth", "force"), optional=optional
-    )
-    warn(log.warnings)
     log, found = run_layers(source, mapping, optional, options)
     estimates = found.rows.drop(columns=["depth_m", "force_N"])
     write_rows(estimates, output, log, prefix="/needleforce/identification")

@@ -9,9 +9,11 @@ import sys
 import tomllib
 from importlib import metadata
 from pathlib import Path
+from types import SimpleNamespace
 
 import pytest
 
+from foundation import jit
 from foundation.extras import EXTRA_OF_MODULE, EXTRAS, install_command
 from needleforce.cli import checkup, main
 
@@ -74,26 +76,33 @@ def test_what_no_extra_can_install_is_named_without_a_command(monkeypatch, capsy
     assert "pip install" not in line
 
 
-@pytest.mark.slow
 @pytest.mark.parametrize(
-    ("variables", "doubt"),
+    ("name", "value", "doubt"),
     [
-        ({"NUMBA_CACHE_DIR": "/proc/nowhere"}, "NUMBA_CACHE_DIR"),
-        ({"NUMBA_DISABLE_JIT": "1"}, "NUMBA_DISABLE_JIT"),
-        ({}, "verdict: ready"),
+        (
+            "dispatchers",
+            [SimpleNamespace(stats=SimpleNamespace(cache_path=None))],
+            "NUMBA_CACHE_DIR",
+        ),
+        ("COMPILER", "", "NUMBA_DISABLE_JIT"),
     ],
 )
-def test_the_verdict_names_what_is_in_the_way(tmp_path, variables, doubt):
-    cache = {"NUMBA_CACHE_DIR": str(tmp_path / "cache")}
+def test_the_verdict_names_what_is_in_the_way(monkeypatch, capsys, name, value, doubt):
+    monkeypatch.setattr(jit, name, value)
+
+    assert doubt in report(capsys).splitlines()[-1]
+
+
+@pytest.mark.slow
+def test_nothing_is_compiled_or_written(tmp_path):
     done = subprocess.run(
         [sys.executable, "-m", "needleforce", "doctor"],
         capture_output=True,
         text=True,
-        env=os.environ | cache | variables,
+        env=os.environ | {"NUMBA_CACHE_DIR": str(tmp_path / "cache")},
         check=True,
     )
 
-    assert doubt in done.stdout.splitlines()[-1]
-    # Nothing is compiled or written.
+    assert done.stdout.splitlines()[-1] == "verdict: ready"
     assert not list((tmp_path / "cache").rglob("*.nb?"))
     assert done.stderr == ""

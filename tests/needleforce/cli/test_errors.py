@@ -32,7 +32,10 @@ FILES = {
     "frame.toml": 'frame = "nowhere"\n',
     "given_friction.toml": "[friction]\na = 1\n",
     "part.toml": "[viscous_coulomb]\nviscous_Nms = [0.0]\n",
-    "short.toml": "[viscous_coulomb]\nviscous_Nms = [0.0]\ncoulomb_Nm = [0.0]\n",
+    "short.toml": (
+        "[viscous_coulomb]\nviscous_Nms = [0.0]\ncoulomb_Nm = [0.0]\n"
+        "offset_Nm = [0.0]\n"
+    ),
     "rotor_sign.toml": "rotor_inertia_kg_m2 = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
     "three.toml": "payload = 3",
     "sub/map.toml": 'payload = "heavy.toml"',
@@ -124,11 +127,9 @@ USAGE = {
     "report missing.csv new/page": "missing.csv",
     "report good.csv arm.urdf/page": "cannot write",
     "report good.csv page --tare 0:60": "1.199 s",
-    "report good.csv .": "inside the other",
     "live nao": "nao",
     "lag nao --yes": "nao",
     "demo --data ct": "abdomen",
-    "demo --seed -1": "--seed -1",
     "simulate torso -o x --plant fri": "--plant",
     "simulate torso -o x --truth y": "--truth",
     "simulate p.json -o x.csv --seed 1": "--seed",
