@@ -138,6 +138,7 @@ def describe_forces(
         ("sensor", f"{estimated} at {frame}, {source}"),
         ("samples", _describe_samples(replay, log)),
         ("rejected", describe_rejections(replay.rejected) or "none"),
+        *(("corrected", text) for text in [replay.sensor.corrections] if text),
         ("gaps", _describe_gaps(replay)),
         ("warnings", describe_warnings(replay)),
         *(("signals", doubt) for doubt in replay.doubts),
