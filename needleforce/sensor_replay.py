@@ -301,7 +301,11 @@ def _table_of(
     config: SensorConfig,
 ) -> pd.DataFrame:
     """Return the columns of `SensorReplay.rows` but the travel, in their order."""
-    columns = {"t_s": t_s, "axial_N": numbers[:, 0], "axial_std_N": numbers[:, 1]}
+    columns: dict[str, np.ndarray] = {
+        "t_s": t_s,
+        "axial_N": numbers[:, 0],
+        "axial_std_N": numbers[:, 1],
+    }
     vectors = {"force": "N"} | ({"torque": "Nm"} if config.mode == "full" else {})
     for number, (vector, unit) in enumerate(vectors.items()):
         parts = {f"{vector}_": wrench[:, 3 * number :]}

@@ -12,7 +12,7 @@ from needleforce.cli.terminal import CommandError
 from needleforce.recordings import ColumnError, ColumnMapping
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.mapping import parse_column_spec
-from needleforce.recordings.table import STANDARD_STREAM, Table
+from needleforce.recordings.table import STANDARD_STREAM
 
 
 def is_pipe(source: str) -> bool:
@@ -76,32 +76,25 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
         return False
 
 
-def find_log_joints(source: str, mapping: ColumnMapping, torque: str) -> LogJoints:
+def find_log_joints(source: str, mapping: ColumnMapping) -> LogJoints:
     """Return the joints of a log: those of the mapping, else those that it names.
 
     Args:
         source: The log as the command line names it; a pipe is not looked at.
         mapping: Which columns are which channels.
-        torque: Channel of the torques.
     """
     if mapping.joint_order:
         return LogJoints(mapping.joint_order, len(mapping.joint_order))
     if is_pipe(source):
         return LogJoints()
     table = recordings.columns_of(source, mapping)
-    columns = _columns_of(table, mapping, ("q", torque))
-    names = [name for column in columns for name in table.joint_names.get(column, ())]
+    positions = frozenset(table.joint_names)
+    with suppress(ColumnError):  # several would fit, which reading the log will say
+        positions = ChannelRequest(mapping, ("q",)).columns(table) or frozenset()
+    names: dict[str, None] = {}
     count = 0
-    for column in _columns_of(table, mapping, ("q",)):
+    for column in sorted(positions):
+        names |= dict.fromkeys(table.joint_names.get(column, ()))
         values = table.columns.get(column)
         count += 1 if values is None or values.ndim == 1 else values.shape[1]
-    return LogJoints(tuple(dict.fromkeys(names)), count or None)
-
-
-def _columns_of(
-    table: Table, mapping: ColumnMapping, channels: tuple[str, ...]
-) -> frozenset[str]:
-    """Return the columns of channels; all of them where names do not say which."""
-    with suppress(ColumnError):  # several would fit, which reading the log will say
-        return ChannelRequest(mapping, channels).columns(table) or frozenset()
-    return frozenset(table.joint_names)
+    return LogJoints(tuple(names), count or None)

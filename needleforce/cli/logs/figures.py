@@ -77,14 +77,15 @@ def draw_forces(
         over: Time, or travel of the tool.
         limits: Of the x axis, infinite where they are not given.
     """
-    start_s, x_label = _time_axis(replay.rows["t_s"])
-    x = replay.rows["t_s"] - start_s
+    all_rows: Any = replay.rows
+    start_s, x_label = _time_axis(all_rows["t_s"])
+    x = all_rows["t_s"] - start_s
     if over == "depth":
-        x = 1e3 * replay.rows["travel_m"]
+        x = 1e3 * all_rows["travel_m"]
         x_label = "travel from the first row [mm]"
     x_limits = _limits_of(x, limits, x_label)
-    is_valid = replay.rows["force_status"] != STATUS_CODES[Status.REJECTED]
-    rows = replay.rows[is_valid]
+    is_valid = all_rows["force_status"] != STATUS_CODES[Status.REJECTED]
+    rows = all_rows[is_valid]
     is_tared = rows["force_status"] == STATUS_CODES[Status.OK]
     grey = {"color": palette.GREY} if is_tared.any() else {}
     axes_name = replay.config.axes
@@ -134,7 +135,7 @@ def draw_layers(
         over: Time, or depth of the needle.
         limits: Of the x axis, infinite where they are not given.
     """
-    rows = found.rows
+    rows: Any = found.rows
     start_s, x_label = _time_axis(rows["t_s"])
     x = rows["t_s"] - start_s
     if over == "depth":
@@ -170,7 +171,11 @@ def draw_layers(
         "friction identified": rows.loc[rows["identified_layer"] > 0, "t_s"],
         "hard contact": rows.loc[rows["hard_contact"] > 0, "t_s"],
     }
-    markers = ({"marker": "|", "ms": 13.0}, {"marker": "."}, {"marker": "x"})
+    markers: tuple[dict[str, Any], ...] = (
+        {"marker": "|", "ms": 13.0},
+        {"marker": "."},
+        {"marker": "x"},
+    )
 
     def mark(axes: "Axes") -> None:
         for (label, times_s), style in zip(events.items(), markers, strict=True):
@@ -178,8 +183,8 @@ def draw_layers(
                 place = np.subtract(times_s, start_s)
                 bottom = np.zeros(len(place))
                 transform = axes.get_xaxis_transform()
-                style = {"color": "black", "ls": "none", "transform": transform} | style
-                axes.plot(place, bottom, label=label, **style)
+                style: dict[str, Any] = {"color": "black", "ls": "none"} | style
+                axes.plot(place, bottom, label=label, transform=transform, **style)
 
     return _drawing(panels, x, title, x_label, x_limits, mark)
 

@@ -31,13 +31,9 @@ def torque_channel(sensor: SensorOptions) -> str:
     return "tau_ext" if sensor.external_torque else "tau"
 
 
-def robot_of_log(
-    source: str, robot: RobotOptions, sensor: SensorOptions, columns: JointColumns
-) -> Robot:
+def robot_of_log(source: str, robot: RobotOptions, columns: JointColumns) -> Robot:
     """Return the robot of the options; the log may say which joints it has."""
-    find_joints = partial(
-        find_log_joints, source, mapping_from_options(columns), torque_channel(sensor)
-    )
+    find_joints = partial(find_log_joints, source, mapping_from_options(columns))
     return robot_from_options(robot, columns.mapping, find_joints)
 
 
@@ -162,8 +158,11 @@ def _describe_robot(robot: Robot) -> str:
 
 def _describe_samples(replay: SensorReplay, log: Log) -> str:
     """Return how many rows there are of each status, their rate, and uneven steps."""
-    codes = replay.rows["force_status"].value_counts()
-    counts = {status: int(codes.get(code, 0)) for status, code in STATUS_CODES.items()}
+    codes = replay.rows["force_status"].to_numpy()
+    counts = {
+        status: int(np.count_nonzero(codes == code))
+        for status, code in STATUS_CODES.items()
+    }
     counts[Status.REJECTED] += log.left_out
     listed = [f"{count} {status.value}" for status, count in counts.items() if count]
     span_s = log.t_s[-1] - log.t_s[0]
@@ -181,7 +180,7 @@ def _describe_samples(replay: SensorReplay, log: Log) -> str:
 
 def _describe_gaps(replay: SensorReplay) -> str:
     limit = f"longer than {replay.config.max_gap_s:g} s"
-    gaps = int(replay.rows["after_gap"].sum())
+    gaps = int(np.count_nonzero(replay.rows["after_gap"]))
     if not gaps:
         return f"none {limit}"
     return (
@@ -249,13 +248,14 @@ def find_doubts(replay: SensorReplay) -> list[str]:
                 f"torque: {seen}: units, the sensors' scale, or masses of the model, "
                 "are off; the force's deviation has that in it"
             )
-    is_tared = replay.rows["force_status"] == STATUS_CODES[Status.OK]
+    codes = replay.rows["force_status"].to_numpy()
+    tared = int(np.count_nonzero(codes == STATUS_CODES[Status.OK]))
     flags = replay.rows["force_warnings"].to_numpy()
     mismatched = int(np.count_nonzero(flags & SensorWarning.MODEL_MISMATCH))
     # A knock mismatches for a moment; a wrong arm or payload does most of the time.
-    if mismatched > 0.1 * is_tared.sum():
+    if mismatched > 0.1 * tared:
         doubts.append(
-            f"model mismatch in {mismatched} of {is_tared.sum()} rows: their torques "
+            f"model mismatch in {mismatched} of {tared} rows: their torques "
             "are not those of a force on the needle's tip of this arm; check --robot, "
             "--payload and the factor of --tau, and what else touched the arm"
         )

@@ -302,7 +302,7 @@ def find_tissue_doubts(found: LayerReplay) -> list[str]:
     if len(depths_m):
         depths = _join(f"{found.zero.shown_mm(depth_m):.1f} mm" for depth_m in depths_m)
         doubts.append(f"Hard contact, as with bone, {depths} {found.zero.name}.")
-    if (found.rows["tissue_moves"] > 0).any():
+    if np.any(found.rows["tissue_moves"] > 0):
         doubts.append(
             "The tissue moved and pulled at the needle: ruptures of that time are "
             "doubtful, and no layer became final."

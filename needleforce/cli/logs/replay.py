@@ -86,7 +86,7 @@ def run_forces(
         CommandError: Options contradict each other, the log does not fit the robot, or
             the tare is refused.
     """
-    model = forces.robot_of_log(source, robot, sensor, columns)
+    model = forces.robot_of_log(source, robot, columns)
     forces.check_tare_options(sensor)
     log = recordings.read_log(
         source,
@@ -116,7 +116,7 @@ def force(
         The exit code.
     """
     if columns.print_config:
-        model = forces.robot_of_log(source, robot, sensor, columns)
+        model = forces.robot_of_log(source, robot, columns)
         mapping = suggest_mapping(
             source,
             ("q", forces.torque_channel(sensor), "dq"),
@@ -163,7 +163,7 @@ def check(
         or run.robot.warnings
         or replay.doubts
         or replay.rejected
-        or replay.rows["after_gap"].any()
+        or np.any(replay.rows["after_gap"])
     )
     return DOUBTFUL if is_doubtful else 0
 
@@ -262,7 +262,7 @@ def report_forces(
         run = run_forces(source, robot, sensor, columns)
         found: layers.LayerReplay | None = None
         on_plan: PlanFound | None = None
-        if (run.replay.rows["force_status"] == STATUS_CODES[Status.OK]).any():
+        if np.any(run.replay.rows["force_status"] == STATUS_CODES[Status.OK]):
             found = layers.identify_layers(_depth_log(run), options)
             warn(found.warnings)
             if plan is not None:

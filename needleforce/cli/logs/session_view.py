@@ -71,7 +71,7 @@ def view_recording(
         require_place(export)
         check_outputs({"--export": export}, recording)
     columns = load_mapping(mapping) if mapping else ColumnMapping()
-    find_joints = partial(find_log_joints, str(recording), columns, "tau")
+    find_joints = partial(find_log_joints, str(recording), columns)
     model = robot_from_options(robot, mapping, find_joints)
     plan = load_plan(anatomy, is_past=True, situs_inversus=situs_inversus)
     rows = scene_rows(recording, model, tare_s=tare_s, columns=columns, plan=plan)

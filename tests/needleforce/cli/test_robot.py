@@ -180,7 +180,8 @@ def test_gravity_is_that_of_the_mounting(arm, force, tmp_path, options, gravity)
         ("rotor_inertia_kg_m2 = [2.0, 2.0, 2.0, 2.0, 2.0, 2.0, 2.0]\n", True),
         (
             "[viscous_coulomb]\nviscous_Nms = [9.0, 9.0, 9.0, 9.0, 9.0, 9.0, 9.0]\n"
-            "coulomb_Nm = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
+            "coulomb_Nm = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n"
+            "offset_Nm = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
             True,
         ),
         ("rotor_inertia_kg_m2 = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n", False),
@@ -195,4 +196,4 @@ def test_rotors_and_friction_of_a_file_count(lwr, tmp_path, capsys, content, cha
         assert main(["force", log, "--no-tare", *options, "-o", table]) == 0
         forces.append(read_table(table).columns["axial_N"][-1])
 
-    assert (abs(forces[1] - forces[0]) > 0.05) is changes
+    assert bool(abs(forces[1] - forces[0]) > 0.05) is changes
