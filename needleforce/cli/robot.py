@@ -278,6 +278,11 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
     friction = None
     for name, table in tables.items():
         friction = convert_table(models[name], table, f"{path}: [{name}]")
+        for item in fields(friction):
+            values = np.asarray(getattr(friction, item.name))
+            if values.ndim:
+                where = f"{path}: [{name}]: {item.name}, one number per joint,"
+                finite_array(values, (robot.nv,), where)
     if rotor_inertia is not None:
         where = f"{path}: rotor_inertia_kg_m2, one number per joint,"
         robot = robot.with_armature(finite_array(rotor_inertia, (robot.nv,), where))
