@@ -7,7 +7,6 @@ from time import sleep
 
 import numpy as np
 
-from foundation.arrays import Array
 from needleforce.cli.auto_tare import auto_tare
 from needleforce.cli.logs.columns import find_log_joints
 from needleforce.cli.plan_option import load_plan
@@ -23,11 +22,10 @@ from needleforce.cli.terminal import (
 from needleforce.plan_file import LoadedPlan
 from needleforce.recordings import ColumnMapping, load_mapping, read_log
 from needleforce.recordings.output import check_outputs, require_place
-from needleforce.scene import Viewer, view_row
+from needleforce.scene import Moment, Viewer, is_kept
 from needleforce.scene.nodes import EMPTY
-from needleforce.scene.viewer import check_address
 from needleforce.sensor_replay import describe_rejections, require_joints
-from needleforce.session import InsertionSession, SessionEstimate
+from needleforce.session import InsertionSession
 from needleforce.session_replay import replay_session
 from residual import Status
 from urdf import Robot
@@ -37,7 +35,7 @@ def view_recording(
     recording: Path,
     robot: RobotOptions,
     *,
-    address: tuple[str, int, tuple[str, ...]],
+    port: int,
     export: Path | None,
     tare_s: float,
     mapping: str | None,
@@ -49,8 +47,7 @@ def view_recording(
     Args:
         recording: File of joint signals.
         robot: Options that describe the robot.
-        address: Where the page is served: host, port (another is used if it is busy),
-            and further names of the host.
+        port: Port of the page; another is used if it is busy.
         export: HTML file that is written instead of waiting for Ctrl-C.
         tare_s: Motion without contact before a tare [s].
         mapping: File that says which columns are which, if any.
@@ -63,8 +60,6 @@ def view_recording(
     Raises:
         CommandError: The name of the page does not end in .html.
     """
-    host, port, further_hosts = address
-    check_address(host, port)
     if export is not None:
         if export.suffix.lower() != ".html":
             raise CommandError(f"--export {export}: its name must end in .html")
@@ -74,21 +69,14 @@ def view_recording(
     find_joints = partial(find_log_joints, str(recording), columns)
     model = robot_from_options(robot, mapping, find_joints)
     plan = load_plan(anatomy, is_past=True, situs_inversus=situs_inversus)
-    rows = scene_rows(recording, model, tare_s=tare_s, columns=columns, plan=plan)
+    moments = scene_moments(recording, model, tare_s=tare_s, columns=columns, plan=plan)
     scene = EMPTY if plan is None else plan.scene
-    viewer = Viewer(
-        model,
-        scene,
-        urdf_path=urdf_with_shapes(robot),
-        host=host,
-        port=port,
-        further_hosts=further_hosts,
-    )
+    viewer = Viewer(model, scene, urdf_path=urdf_with_shapes(robot), port=port)
     warn(
         f"the arm is shown without {name}, which cannot be read"
         for name in viewer.unread_meshes
     )
-    viewer.append(rows)
+    viewer.append(moments)
     viewer.open_recording()
     if export is not None:
         write_out(f"{viewer.export(export)}\n")
@@ -101,14 +89,14 @@ def view_recording(
     return 0
 
 
-def scene_rows(
+def scene_moments(
     recording: Path,
     model: Robot,
     *,
     tare_s: float = TARE_S,
     columns: ColumnMapping | None = None,
     plan: LoadedPlan | None = None,
-) -> Array:
+) -> list[Moment]:
     """Run a session over a recording; what is wrong with it is said on stderr.
 
     Args:
@@ -119,10 +107,9 @@ def scene_rows(
         plan: Plan to match ruptures with, if any.
 
     Returns:
-        Rows of the scene, see `needleforce.scene.view_row`.
+        Moments of the scene, fifty a second and those with events.
     """
     progress_ticks = 1000  # samples between two updates of the progress bar
-    row_ticks = 10  # so many samples are one row of the scene, events one of their own
     session = InsertionSession(model)
     log = read_log(
         recording,
@@ -134,15 +121,17 @@ def scene_rows(
     require_joints(log["q_rad"], model)
     if plan is not None:
         plan.follow_with(session)
-    rows: list[tuple[float, ...]] = []
+    moments: list[Moment] = []
+    latest_s = -np.inf
     rejected = Counter[str]()
     with progress_bar("estimating") as progress:
         replayed = replay_session(session, log, auto_tare(tare_s, at_once=True))
         for tick, (q_rad, estimate) in enumerate(replayed):
             if estimate.status is Status.REJECTED:
                 rejected[estimate.wrench.message.split(";")[0]] += 1
-            if tick % row_ticks == 0 or _has_event(estimate):
-                rows.append(view_row(estimate, q_rad))
+            if is_kept(estimate, latest_s):
+                latest_s = estimate.time_s
+                moments.append(Moment(q_rad, estimate))
             if tick % progress_ticks == 0:
                 progress(tick / len(log))
     warn(log.warnings)
@@ -154,11 +143,4 @@ def scene_rows(
             "contact): forces carry errors of the model and of the torque sensors"
         )
         warn([text])
-    return np.array(rows)
-
-
-def _has_event(estimate: SessionEstimate) -> bool:
-    """Return whether something was detected or retracted at this sample."""
-    found = estimate.identification
-    events = (found.rupture, found.retracted, found.hard_contact)
-    return bool(estimate.plan_events) or any(event is not None for event in events)
+    return moments

@@ -143,7 +143,6 @@ USAGE = {
     "simulate gel-25-constant -o good.csv": "exists",
     "view good.csv --export x.htm": ".html",
     "view good.csv --export no/x.html": "no folder",
-    "view good.csv --port 70000": "70000",
 }
 
 EMPTY = [["force", ""], ["report", "good.csv", ""], ["force", "good.csv", "--figure="]]
