@@ -25,6 +25,7 @@ EXTRA_OF_MODULE = {
     "matplotlib": "demo",
     "jinja2": "demo",
     "markupsafe": "demo",
+    "example_robot_data": "robots",
     "pyarrow": "recordings",
     "rosbags": "recordings",
     "mcap": "recordings",
@@ -43,6 +44,7 @@ EXTRA_OF_MODULE = {
     "rtde_receive": "devices",
     "rtde_control": "devices",
     "distributed": "cluster",
+    "sphinx": "docs",
 }
 """The extra that brings a module which may be missing."""
 
