@@ -4,9 +4,6 @@ The hues are those of Okabe and Ito, which colour-blind eyes can separate; lines
 in their dashes as well, for print.
 """
 
-TIME = "time [s]"
-INSERTION_TIME = "time since the insertion began [s]"
-DEPTH = "depth since first contact [mm]"
 FORCE = "axial force [N]"
 FORCE_ERROR = "error [N]"
 STIFFNESS = "stiffness K\n[N/m]"
@@ -21,4 +18,3 @@ BLUE = "#0072b2"
 VERMILION = "#d55e00"
 PURPLE = "#a3468a"
 TARE = "#d5efd9"
-INITIALIZING = "#e4e4e4"
