@@ -45,7 +45,7 @@ LAYER_HEAD = (
     "found",
     "stiffness [N/m]",
     "found",
-    "alarm after",
+    "alarm",
 )
 """Heads of the table of layers; what was found stands behind the truth."""
 
@@ -153,6 +153,7 @@ def compare(seed: int) -> ComparedInsertion:
 def tables_text(compared: ComparedInsertion) -> str:
     """Return the tables of layers and of methods as lines of text."""
     layers = pd.DataFrame(layer_rows(compared), columns=LAYER_HEAD)
+    layers.iloc[:, 1:] = " " + layers.iloc[:, 1:]  # two spaces between columns
     methods = pd.DataFrame(method_rows(compared), columns=METHOD_HEAD)
     notes = (layer_note(compared), friction_note(compared), METHOD_NOTE, NOT_MEDICAL)
     parts = [
