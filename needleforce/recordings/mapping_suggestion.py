@@ -4,14 +4,13 @@ import json
 from collections.abc import Iterable, Sequence
 from pathlib import Path
 
-from needleforce.recordings.bag_file import bag_head, is_bag
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import units_of_columns
+from needleforce.recordings.channel_units import unit_of_column
 from needleforce.recordings.channels import Channel
-from needleforce.recordings.errors import ColumnError, UnitError, readable_path
+from needleforce.recordings.errors import ColumnError, UnitError
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
 from needleforce.recordings.open_recording import columns_of
-from needleforce.recordings.table import STANDARD_STREAM, Table
+from needleforce.recordings.table import Table
 
 
 def suggest_mapping(
@@ -25,7 +24,7 @@ def suggest_mapping(
     """Return a mapping of a recording as TOML, with what else there is as comments.
 
     Args:
-        source: See `stream_tables`.
+        source: See `read_table`.
         channels: Names of the channels looked for, apart from time.
         mapping: What is known already; it stays.
         joints: The robot's, in its order.
@@ -36,32 +35,35 @@ def suggest_mapping(
             column that is not there.
     """
     known = mapping or ColumnMapping()
-    names = list(channels)
+    table = columns_of(source, known)
+    request = ChannelRequest(known, joints=tuple(joints)).with_layout(table)
+    known = request.mapping
     title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
     lines = [comment_line(title), ""]
     if known.rate_hz is not None:
         lines += [f"rate_hz = {known.rate_hz}", ""]
+    if known.reference_topic is not None:
+        lines += [f"reference_topic = {json.dumps(known.reference_topic)}", ""]
 
-    table = columns_of(source, known)
-    if str(source) != STANDARD_STREAM and is_bag(readable_path(source)):
-        _, counts = bag_head(Path(source))
-        is_time_needed = "time" in known.channels
-        reference = known.reference_topic or max(counts, key=counts.__getitem__)
-        names_of = [each for each in table.joint_names.values() if {*joints} <= {*each}]
-        order = known.joint_order or (joints if names_of else ())
-        lines += [comment_line(f"  {each}: {n} messages") for each, n in counts.items()]
-        lines += ["", f"reference_topic = {json.dumps(reference)}"]
-        lines += [f"joints = {json.dumps(list(order))}", ""] if order else [""]
-    else:
-        known = ChannelRequest(known).with_layout(table).mapping
-        is_time_needed = known.rate_hz is None
+    names_robot = any({*joints} <= {*each} for each in table.joint_names.values())
+    order = known.joint_order or (joints if names_robot else ())
+    if order:
+        lines += [f"joints = {json.dumps(list(order))}", ""]
 
-    if payload:
-        lines += [*payload, ""]
-    if is_time_needed:
-        names = ["time", *names]
+    is_timed = known.rate_hz is None and "t_s" not in table.seconds
+    names = ["time", *channels] if is_timed else list(channels)
+    used: set[str] = set()
+    lines += [*payload, ""]
+    for name in names:
+        lines += [*_channel_lines(table, request, request.channels[name], used), ""]
 
-    return "\n".join([*lines, *mapping_text(table, names, known)])
+    lines.append("# Columns that are not used:")
+    for name, values in table.columns.items():
+        span = f"[0] to [{values.shape[1] - 1}]" if values.ndim == 2 else ""
+        if name not in used:
+            lines.append(comment_line(f"  {name}{span}"))
+
+    return "\n".join([*lines, ""])
 
 
 def comment_line(text: str) -> str:
@@ -72,60 +74,26 @@ def comment_line(text: str) -> str:
     return "# " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
 
 
-def mapping_text(
-    table: Table, channels: Iterable[str], known: ColumnMapping
-) -> list[str]:
-    """Return a table's mapping as lines of TOML; unused columns stand in comments.
-
-    Args:
-        table: With rows or without.
-        channels: Names of the channels looked for.
-        known: Where it says which columns a channel is, that stays.
-    """
-    lines: list[str] = []
-    used: set[str] = set()
-    for name in channels:
-        if name in known.left_out:
-            lines += [
-                f"[{name}]",
-                f"columns = {json.dumps(LEFT_OUT)}  # not read",
-                "",
-            ]
-            continue
-
-        channel = known.knowledge.channels[name]
-        lines += [*_channel_lines(table, channel, known, used), ""]
-
-    unused = [name for name in table.columns if name not in used]
-    if unused:
-        lines.append("# Columns that are not used:")
-        for name in unused:
-            values = table.columns[name]
-            span = f"[0] to [{values.shape[1] - 1}]" if values.ndim == 2 else ""
-            lines.append(comment_line(f"  {name}{span}"))
-
-        lines.append("")
-
-    return lines
-
-
 def _channel_lines(
-    table: Table, channel: Channel, known: ColumnMapping, used: set[str]
+    table: Table, request: ChannelRequest, channel: Channel, used: set[str]
 ) -> list[str]:
     """Return a channel as a table of TOML, and add its columns to the used ones.
 
     Where it is not known which columns it is, all stands in comments, with the reason.
     """
-    spec = known.channels.get(channel.name)
+    spec = request.mapping.channels.get(channel.name)
+    if spec is not None and spec.columns == LEFT_OUT:
+        return [f"[{channel.name}]", f"columns = {json.dumps(LEFT_OUT)}  # not read"]
+
     reason = f"not found; {channel.meaning}"
+    names: list[str] = []
     try:
-        names = ChannelRequest(known).find(table, channel)
+        names = request.find(table, channel)
     except ColumnError as error:
         if spec is not None:
             raise
 
-        names = []
-        reason = " ".join(str(error).split(";")[0].split())
+        reason = str(error)
 
     if not names:
         return [
@@ -136,30 +104,20 @@ def _channel_lines(
         ]
 
     used |= set(names)
-    joint_note = ", or one for each joint" if channel.per_joint else ""
+    spec = spec or ColumnSpec(columns=tuple(names))
+    try:
+        units = {unit_of_column(table, channel, name, spec) for name in names}
+        unit, origin = next(iter(units))
+        note = f"{origin}; of {', '.join(channel.units)}"
+        unit_line = f"unit = {json.dumps(unit)}  # {note}"
+        if len(units) > 1:
+            unit_line = "# No unit for all: they are those of the names."
+    except UnitError as error:
+        unit_line = comment_line(str(error))
+
     return [
         f"[{channel.name}]  # {channel.meaning}",
         f"columns = {json.dumps(names[0] if len(names) == 1 else names)}",
-        _unit_line(table, channel, spec, names),
-        f"scale = {json.dumps(spec.scale if spec else 1.0)}  # -1.0 turns the sign"
-        f"{joint_note}",
+        unit_line,
+        f"scale = {json.dumps(spec.scale)}  # -1.0 turns the sign",
     ]
-
-
-def _unit_line(
-    table: Table, channel: Channel, spec: ColumnSpec | None, names: Sequence[str]
-) -> str:
-    """Return the line of TOML that says the unit of a channel's columns."""
-    try:
-        columns = units_of_columns(table, channel, names, spec)
-    except UnitError as error:
-        return comment_line(str(error))
-
-    units = {column.unit for column in columns}
-    if len(units) > 1:
-        return "# No unit for all: they are those of the names."
-
-    (unit,) = units
-    sources = dict.fromkeys(column.source for column in columns)
-    note = f"{', '.join(sources)}; of {', '.join(channel.units)}"
-    return f"unit = {json.dumps(unit)}  # {note}"

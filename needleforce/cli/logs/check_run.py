@@ -11,7 +11,6 @@ from needleforce.cli.advice import describe_error
 from needleforce.cli.logs.force_result import ForceResult
 from needleforce.cli.logs.log_session import LogSession
 from needleforce.cli.logs.replay_setup import prepare
-from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_summary import (
     describe_doubt,
     describe_missing_mass,
@@ -154,8 +153,6 @@ def check_log(log: LogSession, replay: SensorReplay) -> LogCheck:
     signals = SignalRecord()
     replay.survives_refusal = True
     for chunk in log:
-        if not result.counts:
-            log.warn(*tool_mass_warnings(log.log.tool_mass, replay.robot))
         signals.add(chunk)
         result.add(replay.run(chunk))
     result.count_bad_stamps(log.log.left_out)

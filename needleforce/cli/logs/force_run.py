@@ -13,7 +13,6 @@ from needleforce.cli.logs.replay_setup import (
     torque_channel,
 )
 from needleforce.cli.logs.row_overview import RowOverview
-from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.logs.torque_summary import describe_doubt
 from needleforce.cli.robot import (
     payload_from_options,
@@ -118,8 +117,6 @@ def estimate_forces(
     frame = replay.robot.frame_names[1] if config.axes == "base" else replay.frame
     with open_output(output, log, TableLabels(frame=frame)) as table:
         for chunk in log:
-            if not result.counts:
-                log.warn(*tool_mass_warnings(log.log.tool_mass, replay.robot))
             rows = replay.run(chunk)
             result.add(rows)
             overview.add(rows)
