@@ -8,8 +8,7 @@ from typing import NamedTuple, SupportsFloat
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure
+from benchmarks.jobs import Figure, Job
 from groundtruth.torso import Stretch, Torso, analytic_torso
 from needleforce.anatomy import Grid, Labels, Layer, Structure
 from needleforce.anatomy.path_layers import UNLABELLED
@@ -49,7 +48,7 @@ class Measured(NamedTuple):
     seconds: float
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the numbers of every spacing."""
     for number, (name, spacing_mm) in enumerate(SPACINGS_MM.items()):
         paths: list[Measured] = []
@@ -62,7 +61,6 @@ def run(job: Job, progress: Progress) -> Iterator[Figure]:
                 measure_path(torso, labels, *random_path(torso, rng))
                 for _ in range(PATHS)
             ]
-            progress((number + (turn + 1) / TORSOS) / len(SPACINGS_MM))
         for metric, value in path_metrics(paths).items():
             yield Figure(metric, value, name)
 

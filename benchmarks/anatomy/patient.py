@@ -16,8 +16,7 @@ import numpy as np
 from scipy.spatial.transform import Rotation
 
 from benchmarks.anatomy import CT_FOLDER
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure
+from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from needleforce.anatomy import (
     RegistrationError,
@@ -119,7 +118,7 @@ CASES = (*RIGHT, *MOVED, "time beside small_gicp")
 """A job each, so that an interrupted run goes on."""
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the figures of a case."""
     bodies = _bodies(job.data)
     number = CASES.index(job.case)
@@ -127,7 +126,7 @@ def run(job: Job, progress: Progress) -> Iterator[Figure]:
         yield from _time(bodies, np.random.default_rng([job.seed, 12]))
         return
     rng = np.random.default_rng([job.seed, 11, number])
-    yield from _measure(job.case, bodies, rng, progress)
+    yield from _measure(job.case, bodies, rng)
 
 
 @cache
@@ -209,7 +208,7 @@ def draw(body: Body, case: Case, rng: np.random.Generator) -> Drawn:
 
 
 def _measure(
-    name: str, bodies: list[Body], rng: np.random.Generator, progress: Progress
+    name: str, bodies: list[Body], rng: np.random.Generator
 ) -> Iterator[Figure]:
     """Yield what becomes of the runs of a case."""
     case = (RIGHT | MOVED)[name]
@@ -218,9 +217,8 @@ def _measure(
     stated_m = []
     alone_m = []
     inside = []
-    for place, body in enumerate(bodies):
-        for turn in range(RUNS):
-            progress((RUNS * place + turn) / count)
+    for body in bodies:
+        for _ in range(RUNS):
             drawn = draw(body, case, rng)
             rough = fit_landmarks(
                 body.landmarks_m,

@@ -14,8 +14,7 @@ from scipy.spatial.transform import Rotation
 from scipy.stats import special_ortho_group
 
 from benchmarks.anatomy import CT_FOLDER
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure
+from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from needleforce.anatomy import (
     Grid,
@@ -59,23 +58,19 @@ SKIN_m = np.array([0.16, 0.11, 0.15])
 """Half axes of the torso on which landmarks lie."""
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the figures; those of organs need the CT."""
     rng = np.random.default_rng([job.seed, 7])
     yield from _landmarks(rng)
-    progress(0.2)
     yield from _refusals(rng)
     yield from _one_landmark_off(np.random.default_rng([job.seed, 9]))
-    progress(0.3)
     yield from _symmetric(rng)
-    progress(0.5)
     if job.data is None:
         return
     labels = read_labels(job.data / CT_FOLDER / "labels.nii.gz")
     yield from _far_starts(labels, np.random.default_rng([job.seed, 8]))
-    for number, name in enumerate(ORGANS):
+    for name in ORGANS:
         yield from _organ(labels, name, rng)
-        progress(0.5 + 0.5 * (number + 1) / len(ORGANS))
 
 
 def landmarks(count: int, rng: np.random.Generator) -> Array:

@@ -11,8 +11,7 @@ from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from benchmarks.anatomy import CT_FOLDER
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure
+from benchmarks.jobs import Figure, Job
 from groundtruth.torso import Ellipsoid
 from needleforce.anatomy import (
     Grid,
@@ -29,17 +28,14 @@ MIN_VOXELS = 500
 FORMATS = ("DICOM", "label.nii.gz", "label.nrrd", "label.seg.nrrd")
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the numbers of all formats, both spacings and, with data, the CT."""
     rng = np.random.default_rng(job.seed)
     yield from _centroids(rng)
-    progress(0.3)
     for spacing_mm in (1.0, 3.0):
         yield from _ellipsoids(spacing_mm, rng)
-        progress(0.5 + 0.1 * spacing_mm)
     if job.data is not None:
         yield from _real_ct(job.data / CT_FOLDER)
-    progress(1.0)
 
 
 def _ellipsoids(spacing_mm: float, rng: np.random.Generator) -> Iterator[Figure]:

@@ -10,8 +10,7 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from benchmarks.control.loop import OPEN_N, SERVOS, STANDOFF_M, Insertion
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure, Source
+from benchmarks.jobs import Figure, Job, Source
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm, Wall
@@ -43,7 +42,7 @@ CASES = (
 )
 
 
-def run(job: Job, _: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the numbers of one run.
 
     The layer at whose end it must stop goes round with the seed.

@@ -20,8 +20,7 @@ import numpy as np
 
 from benchmarks.control.loop import SERVOS
 from benchmarks.control.published import solve_published
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure, Method
+from benchmarks.jobs import Figure, Job, Method
 from foundation.arrays import Array
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm, with_kinematic_error
@@ -281,7 +280,7 @@ NewLoop = Callable[..., ClosedLoop]
 """Makes a loop of a case; it takes scenario and contacts."""
 
 
-def run(job: Job, _: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the numbers of one case."""
     name, servo = job.case.split()
     kind, mark, variant = name.partition("_")

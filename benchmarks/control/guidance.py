@@ -17,8 +17,7 @@ import numpy as np
 
 from benchmarks.control.loop import SERVOS
 from benchmarks.insertion.methods import on_lwr
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure
+from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import HandOnArm
@@ -121,7 +120,7 @@ class GuidedArm:
                 return
 
 
-def run(job: Job, _: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the numbers of one case."""
     kind, servo, *at = job.case.split()
     run = {"drift": _drift, "force": _force, "tissue": _tissue, "stable": _stability}[

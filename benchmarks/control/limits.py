@@ -18,8 +18,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure
+from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from groundtruth.rig_arm import ArmSample
 from groundtruth.rig_contacts import distance_to_axis_m
@@ -242,7 +241,7 @@ def count_excess(run: ConeRun, preset: ArmLimits) -> dict[str, int]:
     return counts
 
 
-def run(job: Job, _: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the numbers of an arm at a delay; no plant plays a part."""
     arm, delay, *words = job.case.split()
     delay_ms = int(delay.removesuffix("ms"))

@@ -17,8 +17,7 @@ from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
 from scipy.optimize import nnls
 
 from benchmarks.control.published import solve_published
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure, Method
+from benchmarks.jobs import Figure, Job, Method
 from foundation.arrays import Array
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
@@ -52,7 +51,7 @@ POSTURES = ("regular", "singular")
 """Kinds of drawn postures, in this order; the second is within 0.01 rad of one."""
 
 
-def run(job: Job, _: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the numbers of one case and seed; no plant plays a part."""
     rng = np.random.default_rng(job.seed)
     robot = load_lwr(payload=NeedleTool())

@@ -15,8 +15,7 @@ from benchmarks.control.hand_driven import (
     teleoperate,
 )
 from benchmarks.control.loop import SERVOS
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure
+from benchmarks.jobs import Figure, Job
 from groundtruth.plant_model import PLANT_MODELS
 from groundtruth.rig_arm import SimulatedArm
 from groundtruth.rig_contacts import Wall
@@ -36,7 +35,7 @@ def _sensor(plant: str) -> SensorConfig:
     return DEFAULT if sends_velocity else HAND_DRIVEN
 
 
-def run(job: Job, _: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Yield the numbers of one run; hand and scale are drawn."""
     servo, kind, delay = job.case.split()
     rng = np.random.default_rng([job.seed, int(delay)])

@@ -9,8 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks.insertion.signals import inverse_dynamics, tool_jacobians
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure
+from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from groundtruth import PLANT_MODELS
 from groundtruth.motion import Stroke
@@ -139,7 +138,7 @@ def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
     return count
 
 
-def run(job: Job, _: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Count the samples of a motion that are held back, with velocities and without."""
     robot = load_lwr(payload=NeedleTool())
     rng = np.random.default_rng(job.seed)

@@ -24,8 +24,7 @@ from benchmarks.insertion.metrics import (
 )
 from benchmarks.insertion.robustness import perturbed_needle
 from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure, make_figures
+from benchmarks.jobs import Figure, Job, make_figures
 from identification.estimate import SampleStatus
 from identification.mixture import learner, method, reporter
 from identification.mixture.hard_contact import HardContactState
@@ -166,7 +165,7 @@ def insert_in_world(
     return signal, truth, acts
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Identify insertions of all kinds without the part that is the job's case."""
     recalls: list[float] = []
     false_alarms = 0.0
@@ -176,7 +175,7 @@ def run(job: Job, progress: Progress) -> Iterator[Figure]:
     said: list[float] = []
     begin_s = 0.0
     processor_s = 0.0
-    for number, kind in enumerate(KINDS):
+    for kind in KINDS:
         signal, truth, acts = insert_in_world(kind, job.seed)
         begin_s = time.process_time()
         with switched_off(job.case):
@@ -194,7 +193,6 @@ def run(job: Job, progress: Progress) -> Iterator[Figure]:
                 for estimate in item.result.estimates
             ]
             said.append(float(np.mean(np.array(is_pulled)[acts[item.start :]])))
-        progress((number + 1) / len(KINDS))
     yield from make_figures(
         {
             "ablation_recall": float(np.mean(recalls)),

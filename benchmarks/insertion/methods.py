@@ -18,8 +18,7 @@ from benchmarks.insertion.signals import (
     JointSignals,
     NeedleSignal,
 )
-from benchmarks.jobs import Progress
-from benchmarks.results import Figure, Method, Source, make_figures
+from benchmarks.jobs import Figure, Method, Source, make_figures
 from foundation.arrays import Array
 from groundtruth import Run
 from groundtruth.rupture_match import nearest_pairs
@@ -113,7 +112,6 @@ def run_session(
     signals: JointSignals,
     method: Method,
     tare_s: float,
-    progress: Progress,
     *,
     sensor: SensorConfig | None = None,
     contact_m: float = 0.0,
@@ -125,7 +123,6 @@ def run_session(
         signals: What the arm sent.
         method: One of `METHODS`.
         tare_s: When it is tared.
-        progress: Takes the fraction done.
         sensor: Settings of the virtual sensor, if not those of the simulated LWR.
         contact_m: Depth of first contact since the tare, which the published method
             assumes known.
@@ -144,8 +141,6 @@ def run_session(
     was_refused = False
     warnings: set[str] = set()
     for k, sample in enumerate(signals.samples()):
-        if k % 1000 == 0:
-            progress(k / len(signals.t_s))
         if k == tare:
             try:
                 session.tare()

@@ -1,18 +1,13 @@
-"""Every number of an identification: ruptures, friction, forces, bounds."""
+"""Every number of an identification: ruptures, friction, forces."""
 
 import math
-from collections.abc import Sequence
-from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from benchmarks.insertion.bounds import delay_bounds_s, friction_bounds, reading_error_N
 from benchmarks.insertion.methods import (
-    ForceReading,
     Identified,
     cumulative_friction_Ns_per_m,
-    force_lag_s,
 )
 from benchmarks.insertion.offline import offline_fit, offline_metrics
 from benchmarks.insertion.ruptures import (
@@ -22,35 +17,9 @@ from benchmarks.insertion.ruptures import (
     layer_frictions,
     match,
 )
-from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
-from benchmarks.results import Figure, make_figures
+from benchmarks.insertion.signals import InsertionTruth
+from benchmarks.jobs import Figure, make_figures
 from foundation.arrays import Array
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class IdentifiedRun:
-    """What every method made of every source in one insertion.
-
-    Attributes:
-        truth: The insertion with its ground truth.
-        commanded_m_s: Commanded speed, shape (n,).
-        sources: Results of the methods by source, the F/T sensor's first.
-        ft: The F/T sensor's force, if another source is among them.
-    """
-
-    truth: InsertionTruth
-    commanded_m_s: Array
-    sources: Sequence[Sequence[Identified]]
-    ft: ForceReading | None = None
-
-    def measure(self) -> list[Figure]:
-        """Return every number of every method on every source."""
-        return [
-            figure
-            for identified in self.sources
-            for item in identified
-            for figure in measure_identification(item, self.truth)
-        ]
 
 
 def measure_identification(item: Identified, truth: InsertionTruth) -> list[Figure]:
@@ -67,8 +36,6 @@ def measure_identification(item: Identified, truth: InsertionTruth) -> list[Figu
         values |= table_one(item, truth)
     if (item.source, item.method) == ("ft", "ours"):
         values |= offline_metrics(item.signal, truth)
-    if item.method == "ours":
-        values |= bound_metrics(item.signal, truth)
     return make_figures(values, item.source, item.method)
 
 
@@ -251,28 +218,3 @@ def beyond_last_exit(truth: InsertionTruth) -> NDArray[np.bool_]:
         truth.t_s <= truth.insertion_end_s
     )
     return is_clear & is_advancing
-
-
-def bound_metrics(signal: NeedleSignal, truth: InsertionTruth) -> dict[str, float]:
-    """Return the least errors that the noise of a reading allows, by name.
-
-    There are none without ruptures.
-    """
-    visible = [rupture for rupture in truth.ruptures if is_visible(rupture)]
-    lag_s = 0.0
-    if signal.source == "virtual":
-        lag_s = max(force_lag_s(truth.t_s, signal.force_N, truth.axial_N), 0.0)
-    error = reading_error_N(signal, truth, lag_s)
-    exits = [rupture for rupture in truth.ruptures if rupture.layer > 0]
-    counts = [rupture in visible for rupture in exits]
-    values: dict[str, float] = {}
-    # The mean error of an estimator that reaches its bound, normally distributed.
-    mean_pct = 100.0 * float(np.sqrt(2.0 / np.pi))
-    for name, is_white in (("", False), ("_white", True)) if any(counts) else ():
-        bounds = np.array(friction_bounds(truth, error, is_white=is_white))[counts]
-        values[f"friction_bound{name}_pct"] = mean_pct * float(np.mean(bounds))
-    delays = delay_bounds_s(truth, visible, error, lag_s) if visible else []
-    finite = [delay for delay in delays if delay < math.inf]
-    if finite:
-        values["rupture_delay_bound_ms"] = 1e3 * float(np.median(finite))
-    return values

@@ -38,8 +38,7 @@ from benchmarks.insertion.simulated import (
     read_sensors,
     simulated_metrics,
 )
-from benchmarks.jobs import Job, Progress, progress_part
-from benchmarks.results import Figure, make_figures
+from benchmarks.jobs import Figure, Job, make_figures
 from groundtruth import ForceNoise, PlantModel, Scenario, insert_needle, simulate
 from groundtruth.arm_motion import scenario_motion, scenario_path
 from groundtruth.plant_model import MINI45
@@ -101,7 +100,7 @@ def perturbed_needle(
     return signal, _at_samples(insertion_truth(run), received)
 
 
-def run_robustness(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Run ``robustness-...``: our method and the published one in a perturbed world.
 
     The world is that of the plant's name.
@@ -116,11 +115,9 @@ def run_robustness(job: Job, progress: Progress) -> Iterator[Figure]:
         yield from _events(identified, truth)
         return
     world, _ = perturbed(name, named_scenario(scenario, job.seed), job.seed)
-    run = simulate(
-        world.scenario, world.plant, job.seed, progress_part(progress, 0.0, 0.5)
-    )
+    run = simulate(world.scenario, world.plant, job.seed)
     methods = METHODS if name in GROUPS["plants"] else ("ours",)
-    case = read_sensors(run, progress_part(progress, 0.5, 0.9), tuple(methods))
+    case = read_sensors(run, tuple(methods))
     yield from simulated_metrics(case)
     identified = [item for source in identify_sources(case) for item in source]
     yield from _events(identified, insertion_truth(run))

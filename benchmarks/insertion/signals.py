@@ -8,7 +8,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 from scipy.signal import lfilter
 
-from benchmarks.results import Source
+from benchmarks.jobs import Source
 from foundation.arrays import Array
 from groundtruth import NeedleRun, Run, Rupture
 from needleforce.tip_travel import tip_motion

@@ -20,66 +20,66 @@ from benchmarks.insertion.methods import (
     run_session,
     wrench_metrics,
 )
-from benchmarks.insertion.metrics import IdentifiedRun
+from benchmarks.insertion.metrics import measure_identification
 from benchmarks.insertion.signals import (
     ForceTruth,
+    InsertionTruth,
     JointSignals,
     NeedleSignal,
     insertion_truth,
 )
-from benchmarks.jobs import NEEDLE, Drawing, Job, Progress, progress_part
-from benchmarks.report.force_plots import force_figures
-from benchmarks.report.identification_figures import draw_identification
-from benchmarks.report.published_figures import ENHANCED_FIGURES
-from benchmarks.results import Figure, Method
+from benchmarks.jobs import NEEDLE, Figure, Job, Method
+from benchmarks.report import (
+    draw_force,
+    draw_identification,
+    draw_offline,
+    published_number,
+)
+from foundation.arrays import Array
 from groundtruth import ForceNoise, Run, Scenario, insert_needle, scenario, simulate
 from groundtruth.plant_model import MINI45
 from groundtruth.scenarios import DRAWN
-from identification import PUBLISHED_KV
 
 
-def run_simulated(job: Job, progress: Progress) -> Iterator[Figure | Drawing]:
+def run(job: Job) -> Iterator[Figure]:
     """Simulate, read every sensor and identify; then measure; then draw."""
     chosen = scenario(job.benchmark, job.seed)
     if job.plant == NEEDLE:
-        yield from run_needle(job, chosen, progress, is_drawn=job.benchmark in DRAWN)
+        yield from run_needle(job, chosen, is_drawn=job.benchmark in DRAWN)
         return
-    run = simulate(chosen, job.plant, job.seed, progress_part(progress, 0.0, 0.5))
-    case = read_sensors(run, progress_part(progress, 0.5, 0.85))
+    run = simulate(chosen, job.plant, job.seed)
+    case = read_sensors(run)
     yield from simulated_metrics(case)
-    if job.drawings is not None:
-        yield from force_figures(job, job.drawings, case.truth, case.readings)
+    if job.report is not None:
+        draw_force(job, case.truth, case.readings)
     if chosen.layers:
         truth = insertion_truth(run)
-        identified = IdentifiedRun(
-            truth=truth,
-            commanded_m_s=chosen.motion.speed_m_s(truth.t_s),
-            sources=identify_sources(case),
-            ft=case.ft,
-        )
-        yield from measure_and_draw(job, identified)
+        commanded_m_s = chosen.motion.speed_m_s(truth.t_s)
+        sources = identify_sources(case)
+        yield from measure_and_draw(job, truth, commanded_m_s, sources)
 
 
-def measure_and_draw(job: Job, identified: IdentifiedRun) -> Iterator[Figure | Drawing]:
-    """Yield the numbers of an identification; draw it beside them if wanted."""
-    figures = identified.measure()
-    yield from figures
-    if job.drawings is not None:
-        has_figure = (job.benchmark, "ft") in ENHANCED_FIGURES
-        kelvin_voigt = identify_kelvin_voigt(identified) if has_figure else None
-        yield from draw_identification(
-            job, job.drawings, identified, figures, kelvin_voigt
-        )
+def measure_and_draw(
+    job: Job,
+    truth: InsertionTruth,
+    commanded_m_s: Array,
+    sources: Sequence[Sequence[Identified]],
+) -> Iterator[Figure]:
+    """Yield the numbers of every method on every source; draw them if wanted.
 
-
-def identify_kelvin_voigt(identified: IdentifiedRun) -> Identified:
-    """Run the published method with its simpler model on the F/T sensor's force."""
-    return identify_as_run(
-        identified.sources[0][0].signal,
-        identified.truth,
-        identified.commanded_m_s,
-        config=PUBLISHED_KV,
-    )
+    Args:
+        job: The run.
+        truth: The insertion with its ground truth.
+        commanded_m_s: Commanded speed, shape (n,).
+        sources: What the methods made of each source, the F/T sensor's first.
+    """
+    for items in sources:
+        for item in items:
+            yield from measure_identification(item, truth)
+        if job.report is not None:
+            draw_identification(job, items[0].source, items, truth, commanded_m_s)
+    if job.report is not None and published_number("offline", job.benchmark):
+        draw_offline(job, sources[0][0].signal, truth)
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -113,9 +113,7 @@ class SimulatedCase:
         return [*(item.reading for item in self.sessions.values()), *apart]
 
 
-def read_sensors(
-    run: Run, progress: Progress, methods: Sequence[Method] = tuple(METHODS)
-) -> SimulatedCase:
+def read_sensors(run: Run, methods: Sequence[Method] = tuple(METHODS)) -> SimulatedCase:
     """Run every method's session on what the arm sent, and read the F/T sensor."""
     signals = JointSignals.of_run(run)
     free = not run.scenario.layers
@@ -132,17 +130,9 @@ def read_sensors(
     touches_s = run.tare_end_s if free else run.truth.contact_s
     contact_m = float(place_m(touches_s) - place_m(run.tare_end_s))
     sessions: dict[Method, SessionRun] = {}
-    for k, method in enumerate(methods):
-        session_progress = progress_part(
-            progress, k / len(methods), (k + 1) / len(methods)
-        )
+    for method in methods:
         sessions[method] = run_session(
-            run.robot,
-            signals,
-            method,
-            run.tare_end_s,
-            session_progress,
-            contact_m=contact_m,
+            run.robot, signals, method, run.tare_end_s, contact_m=contact_m
         )
     published = sessions.get("published-one-setting")
     return SimulatedCase(
@@ -208,9 +198,7 @@ def identify_sources(case: SimulatedCase) -> list[list[Identified]]:
     return [on_ft, on_virtual]
 
 
-def run_needle(
-    job: Job, chosen: Scenario, progress: Progress, *, is_drawn: bool
-) -> Iterator[Figure | Drawing]:
+def run_needle(job: Job, chosen: Scenario, *, is_drawn: bool) -> Iterator[Figure]:
     """Identify alone, at half a second a run: insert, identify, measure.
 
     Without tissue there is nothing to identify. The seed is that of the noise, whose
@@ -220,19 +208,14 @@ def run_needle(
         return
     noise = drawn_noise(np.random.default_rng([job.seed, 1])) if is_drawn else MINI45
     run = insert_needle(chosen, seed=job.seed, noise=noise)
-    progress(0.2)
     # The zero of depth is where the tare ended: a user does not know the surface.
     zero = run.depth_m[int(np.searchsorted(run.t_s, run.tare_end_s))]
     signal = NeedleSignal("ft", run.t_s, run.depth_m - zero, run.speed_m_s, run.force_N)
     truth = insertion_truth(run)
     identified = [identify(signal, truth, method) for method in IDENTIFIERS]
     identified.append(identify_as_run(signal, truth, run.speed_m_s))
-    identified_run = IdentifiedRun(
-        truth=truth,
-        commanded_m_s=chosen.motion.speed_m_s(truth.t_s),
-        sources=[identified],
-    )
-    yield from measure_and_draw(job, identified_run)
+    commanded_m_s = chosen.motion.speed_m_s(truth.t_s)
+    yield from measure_and_draw(job, truth, commanded_m_s, [identified])
 
 
 def drawn_noise(rng: np.random.Generator) -> ForceNoise:

@@ -6,7 +6,7 @@ machine; tails are of processor time, on which other processes do not count.
 """
 
 import math
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from time import thread_time_ns
 
 import numpy as np
@@ -14,14 +14,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from benchmarks.insertion.methods import on_lwr
-from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.jobs import Figure, Job
 from benchmarks.performance.ticks import (
     Update,
     cost_ratio,
     time_each,
     time_side_by_side,
 )
-from benchmarks.results import Figure
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce import InsertionSession
 from needleforce.control import (
@@ -91,7 +90,7 @@ def command_again(recorded: Recorded, *, has_centre: bool = True) -> Update:
     return lambda k: loop.command(samples[k], k)
 
 
-def record(period_s: float, progress: Callable[[float], None]) -> Recorded:
+def record(period_s: float) -> Recorded:
     """Let an arm go round once in a period."""
     arm = SimulatedArm(plant="clean", duration_s=SECONDS)
     loop = _Loop(arm, period_s)
@@ -99,15 +98,12 @@ def record(period_s: float, progress: Callable[[float], None]) -> Recorded:
     for k, sample in enumerate(arm):
         samples.append(sample)
         arm.send(loop.command(sample, k))
-        progress(arm.time_s / SECONDS)
     return period_s, samples
 
 
-def record_both(progress: Callable[[float], None]) -> tuple[Recorded, Recorded]:
+def record_both() -> tuple[Recorded, Recorded]:
     """Return samples at leisure, and some so fast that limits bind."""
-    at_leisure = record(SECONDS, lambda part: progress(0.5 * part))
-    hasty = record(0.5, lambda part: progress(0.5 + 0.5 * part))
-    return at_leisure, hasty
+    return record(SECONDS), record(0.5)
 
 
 def make_control(at_leisure: Recorded, hasty: Recorded) -> dict[str, Update]:
@@ -149,9 +145,9 @@ def _make_sessions(at_leisure: Recorded) -> dict[str, Update]:
     }
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Time ticks of control, of a session, and of both together."""
-    at_leisure, hasty = record_both(progress_part(progress, 0.0, 0.8))
+    at_leisure, hasty = record_both()
     subjects = make_control(at_leisure, hasty) | _make_sessions(at_leisure)
     times = time_side_by_side(subjects, WARM_TICKS, round(1e3 * SECONDS))
     again = range(WARM_TICKS, round(1e3 * SECONDS))
@@ -161,4 +157,3 @@ def run(job: Job, progress: Progress) -> Iterator[Figure]:
         # Processor time that 999 of 1000 updates keep to.
         tail_us = np.percentile(time_each(update, again, thread_time_ns), 99.9)
         yield Figure("tick_tail_us", tail_us, name)
-    progress(1.0)

@@ -16,13 +16,12 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import pinocchio as pin
 
-from benchmarks import RUN_ALONE, BenchmarkError
+from benchmarks import BenchmarkError
 from benchmarks.insertion.methods import joint_residual, on_lwr
 from benchmarks.insertion.signals import ForceTruth, JointSignals
 from benchmarks.insertion.simulated import read_sensors
-from benchmarks.jobs import Job, Progress, progress_part
+from benchmarks.jobs import Figure, Job
 from benchmarks.performance.ticks import Update, cost_ratio, fed, time_side_by_side
-from benchmarks.results import Figure
 from foundation.arrays import Array
 from groundtruth import Run, simulate
 from residual import DEFAULT, PUBLISHED, MomentumObserver, VirtualForceSensor
@@ -154,7 +153,7 @@ class KdlEstimator:
     def call(self, q: int, dq: int, tau: int) -> None:
         """Take a sample by its addresses."""
         if self._library.kdl_update(self._handle, q, dq, tau, self._into):
-            raise BenchmarkError("KDL's estimator refused a sample", RUN_ALONE)
+            raise BenchmarkError("KDL's estimator refused a sample")
 
     @property
     def axial_N(self) -> float:
@@ -191,12 +190,12 @@ class PlainEstimator:
         self.axial_N = estimate.axial
 
 
-def peer_errors(run: Run, library: ctypes.CDLL, progress: Progress) -> dict[str, float]:
+def peer_errors(run: Run, library: ctypes.CDLL) -> dict[str, float]:
     """Return the rms error of the axial force [N] in one insertion, by estimator.
 
     It counts from first contact to the end of the withdrawal.
     """
-    case = read_sensors(run, progress, ("ours",))
+    case = read_sensors(run, ("ours",))
     truth = case.truth
     signals = case.signals
     gain_per_s = DEFAULT.slowest_gain_per_s
@@ -238,17 +237,14 @@ def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
     return time_side_by_side(subjects, tare + 1, len(signals.t_s))
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Compare error and time of all estimators, each with KDL's."""
     library = kdl_library()
     errors: list[dict[str, float]] = []
     times: dict[str, Array] = {}
-    for number, seed in enumerate(SEEDS):
-        begin, middle, end = (
-            (number + fraction) / len(SEEDS) for fraction in (0.0, 0.5, 1.0)
-        )
-        run = simulate(SCENARIO, PLANT, seed, progress_part(progress, begin, middle))
-        errors.append(peer_errors(run, library, progress_part(progress, middle, end)))
+    for seed in SEEDS:
+        run = simulate(SCENARIO, PLANT, seed)
+        errors.append(peer_errors(run, library))
         times = times or peer_times(run, library)
     medians_N = {
         name: float(np.median([error[name] for error in errors])) for name in errors[0]

@@ -11,8 +11,7 @@ import pinocchio as pin
 
 from benchmarks.insertion.methods import on_lwr
 from benchmarks.insertion.signals import JointSample, JointSignals
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure
+from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from groundtruth import Run, simulate
 from identification import MIXTURE, PUBLISHED, MixtureConfig, PublishedConfig
@@ -115,9 +114,9 @@ class ChainUpdate:
             self.layers.extend(range(k + 1 - 6, k + 1))
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Time everything on the signals of a simulated insertion, from the tare on."""
-    run = simulate(SCENARIO, PLANT, job.seed, progress)
+    run = simulate(SCENARIO, PLANT, job.seed)
     signals = JointSignals.of_run(run)
     blind = replace(signals, dq_rad_s=None)
     first = first_counted(run, signals)

@@ -139,6 +139,8 @@ class History:
         viscous_variance: Variance of the viscous friction.
         contact_mm: Depth of the first contact.
         min_force_N: Minimum force since the last rupture.
+        recent_log: Logarithm of the likelihood of the last blocks beyond what the
+            tempered weight counts.
     """
 
     rupture_s: float = 0.0
@@ -156,6 +158,7 @@ class History:
     viscous_variance: float = 0.0
     contact_mm: float = 0.0
     min_force_N: float = 0.0
+    recent_log: float = 0.0
 
 
 class LinearMap(NamedTuple):

@@ -50,3 +50,15 @@ def weigh_evidence(mixture: Mixture, alarm: Rupture | None, reported: int) -> Ev
     without_alarm = np.minimum(ruptures, reported - 1.0)
     counted = np.where(denies_alarm, without_alarm, ruptures)
     return Evidence(mixture, mixture.weights, counted)
+
+
+def count_recent_in_full(evidence: Evidence) -> Evidence:
+    """Return the evidence with weights that count the last blocks' likelihood in full.
+
+    A mixture's own weights temper it, for what is learnt over millimetres repeats the
+    model's own errors. What is heard within a tenth of a second differs by noise.
+    """
+    mixture = evidence.mixture
+    logs = mixture.log_weights + read_column(mixture.history, "recent_log")
+    weights = np.exp(logs - logs.max())
+    return evidence._replace(weights=weights / weights.sum())

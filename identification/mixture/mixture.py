@@ -358,7 +358,7 @@ class MixtureState(NamedTuple):
         covariances: Theirs, shape (n, 20, 20).
         log_weights: Logarithm of each one's probability, shape (n,).
         assumptions: Fields of `Assumptions`, shape (n, 10).
-        history: Fields of `History`, shape (n, 15).
+        history: Fields of `History`, shape (n, 16).
     """
 
     means: Array
@@ -558,6 +558,10 @@ def correct(
         By what the force differs from the mixture's prediction, 0 without components,
         and the variance that was predicted of it [N, N²].
     """
+    # Degrees of freedom of Student's t for the last blocks: nearly normal
+    recent_freedom = 30.0
+    # So long a block counts as one of the last: a rupture's fall and the sensor's lag
+    recent_s = 0.1
     largest = -math.inf
     for k in range(size):
         largest = max(largest, mixture.log_weights[k])
@@ -587,7 +591,14 @@ def correct(
             math.log(total_variance)
             + (STUDENT_FREEDOM + 1.0) * math.log1p(surprise / STUDENT_FREEDOM)
         )
-        mixture.log_weights[k] += LIKELIHOOD_EXPONENT * log_likelihood
+        tempered = LIKELIHOOD_EXPONENT * log_likelihood
+        mixture.log_weights[k] += tempered
+        in_full = -0.5 * (
+            math.log(total_variance)
+            + (recent_freedom + 1.0) * math.log1p(surprise / recent_freedom)
+        )
+        history.recent_log *= math.exp(-block.duration_s / recent_s)
+        history.recent_log += in_full - tempered
         widening = (STUDENT_FREEDOM + surprise) / (STUDENT_FREEDOM + 1.0)
         total_variance *= max(widening, 1.0)
         update(mean, covariance, cross_covariance, innovation, total_variance)

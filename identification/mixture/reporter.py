@@ -29,7 +29,12 @@ from identification.mixture.decisions import (
     count_ruptures,
     may_be_braking,
 )
-from identification.mixture.evidence import MM_PER_M, Evidence, weigh_evidence
+from identification.mixture.evidence import (
+    MM_PER_M,
+    Evidence,
+    count_recent_in_full,
+    weigh_evidence,
+)
 from identification.mixture.force_split import LAYER_COLUMNS
 from identification.mixture.layer_report import (
     contact_std_mm,
@@ -199,7 +204,8 @@ class Reporter:
         state = self.state
         alarm = state.alarm
         evidence = weigh_evidence(self._learner.mixture, alarm, state.ruptures)
-        count = count_ruptures(evidence, state.ruptures, self._learner.state.block)
+        recent = count_recent_in_full(evidence)
+        count = count_ruptures(recent, state.ruptures, self._learner.state.block)
         state.is_due = False
         state.rupture_probability = min(count.more, 1.0)
         if self.is_layer_open:

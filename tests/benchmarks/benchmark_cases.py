@@ -2,43 +2,38 @@
 
 from dataclasses import replace
 
-from benchmarks.results import Row
+from benchmarks.campaign import COLUMNS, make_frame
+from benchmarks.judging import unit_of
 from groundtruth import Scenario
 from groundtruth.materials import gel
 from groundtruth.motion import constant_motion
 
-TEMPLATE = {
-    "scenario": "gel-25-constant",
-    "plant": "degraded",
-    "seed": 0,
-    "source": "virtual",
-    "method": "ours",
-    "metric": "wrench_rmse_N",
-    "value": 0.1,
-    "unit": "N",
-}
+
+def make_results(*rows):
+    """A frame of results of an insertion on the degraded arm, each row with changes."""
+    usual = {
+        "scenario": "gel-25-constant",
+        "plant": "degraded",
+        "seed": 0,
+        "source": "virtual",
+        "method": "ours",
+        "metric": "wrench_rmse_N",
+        "value": 0.1,
+    }
+    filled = [usual | row for row in rows]
+    return make_frame(
+        [
+            tuple((row | {"unit": unit_of(row["metric"])})[name] for name in COLUMNS)
+            for row in filled
+        ]
+    )
 
 
-def make_row(**changes):
-    """A row of an insertion on the degraded arm, with changes."""
-    return Row(**(TEMPLATE | changes))
-
-
-def by_head(table):
-    """The lines of a table, each as cells by head.
-
-    A head without text is "mark of" the head before it.
-    """
-    names = []
-    for head in table.heads:
-        name = head.replace("\n", " ")
-        names.append(name or f"mark of {names[-1]}")
-    return [dict(zip(names, line, strict=True)) for line in table.lines]
-
-
-def silent(fraction):
-    """A progress that is not shown."""
-    assert 0.0 <= fraction <= 1.0
+def make_seeds(values, **changes):
+    """A frame of results with a row for each value, each of another seed."""
+    return make_results(
+        *({"seed": k, "value": value} | changes for k, value in enumerate(values))
+    )
 
 
 def gel_slice(percent=70, *, thickness_m=12e-3, speed_m_s=5e-3):

@@ -1,226 +1,191 @@
-"""The command: tables, files, exit codes, and one line for every mistake."""
+"""The command: runs, their file, comparison, mistakes."""
 
-import re
-from pathlib import Path
+import sys
+from types import SimpleNamespace
 
 import pytest
 
-from benchmarks import DataError, catalogue
-from benchmarks.campaign.runs import run_jobs
-from benchmarks.campaign.workers import Workers
+from benchmarks import ResultsError, campaign, catalogue
+from benchmarks.campaign import read_merged, read_results, run_jobs, write_results
 from benchmarks.cli import main
-from benchmarks.jobs import Benchmark, Job
-from benchmarks.results import Figure, read_results, write_results
-from tests.benchmarks.benchmark_cases import make_row
-
-HARD_RMSE_N = {"liver-constant": 0.05, "gel-25-constant": 0.2}
-"""On the degraded arm the first meets its target, the second misses it."""
+from benchmarks.jobs import Figure, Job
+from tests.benchmarks.benchmark_cases import make_results, make_seeds
 
 
-def pretend(job, progress):
-    """A benchmark that takes no time; of seed 3 it fails."""
-    progress(0.5)
-    if job.seed == 3:
-        raise DataError("the third is broken")
-    rmse = HARD_RMSE_N[job.benchmark]
-    yield Figure("wrench_rmse_N", rmse)
-    yield Figure("wrench_rmse_N", 10.0 * rmse, method="published-one-setting")
-    yield Figure("residual_rms_Nm", 1e-9)
-
-
-@pytest.fixture(autouse=True)
-def _pretended(monkeypatch):
-    items = [Benchmark(id=name, title=name, run=pretend) for name in HARD_RMSE_N]
-    real = Benchmark(
-        id="panda-real", title="real", run=pretend, needs=("panda_gaz2019",)
+def measure(job):
+    """Numbers that grow with the seed; one case fails, another has a typing error."""
+    if job.case == "broken S":
+        raise ValueError("no arm")
+    yield Figure("rcm_error_max_mm", job.seed - 999.0)
+    yield Figure(
+        "rcm_error_max_mm" if job.case == "usual S" else "rcm_eror_mm", 7.0, "ft"
     )
-    monkeypatch.setattr(
-        catalogue, "BENCHMARKS", {item.id: item for item in (*items, real)}
+
+
+@pytest.fixture
+def study(monkeypatch):
+    """A study that takes no time."""
+    module = SimpleNamespace(CASES=("usual S", "broken S", "wrong S"), run=measure)
+    monkeypatch.setitem(sys.modules, "pretended", module)
+    benchmark = catalogue.Benchmark(
+        title="a study",
+        module="pretended",
+        group="control",
+        has_cases=True,
+        first_seed=1000,
     )
-    monkeypatch.delenv("NEEDLEFORCE_DATA", raising=False)
+    monkeypatch.setitem(catalogue.BENCHMARKS, "study", benchmark)
+    return module
 
 
 def run(*arguments):
-    return main(["run", "--workers", "1", *arguments])
+    return main(["run", "study", "--workers", "1", *map(str, arguments)])
+
+
+def test_a_run_writes_its_numbers_and_names_what_failed(study, tmp_path, capsys):
+    path = tmp_path / "a.parquet"
+
+    assert run("--out", path, "--seeds", "2") == 1
+
+    printed = capsys.readouterr().out
+
+    assert "ValueError: no arm" in printed
+    assert "rcm_eror_mm" in printed
+
+    results = read_results(path)
+
+    assert set(results["scenario"]) == {"study/usual-S"}
+    assert results.groupby("seed")["value"].agg(list).to_dict() == {
+        1000: [7.0, 1.0],
+        1001: [7.0, 2.0],
+    }
+    assert set(results["unit"]) == {"mm"}
+    assert results.attrs["commit"] == campaign.find_commit()
+
+
+def test_a_run_goes_on_with_the_jobs_whose_numbers_are_missing(study, tmp_path):
+    path = tmp_path / "a.parquet"
+    study.CASES = study.CASES[:1]
+    done = []
+    study.run = lambda job: [done.append(job.seed), Figure("rcm_error_max_mm", 1.0)][1:]
+
+    assert run("--out", path) == 0
+    assert run("--out", path, "--seeds", "3", "--resume") == 0
+    assert done == [1000, 1001, 1002]
+    assert sorted(read_results(path)["seed"]) == done
+    assert run("--resume") == 2
+
+
+def test_what_was_measured_is_kept_when_a_run_is_interrupted(study, tmp_path):
+    def interrupt(job):
+        if job.seed == 1001:
+            raise KeyboardInterrupt
+        yield Figure("rcm_error_max_mm", 1.0)
+
+    study.run = interrupt
+    path = tmp_path / "a.parquet"
+    jobs = [Job(benchmark="study", plant="clean", seed=seed) for seed in (1000, 1001)]
+
+    with pytest.raises(KeyboardInterrupt):
+        run_jobs(jobs, path, workers=1)
+
+    assert read_results(path)["seed"].tolist() == [1000]
+
+
+def test_a_missed_target_fails_a_strict_run(study):
+    study.run = lambda job: [Figure("rcm_error_max_mm", 9.0)]
+    study.CASES = ("rcm S",)
+    name = "control-constraints"
+    catalogue.BENCHMARKS[name], old = (
+        catalogue.BENCHMARKS["study"],
+        catalogue.BENCHMARKS[name],
+    )
+    try:
+        assert main(["run", name, "--workers", "1"]) == 0
+        assert main(["run", name, "--workers", "1", "--strict", "--targets"]) == 1
+    finally:
+        catalogue.BENCHMARKS[name] = old
 
 
 @pytest.mark.slow
-def test_a_run_fails_for_missed_targets_when_strict(
-    capsys,
-):
-    assert run("--plant", "degraded", "--targets") == 0
+def test_processes_give_the_numbers_that_this_one_gives():
+    jobs = catalogue.make_jobs(["random-stack"], seeds=2)
+    here, _ = run_jobs(jobs, workers=1)
+    there, _ = run_jobs(jobs, workers=2)
 
-    out = capsys.readouterr().out
-    for words in (
-        "liver-constant",
-        "met",
-        "missed",
-        "DIR or NEEDLEFORCE_DATA): panda-real",
-    ):
-        assert words in out
-
-    assert run("liver-constant", "--plant", "degraded", "--strict") == 0
-    assert run("gel-25-constant", "--plant", "degraded", "--strict") == 1
-    assert run("gel-25-constant", "--plant", "degraded") == 0
+    assert here.equals(there)
+    assert len(here) > 50
 
 
-def test_tables_begin_with_the_answer_and_show_targets_only_if_asked(capsys):
-    assert run("--plant", "degraded") == 0
+def test_compare_fails_on_what_is_worse(tmp_path, capsys):
+    old = tmp_path / "old.parquet"
+    new = tmp_path / "new.parquet"
+    write_results(old, [make_seeds((0.1, 0.1))])
+    write_results(new, [make_seeds((0.2, 0.1))])
 
-    plain = capsys.readouterr().out
-
-    answer = "rms: 0.125 N, by the published method with one setting 1.250 N."
-
-    assert f"joint torques, {answer}" in plain
-    assert "ours: this toolkit" in plain
-    for words in ("target", "Target", "missed", " met "):
-        assert words not in plain
-
-    assert run("--plant", "degraded", "--strict") == 1
-
-    strict = capsys.readouterr().out
-
-    assert re.sub("in . s", "", strict) == re.sub("in . s", "", plain)
+    assert main(["compare", str(old), str(new)]) == 1
+    assert "1 worse" in capsys.readouterr().out
+    assert main(["compare", str(new), str(old)]) == 0
+    assert main(["results", str(old), "--targets"]) == 0
+    assert "wrench_rmse_N" in capsys.readouterr().out
 
 
-@pytest.mark.slow
-def test_a_report_is_named_last_and_begins_with_the_answer(tmp_path, capsys):
-    pytest.importorskip("matplotlib")
-    folder = tmp_path / "report"
+def test_the_last_file_of_a_scenario_on_a_plant_counts(tmp_path):
+    first = tmp_path / "first.parquet"
+    more = tmp_path / "more.parquet"
+    write_results(first, [make_results({}, {"plant": "clean", "seed": 7})])
+    write_results(more, [make_results({"plant": "clean", "value": 0.02})])
+    merged = read_merged([first, more])
 
-    assert run("--plant", "degraded", "--report", str(folder)) == 0
-
-    last = capsys.readouterr().out.splitlines()[-1]
-    page = (folder / "index.html").read_text(encoding="utf-8")
-
-    assert last == f"Figures and tables: {folder / 'index.html'}"
-    assert page.index("rms: 0.125 N") < page.index("Counterparts of the figures")
-    assert "missed" not in page
-    assert "missed" not in (folder / "results.md").read_text(encoding="utf-8")
-
-
-def test_plants_may_be_listed_and_runs_are_repeatable(tmp_path):
-    paths = [tmp_path / name for name in ("a.json", "b.json")]
-    for path in paths:
-        run(
-            "--plant",
-            "degraded,ideal",
-            "--plant",
-            "clean",
-            "--seeds",
-            "2",
-            "--json",
-            str(path),
-        )
-
-    assert paths[0].read_bytes() == paths[1].read_bytes()
-
-    rows = read_results(paths[0])
-
-    assert len(rows) == 36
-    assert list(dict.fromkeys(row.plant for row in rows)) == [
-        "degraded",
-        "ideal",
-        "clean",
+    assert sorted(zip(merged["plant"], merged["value"], strict=True)) == [
+        ("clean", 0.02),
+        ("degraded", 0.1),
     ]
 
 
-def test_a_failing_benchmark_is_named_and_others_run(tmp_path, capsys):
-    path = tmp_path / "a.json"
-
-    assert run("liver-constant", "--seeds", "5", "--json", str(path)) == 1
-    assert (
-        "liver-constant, clean, seed 3: DataError: the third" in capsys.readouterr().out
-    )
-    assert {row.seed for row in read_results(path)} == {0, 1, 2, 4}
-
-
-MISTAKES = {
-    "nothing": "no benchmark 'nothing'; choose from: liver-constant",
-    "--plant soft": "no plant 'soft'; choose from: ideal, clean, fri, degraded",
-    "--plant ,": "--plant: expected at least one name",
-    "--data /no/such/folder": "no folder of recordings at",
-    "panda-real": "panda-real needs recordings. Give the folder",
-    "--json /no/such/folder/a.json": "cannot write",
-    "--report file": "cannot write to",
-    "--report .": "cannot write",
-    "--seeds 0": "--seeds. Must be >= 1",
-    "--seeds x": "--seeds",
-    "--sedes 2": "--sedes",
-}
+def test_a_file_that_is_none_is_refused(tmp_path):
+    path = tmp_path / "a.parquet"
+    path.write_text("no table")
+    for bad in (path, tmp_path / "none.parquet"):
+        with pytest.raises(ResultsError, match=bad.name):
+            read_results(bad)
+    make_seeds((1.0,)).drop(columns="unit").to_parquet(path)
+    with pytest.raises(ResultsError, match="unit"):
+        read_results(path)
+    with pytest.raises(ResultsError, match="folder"):
+        run_jobs([], tmp_path / "none" / "a.parquet")
 
 
-@pytest.mark.parametrize(("arguments", "message"), MISTAKES.items())
-def test_a_mistake_is_one_line_and_code_2(
-    tmp_path, monkeypatch, capsys, arguments, message
-):
-    monkeypatch.chdir(tmp_path)
-    (tmp_path / "file").touch()
-    (tmp_path / "index.html").mkdir()
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["run", "gel-26-constant"], "gel-26-constant"),
+        (["run", "gel-25-constant", "--plant", "magic"], "magic"),
+        (["run", "free-motion", "--plant", "needle"], "needle"),
+        (["run", "liver-real", "--data", "none"], "recordings"),
+        (["run", "--seeds", "0"], "seeds"),
+        (["run", "--cluster", "tcp://127.0.0.1:1", "gel-25-constant"], "scheduler"),
+        (["results"], "FILES"),
+        (["figures", "none.parquet"], "none.parquet"),
+    ],
+)
+def test_a_mistake_is_one_line_and_code_2(arguments, word, capsys):
+    assert main(arguments) == 2
+    assert word in capsys.readouterr().err
 
-    assert run(*arguments.split()) == 2
 
-    error = capsys.readouterr().err
+def test_figures_come_from_a_clean_commit(tmp_path, monkeypatch, capsys):
+    monkeypatch.setattr(campaign, "find_commit", lambda: "abc-dirty")
+    path = tmp_path / "a.parquet"
+    write_results(path, [make_seeds((1.0,))])
 
-    assert message in error
-    assert error.startswith("error: ")
-    assert error.count("\n") == 1
+    assert main(["figures", str(path)]) == 2
+    assert "abc-dirty" in capsys.readouterr().err
 
 
-def test_wrong_usage_is_code_2_help_states_durations(capsys):
-    assert main([]) == 2
-    assert "compare" in capsys.readouterr().out
-    assert main(["walk"]) == 2
-    assert main(["compare", "a.json"]) == 2
-    assert main(["stream", "--format", ".txt"]) == 2
-    assert capsys.readouterr().err.count("\n") == 3
+def test_the_list_names_every_benchmark(capsys):
     assert main(["list"]) == 0
 
-    out = capsys.readouterr().out
+    printed = capsys.readouterr().out
 
-    assert "liver-constant" in out
-    assert "ideal, clean, fri, degraded, needle" in out
-
-    for command in ("speed", "faults"):
-        assert main([command, "--help"]) == 0
-        assert re.search(r"Takes about \d+ s", capsys.readouterr().out)
-
-
-def test_compare_fails_on_what_is_worse_or_lost(tmp_path, monkeypatch, capsys):
-    monkeypatch.chdir(tmp_path)
-    rows = {
-        "old": [0.1, 0.1],
-        "new": [0.3, 0.1],
-        "lost": [float("nan"), 0.1],
-        "one": [0.1],
-    }
-    for name, values in (rows | {"empty": []}).items():
-        write_results(
-            Path(name), [make_row(seed=k, value=v) for k, v in enumerate(values)]
-        )
-    for pair, code, said in (
-        ("old new", 1, "1 same, 1 worse"),
-        ("new old", 0, "1 better"),
-        ("old old", 0, "2 same"),
-        ("old one", 1, "missing"),
-        ("old lost", 1, "not finite"),
-        ("lost lost", 1, "not finite"),
-        ("empty empty", 2, "nothing to compare"),
-        ("empty none", 2, "cannot read"),
-    ):
-        assert main(["compare", *pair.split()]) == code
-        assert said in "".join(capsys.readouterr())
-
-
-@pytest.mark.slow
-def test_outcomes_stand_in_the_order_of_jobs():
-    jobs = [Job(benchmark=f"none-{k}", plant="degraded") for k in range(3)]
-    progress = {}
-    outcomes = run_jobs(jobs, Workers(workers=2), progress.__setitem__)
-
-    assert [item.job for item in outcomes] == jobs
-
-    for k, item in enumerate(outcomes):
-        assert f"no benchmark 'none-{k}'" in (item.failure or "")
-
-    assert set(progress.values()) <= {1.0}
+    assert all(name in printed for name in catalogue.BENCHMARKS)

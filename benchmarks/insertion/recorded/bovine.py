@@ -14,8 +14,7 @@ import numpy as np
 from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
 from benchmarks.insertion.recorded.liver import VISIBLE_SIGMAS, at_drops, force_drops
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure, make_figures
+from benchmarks.jobs import Figure, Job, make_figures
 from foundation.arrays import Array
 from groundtruth.rupture_match import nearest_pairs
 from identification import PublishedConfig, replay
@@ -81,7 +80,7 @@ def read_bovine(data: Path, rng: np.random.Generator | None) -> BovineInsertion:
     return BovineInsertion(t_s, depth_m, force_N)
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Run ``bovine-real``: the four ruptures of the insertion, by both methods.
 
     The curve falls in more places than the annotated ones: at 15.7 and 38.6 mm by 0.09
@@ -94,8 +93,7 @@ def run(job: Job, progress: Progress) -> Iterator[Figure]:
     insertion = read_bovine(data, np.random.default_rng(job.seed))
     drawn = read_bovine(data, None)
     drops = force_drops(drawn.depth_m, drawn.force_N, VISIBLE_SIGMAS * NOISE_N)
-    for k, (method, config) in enumerate(IDENTIFIERS.items()):
-        progress(k / len(IDENTIFIERS))
+    for method, config in IDENTIFIERS.items():
         if isinstance(config, PublishedConfig):
             # About where the needle meets the liver.
             config = replace(config, contact_depth_m=8e-3)

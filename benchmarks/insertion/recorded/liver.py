@@ -15,8 +15,7 @@ from scipy.ndimage import uniform_filter1d
 
 from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure, Method, make_figures
+from benchmarks.jobs import Figure, Job, Method, make_figures
 from foundation.arrays import Array
 from identification import Estimate, replay
 
@@ -354,7 +353,7 @@ def rupture_values(insertions: Sequence[LiverEstimates]) -> Iterator[tuple[str, 
         yield "ruptures_at_drops", at_a_drop / ruptures
 
 
-def run(job: Job, progress: Progress) -> Iterator[Figure]:
+def run(job: Job) -> Iterator[Figure]:
     """Run ``liver-real``: friction during insertion against the pull-out force.
 
     The needle is pulled out against friction alone, so the pull-out force at a depth is
@@ -368,7 +367,6 @@ def run(job: Job, progress: Progress) -> Iterator[Figure]:
         "ours": [],
     }
     for index in range(len(NUMBERS)):
-        progress(index / len(NUMBERS))
         whole = read_liver(data, index)
         inside = whole.insertion
         forward = whole.before_withdrawal

@@ -34,9 +34,7 @@ from benchmarks.insertion.recorded.liver import (
     rupture_values,
 )
 from benchmarks.insertion.signals import ForceTruth, JointSignals, tool_jacobians
-from benchmarks.jobs import Drawing, Job, Progress, progress_part
-from benchmarks.report.force_plots import force_figures
-from benchmarks.results import Figure, Method, make_figures
+from benchmarks.jobs import Figure, Job, Method, make_figures
 from foundation.arrays import Array
 from residual import SigmoidFriction
 from urdf import Robot, SerialJoint, build_serial_robot
@@ -114,7 +112,7 @@ def _robot(table: dict[str, Any]) -> Robot:
     return replace(robot, bare_model=limited)
 
 
-def run(job: Job, progress: Progress) -> list[Figure]:
+def run(job: Job) -> list[Figure]:
     """Run ``panda-real``: noise floor of the residual without contact, per joint."""
     panda = read_panda(job.recordings)
     signals = panda.signals
@@ -123,7 +121,6 @@ def run(job: Job, progress: Progress) -> list[Figure]:
     # After five lags the observer has forgotten its start to 1 %.
     settled = signals.t_s - signals.t_s[0] >= 5.0 / gain_per_s
     rms = np.sqrt(np.mean(residual[settled] ** 2, axis=0))
-    progress(1.0)
     values = {
         f"residual_rms_J{joint}_Nm": float(value) for joint, value in enumerate(rms, 1)
     }
@@ -163,7 +160,7 @@ recording, from which the identifiers learn the noise of the force. 16 s are lef
 at 5 mm/s."""
 
 
-def run_with_liver(job: Job, progress: Progress) -> Iterator[Figure | Drawing]:
+def run_with_liver(job: Job) -> Iterator[Figure]:
     """Run ``panda-liver``: a real tissue force on a real arm, by both methods.
 
     The recorded Panda has touched nothing, the recorded needle had no robot. Both are
@@ -183,14 +180,9 @@ def run_with_liver(job: Job, progress: Progress) -> Iterator[Figure | Drawing]:
     signals = replace(panda.signals, tau_Nm=loaded)
     readings = []
     forces_N = {}
-    for k, (method, config) in enumerate(METHODS.items()):
-        session_progress = progress_part(
-            progress, k / len(METHODS), (k + 1) / len(METHODS)
-        )
+    for method, config in METHODS.items():
         real = replace(config, friction=panda.friction)
-        session = run_session(
-            panda.robot, signals, method, TARE_s, session_progress, sensor=real
-        )
+        session = run_session(panda.robot, signals, method, TARE_s, sensor=real)
         readings.append(session.reading)
         forces_N[method] = session.unsmoothed_N
     for reading in readings:
@@ -199,8 +191,6 @@ def run_with_liver(job: Job, progress: Progress) -> Iterator[Figure | Drawing]:
             if item.metric != "wrench_lag_ms":
                 yield item
     yield from identification_values(insertion, truth, forces_N)
-    if job.drawings is not None:
-        yield from force_figures(job, job.drawings, truth, readings)
 
 
 def _truth(panda: Panda, insertion: LiverInsertion) -> ForceTruth:

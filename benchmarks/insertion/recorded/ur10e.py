@@ -15,8 +15,7 @@ from benchmarks import DataError
 from benchmarks.insertion.methods import joint_residual
 from benchmarks.insertion.recorded.liver import read_arrays, read_table
 from benchmarks.insertion.signals import JointSignals, tool_jacobians
-from benchmarks.jobs import Job, Progress
-from benchmarks.results import Figure, make_figures
+from benchmarks.jobs import Figure, Job, make_figures
 from foundation.arrays import Array
 from residual import PUBLISHED, JointFriction, WrenchEstimator
 from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
@@ -101,7 +100,7 @@ GAIN_per_s = 20.0
 SETTLING_s = 5.0 / GAIN_per_s
 
 
-def run(job: Job, progress: Progress) -> list[Figure]:
+def run(job: Job) -> list[Figure]:
     """Run ``ur10e-payload``: the weight of a known payload from motor currents.
 
     Torque is torque constant times current, and the constants read 12 to 16 % low. The
@@ -112,9 +111,7 @@ def run(job: Job, progress: Progress) -> list[Figure]:
     """
     arm = read_ur10e(job.recordings)
     residual_unloaded = _residual(arm, arm.unloaded)
-    progress(0.3)
     residual_loaded = _residual(arm, arm.loaded)
-    progress(0.6)
     values = _force_up(arm.robot, arm.unloaded, residual_unloaded, "force_up_unloaded")
     values |= _force_up(arm.robot, arm.loaded, residual_loaded, "force_up_loaded")
     # What the model misses at each joint without payload: the weights of the fit.
@@ -129,7 +126,6 @@ def run(job: Job, progress: Progress) -> list[Figure]:
     scale = payload_kg / first
     values["torque_scale"] = scale
     values["weight_error_pct"] = 100.0 * (scale * second / payload_kg - 1.0)
-    progress(1.0)
     return make_figures(values)
 
 

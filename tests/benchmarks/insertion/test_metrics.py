@@ -1,4 +1,4 @@
-"""Metrics and bounds of online identification, on small cases whose answer is known."""
+"""Metrics of online identification, on small cases whose answer is known."""
 
 import math
 from dataclasses import replace
@@ -7,11 +7,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.insertion.bounds import friction_bounds
 from benchmarks.insertion.methods import Alarm
 from benchmarks.insertion.metrics import (
     before_rupture_metrics,
-    bound_metrics,
     coverage_metrics,
     enhanced_metrics,
     rupture_metrics,
@@ -27,12 +25,8 @@ from benchmarks.insertion.ruptures import (
 from benchmarks.insertion.signals import (
     InsertionTruth,
     NeedleSignal,
-    insertion_truth,
-    lagging,
 )
-from groundtruth import SCENARIOS, Rupture, Scenario, insert_needle
-from groundtruth.motion import constant_motion
-from groundtruth.plant_model import ForceNoise
+from groundtruth import Rupture
 from groundtruth.rupture_match import EARLY_s, LATE_s
 
 SPEED = 2e-3
@@ -319,54 +313,3 @@ def test_the_multilayer_model_fits_its_own_force_only():
 
     assert values["offline_rmse_ml_N"] == pytest.approx(0.0, abs=1e-9)
     assert values["offline_rmse_kv_N"] > 0.01
-
-
-RNG = np.random.default_rng(3)
-WHITE = 0.01 * RNG.standard_normal(8000)
-DRIFTING = lagging(10.0 * WHITE, 1e-3 * np.arange(8000), 0.2)
-GEL = SCENARIOS["gel-50-constant"].layers[0]
-
-
-@pytest.fixture(scope="module")
-def stack_truth():
-    layer = replace(GEL, release_m=0.3e-3, thickness_m=14e-3)
-    motion = constant_motion(speed_m_s=4e-3, depth_m=39e-3, standoff_m=5e-3)
-    chosen = Scenario(id="two", title="two gels", layers=(layer, layer), motion=motion)
-    return insertion_truth(insert_needle(chosen, noise=ForceNoise()))
-
-
-def test_the_friction_bound_grows_with_what_hides_it(
-    stack_truth,
-):
-    # Small noise: what is drawn adds nothing then.
-    small, large = (
-        friction_bounds(stack_truth, k * WHITE, is_white=True) for k in (0.01, 0.02)
-    )
-
-    assert large == pytest.approx([2.0 * value for value in small], rel=0.02)
-
-    plain = friction_bounds(stack_truth, DRIFTING, is_white=True)[1]
-
-    assert friction_bounds(stack_truth, DRIFTING, is_white=False)[1] > 2.0 * plain
-    assert (
-        friction_bounds(stack_truth, DRIFTING, is_white=True, cutting_fraction=0.0)[1]
-        < plain
-    )
-
-
-def test_bounds_exist_only_for_runs_with_ruptures(
-    stack_truth,
-):
-    values = bound_metrics(signal(stack_truth, WHITE), stack_truth)
-    names = {
-        "friction_bound_pct",
-        "friction_bound_white_pct",
-        "rupture_delay_bound_ms",
-    }
-
-    assert set(values) == names
-    assert all(0.0 < value < 20.0 for value in values.values())
-    assert (
-        bound_metrics(signal(stack_truth, WHITE), replace(stack_truth, ruptures=()))
-        == {}
-    )

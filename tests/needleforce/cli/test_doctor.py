@@ -52,6 +52,7 @@ def test_json_holds_the_same(capsys):
 
 def test_the_core_is_what_the_project_always_requires():
     assert set(examine(with_sizes=False)["core"]) == {
+        "pandas",
         "pin",
         "numpy",
         "scipy",

@@ -12,7 +12,7 @@ from benchmarks.judging import TARGETS
 
 def numbers(case):
     job = Job(benchmark="control-constraints", case=case, plant="clean")
-    figures = control_constraints.run(job, lambda fraction: None)
+    figures = control_constraints.run(job)
     return {item.metric: item.value for item in figures}
 
 

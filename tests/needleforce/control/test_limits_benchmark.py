@@ -13,7 +13,7 @@ from needleforce.devices.arm_limits import FR3
 def test_no_command_is_above_what_the_arm_accepts(monkeypatch, arm):
     monkeypatch.setattr(limits, "DURATION_s", 0.4)
     job = Job(benchmark="control-limits", case=f"{arm} 10ms quick", plant="clean")
-    figures = limits.run(job, lambda fraction: None)
+    figures = limits.run(job)
     values = {item.metric: item.value for item in figures}
 
     for limit in ("position", "speed", "acceleration", "jerk"):

@@ -33,7 +33,7 @@ Q = np.array([0.1, 0.6, -0.2, -1.2, 0.3, 1.3, 0.2])
 def figures_of(case, seed):
     """Numbers of a case of the benchmark."""
     job = Job(benchmark="control-priority", case=case, plant="clean", seed=seed)
-    return control_priority.run(job, lambda fraction: None)
+    return control_priority.run(job)
 
 
 def tool_at(q):
@@ -259,7 +259,7 @@ def test_control_cost_is_relative_to_bare_calls(monkeypatch):
     job = Job(benchmark="speed-control", plant="no-arm")
     ratios = {
         item.source: item.value
-        for item in control_speed.run(job, lambda fraction: None)
+        for item in control_speed.run(job)
         if item.metric == "tick_ratio"
     }
 

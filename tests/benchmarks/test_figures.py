@@ -2,9 +2,11 @@
 
 import math
 
+import pandas as pd
 import pytest
 
-from benchmarks.report.figures import (
+from benchmarks.figures import (
+    METHOD_NAMES,
     Part,
     RowSpec,
     fill_figures,
@@ -14,33 +16,18 @@ from benchmarks.report.figures import (
     read_specs,
     summarize_part,
 )
-from benchmarks.results import METHOD_NAMES, Row
+from tests.benchmarks.benchmark_cases import make_seeds
 
 TABLE = read_specs()[0]
-
-
-def rows_of(metric, values, *, method="ours", plant="fri", scenario="gel-25-constant"):
-    """One row a seed."""
-    return [
-        Row(
-            scenario=scenario,
-            plant=plant,
-            seed=1000 + seed,
-            source="virtual",
-            method=method,
-            metric=metric,
-            value=value,
-            unit="",
-        )
-        for seed, value in enumerate(values)
-    ]
-
-
 DELAY = RowSpec(
     what="delay",
     plant="fri",
     parts=(Part("rupture_delay_ms", "median", ".0f", " ms"),),
 )
+
+
+def delays(*values, **changes):
+    return make_seeds(values, plant="fri", metric="rupture_delay_ms", **changes)
 
 
 def test_the_pages_show_the_figures_of_the_campaign():
@@ -56,27 +43,30 @@ def test_every_column_is_a_method_with_a_name_for_people():
 
 @pytest.mark.parametrize(
     ("statistic", "value"),
-    [("median", 3.0), ("mean", 4.0), ("worst", 9.0), ("deviation", 3.1623)],
+    [("median", 3.0), ("mean", 4.0), ("worst", 9.0), ("deviation", 3.0), ("sum", 20.0)],
 )
 def test_a_part_is_a_statistic_of_all_runs(statistic, value):
     part = Part("rupture_delay_ms", statistic, ".0f")
+    values = pd.Series([3.0, 1.0, 9.0, 4.0, 3.0])
 
-    assert summarize_part([3.0, 1.0, 9.0, 4.0, 3.0], part) == pytest.approx(
-        value, abs=0.2
-    )
-
-
-def test_one_value_that_is_no_number_leaves_no_figure():
-    part = Part("wrench_rmse_N", "median", ".3f")
-
-    assert math.isnan(summarize_part([0.1, math.nan], part))
+    assert summarize_part(values, part) == pytest.approx(value)
+    assert math.isnan(summarize_part(pd.Series([0.1, math.nan]), part))
 
 
 @pytest.mark.parametrize(("delay_ms", "mark"), [(79.9, "met"), (80.1, "**missed**")])
 def test_our_figure_is_judged_by_the_target_of_its_plant(delay_ms, mark):
-    line = fill_line(rows_of("rupture_delay_ms", [delay_ms]), TABLE, DELAY)
+    line = fill_line(delays(delay_ms), TABLE, DELAY)
 
     assert line == ["delay", "–", "–", f"{delay_ms:.0f} ms", "80 ms", mark]
+
+
+def test_a_line_of_two_parts_names_which_is_missed():
+    recall = Part("rupture_recall", "mean", ".0f", " %", 100.0)
+    spec = RowSpec(what="both", plant="fri", parts=(*DELAY.parts, recall))
+    found = make_seeds((0.5,), plant="fri", metric="rupture_recall")
+    line = fill_line(pd.concat([delays(70.0), found]), TABLE, spec)
+
+    assert line[-3:] == ["70 ms; 50 %", "80 ms; 97 %", "**missed** (second)"]
 
 
 def test_a_closed_loop_is_judged_on_every_plant_of_the_table():
@@ -86,15 +76,20 @@ def test_a_closed_loop_is_judged_on_every_plant_of_the_table():
         scenarios=("control-autonomous/*-20",),
         parts=(Part("travel_past_rupture_mm", "worst", ".1f", " mm"),),
     )
-    rows = rows_of(
-        "travel_past_rupture_mm", [0.4, 22.0], scenario="control-autonomous/I-20"
+    results = make_seeds(
+        (0.4, 22.0),
+        plant="fri",
+        metric="travel_past_rupture_mm",
+        scenario="control-autonomous/I-20",
     )
 
-    assert fill_line(rows, TABLE, spec)[-3:] == ["22.0 mm", "1.0 mm", "**missed**"]
+    assert fill_line(results, TABLE, spec)[-3:] == ["22.0 mm", "1.0 mm", "**missed**"]
 
 
 def test_what_was_not_measured_is_said():
-    line = fill_figures(rows_of("rupture_delay_ms", [70.0]), "abc").tables["headline"]
+    figures = fill_figures(delays(70.0, 72.0), "abc")
+    lines = figures["tables"]["headline"]
 
-    assert line[0][-1] == "not measured"
-    assert line[2][-1] == "met"
+    assert lines[0][-1] == "not measured"
+    assert lines[2][-1] == "met"
+    assert figures["runs"] == {"fri": 2}

@@ -10,32 +10,43 @@ with its commit, and between the marks of each page:
     <!-- end of figures -->
 """
 
+import json
 import re
-from collections.abc import Iterable, Mapping, Sequence
-from fnmatch import fnmatchcase
+from collections.abc import Sequence
 from pathlib import Path
+from typing import Any
 
 import msgspec
 import numpy as np
+import pandas as pd
 
 from benchmarks import ResultsError
 from benchmarks.judging import (
     ANY,
+    METRICS,
     TARGETS,
+    UNDEFINED,
     Statistic,
     Target,
     expand_groups,
-    metric,
+    select,
     sum_up,
 )
-from benchmarks.results import METHOD_NAMES, Row
 
-ROOT = Path(__file__).resolve().parents[2]
-SPECS = ROOT / "benchmarks" / "figures.toml"
-STORED = ROOT / "benchmarks" / "figures.json"
+ROOT = Path(__file__).resolve().parents[1]
+SPECS = Path(__file__).with_suffix(".toml")
+STORED = Path(__file__).with_suffix(".json")
 NO_FIGURE = "–"
 NOT_MEASURED = "not measured"
 END = "<!-- end of figures -->"
+METHOD_NAMES = {
+    "published-one-setting": "published, one setting",
+    "published-as-authors-ran": "published, as its authors ran it",
+    "published-best-gain": "published, best gain",
+    "rule-of-thumb": "rule of thumb (0.7 of the force)",
+    "ours": "needleforce",
+}
+"""Methods as people read them."""
 
 
 class Part(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -67,7 +78,7 @@ class RowSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
         what: Its first cell.
         plant: Plant model of the runs.
         parts: The numbers of its cells.
-        source: Whose force; see `benchmarks.results.Source`.
+        source: Whose force; see `benchmarks.jobs.Source`.
         scenarios: Names, patterns of names, or groups.
         joint: Stands between the numbers of a cell.
     """
@@ -78,11 +89,6 @@ class RowSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=T
     joint: str = "; "
     source: str = "virtual"
     scenarios: tuple[str, ...] = ("tissue",)
-
-    @property
-    def names(self) -> tuple[str, ...]:
-        """Names and patterns of its scenarios, groups written out."""
-        return expand_groups(self.scenarios)
 
 
 class TableSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields=True):
@@ -101,20 +107,6 @@ class TableSpec(msgspec.Struct, frozen=True, kw_only=True, forbid_unknown_fields
     row: tuple[RowSpec, ...]
 
 
-class Figures(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What one campaign gave.
-
-    Attributes:
-        commit: Of the code that was measured.
-        runs: Number of runs, by plant.
-        tables: Lines of each table, by its name.
-    """
-
-    commit: str
-    runs: dict[str, int]
-    tables: dict[str, list[list[str]]]
-
-
 def read_specs() -> tuple[TableSpec, ...]:
     """Return the tables of `figures.toml`."""
     specs = msgspec.toml.decode(SPECS.read_bytes(), type=dict[str, list[TableSpec]])
@@ -122,25 +114,23 @@ def read_specs() -> tuple[TableSpec, ...]:
 
 
 def select_values(
-    rows: Iterable[Row], spec: RowSpec, part: Part, method: str
-) -> list[float]:
+    results: pd.DataFrame, spec: RowSpec, part: Part, method: str
+) -> pd.Series:
     """Return the values of a part, one for each run that has it."""
-    return [
-        row.value
-        for row in rows
-        if row.metric == part.metric
-        and row.method == method
-        and row.plant == spec.plant
-        and row.source == spec.source
-        and any(fnmatchcase(row.scenario, name) for name in spec.names)
-        and not (metric(part.metric).may_be_undefined and np.isnan(row.value))
-    ]
+    chosen = select(
+        results,
+        spec.scenarios,
+        metric=part.metric,
+        method=method,
+        plant=spec.plant,
+        source=spec.source,
+    )
+    return chosen["value"].dropna() if part.metric == UNDEFINED else chosen["value"]
 
 
-def summarize_part(values: Sequence[float], part: Part) -> float:
+def summarize_part(values: pd.Series, part: Part) -> float:
     """Return the statistic of a part; nan if one value is not finite."""
-    best = metric(part.metric).best
-    return sum_up(values, part.statistic, lambda value: abs(value - best))
+    return sum_up(values, part.statistic, (values - METRICS[part.metric].best).abs())
 
 
 def find_target(spec: RowSpec, part: Part) -> Target | None:
@@ -150,11 +140,14 @@ def find_target(spec: RowSpec, part: Part) -> Target | None:
     in the table is judged by it.
     """
     plants = (spec.plant, "clean") if spec.scenarios != ("tissue",) else (spec.plant,)
+    shown = set(expand_groups(spec.scenarios))
     for plant in plants:
         for target in TARGETS:
             is_same = (target.metric, target.plant) == (part.metric, plant)
             is_source = target.source in (spec.source, ANY)
-            is_whole = not target.scenarios or set(target.scenarios) >= set(spec.names)
+            is_whole = not target.scenarios or shown <= set(
+                expand_groups(target.scenarios)
+            )
             is_statistic = target.statistic == part.statistic
             if is_same and is_source and is_whole and is_statistic:
                 return None if target.of_published else target
@@ -170,7 +163,7 @@ def show_limits(spec: RowSpec) -> str:
         finite = [part.show(bound) for bound in bounds if np.isfinite(bound)]
         limits.append(" to ".join(finite) or NO_FIGURE)
     is_bare = all(limit == NO_FIGURE for limit in limits)
-    return NO_FIGURE if is_bare else "; ".join(limits)
+    return NO_FIGURE if is_bare else spec.joint.join(limits)
 
 
 def show_mark(spec: RowSpec, ours: Sequence[float]) -> str:
@@ -179,57 +172,55 @@ def show_mark(spec: RowSpec, ours: Sequence[float]) -> str:
     for part, value in zip(spec.parts, ours, strict=True):
         target = find_target(spec, part)
         if target is not None:
-            judged.append((metric(part.metric).meaning, target.is_met_by(value)))
+            judged.append(target.is_met_by(value))
     if not judged:
         return ""
-    missed = [number for number, (_, is_met) in enumerate(judged, 1) if not is_met]
-    if not missed:
+    if all(judged):
         return "met"
     if len(judged) == 1:
         return "**missed**"
-    ordinals = {1: "first", 2: "second", 3: "third"}
-    return f"**missed** ({', '.join(ordinals[number] for number in missed)})"
+    ordinals = ("first", "second", "third")
+    missed = [ordinals[k] for k, is_met in enumerate(judged) if not is_met]
+    return f"**missed** ({', '.join(missed)})"
 
 
-def fill_line(rows: Sequence[Row], table: TableSpec, spec: RowSpec) -> list[str]:
+def fill_line(results: pd.DataFrame, table: TableSpec, spec: RowSpec) -> list[str]:
     """Return a line of a table: its cells, its limits, and whether they are kept."""
     cells = [spec.what]
-    ours: list[float] = []
+    mark = NOT_MEASURED
     for method in table.methods:
-        values = [select_values(rows, spec, part, method) for part in spec.parts]
-        if not all(values):
+        values = [select_values(results, spec, part, method) for part in spec.parts]
+        if any(value.empty for value in values):
             cells.append(NO_FIGURE)
             continue
         figures = [
             summarize_part(*pair) for pair in zip(values, spec.parts, strict=True)
         ]
         cells.append(spec.joint.join(map(Part.show, spec.parts, figures)))
-        ours = figures if method == "ours" else ours
-    mark = show_mark(spec, ours) if ours else NOT_MEASURED
+        if method == "ours":
+            mark = show_mark(spec, figures)
     return [*cells, show_limits(spec), mark]
 
 
-def fill_figures(rows: Sequence[Row], commit: str) -> Figures:
-    """Return the figures of a campaign.
+def fill_figures(results: pd.DataFrame, commit: str) -> dict[str, Any]:
+    """Return the figures of a campaign, as `figures.json` has them.
 
     Args:
-        rows: All its results.
+        results: All its results.
         commit: Of the code that was measured.
     """
-    runs: dict[str, set[tuple[str, int]]] = {}
-    for row in rows:
-        runs.setdefault(row.plant, set()).add((row.scenario, row.seed))
-    return Figures(
-        commit=commit,
-        runs={plant: len(names) for plant, names in sorted(runs.items())},
-        tables={
-            table.name: [fill_line(rows, table, spec) for spec in table.row]
+    runs = results.drop_duplicates(["plant", "scenario", "seed"])
+    return {
+        "commit": commit,
+        "runs": runs.groupby("plant").size().to_dict(),
+        "tables": {
+            table.name: [fill_line(results, table, spec) for spec in table.row]
             for table in read_specs()
         },
-    )
+    }
 
 
-def render_table(table: TableSpec, figures: Figures) -> str:
+def render_table(table: TableSpec, figures: dict[str, Any]) -> str:
     """Return a table for its pages, with the commit that it was measured on.
 
     Lines that the campaign did not measure are named below it.
@@ -237,19 +228,21 @@ def render_table(table: TableSpec, figures: Figures) -> str:
     names = [METHOD_NAMES[method] for method in table.methods]
     heads = ["", *names, "target", ""]
     rule = ["---", *("---:" for _ in names), "---", "---"]
-    filled = figures.tables[table.name]
+    filled = figures["tables"][table.name]
     measured = [line for line in filled if line[-1] != NOT_MEASURED]
     left_out = [line[0] for line in filled if line[-1] == NOT_MEASURED]
     lines = [heads, rule, *measured]
-    runs = ", ".join(f"{count} on `{plant}`" for plant, count in figures.runs.items())
     body = "\n".join("| " + " | ".join(line) + " |" for line in lines)
-    text = f"{body}\n\nMeasured on commit {figures.commit}; runs: {runs}."
+    runs = ", ".join(
+        f"{count} on `{plant}`" for plant, count in figures["runs"].items()
+    )
+    text = f"{body}\n\nMeasured on commit {figures['commit']}; runs: {runs}."
     if left_out:
         text += f" Not measured in this campaign: {'; '.join(left_out)}."
     return text
 
 
-def fill_pages(figures: Figures) -> Mapping[Path, str]:
+def fill_pages(figures: dict[str, Any]) -> dict[Path, str]:
     """Return the pages with the figures between their marks.
 
     Raises:
@@ -263,24 +256,21 @@ def fill_pages(figures: Figures) -> Mapping[Path, str]:
             begin = f"<!-- figures: {table.name} -->"
             block = re.compile(f"{re.escape(begin)}.*?{re.escape(END)}", re.DOTALL)
             if not block.search(text):
-                raise ResultsError(
-                    f"{name} has no block from '{begin}' to '{END}': add it where "
-                    "the table is to stand"
-                )
+                raise ResultsError(f"{name} has no block from '{begin}' to '{END}'")
             filled = f"{begin}\n{render_table(table, figures)}\n{END}"
             texts[page] = block.sub(lambda _, filled=filled: filled, text)
     return texts
 
 
-def read_figures() -> Figures:
+def read_figures() -> dict[str, Any]:
     """Return the figures of the campaign that the pages show."""
-    return msgspec.json.decode(STORED.read_bytes(), type=Figures)
+    return json.loads(STORED.read_bytes())
 
 
-def write_figures(figures: Figures) -> None:
+def write_figures(figures: dict[str, Any]) -> None:
     """Write the figures to `figures.json` and into their pages."""
     pages = fill_pages(figures)
-    encoded = msgspec.json.format(msgspec.json.encode(figures), indent=1)
-    STORED.write_bytes(encoded + b"\n")
-    for page, text in pages.items():
-        page.write_text(text, encoding="utf-8")
+    text = json.dumps(figures, indent=1, ensure_ascii=False)
+    STORED.write_text(f"{text}\n", encoding="utf-8")
+    for page, filled in pages.items():
+        page.write_text(filled, encoding="utf-8")

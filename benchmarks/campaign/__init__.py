@@ -1,5 +1,0 @@
-"""Runs of many jobs.
-
-Reading order: `workers` (who does the jobs), `runs` (what is kept of them, and
-resumed).
-"""

@@ -1,0 +1,66 @@
+"""Cost of updates: subjects take turns, neighbours are compared."""
+
+from itertools import groupby
+from time import sleep, thread_time_ns
+
+import numpy as np
+import pytest
+
+from benchmarks.performance import ticks
+
+
+def timing(*medians):
+    return np.array([[median, median, median] for median in medians])
+
+
+TIMES = {
+    "dynamics of the sensor": timing(2.0, 2.0),
+    "sensor": timing(5.2, 5.2),
+    "chain": np.array([[10.0, 11.0, 80.0], [10.0, 40.0, 10.0]]),
+}
+
+
+def numbers(figures):
+    return {item.metric: item.value for item in figures}
+
+
+def test_ratios_compare_neighbours():
+    # A slow machine cancels.
+    ratio = ticks.cost_ratio(timing(2.0, 20.0, 2.0), timing(1.0, 10.0, 1.0))
+
+    assert ratio == pytest.approx(2.0)
+    assert numbers(ticks.describe_ticks("sensor", TIMES["sensor"], TIMES))[
+        "tick_ratio"
+    ] == pytest.approx(2.6)
+
+
+def test_updates_in_which_something_happens_stand_apart():
+    raised = numbers(ticks.describe_event("a rupture", [2], "chain", TIMES))
+    identified = numbers(ticks.describe_event("a layer", [4, 100], "chain", TIMES))
+
+    assert raised["event_tick_worst_us"] == 80.0
+    assert raised["event_tick_worst_ratio"] == 40.0
+    assert identified["event_ticks"] == 1
+    assert identified["event_tick_worst_us"] == 40.0
+
+
+def test_subjects_take_turns_and_what_warms_them_up_does_not_count():
+    asked = []
+    subjects = {
+        name: lambda k, name=name: asked.append((name, k)) for name in ("a", "b")
+    }
+    times = ticks.time_side_by_side(subjects, 3, 450)
+    turns = [
+        (name, len(list(run))) for name, run in groupby(asked, lambda pair: pair[0])
+    ]
+
+    assert turns == [("a", 3), ("b", 3), ("a", 200), ("b", 200), ("a", 200), ("b", 200)]
+    assert [k for name, k in asked if name == "a"] == list(range(403))
+    assert times["a"].shape == (2, 200)
+
+
+def test_processor_time_does_not_count_what_others_take():
+    subjects = {"sleeps": lambda k: sleep(1e-3)}
+    times = ticks.time_side_by_side(subjects, 0, 200, thread_time_ns)
+
+    assert np.median(times["sleeps"]) < 500.0

@@ -1,0 +1,61 @@
+"""The figures of the paper: drawn by the runs, and set on a page."""
+
+import re
+
+import pytest
+
+from benchmarks.cli import main
+from benchmarks.report import PUBLISHED, published_number, table_one, write_report
+from tests.benchmarks.benchmark_cases import make_results
+
+
+def test_a_drawing_has_the_number_of_its_figure():
+    assert published_number("force", "gel-70-constant") == "5"
+    assert published_number("ft", "gel-70-constant") == "8"
+    assert published_number("virtual", "gel-70-constant") == "11"
+    assert published_number("ft", "stack-constant") == ""
+    assert {item["number"] for item in PUBLISHED} >= {"2", "3", "10", "14", "I"}
+
+
+def gels():
+    rows = [
+        {"scenario": f"gel-{percent}-{speed}", "source": "ft", "plant": "clean"}
+        | {"metric": "cumulative_friction_online_Ns_per_m", "value": value}
+        for percent, values in {25: (80.0, 90.0), 70: (480.0, 500.0)}.items()
+        for speed, value in zip(("constant", "sinusoidal"), values, strict=True)
+    ]
+    return make_results(*rows)
+
+
+def test_table_one_has_published_numbers_beside_ours():
+    table = table_one(gels()).reset_index().set_index("scenario")
+
+    assert table.loc["25", "mean"] == 85.0
+    assert table.loc["70", "std"] == 14.0
+    assert table.loc["25", "published online"] == 84
+    assert table.loc["70", "published offline_spread"] == 56
+
+
+def test_the_page_shows_what_was_drawn(tmp_path):
+    (tmp_path / "figure-8-a.svg").write_text("")
+    write_report(tmp_path, gels())
+    page = (tmp_path / "index.html").read_text(encoding="utf-8")
+
+    assert re.findall(r"<h2>Figure (\w+)", page) == ["8", "10", "I"]
+    assert "figure-8-a.svg" in page
+
+
+@pytest.mark.slow
+def test_a_run_draws_its_figures(tmp_path):
+    options = ["--plant", "needle", "--workers", "1", "--report", str(tmp_path)]
+
+    assert main(["run", "gel-70-constant", *options]) == 0
+
+    drawn = sorted(path.name for path in tmp_path.glob("*.svg"))
+
+    assert drawn == [
+        "figure-10-gel-25-constant-gels-0-friction.svg",
+        "figure-2-gel-70-constant-needle-0-offline.svg",
+        "figure-8-gel-70-constant-needle-0-ft.svg",
+    ]
+    assert all(path.stat().st_size > 10_000 for path in tmp_path.glob("*.svg"))
