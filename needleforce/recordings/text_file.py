@@ -1,17 +1,18 @@
 """CSV and its kin, plain or compressed with gzip: a header and rows of numbers."""
 
+import codecs
 import csv
 import gzip
 import io
 import re
 import warnings
 from collections.abc import Iterable, Mapping, Sequence
+from contextlib import suppress
 from itertools import product
 from typing import NamedTuple
 
 import numpy as np
 import pandas as pd
-from pandas.errors import ParserWarning
 
 from needleforce.recordings.channels import Knowledge
 from needleforce.recordings.column_names import parse_column_name
@@ -72,24 +73,26 @@ def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> T
     Raises:
         FormatError: There is no table in it.
     """
-    text = _decode(data, name, max_bytes)
-    lines = _lines_of_table(text.splitlines())
-    tables = [each for mark in DELIMITERS for each in _tables_in(lines[:400], mark)]
+    data = _in_utf8(data, name, max_bytes)
+    head = data[: 1 << 20].decode("utf-8", "replace")
+    lines = _lines_of_table(re.split(r"\r\n|\r|\n", head))[:400]
+    texts = [line for _, line in lines]
+    tables = [each for mark in DELIMITERS for each in _tables_in(texts, mark)]
     if not tables:
         raise FormatError(
             f"{name}: no table; expected a line of names and below it rows of numbers "
-            f"with as many cells; it begins with {text[:60]!r}"
+            f"with as many cells; it begins with {head[:60]!r}"
         )
 
     start, _ = max(tables, key=lambda table: table[1])
-    names, units, notes = _names_and_units(lines, start, knowledge)
-    rows = [line for line in lines[start.first_row :] if _fits(line, start)]
-    frame = _parse_rows(rows, start.delimiter, names, notes)
-    if missing := len(lines) - start.first_row - len(frame):
-        notes.append(
-            f"rows without the header's {start.width} cells, left out: {missing}"
-        )
+    names, units, notes = _names_and_units(texts, start, knowledge)
+    first_row = lines[start.first_row][0]
+    few_rows = "".join(texts[start.first_row :][:50])
+    decimal = "," if start.delimiter != "," and re.search(r"\d,\d", few_rows) else "."
+    if decimal == ",":
+        notes.append("decimal commas read as points")
 
+    frame = _read_rows(data, name, start.delimiter, first_row, names, decimal, notes)
     columns, seconds, start_ns, texts = _read_columns(frame, notes)
     groups = find_joint_groups(columns, texts)
     for each, cell in texts.items():
@@ -106,7 +109,7 @@ def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> T
         values = np.stack([columns.pop(each) for each in members.values()], axis=1)
         columns[group] = values
 
-    own_start = re.search(rf"^#\s*{START_KEY}\s*=\s*(-?\d+)\s*$", text, re.M)
+    own_start = re.search(rf"^#\s*{START_KEY}\s*=\s*(-?\d+)\s*$", head, re.M)
     return Table(
         columns=columns,
         joint_names={group: tuple(members) for group, members in groups.items()},
@@ -117,36 +120,46 @@ def read_text(data: bytes, name: str, knowledge: Knowledge, max_bytes: int) -> T
     )
 
 
-def _parse_rows(
-    rows: Sequence[str], delimiter: str, names: Sequence[str], notes: list[str]
+def _read_rows(
+    data: bytes,
+    name: str,
+    delimiter: str,
+    first_row: int,
+    columns: Sequence[str],
+    decimal: str,
+    notes: list[str],
 ) -> pd.DataFrame:
-    """Return rows as columns of numbers or text; what was assumed is added to notes.
+    """Return rows of cells by column; those of too many cells are left out and noted.
 
     Raises:
         FormatError: A quotation does not end.
     """
-    is_decimal = delimiter != "," and re.search(r"\d,\d", "".join(rows[:50]))
-    if is_decimal:
-        notes.append("decimal commas read as points")
-
     try:
-        with warnings.catch_warnings(action="ignore", category=ParserWarning):
-            return pd.read_csv(
-                io.StringIO("\n".join(rows)),
+        with warnings.catch_warnings(record=True, action="always") as caught:
+            frame = pd.read_csv(
+                io.BytesIO(data),
                 sep=delimiter,
+                skiprows=first_row,
                 header=None,
-                names=list(names),
+                names=list(columns),
                 index_col=False,  # a delimiter may end each row
-                decimal="," if is_decimal else ".",
+                comment="#",
+                decimal=decimal,
                 skipinitialspace=True,
-                low_memory=False,
+                on_bad_lines="warn",
             )
     except pd.errors.ParserError as error:
-        raise FormatError(f"rows {names}: {error}") from error
+        raise FormatError(f"{name}: {error}") from error
+
+    faults = "".join(str(each.message) for each in caught)
+    if count := faults.count("Skipping line"):
+        notes.append(f"rows with more than {len(columns)} cells, left out: {count}")
+
+    return frame
 
 
-def _decode(data: bytes, name: str, max_bytes: int) -> str:
-    """Return the text in bytes: UTF-8, UTF-16, or Windows text.
+def _in_utf8(data: bytes, name: str, max_bytes: int) -> bytes:
+    """Return a text in UTF-8, UTF-16 or Windows' encoding, perhaps packed, in UTF-8.
 
     Raises:
         FormatError: It is damaged, or longer than allowed.
@@ -159,14 +172,13 @@ def _decode(data: bytes, name: str, max_bytes: int) -> str:
             raise FormatError(f"{name}: damaged gzip ({error})") from error
 
     require_size(len(data), max_bytes, f"{name}: its text")
-    is_wide = data.startswith((b"\xff\xfe", b"\xfe\xff"))
-    for encoding in ("utf-16",) if is_wide else ("utf-8-sig", "cp1252"):
-        try:
+    is_wide = data.startswith((codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE))
+    for encoding in ("utf-16",) if is_wide else ("utf-8", "cp1252"):
+        with suppress(UnicodeDecodeError):
             text = data.decode(encoding)
-        except UnicodeDecodeError:
-            continue
-        if "\0" not in text:
-            return text
+            if "\0" not in text:  # without a copy where there is no need
+                is_utf8 = encoding == "utf-8"
+                return data.removeprefix(codecs.BOM_UTF8) if is_utf8 else text.encode()
 
     raise FormatError(
         f"{name}: it is no text in UTF-8, UTF-16 or Windows' encoding",
@@ -174,16 +186,16 @@ def _decode(data: bytes, name: str, max_bytes: int) -> str:
     )
 
 
-def _lines_of_table(lines: Sequence[str]) -> list[str]:
-    """Return lines without blank ones and comments but for names.
+def _lines_of_table(lines: Sequence[str]) -> list[tuple[int, str]]:
+    """Return places and lines, without blank ones and comments but for names.
 
     `numpy.savetxt` writes names, and others units, as comments directly above the rows.
     """
-    filled = [line for line in lines if line.strip()]
-    kept = [line for line in filled if not line.startswith("#")]
-    if kept and _NUMBER.fullmatch(re.split(r"[,;\t ]", kept[0].strip())[0]):
-        above = filled[: filled.index(kept[0])]
-        return [*(line.lstrip("# ") for line in above[-2:]), *kept]
+    filled = [(place, line) for place, line in enumerate(lines) if line.strip()]
+    kept = [(place, line) for place, line in filled if not line.startswith("#")]
+    if kept and _NUMBER.fullmatch(re.split(r"[,;\t ]", kept[0][1].strip())[0]):
+        above = [(i, line.lstrip("# ")) for i, line in filled if i < kept[0][0]]
+        return [*above[-2:], *kept]
 
     return kept
 
@@ -200,17 +212,6 @@ def _cells(line: str, delimiter: str) -> list[str]:
         cells.pop()
 
     return cells
-
-
-def _fits(line: str, start: _Start) -> bool:
-    """Return whether a line has the cells of the header, and no text beside them."""
-    if line.count(start.delimiter) == start.width - 1:
-        return True
-    if start.delimiter == WHITE_SPACE:
-        return len(line.split()) == start.width
-
-    (row,) = csv.reader([line], delimiter=start.delimiter, skipinitialspace=True)
-    return len(row) >= start.width and not any(row[start.width :])
 
 
 def _tables_in(lines: Sequence[str], delimiter: str) -> list[tuple[_Start, int]]:
