@@ -98,7 +98,7 @@ def unit_of_column(
         raise UnitError(
             f"{channel.name}: column {name!r} is in {' and '.join(parts)}; expected "
             f"one of {', '.join(channel.units)}",
-            advise_unit(channel, [name], "UNIT:FACTOR"),
+            advise_unit(channel, [name]),
         )
     if spec.unit is not None:
         return spec.unit, "mapping"
@@ -106,11 +106,9 @@ def unit_of_column(
     return next(iter(stated.items()), (channel.si_unit, ASSUMED))
 
 
-def advise_unit(channel: Channel, columns: Sequence[str], unit: str) -> str:
+def advise_unit(channel: Channel, columns: Sequence[str]) -> str:
     """Return how to say in which unit the columns of a channel are."""
-    patterns = {re.sub(r"\d+(?!.*\d)", "*", name) for name in columns}
-    is_family = len(columns) > 1 and len(patterns) == 1
-    value = shlex.quote(f"{','.join(patterns if is_family else columns)}:{unit}")
+    value = shlex.quote(f"{','.join(columns)}:UNIT")
     return (
         f"Give {channel.name} its `unit` in the `mapping`, as {value} does; a `scale` "
         "may stand for a unit that is not known."

@@ -112,7 +112,6 @@ class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
             `Position (mm)` does; these count last.
         preferred: Names that come before the others where a file has several.
         at_most: The largest plausible value, in SI units; of time the median step.
-        usual_unit: The unit that an example in an advice has.
         name: How mappings and options call it, such as `q`.
     """
 
@@ -125,7 +124,6 @@ class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     words_with_unit: tuple[str, ...] = msgspec.field(name="with_unit", default=())
     preferred: tuple[str, ...] = msgspec.field(name="prefer", default=())
     at_most: float = inf
-    usual_unit: str = ""
     name: str = ""
 
     def __post_init__(self) -> None:

@@ -404,8 +404,11 @@ def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]
         f"{channel.at_most:.3g}"
     )
     if large_count > max_fraction * len(sizes):
-        advice = advise_unit(channel, unit.columns, channel.usual_unit)
-        raise UnitError(f"{text}. The file states no unit", advice)
+        listed = ", ".join(channel.units)
+        raise UnitError(
+            f"{text}. The file states no unit of {listed}",
+            advise_unit(channel, unit.columns),
+        )
 
     return [f"{text}; rows beyond it: {large_count}"]
 

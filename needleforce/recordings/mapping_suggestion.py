@@ -38,30 +38,26 @@ def suggest_mapping(
     table = columns_of(source, known)
     request = ChannelRequest(known, joints=tuple(joints)).with_layout(table)
     known = request.mapping
-    title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
-    lines = [comment_line(title), ""]
-    if known.rate_hz is not None:
-        lines += [f"rate_hz = {known.rate_hz}", ""]
-    if known.reference_topic is not None:
-        lines += [f"reference_topic = {json.dumps(known.reference_topic)}", ""]
-
     names_robot = any({*joints} <= {*each} for each in table.joint_names.values())
     order = known.joint_order or (joints if names_robot else ())
-    if order:
-        lines += [f"joints = {json.dumps(list(order))}", ""]
-
-    is_timed = known.rate_hz is None and "t_s" not in table.seconds
-    names = ["time", *channels] if is_timed else list(channels)
-    used: set[str] = set()
+    top = {
+        "rate_hz": known.rate_hz,
+        "reference_topic": known.reference_topic,
+        "joints": list(order),
+    }
+    title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
+    lines = [comment_line(title), ""]
+    lines += [f"{key} = {json.dumps(value)}" for key, value in top.items() if value]
     lines += [*payload, ""]
-    for name in names:
+    is_timed = known.rate_hz is not None or "t_s" in table.seconds
+    used: set[str] = set()
+    for name in channels if is_timed else ("time", *channels):
         lines += [*_channel_lines(table, request, request.channels[name], used), ""]
 
     lines.append("# Columns that are not used:")
     for name, values in table.columns.items():
-        span = f"[0] to [{values.shape[1] - 1}]" if values.ndim == 2 else ""
         if name not in used:
-            lines.append(comment_line(f"  {name}{span}"))
+            lines.append(comment_line(f"  {name} {list(values.shape[1:]) or ''}"))
 
     return "\n".join([*lines, ""])
 
@@ -79,45 +75,30 @@ def _channel_lines(
 ) -> list[str]:
     """Return a channel as a table of TOML, and add its columns to the used ones.
 
-    Where it is not known which columns it is, all stands in comments, with the reason.
+    Where it is not known which columns it is, or in which unit, the reason stands in a
+    comment.
     """
     spec = request.mapping.channels.get(channel.name)
+    head = f"[{channel.name}]  # {channel.meaning}"
     if spec is not None and spec.columns == LEFT_OUT:
-        return [f"[{channel.name}]", f"columns = {json.dumps(LEFT_OUT)}  # not read"]
+        return [head, f"columns = {json.dumps(LEFT_OUT)}"]
 
-    reason = f"not found; {channel.meaning}"
-    names: list[str] = []
     try:
         names = request.find(table, channel)
-    except ColumnError as error:
-        if spec is not None:
+        spec = spec or ColumnSpec(columns=tuple(names) or "unknown")
+        units = {unit_of_column(table, channel, name, spec)[0] for name in names}
+    except (ColumnError, UnitError) as error:
+        if request.mapping.channels.get(channel.name):
             raise
 
-        reason = str(error)
-
+        return [comment_line(f"{head}: {error}")]
     if not names:
-        return [
-            comment_line(reason),
-            f"# [{channel.name}]",
-            '# columns = ""',
-            f'# unit = "{channel.si_unit}"',
-        ]
+        return [comment_line(f"{head}: not found")]
 
     used |= set(names)
-    spec = spec or ColumnSpec(columns=tuple(names))
-    try:
-        units = {unit_of_column(table, channel, name, spec) for name in names}
-        unit, origin = next(iter(units))
-        note = f"{origin}; of {', '.join(channel.units)}"
-        unit_line = f"unit = {json.dumps(unit)}  # {note}"
-        if len(units) > 1:
-            unit_line = "# No unit for all: they are those of the names."
-    except UnitError as error:
-        unit_line = comment_line(str(error))
+    lines = [head, f"columns = {json.dumps(names[0] if len(names) == 1 else names)}"]
+    if len(units) == 1:  # else they are those of the names
+        listed = ", ".join(channel.units)
+        lines.append(f"unit = {json.dumps(units.pop())}  # of {listed}")
 
-    return [
-        f"[{channel.name}]  # {channel.meaning}",
-        f"columns = {json.dumps(names[0] if len(names) == 1 else names)}",
-        unit_line,
-        f"scale = {json.dumps(spec.scale)}  # -1.0 turns the sign",
-    ]
+    return [*lines, f"scale = {json.dumps(spec.scale)}  # -1.0 turns the sign"]

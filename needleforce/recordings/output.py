@@ -227,17 +227,20 @@ def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> No
     Raises:
         FileAccessError: One would.
     """
-    places = {option: path.resolve() for option, path in outputs.items()}
+    paths = dict(outputs)
     if source is not None and source.exists():
-        place = source.resolve()
-        is_in_bag = is_bag(source) and (place.parent / METADATA).exists()
-        places["the log"] = place.parent if is_in_bag else place
+        is_in_bag = is_bag(source) and (source.resolve().parent / METADATA).exists()
+        paths["the log"] = source.resolve().parent if is_in_bag else source
 
-    for (option, path), (other_option, other) in combinations(places.items(), 2):
-        is_same_file = path.exists() and other.exists() and path.samefile(other)
-        if is_same_file or path.is_relative_to(other) or other.is_relative_to(path):
+    for (option, path), (other_option, other) in combinations(paths.items(), 2):
+        with file_errors(path, "write"):
+            is_same_file = path.exists() and other.exists() and path.samefile(other)
+            place = path.resolve()
+            other_place = other.resolve()
+        is_inside = place.is_relative_to(other_place)
+        if is_same_file or is_inside or other_place.is_relative_to(place):
             raise FileAccessError(
-                f"cannot write {option} {path}: {other_option} is there or one lies "
+                f"cannot write {option} {path}: {other_option} is there, or one lies "
                 "inside the other",
                 OWN_PLACES,
             )
