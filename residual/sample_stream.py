@@ -3,6 +3,7 @@
 A stream has joint torques, or the robot's own estimate of the external torque.
 """
 
+import math
 from dataclasses import dataclass
 from typing import NamedTuple
 
@@ -10,12 +11,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array
+from foundation.arrays import Array, Vector, WrittenVector
+from foundation.jit import compiled
 from residual.checks.input import ROUNDING_S, check_rows, read_rows
 from residual.checks.outliers import FaultDetector, GuardState
 from residual.checks.stuck_signals import NoiseProbe, white_noise
 from residual.config import SensorConfig
-from residual.errors import SampleError
+from residual.errors import SampleError, named_joints
 from residual.momentum_observer import MomentumObserver, MomentumState
 from residual.tool_kinematics import ToolKinematics
 from residual.velocity_filter import VelocityEstimator, VelocityState
@@ -25,8 +27,36 @@ COARSE_RATIO = 2.0
 """Noise that positions of a joint count with at least, relative to the largest white
 noise of any joint: steps of an encoder last longer than a sample."""
 
+TURN_RAD = 2.0 * math.pi
+"""A full turn."""
+
 SETTLING_LAGS = 5.0
 """Lags of the observer after which the start of the residual has faded to 1 %."""
+
+
+@compiled
+def unwrap(q: WrittenVector, q_before: Vector, turns: Vector, is_angle: Vector) -> bool:
+    """Make angles on a circle continuous, in place.
+
+    Args:
+        q: Position as it came [rad], shape (n,).
+        q_before: Position of the sample before, unwrapped [rad], shape (n,).
+        turns: Turns that it was unwrapped by, shape (n,).
+        is_angle: 1 for a joint that turns, 0 for one that slides, shape (n,).
+
+    Returns:
+        Whether a joint has stepped by a turn since, give or take what an arm can move.
+    """
+    max_motion_rad = 1.0
+    has_stepped = False
+    for j in range(len(q)):
+        q[j] += TURN_RAD * turns[j]
+        step_rad = q[j] - q_before[j]
+        turned_rad = TURN_RAD * is_angle[j] * np.rint(step_rad / TURN_RAD)
+        if turned_rad != 0.0 and abs(step_rad - turned_rad) < max_motion_rad:
+            q[j] -= turned_rad
+            has_stepped = True
+    return has_stepped
 
 
 class TorqueSample(NamedTuple):
@@ -58,14 +88,22 @@ class StreamState:
         probe: Of the noise to smooth; None once it is known, and without smoothing.
         age_s: Time since the filters started.
         missed_s: Time that the observer has not seen yet.
+        q: Position of the last sample, unwrapped [rad], shape (n,).
+        turns: Turns that positions are unwrapped by, shape (n,).
+        started: Whether there was a sample.
+        unwrapped: Indices of joints whose position has stepped by a turn.
     """
 
     velocity: VelocityState | None
     guard: GuardState | None
     observer: MomentumState | None
     probe: NoiseProbe | None
+    q: Array
+    turns: Array
     age_s: float = 0.0
     missed_s: float = 0.0
+    started: bool = False
+    unwrapped: tuple[int, ...] = ()
 
 
 class SampleStream:
@@ -90,6 +128,8 @@ class SampleStream:
             reported with.
         lag_s: Time by which it follows the torque, where that is known here.
         memory: Its state.
+        news: What the last sample was corrected by for the first time, in words; mostly
+            empty.
     """
 
     def __init__(
@@ -122,7 +162,14 @@ class SampleStream:
             guard=None if self._guard is None else self._guard.memory,
             observer=None if self._observer is None else self._observer.memory,
             probe=NoiseProbe.of_size(robot.nv) if learns_noise else None,
+            q=np.zeros(robot.nv),
+            turns=np.zeros(robot.nv),
         )
+        kinds = [joint.shortname() for joint in list(robot.model.joints)[1:]]
+        self._is_angle = np.array(
+            [float(kind.startswith("JointModelR")) for kind in kinds]
+        )
+        self.news = ""
 
     def _make_velocity_filter(self, config: SensorConfig) -> VelocityEstimator:
         return VelocityEstimator(
@@ -162,12 +209,55 @@ class SampleStream:
                 saturated torque; nothing has then changed but what the fault detector
                 knows of it.
         """
+        memory = self.memory
         rows = self._read(q, dq, torque)
+        is_continued = memory.started and dt_s <= self._max_gap_s
+        has_stepped = is_continued and unwrap(
+            rows[0], memory.q, memory.turns, self._is_angle
+        )
+        replaced = self.replaced_velocities
+        if self._guard is not None and self.has_velocity:
+            self._guard.correct_velocity(rows, dt_s)
+        rows.setflags(write=False)
         self._judge(rows, dt_s)
         sample = self._estimate(rows, dt_s)
         if self._guard is not None:
             self._guard.accept(rows.ravel(), sample.dq, dt_s)
+        self.news = ""
+        if has_stepped:
+            self._count_turns(rows[0] - np.asarray(q))
+        elif not is_continued:
+            memory.turns = np.zeros(self._joints)
+        if self.replaced_velocities > replaced == 0:
+            self.news = "dq was no rate of q: replaced by it for a moment"
+        memory.q = rows[0]
+        memory.started = True
         return sample
+
+    def _count_turns(self, unwrapped_rad: Array) -> None:
+        """Remember by how much positions are unwrapped [rad], shape (n,)."""
+        memory = self.memory
+        turns = np.rint(unwrapped_rad / TURN_RAD)
+        joints = np.flatnonzero(turns != memory.turns).tolist()
+        memory.turns = turns
+        if new := sorted(set(joints) - set(memory.unwrapped)):
+            memory.unwrapped = tuple(sorted({*memory.unwrapped, *joints}))
+            self.news = f"q at {named_joints(new)} stepped by a turn: unwrapped"
+
+    @property
+    def replaced_velocities(self) -> int:
+        """Number of samples whose velocity was replaced by the rate of q."""
+        return 0 if self._guard is None else self._guard.memory.replaced
+
+    @property
+    def corrections(self) -> str:
+        """How samples were corrected so far, in words; empty if none was."""
+        texts: list[str] = []
+        if joints := self.memory.unwrapped:
+            texts.append(f"q at {named_joints(joints)} stepped by a turn: unwrapped")
+        if count := self.replaced_velocities:
+            texts.append(f"dq of {count} samples was no rate of q: replaced by it")
+        return "; ".join(texts)
 
     def _judge(self, rows: Array, dt_s: float) -> bool:
         """Refuse a sample, shape (2 or 3, n), that is no measurement.
@@ -201,9 +291,7 @@ class SampleStream:
         values = (q, torque) if dq is None else (q, dq, torque)
         rows = read_rows(self._names, values, self._joints)
         if self._adds_gravity:
-            rows = rows.copy()
             rows[-1] += pin.computeGeneralizedGravity(self._model, self._data, rows[0])
-            rows.setflags(write=False)
         return rows
 
     def _estimate(self, rows: Array, dt_s: float) -> TorqueSample:

@@ -345,6 +345,16 @@ class VirtualForceSensor:
         stale = "" if self._stream is None else self._stream.question
         return "; ".join(filter(None, (self._monitor.question, stale)))
 
+    @property
+    def replaced_velocities(self) -> int:
+        """Samples whose velocity was replaced by the rate of positions."""
+        return 0 if self._stream is None else self._stream.replaced_velocities
+
+    @property
+    def corrections(self) -> str:
+        """How samples were corrected before they were used, in words; mostly empty."""
+        return "" if self._stream is None else self._stream.corrections
+
     def _renew_gain(self) -> None:
         """Compute the gain with the residual's covariance where the arm is."""
         self._set_covariance(self._monitor.widen(self._offset.covariance_Nm2()))
@@ -564,7 +574,7 @@ class VirtualForceSensor:
         self._is_smoothing = True
         assessment = self._monitor.assessment
         is_good = is_settled and bias.tared and not bias.leapt_s
-        if not is_good or stream.seems_stale:
+        if not is_good or stream.seems_stale or stream.news:
             assessment = self._assess(stream, is_settled=is_settled)
         estimate = wrench.solve(
             residual, self._wrench_filter, smoothing_lag, observer_lag, assessment
@@ -616,7 +626,7 @@ class VirtualForceSensor:
             status = Status.OK
             stale = stream.warning or stream.question
             texts = (stale, offset.warning, monitor.message)
-        message = "; ".join(filter(None, texts))
+        message = "; ".join(filter(None, (*texts, stream.news)))
         return Assessment(status, message, monitor.mismatch, warnings)
 
     @property

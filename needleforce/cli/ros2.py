@@ -45,8 +45,10 @@ def ros2_command(
     """
     from needleforce.cli.plan_option import load_plan
     from needleforce.cli.robot import robot_from_options, robot_from_text
-    from needleforce.cli.terminal import say
-    from needleforce.ros2.lifecycle import run_node
+    from needleforce.ros2 import require_ros
+
+    require_ros()
+    from needleforce.ros2.node import run_node
 
     loaded = load_plan(plan)
 
@@ -59,7 +61,6 @@ def ros2_command(
     run_node(
         ros_arguments,
         make_robot,
-        say,
         (lambda session: None) if loaded is None else loaded.follow_with,
     )
     return 0

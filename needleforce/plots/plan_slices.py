@@ -10,6 +10,7 @@ from scipy import ndimage
 
 from foundation.arrays import Array
 from needleforce.anatomy import Labels, Layer, Structure, Volume
+from needleforce.plots.needle_view import NeedleView, patient_side
 
 PIXEL_m = 7e-4
 """Size of a pixel."""
@@ -70,20 +71,6 @@ class Plane(NamedTuple):
         return (columns_mm[0], columns_mm[-1], rows_mm[-1], rows_mm[0])
 
 
-def _find_frame(path: DrawnPath) -> tuple[Array, Array, Array]:
-    """Return the directions of a path: along it, to the side, and up.
-
-    Up is to the head, as far as it can be; to the back where the path nearly runs to
-    the head.
-    """
-    axis = (path.target_m - path.entry_m) / path.length_m
-    head = np.array([0.0, 0.0, 1.0])
-    towards = np.array([0.0, 1.0, 0.0]) if abs(axis @ head) > 0.9 else head
-    up = towards - (towards @ axis) * axis
-    up /= np.linalg.norm(up)
-    return axis, np.cross(axis, up), up
-
-
 def draw_along(
     scan: Volume,
     labels: Labels,
@@ -105,14 +92,13 @@ def draw_along(
     """
     import matplotlib.pyplot as plt
 
-    axis, side, up = _find_frame(path)
+    axis, side, up = NeedleView.along((path.target_m - path.entry_m) / path.length_m)
     before_m = 0.025  # shown in front of the skin
     along_m = np.arange(-before_m, path.length_m + 0.05, PIXEL_m)
     across_m = np.arange(-0.08, 0.08, PIXEL_m)
     figure, panels = plt.subplots(1, 2, figsize=(6.4, 3.9), layout="constrained")
     structures: dict[str, Structure] = {}
-    directions = {"towards side": side, "towards head": up}
-    for axes, (name, direction) in zip(panels, directions.items(), strict=True):
+    for axes, direction in zip(panels, (side, up), strict=True):
         plane = _cut(scan, labels, path.entry_m, axis, direction, along_m, across_m)
         structures |= _draw_plane(axes, labels, plane)
         length_mm = M_TO_MM * path.length_m
@@ -126,7 +112,8 @@ def draw_along(
             )
         if tip_m is not None:
             axes.plot(0.0, M_TO_MM * tip_m, "x", color=RUPTURE_COLOUR, ms=10, mew=2)
-        axes.set(xlabel=f"{name} [mm]", ylabel="depth below the entry [mm]")
+        _name_sides(axes, direction)
+        axes.set(xlabel="beside the path [mm]", ylabel="depth below the entry [mm]")
     _add_legend(figure, structures)
     figure.savefig(place, dpi=200)
     plt.close(figure)
@@ -148,7 +135,7 @@ def draw_probe_view(
     import matplotlib.pyplot as plt
     from matplotlib.patches import Circle
 
-    axis, side, up = _find_frame(path)
+    axis, side, up = NeedleView.along((path.target_m - path.entry_m) / path.length_m)
     half_m = 0.045  # half the edge of a slice
     span_m = np.arange(-half_m, half_m, PIXEL_m)
     figure, panels = plt.subplots(2, 3, figsize=(6.4, 5.4), layout="constrained")
@@ -163,15 +150,41 @@ def draw_probe_view(
             Circle((0.0, 0.0), M_TO_MM * needed_m, fill=False, color=PATH_COLOUR)
         )
         axes.plot(0.0, 0.0, "+", color=PATH_COLOUR)
-        axes.set(
-            title=f"{M_TO_MM * depth_m:.0f} mm", xlabel="side [mm]", ylabel="head [mm]"
-        )
+        _name_sides(axes, side)
+        axes.set(title=f"{M_TO_MM * depth_m:.0f} mm", xlabel="[mm]", ylabel="[mm]")
+        for side_name, height in ((patient_side(up), 0.97), (patient_side(-up), 0.03)):
+            _write_side(axes, side_name, 0.5, height)
         axes.set_ylim(M_TO_MM * half_m, -M_TO_MM * half_m)
         axes.yaxis.set_major_formatter(lambda value, _: f"{0.0 - value:.0f}")
     _add_legend(figure, structures)
     figure.savefig(place, dpi=200)
     plt.close(figure)
     return place
+
+
+def _name_sides(axes: Any, direction: Array) -> None:
+    """Write the patient's sides at the left and the right edge of a picture.
+
+    Args:
+        axes: The picture.
+        direction: To the right of the picture, in LPS, shape (3,).
+    """
+    _write_side(axes, patient_side(-direction), 0.04, 0.5)
+    _write_side(axes, patient_side(direction), 0.96, 0.5)
+
+
+def _write_side(axes: Any, side: str, x: float, y: float) -> None:
+    """Write the letter of a side at fractions of a picture's width and height."""
+    axes.text(
+        x,
+        y,
+        side,
+        transform=axes.transAxes,
+        color=PATH_COLOUR,
+        fontweight="bold",
+        ha="center",
+        va="center",
+    )
 
 
 def _cut(

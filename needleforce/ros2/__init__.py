@@ -1,16 +1,15 @@
 """A ROS 2 node beside an arm, and an arm that is heard through ROS 2.
 
-rclpy and the messages are those of the user's ROS; they are imported when a node is
-made. All that needs no ROS stands in files of its own and is tested without.
+rclpy and the messages are those of the user's ROS; files that import them say so at
+their top, and only commands of ROS import these files.
 
-Reading order: `errors`, `parameters` (what a user sets), `joint_samples` (messages to
-samples), `message_loss`, `named_report`, `reports` (estimates to named values),
-`ros_modules` (the only import of ROS), `messages`, `warming`, `node`; `arm` for the
-other commands.
+Reading order: `joint_samples` (messages to samples), `reports` (estimates to named
+values), `parameters`, `node`; `arm` and `velocity_controller` for the other commands.
 """
 
 from needleforce.ros2.errors import (
     MissingRosError as MissingRosError,
     Ros2Error as Ros2Error,
     Ros2ParameterError as Ros2ParameterError,
+    require_ros as require_ros,
 )

@@ -1,21 +1,25 @@
 """An arm whose driver publishes joint states; ros2_control can drive it, too."""
 
+# pyright: reportMissingImports=false
+
 import math
 from collections import deque
 from collections.abc import Iterator
+from copy import copy
 from time import monotonic
 from typing import Any
 
 import numpy as np
+import rclpy
 from numpy.typing import ArrayLike
+from rclpy.executors import SingleThreadedExecutor
+from rclpy.qos import qos_profile_sensor_data
+from sensor_msgs.msg import JointState
 
 from needleforce.devices import ArmReading, DeviceSettingError, LinkError
 from needleforce.devices.arm_limits import ArmLimits, limits_with_our_rates
 from needleforce.devices.guard import GuardedArm
 from needleforce.ros2.joint_samples import JointReader
-from needleforce.ros2.message_loss import LossCounter, identify_sender
-from needleforce.ros2.messages import read_joint_state
-from needleforce.ros2.ros_modules import import_ros
 from needleforce.ros2.velocity_controller import (
     CONTROLLER,
     CYCLE_S,
@@ -33,7 +37,7 @@ MAX_BLIND_S = 0.1
 """No velocity is taken for an arm that was not heard for so long."""
 
 MAX_SILENCE_S = 2.0
-"""Silence after which an arm that has sent is taken for gone."""
+"""Silence after which an arm that has sent is lost [s]."""
 
 
 class Ros2Arm(GuardedArm):
@@ -56,7 +60,6 @@ class Ros2Arm(GuardedArm):
         robot: The model of the arm.
 
     Raises:
-        MissingRosError: This Python cannot import ROS 2.
         LinkError: The controller does not answer.
         DeviceSettingError: It is of other joints, or not of velocities; no model.
     """
@@ -86,47 +89,38 @@ class Ros2Arm(GuardedArm):
         )
         # Joint states may come at 100 Hz: a velocity holds for five of those.
         self._guard = self._make_guard(CYCLE_S, hold_cycles=round(0.05 / CYCLE_S))
-        ros = import_ros()
         self._topic = topic
         self._reader = JointReader(joint_names)
-        self._loss = LossCounter()
-        self._lost_before = 0
         self._readings: deque[ArmReading] = deque()
-        self._context = ros.rclpy.Context()
+        self._context = rclpy.Context()
         # Signals are the command's, which ends the arm.
         self._context.init(args=[])
-        node = ros.rclpy.create_node("needleforce_arm", context=self._context)
-        # Joint states that wait: a second at 1 kHz.
-        queue_depth = 1000
-        quality = ros.qos.QoSProfile(
-            depth=queue_depth, reliability=ros.qos.ReliabilityPolicy.BEST_EFFORT
-        )
-        node.create_subscription(ros.sensor.JointState, topic, self._take, quality)
-        self._executor = ros.executors.SingleThreadedExecutor(context=self._context)
+        node = rclpy.create_node("needleforce_arm", context=self._context)
+        quality = copy(qos_profile_sensor_data)
+        quality.depth = 1000  # joint states that wait: a second at 1 kHz
+        node.create_subscription(JointState, topic, self._take, quality)
+        self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(node)
         self._heard_s = -math.inf
         self._controller: VelocityController | None = None
-        if takes_commands and robot is not None:
+        if takes_commands:
             try:
                 self._controller = VelocityController(
-                    ros, node, self._executor, controller, joint_names, self._guard
+                    node, self._executor, controller, joint_names, self._guard
                 )
             except Exception:
                 self.close()
                 raise
 
-    def _take(self, message: Any, info: Any) -> None:
+    def _take(self, message: Any) -> None:
         """Keep the reading of a joint state."""
-        self._loss.count(*identify_sender(info))
-        sample = self._reader.read(read_joint_state(message))
+        sample = self._reader.read(message)
         counts = self._reader.counts
-        self.report.malformed = counts.malformed + counts.without_effort
-        self.report.stale = counts.stale
+        self.report.malformed = counts["malformed"] + counts["without_effort"]
+        self.report.stale = counts["stale"]
         if sample is None or sample.dt_s < 0.0:
             return
-        missed = self._loss.lost - self._lost_before
-        self._lost_before = self._loss.lost
-        self.report.count_used(missed + 1, sample.dt_s)
+        self.report.count_used(1, sample.dt_s)
         self._heard_s = monotonic()
         if self._controller is not None:
             self._controller.place_rad = sample.q_rad
@@ -137,17 +131,17 @@ class Ros2Arm(GuardedArm):
                 dq_rad_s=sample.dq_rad_s,
                 tau_Nm=sample.effort_Nm,
                 external_Nm=None,
-                missed=missed,
+                missed=0,  # a topic has no cycles that could be counted
                 accepts_commands=self._accepts_commands,
                 is_real=self._controller is not None,
             )
         )
 
     def __iter__(self) -> Iterator[ArmReading]:
-        """Yield readings as they come, until the arm stays away.
+        """Yield readings as they come.
 
         Raises:
-            LinkError: None came within `MAX_START_S`.
+            LinkError: None came within `MAX_START_S`, or for `MAX_SILENCE_S`.
         """
         heard_s = monotonic()
         while self._is_open:
@@ -161,9 +155,12 @@ class Ros2Arm(GuardedArm):
                 raise LinkError(
                     f"{self._topic}: {self._reader.problem} within {MAX_START_S:g} s"
                 )
+            if self.report.used:
+                # What is still going on counts, too.
+                self.report.longest_gap_s = max(self.report.longest_gap_s, silent_s)
             if self.report.used and silent_s > MAX_SILENCE_S:
                 self.report.outages += 1
-                return
+                raise LinkError(f"{self._topic}: silent {silent_s:.1f} s")
 
     def _find_refusal(self) -> str:
         if self._controller is None:

@@ -1,5 +1,8 @@
 """The errors of this package."""
 
+import sys
+from importlib import import_module
+
 from foundation.errors import NeedleforceError
 
 
@@ -27,3 +30,23 @@ class MissingDescriptionError(Ros2Error, TimeoutError):
         "Start robot_state_publisher, remap robot_description to its topic, or "
         "describe the arm with --urdf FILE or --robot NAME."
     )
+
+
+def require_ros(*modules: str) -> None:
+    """Find out whether this Python can import ROS 2.
+
+    Args:
+        modules: Names of modules; none for those that the node and the arm need.
+
+    Raises:
+        MissingRosError: It cannot.
+    """
+    usual = ("rclpy", "sensor_msgs.msg", "geometry_msgs.msg", "diagnostic_msgs.msg")
+    for name in modules or (*usual, "std_srvs.srv"):
+        try:
+            import_module(name)
+        except ImportError as error:
+            version = ".".join(map(str, sys.version_info[:2]))
+            raise MissingRosError(
+                f"Python {version} cannot import {name} of ROS 2 ({error})"
+            ) from error

@@ -1,295 +1,388 @@
 """The node: joint states in; wrench, tip force, layers, events and diagnostics out."""
 
+# pyright: reportMissingImports=false
+
 import time
 from collections.abc import Callable, Sequence
-from functools import partial
+from importlib import import_module
 from typing import Any
 
 import numpy as np
+import pinocchio as pin
+import rclpy
+from diagnostic_msgs.msg import DiagnosticArray, DiagnosticStatus, KeyValue
+from geometry_msgs.msg import TransformStamped, WrenchStamped
+from rclpy.callback_groups import ReentrantCallbackGroup
+from rclpy.executors import ExternalShutdownException, SingleThreadedExecutor
+from rclpy.lifecycle import LifecycleNode, TransitionCallbackReturn
+from rclpy.qos import DurabilityPolicy, QoSProfile, ReliabilityPolicy
+from rclpy.task import Future
+from rclpy.wait_for_message import wait_for_message
+from sensor_msgs.msg import JointState
+from std_msgs.msg import Float64, String
+from std_srvs.srv import Trigger
 
+from foundation.arrays import Array
+from foundation.errors import NeedleforceError
 from needleforce.insertion_events import session_events
-from needleforce.ros2.errors import Ros2ParameterError
-from needleforce.ros2.joint_samples import (
-    JointReader,
-    JointSample,
-    TorquePairing,
+from needleforce.ros2.errors import (
+    MissingDescriptionError,
+    Ros2ParameterError,
+    require_ros,
 )
-from needleforce.ros2.message_loss import (
-    DelayMeter,
-    LossCounter,
-    identify_sender,
-)
-from needleforce.ros2.messages import (
-    fill_stamp,
-    fill_vector,
-    read_joint_state,
-    read_lbr_state,
-    report_array,
-)
-from needleforce.ros2.named_report import OK, WARNING, NamedReport, format_value
-from needleforce.ros2.parameters import (
-    PARAMETERS,
-    NodeParameter,
-    NodeSettings,
-    settings_from_values,
-)
+from needleforce.ros2.joint_samples import NS_PER_S, JointReader, JointSample
+from needleforce.ros2.parameters import declare_parameters
 from needleforce.ros2.reports import (
+    ERROR,
     EVENT_NUMBERS,
-    NodeHealth,
+    OK,
+    WARNING,
+    NamedReport,
+    format_value,
     layer_reports,
     plan_reports,
 )
-from needleforce.ros2.ros_modules import RosModules, import_lbr_state
-from needleforce.ros2.tip_frame import place_tip, tip_transforms
-from needleforce.ros2.warming import warm_up
+from needleforce.ros2.tip_frame import place_tip
 from needleforce.session import InsertionSession, SessionEstimate
 from needleforce.tare_run import TareRun
 from residual import SensorConfig, Status
 from urdf import Robot
 
-MAX_TAKEN = 50
-"""Joint states that are taken before services and timers have their turn."""
-
-LBR_JOINTS = 7
-
 REPORT_PERIOD_S = 1.0
 """Time between two messages of diagnostics and layers [s]."""
 
-ROS_OWN_PREFIXES = ("qos_overrides.",)
-ROS_OWN_PARAMETERS = ("use_sim_time", "start_type_description_service")
-"""Parameters that every node has."""
+SILENCE_STEP_S = 0.01
+"""Time between two looks at whether joint states still come [s]."""
+
+NOT_TARED = "not tared: move in free air, then call ~/tare"
+
+MakeRobot = Callable[[Callable[[], str]], Robot]
+"""Makes the arm; called with what waits for its description, and returns that."""
+
+Prepare = Callable[[InsertionSession], None]
 
 
-class NeedleNode:
+def _kept(depth: int) -> QoSProfile:
+    """Return the quality of a topic whose last messages late subscribers get."""
+    return QoSProfile(depth=depth, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+
+
+class NeedleNode(LifecycleNode):
     """A session fed by joint states.
 
     Every valid sample is answered by a wrench with its stamp, in the tool frame, at the
     needle's tip; while it is tared and usable, also by the force at the tip.
 
     Args:
-        ros: The modules of ROS 2.
-        node: The node that has the topics, services and timer.
-        robot: The arm.
-        settings: Values of the node's parameters.
+        make_robot: Makes the arm.
         prepare: Called with the session once: lets it follow a plan.
 
     Attributes:
-        is_stopped: Whether the service `~/stop` was called.
-        is_active: Whether joint states are used; else they are passed by.
-        loss: Counts of messages on their way.
+        failure: Why it could not be configured; None if it could.
+        is_stopped: Whether it was shut down as a lifecycle node.
+
+    Raises:
+        Ros2ParameterError: A parameter is unknown or cannot be.
     """
 
-    def __init__(
-        self,
-        ros: RosModules,
-        node: Any,
-        robot: Robot,
-        settings: NodeSettings,
-        prepare: Callable[[InsertionSession], None] = lambda session: None,
-    ) -> None:
-        config = SensorConfig(
-            gain_per_s=settings.gain_per_s,
-            axes="tool",
-            torque_is_gravity_compensated=settings.gravity_compensated,
+    def __init__(self, make_robot: MakeRobot, prepare: Prepare) -> None:
+        super().__init__(
+            "needleforce", automatically_declare_parameters_from_overrides=True
         )
-        lbr_topic = settings.lbr_state_topic
-        if lbr_topic and robot.nv != LBR_JOINTS:
+        declare_parameters(self)
+        self._make_robot = make_robot
+        self._prepare = prepare
+        self.failure: NeedleforceError | None = None
+        self.is_stopped = False
+        self._is_active = False
+        self._reader = JointReader(())
+
+    def value(self, name: str) -> Any:
+        """Return the value of a parameter."""
+        return self.get_parameter(name).value
+
+    # Transitions of its lifecycle
+
+    def on_configure(self, state: Any) -> Any:
+        """Find out what the arm is; make topics, services and the session."""
+        self._own = self._list_entities()
+        try:
+            robot = self._make_robot(self._wait_for_description)
+            self._open(robot)
+        except NeedleforceError as error:
+            self.failure = error
+            self.get_logger().error(str(error))
+            return TransitionCallbackReturn.FAILURE
+        self.failure = None
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_activate(self, state: Any) -> Any:
+        """Use joint states from now on."""
+        self._is_active = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_deactivate(self, state: Any) -> Any:
+        """Pass joint states by from now on."""
+        self._is_active = False
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_cleanup(self, state: Any) -> Any:
+        """Take topics and services back; the next configuration forgets the session."""
+        for kind, entity in self._list_entities():
+            if (kind, entity) not in self._own:
+                getattr(self, f"destroy_{kind}")(entity)
+        return TransitionCallbackReturn.SUCCESS
+
+    def on_shutdown(self, state: Any) -> Any:
+        """End the node; the arm is not commanded."""
+        self.is_stopped = True
+        return TransitionCallbackReturn.SUCCESS
+
+    def _list_entities(self) -> list[tuple[str, Any]]:
+        """Return what the node has now, each with its kind."""
+        kinds = ("publisher", "subscription", "service", "timer")
+        return [(kind, one) for kind in kinds for one in getattr(self, f"{kind}s")]
+
+    def _wait_for_description(self) -> str:
+        """Return the URDF that is published on `robot_description`, once it is.
+
+        Who starts by itself waits for ever; a manager gets an answer.
+
+        Raises:
+            MissingDescriptionError: A manager waits, and none came within 10 s.
+        """
+        topic = self.resolve_topic_name("robot_description")
+        wait_s = 5.0 if self.value("autostart") else 10.0
+        while rclpy.ok():
+            has_come, message = wait_for_message(
+                String, self, topic, qos_profile=_kept(1), time_to_wait=wait_s
+            )
+            if has_come and message.data:
+                return message.data
+            if not self.value("autostart"):
+                break
+            self.get_logger().warning(
+                f"waiting for {topic}, as robot_state_publisher publishes it; "
+                "--urdf FILE and --robot NAME describe the arm without it"
+            )
+        raise MissingDescriptionError(f"{topic}: no description came in {wait_s:g} s")
+
+    # What it has while it is configured
+
+    def _open(self, robot: Robot) -> None:
+        """Make session, topics and services of an arm."""
+        lbr_topic = self.value("lbr_state_topic")
+        lbr_joints = 7
+        if lbr_topic and robot.nv != lbr_joints:
             raise Ros2ParameterError(
-                f"lbr_state_topic is {lbr_topic}, of an arm with {LBR_JOINTS} joints, "
+                f"lbr_state_topic is {lbr_topic}, of an arm with {lbr_joints} joints, "
                 f"and the robot's description has {robot.nv}; expected the "
                 "description of the LBR, with other joints locked (--lock-others)"
             )
-        warm_up(robot, config)
-        self.is_stopped = False
-        self.is_active = True
-        self.loss = LossCounter()
-        self._ros = ros
-        self._node = node
-        self._logger = node.get_logger()
-        self._settings = settings
-        self._hardware = robot.model.name
-        self._session = InsertionSession(robot, config)
-        prepare(self._session)
+        config = SensorConfig(
+            gain_per_s=self.value("gain_per_s"),
+            axes="tool",
+            torque_is_gravity_compensated=self.value("gravity_compensated"),
+        )
         self._axis = np.array(config.insertion_axis)
-        self._needs_pairing = bool(settings.external_torque_topic)
-        self._is_external = self._needs_pairing or bool(lbr_topic)
-        self._read_message = read_joint_state
-        if lbr_topic:
-            self._read_message = partial(read_lbr_state, joints=robot.joint_names)
+        self._message = WrenchStamped()  # one for all: to make one takes as long as
+        # to publish it
+        self._session = InsertionSession(robot, config)
+        self._prepare(self._session)
+        self._update = self._session.update
+        if lbr_topic or self.value("external_torque_topic"):
+            self._update = self._session.update_external_torque
         self._reader = JointReader(
             robot.joint_names,
-            "" if lbr_topic else settings.joint_pattern,
-            needs_effort=not self._needs_pairing,
+            "" if lbr_topic else self.value("joint_pattern"),
+            needs_effort=not self.value("external_torque_topic"),
         )
-        self._pairing = TorquePairing(robot.joint_names, self._reader.counts)
+        self._hardware = robot.model.name
+        self._frame = self.value("frame_id") or robot.tool_frame
         self._tare = TareRun()
         self._tare_end: Any = None
-        self._delay = DelayMeter()
         self._estimate: SessionEstimate | None = None
         self._stamp_ns = 0
+        self._delay_max_ns = 0
         self._heard_s = time.monotonic()
-        self._lost_before = 0
-        self._frame = settings.frame_id or robot.tool_frame
+        self._is_silent = False
         self._advertise()
-        if settings.broadcast_tip:
+        if self.value("broadcast_tip"):
             self._broadcast_tip(robot)
-        self._subscribe()
+        self._subscribe(robot, lbr_topic)
 
     def _advertise(self) -> None:
-        """Make the outputs and the services."""
-        ros = self._ros
-        node = self._node
-        # Messages of an output that wait for a slow subscriber: a second at 1 kHz.
+        """Make the outputs, the services and the timers."""
+        # Messages that wait for a slow subscriber: a second at 1 kHz.
         output_depth = 1000
-        reliable = ros.qos.QoSProfile(depth=output_depth)
         # Events that a subscriber gets who comes later.
-        event_depth = 100
-        kept = ros.qos.QoSProfile(
-            depth=event_depth, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
-        )
-        latest = ros.qos.QoSProfile(
-            depth=1, durability=ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
-        )
-        wrench_type = ros.geometry.WrenchStamped
-        array_type = ros.diagnostic.DiagnosticArray
-        self._wrench = node.create_publisher(wrench_type, "~/wrench", reliable)
-        self._tip = node.create_publisher(wrench_type, "~/tip_force", reliable)
-        self._events = node.create_publisher(array_type, "~/events", kept)
-        self._layers = node.create_publisher(array_type, "~/layers", latest)
-        self._diagnostics = node.create_publisher(array_type, "/diagnostics", 10)
-        number_type = ros.standard.Float64
-        self._depth = node.create_publisher(number_type, "~/depth_m", reliable)
+        events = _kept(100)
+        publisher = self.create_publisher
+        self._wrench = publisher(WrenchStamped, "~/wrench", output_depth)
+        self._tip = publisher(WrenchStamped, "~/tip_force", output_depth)
+        self._depth = publisher(Float64, "~/depth_m", output_depth)
+        self._events = publisher(DiagnosticArray, "~/events", events)
+        self._layers = publisher(DiagnosticArray, "~/layers", _kept(1))
+        self._diagnostics = publisher(DiagnosticArray, "/diagnostics", 10)
         self._numbers = {
-            (kind, name): node.create_publisher(number_type, f"~/{kind}/{name}", kept)
+            (kind, name): publisher(Float64, f"~/{kind}/{name}", events)
             for kind, names in EVENT_NUMBERS.items()
             for name in names
         }
-        self._wrench_message = wrench_type()
-        self._wrench_message.header.frame_id = self._frame
-        self._tip_message = wrench_type()
-        self._tip_message.header.frame_id = self._frame
-        trigger = ros.services.Trigger
         # In a group of its own: samples must be processed while it waits for its end.
-        own_group = ros.callback_groups.ReentrantCallbackGroup()
-        node.create_service(
-            trigger, "~/tare", self._serve_tare, callback_group=own_group
+        own_group = ReentrantCallbackGroup()
+        self.create_service(
+            Trigger, "~/tare", self._serve_tare, callback_group=own_group
         )
-        node.create_service(trigger, "~/begin_insertion", self._serve_begin)
-        node.create_service(trigger, "~/stop", self._serve_stop)
-        node.create_timer(REPORT_PERIOD_S, self._publish_reports)
-        node.add_on_set_parameters_callback(self._check_changes)
+        self.create_service(Trigger, "~/begin_insertion", self._serve_begin)
+        self.create_timer(REPORT_PERIOD_S, self._publish_reports)
+        self.create_timer(SILENCE_STEP_S, self._watch_silence)
 
     def _broadcast_tip(self, robot: Robot) -> None:
         """Publish where the tip is, unless the arm's description has it as a link."""
         tip = place_tip(robot, self._frame)
         if tip is None:
             return
-        if self._ros.transforms is None:
-            self._logger.warning(
+        try:
+            transforms = import_module("tf2_msgs.msg").TFMessage
+        except ImportError:
+            self.get_logger().warning(
                 f"the frame {self._frame} is not broadcast: tf2_msgs is not installed"
             )
             return
-        latest = self._ros.qos.QoSProfile(
-            depth=1, durability=self._ros.qos.DurabilityPolicy.TRANSIENT_LOCAL
-        )
-        publisher = self._node.create_publisher(
-            self._ros.transforms.TFMessage, "/tf_static", latest
-        )
-        publisher.publish(tip_transforms(self._ros, tip, self._frame, self._now_ns()))
+        message = TransformStamped(child_frame_id=self._frame)
+        message.header.stamp = self.get_clock().now().to_msg()
+        message.header.frame_id = tip.parent
+        _fill_vector(message.transform.translation, tip.placement.translation)
+        rotation = pin.Quaternion(tip.placement.rotation)
+        _fill_vector(message.transform.rotation, rotation.vec())
+        message.transform.rotation.w = float(rotation.w)
+        publisher = self.create_publisher(transforms, "/tf_static", _kept(1))
+        publisher.publish(transforms(transforms=[message]))
 
-    def _subscribe(self) -> None:
-        """Subscribe to joint states, and to external torques if they are used."""
-        ros = self._ros
-        policy = ros.qos.ReliabilityPolicy
-        quality = ros.qos.QoSProfile(
-            depth=self._settings.queue_depth,
-            reliability=policy.BEST_EFFORT
-            if self._settings.reliability == "best_effort"
-            else policy.RELIABLE,
+    def _subscribe(self, robot: Robot, lbr_topic: str) -> None:
+        """Subscribe to joint states, with external torques if they are used."""
+        quality = QoSProfile(
+            depth=self.value("queue_depth"),
+            reliability=ReliabilityPolicy[self.value("reliability").upper()],
         )
-        state_type = ros.sensor.JointState
-        lbr_topic = self._settings.lbr_state_topic
-        self._subscription = self._node.create_subscription(
-            import_lbr_state() if lbr_topic else state_type,
-            lbr_topic or "joint_states",
-            self._take_joint_states,
-            quality,
-        )
-        if self._needs_pairing:
-            self._node.create_subscription(
-                state_type,
-                self._settings.external_torque_topic,
-                self._take_torque,
-                quality,
+        torque_topic = self.value("external_torque_topic")
+        if torque_topic:
+            require_ros("message_filters")
+            filters = import_module("message_filters")
+            self._torques = JointReader(robot.joint_names)
+            states = filters.Subscriber(
+                self, JointState, "joint_states", qos_profile=quality
+            )
+            torques = filters.Subscriber(
+                self, JointState, torque_topic, qos_profile=quality
+            )
+            pending = 200  # states that wait for a torque of their stamp
+            pairs = filters.TimeSynchronizer([states, torques], pending)
+            pairs.registerCallback(self._take_with_torque)
+        elif lbr_topic:
+            require_ros("lbr_fri_idl.msg")
+            kind = import_module("lbr_fri_idl.msg").LBRState
+            self._joint_names = list(robot.joint_names)
+            self.create_subscription(kind, lbr_topic, self._take_lbr_state, quality)
+        else:
+            self._subscription = self.create_subscription(
+                JointState, "joint_states", self._take_joint_states, quality
             )
 
-    def _take_joint_states(self, message: Any, info: Any) -> None:
+    # Samples
+
+    def _take_joint_states(self, message: Any) -> None:
         """Process a joint state, and those that wait behind it.
 
         What the executor does between two callbacks takes as long as an update.
         """
-        self._take_joint_state(message, info)
-        subscription = self._subscription
-        for _ in range(MAX_TAKEN):
-            with subscription.handle:
-                taken = subscription.handle.take_message(subscription.msg_type, False)
+        self._take_joint_state(message)
+        max_taken = 50  # before services and timers have their turn
+        for _ in range(max_taken):
+            with self._subscription.handle as handle:
+                taken = handle.take_message(JointState, False)
             if taken is None:
                 return
-            self._take_joint_state(*taken)
+            self._take_joint_state(taken[0])
 
-    def _take_joint_state(self, message: Any, info: Any) -> None:
-        """Process a joint state, and publish what it gives."""
-        self._heard_s = time.monotonic()
-        self.loss.count(*identify_sender(info))
-        sample = self._reader.read(self._read_message(message))
-        if sample is not None and self._needs_pairing:
-            sample = self._pairing.add_sample(sample)
+    def _take_joint_state(self, message: Any) -> None:
+        """Process a joint state."""
+        sample = self._read(message)
         if sample is not None:
-            self._process(sample)
+            self._process(sample, sample.effort_Nm, sample.stamp_ns)
 
-    def _take_torque(self, message: Any) -> None:
-        """Process an external torque, with the sample of its stamp."""
-        sample = self._pairing.add_torque(read_joint_state(message))
+    def _take_with_torque(self, message: Any, torque: Any) -> None:
+        """Process a joint state with the external torque of its stamp."""
+        torque_Nm = self._torques.read_efforts(torque)
+        sample = None if torque_Nm is None else self._read(message)
         if sample is not None:
-            self._process(sample)
+            self._process(sample, torque_Nm, sample.stamp_ns)
 
-    def _process(self, sample: JointSample) -> None:
+    def _take_lbr_state(self, message: Any) -> None:
+        """Process a state of an LBR, which has external torques and no velocities.
+
+        It names no joints: they are in the order of KUKA's interface, A1 to A7. Its
+        stamp is of the controller's clock, which TF does not know.
+        """
+        state = JointState(name=self._joint_names)
+        state.header.stamp.sec = message.time_stamp_sec
+        state.header.stamp.nanosec = message.time_stamp_nano_sec
+        state.position = message.measured_joint_position
+        state.effort = message.external_torque
+        sample = self._read(state)
+        if sample is not None:
+            self._process(sample, sample.effort_Nm, self._now_ns())
+
+    def _read(self, message: Any) -> JointSample | None:
+        """Return the arm's sample of a message, if it has one."""
+        sample = self._reader.read(message)
+        if sample is not None:
+            if self._is_silent:
+                self._is_silent = False
+                text = f"joint states again after {self._silent_s:.1f} s"
+                self.get_logger().warning(text)
+            self._heard_s = time.monotonic()
+        return sample
+
+    def _process(
+        self, sample: JointSample, torque_Nm: Array | None, stamp_ns: int
+    ) -> None:
         """Update the session with a sample, and publish its estimate."""
-        torque_Nm = sample.effort_Nm
-        if torque_Nm is None or not self.is_active:
+        if torque_Nm is None or not self._is_active:
             return
-        update = self._session.update
-        if self._is_external:
-            update = self._session.update_external_torque
-        estimate = update(sample.q_rad, sample.dq_rad_s, torque_Nm, sample.dt_s)
+        estimate = self._update(sample.q_rad, sample.dq_rad_s, torque_Nm, sample.dt_s)
         self._estimate = estimate
-        self._stamp_ns = sample.stamp_ns
-        if self._settings.lbr_state_topic:
-            # Its stamp is of the controller's clock, which TF does not know.
-            self._stamp_ns = self._now_ns()
+        self._stamp_ns = stamp_ns
         self._publish_forces(estimate)
-        self._delay.add(self._now_ns() - self._stamp_ns)
+        self._delay_max_ns = max(self._delay_max_ns, self._now_ns() - stamp_ns)
         self._publish_events(estimate)
         if self._tare.after(self._session, estimate):
             self._end_tare()
+
+    # Outputs
 
     def _publish_forces(self, estimate: SessionEstimate) -> None:
         """Publish the wrench of a valid sample, and the tip force of a usable one."""
         if estimate.status is Status.REJECTED:
             return
-        message = self._wrench_message
-        fill_stamp(message, self._stamp_ns)
-        fill_vector(message.wrench.force, estimate.wrench.force)
-        fill_vector(message.wrench.torque, estimate.wrench.torque)
-        self._wrench.publish(message)
+        self._wrench.publish(
+            self._wrench_of(estimate.wrench.force, estimate.wrench.torque)
+        )
         if not estimate.used_for_identification:
             return
-        message = self._tip_message
-        fill_stamp(message, self._stamp_ns)
         force_N = -estimate.identification.tip_force_N * self._axis
-        fill_vector(message.wrench.force, force_N)
-        self._tip.publish(message)
-        self._depth.publish(self._ros.standard.Float64(data=estimate.depth_m))
+        self._tip.publish(self._wrench_of(force_N, np.zeros(3)))
+        self._depth.publish(Float64(data=float(estimate.depth_m)))
+
+    def _wrench_of(self, force_N: Array, torque_Nm: Array) -> Any:
+        """Return a message of the latest sample's stamp at the tip."""
+        message = self._message
+        _fill_stamp(message, self._stamp_ns)
+        message.header.frame_id = self._frame
+        _fill_vector(message.wrench.force, force_N)
+        _fill_vector(message.wrench.torque, torque_Nm)
+        return message
 
     def _publish_events(self, estimate: SessionEstimate) -> None:
         """Publish what happened with this sample, and the layers with it."""
@@ -301,63 +394,123 @@ class NeedleNode:
             level = WARNING if event in estimate.plan_events else OK
             self._publish_event(NamedReport(event.kind, level, event.text, values))
             for name, value in event.values.items():
-                number = self._ros.standard.Float64(data=float(value))
-                self._numbers[event.kind, name].publish(number)
+                self._numbers[event.kind, name].publish(Float64(data=float(value)))
         if has_layer_events:
             self._publish_layers()
 
     def _publish_event(self, report: NamedReport) -> None:
         """Publish an event, and its sentence as a log message."""
-        self._events.publish(
-            report_array(self._ros, [report], self._stamp_ns, self._hardware)
-        )
-        if report.level == OK:
-            self._logger.info(report.message)
-        else:
-            self._logger.warning(report.message)
+        self._publish_named(self._events, [report], self._stamp_ns)
+        logger = self.get_logger()
+        log = logger.info if report.level == OK else logger.warning
+        log(report.message)
 
     def _publish_layers(self) -> None:
         """Publish the layers traversed so far."""
         reports = layer_reports(self._session.layers)
-        self._layers.publish(
-            report_array(self._ros, reports, self._stamp_ns, self._hardware)
-        )
+        self._publish_named(self._layers, reports, self._stamp_ns)
+
+    def _publish_named(
+        self, publisher: Any, reports: Sequence[NamedReport], stamp_ns: int
+    ) -> None:
+        """Publish reports as a `diagnostic_msgs/DiagnosticArray`."""
+        message = DiagnosticArray()
+        _fill_stamp(message, stamp_ns)
+        message.status = [
+            DiagnosticStatus(
+                level=bytes([report.level]),  # a constant of type `byte`
+                name=report.name,
+                message=report.message,
+                hardware_id=self._hardware,
+                values=[
+                    KeyValue(key=key, value=value)
+                    for key, value in report.values.items()
+                ],
+            )
+            for report in reports
+        ]
+        publisher.publish(message)
+
+    # Diagnostics
+
+    @property
+    def _silent_s(self) -> float:
+        """Time since the latest joint state [s]."""
+        return time.monotonic() - self._heard_s
+
+    def _watch_silence(self) -> None:
+        """Report at once that joint states stay away; the timer calls it."""
+        has_come = self._reader.counts["used"] > 0
+        is_late = self._silent_s > self.value("silence_s")
+        if self._is_silent or not (has_come and is_late):
+            return
+        self._is_silent = True
+        self.get_logger().error(f"joint states silent {self._silent_s:.1f} s")
+        self._publish_reports()
 
     def _publish_reports(self) -> None:
         """Publish diagnostics and layers; the timer calls it."""
-        health = NodeHealth(
-            session=self._session,
-            reader=self._reader,
-            loss=self.loss,
-            estimate=self._estimate,
-            silent_s=time.monotonic() - self._heard_s,
-            silence_limit_s=self._settings.silence_s,
-            delay_max_s=self._delay.take_max_s(),
-            lost_before=self._lost_before,
-            is_taring=self._tare.is_running,
-        )
-        self._lost_before = self.loss.lost
-        name = self._node.get_fully_qualified_name().lstrip("/")
-        reports = [health.report(name), *plan_reports(name, self._estimate)]
-        self._diagnostics.publish(
-            report_array(self._ros, reports, self._now_ns(), self._hardware)
-        )
+        name = self.get_fully_qualified_name().lstrip("/")
+        level, message = self._judge()
+        health = NamedReport(name, level, message, self._list_values())
+        reports = [health, *plan_reports(name, self._estimate)]
+        self._publish_named(self._diagnostics, reports, self._now_ns())
         self._publish_layers()
+
+    def _judge(self) -> tuple[int, str]:
+        """Return what keeps the node from estimating, or makes estimates worse."""
+        if self._reader.problem:
+            return ERROR, self._reader.problem
+        if self._silent_s > self.value("silence_s"):
+            return ERROR, f"silent {self._silent_s:.1f} s"
+        if self._tare.is_running:
+            return WARNING, "a tare is under way"
+        if not self._session.tared:
+            return WARNING, NOT_TARED
+        estimate = self._estimate
+        if estimate is None or not estimate.warnings:
+            return OK, "ok"
+        return WARNING, f"{estimate.warnings}: {estimate.wrench.message}"
+
+    def _list_values(self) -> dict[str, str]:
+        """Return counts and the latest numbers by name."""
+        values: dict[str, float | str] = {
+            "used": 0,
+            **self._reader.counts,
+            "rejected": self._session.rejected,
+            "longest_gap_s": max(self._reader.longest_gap_s, self._silent_s),
+            "delay_max_s": self._delay_max_ns / NS_PER_S,
+            "estimator_lag_s": self._session.lag_s,
+            "tared": self._session.tared,
+        }
+        self._delay_max_ns = 0
+        estimate = self._estimate
+        if estimate is not None:
+            values |= {
+                "depth_m": estimate.depth_m,
+                "layer": estimate.identification.layer,
+                "axial_std_N": estimate.wrench.axial_std,
+                "status": str(estimate.status),
+                "warnings": str(estimate.warnings or "none"),
+            }
+        return {name: format_value(value) for name, value in values.items()}
 
     def _now_ns(self) -> int:
         """Return the time on the node's clock, simulated where it is [ns]."""
-        return self._node.get_clock().now().nanoseconds
+        return self.get_clock().now().nanoseconds
+
+    # Services
 
     async def _serve_tare(self, _request: Any, response: Any) -> Any:
         """Tare beside the samples that follow; answer when it has ended."""
         if self._tare.is_running:
             return _fill_answer(response, "a tare is under way already")
         # A second tare is of motion that is recorded from now on.
-        recording_s = self._settings.tare_recording_s if self._session.tared else 0.0
+        recording_s = self.value("tare_recording_s") if self._session.tared else 0.0
         self._tare.start(self._session, recording_s=recording_s)
         if not self._tare.is_running:
             return _fill_answer(response, self._tare_refusal)
-        self._tare_end = self._ros.task.Future()
+        self._tare_end = Future()
         return _fill_answer(response, await self._tare_end, "tared")
 
     def _end_tare(self) -> None:
@@ -377,47 +530,14 @@ class NeedleNode:
     def _serve_begin(self, _request: Any, response: Any) -> Any:
         """Count depth from here and forget the layers."""
         if self._tare.is_running:
-            refusal = "a tare is under way: wait for its answer"
-        elif not self._session.tared:
-            refusal = "not tared: move in free air, then call ~/tare"
-        else:
-            refusal = ""
-            self._session.begin_insertion()
-            self._publish_event(
-                NamedReport("insertion_begun", OK, "an insertion begins here", {})
-            )
-        return _fill_answer(response, refusal, "depth counts from here")
-
-    def _serve_stop(self, _request: Any, response: Any) -> Any:
-        """End the node; the arm is not commanded."""
-        self._publish_reports()
-        self.is_stopped = True
-        return _fill_answer(response, "", self.describe())
-
-    def _check_changes(self, changes: Sequence[Any]) -> Any:
-        """Take changed parameters, or refuse all of them with a sentence."""
-        result = self._ros.interfaces.SetParametersResult
-        known = {parameter.name: parameter for parameter in PARAMETERS}
-        for change in changes:
-            if change.name not in known:
-                continue
-            problem = known[change.name].check(change.value)
-            if problem:
-                return result(successful=False, reason=problem)
-        names = [parameter.name for parameter in PARAMETERS]
-        values = {name: getattr(self._settings, name) for name in names}
-        values |= {
-            change.name: change.value for change in changes if change.name in values
-        }
-        self._settings = settings_from_values(values)
-        return result(successful=True)
-
-    def describe(self) -> str:
-        """Return what has come, in one line."""
-        return (
-            f"{self.loss}; {self._reader.counts}; {self._session.rejected} rejected by "
-            f"the session; layers traversed: {len(self._session.layers)}"
+            return _fill_answer(response, "a tare is under way: wait for its answer")
+        if not self._session.tared:
+            return _fill_answer(response, NOT_TARED)
+        self._session.begin_insertion()
+        self._publish_event(
+            NamedReport("insertion_begun", OK, "an insertion begins here", {})
         )
+        return _fill_answer(response, "", "depth counts from here")
 
 
 def _fill_answer(response: Any, refusal: str, message: str = "") -> Any:
@@ -427,55 +547,58 @@ def _fill_answer(response: Any, refusal: str, message: str = "") -> Any:
     return response
 
 
-def declare_parameters(ros: RosModules, node: Any) -> NodeSettings:
-    """Declare the node's parameters; return their values.
+def _fill_stamp(message: Any, stamp_ns: int) -> None:
+    """Write the time stamp of a message's header."""
+    message.header.stamp.sec = stamp_ns // NS_PER_S
+    message.header.stamp.nanosec = stamp_ns % NS_PER_S
+
+
+def _fill_vector(vector: Any, values: Array) -> None:
+    """Write the components x, y and z of a message."""
+    vector.x = float(values[0])
+    vector.y = float(values[1])
+    vector.z = float(values[2])
+
+
+def run_node(
+    arguments: Sequence[str],
+    make_robot: MakeRobot,
+    prepare: Prepare = lambda session: None,
+) -> None:
+    """Run the node until Ctrl-C, SIGTERM or its transition `shutdown`.
 
     Args:
-        ros: The modules of ROS 2.
-        node: Whose parameters that were given are declared already, whatever they are.
+        arguments: Of ROS 2, such as ``--ros-args -p queue_depth:=100``.
+        make_robot: Makes the arm.
+        prepare: Called with the session once: lets it follow a plan.
 
     Raises:
-        Ros2ParameterError: One is unknown or cannot be.
+        Ros2ParameterError: A parameter is unknown or cannot be.
     """
-    given = {
-        name: parameter.value
-        for name, parameter in node.get_parameters_by_prefix("").items()
-        if name not in ROS_OWN_PARAMETERS and not name.startswith(ROS_OWN_PREFIXES)
-    }
-    settings = settings_from_values(given)
-    for parameter in PARAMETERS:
-        if parameter.name in given:
-            node.undeclare_parameter(parameter.name)
-        node.declare_parameter(
-            parameter.name,
-            getattr(settings, parameter.name),
-            _descriptor(ros, parameter),
-            ignore_override=True,
-        )
-    return settings
+    rclpy.init(args=list(arguments))
+    try:
+        _spin(NeedleNode(make_robot, prepare))
+    finally:
+        rclpy.try_shutdown()
 
 
-def _descriptor(ros: RosModules, parameter: NodeParameter) -> Any:
-    """Return description and range of a parameter as tools show them."""
-    interfaces = ros.interfaces
-    descriptor = interfaces.ParameterDescriptor(
-        description=parameter.description,
-        read_only=parameter.is_read_only,
-        additional_constraints=" or ".join(parameter.choices),
-    )
-    limits = parameter.range
-    if limits is None:
-        return descriptor
-    if isinstance(parameter.default, int):
-        descriptor.integer_range = [
-            interfaces.IntegerRange(
-                from_value=int(limits.minimum), to_value=int(limits.maximum), step=1
-            )
-        ]
-    else:
-        descriptor.floating_point_range = [
-            interfaces.FloatingPointRange(
-                from_value=limits.minimum, to_value=limits.maximum
-            )
-        ]
-    return descriptor
+def _spin(node: NeedleNode) -> None:
+    """Serve the node until it is stopped or shut down."""
+    try:
+        if node.value("autostart"):
+            node.trigger_configure()
+            if node.failure is not None:
+                raise node.failure
+            node.trigger_activate()
+            node.get_logger().info("ready")
+        executor = SingleThreadedExecutor()
+        executor.add_node(node)
+        while not node.is_stopped:
+            executor.spin_once()
+        # The answer to who shut it down is on its way.
+        executor.spin_once(timeout_sec=REPORT_PERIOD_S)
+    except (KeyboardInterrupt, ExternalShutdownException):
+        return
+    except RuntimeError:  # a signal ends the context in the midst of an update
+        if rclpy.ok():
+            raise

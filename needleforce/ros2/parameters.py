@@ -1,233 +1,145 @@
-"""The parameters of the node: defaults, ranges, descriptions, checks."""
+"""The parameters of the node, as rclpy declares, checks and describes them."""
 
-import math
-from collections.abc import Mapping
-from dataclasses import dataclass
-from difflib import get_close_matches
-from typing import Any, NamedTuple
+# pyright: reportMissingImports=false
+
+from typing import Any
+
+from rcl_interfaces.msg import FloatingPointRange, IntegerRange, ParameterDescriptor
+from rclpy.exceptions import ParameterException
 
 from needleforce.ros2.errors import Ros2ParameterError
-
-ParameterValue = bool | int | float | str
-"""A value as ROS 2 has it; the types of a parameter and of its value are the same."""
 
 RELIABILITIES = ("best_effort", "reliable")
 """How joint states may be subscribed to."""
 
-
-class NumberRange(NamedTuple):
-    """Numbers that a parameter may have, both ends included.
-
-    Attributes:
-        minimum: The smallest.
-        maximum: The largest.
-    """
-
-    minimum: float
-    maximum: float
-
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeParameter:
-    """A parameter of the node.
-
-    Attributes:
-        name: Its name in ROS.
-        default: Its value if it is not given; has its type.
-        description: One sentence, as `ros2 param describe` shows it.
-        range: Of a number.
-        choices: Of a text; none if it may be any.
-        is_read_only: Whether it is read at the start only.
-    """
-
-    name: str
-    default: ParameterValue
-    description: str
-    range: NumberRange | None = None
-    choices: tuple[str, ...] = ()
-    is_read_only: bool = True
-
-    def check(self, value: object) -> str:
-        """Return why a value cannot be, in one sentence; empty if it can."""
-        expected = self._describe_expected()
-        if not self._has_type(value):
-            kind = type(value).__name__
-            return f"{self.name} is {value!r}, a {kind}; expected {expected}"
-        if not self._is_in_range(value):
-            return f"{self.name} is {value!r}; expected {expected}"
-        return ""
-
-    def convert(self, value: Any) -> ParameterValue:
-        """Return a checked value in the parameter's type: 1 of a real number is 1.0."""
-        return type(self.default)(value)
-
-    def _has_type(self, value: object) -> bool:
-        if isinstance(self.default, bool) or isinstance(value, bool):
-            return isinstance(self.default, bool) and isinstance(value, bool)
-        if isinstance(self.default, float):
-            return isinstance(value, int | float)
-        return isinstance(value, type(self.default))
-
-    def _is_in_range(self, value: Any) -> bool:
-        if self.choices:
-            return value in self.choices
-        if self.range is None:
-            return True
-        is_finite = math.isfinite(value)
-        return is_finite and self.range.minimum <= value <= self.range.maximum
-
-    def _describe_expected(self) -> str:
-        if self.choices:
-            return " or ".join(self.choices)
-        if isinstance(self.default, bool):
-            return "true or false"
-        if self.range is None:
-            return "a text"
-        kind = "a whole number" if isinstance(self.default, int) else "a number"
-        return f"{kind} from {self.range.minimum:g} to {self.range.maximum:g}"
-
-
-PARAMETERS = (
-    NodeParameter(
-        name="external_torque_topic",
-        default="",
-        description="Topic of JointState whose effort is the arm's own estimate of the "
-        "external torque [Nm], with the stamps of joint_states; empty to use the "
-        "measured torque in the effort of joint_states.",
+PARAMETERS: dict[str, tuple[bool | int | float | str, ParameterDescriptor]] = {
+    "external_torque_topic": (
+        "",
+        ParameterDescriptor(
+            description="Topic of JointState whose effort is the arm's own estimate of "
+            "the external torque [Nm], with the stamps of joint_states; empty to use "
+            "the measured torque in the effort of joint_states."
+        ),
     ),
-    NodeParameter(
-        name="lbr_state_topic",
-        default="",
-        description="Topic of lbr_fri_idl/LBRState whose positions and external_torque "
-        "are used in place of joint_states; empty to use joint_states.",
+    "lbr_state_topic": (
+        "",
+        ParameterDescriptor(
+            description="Topic of lbr_fri_idl/LBRState whose positions and "
+            "external_torque are used in place of joint_states; empty to use "
+            "joint_states."
+        ),
     ),
-    NodeParameter(
-        name="joint_pattern",
-        default="",
-        description="Pattern that the names of the arm's joints fit, such as left_*, "
-        "where two arms are on the topic; empty for any.",
+    "joint_pattern": (
+        "",
+        ParameterDescriptor(
+            description="Pattern that the names of the arm's joints fit, such as "
+            "left_*, where two arms are on the topic; empty for any."
+        ),
     ),
-    NodeParameter(
-        name="frame_id",
-        default="",
-        description="Frame named in wrenches, at the needle's tip with z along the "
-        "needle; empty for the tool frame of the robot's description.",
+    "frame_id": (
+        "",
+        ParameterDescriptor(
+            description="Frame named in wrenches, at the needle's tip with z along the "
+            "needle; empty for the tool frame of the robot's description."
+        ),
     ),
-    NodeParameter(
-        name="broadcast_tip",
-        default=True,
-        description="Whether the frame named in wrenches is broadcast on /tf_static, "
-        "where the robot's description has no link of its name.",
+    "broadcast_tip": (
+        True,
+        ParameterDescriptor(
+            description="Whether the frame named in wrenches is broadcast on "
+            "/tf_static, where the robot's description has no link of its name."
+        ),
     ),
-    NodeParameter(
-        name="gain_per_s",
-        default=70.0,
-        description="Gain K of the momentum observer [1/s]; the force lags by 1/K.",
-        range=NumberRange(1.0, 500.0),
+    "gain_per_s": (
+        70.0,
+        ParameterDescriptor(
+            description="Gain K of the momentum observer [1/s]; the force lags by 1/K.",
+            floating_point_range=[FloatingPointRange(from_value=1.0, to_value=500.0)],
+        ),
     ),
-    NodeParameter(
-        name="gravity_compensated",
-        default=False,
-        description="Whether the driver has already subtracted gravity from effort.",
+    "gravity_compensated": (
+        False,
+        ParameterDescriptor(
+            description="Whether the driver has already subtracted gravity from effort."
+        ),
     ),
-    NodeParameter(
-        name="queue_depth",
-        default=1000,
-        description="Joint states that wait for the node before the oldest is lost.",
-        range=NumberRange(1, 100_000),
+    "queue_depth": (
+        1000,
+        ParameterDescriptor(
+            description="Joint states that wait for the node before the oldest is "
+            "lost.",
+            integer_range=[IntegerRange(from_value=1, to_value=100_000, step=1)],
+        ),
     ),
-    NodeParameter(
-        name="reliability",
-        default="best_effort",
-        description="How joint_states is subscribed to: best_effort hears every "
-        "publisher; reliable asks again for what is lost, and hears reliable "
-        "publishers only.",
-        choices=RELIABILITIES,
+    "reliability": (
+        "best_effort",
+        ParameterDescriptor(
+            description="How joint_states is subscribed to: best_effort hears every "
+            "publisher; reliable asks again for what is lost, and hears reliable "
+            "publishers only.",
+            additional_constraints=" or ".join(RELIABILITIES),
+        ),
     ),
-    NodeParameter(
-        name="autostart",
-        default=True,
-        description="Whether the node configures and activates itself at the start; "
-        "false where a lifecycle manager does.",
+    "autostart": (
+        True,
+        ParameterDescriptor(
+            description="Whether the node configures and activates itself at the "
+            "start; false where a lifecycle manager does."
+        ),
     ),
-    NodeParameter(
-        name="tare_recording_s",
-        default=4.0,
-        description="Free motion that is recorded before a second tare [s].",
-        range=NumberRange(1.0, 60.0),
+    "tare_recording_s": (
+        4.0,
+        ParameterDescriptor(
+            description="Free motion that is recorded before a second tare [s].",
+            floating_point_range=[FloatingPointRange(from_value=1.0, to_value=60.0)],
+        ),
     ),
-    NodeParameter(
-        name="silence_s",
-        default=0.5,
-        description="Time without a joint state after which diagnostics show an error "
-        "[s].",
-        range=NumberRange(0.01, 60.0),
-        is_read_only=False,
+    "silence_s": (
+        0.08,
+        ParameterDescriptor(
+            description="Time without a joint state of the arm after which the node "
+            "reports silence [s].",
+            floating_point_range=[FloatingPointRange(from_value=0.01, to_value=60.0)],
+        ),
     ),
-)
-"""All parameters of the node; the robot is described by options of the command."""
+}
+"""Defaults and descriptions; the robot is described by options of the command."""
+
+CHANGEABLE = "silence_s"
+"""The parameter that may be changed while the node runs."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class NodeSettings:
-    """Values of `PARAMETERS`, which describe them.
+def declare_parameters(node: Any) -> None:
+    """Declare the parameters of a node.
 
-    Attributes:
-        external_torque_topic: See `PARAMETERS`.
-        lbr_state_topic: See `PARAMETERS`.
-        joint_pattern: See `PARAMETERS`.
-        frame_id: See `PARAMETERS`.
-        broadcast_tip: See `PARAMETERS`.
-        gain_per_s: See `PARAMETERS`.
-        gravity_compensated: See `PARAMETERS`.
-        queue_depth: See `PARAMETERS`.
-        reliability: See `PARAMETERS`.
-        autostart: See `PARAMETERS`.
-        tare_recording_s: See `PARAMETERS`.
-        silence_s: See `PARAMETERS`.
-    """
-
-    external_torque_topic: str
-    lbr_state_topic: str
-    joint_pattern: str
-    frame_id: str
-    broadcast_tip: bool
-    gain_per_s: float
-    gravity_compensated: bool
-    queue_depth: int
-    reliability: str
-    autostart: bool
-    tare_recording_s: float
-    silence_s: float
-
-
-def settings_from_values(values: Mapping[str, Any]) -> NodeSettings:
-    """Return the settings of parameters that a user gives, defaults for the others.
+    Args:
+        node: Whose parameters that were given are declared already, whatever they are.
 
     Raises:
         Ros2ParameterError: One is unknown, of another type, or out of its range.
     """
-    known = {parameter.name: parameter for parameter in PARAMETERS}
-    for name in values:
-        if name not in known:
-            raise Ros2ParameterError(_describe_unknown(name, tuple(known)))
-    settings: dict[str, Any] = {}
-    for name, parameter in known.items():
-        value = values.get(name, parameter.default)
-        problem = parameter.check(value)
-        if problem:
-            raise Ros2ParameterError(problem)
-        settings[name] = parameter.convert(value)
-    if settings["external_torque_topic"] and settings["lbr_state_topic"]:
+    own = ("use_sim_time", "start_type_description_service", "qos_overrides.")
+    for name in node.get_parameters_by_prefix(""):
+        if name in PARAMETERS:
+            node.undeclare_parameter(name)
+        elif not name.startswith(own):
+            raise Ros2ParameterError(
+                f"there is no parameter {name}; expected one of {', '.join(PARAMETERS)}"
+            )
+    for name, (default, descriptor) in PARAMETERS.items():
+        descriptor.read_only = name != CHANGEABLE
+        try:
+            node.declare_parameter(name, default, descriptor)
+        except ParameterException as error:
+            raise Ros2ParameterError(f"{name}: {error}") from error
+    reliability = node.get_parameter("reliability").value
+    if reliability not in RELIABILITIES:
         raise Ros2ParameterError(
-            "external_torque_topic and lbr_state_topic both name a source of external "
-            "torques; expected one of them"
+            f"reliability is {reliability}; expected {' or '.join(RELIABILITIES)}"
         )
-    return NodeSettings(**settings)
-
-
-def _describe_unknown(name: str, known: tuple[str, ...]) -> str:
-    """Return the sentence that refuses an unknown parameter."""
-    similar = get_close_matches(name, known, n=1)
-    expected = f"did you mean {similar[0]}" if similar else f"known: {', '.join(known)}"
-    return f"there is no parameter {name}; {expected}"
+    sources = ("external_torque_topic", "lbr_state_topic")
+    if all(node.get_parameter(name).value for name in sources):
+        raise Ros2ParameterError(
+            f"{' and '.join(sources)} both name a source of external torques; expected "
+            "one of them"
+        )

@@ -1,7 +1,7 @@
-"""Estimates as named values: layers, and the health of the node."""
+"""Estimates as named values, as diagnostics of ROS have them; needs no ROS."""
 
 from collections.abc import Iterable
-from dataclasses import dataclass
+from typing import NamedTuple
 
 from identification import LayerEstimate
 from needleforce.needle_on_plan import (
@@ -10,17 +10,35 @@ from needleforce.needle_on_plan import (
     describe_too_near,
     state_values,
 )
-from needleforce.ros2.joint_samples import JointReader
-from needleforce.ros2.message_loss import LossCounter
-from needleforce.ros2.named_report import (
-    ERROR,
-    OK,
-    WARNING,
-    NamedReport,
-    format_value,
-)
-from needleforce.session import InsertionSession, SessionEstimate
-from residual import SensorWarning, Status
+from needleforce.session import SessionEstimate
+
+OK = 0
+WARNING = 1
+ERROR = 2
+
+
+class NamedReport(NamedTuple):
+    """A name with a level, a sentence and values: a `diagnostic_msgs/DiagnosticStatus`.
+
+    Attributes:
+        name: What it is about.
+        level: `OK`, `WARNING` or `ERROR`.
+        message: One sentence.
+        values: Text by name.
+    """
+
+    name: str
+    level: int
+    message: str
+    values: dict[str, str]
+
+
+def format_value(value: float | str) -> str:
+    """Return a value as text that reads back; true and false for a switch."""
+    if isinstance(value, bool):
+        return str(value).lower()
+    return f"{value:.9g}" if isinstance(value, float) else str(value)
+
 
 EVENT_NUMBERS = {
     "rupture": (
@@ -88,104 +106,9 @@ def plan_reports(name: str, estimate: SessionEstimate | None) -> list[NamedRepor
     for name_of_structure, clearance in values.pop("clearances").items():
         for key, value in clearance.items():
             values[f"clearance/{name_of_structure}/{key}"] = value
-    texts = {
-        key: value if isinstance(value, str) else format_value(value)
-        for key, value in values.items()
-    }
+    texts = {key: format_value(value) for key, value in values.items()}
     near = [one for one in estimate.clearances if one.is_too_near]
     message = describe_deviation(estimate.deviation)
     sentences = [message, *map(describe_too_near, near)]
     level = OK if values["verdict"] == ON_PLAN else WARNING
     return [NamedReport(f"{name}: plan", level, "; ".join(sentences), texts)]
-
-
-@dataclass(slots=True, kw_only=True)
-class NodeHealth:
-    """What the diagnostics are about.
-
-    Attributes:
-        session: The session.
-        reader: Counts of joint states.
-        loss: Counts of messages on their way.
-        estimate: The latest; None before the first sample.
-        silent_s: Time since the latest joint state.
-        silence_limit_s: Longest silence that is no error.
-        delay_max_s: Largest delay of a sample since the last report.
-        lost_before: Messages lost at the last report.
-        is_taring: Whether a tare is under way.
-    """
-
-    session: InsertionSession
-    reader: JointReader
-    loss: LossCounter
-    estimate: SessionEstimate | None
-    silent_s: float
-    silence_limit_s: float
-    delay_max_s: float
-    lost_before: int
-    is_taring: bool
-
-    def report(self, name: str) -> NamedReport:
-        """Return the report of the node."""
-        errors = self._find_errors()
-        warnings = self._find_warnings()
-        level = ERROR if errors else WARNING if warnings else OK
-        message = "; ".join([*errors, *warnings]) or "ok"
-        return NamedReport(name, level, message, self._values())
-
-    def _find_errors(self) -> list[str]:
-        """Return what keeps the node from estimating."""
-        if self.reader.problem:
-            return [self.reader.problem]
-        if self.silent_s > self.silence_limit_s:
-            return [f"no joint state for {self.silent_s:.1f} s"]
-        return []
-
-    def _find_warnings(self) -> list[str]:
-        """Return what makes estimates worse, or may do so."""
-        warnings: list[str] = []
-        if self.is_taring:
-            warnings.append("a tare is under way")
-        elif not self.session.tared:
-            warnings.append("not tared: move in free air, then call ~/tare")
-        lost = self.loss.lost - self.lost_before
-        if lost:
-            warnings.append(f"{lost} joint states lost since the last report")
-        estimate = self.estimate
-        if estimate is None:
-            return warnings
-        if estimate.status is Status.REJECTED:
-            warnings.append(f"sample rejected: {estimate.wrench.message}")
-        elif estimate.warnings is not SensorWarning.NONE:
-            warnings.append(f"{estimate.warnings}: {estimate.wrench.message}")
-        return warnings
-
-    def _values(self) -> dict[str, str]:
-        """Return counts and the latest numbers by name."""
-        counts = self.reader.counts
-        values: dict[str, float] = {
-            "received": self.loss.received,
-            "lost": self.loss.lost,
-            "used": counts.used,
-            "other_joints": counts.other_joints,
-            "malformed": counts.malformed,
-            "without_effort": counts.without_effort,
-            "stale": counts.stale,
-            "unmatched": counts.unmatched,
-            "rejected": self.session.rejected,
-            "longest_gap_s": self.reader.longest_gap_s,
-            "delay_max_s": self.delay_max_s,
-            "estimator_lag_s": self.session.lag_s,
-            "tared": self.session.tared,
-        }
-        if self.estimate is not None:
-            values["depth_m"] = self.estimate.depth_m
-            values["layer"] = self.estimate.identification.layer
-            values["axial_std_N"] = self.estimate.wrench.axial_std
-        texts = {name: format_value(value) for name, value in values.items()}
-        if not self.loss.is_counting:
-            texts["lost"] = "unknown: the middleware numbers no messages"
-        if self.estimate is not None:
-            texts["status"] = str(self.estimate.status)
-            texts["warnings"] = str(self.estimate.warnings or "none")
-        return texts

@@ -4,17 +4,21 @@ It is an independent process, and holds the velocity that it was sent last for e
 a thread sends one in every cycle, and brakes to zero when no new one comes.
 """
 
+# pyright: reportMissingImports=false
+
 import threading
 from time import monotonic
 from typing import Any
 
 import numpy as np
+from rcl_interfaces.msg import ParameterValue
+from rclpy.parameter_client import AsyncParameterClient
+from std_msgs.msg import Float64MultiArray
 
 from foundation.arrays import Array
 from needleforce.devices import DeviceSettingError, LinkError
 from needleforce.devices.guard import Guard
 from needleforce.recordings.joint_names import match_joints
-from needleforce.ros2.ros_modules import RosModules
 
 CONTROLLER = "/forward_velocity_controller"
 """As examples of ros2_control name it."""
@@ -24,9 +28,6 @@ CYCLE_S = 0.002
 
 MAX_ANSWER_S = 10.0
 """Time within which the controller answers."""
-
-STEP_S = 0.1
-"""Longest wait for its answer before the time is looked at."""
 
 MAX_BRAKE_S = 2.0
 """An arm that moves at its highest speed has come to rest before."""
@@ -39,7 +40,6 @@ class VelocityController:
     then keeps its velocity, and needs a limit of its own.
 
     Args:
-        ros: The modules of ROS 2.
         node: That publishes the commands.
         executor: That serves it.
         name: Of the controller's node.
@@ -56,21 +56,19 @@ class VelocityController:
 
     def __init__(
         self,
-        ros: RosModules,
         node: Any,
         executor: Any,
         name: str,
         joint_names: tuple[str, ...],
         guard: Guard,
     ) -> None:
-        self._ros = ros
         self._name = name
         self._guard = guard
         self._order = self._find_order(node, executor, joint_names)
         self.place_rad = np.zeros(len(joint_names))
         self._is_ended = threading.Event()
         self._publisher = node.create_publisher(
-            ros.standard.Float64MultiArray, f"{name}/commands", 1
+            Float64MultiArray, f"{name}/commands", 1
         )
         self._thread = threading.Thread(target=self._run, daemon=True)
 
@@ -78,9 +76,8 @@ class VelocityController:
         self, node: Any, executor: Any, joint_names: tuple[str, ...]
     ) -> list[int]:
         """Return where the controller's joints stand among the arm's."""
-        service = self._ros.parameter_services.GetParameters
-        client = node.create_client(service, f"{self._name}/get_parameters")
-        if not client.wait_for_service(timeout_sec=MAX_ANSWER_S):
+        client = AsyncParameterClient(node, self._name)
+        if not client.wait_for_services(MAX_ANSWER_S):
             raise LinkError(
                 f"{self._name}: no controller of that name within {MAX_ANSWER_S:g} s",
                 "Load and activate a velocity controller of ros2_control, or name "
@@ -88,27 +85,23 @@ class VelocityController:
             )
 
         def ask(parameter: str) -> Any:
-            """Return the value of a parameter; None if it has none."""
-            future = client.call_async(service.Request(names=[parameter]))
-            begun_s = monotonic()
-            while not future.done():
-                executor.spin_once(timeout_sec=STEP_S)
-                if monotonic() - begun_s > MAX_ANSWER_S:
-                    raise LinkError(
-                        f"{self._name} does not say its {parameter} within "
-                        f"{MAX_ANSWER_S:g} s"
-                    )
+            """Return the value of a parameter; an empty one if it has none."""
+            future = client.get_parameters([parameter])
+            executor.spin_until_future_complete(future, timeout_sec=MAX_ANSWER_S)
+            if not future.done():
+                raise LinkError(
+                    f"{self._name} does not say its {parameter} within "
+                    f"{MAX_ANSWER_S:g} s"
+                )
             values = future.result().values
-            return values[0] if values else None
+            return values[0] if values else ParameterValue()
 
-        interface = ask("interface_name")
-        kind = "" if interface is None else interface.string_value
+        kind = ask("interface_name").string_value
         if kind not in ("", "velocity"):
             raise DeviceSettingError(
                 f"{self._name} commands {kind}; expected a controller of velocity"
             )
-        value = ask("joints")
-        joints = () if value is None else tuple(value.string_array_value)
+        joints = tuple(ask("joints").string_array_value)
         matches = match_joints(joints, joint_names)
         if len(matches) != 1 or len(joints) != len(joint_names):
             raise DeviceSettingError(
@@ -145,11 +138,8 @@ class VelocityController:
 
     def _send(self, velocity_rad_s: Array) -> None:
         """Publish a velocity, in the order of the controller's joints."""
-        self._publisher.publish(
-            self._ros.standard.Float64MultiArray(
-                data=velocity_rad_s[self._order].tolist()
-            )
-        )
+        data = velocity_rad_s[self._order].tolist()
+        self._publisher.publish(Float64MultiArray(data=data))
 
     def stop(self) -> None:
         """Brake the arm to rest, and send nothing more."""

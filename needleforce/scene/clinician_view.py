@@ -13,6 +13,7 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import Array
+from needleforce.plots.needle_view import NeedleView, patient_side
 from needleforce.scene.nodes import NeedlePose, PlanScene
 from needleforce.scene.row_text import (
     CANNOT_TELL,
@@ -21,11 +22,11 @@ from needleforce.scene.row_text import (
     ON_PLAN,
     aside_text,
     banner_of,
+    layer_names,
     near_name,
     near_part,
     target_parts,
 )
-from needleforce.scene.scan_slices import needle_frame
 from needleforce.scene.state_ring import ViewRow
 
 
@@ -35,11 +36,15 @@ class Bearing(NamedTuple):
     Attributes:
         entry_m: Where its line passes the entry, to the right and up, shape (2,).
         tip_m: Where its tip is, shape (2,).
-        up: Side of the body that is up: H, the head, or P, the back.
+        right: Side of the patient to the right: L, R, P, A, H or F.
+        left: To the left.
+        up: Upwards.
     """
 
     entry_m: Array
     tip_m: Array
+    right: str
+    left: str
     up: str
 
 
@@ -51,14 +56,16 @@ def find_bearing(row: ViewRow, needle: NeedlePose, plan: PlanScene) -> Bearing |
     path = plan.path
     if path is None or math.isnan(row.aside_entry_m):
         return None
-    frame = needle_frame(path.axis, plan.rotation)
-    across = np.array([frame.side, frame.up])
+    view = NeedleView.along(plan.rotation.T @ path.axis)
+    across = np.array([view.side, view.up]) @ plan.rotation.T
     from_entry_m = needle.tip_m - path.entry_m
     at_entry_m = from_entry_m - (from_entry_m @ needle.axis) * needle.axis
     return Bearing(
         _with_length(across @ at_entry_m, row.aside_entry_m),
         _with_length(across @ from_entry_m, row.aside_tip_m),
-        frame.up_side,
+        right=patient_side(view.side),
+        left=patient_side(-view.side),
+        up=patient_side(view.up),
     )
 
 
@@ -80,7 +87,7 @@ def card_html(
     bearing: Bearing | None = None,
     event: tuple[str, float] | None = None,
 ) -> str:
-    """Return the card of a row; empty without a planned path.
+    """Return the card of a row: of a plan without a path the tissue alone.
 
     Args:
         row: What is shown; None before the first sample.
@@ -91,7 +98,7 @@ def card_html(
     """
     path = plan.path
     if path is None:
-        return ""
+        return _tissue_html(row, plan)
     sound = ""
     if event is not None:
         kind, time_s = event
@@ -104,7 +111,7 @@ def card_html(
         )
     return (
         '<div class="needle-card" style="margin:0 .75rem .5rem;color:#111">'
-        f"{_verdict_html(row)}"
+        f"{_verdict_html(row)}{_tissue_html(row, plan)}"
         '<div style="display:flex;align-items:center;gap:.5rem">'
         f'<div style="flex:1;min-width:0">{_target_html(row, path.length_m)}</div>'
         f"{_bullseye_svg(row, bearing)}</div>"
@@ -132,6 +139,20 @@ def _verdict_html(row: ViewRow | None) -> str:
     if math.isnan(row.aside_entry_m):
         return _box_html(AMBER, CANNOT_TELL, "no state of the needle on the plan yet")
     return _box_html(GREEN, ON_PLAN, "")
+
+
+def _tissue_html(row: ViewRow | None, plan: PlanScene) -> str:
+    """Return the planned tissue that the tip is in, with its probability."""
+    if row is None or not plan.layers:
+        return ""
+    text = "tissue at the tip not known"
+    name = layer_names(plan).get(row.plan_layer)
+    if name is not None and not row.is_off_plan:
+        text = f"in {name.replace('_', ' ')} ({100.0 * row.plan_probability:.0f} %)"
+    return (
+        '<div data-part="tissue" style="font-size:1.25rem;font-weight:700;'
+        f'margin:.3rem 0;overflow-wrap:anywhere">{escape(text)}</div>'
+    )
 
 
 def _target_html(row: ViewRow | None, length_m: float) -> str:
@@ -189,7 +210,10 @@ def _bullseye_svg(row: ViewRow | None, bearing: Bearing | None) -> str:
             f'<path d="M{entry[0]:.2f} {entry[1]:.2f}L{tip[0]:.2f} {tip[1]:.2f}" '
             f'stroke="{color}" stroke-width=".2"/>'
             f'<circle cx="{tip[0]:.2f}" cy="{tip[1]:.2f}" r=".25" fill="{color}"/>'
-            f'<text x=".2" y="-5.1" font-size="1" fill="#555">{bearing.up}</text>'
+            '<g font-size="1" font-weight="bold" fill="#111">'
+            f'<text data-side="up" x=".2" y="-5.1">{bearing.up}</text>'
+            f'<text data-side="left" x="-5.9" y="-.2">{bearing.left}</text>'
+            f'<text data-side="right" x="5.1" y="-.2">{bearing.right}</text></g>'
         )
         words = aside_text(row)
         caption = (

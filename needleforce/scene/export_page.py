@@ -165,7 +165,9 @@ def slice_section(pictures: SlicePictures) -> Section:
         imsave(buffer, picture, format="png")
         figures.append(PageFigure(path=buffer.getvalue(), alt=title, caption=title))
     return Section(
-        heading="CT at the needle, at the end", anchor="ct", figures=tuple(figures)
+        heading="CT at the needle, where it was deepest",
+        anchor="ct",
+        figures=tuple(figures),
     )
 
 

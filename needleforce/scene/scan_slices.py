@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
+from needleforce.plots.needle_view import NeedleView, patient_side
 from needleforce.scene.nodes import TARGET_COLOR, NeedlePose, PlanScene
 
 PIXELS = 140
@@ -32,38 +33,6 @@ TITLES = (
 )
 """What the three pictures show; green are planned path and target. Until the needle
 comes near to its entry the cuts are those along the path, at the target."""
-
-
-class NeedleFrame(NamedTuple):
-    """Directions of the needle in the robot's base, each of shape (3,).
-
-    Attributes:
-        axis: Of the needle.
-        side: Across it.
-        up: To the head, as far as it can be.
-        up_side: H, the head, or P, the back, for a needle along the body.
-    """
-
-    axis: Array
-    side: Array
-    up: Array
-    up_side: str
-
-
-def needle_frame(axis: Array, rotation: Array) -> NeedleFrame:
-    """Return the directions of a needle in a patient.
-
-    Args:
-        axis: Of the needle in the robot's base, shape (3,).
-        rotation: From the patient (LPS) to the robot's base, shape (3, 3).
-    """
-    head = rotation[:, 2]
-    # A needle along the body has the back of the body up instead of the head.
-    is_along = abs(axis @ head) > 0.9
-    towards = rotation[:, 1] if is_along else head
-    up = towards - (towards @ axis) * axis
-    up = up / np.linalg.norm(up)
-    return NeedleFrame(axis, np.cross(axis, up), up, "P" if is_along else "H")
 
 
 class SlicePictures(NamedTuple):
@@ -114,16 +83,24 @@ class ScanSlices:
             if max(travel_m, turn_m) < 0.5e-3:  # less than a pixel
                 return None
         self._drawn_at = place
-        frame = needle_frame(place.axis, self._plan.rotation)
+        rotation = self._plan.rotation
+        view = NeedleView.along(rotation.T @ place.axis)
+        across = rotation @ view.side
+        up = rotation @ view.up
         middle = PIXELS // 2
-        side = self._cut(place.tip_m, frame.axis, frame.side, TIP_ROW)
-        head = self._cut(place.tip_m, frame.axis, frame.up, TIP_ROW)
-        probe = self._cut(place.tip_m, -frame.up, frame.side, middle)
+        side = self._cut(place.tip_m, place.axis, across, TIP_ROW)
+        head = self._cut(place.tip_m, place.axis, up, TIP_ROW)
+        probe = self._cut(place.tip_m, -up, across, middle)
         if needle is not None:
             for picture in (side, head):
                 picture[:TIP_ROW, middle - 1 : middle + 1] = NEEDLE_COLOR
             probe[middle, middle - 5 : middle + 6] = NEEDLE_COLOR
             probe[middle - 5 : middle + 6, middle] = NEEDLE_COLOR
+        _name_sides(side, view.side)
+        _name_sides(head, view.up)
+        _name_sides(probe, view.side)
+        _write_side(probe, patient_side(view.up), middle, 2)
+        _write_side(probe, patient_side(-view.up), middle, PIXELS - 12)
         self.latest = SlicePictures(side, head, probe)
         return self.latest
 
@@ -179,3 +156,26 @@ class ScanSlices:
         axes = np.array([row_axis, column_axis])
         self._draw_path(picture, tip_m, axes, (tip_row, PIXELS // 2))
         return picture
+
+
+def _name_sides(picture: NDArray[np.uint8], direction: Array) -> None:
+    """Write the patient's sides at the left and the right edge of a picture.
+
+    Args:
+        picture: The picture, which is changed.
+        direction: To the right of the picture, in LPS, shape (3,).
+    """
+    row = PIXELS // 2 - 5
+    _write_side(picture, patient_side(-direction), 6, row)
+    _write_side(picture, patient_side(direction), PIXELS - 6, row)
+
+
+def _write_side(
+    picture: NDArray[np.uint8], side: str, column: int, top_row: int
+) -> None:
+    """Write the letter of a side into a picture, its middle at a column."""
+    from PIL import Image, ImageDraw
+
+    image = Image.fromarray(picture)
+    ImageDraw.Draw(image).text((column, top_row), side, NEEDLE_COLOR, anchor="ma")
+    picture[:] = np.asarray(image)

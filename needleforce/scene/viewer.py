@@ -500,10 +500,10 @@ class Viewer:
             serializer.insert_sleep(step_s)
         scene = serializer.as_html()
         last = _view_row_of(self._rows[-1])
-        # At the end a needle may be back in the air.
-        deepest = self._rows[int(self._rows[:, COLUMN["depth_m"]].argmax())]
+        deepest = self._deepest_row()
         row = _view_row_of(deepest)
         needle = self._arm.needle_at(_joints_of(deepest))
+        self._draw_slices(needle)
         self._title.restore(banner_of(last))
         banners = [banner_of(_view_row_of(row)) for row in self._rows]
         ruptures = [
@@ -528,6 +528,15 @@ class Viewer:
             card=card_html(row, self._plan, find_bearing(row, needle, self._plan)),
             sections=sections,
         )
+
+    def _deepest_row(self) -> Array:
+        """Return the row in which the needle was deepest since the tare.
+
+        At the end it may be back in the air; before the tare depth has another zero.
+        """
+        since = int(np.argmax(self._rows[:, COLUMN["is_good"]] == 1.0))
+        rows = self._rows[since:]
+        return rows[int(rows[:, COLUMN["depth_m"]].argmax())]
 
     def stop(self) -> None:
         """Close the page."""

@@ -193,7 +193,7 @@ def all_fit(values: tuple[object, ...], joints: int) -> bool:
 
 
 def read_rows(names: tuple[str, ...], values: tuple[object, ...], joints: int) -> Array:
-    """Read k named signals into a read-only copy of shape (k, joints), of any numbers.
+    """Read k named signals into a copy of shape (k, joints), of any numbers.
 
     Raises:
         SampleError: As of `check_joint_vector`, where numpy cannot read them so.
@@ -207,7 +207,6 @@ def read_rows(names: tuple[str, ...], values: tuple[object, ...], joints: int) -
         rows = np.stack(
             [check_joint_vector(name, value, joints) for name, value in vectors]
         )
-    rows.setflags(write=False)
     return rows
 
 

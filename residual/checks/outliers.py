@@ -1,5 +1,8 @@
 """Rejects valid numbers that are no measurements: spikes, frozen or saturated signals.
 
+A measured velocity that the positions contradict for a moment is replaced by their
+rate: positions and torques of that sample are right.
+
 A jump is judged against what an arm can do in the time and against the noise of the
 signal itself, learnt in the first half second; before that nothing counts as a spike or
 as frozen. A rejected sample is treated like a lost one: time passes, the estimate
@@ -13,10 +16,11 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.arrays import Array, Vector
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
 from foundation.jit import compiled
-from residual.checks.input import ROUNDING_S, known_limits
+from residual.checks.input import MAX_PLAUSIBLE, ROUNDING_S, known_limits
 from residual.checks.stuck_signals import (
+    LEARNING_S,
     MAX_USUAL_S,
     NoiseProbe,
     SingleSignalDetector,
@@ -98,6 +102,9 @@ MAX_LOAD_RATIO = 10.0
 STILL_S = 1.0
 """A torque unchanged for so long may be missing, or come from a simulation."""
 
+USUAL_DEVIATION_S = 2.0
+"""Time constant of the usual deviation of velocities from the rate of positions."""
+
 SURE_STEP_S = 1e-4
 """Time step for which a velocity may change without a check: shorter than any clock's,
 so that a sample within it needs no other check."""
@@ -147,6 +154,61 @@ def fresh_distance(
     return largest
 
 
+@compiled
+def velocity_error(
+    sample: Matrix,
+    before: Vector,
+    deviation_before: Vector,
+    usual_square: Vector,
+    dt_s: float,
+    learned_s: float,
+    found: WrittenMatrix,
+) -> float:
+    """Return how far velocities are from the rate of positions, beside their usual.
+
+    Velocities may be late: what counts is how far their deviation from the rate has
+    changed since the sample before, and at most how far they have changed themselves:
+    a position may have jumped.
+
+    Args:
+        sample: q [rad], dq [rad/s] and torque, shape (3, n).
+        before: The sample before, in one row, shape (3 n,).
+        deviation_before: Deviation of its velocity from the rate [rad/s], shape (n,).
+        usual_square: Usual square of a change of this deviation, shape (n,).
+        dt_s: Time between the two samples, > 0.
+        learned_s: Time over which that was learned.
+        found: Output, shape (3, n): the velocity that replaces dq, the deviation of dq
+            from the rate, and the usual square with that of this sample.
+
+    Returns:
+        The sum over the joints of the squared changes, in units of the usual ones.
+    """
+    jerk_rad_s2 = 0.2  # a change of acceleration beside the noise
+    acceleration_rad_s2 = 0.5  # of an arm that drives a needle
+    largest_ratio = 9.0  # of what is learned, so that one error teaches nothing
+    is_learning = learned_s < LEARNING_S
+    weight = min(dt_s / min(learned_s + dt_s, USUAL_DEVIATION_S), 1.0)
+    total = 0.0
+    joints = sample.shape[1]
+    for j in range(joints):
+        rate = (sample[0, j] - before[j]) / dt_s
+        deviation = sample[1, j] - rate
+        change = deviation - deviation_before[j]
+        own_change = sample[1, j] - before[joints + j]
+        square = change * change
+        smallest = min(square, own_change * own_change)
+        total += smallest / (usual_square[j] + (jerk_rad_s2 * dt_s) ** 2)
+        if not is_learning:
+            square = min(square, largest_ratio * usual_square[j])
+        # The velocity before and the rate now, by what either may be off.
+        square_held = (acceleration_rad_s2 * dt_s) ** 2
+        share = square_held / (square_held + 0.5 * usual_square[j])
+        found[0, j] = before[joints + j] + share * (rate - before[joints + j])
+        found[1, j] = deviation
+        found[2, j] = usual_square[j] + weight * (square - usual_square[j])
+    return 0.0 if is_learning else total
+
+
 def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
     """Return whether a plausible force on the tool explains a jump of the torques.
 
@@ -191,6 +253,11 @@ class GuardState:
         held_s: Time for which positions have repeated now.
         swept: Travel that they may lag by meanwhile [rad], shape (n,); None if they do
             not repeat.
+        deviation: Of the last velocity from the rate of positions [rad/s], shape (n,).
+        usual_square: Usual square of a change of it, shape (n,).
+        compared_s: Time over which that was learned.
+        replaced_s: Time for which velocities are replaced now.
+        replaced: Number of samples whose velocity was replaced.
     """
 
     last: Array
@@ -211,6 +278,11 @@ class GuardState:
     question: str = ""
     held_s: float = 0.0
     swept: Array | None = None
+    deviation: Array
+    usual_square: Array
+    compared_s: float = 0.0
+    replaced_s: float = 0.0
+    replaced: int = 0
 
     def find_damage(self) -> str:
         """Return which array has not the shape of a sample, "" if all have it."""
@@ -260,6 +332,8 @@ class FaultDetector:
                 last=np.zeros(size),
                 before=np.zeros(size),
                 velocity=np.zeros(robot.nv),
+                deviation=np.zeros(robot.nv),
+                usual_square=np.zeros(robot.nv),
                 alone=SingleSignalDetector.of_size(robot.nv),
                 probe=NoiseProbe.of_size(size),
             )
@@ -283,6 +357,34 @@ class FaultDetector:
         # A weighted difference that is smaller than the narrowest gate is within all.
         self._narrowest_gate = float(sure_gates.min())
         self._weights = self._narrowest_gate / sure_gates
+
+    def correct_velocity(self, sample: Array, dt_s: float) -> None:
+        """Replace velocities of a sample that cannot be the rate of q by an estimate.
+
+        Args:
+            sample: q, dq and torque, shape (3, n), written in place.
+            dt_s: Time since the last accepted sample.
+        """
+        memory = self.memory
+        self._is_replaced = False
+        self._is_compared = memory.step_s > 0.0 and 0.0 < dt_s <= MAX_HOLD_S
+        if not self._is_compared:
+            return
+        total = velocity_error(
+            sample,
+            memory.last,
+            memory.deviation,
+            memory.usual_square,
+            dt_s,
+            memory.compared_s,
+            self._found,
+        )
+        # Noise of seven joints reaches 60 once in 1e9 samples.
+        max_squares = 64.0
+        is_wrong = total > max_squares and memory.replaced_s + dt_s <= MAX_HOLD_S
+        if is_wrong and math.hypot(*sample[1].tolist()) < MAX_PLAUSIBLE:
+            sample[1] = self._found[0]
+            self._is_replaced = True
 
     def surely_passes(self, signals: Array) -> bool:
         """Return whether a sample, of any numbers, needs no check, as nearly all."""
@@ -349,6 +451,8 @@ class FaultDetector:
         memory.step_s = dt_s
         memory.last = signals
         memory.velocity = velocity
+        if self._has_velocity:
+            self._compare_velocity(dt_s)
         self._follow_repeats(velocity, dt_s)
         if memory.missed_s:
             memory.rejected = None
@@ -361,6 +465,21 @@ class FaultDetector:
         memory.age_s += dt_s
         if memory.age_s >= CHECK_S - ROUNDING_S:
             self._check_each_torque()
+
+    def _compare_velocity(self, dt_s: float) -> None:
+        """Remember how the velocity of an accepted sample deviates from the rate."""
+        memory = self.memory
+        if not self._is_compared:
+            memory.deviation[:] = 0.0
+            return
+        memory.usual_square[:] = self._found[2]
+        memory.compared_s += dt_s
+        if self._is_replaced:
+            memory.replaced += 1
+            memory.replaced_s += dt_s
+        else:
+            memory.deviation[:] = self._found[1]
+            memory.replaced_s = 0.0
 
     def _follow_repeats(self, velocity: Array, dt_s: float) -> None:
         """Count for how long signals have repeated; arguments of `accept`."""
@@ -546,3 +665,6 @@ class FaultDetector:
             np.zeros_like(memory.last) if memory.noise is None else memory.noise
         )
         self._repeats = NO_REPEATS
+        self._found = np.zeros((3, self._joints))
+        self._is_compared = False
+        self._is_replaced = False

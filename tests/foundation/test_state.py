@@ -152,7 +152,7 @@ def sealed(**changes):
         (b"", "holds no state, or is cut short"),
         (seal_state(sound_state(), "filter")[:-5], "holds no state, or is cut short"),
         (sealed(format="other"), "its format is 'other'"),
-        (sealed(version=2), "has version 2, this package reads version 10"),
+        (sealed(version=2), "has version 2, this package reads version 11"),
         (sealed(data=b"\x90"), "is damaged: its bytes do not have its sha256"),
         (sealed(kind="arm"), "holds the state of a 'arm', expected one of filter"),
         (seal_state(sound_state().mixture, "filter"), "is damaged"),

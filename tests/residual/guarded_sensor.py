@@ -1,26 +1,24 @@
-"""A tared sensor behind its guard, and the samples that come next."""
+"""A tared sensor, the samples that come next, and what may be done to them."""
 
 import numpy as np
 
 from residual import DEFAULT, VirtualForceSensor
-from tests.residual.residual_signals import BIAS, swing
+from tests.residual.residual_signals import BIAS, external_torque_of, swing
 
 NOISE = {"q": 1e-5, "dq": 2e-4, "tau": 0.03}
 
 
-def signals(robot, seconds, *, middle=None, noisy=True, start=0.0):
+def signals(robot, seconds, *, middle=None, noisy=True, start=0.0, amplitude=0.03):
     """Free motion with the noise of a good arm."""
-    _, q, dq, tau = swing(
-        robot, seconds=seconds, amplitude=0.03, middle=middle, start=start
+    _, *clean = swing(
+        robot, seconds=seconds, amplitude=amplitude, middle=middle, start=start
     )
     rng = np.random.default_rng(0)
-    tau = tau - BIAS
-    if noisy:
-        q, dq, tau = (
-            value + NOISE[name] * rng.normal(size=value.shape)
-            for name, value in (("q", q), ("dq", dq), ("tau", tau))
-        )
-    return q, dq, tau
+    clean[2] = clean[2] - BIAS[: robot.nv]
+    return tuple(
+        value + noisy * std * rng.normal(size=value.shape)
+        for value, std in zip(clean, NOISE.values(), strict=True)
+    )
 
 
 def rows_of(q, dq, tau):
@@ -34,12 +32,11 @@ def tared(robot, config=DEFAULT, *, with_velocity=True, more=1.0, **kinds):
     q, dq, tau = signals(robot, 2.0 + more, **kinds)
     rows = rows_of(q, dq if with_velocity else None, tau)
     key = robot, config, with_velocity, more, *map(str, kinds.values())
+    sensor = VirtualForceSensor(robot, config)
     if key not in TARED:
-        sensor = VirtualForceSensor(robot, config)
         feed(sensor, rows[:2000])
         sensor.tare()
         TARED[key] = sensor.snapshot()
-    sensor = VirtualForceSensor(robot, config)
     sensor.restore(TARED[key])
     return sensor, rows[2000:]
 
@@ -47,10 +44,21 @@ def tared(robot, config=DEFAULT, *, with_velocity=True, more=1.0, **kinds):
 TARED = {}  # states of sensors that were tared before, by all that they depend on
 
 
-def tared_sensor(robot, config=DEFAULT, *, with_velocity=True):
-    """A sensor that was tared without noise."""
-    return tared(robot, config, with_velocity=with_velocity, noisy=False, more=0.0)[0]
-
-
 def feed(sensor, rows, dt_s=1e-3):
     return [sensor.update(*row, dt_s) for row in rows]
+
+
+def changed(rows, which, change, first=0, last=None):
+    """Samples of which one signal is changed from the first to before the last."""
+    rows = [list(row) for row in rows]
+    for row in rows[first:last]:
+        row[which] = change(row[which])
+    return rows
+
+
+def pushed(robot, rows, force_N, first=0):
+    """Samples under a force at the tip, in base axes, from the first on."""
+    return [
+        (q, dq, tau - external_torque_of(robot, q, force_N) * (k >= first))
+        for k, (q, dq, tau) in enumerate(rows)
+    ]

@@ -1,8 +1,13 @@
-"""The facade: tare, insert, and what it says about bad samples."""
+"""The facade: it reads a force, keeps its state, and reports what it cannot use."""
 
+import copy
+import math
+import pickle
 from dataclasses import replace
+from fractions import Fraction
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from residual import (
@@ -11,298 +16,669 @@ from residual import (
     PUBLISHED,
     ConfigurationError,
     JointFriction,
+    MomentumObserver,
+    SampleError,
     SensorConfig,
+    SensorWarning,
     SigmoidFriction,
     SnapshotError,
     Status,
     TareError,
+    VelocityEstimator,
     VirtualForceSensor,
+    WrenchEstimator,
 )
-from tests.residual.guarded_sensor import feed, rows_of, tared, tared_sensor
-from tests.residual.residual_signals import BIAS, external_torque_of, swing
+from tests.insertion_run import same
+from tests.residual.guarded_sensor import changed, feed, pushed, rows_of, signals, tared
+from tests.residual.residual_signals import (
+    BIAS,
+    MIDDLE,
+    external_torque_of,
+    gravity_of,
+    pose_of,
+    swing,
+)
+from urdf import Robot, UnsupportedJointError
+
+STILL = np.zeros(7)
+POINT = replace(DEFAULT, mode="point")
+FORCE_N = np.array([1.0, -0.5, 2.0])
+WITH_OR_WITHOUT = pytest.mark.parametrize("with_velocity", [True, False])
 
 
-def push(robot, sensor, force, *, with_velocity=True):
-    """The estimate after half a second under a force."""
-    _, q, dq, tau = swing(
-        robot, seconds=0.5, start=2.0, amplitude=0.03, force_at_tip_in_base=force
+def robot_of(joint, count, effort_Nm=None):
+    """An arm built straight in Pinocchio, whose unset limits are the largest float."""
+    model = pin.Model()
+    link = pin.Inertia(2.0, np.array([0.1, 0.0, 0.2]), 0.05 * np.eye(3))
+    for i in range(count):
+        place = pin.SE3(np.eye(3), np.array([0.0, 0.3, 0.1]))
+        index = model.addJoint(i, joint, place, f"joint_{i}")
+        model.addJointFrame(index, -1)
+        model.appendBodyToJoint(index, link, place)
+    tip = pin.SE3(np.eye(3), np.array([0.2, 0.2, 0.1]))
+    model.addFrame(
+        pin.Frame("tool", count, model.nframes - 1, tip, pin.FrameType.OP_FRAME)
     )
-    return feed(sensor, rows_of(q, dq if with_velocity else None, tau - BIAS))[-1]
+    if effort_Nm is not None:
+        model.upperEffortLimit = np.full(count, effort_Nm)
+    return Robot(bare_model=model, tool_frame="tool", flange_frame="tool")
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("with_velocity", [True, False])
-def test_force_is_read_through_a_sensor_bias(lwr, with_velocity):
-    sensor = tared_sensor(
-        lwr, replace(DEFAULT, mode="point"), with_velocity=with_velocity
-    )
-    force = np.array([1.0, -0.5, 2.0])
-    estimate = push(lwr, sensor, force, with_velocity=with_velocity)
-
-    assert estimate.status is Status.OK
-    np.testing.assert_allclose(estimate.force, force, atol=0.03)
-
-    # The tare does not fade.
-    _, q, dq, tau = swing(lwr, seconds=3.0, start=2.5, amplitude=0.03)
-    later = feed(sensor, rows_of(q, dq if with_velocity else None, tau - BIAS))
-
-    assert max(np.abs(e.force).max() for e in later[500:]) < 0.03
+# What it reads.
 
 
-def test_paper_preset_reads_the_same_force_later(lwr):
-    sensor = tared_sensor(lwr, PUBLISHED)
+@WITH_OR_WITHOUT
+def test_a_force_is_read_through_a_bias_and_the_tare_does_not_fade(lwr, with_velocity):
+    sensor, rows = tared(lwr, POINT, with_velocity=with_velocity, noisy=False, more=3.0)
+    found = feed(sensor, pushed(lwr, rows[:500], FORCE_N) + rows[500:])
+
+    assert {e.status for e in found} == {Status.OK}
+    np.testing.assert_allclose(found[499].force, FORCE_N, atol=0.03)
+    assert max(np.abs(e.force).max() for e in found[1000:]) < 0.03
+
+
+def test_the_paper_reads_the_same_force_later(lwr):
+    sensor, rows = tared(lwr, PUBLISHED, noisy=False)
+    found = feed(sensor, pushed(lwr, rows[:500], FORCE_N))[-1]
 
     assert sensor.lag_s == pytest.approx(0.2)
-
-    estimate = push(lwr, sensor, [0.0, 0.0, 2.0])
-
-    assert estimate.force[2] == pytest.approx(2.0 * (1 - np.exp(-0.5 * 5.0)), abs=0.1)
-    assert estimate.covariance.shape == (6, 6)
+    assert found.force == pytest.approx(FORCE_N * (1 - np.exp(-2.5)), abs=0.1)
+    assert found.covariance.shape == (6, 6)
 
 
-def test_status_is_initializing_then_not_tared_then_ok(lwr):
-    sensor = VirtualForceSensor(lwr)
-    _, q, dq, tau = swing(lwr, seconds=1.0)
-    statuses = [sensor.update(q[k], dq[k], tau[k], 1e-3).status for k in range(len(q))]
+@WITH_OR_WITHOUT
+def test_the_force_of_external_torques_follows_at_once(lwr, with_velocity):
+    sensor = VirtualForceSensor(lwr, replace(POINT, force_bandwidth_per_s=None))
+    _, q, dq, _ = swing(lwr, seconds=1.0, amplitude=0.03)
+    noise_Nm = 0.03 * np.random.default_rng(0).normal(size=q.shape)
+    found = []
+    for k in range(1000):
+        if k == 500:
+            sensor.tare()
+        torque = BIAS + noise_Nm[k] + external_torque_of(lwr, q[k], FORCE_N) * (k > 499)
+        velocity = dq[k] if with_velocity else None
+        found.append(sensor.update_external_torque(q[k], velocity, torque, 1e-3))
+        if found[-1].status is not Status.INITIALIZING:
+            late = 0 if with_velocity else 10
+            np.testing.assert_allclose(sensor.velocity_rad_s, dq[k - late], atol=2e-3)
+    axial_N = np.array([e.axial for e in found[500:]])
+    expected_N = [-FORCE_N @ pose_of(lwr, one).rotation[:, 2] for one in q[500:]]
 
-    assert statuses[0] is Status.INITIALIZING
-    assert statuses[-1] is Status.NOT_TARED
-    assert not sensor.tared
+    assert found[60].status is Status.NOT_TARED
+    assert 0.3 < np.std(axial_N - expected_N) / found[-1].axial_std < 2.0
+    assert abs(np.mean(axial_N - expected_N)) < 0.02
+    assert sensor.lag_s == 0.0
 
+
+def read(robot, rows, config=DEFAULT):
+    """Forces after a tare on the first two seconds."""
+    sensor = VirtualForceSensor(robot, config)
+    feed(sensor, rows[:2000])
     sensor.tare()
+    return [e.axial for e in feed(sensor, rows[2000:])]
 
-    assert sensor.tared
-    assert sensor.update(q[-1], dq[-1], tau[-1], 1e-3).status is Status.OK
 
-    sensor.start_tare_recording()
+@WITH_OR_WITHOUT
+def test_torque_without_gravity_gives_the_same_force(lwr, with_velocity):
+    q, dq, tau = signals(lwr, 2.2)
+    with_gravity, without = (
+        rows_of(q, dq if with_velocity else None, one)
+        for one in (tau, tau - gravity_of(lwr, q))
+    )
+    compensated = replace(DEFAULT, torque_is_gravity_compensated=True)
+    found = read(lwr, without, compensated)
 
-    assert sensor.update(q[-1], dq[-1], tau[-1], 1e-3).status is Status.NOT_TARED
+    np.testing.assert_allclose(found, read(lwr, with_gravity), atol=1e-9)
 
-    after_gap = sensor.update(q[-1], dq[-1], tau[-1], 5.0)
 
-    assert after_gap.status is Status.INITIALIZING
+def test_a_tip_offset_equals_a_displaced_frame(lwr):
+    offset_m = (0.02, -0.03, 0.1)
+    model = pin.Model(lwr.bare_model)
+    at = model.frames[lwr.tool_frame_id]
+    place = at.placement * pin.SE3(np.eye(3), np.array(offset_m))
+    model.addFrame(pin.Frame("tip", at.parentJoint, lwr.tool_frame_id, place, at.type))
+    longer = replace(lwr, bare_model=model, tool_frame="tip")
+    rows = pushed(longer, rows_of(*signals(lwr, 2.3)), FORCE_N, first=2100)
+    found = read(lwr, rows, replace(POINT, tool_offset_m=offset_m))
 
-    sensor.update(q[-1], dq[-1], np.full(7, np.nan), 1e-3)
+    np.testing.assert_allclose(found, read(longer, rows, POINT), atol=1e-6)
 
-    assert sensor.rejected == 1
 
-    sensor.reset()
+@pytest.mark.filterwarnings("error")
+@WITH_OR_WITHOUT
+@pytest.mark.parametrize(
+    ("joint", "count"),
+    [(pin.JointModelPZ(), 1), (pin.JointModelRX(), 1), (pin.JointModelRY(), 3)],
+)
+def test_robots_without_limits_or_with_one_joint_work(joint, count, with_velocity):
+    robot = robot_of(joint, count)
+    config = replace(DEFAULT, mode="axial")
+    middle = np.full(count, 0.4)
+    sensor, rows = tared(robot, config, with_velocity=with_velocity, middle=middle)
+    last = feed(sensor, pushed(robot, rows, [0.0, 0.0, 3.0]))[-1]
+    torque = external_torque_of(robot, rows[-1][0], [0.0, 0.0, 3.0])
 
-    assert (sensor.tared, sensor.rejected, sensor.lag_s) == (False, 0, 0.0)
-    with pytest.raises(TareError, match="no settled free motion"):
-        sensor.tare()
-    assert not sensor.tared
+    assert last.status is Status.OK
+    assert all(np.isfinite(value).all() for value in last[:8])
+    if count == 1:
+        lever_m = sensor.kinematics.axial_jacobian
+        assert last.axial == pytest.approx(-torque[0] / lever_m[0], abs=0.5)
+
+
+@pytest.mark.parametrize("effort", [-1.0, np.nan, np.inf])
+def test_an_impossible_effort_limit_counts_as_unknown(effort):
+    found = []
+    for one in (effort, 0.0):
+        robot = robot_of(pin.JointModelRX(), 2, one)
+        _, *motion = swing(robot, seconds=0.5, amplitude=0.03)
+        found.append(feed(VirtualForceSensor(robot), rows_of(*motion))[-1].axial_std)
+
+    assert found[0] == found[1] < 100.0
+
+
+# How certain it is.
+
+
+@pytest.mark.parametrize("mode", ["axial", "point", "full"])
+def test_noise_is_smoothed_and_a_rupture_passes(lwr, mode):
+    sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
+    needle = pose_of(lwr, MIDDLE).rotation[:, 2]
+    push_Nm = external_torque_of(lwr, MIDDLE, -2.0 * needle)
+    noise_Nm = 0.02 * np.random.default_rng(0).normal(size=(4000, 7))
+    found = []
+    for k, torque in enumerate(noise_Nm):
+        if k == 1000:
+            sensor.tare()
+        torque = torque + push_Nm * (k >= 3000)
+        found.append(sensor.update_external_torque(MIDDLE, None, torque, 1e-3))
+    still = found[1500:3000]
+    smooth, rough, across, std = (
+        np.array([getattr(e, name) for e in still])
+        for name in ("axial", "axial_unsmoothed", "lateral", "axial_std")
+    )
+    after_N = np.array([e.axial for e in found[3001:]])
+
+    # A lag of 33 samples leaves 1 / 66 of the variance of white noise; wide steps let
+    # more pass.
+    assert np.std(smooth) < 0.35 * np.std(rough)
+    assert np.std(smooth) < std.mean() < np.std(rough)
+    assert np.abs(after_N - 2.0).max() < 3.0 * std.mean()
+    if mode != "axial":
+        assert np.sqrt(np.mean(across**2)) < 0.3 * still[-1].lateral_std
+
+
+def test_a_force_that_the_lag_hides_widens_the_deviation_for_a_while(lwr):
+    sensor, rows = tared(lwr, noisy=False)
+    calm_N = feed(sensor, rows[:20])[-1].axial_std
+    found = feed(sensor, pushed(lwr, rows[20:820], [0.0, 0.0, 2.0]))
+    hidden_N = math.hypot(4 * calm_N, 0.03 * found[-1].axial)
+
+    assert max(e.axial_std for e in found) > 20 * calm_N
+    assert sensor.std_of_bias_N(found[-1]) < 4 * calm_N
+    assert found[-1].axial_std < hidden_N
 
 
 def test_the_prior_gives_the_deviation_before_taring(lwr):
     sensor = VirtualForceSensor(lwr)
-    _, q, dq, tau = swing(lwr, seconds=1.0, amplitude=0.03)
-    estimate = feed(sensor, rows_of(q, dq, tau - BIAS))[-1]
-
-    assert abs(estimate.axial) < 2 * estimate.axial_std
-
+    rows = rows_of(*signals(lwr, 1.0))
+    before = feed(sensor, rows[:-1])[-1]
     sensor.tare()
 
-    assert (
-        sensor.update(q[-1], dq[-1], tau[-1] - BIAS, 1e-3).axial_std
-        < 0.1 * estimate.axial_std
-    )
+    assert abs(before.axial) < 2 * before.axial_std
+    assert feed(sensor, rows[-1:])[0].axial_std < 0.1 * before.axial_std
 
 
-BAD = {
-    "not finite": lambda q, dq, tau: (
-        q,
-        dq,
-        np.where(np.arange(7) == 3, np.nan, tau),
-        1e-3,
+@pytest.mark.parametrize(
+    ("quiet", "loud", "amplitude", "ratio", "with_velocity"),
+    [
+        (DEFAULT, replace(DEFAULT, smooth_momentum=False), 0.005, 0.75, True),
+        (DEFAULT, replace(DEFAULT, smooth_momentum=False), 0.3, 2.0, True),
+        (HAND_DRIVEN, DEFAULT, 0.1, 0.6, False),
+    ],
+)
+def test_settings_that_read_less_force_in_free_motion(
+    lwr, quiet, loud, amplitude, ratio, with_velocity
+):
+    found = []
+    for config in (quiet, loud):
+        kinds = {"amplitude": amplitude, "with_velocity": with_velocity, "more": 2.0}
+        sensor, rows = tared(lwr, config, **kinds)
+        found.append(np.std([e.axial_unsmoothed for e in feed(sensor, rows)[200:]]))
+
+    assert found[0] < ratio * found[1]
+
+
+# Two ways of one thing are equal, bit for bit.
+
+
+def restored(sensor):
+    other = VirtualForceSensor(sensor._robot)
+    other.restore(sensor.snapshot())
+    return other
+
+
+DAMAGE = {
+    "recorder": lambda s: s._replace(offset=replace(s.offset, recorder=None)),
+    "covariance": lambda s: s._replace(torque_covariance=-np.eye(7)),
+    "monitor": lambda s: s._replace(monitor=None),
+    "plays": lambda s: s._replace(
+        offset=replace(s.offset, plays=np.full((6, 7), np.nan))
     ),
-    "shape": lambda q, dq, tau: (q[:3], dq, tau, 1e-3),
-    "not an array of numbers": lambda q, dq, tau: (q, dq, ["a"] * 7, 1e-3),
-    "dq was given before": lambda q, dq, tau: (q, None, tau, 1e-3),
+    **{
+        f"noise {k}": lambda s, noise=noise: s._replace(
+            stream=replace(s.stream, observer=replace(s.stream.observer, noise=noise))
+        )
+        for k, noise in enumerate((np.ones(8), np.zeros(7), np.full(7, np.nan)))
+    },
 }
 
 
-@pytest.mark.parametrize("reason", BAD)
-def test_bad_sample_is_reported_and_never_used(lwr, reason):
-    sensor = tared_sensor(lwr)
-    twin = tared_sensor(lwr)
-    _, q, dq, tau = swing(lwr, seconds=0.02, start=2.0, amplitude=0.03)
-    good = sensor.update(q[0], dq[0], tau[0], 1e-3)
-    twin.update(q[0], dq[0], tau[0], 1e-3)
-    rejected = sensor.update(*BAD[reason](q[1], dq[1], tau[1]))
+def refused(damage):
+    """What refuses a damaged snapshot, and is then as it was."""
 
-    assert rejected.status is Status.REJECTED
-    assert reason in rejected.message
-    assert rejected.axial == good.axial
-    assert sensor.rejected == 1
+    def keep(sensor):
+        with pytest.raises(SnapshotError):
+            sensor.restore(damage(sensor.snapshot()))
+        return sensor
 
-    # The time of a bad sample with a valid clock still passes.
-    next_one = sensor.update(q[2], dq[2], tau[2], 1e-3)
-
-    assert next_one.axial == twin.update(q[2], dq[2], tau[2], 2e-3).axial
+    return keep
 
 
-def test_a_clock_that_goes_back_is_waited_for(lwr):
-    sensor = tared_sensor(lwr)
-    twin = tared_sensor(lwr)
-    _, q, dq, tau = swing(lwr, seconds=0.02, start=2.0, amplitude=0.03)
+GO_ON = {
+    "copy": copy.copy,
+    "deep copy": copy.deepcopy,
+    "pickle": lambda sensor: pickle.loads(pickle.dumps(sensor)),
+    "snapshot": restored,
+    **{f"damaged {kind}": refused(damage) for kind, damage in DAMAGE.items()},
+}
+
+
+@WITH_OR_WITHOUT
+@pytest.mark.parametrize("how", GO_ON)
+def test_a_copy_or_a_refusal_goes_on_bit_for_bit_amid_a_jump(lwr, how, with_velocity):
+    sensor, rows = tared(lwr, with_velocity=with_velocity, more=1.6)
+    twin, _ = tared(lwr, with_velocity=with_velocity, more=1.6)
+    rows = changed(rows, 2, lambda tau: tau + 0.5 * np.eye(7)[3], 300)
     for one in (sensor, twin):
-        one.update(q[0], dq[0], tau[0], 1e-3)
-    for k, dt_s in ((1, -2e-3), (2, 1e-3), (3, 0.0), (4, 1e-3)):
-        assert sensor.update(q[k], dq[k], tau[k], dt_s).status is Status.REJECTED
-    ours = sensor.update(q[5], dq[5], tau[5], 5e-3)
+        feed(one, rows[:800])
+    sensor = GO_ON[how](sensor)
 
-    assert ours.axial == twin.update(q[5], dq[5], tau[5], 5e-3).axial
-    assert sensor.update(q[6], dq[6], tau[6], -3600.0).status is Status.REJECTED
-    assert sensor.update(q[7], dq[7], tau[7], 1e-3).status is not Status.REJECTED
+    assert sensor.is_measuring_jump
+    assert same(tuple(feed(sensor, rows[800:])), tuple(feed(twin, rows[800:])))
 
 
-@pytest.mark.slow
-def test_tare_in_contact_is_refused_unless_ignored(lwr):
-    sensor = VirtualForceSensor(lwr)
-    twin = VirtualForceSensor(lwr)
-    _, q, dq, tau = swing(lwr, seconds=3.0, amplitude=0.03)
-    for k in range(2995):
-        touching = external_torque_of(lwr, q[k], [0.0, 0.0, 2.0]) if k > 2700 else 0.0
-        for one in (sensor, twin):
-            one.update(q[k], dq[k], tau[k] - touching, 1e-3)
-
-    with pytest.raises(TareError, match="in contact"):
-        sensor.tare()
-    assert not sensor.tared
-
-    ours, theirs = (
-        one.update(q[2995], dq[2995], tau[2995], 1e-3) for one in (sensor, twin)
-    )
-
-    assert (ours.axial, ours.axial_std) == (theirs.axial, theirs.axial_std)
-
-    sensor.tare(ignore_contact=True)
-
-    assert sensor.tared
+GIVEN = {
+    "with gaps": lambda values: np.repeat(values, 2)[::2],
+    "a list": list,
+    "fractions": lambda values: [Fraction(float(one)) for one in values],
+}
 
 
-def test_external_torque_gives_the_same_force(lwr):
-    sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode="point"))
-    q = swing(lwr, seconds=1.0, amplitude=0.03)[1]
-    for k in range(500):
-        sensor.update_external_torque(q[k], None, BIAS, 1e-3)
-    sensor.tare()
-    force = np.array([0.5, 1.0, -2.0])
-    torque = BIAS + external_torque_of(lwr, q[500], force)
-    estimate = sensor.update_external_torque(q[500], None, torque, 1e-3)
-
-    np.testing.assert_allclose(estimate.force, force, atol=0.02)
-    assert estimate.axial_std < 0.1
-
-    for bad, dt_s in ((torque * np.nan, 1e-3), (torque, -1.0)):
-        reported = sensor.update_external_torque(q[501], None, bad, dt_s)
-        assert reported.status is Status.REJECTED
+@WITH_OR_WITHOUT
+@pytest.mark.parametrize("kind", GIVEN)
+def test_numbers_may_come_in_any_layout_and_are_not_kept(lwr, kind, with_velocity):
+    sensor, rows = tared(lwr, with_velocity=with_velocity)
+    twin, _ = tared(lwr, with_velocity=with_velocity)
+    for row in rows[:100]:
+        given = [None if one is None else GIVEN[kind](one) for one in row]
+        found = sensor.update(*given, 1e-3)
+        for one in given:
+            if one is not None:
+                one[:] = np.full(7, 7.0)
+        assert same(found, twin.update(*row, np.float64(1e-3)))
+        assert np.array_equal(sensor.velocity_rad_s, twin.velocity_rad_s)
 
 
-def force_noise(robot, config, amplitude):
-    """Deviation of the force read in free motion with a noisy velocity, quiet or
-    quick."""
-    rng = np.random.default_rng(0)
-    sensor = VirtualForceSensor(robot, config)
-    for start_s in (0.0, 3.0):  # one motion: a robot that leaps has jumped
-        _, q, dq, tau = swing(robot, seconds=3.0, amplitude=amplitude, start=start_s)
-        noisy = dq + 2e-4 * rng.normal(size=dq.shape)
-        forces_N = [
-            sensor.update(*sample, 1e-3).axial
-            for sample in zip(q, noisy, tau, strict=True)
-        ]
-        if not sensor.tared:
-            sensor.tare()
-    return np.std(forces_N[200:])
+@WITH_OR_WITHOUT
+def test_rounding_of_time_stamps_decides_nothing(lwr, with_velocity):
+    sensor, rows = tared(lwr, with_velocity=with_velocity)
+    expected = [e.axial for e in feed(sensor, rows)]
+    for stamps_s in (np.arange(1001) * 1e-3, 1.7e9 + np.arange(1001) / 1000):
+        sensor, _ = tared(lwr, with_velocity=with_velocity)
+        steps_s = np.diff(stamps_s).tolist()
+        found = [sensor.update(*row, dt) for row, dt in zip(rows, steps_s, strict=True)]
+        assert [e.axial for e in found] == pytest.approx(expected, abs=1e-4)
+        assert {e.status for e in found} == {Status.OK}
 
 
-@pytest.mark.slow
-def test_smoothed_momentum_is_quiet_and_follows_acceleration(lwr):
-    smoothed = replace(DEFAULT, force_bandwidth_per_s=None)
-    plain = replace(smoothed, smooth_momentum=False)
-
-    assert force_noise(lwr, smoothed, 0.005) < 0.5 * force_noise(lwr, plain, 0.005)
-    assert force_noise(lwr, smoothed, 0.3) < 2.0 * force_noise(lwr, plain, 0.3)
+# What it cannot use is reported, and never used.
 
 
-def worst_force_in_quick_free_motion(robot, config):
-    """Largest force read while an arm that sends no velocity, but noisy positions,
-    swings."""
-    rng = np.random.default_rng(0)
-    sensor = VirtualForceSensor(robot, config)
-    for start_s in (0.0, 3.0):
-        _, q, _, tau = swing(robot, seconds=3.0, amplitude=0.1, start=start_s)
-        rows = rows_of(q + 1e-5 * rng.normal(size=q.shape), None, tau)
-        forces_N = [estimate.axial_unsmoothed for estimate in feed(sensor, rows)]
-        if not sensor.tared:
-            sensor.tare()
-    return np.abs(forces_N[500:]).max()
+class Raises:
+    """An object of somebody else's whose conversions fail in their own way."""
+
+    def __array__(self, *_, **__):
+        raise RuntimeError("no array")
+
+    __float__ = __repr__ = __array__
 
 
-@pytest.mark.slow
-def test_hand_settings_read_less_force_in_quick_motion(lwr):
-    default = worst_force_in_quick_free_motion(lwr, DEFAULT)
-    assert worst_force_in_quick_free_motion(lwr, HAND_DRIVEN) < 0.5 * default
+NO_SIGNAL = {
+    "finite": [np.r_[STILL[1:], np.nan], np.r_[np.inf, STILL[1:]]],
+    "shape": [STILL[:3], np.zeros((7, 2))],
+    "array of numbers": [
+        ["a"] * 7,
+        STILL + 0j,
+        np.zeros(7, dtype=bool),
+        np.array([None] * 7),
+        np.ma.array(STILL, mask=[True] + [False] * 6),
+        [10**400] * 7,
+        Raises(),
+    ],
+    "reaches": [STILL + 1e300, STILL + 1e6],
+}
+NO_STEP = [10**5000, 5e-324, Raises(), np.float64("nan"), True, "x", None, 0.0]
+
+
+def reports(sensor, twin, rows, bad, dt_s, word):
+    """Whether a bad sample is reported, counted and not used, and its time passes."""
+    before = sensor.update(*rows[0], 1e-3)
+    twin.update(*rows[0], 1e-3)
+    held = sensor.update(*bad, dt_s)
+    is_reported = held.status is Status.REJECTED and word in held.message
+    is_kept = (held.axial, sensor.rejected) == (before.axial, 1)
+    passed_s = 1e-3 if dt_s == 1e-3 else 0.0
+    after = sensor.update(*rows[2], 1e-3), twin.update(*rows[2], 1e-3 + passed_s)
+    return is_reported and is_kept and after[0].axial == after[1].axial
+
+
+@pytest.mark.filterwarnings("error")
+@WITH_OR_WITHOUT
+@pytest.mark.parametrize("word", NO_SIGNAL)
+def test_what_is_no_measurement_is_reported_and_never_used(lwr, word, with_velocity):
+    for value in NO_SIGNAL[word]:
+        for which in (0, 1, 2) if with_velocity else (0, 2):
+            (sensor, rows), (twin, _) = (
+                tared(lwr, with_velocity=with_velocity) for _ in range(2)
+            )
+            bad = list(rows[1])
+            bad[which] = value
+            assert reports(
+                sensor, twin, rows, bad, 1e-3, "" if word == "reaches" else word
+            )
+
+
+@pytest.mark.parametrize("dt_s", NO_STEP, ids=range(len(NO_STEP)))
+def test_no_time_step_makes_an_update_raise(lwr, dt_s):
+    (sensor, rows), (twin, _) = (tared(lwr) for _ in range(2))
+    velocity = VelocityEstimator(7)
+    velocity.update(STILL, STILL, 1e-3)
+
+    assert reports(sensor, twin, rows, rows[1], dt_s, "dt_s")
+    with pytest.raises(SampleError, match="dt_s"):
+        velocity.update(STILL, STILL, dt_s)
+
+
+PARTS = {
+    "q": lambda robot, bad: VelocityEstimator(7).update(bad, STILL, 1e-3),
+    "tau": lambda robot, bad: VelocityEstimator(7).update(STILL, bad, 1e-3),
+    " q": lambda robot, bad: MomentumObserver(robot).update(bad, STILL, STILL, 1e-3),
+    "dq": lambda robot, bad: MomentumObserver(robot).update(STILL, bad, STILL, 1e-3),
+    " tau": lambda robot, bad: MomentumObserver(robot).update(STILL, STILL, bad, 1e-3),
+    **{
+        f"{name}{' ' * k}": lambda robot, bad, name=name, mode=mode: WrenchEstimator(
+            robot, SensorConfig(mode=mode)
+        ).estimate(**({"q": MIDDLE, "residual": STILL} | {name: bad}))
+        for name in ("q", "residual")
+        for k, mode in enumerate(("axial", "point", "full"), 1)
+    },
+}
+
+
+@pytest.mark.filterwarnings("error", "ignore::RuntimeWarning")
+@pytest.mark.parametrize("part", PARTS)
+@pytest.mark.parametrize("word", NO_SIGNAL)
+def test_every_part_refuses_by_name_what_is_no_measurement(lwr, part, word):
+    for value in NO_SIGNAL[word]:
+        with pytest.raises(SampleError, match=f"^{part.strip()} .*{word}"):
+            PARTS[part](lwr, value)
+    for valid in ([0.0] * 7, STILL.astype(np.float32), [Fraction(0)] * 7):
+        assert str(PARTS[part](lwr, valid)) == str(PARTS[part](lwr, STILL))
+
+
+@pytest.mark.parametrize("mode", ["axial", "point", "full"])
+def test_bad_first_samples_give_finite_read_only_numbers(lwr, mode):
+    sensor = VirtualForceSensor(lwr, replace(DEFAULT, mode=mode))
+    rows = rows_of(*signals(lwr, 1.0))
+    found = [sensor.update(STILL * np.nan, STILL, STILL, 1e-3), feed(sensor, rows)[-1]]
+    tare = sensor.tare()
+
+    assert found[0].status is Status.REJECTED
+    assert found[0].axial_std >= 1e6
+    assert found[0].covariance.shape == found[1].covariance.shape
+    assert all(np.isfinite(value).all() for e in found for value in e[:8])
+    for array in (*found[0], *found[1], tare.mean, tare.covariance, tare.noise_Nm2):
+        assert not (isinstance(array, np.ndarray) and array.flags.writeable)
+
+
+# Its life, and its clock.
+
+
+# Acts of a caller; then so many samples, of which the first comes after a time step.
+# What the last of them says: status, warning and a word; or with which word the act is
+# refused.
+NONE = SensorWarning(0)
+EXPIRED = SensorWarning.TARE_EXPIRED
+WRONG = SensorWarning.VELOCITY
+FREE = ("", "update", 2000, 1e-3, Status.NOT_TARED, NONE, "")
+ANEW = ("start_tare_recording", "update", 900, 1e-3, Status.NOT_TARED, NONE, "")
+TARE = ("tare", "update", 100, 1e-3, Status.OK, NONE, "")
+REFUSED = ("tare", "update", 0, 0.0, None, NONE)
+STORIES = {
+    "a life": [
+        (*REFUSED, "free motion"),
+        ("", "update", 1, 1e-3, Status.INITIALIZING, NONE, ""),
+        *(FREE, TARE, (*REFUSED, "start_tare_recording"), ANEW),
+        ("", "update", 1, 5.0, Status.INITIALIZING, NONE, ""),
+        ("tare", "update", 900, 1e-3, Status.OK, NONE, ""),
+        ("reset", "update", 1, 1e-3, Status.INITIALIZING, NONE, ""),
+        (*REFUSED, "free motion"),
+    ],
+    "a clock that leaps after a tare": [
+        *(FREE, TARE, ("", "update", 150, 59.0, Status.OK, NONE, "")),  # a pause
+        ("", "update", 350, 3600.0, Status.OK, EXPIRED, "tare again"),
+        ("copied", "update", 1, 1e-3, Status.OK, EXPIRED, ""),
+        *(ANEW, TARE),
+    ],
+    "a clock that leaps before a tare": [
+        *(FREE, ("", "update", 1, 3600.0, Status.INITIALIZING, EXPIRED, "")),
+        (*REFUSED, "free motion"),
+        ("", "update", 900, 1e-3, Status.NOT_TARED, EXPIRED, "forgotten"),
+        TARE,
+    ],
+    "a tare beside the ticks": [
+        ("start_tare", "update", 0, 0.0, None, NONE, "free motion"),
+        *(FREE, ("start_tare", "update", 100, 1e-3, Status.NOT_TARED, NONE, "fitted")),
+        ("start_tare_recording", "update", 900, 1e-3, Status.NOT_TARED, NONE, ""),
+        ("start_tare", "update", 1, 1e-3, Status.NOT_TARED, NONE, "fitted"),
+        ("start_tare", "update", 1500, 1e-3, Status.OK, NONE, ""),
+    ],
+    "milliseconds": [
+        ("", "update", 1, 1.0, Status.INITIALIZING, NONE, ""),
+        *[("", "update", 1, 1.0, Status.INITIALIZING, NONE, "milliseconds")] * 9,
+        (*REFUSED, "milliseconds"),
+    ],
+    "a clock that goes back, and is waited for": [
+        *(FREE, TARE),
+        *(
+            (
+                "",
+                "update",
+                1,
+                dt_s,
+                Status.REJECTED,
+                NONE,
+                "dt_s" if dt_s < 1e-3 else "",
+            )
+            for dt_s in (-2e-3, 1e-3, 0.0, 5e-4)
+        ),
+        ("", "update", 1, 2e-3, Status.OK, NONE, ""),
+        ("", "update", 1, -3600.0, Status.REJECTED, NONE, ""),
+        ("", "update", 1, 1e-3, Status.OK, NONE, ""),
+    ],
+    "torques that are mixed": [
+        *(FREE, TARE),
+        ("", "update_external_torque", 1, 1e-3, Status.REJECTED, NONE, "mixed"),
+        (
+            "start_tare_recording",
+            "update_external_torque",
+            1,
+            1e-3,
+            Status.NOT_TARED,
+            NONE,
+            "",
+        ),
+        ("", "update", 1, 1e-3, Status.REJECTED, NONE, "mixed"),
+        ("reset", "update", 1, 1e-3, Status.INITIALIZING, NONE, ""),
+    ],
+    "velocities that are wrong, right, and wrong again": [
+        ("", "in_degrees", 4000, 1e-3, Status.NOT_TARED, WRONG, "57.3"),
+        ("", "update", 500, 1e-3, Status.NOT_TARED, WRONG, "57.3"),
+        *(ANEW, TARE),
+        (
+            "start_tare_recording",
+            "in_degrees",
+            4000,
+            1e-3,
+            Status.NOT_TARED,
+            WRONG,
+            "57.3",
+        ),
+        (*REFUSED, "57.3"),
+    ],
+}
+
+
+class Sensor(VirtualForceSensor):
+    def copied(self):
+        self.restore(self.snapshot())
+
+    def in_degrees(self, q, dq, tau, dt_s):
+        return self.update(q, np.degrees(dq), tau, dt_s)
+
+
+@pytest.mark.parametrize("story", STORIES)
+def test_a_sensor_says_what_it_knows_all_its_life(lwr, story):
+    sensor = Sensor(lwr)
+    rows = iter(rows_of(*signals(lwr, 12.0)))
+    for act, update, count, dt_s, status, warning, word in STORIES[story]:
+        if status is None:
+            with pytest.raises(TareError, match=word):
+                getattr(sensor, act)()
+            continue
+        getattr(sensor, act or "copied")()
+        steps_s = [dt_s, *[1e-3] * (count - 1)]
+        found = [getattr(sensor, update)(*next(rows), one) for one in steps_s][-1]
+        assert (found.status, found.warnings) == (status, warning)
+        assert word in found.message
+        assert sensor.tared == (status is Status.OK) or found.status is Status.REJECTED
+
+
+@pytest.mark.parametrize("dt_s", [1e200, 86_401.0])
+def test_a_clock_set_forward_is_reported_once(lwr, dt_s):
+    (sensor, rows), (twin, _) = (tared(lwr) for _ in range(2))
+
+    assert "clock" in sensor.update(*rows[0], dt_s).message
+    assert same(sensor.update(*rows[1], 2e-3), twin.update(*rows[1], 2e-3))
+
+
+# Settings and snapshots.
+
+
+REFUSED_SETTINGS = {
+    "gain_per_s": [0.0, np.inf, "5", (), True, 10**400],
+    "tare_window_s": [-1.0],
+    "expected_force_N": [0.0, -1.0, 1e-160, 1e200],
+    "max_gap_s": [np.nan],
+    "velocity_bandwidth_per_s": [1e150, 1e-200],
+    "mode": ["x"],
+    "axes": ["x"],
+    "alignment": ["x"],
+    "weighting": ["x"],
+    "tare": ["x"],
+    "insertion_axis": [(0, 0, 0), (0, 0, np.nan), (0, 1), "z", (0, True, Raises())],
+    "tool_offset_m": [(0.0, 0.0), (0.0, 0.0, 150.0), (0.0, -150.0, 0.0)],
+    "guard": ["no", 1],
+    "smooth_momentum": [3, None],
+    "torque_is_gravity_compensated": [1],
+    "prior": [None],
+    "friction": [3],
+}
+
+
+@pytest.mark.parametrize("name", REFUSED_SETTINGS)
+def test_settings_that_cannot_work_are_refused(name):
+    for value in REFUSED_SETTINGS[name]:
+        with pytest.raises(ConfigurationError, match=name):
+            SensorConfig(**{name: value})
 
 
 SIX = np.ones(6)
 
 
 @pytest.mark.parametrize(
-    "settings",
+    ("word", "make"),
     [
-        {"gain_per_s": (50.0, 50.0)},
-        {"friction": JointFriction(viscous_Nms=SIX, coulomb_Nm=SIX, offset_Nm=SIX)},
-        {
-            "friction": SigmoidFriction(
-                amplitude_Nm=SIX, slope_s_rad=SIX, shift_rad_s=SIX
+        ("gain_per_s", lambda arm: MomentumObserver(arm, gain_per_s=[1.0, 2.0])),
+        ("alignment", lambda arm: MomentumObserver(arm, alignment="euler")),
+        ("max_gap_s", lambda arm: MomentumObserver(arm, max_gap_s=0.0)),
+        ("bandwidth_per_s", lambda _: VelocityEstimator(7, bandwidth_per_s=np.inf)),
+        ("joints", lambda _: VelocityEstimator(joints=-1)),
+        *(
+            (
+                next(iter(bad)),
+                lambda arm, bad=bad: VirtualForceSensor(arm, SensorConfig(**bad)),
             )
-        },
-        {"friction": type("NoNumber", (), {"torque": lambda self, dq: dq + np.nan})()},
+            for bad in (
+                {"gain_per_s": (50.0, 50.0)},
+                {
+                    "friction": JointFriction(
+                        viscous_Nms=SIX, coulomb_Nm=SIX, offset_Nm=SIX
+                    )
+                },
+                {
+                    "friction": SigmoidFriction(
+                        amplitude_Nm=SIX, slope_s_rad=SIX, shift_rad_s=SIX
+                    )
+                },
+                {
+                    "friction": type(
+                        "NaN", (), {"torque": lambda self, dq: dq + np.nan}
+                    )()
+                },
+            )
+        ),
+        ("steps_per_tick", lambda arm: tared(arm)[0].start_tare(steps_per_tick=0)),
+        (
+            "effort",
+            lambda _: VirtualForceSensor(robot_of(pin.JointModelRX(), 2, 1e-300)),
+        ),
     ],
 )
-def test_settings_of_another_arm_are_refused(lwr, settings):
-    with pytest.raises(ConfigurationError, match=next(iter(settings))):
-        VirtualForceSensor(lwr, SensorConfig(**settings))
+def test_parts_and_settings_that_fit_no_arm_are_refused(lwr, word, make):
+    with pytest.raises(ConfigurationError, match=word):
+        make(lwr)
 
 
-# A snapshot is taken back only by a sensor that would have made the same one.
+@pytest.mark.parametrize("joint", [pin.JointModelRUBZ(), pin.JointModelSpherical()])
+def test_joints_that_no_arm_has_are_refused(joint):
+    with pytest.raises(UnsupportedJointError, match="joint_0"):
+        robot_of(joint, 1)
 
 
-def with_friction(viscous_7):
-    """Settings whose friction differs in the tenth digit of one number among many."""
-    viscous = np.full(7, 0.1)
-    viscous[6] = viscous_7
-    friction = JointFriction(
-        viscous_Nms=viscous, coulomb_Nm=np.full(7, 0.2), offset_Nm=np.zeros(7)
-    )
-    return replace(DEFAULT, friction=friction)
-
-
-def test_settings_are_compared_in_all_digits(lwr):
-    state = VirtualForceSensor(lwr, with_friction(0.1)).snapshot()
-    VirtualForceSensor(lwr, with_friction(0.1)).restore(state)
-
-    with pytest.raises(SnapshotError, match="other settings"):
-        VirtualForceSensor(lwr, with_friction(0.1 + 1e-10)).restore(state)
-
-
-def test_a_damaged_snapshot_changes_nothing(lwr):
-    sensor, rows = tared(lwr, more=0.2)
-    twin, _ = tared(lwr, more=0.2)
-    state = sensor.snapshot()
-    for damaged in (
-        state._replace(offset=replace(state.offset, recorder=None)),
-        state._replace(torque_covariance=-np.eye(7)),
-        state._replace(monitor=None),
-        state._replace(offset=replace(state.offset, plays=np.full((6, 7), np.nan))),
-    ):
-        with pytest.raises(SnapshotError, match="damaged"):
-            sensor.restore(damaged)
-    for ours, theirs in zip(feed(sensor, rows), feed(twin, rows), strict=True):
-        assert (ours.axial, ours.axial_std, ours.status) == (
-            theirs.axial,
-            theirs.axial_std,
-            "ok",
+def test_a_snapshot_of_settings_that_differ_in_the_tenth_digit_is_refused(lwr):
+    sensors = [
+        VirtualForceSensor(
+            lwr,
+            replace(
+                DEFAULT,
+                friction=JointFriction(
+                    viscous_Nms=np.r_[SIX, last], coulomb_Nm=STILL, offset_Nm=STILL
+                ),
+            ),
         )
+        for last in (0.1, 0.1, 0.1 + 1e-10)
+    ]
+    sensors[1].restore(sensors[0].snapshot())
+    with pytest.raises(SnapshotError, match="settings"):
+        sensors[2].restore(sensors[0].snapshot())

@@ -154,6 +154,9 @@ def _open_ros2(
     name: str, topic: str, options: RobotOptions, takes_commands: bool
 ) -> Iterator[ConnectedArm]:
     """Listen to the joint states of a topic of ROS 2; move it by ros2_control."""
+    from needleforce.ros2 import require_ros
+
+    require_ros()
     from needleforce.ros2.arm import Ros2Arm
 
     if not topic:

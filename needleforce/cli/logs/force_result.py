@@ -166,6 +166,8 @@ class ForceResult:
         yield "sensor", replay.description
         yield "samples", self._describe_samples()
         yield "rejected", self._describe_rejections()
+        if replay.sensor.corrections:
+            yield "corrected", replay.sensor.corrections
         yield "gaps", self._describe_gaps()
         yield "warnings", self.describe_warnings()
         if replay.velocity_fault:

@@ -36,13 +36,6 @@ def test_ruptures_bring_the_tip_to_its_target(tmp_path, capsys, monkeypatch):
     assert corrected < 1.5
     assert re.search(r"rupture 1 at .* into \w+ \(\d+ %\)", said)
 
-    page = (tmp_path / "index.html").read_text(encoding="utf-8")
-
-    assert page.count("<figure") == 2
-    lead = page[: page.index("<section")]
-    assert f"Plan off by {off[1]} -&gt; {off[2]} mm" in lead
-    assert lead.index("CT: analytic torso") < lead.index("Planned path: fat")
-
     pytest.importorskip("viser")
 
     assert (tmp_path / "scene.html").stat().st_size > 100_000

@@ -112,6 +112,19 @@ def test_the_numbers_of_the_page_are_those_printed(command, capsys, tmp_path, co
     assert insertion_page.answer(compared) in page.replace("&#39;", "'")
 
 
+def test_the_page_states_how_far_frictions_differ_from_the_truth(
+    command, capsys, compared
+):
+    command()
+    (rupture,) = compared.mixture.ruptures
+    true_N = rupture.true.layer_friction_N
+    error_N = abs(rupture.layer.friction_N - true_N)
+
+    printed = " ".join(capsys.readouterr().out.split())
+    assert f"by {100 * error_N / true_N:.0f} to" in printed
+    assert f"({error_N:.2f} to" in printed
+
+
 def test_a_page_of_something_else_is_not_replaced(command, capsys, tmp_path):
     page = tmp_path / "mine" / "index.html"
     page.parent.mkdir()

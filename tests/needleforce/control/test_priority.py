@@ -9,7 +9,6 @@ import pytest
 from benchmarks.control import priority as control_priority
 from benchmarks.jobs import Job
 from benchmarks.judging import TARGETS
-from benchmarks.performance import control as control_speed
 from groundtruth.rig_arm import ArmSample
 from needleforce.control import (
     AxialSpeed,
@@ -250,21 +249,6 @@ def test_bad_input_is_skipped_and_changes_nothing():
 
     assert "1 joints" in control.update(good, short_stack).reason
     assert control.tool.tip_m.tolist() == tip_m.tolist()
-
-
-@pytest.mark.slow
-def test_control_cost_is_relative_to_bare_calls(monkeypatch):
-    monkeypatch.setattr(control_speed, "SECONDS", 1.0)
-    monkeypatch.setattr(control_speed, "WARM_TICKS", 300)
-    job = Job(benchmark="speed-control", plant="no-arm")
-    ratios = {
-        item.source: item.value
-        for item in control_speed.run(job)
-        if item.metric == "tick_ratio"
-    }
-
-    assert ratios["Jacobian and placement"] == 1.0
-    assert 1.0 < ratios["control"] < ratios["session and control"]
 
 
 def test_levels_are_those_of_a_cascade_of_qps(monkeypatch):

@@ -1,13 +1,19 @@
-"""As much of ROS 2 as the node and the arm use, in one process and without rclpy.
+"""As much of rclpy as the node and the arm use, in one process.
 
 Messages are plain objects with whatever fields are set; topics are those of a `Graph`.
+What it stands for is tested with the real one in `test_in_ros.py`.
 """
 
+import sys
 from collections import defaultdict
-from types import SimpleNamespace
-from unittest.mock import MagicMock
+from contextlib import contextmanager, nullcontext
+from enum import Enum
+from types import ModuleType, SimpleNamespace
 
-from needleforce.ros2.ros_modules import RosModules
+import pytest
+
+ReliabilityPolicy = Enum("ReliabilityPolicy", ["BEST_EFFORT", "RELIABLE"])
+DurabilityPolicy = Enum("DurabilityPolicy", ["TRANSIENT_LOCAL"])
 
 
 class Message(SimpleNamespace):
@@ -20,17 +26,23 @@ class Message(SimpleNamespace):
         setattr(self, name, value)
         return value
 
+    def __len__(self):
+        return 0
+
 
 class Graph:
-    """Topics, with what was published on them."""
+    """Topics, with what was published on them, and all else that a node has."""
 
     def __init__(self):
         self.published = defaultdict(list)
+        self.kinds = {}
         self.kept = set()
         self.callbacks = defaultdict(list)
         self.waiting = []
         self.services = {}
-        self.warnings = []
+        self.timers = {}
+        self.parameters = {}
+        self.said = []
 
     def put(self, topic, *messages):
         """Publish messages; they are delivered when an executor spins."""
@@ -45,86 +57,144 @@ class Graph:
             call(message)
 
 
-class Node:
-    """A node of a graph."""
+def node_class(graph):  # noqa: C901 (one class)
+    """The class of nodes of a graph."""
 
-    def __init__(self, graph):
-        self.graph = graph
-        self.context = None
-        self.timers = []
+    class Node:
+        context = None
+        publishers = subscriptions = services = timers = ()
 
-    def create_publisher(self, kind, topic, quality):
-        topic = topic.replace("~", "/needleforce")
-        if getattr(quality, "durability", None) == "transient local":
-            self.graph.kept.add(topic)
-        self.graph.published[topic] = []
+        def __init__(self, name, **_):
+            self._values = {}
+
+        def create_publisher(self, kind, topic, quality):
+            topic = topic.replace("~", "/needleforce")
+            if getattr(quality, "durability", None) is DurabilityPolicy.TRANSIENT_LOCAL:
+                graph.kept.add(topic)
+            graph.kinds[topic] = kind.__name__
+            return SimpleNamespace(
+                publish=lambda message: graph.put(topic, message),
+                get_subscription_count=lambda: len(graph.callbacks[topic]),
+            )
+
+        def create_subscription(self, kind, topic, callback, quality):
+            graph.callbacks["/" + topic.lstrip("/")].append(callback)
+            waiting = SimpleNamespace(take_message=lambda kind, raw: None)
+            return SimpleNamespace(handle=nullcontext(waiting))
+
+        def create_service(self, kind, name, callback, callback_group=None):
+            graph.services[name] = callback
+
+        def create_timer(self, period_s, callback):
+            graph.timers[period_s] = callback
+
+        def get_parameters_by_prefix(self, prefix):
+            return graph.parameters
+
+        def undeclare_parameter(self, name):
+            pass
+
+        def declare_parameter(self, name, default, descriptor):
+            self._values[name] = graph.parameters.get(name, default)
+
+        def get_parameter(self, name):
+            return SimpleNamespace(value=self._values[name])
+
+        def get_logger(self):
+            say = graph.said.append
+            return SimpleNamespace(info=say, warning=say, error=say)
+
+        def get_clock(self):
+            now = SimpleNamespace(nanoseconds=7 * 10**9)
+            now.to_msg = lambda: Message(sec=7, nanosec=0)
+            return SimpleNamespace(now=lambda: now)
+
+        def get_fully_qualified_name(self):
+            return "/needleforce"
+
+        def resolve_topic_name(self, topic):
+            return f"/{topic}"
+
+    return Node
+
+
+class AnyType(ModuleType):
+    """A module of messages; each type of them is a `Message` of its name."""
+
+    def __getattr__(self, name):
+        if name.startswith("__"):
+            raise AttributeError(name)
+        return type(name, (Message,), {})
+
+
+@contextmanager
+def installed_ros(graph):
+    """Let modules of this project import a ROS whose nodes are in a graph."""
+    node = node_class(graph)
+    executor = SimpleNamespace(
+        add_node=lambda node: None,
+        spin_once=lambda timeout_sec=0.0: graph.deliver(),
+        spin_until_future_complete=lambda future, timeout_sec: None,
+        shutdown=lambda: None,
+    )
+
+    def client(_node, name):
+        answer = graph.services.get(name)
         return SimpleNamespace(
-            publish=lambda message: self.graph.put(topic, message),
-            get_subscription_count=lambda: len(self.graph.callbacks[topic]),
-        )
-
-    def create_subscription(self, kind, topic, callback, quality):
-        topic = "/" + topic.lstrip("/")
-        if callback.__name__.startswith("_take"):  # the node's ask whence they come
-
-            def call(message):
-                callback(message, {})
-
-        else:
-            call = callback
-        self.graph.callbacks[topic].append(call)
-        if getattr(quality, "durability", None) == "transient local":
-            self.graph.waiting += [(call, kept) for kept in self.graph.published[topic]]
-        return SimpleNamespace(topic_name=topic, msg_type=kind, handle=MagicMock())
-
-    def create_client(self, kind, name):
-        answer = self.graph.services.get(name)
-        return SimpleNamespace(
-            wait_for_service=lambda timeout_sec: answer is not None,
-            call_async=lambda request: SimpleNamespace(
-                done=lambda: True, result=lambda: answer(request)
+            wait_for_services=lambda timeout_s: answer is not None,
+            get_parameters=lambda names: SimpleNamespace(
+                done=lambda: True,
+                result=lambda: SimpleNamespace(values=answer(names)),
             ),
         )
 
-    def destroy_subscription(self, subscription):
-        self.graph.callbacks[subscription.topic_name].clear()
+    def wait_for_message(kind, node, topic, qos_profile, time_to_wait):
+        published = graph.published[topic]
+        return bool(published), published[-1] if published else None
 
-    def get_logger(self):
-        return SimpleNamespace(
-            info=lambda text: None, warning=self.graph.warnings.append
-        )
+    context = SimpleNamespace(init=lambda args: None, try_shutdown=lambda: None)
+    results = Enum("TransitionCallbackReturn", ["SUCCESS", "FAILURE"])
+    contents = {
+        "rclpy": {
+            "Context": lambda: context,
+            "create_node": node,
+            "ok": lambda: True,
+        },
+        "rclpy.callback_groups": {"ReentrantCallbackGroup": object},
+        "rclpy.exceptions": {"ParameterException": type("E", (Exception,), {})},
+        "rclpy.executors": {
+            "ExternalShutdownException": KeyboardInterrupt,
+            "SingleThreadedExecutor": lambda **_: executor,
+        },
+        "rclpy.lifecycle": {"LifecycleNode": node, "TransitionCallbackReturn": results},
+        "rclpy.parameter_client": {"AsyncParameterClient": client},
+        "rclpy.qos": {
+            "DurabilityPolicy": DurabilityPolicy,
+            "QoSProfile": Message,
+            "ReliabilityPolicy": ReliabilityPolicy,
+            "qos_profile_sensor_data": Message(),
+        },
+        "rclpy.task": {"Future": Message},
+        "rclpy.wait_for_message": {"wait_for_message": wait_for_message},
+    }
+    modules = {name: ModuleType(name) for name in contents}
+    for name, values in contents.items():
+        vars(modules[name]).update(values)
+    for package in ("diagnostic", "geometry", "sensor", "std", "tf2"):
+        modules[f"{package}_msgs"] = ModuleType(f"{package}_msgs")
+        modules[f"{package}_msgs.msg"] = AnyType(f"{package}_msgs.msg")
+    for name in ("rcl_interfaces", "std_srvs", "lbr_fri_idl"):
+        modules[name] = ModuleType(name)
+        modules |= {f"{name}.{kind}": AnyType(name) for kind in ("msg", "srv")}
+    with pytest.MonkeyPatch.context() as patch:
+        for name, module in modules.items():
+            patch.setitem(sys.modules, name, module)
+        _forget_importers()
+        yield graph
+    _forget_importers()
 
-    def get_clock(self):
-        return SimpleNamespace(now=lambda: SimpleNamespace(nanoseconds=7 * 10**9))
 
-    def __getattr__(self, name):
-        return MagicMock()
-
-
-def fake_ros(graph):
-    """Return the modules of a ROS whose only node is in a graph."""
-    kinds = SimpleNamespace(
-        QoSProfile=Message,
-        DurabilityPolicy=SimpleNamespace(TRANSIENT_LOCAL="transient local"),
-        ReliabilityPolicy=SimpleNamespace(BEST_EFFORT="best", RELIABLE="reliable"),
-    )
-
-    class Messages:
-        """Any type of message is `Message`."""
-
-        def __getattr__(self, name):
-            return Message
-
-    ros = RosModules(*(MagicMock() for _ in RosModules._fields))
-    ros.rclpy.create_node = lambda name, **context: Node(graph)
-    ros.executors.SingleThreadedExecutor = lambda **context: SimpleNamespace(
-        add_node=lambda node: None,
-        remove_node=lambda node: None,
-        spin_once=lambda timeout_sec=0.0: graph.deliver(),
-        shutdown=lambda: None,
-    )
-    messages = dict.fromkeys(
-        ("diagnostic", "geometry", "sensor", "standard", "transforms"), Messages()
-    )
-    services = SimpleNamespace(GetParameters=SimpleNamespace(Request=Message))
-    return ros._replace(qos=kinds, parameter_services=services, **messages)
+def _forget_importers():
+    """Let modules that bind rclpy be imported anew."""
+    for name in ("arm", "node", "parameters", "velocity_controller"):
+        sys.modules.pop(f"needleforce.ros2.{name}", None)

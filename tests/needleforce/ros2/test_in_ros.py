@@ -1,224 +1,374 @@
-"""What the node and a ROS user's other nodes tell each other, without rclpy."""
+"""Node and arm with the user's rclpy, between processes.
 
-from types import SimpleNamespace
+Skipped, saying so, where this Python cannot import rclpy; `.ci/run` has an environment
+with it.
+"""
+
+import json
+import os
+import subprocess
+import sys
+import time
+from importlib.util import find_spec
+from pathlib import Path
+from threading import Thread
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
-import urdf
 from needleforce import InsertionSession
-from needleforce.cli.robot import robot_from_text
-from needleforce.cli.shared_options import RobotOptions
-from needleforce.insertion_events import session_events
-from needleforce.ros2 import MissingRosError, Ros2ParameterError
-from needleforce.ros2 import node as node_file
-from needleforce.ros2.errors import MissingDescriptionError
-from needleforce.ros2.messages import read_lbr_state
-from needleforce.ros2.parameters import settings_from_values
-from needleforce.ros2.reports import EVENT_NUMBERS
-from needleforce.ros2.robot_description import wait_for_description
-from needleforce.ros2.ros_modules import import_lbr_state
-from needleforce.ros2.tip_frame import place_tip
-from tests.insertion_run import insert, short_run
-from tests.needleforce.ros2.fake_ros import Graph, Message, Node, fake_ros
+from needleforce.cli import main
+from needleforce.recordings import read_log
+from tests.insertion_run import cut, short_run
+
+pytestmark = [
+    pytest.mark.slow,
+    pytest.mark.skipif(find_spec("rclpy") is None, reason="no rclpy: source a ROS 2"),
+]
+RUN = short_run()
+JOINTS = RUN.robot.joint_names
+SPEED_rad_s = np.array([0.1, 0.2, 0.3, 0.4, 0.5, 0.6, 0.7])
+CONFIGURE, CLEANUP, ACTIVATE, DEACTIVATE = range(1, 5)
+SHUTDOWN = 7  # of an active node
 
 
-@pytest.fixture
-def graph():
-    """Where nothing was said yet."""
-    return Graph()
+@pytest.fixture(autouse=True, scope="module")
+def _own_domain():
+    """Nodes of this file hear each other only."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("ROS_DOMAIN_ID", str(50 + os.getpid() % 150))
+        patch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
+        patch.setenv("PYTHONPATH", str(Path(__file__).resolve().parents[3]))
+        yield
 
 
-@pytest.fixture
-def start_node(graph, monkeypatch):
-    """Starts the node with settings, and some robot, in the graph."""
-    monkeypatch.setattr(node_file, "warm_up", lambda robot, config: None)
+def command(*arguments):
+    return [sys.executable, "-m", "needleforce", *arguments]
 
-    def start(robot=None, **settings):
-        return node_file.NeedleNode(
-            fake_ros(graph),
-            Node(graph),
-            robot or short_run().robot,
-            settings_from_values(settings),
+
+class Arm:
+    """An arm's driver, and what a node answers it."""
+
+    def __init__(self):
+        import rclpy
+        from diagnostic_msgs.msg import DiagnosticArray
+        from geometry_msgs.msg import WrenchStamped
+        from rclpy.qos import DurabilityPolicy, QoSProfile
+        from sensor_msgs.msg import JointState
+
+        self.context = rclpy.Context()
+        self.context.init(args=[])
+        self.node = rclpy.create_node("arm", context=self.context)
+        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
+        self.executor.add_node(self.node)
+        self.state_type = JointState
+        self.states = self.node.create_publisher(JointState, "joint_states", 1000)
+        kept = QoSProfile(depth=100, durability=DurabilityPolicy.TRANSIENT_LOCAL)
+        self.answers = {name: [] for name in ("wrench", "events", "layers")}
+        kinds = (WrenchStamped, DiagnosticArray, DiagnosticArray)
+        for (name, answers), kind in zip(self.answers.items(), kinds, strict=True):
+            quality = 1000 if name == "wrench" else kept
+            topic = f"/needleforce/{name}"
+            self.node.create_subscription(kind, topic, answers.append, quality)
+
+    def send(self, stamp_s, q_rad, dq_rad_s, tau_Nm, names=JOINTS):
+        """Publish a state, its joints in reverse order."""
+        message = self.state_type(name=list(names)[::-1])
+        stamp_ns = round(1e9 * stamp_s)
+        message.header.stamp.sec, message.header.stamp.nanosec = divmod(stamp_ns, 10**9)
+        message.position = q_rad[::-1].tolist()
+        message.velocity = dq_rad_s[::-1].tolist()
+        message.effort = tau_Nm[::-1].tolist()
+        self.states.publish(message)
+
+    def send_row(self, signals, row, stamp_s):
+        self.send(
+            stamp_s, signals.q_rad[row], signals.dq_rad_s[row], signals.tau_Nm[row]
         )
 
-    return start
+    def rest(self, seconds):
+        """Send the first state at 200 Hz; return the wrenches that come meanwhile."""
+        self.answers["wrench"].clear()
+        end_s = time.monotonic() + seconds
+        while time.monotonic() < end_s:
+            self.send_row(RUN.signals, 0, time.time())
+            self.executor.spin_once(timeout_sec=5e-3)
+        return len(self.answers["wrench"])
+
+    def wait_until(self, is_reached, seconds=30.0):
+        end_s = time.monotonic() + seconds
+        while not is_reached():
+            self.executor.spin_once(timeout_sec=0.01)
+            assert time.monotonic() < end_s, "the node stays away"
+
+    def call(self, kind, name, **fields):
+        """The future answer of a service of the node."""
+        client = self.node.create_client(kind, f"/needleforce/{name}")
+        assert client.wait_for_service(timeout_sec=240.0)
+        return client.call_async(kind.Request(**fields))
+
+    def ask(self, *arguments, **fields):
+        future = self.call(*arguments, **fields)
+        self.wait_until(future.done, 240.0)
+        return future.result()
+
+    def transit(self, number):
+        """Begin a transition of the node's life; return whether it was made."""
+        from lifecycle_msgs.msg import Transition
+        from lifecycle_msgs.srv import ChangeState
+
+        transition = Transition(id=number)
+        return self.ask(ChangeState, "change_state", transition=transition).success
 
 
-# Description of the arm
+@pytest.fixture
+def arm():
+    arm = Arm()
+    yield arm
+    arm.executor.shutdown()
+    arm.context.try_shutdown()
 
 
-def lwr_text():
-    return open(urdf.example_robot_path("lwr4plus"), encoding="utf-8").read()
+def test_an_insertion_is_followed_by_the_node(arm):
+    from rcl_interfaces.srv import DescribeParameters, SetParameters
+    from rclpy.parameter import Parameter
+    from std_srvs.srv import Trigger
 
+    # At 500 Hz, until the layer is known.
+    end = int(np.searchsorted(RUN.signals.t_s, RUN.truth.ruptures[-1].end_s + 4.0))
+    signals = cut(RUN.signals, slice(0, end, 2))
+    reliable = ("--ros-args", "-p", "reliability:=reliable")
+    with subprocess.Popen(command("ros2", "--robot", "lwr", *reliable)) as node:
+        try:
+            described = arm.ask(
+                DescribeParameters, "describe_parameters", names=["queue_depth"]
+            )
+            tried = [
+                arm.ask(
+                    SetParameters,
+                    "set_parameters",
+                    parameters=[Parameter(name, value=value).to_parameter_msg()],
+                ).results[0]
+                for name, value in (
+                    ("silence_s", 1000.0),
+                    ("queue_depth", 5),
+                    ("silence_s", 2.0),
+                )
+            ]
+            wrenches = arm.answers["wrench"]
+            for row, t_s in enumerate(signals.t_s.tolist()):
+                if row == np.searchsorted(signals.t_s, RUN.tare_end_s):
+                    tare = arm.call(Trigger, "tare")
+                if row % 100 == 0:
+                    gripper = np.zeros(2)
+                    arm.send(0.0, gripper, gripper, gripper, ("finger_1", "finger_2"))
+                arm.send_row(signals, row, 1.0 + t_s)
+                # No more wait in the node than its queue holds.
+                arm.wait_until(lambda row=row: row - len(wrenches) < 300)
+            arm.wait_until(lambda: len(wrenches) == len(signals.t_s))
+            arm.wait_until(lambda: arm.answers["layers"])
+            assert arm.transit(SHUTDOWN)
+            assert node.wait(30.0) == 0
+        finally:
+            node.kill()
+    stamps_s = [
+        one.header.stamp.sec + 1e-9 * one.header.stamp.nanosec for one in wrenches
+    ]
+    force_N = np.array([one.wrench.force.z for one in wrenches])
+    first = int(np.searchsorted(signals.t_s, RUN.truth.contact_s))
+    events = [status for array in arm.answers["events"] for status in array.status]
+    kinds = [event.name for event in events]
+    rupture = events[kinds.index("rupture")]
+    values = {pair.key: pair.value for pair in rupture.values}
+    [true] = RUN.truth.ruptures
 
-def test_a_description_that_was_published_before_is_taken(graph):
-    graph.put("/robot_description", Message(data=""), Message(data=lwr_text()))
-    text = wait_for_description(fake_ros(graph), Node(graph))
-    robot = robot_from_text(text, "robot_description", RobotOptions())
-
-    assert robot.nv == 7
-    assert not graph.callbacks["/robot_description"]
-
-
-def test_a_description_that_does_not_come_is_an_error_with_its_topic(graph):
-    with pytest.raises(MissingDescriptionError, match="/robot_description: no") as info:
-        wait_for_description(fake_ros(graph), Node(graph), max_s=0.0)
-
-    assert "robot_state_publisher" in info.value.advice
-
-
-def test_who_waits_long_for_a_description_is_told_so(graph, monkeypatch):
-    monkeypatch.setattr("needleforce.ros2.robot_description.REMINDER_S", 0.0)
-    with pytest.raises(MissingDescriptionError):
-        wait_for_description(fake_ros(graph), Node(graph), max_s=0.01)
-
-    assert "waiting for /robot_description" in graph.warnings[0]
-
-
-def test_a_description_that_is_none_is_refused_by_its_name():
-    with pytest.raises(urdf.UrdfFileError, match="robot_description"):
-        robot_from_text("<robot", "robot_description", RobotOptions())
-
-
-# Frame of the tip
-
-
-def test_the_tip_is_broadcast_from_the_flange_of_the_description(graph, start_node):
-    start_node(urdf.load_lwr(payload=urdf.NeedleTool()))
-    [message] = graph.published["/tf_static"]
-    [transform] = message.transforms
-    move = transform.transform
-
-    assert "/tf_static" in graph.kept
-    assert transform.header.frame_id == "flange"
-    assert transform.child_frame_id == "needle_tip"
-    assert transform.header.stamp.sec == 7
-    tip_m = urdf.NeedleTool().tip_in_flange_m[2]
-    assert (move.translation.x, move.translation.y) == (0.0, 0.0)
-    assert move.translation.z == pytest.approx(tip_m)
-    assert (move.rotation.z, move.rotation.w) == (0.0, 1.0)
-
-
-def test_a_tip_that_is_a_link_is_in_tf_already(graph, start_node):
-    robot = urdf.load_lwr()
-    start_node(robot)
-
-    assert not graph.published["/tf_static"]
-    assert place_tip(robot, "flange") is None
-
-
-def test_a_frame_of_another_name_is_broadcast_where_the_tool_frame_is():
-    tip = place_tip(urdf.load_lwr(), "my_needle")
-
-    assert tip is not None
-    assert tip.parent == "flange"
-    assert tip.placement.isApprox(pin.SE3.Identity())
-
-
-def test_a_tip_of_a_joint_is_on_the_link_that_the_joint_moves():
-    robot = urdf.load_urdf(
-        urdf.example_robot_path("lwr4plus"),
-        tool_frame="lwr_joint_7",
-        tool_placement=(0.0, 0.02, 0.1),
+    assert "wait" in described.descriptors[0].description
+    assert [result.successful for result in tried] == [False, False, True]
+    assert np.allclose(stamps_s, 1.0 + signals.t_s)
+    # Tissue pushes against the z axis of the needle.
+    assert -force_N[first:].min() == pytest.approx(
+        true.drop_N + true.friction_N, abs=0.15
     )
-    tip = place_tip(robot, "tool")
-
-    assert tip is not None
-    assert tip.parent == "lwr_link_7"
-    assert tip.placement.translation.tolist() == pytest.approx([0.0, 0.02, 0.1])
-
-
-def test_the_tip_is_not_broadcast_where_a_user_does_that(graph, start_node):
-    start_node(urdf.load_lwr(payload=urdf.NeedleTool()), broadcast_tip=False)
-
-    assert not graph.published["/tf_static"]
+    assert tare.result().success
+    assert kinds[0] == "tared"
+    assert values["layer"] == "1"
+    assert float(values["probability"]) > 0.9
+    assert arm.answers["layers"][-1].status[0].name == "layer 1"
 
 
-# Numbers of events
-
-
-def test_each_number_of_an_event_has_a_topic_before_the_event(graph, start_node):
-    start_node()
-
-    assert "/needleforce/rupture/depth_m" in graph.published
-    assert "/needleforce/layer/stiffness_N_per_m" in graph.kept
-
-
-@pytest.mark.slow
-def test_events_have_the_numbers_that_have_topics():
-    session = InsertionSession(short_run().robot)
-    kinds = set()
-    for estimate in insert(session):
-        for event in session_events(estimate):
-            kinds.add(event.kind)
-            assert set(event.values) == set(EVENT_NUMBERS[event.kind])
-
-    assert kinds == {"rupture", "layer"}
-
-
-# LBRState of lbr_fri_ros2_stack
-
-
-def lbr_state(stamp_ns=1_000_000_002):
-    """As lbr_fri_idl has it: arrays of seven, and the controller's time."""
-    return SimpleNamespace(
-        time_stamp_sec=stamp_ns // 10**9,
-        time_stamp_nano_sec=stamp_ns % 10**9,
-        measured_joint_position=np.arange(7.0),
-        measured_torque=np.full(7, 50.0),
-        external_torque=10.0 + np.arange(7.0),
+@pytest.mark.parametrize(
+    "setting",
+    [
+        "queue_deph:=4",
+        "queue_depth:=0",
+        "gain_per_s:=.nan",
+        "gain_per_s:=70",
+        "reliability:=maybe",
+    ],
+)
+def test_a_node_with_a_wrong_parameter_does_not_start(setting):
+    arguments = ("ros2", "--robot", "lwr", "--ros-args", "-p", setting)
+    done = subprocess.run(
+        command(*arguments), capture_output=True, text=True, timeout=240
     )
 
-
-def test_the_state_of_an_lbr_gives_positions_and_external_torques():
-    joints = tuple(f"lbr_A{k}" for k in range(1, 8))
-    message = read_lbr_state(lbr_state(), joints)
-
-    assert message.stamp_ns == 1_000_000_002
-    assert message.names == joints
-    assert list(message.position) == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    assert list(message.effort) == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
-    assert len(message.velocity) == 0
+    assert done.returncode == 2
+    assert setting.partition(":")[0] in done.stderr
 
 
-def test_the_node_takes_external_torques_of_an_lbr(graph, start_node, monkeypatch):
-    monkeypatch.setattr(node_file, "import_lbr_state", lambda: Message)
+def test_a_manager_configures_activates_and_deactivates_the_node(arm):
+    arguments = ("ros2", "--robot", "lwr", "--ros-args", "-p", "autostart:=false")
+    with subprocess.Popen(command(*arguments), stderr=subprocess.DEVNULL) as node:
+        try:
+            steps = [
+                (arm.transit(number), arm.rest(0.5) and arm.rest(0.5) > 0)
+                for number in (
+                    *(ACTIVATE, CONFIGURE, ACTIVATE, DEACTIVATE, ACTIVATE),
+                    *(DEACTIVATE, CLEANUP, CONFIGURE, ACTIVATE),
+                )
+            ]
+        finally:
+            node.kill()
+
+    is_made, is_answered = zip(*steps, strict=True)
+    assert is_made == (False, *[True] * 8)
+    assert list(map(bool, is_answered)) == [0, 0, 1, 0, 1, 0, 0, 0, 1]
+
+
+def test_an_arm_on_a_topic_is_recorded_with_the_signals_that_it_sends(arm, tmp_path):
+    path = tmp_path / "arm.csv"
+    options = ("-o", str(path), "--robot", "lwr", "--seconds", "0.5")
+    with subprocess.Popen(
+        command("record", "ros2:/joint_states", *options)
+    ) as recording:
+        row = 0
+        while recording.poll() is None:
+            arm.send_row(RUN.signals, row, RUN.signals.t_s[row])
+            row += 1
+            time.sleep(1e-3)
+
+    log = read_log(path, required=["q", "tau"])
+    first = int(np.argmin(np.abs(RUN.signals.q_rad - log["q_rad"][0]).sum(axis=1)))
+    assert recording.returncode == 0
+    assert len(log.t_s) > 100
+    assert np.array_equal(log["q_rad"][0], RUN.signals.q_rad[first])
+    assert log.t_s[-1] == pytest.approx(0.5, abs=0.1)
+
+
+def test_an_arm_that_sends_nothing_is_an_error_with_the_topic(tmp_path, capsys):
+    options = ("-o", str(tmp_path / "arm.csv"), "--robot", "lwr")
+
+    assert main(["record", "ros2:/nobody", *options]) == 2
+    assert "/nobody" in capsys.readouterr().err
+
+
+@pytest.fixture
+def controller():
+    """A velocity controller that integrates what came last, for ever, at 100 Hz."""
+    import rclpy
+    from rclpy.executors import SingleThreadedExecutor
+    from std_msgs.msg import Float64MultiArray
+
+    arm = Arm()
+    name = "forward_velocity_controller"
+    node = rclpy.create_node(name, context=arm.context)
+    node.declare_parameter("joints", list(JOINTS[::-1]))
+    node.declare_parameter("interface_name", "velocity")
+    arm.q_rad = np.zeros(7)
+    arm.velocities = [np.zeros(7)]
+
+    def take(message):
+        arm.velocities.append(np.array(message.data)[::-1])
+
+    def step():
+        arm.q_rad = arm.q_rad + 0.01 * arm.velocities[-1]
+        arm.send(time.time(), arm.q_rad, arm.velocities[-1], np.zeros(7))
+
+    node.create_subscription(Float64MultiArray, "~/commands", take, 10)
+    node.create_timer(0.01, step)
+    executor = SingleThreadedExecutor(context=arm.context)
+    executor.add_node(node)
+    thread = Thread(target=executor.spin, daemon=True)
+    thread.start()
+    yield arm
+    executor.shutdown()
+    arm.context.try_shutdown()
+    thread.join()
+
+
+def test_the_delay_of_an_arm_of_ros_2_is_measured(controller, capsys):
+    arguments = ["lag", "ros2:/joint_states", "--robot", "lwr", "--yes", "--json"]
+    # On a busy machine states stay away for 0.1 s, and a command is refused.
+    assert any(main(arguments) == 0 for _ in range(3))
+    result = json.loads(capsys.readouterr().out)
+
+    # States come every 10 ms, and the controller moves after the one that it sends; how
+    # much later depends on what else the machine does.
+    assert result["cycle_ms"] == pytest.approx(10.0, abs=0.5)
+    for joint in result["joints"]:
+        assert joint["delay_ms"] > 5.0
+        assert joint["followed"] == pytest.approx(1.0, abs=0.2)
+    assert not controller.velocities[-1].any()
+
+
+def test_an_arm_moves_and_stops_through_ros_2(controller):
+    from needleforce.ros2.arm import Ros2Arm
+
+    options = {"takes_commands": True, "robot": RUN.robot}
+    positions_rad = []
+    # A second with commands, three without.
+    with Ros2Arm("/joint_states", JOINTS, **options) as arm:
+        for number, reading in zip(range(400), arm, strict=False):
+            positions_rad.append(reading.q_rad)
+            if number < 100:
+                arm.send(SPEED_rad_s)
+    time.sleep(0.5)
+    moved_rad = positions_rad[-1] - positions_rad[0]
+
+    assert not controller.velocities[-1].any()
+    assert np.ptp(positions_rad[-20:], axis=0).max() == 0.0
+    # A second, less the time until the first was taken.
+    assert (moved_rad > 0.5 * SPEED_rad_s).all()
+    assert np.allclose(moved_rad / moved_rad[0], SPEED_rad_s / 0.1, rtol=0.2)
+
+
+@pytest.mark.skipif(find_spec("message_filters") is None, reason="no message_filters")
+def test_external_torques_are_joined_with_states_of_their_stamp(monkeypatch):
+    import rclpy
+    from sensor_msgs.msg import JointState
+
+    from needleforce.ros2.node import NeedleNode
+
     taken = []
 
-    def update(self, q, dq, torque, dt_s):
-        taken.append((q.tolist(), dq, torque.tolist(), round(dt_s, 6)))
-        return original(self, q, dq, torque, dt_s)
+    def update(self, q_rad, dq_rad_s, torque_Nm, dt_s):
+        taken.append((q_rad.tolist(), torque_Nm.tolist(), round(dt_s, 6)))
+        return original(self, q_rad, dq_rad_s, torque_Nm, dt_s)
 
     original = InsertionSession.update_external_torque
     monkeypatch.setattr(InsertionSession, "update_external_torque", update)
-    node = start_node(lbr_state_topic="/lbr/state")
-    node._subscription.handle.take_message.return_value = None
-    graph.put("/lbr/state", lbr_state(), lbr_state(1_005_000_002))
-    graph.deliver()
+    values = [float(k) for k in range(7)]
+    rclpy.init(args=["--ros-args", "-p", "external_torque_topic:=/torques"])
+    try:
+        node = NeedleNode(lambda wait: RUN.robot, lambda session: None)
+        node.trigger_configure()
+        node.trigger_activate()
+        states = node.create_publisher(JointState, "joint_states", 10)
+        torques = node.create_publisher(JointState, "/torques", 10)
 
-    assert [each[3] for each in taken] == [0.0, 0.005]
-    assert taken[0][0] == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
-    assert taken[0][1] is None
-    assert taken[0][2] == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
-    # The stamp is of the node's clock, which TF knows, not of the controller's.
-    assert graph.published["/needleforce/wrench"][-1].header.stamp.sec == 7
-    assert not graph.callbacks["/joint_states"]
+        def send(publisher, stamp_ms, names, **signals):
+            message = JointState(name=list(names), **signals)
+            message.header.stamp.nanosec = 10**6 * stamp_ms
+            publisher.publish(message)
 
+        for stamp_ms in (1, 2, 3, 5):
+            send(states, stamp_ms, JOINTS, position=values, velocity=[0.0] * 7)
+        for stamp_ms in (2, 4, 5):
+            send(torques, stamp_ms, JOINTS[::-1], effort=values[::-1])
+        end_s = time.monotonic() + 20.0
+        while len(taken) < 2 and time.monotonic() < end_s:
+            rclpy.spin_once(node, timeout_sec=0.1)
+    finally:
+        rclpy.try_shutdown()
 
-def test_an_lbr_has_seven_joints(start_node):
-    robot = urdf.load_example("ur5e")
-    with pytest.raises(Ros2ParameterError, match="description has 6"):
-        start_node(robot, lbr_state_topic="/lbr/state")
-
-
-def test_two_sources_of_external_torques_are_refused():
-    both = {"external_torque_topic": "/a", "lbr_state_topic": "/b"}
-    with pytest.raises(Ros2ParameterError, match="expected one of them"):
-        settings_from_values(both)
-
-
-def test_a_missing_message_of_the_lbr_is_said():
-    with pytest.raises(MissingRosError, match="workspace of lbr_fri_ros2_stack"):
-        import_lbr_state()
+    assert taken == [(values, values, 0.0), (values, values, 0.003)]

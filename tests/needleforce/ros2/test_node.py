@@ -1,333 +1,343 @@
-"""The node with the user's ROS 2 and an arm in another process.
-
-Skipped, saying so, where this Python cannot import rclpy; `.ci/run` has an environment
-with it.
-"""
+"""What the node publishes and answers, without rclpy."""
 
 import json
-import os
-import subprocess
 import sys
 import time
-from importlib.util import find_spec
-from pathlib import Path
+from importlib import import_module
 
 import numpy as np
 import pytest
 
-from needleforce.recordings import read_log
-from tests.insertion_run import cut, short_run
-
-pytestmark = pytest.mark.skipif(
-    find_spec("rclpy") is None, reason="no rclpy: source a ROS 2 to test the node"
+import urdf
+from needleforce import InsertionSession
+from needleforce.cli import main
+from needleforce.insertion_events import session_events
+from needleforce.ros2 import MissingRosError, Ros2ParameterError, require_ros
+from needleforce.ros2.reports import EVENT_NUMBERS, layer_reports
+from needleforce.ros2.tip_frame import place_tip
+from tests.insertion_run import insert, short_run
+from tests.needleforce.ros2.fake_ros import Graph, Message, installed_ros
+from tests.needleforce.ros2.layouts import (
+    FOLDER,
+    RVIZ_TYPES,
+    foxglove_topics,
+    read_yaml,
+    rviz_topics,
 )
-ROOT = Path(__file__).resolve().parents[3]
-ARM = Path(__file__).with_name("arm_process.py")
-FRAME = "needle_tip"
-DOMAIN = str(50 + os.getpid() % 150)
-"""Beside the domain that a user's own nodes are in."""
+
+JOINTS = short_run().robot.joint_names
+LWR = urdf.example_robot_path("lwr4plus")
 
 
-def ros_environment():
-    """Of processes that hear each other only."""
-    return {
-        **os.environ,
-        "ROS_DOMAIN_ID": DOMAIN,
-        "ROS_AUTOMATIC_DISCOVERY_RANGE": "LOCALHOST",
-        "ROS_LOCALHOST_ONLY": "1",
-        "PYTHONPATH": str(ROOT),
-    }
+@pytest.fixture
+def graph():
+    """A ROS in which nothing was said yet."""
+    with installed_ros(Graph()) as graph:
+        yield graph
 
 
-def sent_signals():
-    """The short insertion at 500 Hz, until its layer is known."""
-    run = short_run()
-    end = int(np.searchsorted(run.signals.t_s, run.truth.ruptures[-1].end_s + 4.0))
-    return cut(run.signals, slice(0, end, 2))
+def start(graph, robot=None, **parameters):
+    """A node that was configured and activated."""
+    graph.parameters |= parameters
+    node_type = import_module("needleforce.ros2.node").NeedleNode
+    node = node_type(lambda wait: robot or short_run().robot, lambda session: None)
+    node.on_configure(None)
+    node.on_activate(None)
+    if node.failure is not None:
+        raise node.failure
+    return node
 
 
-def node_command(*arguments):
-    return [sys.executable, "-m", "needleforce", "ros2", "--robot", "lwr", *arguments]
+def stamped(at_s, **fields):
+    """A message with a stamp."""
+    sec, nanosec = divmod(round(1e9 * at_s), 10**9)
+    return Message(header=Message(stamp=Message(sec=sec, nanosec=nanosec)), **fields)
 
 
-@pytest.fixture(scope="module")
-def signals(tmp_path_factory):
-    """File of the signals that the arm sends."""
-    folder = tmp_path_factory.mktemp("ros2")
-    run = short_run()
-    sent = sent_signals()
-    np.savez(
-        folder / "signals.npz",
-        t_s=sent.t_s,
-        q_rad=sent.q_rad,
-        dq_rad_s=sent.dq_rad_s,
-        tau_Nm=sent.tau_Nm,
-        names=np.array(run.robot.joint_names),
-        tare=int(np.searchsorted(sent.t_s, run.tare_end_s)),
+def state(at_s, names=JOINTS):
+    """A joint state of an arm at rest."""
+    zeros = [0.0] * len(names)
+    position = [0.1] * len(names)
+    return stamped(
+        at_s, name=list(names), position=position, velocity=zeros, effort=zeros
     )
-    return folder / "signals.npz"
 
 
-@pytest.fixture(scope="module")
-def answers(signals):
-    """What an arm that replays an insertion gets back, and how the node ended."""
-    output = signals.with_name("answers.json")
-    with subprocess.Popen(
-        node_command("--ros-args", "-p", "reliability:=reliable"),
-        env=ros_environment(),
-        stderr=subprocess.PIPE,
-        text=True,
-    ) as node:
-        try:
-            subprocess.run(
-                [sys.executable, str(ARM), str(signals), str(output)],
-                env=ros_environment(),
-                timeout=600,
-                check=True,
-            )
-            _, said = node.communicate(timeout=30)
-        finally:
-            node.kill()
-    return {**json.loads(output.read_text()), "code": node.returncode, "said": said}
+@pytest.fixture
+def updates(monkeypatch):
+    """Arguments of every update of a session."""
+    given = []
+
+    def watch(name):
+        original = getattr(InsertionSession, name)
+
+        def update(self, *arguments):
+            given.append((name, *arguments))
+            return original(self, *arguments)
+
+        monkeypatch.setattr(InsertionSession, name, update)
+
+    watch("update")
+    watch("update_external_torque")
+    return given
 
 
-def last_diagnostics(answers):
-    return answers["diagnostics"][-1]
+# Samples and silence
 
 
-def test_every_sample_that_arrived_is_answered_by_a_wrench_with_its_stamp(answers):
-    stamps_ns = np.round(1e9 * (1.0 + sent_signals().t_s)).astype(int)
-    answered_ns = np.array([row[0] for row in answers["wrench"]])
-    values = last_diagnostics(answers)["values"]
-
-    assert set(answered_ns) <= set(stamps_ns)
-    assert np.unique(answered_ns).size == answered_ns.size
-    assert answered_ns.size == int(values["used"]) - int(values["rejected"])
-    assert answered_ns.size == stamps_ns.size
-    assert int(values["lost"]) == 0
+def health(graph):
+    """Level, sentence and values of the latest diagnostics."""
+    status = graph.published["/diagnostics"][-1].status[0]
+    return status.level[0], status.message, {v.key: v.value for v in status.values}
 
 
-def test_the_wrench_is_at_the_tip_in_the_tool_frame(answers):
-    run = short_run()
-    force_N = np.array([row[1:] for row in answers["wrench"]])
-    first = int(np.searchsorted(sent_signals().t_s, run.truth.contact_s))
-    # Tissue pushes against the z axis of the needle.
-    peak_N = -force_N[first:, 2].min()
-    [rupture] = run.truth.ruptures
+def test_silence_of_the_arm_is_reported_within_a_tenth_of_a_second(graph, updates):
+    node = start(graph)
+    step_s = min(graph.timers)
+    watch = graph.timers[step_s]
+    time.sleep(2.0 * node.value("silence_s"))
+    watch()
+    assert not graph.published["/diagnostics"]  # it has not come yet
 
-    assert answers["frame"] == FRAME
-    assert peak_N == pytest.approx(rupture.drop_N + rupture.friction_N, abs=0.15)
+    graph.put("/joint_states", state(1.0))
+    graph.deliver()
+    watch()
+    assert not graph.published["/diagnostics"]
 
+    end_s = time.monotonic() + 10.0
+    while not graph.published["/diagnostics"]:
+        assert time.monotonic() < end_s
+        graph.put("/joint_states", state(1.1, ["finger"]))  # is not the arm
+        graph.deliver()
+        watch()
+        time.sleep(step_s)
+    # Of the limit and the period of the timer, not of this machine.
+    assert node.value("silence_s") + step_s < 0.1
+    level, message, values = health(graph)
+    assert (level, "silent" in message) == (2, True)
+    assert float(values["longest_gap_s"]) >= node.value("silence_s")
+    assert values["other_joints"] != "0"
 
-def test_a_gripper_on_the_topic_is_passed_by(answers):
-    assert int(last_diagnostics(answers)["values"]["other_joints"]) > 100
-
-
-def test_a_service_tares_beside_the_samples_and_answers_at_the_end(answers):
-    [[is_begun, reason]] = answers["begin_insertion"]
-    kinds = [event["name"] for event in answers["events"]]
-
-    assert answers["tare"] == [[True, "tared"]]
-    assert kinds[0] == "tared"
-    assert not is_begun
-    assert "~/tare" in reason
-
-
-def test_the_rupture_is_an_event_with_its_depth(answers):
-    run = short_run()
-    [event] = [event for event in answers["events"] if event["name"] == "rupture"]
-    [rupture] = run.truth.ruptures
-    alarm_s = 1e-9 * event["stamp_ns"] - 1.0
-
-    assert "rupture of layer 1" in event["message"]
-    assert event["values"]["layer"] == "1"
-    assert float(event["values"]["probability"]) > 0.9
-    assert rupture.onset_s < alarm_s < rupture.end_s + 0.1
-
-
-def test_layers_and_tip_force_are_published(answers):
-    [layer] = answers["layers"]
-
-    assert layer["name"] == "layer 1"
-    assert float(layer["values"]["thickness_m"]) > 0.0
-    assert 0 < len(answers["tip_force"]) < len(answers["wrench"])
+    graph.put("/joint_states", state(1.4))
+    graph.deliver()
+    watch()
+    assert len(graph.published["/diagnostics"]) == 1
+    assert [round(given[-1], 6) for given in updates] == [0.0, 0.4]
+    max(graph.timers.items())[1]()
+    level, message, values = health(graph)
+    assert (level, "not tared" in message) == (1, True)
+    assert float(values["longest_gap_s"]) == pytest.approx(0.4)
+    assert values["used"] == "2"
 
 
-def test_parameters_are_described_and_refused_with_a_sentence(answers):
-    too_long, fixed, taken = answers["set"]
+def test_a_node_that_is_not_active_passes_joint_states_by(graph, updates):
+    node = start(graph)
+    node.on_deactivate(None)
+    graph.put("/joint_states", state(1.0))
+    graph.deliver()
 
-    assert answers["descriptions"][0].startswith("Joint states that wait")
-    assert too_long[1] is False
-    assert "silence_s" in too_long[2]
-    assert fixed[1] is False
-    assert "queue_depth" in fixed[2]
-    assert taken[1] is True
+    assert not updates
+
+    node.on_activate(None)
+    graph.put("/joint_states", state(1.001))
+    graph.deliver()
+
+    assert len(updates) == 1
+    [wrench] = graph.published["/needleforce/wrench"]
+    assert wrench.header.frame_id == short_run().robot.tool_frame
+    assert (wrench.header.stamp.sec, wrench.header.stamp.nanosec) == (1, 10**6)
 
 
-def test_the_service_stop_ends_the_node_with_its_counts(answers):
-    [[is_stopped, text]] = answers["stop"]
+def test_an_arm_that_never_came_is_an_error_in_the_diagnostics(graph):
+    start(graph)
+    max(graph.timers.items())[1]()
 
-    assert is_stopped
-    assert "0 lost" in text
-    assert answers["code"] == 0
-    assert "0 lost" in answers["said"]
+    assert health(graph)[:2] == (2, "no joint state has come")
+
+
+def test_what_the_arm_is_comes_from_the_topic_of_its_description(graph):
+    with open(LWR, encoding="utf-8") as file:
+        graph.put("/robot_description", Message(data=file.read()))
+    node_type = import_module("needleforce.ros2.node").NeedleNode
+    texts = []
+
+    def make_robot(wait):
+        texts.append(wait())
+        return short_run().robot
+
+    assert node_type(make_robot, lambda session: None).on_configure(None).name == (
+        "SUCCESS"
+    )
+    assert "<robot" in texts[0]
+
+
+def test_a_manager_gets_an_answer_where_no_description_comes(graph):
+    graph.parameters["autostart"] = False
+    node_type = import_module("needleforce.ros2.node").NeedleNode
+    node = node_type(lambda wait: wait(), lambda session: None)
+
+    assert node.on_configure(None).name == "FAILURE"
+    assert "/robot_description" in str(node.failure)
+    assert "robot_state_publisher" in node.failure.advice
 
 
 @pytest.mark.parametrize(
-    ("setting", "message"),
+    "parameters",
     [
-        ("queue_deph:=4", "there is no parameter queue_deph; did you mean queue_depth"),
-        ("queue_depth:=0", "queue_depth is 0; expected a whole number from 1"),
-        ("reliability:=maybe", "expected best_effort or reliable"),
+        {"queue_deph": 4},
+        {"reliability": "maybe"},
+        {"external_torque_topic": "/a", "lbr_state_topic": "/b"},
     ],
 )
-def test_a_node_with_a_wrong_parameter_does_not_start(setting, message):
-    done = subprocess.run(
-        node_command("--ros-args", "-p", setting),
-        env=ros_environment(),
-        capture_output=True,
-        text=True,
-        timeout=240,
+def test_parameters_that_cannot_be_are_refused_by_name(graph, parameters):
+    with pytest.raises(Ros2ParameterError, match=next(iter(parameters))):
+        start(graph, **parameters)
+
+
+# LBRState of lbr_fri_ros2_stack
+
+
+def lbr_state(stamp_ns):
+    """As lbr_fri_idl has it: arrays of seven, and the controller's time."""
+    return Message(
+        time_stamp_sec=stamp_ns // 10**9,
+        time_stamp_nano_sec=stamp_ns % 10**9,
+        measured_joint_position=np.arange(7.0),
+        measured_torque=np.full(7, 50.0),
+        external_torque=10.0 + np.arange(7.0),
     )
 
-    assert done.returncode == 2
-    assert message in done.stderr
+
+def test_the_node_takes_positions_and_external_torques_of_an_lbr(graph, updates):
+    start(graph, lbr_state_topic="/lbr/state")
+    graph.put("/lbr/state", lbr_state(1_000_000_002), lbr_state(1_005_000_002))
+    graph.deliver()
+    name, q_rad, dq_rad_s, torque_Nm, _ = updates[0]
+
+    assert name == "update_external_torque"
+    assert [round(given[-1], 6) for given in updates] == [0.0, 0.005]
+    assert q_rad.tolist() == [0.0, 1.0, 2.0, 3.0, 4.0, 5.0, 6.0]
+    assert dq_rad_s is None
+    assert torque_Nm.tolist() == [10.0, 11.0, 12.0, 13.0, 14.0, 15.0, 16.0]
+    # The stamp is of the node's clock, which TF knows, not of the controller's.
+    assert graph.published["/needleforce/wrench"][-1].header.stamp.sec == 7
+    assert not graph.callbacks["/joint_states"]
 
 
-class Manager:
-    """A lifecycle manager, beside an arm at rest that sends 200 times a second."""
+def test_an_lbr_has_seven_joints(graph):
+    with pytest.raises(Ros2ParameterError, match="6"):
+        start(graph, urdf.load_example("ur5e"), lbr_state_topic="/lbr/state")
 
-    def __init__(self):
-        import rclpy
-        from geometry_msgs.msg import WrenchStamped
-        from lifecycle_msgs.srv import ChangeState, GetState
-        from sensor_msgs.msg import JointState
 
-        self.context = rclpy.Context()
-        self.context.init(args=[])
-        self.node = rclpy.create_node("manager", context=self.context)
-        self.executor = rclpy.executors.SingleThreadedExecutor(context=self.context)
-        self.executor.add_node(self.node)
-        self.change = self.node.create_client(ChangeState, "/needleforce/change_state")
-        self.state = self.node.create_client(GetState, "/needleforce/get_state")
-        self.requests = ChangeState.Request, GetState.Request
-        self.state_type = JointState
-        self.states = self.node.create_publisher(JointState, "joint_states", 10)
-        self.wrenches = []
-        self.node.create_subscription(
-            WrenchStamped, "/needleforce/wrench", self.wrenches.append, 10
-        )
-        self.node.create_timer(5e-3, self.send)
+# Frame of the tip
 
-    def send(self):
-        run = short_run()
-        message = self.state_type(name=list(run.robot.joint_names))
-        now_ns = self.node.get_clock().now().nanoseconds
-        message.header.stamp.sec, message.header.stamp.nanosec = divmod(now_ns, 10**9)
-        message.position = run.signals.q_rad[0].tolist()
-        message.velocity = [0.0] * 7
-        message.effort = run.signals.tau_Nm[0].tolist()
-        self.states.publish(message)
 
-    def spin(self, seconds):
-        end_s = time.monotonic() + seconds
-        while time.monotonic() < end_s:
-            self.executor.spin_once(timeout_sec=0.1)
+def test_the_tip_is_broadcast_from_the_flange_of_the_description(graph):
+    start(graph, urdf.load_lwr(payload=urdf.NeedleTool()))
+    [message] = graph.published["/tf_static"]
+    [transform] = message.transforms
+    move = transform.transform
 
-    def ask(self, client, request):
-        assert client.wait_for_service(timeout_sec=240.0)
-        future = client.call_async(request)
-        self.executor.spin_until_future_complete(future, timeout_sec=240.0)
-        return future.result()
+    assert "/tf_static" in graph.kept
+    assert transform.header.frame_id == "flange"
+    assert transform.child_frame_id == "needle_tip"
+    assert transform.header.stamp.sec == 7
+    tip_m = urdf.NeedleTool().tip_in_flange_m[2]
+    assert (move.translation.x, move.translation.y) == (0.0, 0.0)
+    assert move.translation.z == pytest.approx(tip_m)
+    assert (move.rotation.z, move.rotation.w) == (0.0, 1.0)
 
-    def transit(self, number):
-        """Begin a transition; return whether it was made, and the state."""
-        request = self.requests[0]()
-        request.transition.id = number
-        answer = self.ask(self.change, request)
-        state = self.ask(self.state, self.requests[1]())
-        self.spin(0.5)  # what was on its way has come
-        self.wrenches.clear()
-        self.spin(1.0)
-        return answer.success, state.current_state.label, bool(self.wrenches)
+
+@pytest.mark.parametrize("broadcasts", [True, False])
+def test_the_tip_is_not_broadcast_where_tf_has_it(graph, broadcasts):
+    robot = urdf.load_lwr(payload=None if broadcasts else urdf.NeedleTool())
+    start(graph, robot, broadcast_tip=broadcasts)
+
+    assert not graph.published["/tf_static"]
+
+
+def test_a_tip_of_a_joint_is_on_the_link_that_the_joint_moves():
+    robot = urdf.load_urdf(
+        LWR, tool_frame="lwr_joint_7", tool_placement=(0.0, 0.02, 0.1)
+    )
+    tip = place_tip(robot, "tool")
+
+    assert tip.parent == "lwr_link_7"
+    assert tip.placement.translation.tolist() == pytest.approx([0.0, 0.02, 0.1])
+
+
+# Events, layers, services
 
 
 @pytest.mark.slow
-def test_a_manager_configures_activates_and_deactivates_the_node(monkeypatch):
-    configure, cleanup, activate, deactivate = range(1, 5)
-    monkeypatch.setenv("ROS_DOMAIN_ID", DOMAIN)
-    monkeypatch.setenv("ROS_AUTOMATIC_DISCOVERY_RANGE", "LOCALHOST")
-    with subprocess.Popen(
-        node_command("--ros-args", "-p", "autostart:=false"),
-        env=ros_environment(),
-        stderr=subprocess.DEVNULL,
-    ) as node:
-        manager = Manager()
-        try:
-            steps = [
-                manager.transit(number)
-                for number in (
-                    *(activate, configure, activate, deactivate, activate),
-                    *(deactivate, cleanup, configure, activate),
-                )
-            ]
-        finally:
-            node.kill()
-            manager.executor.shutdown()
-            manager.context.try_shutdown()
+def test_an_insertion_is_events_numbers_and_layers(graph):
+    session = InsertionSession(short_run().robot)
+    estimates = insert(session)
+    events = [event for estimate in estimates for event in session_events(estimate)]
+    [layer] = layer_reports(session.layers)
 
-    assert steps == [
-        (False, "unconfigured", False),
-        (True, "inactive", False),
-        (True, "active", True),
-        (True, "inactive", False),
-        (True, "active", True),
-        (True, "inactive", False),
-        (True, "unconfigured", False),
-        (True, "inactive", False),
-        (True, "active", True),
-    ]
+    assert [event.kind for event in events] == ["rupture", "layer", "layer"]
+    for event in events:
+        assert set(event.values) == set(EVENT_NUMBERS[event.kind])
+    assert layer.name == "layer 1"
+    assert float(layer.values["stiffness_N_per_m"]) > 0.0
+    assert layer.values["is_final"] == "true"
+
+    node = start(graph)
+    event = next(one for one in estimates if one.identification.rupture is not None)
+    node._publish_events(event)  # its samples pass through the real node in test_in_ros
+    [message] = graph.published["/needleforce/events"]
+    [number] = graph.published["/needleforce/rupture/depth_m"]
+    values = {pair.key: pair.value for pair in message.status[0].values}
+    assert message.status[0].name == "rupture"
+    assert number.data == pytest.approx(float(values["depth_m"]))
+    assert "/needleforce/rupture/depth_m" in graph.kept
 
 
-def test_an_arm_on_a_topic_is_recorded_with_the_signals_that_it_sends(
-    signals, tmp_path
-):
-    recording = tmp_path / "arm.csv"
-    command = [sys.executable, "-m", "needleforce", "record", "ros2:/joint_states"]
-    options = ["-o", str(recording), "--robot", "lwr", "--seconds", "0.5"]
-    with subprocess.Popen(
-        [sys.executable, str(ARM), str(signals)], env=ros_environment()
-    ) as arm:
-        done = subprocess.run(
-            [*command, *options],
-            env=ros_environment(),
-            capture_output=True,
-            text=True,
-            timeout=240,
-        )
-        arm.kill()
+def test_an_insertion_begins_only_after_a_tare(graph):
+    start(graph)
+    answer = graph.services["~/begin_insertion"](None, Message())
 
-    assert done.returncode == 0, done.stderr
-
-    log = read_log(recording, required=["q", "tau"])
-    sent_rad = sent_signals().q_rad
-    first = int(np.argmin(np.abs(sent_rad - log["q_rad"][0]).sum(axis=1)))
-    assert len(log.t_s) > 100
-    assert np.array_equal(log["q_rad"][0], sent_rad[first])
-    assert log.t_s[-1] == pytest.approx(0.5, abs=0.1)
+    assert answer.success is False
+    assert "~/tare" in answer.message
 
 
-def test_an_arm_that_sends_nothing_is_an_error_with_the_topic(tmp_path):
-    done = subprocess.run(
-        [
-            *(sys.executable, "-m", "needleforce", "record", "ros2:/nobody"),
-            *("-o", str(tmp_path / "arm.csv"), "--robot", "lwr"),
-        ],
-        env=ros_environment(),
-        capture_output=True,
-        text=True,
-        timeout=240,
-    )
+def test_shutting_the_node_down_ends_it(graph):
+    node = start(graph)
+    assert not node.is_stopped
+    node.on_shutdown(None)
 
-    assert done.returncode == 2
-    assert "/nobody: no joint state has come within 10 s" in done.stderr
+    assert node.is_stopped
+
+
+def test_a_missing_ros_is_an_error_that_names_it(monkeypatch, capsys):
+    monkeypatch.setitem(sys.modules, "rclpy", None)
+
+    with pytest.raises(MissingRosError, match="rclpy"):
+        require_ros()
+    assert main(["ros2", "--robot", "lwr"]) == 2
+    assert "rclpy" in capsys.readouterr().err
+
+
+# Files of examples/ros2
+
+
+@pytest.mark.parametrize("name", ["foxglove.json", "needleforce.rviz"])
+def test_layouts_show_topics_of_the_node_by_their_types(graph, name):
+    start(graph, urdf.load_lwr(payload=urdf.NeedleTool()))
+    types = graph.kinds | {"/rosout": "Log", "/robot_description": "String"}
+    if name.endswith("json"):
+        topics = foxglove_topics(json.loads((FOLDER / name).read_bytes()))
+    else:
+        topics = rviz_topics(read_yaml(name))
+
+    assert {"/needleforce/wrench", "/needleforce/tip_force"} <= set(topics)
+    for topic, use in topics.items():
+        assert types.get(topic) == RVIZ_TYPES[use], topic
+
+
+def test_the_parameters_of_the_launch_file_are_the_defaults_of_the_node(graph):
+    parameters = import_module("needleforce.ros2.parameters").PARAMETERS
+    given = read_yaml("parameters.yaml")["needleforce"]["ros__parameters"]
+
+    assert given == {name: default for name, (default, _) in parameters.items()}

@@ -1,4 +1,4 @@
-"""Layouts, launch file and ROS package, against the node and the bags."""
+"""Launch file and ROS package, and a layout against the bags."""
 
 import json
 import runpy
@@ -7,96 +7,15 @@ import tomllib
 from configparser import ConfigParser
 from dataclasses import replace
 from importlib import import_module
-from pathlib import Path
 from types import SimpleNamespace
 from typing import NamedTuple
-from unittest.mock import MagicMock
 from xml.etree import ElementTree
 
 import pytest
 
-from needleforce import InsertionSession
 from needleforce.cli import main, run_ros2_node
-from needleforce.ros2 import node as node_file
-from needleforce.ros2.parameters import PARAMETERS, settings_from_values
-from needleforce.ros2.ros_modules import RosModules
 from tests.insertion_run import cut, short_run
-
-FOLDER = Path(__file__).parents[3] / "examples" / "ros2"
-OF_ROS = {"/rosout": "Log", "/robot_description": "String", "/tf": "TFMessage"}
-"""Topics that ROS 2 itself and the arm's own robot_state_publisher have."""
-
-
-@pytest.fixture(scope="module")
-def published():
-    """Topics of the node, with the names of their types."""
-    ros = RosModules(*(MagicMock() for _ in RosModules._fields))
-    types = {
-        id(ros.geometry.WrenchStamped): "WrenchStamped",
-        id(ros.diagnostic.DiagnosticArray): "DiagnosticArray",
-        id(ros.standard.Float64): "Float64",
-        id(ros.transforms.TFMessage): "TFMessage",
-    }
-    ros_node = MagicMock()
-    robot = short_run().robot
-    with pytest.MonkeyPatch.context() as patch:
-        patch.setattr(node_file, "warm_up", lambda robot, config: None)
-        patch.setattr(node_file, "InsertionSession", MagicMock(spec=InsertionSession))
-        node_file.NeedleNode(ros, ros_node, robot, settings_from_values({}))
-    calls = [call.args for call in ros_node.create_publisher.call_args_list]
-    return {
-        topic.replace("~", "/needleforce"): types[id(kind)] for kind, topic, _ in calls
-    } | OF_ROS
-
-
-def layout_topics(layout):
-    """Topics of a layout of Foxglove, with what each panel needs of it."""
-    topics = {}
-    for panel, config in layout["configById"].items():
-        kind = panel.split("!")[0]
-        if "topicToRender" in config:
-            topics[config["topicToRender"]] = kind
-        for path in config.get("paths", ()):
-            topics[path["value"].split(".")[0]] = path["value"].split(".", 1)[1]
-        for layer in config.get("layers", {}).values():
-            topics[layer["topic"]] = kind
-    return topics
-
-
-def read_yaml(name):
-    """What a file of the examples holds."""
-    yaml = pytest.importorskip("ruamel.yaml")
-    return yaml.YAML(typ="safe").load(FOLDER / name)
-
-
-def panels_of(place):
-    """Names of the panels in the tree of a layout."""
-    if isinstance(place, str):
-        return {place}
-    return panels_of(place["first"]) | panels_of(place["second"])
-
-
-@pytest.mark.parametrize("name", ["foxglove.json", "foxglove_bag.json"])
-def test_a_layout_shows_each_of_its_panels_once(name):
-    layout = json.loads((FOLDER / name).read_bytes())
-
-    assert panels_of(layout["layout"]) == set(layout["configById"])
-
-
-def test_foxglove_shows_topics_of_the_node(published):
-    topics = layout_topics(json.loads((FOLDER / "foxglove.json").read_bytes()))
-    needed = {
-        "RosOut": "Log",
-        "DiagnosticSummary": "DiagnosticArray",
-        "3D": "String",
-        # The tool's z axis is the direction of insertion: tissue pushes against it.
-        "wrench.force.z.@negative": "WrenchStamped",
-    }
-
-    assert {topic: published.get(topic) for topic in topics} == {
-        topic: needed[use] for topic, use in topics.items()
-    }
-    assert {"/needleforce/wrench", "/needleforce/tip_force"} <= set(topics)
+from tests.needleforce.ros2.layouts import FOLDER, RVIZ_TYPES, foxglove_topics
 
 
 @pytest.mark.slow
@@ -117,11 +36,10 @@ def test_foxglove_shows_topics_of_the_bags(tmp_path, monkeypatch):
         for channel in summary.channels.values():
             kind = summary.schemas[channel.schema_id].name
             written[channel.topic] = kind.rsplit("/", 1)[-1]
-    needed = {"RosOut": "Log", "3D": "String", "data": "Float64"}
-    topics = layout_topics(json.loads((FOLDER / "foxglove_bag.json").read_bytes()))
+    topics = foxglove_topics(json.loads((FOLDER / "foxglove_bag.json").read_bytes()))
 
     assert {topic: written.get(topic) for topic in topics} == {
-        topic: needed[use] for topic, use in topics.items()
+        topic: RVIZ_TYPES[use] for topic, use in topics.items()
     }
     assert "/tf" in written
 
@@ -131,30 +49,6 @@ def _begin_run(chosen, *, plant, seed):
     run = short_run()
     rows = slice(2000)
     return replace(run, signals=cut(run.signals, rows), truth=cut(run.truth, rows))
-
-
-def test_rviz_shows_topics_of_the_node(published):
-    displays = read_yaml("needleforce.rviz")["Visualization Manager"]["Displays"]
-    shown = {}
-    for display in displays:
-        topic = display.get("Topic") or display.get("Description Topic")
-        if topic is not None:
-            shown[topic["Value"]] = display["Class"].split("/")[1]
-            if topic["Value"] == "/robot_description":
-                # It is published once: who subscribes later gets it as kept.
-                assert topic["Durability Policy"] == "Transient Local"
-    needed = {"Wrench": "WrenchStamped", "RobotModel": "String"}
-
-    assert {topic: published.get(topic) for topic in shown} == {
-        topic: needed[use] for topic, use in shown.items()
-    }
-    assert {"/needleforce/wrench", "/needleforce/tip_force"} <= set(shown)
-
-
-def test_the_parameters_of_the_launch_file_are_the_defaults_of_the_node():
-    given = read_yaml("parameters.yaml")["needleforce"]["ros__parameters"]
-
-    assert given == {parameter.name: parameter.default for parameter in PARAMETERS}
 
 
 class LaunchAction(dict):

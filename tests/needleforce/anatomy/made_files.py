@@ -1,0 +1,167 @@
+"""Files as scanners, 3D Slicer and other programs write them, field by field."""
+
+import gzip
+import struct
+from datetime import datetime
+
+import highdicom
+import numpy as np
+import pydicom
+import SimpleITK
+from highdicom.sr import CodedConcept
+from pydicom.dataset import Dataset, FileMetaDataset
+from pydicom.uid import CTImageStorage, ExplicitVRLittleEndian
+
+SPACING_mm = np.array([0.8, 0.9, 1.25])
+ORIGIN_mm = np.array([-10.0, 20.0, 33.33])
+
+
+def place_mm(index):
+    """Where a voxel (i, j, k) of slices or of a segmentation lies."""
+    return ORIGIN_mm + SPACING_mm * np.asarray(index)
+
+
+def write_image(path, values, spacing_mm=(1.0, 1.0, 1.0), origin_mm=(0.0, 0.0, 0.0)):
+    """Write voxels (i, j, k) in the format of the name."""
+    image = SimpleITK.GetImageFromArray(np.ascontiguousarray(values.T))
+    image.SetSpacing(spacing_mm)
+    image.SetOrigin(origin_mm)
+    SimpleITK.WriteImage(image, str(path))
+
+
+def patch(path, place, kind, *numbers):
+    """Put other numbers at a place of a file."""
+    content = bytearray(path.read_bytes())
+    struct.pack_into(f"<{kind}", content, place, *numbers)
+    path.write_bytes(content)
+
+
+def ct_slices(shape, places_mm=None, turn=None, series=2):
+    """Slices of a CT with (i, j, k) voxels, whose first pixels lie at places (k, 3)."""
+    if places_mm is None:
+        places_mm = [place_mm([0, 0, k]) for k in range(shape[2])]
+    axes = np.eye(3) if turn is None else turn
+    slices = []
+    for k, place in enumerate(places_mm):
+        item = Dataset()
+        item.file_meta = FileMetaDataset()
+        item.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
+        item.file_meta.MediaStorageSOPClassUID = item.SOPClassUID = CTImageStorage
+        uid = pydicom.uid.UID(f"2.25.{1000 * series + k}")
+        item.file_meta.MediaStorageSOPInstanceUID = item.SOPInstanceUID = uid
+        item.StudyInstanceUID = "2.25.1"
+        item.SeriesInstanceUID = f"2.25.{series}"
+        item.FrameOfReferenceUID = "2.25.3"
+        for name in ("PatientBirthDate", "PatientSex", "AccessionNumber"):
+            setattr(item, name, "")
+        item.PatientID = item.StudyID = "1"
+        item.PatientName = "Torso^Analytic"
+        item.ReferringPhysicianName = item.PositionReferenceIndicator = ""
+        item.StudyDate = datetime(2026, 1, 1).date()
+        item.StudyTime = datetime(2026, 1, 1).time()
+        item.Modality = "CT"
+        item.SeriesNumber = series
+        item.InstanceNumber = k + 1
+        item.ImagePositionPatient = [f"{one:.10g}" for one in place]
+        item.ImageOrientationPatient = [f"{one:.10g}" for one in axes[:, :2].T.ravel()]
+        item.PixelSpacing = [SPACING_mm[1], SPACING_mm[0]]
+        item.SliceThickness = SPACING_mm[2]
+        item.Rows = shape[1]
+        item.Columns = shape[0]
+        item.BitsAllocated = item.BitsStored = 16
+        item.HighBit = 15
+        item.PixelRepresentation = 1
+        item.SamplesPerPixel = 1
+        item.PhotometricInterpretation = "MONOCHROME2"
+        item.PixelData = np.zeros(shape[1::-1], np.int16).tobytes()
+        slices.append(item)
+    return slices
+
+
+def write_series(folder, slices):
+    """Write slices into a folder, one file each."""
+    folder.mkdir(parents=True, exist_ok=True)
+    for item in slices:
+        name = f"{item.SeriesNumber}-{item.InstanceNumber:03d}.dcm"
+        item.save_as(folder / name, enforce_file_format=True)
+
+
+def segment(number, label, what, side=None):
+    """The description of a segment."""
+    described = highdicom.seg.SegmentDescription(
+        number,
+        label,
+        CodedConcept("123037004", "SCT", "Anatomical Structure"),
+        CodedConcept("0", "SCT", what),
+        "MANUAL",
+    )
+    if side is not None:
+        sides = pydicom.Sequence([CodedConcept("7771000", "SCT", side)])
+        terms = described.SegmentedPropertyTypeCodeSequence
+        terms[0].SegmentedPropertyTypeModifierCodeSequence = sides
+    return described
+
+
+def write_dicom_segmentation(path, masks, segments, kind="BINARY"):
+    """Write masks (i, j, k) as a DICOM segmentation."""
+    stack = np.stack([mask.T for mask in masks], axis=-1).astype(np.uint8)
+    if kind == "LABELMAP":
+        stack = (stack * np.arange(1, len(masks) + 1, dtype=np.uint8)).max(axis=-1)
+    elif kind == "FRACTIONAL":
+        stack = stack.astype(np.float32)
+    uids = [pydicom.uid.UID(f"2.25.{number}") for number in (4, 5)]
+    slices = ct_slices(masks[0].shape)
+    maker = ("needleforce", "test", "1", "1")
+    highdicom.seg.Segmentation(
+        slices, stack, kind, segments, uids[0], 2, uids[1], 1, *maker
+    ).save_as(path)
+
+
+def slicer_tags(what, side="^^", region="^^"):
+    """The tags of a segment of 3D Slicer: status and terms."""
+    category = "SCT^123037004^Anatomical Structure"
+    entry = f"General Anatomy~{category}~SCT^0^{what}~{side}"
+    return f"Segmentation.Status:x|TerminologyEntry:{entry}~Codes~{region}~^^|"
+
+
+def write_seg_nrrd(path, volumes, segments):
+    """Write layers (i, j, k) and fields of segments as 3D Slicer does.
+
+    Args:
+        path: The file.
+        volumes: Of Slicer 5 the layers, up to 4.10 one mask per segment.
+        segments: Fields of each, the ID is added.
+    """
+    shape = " ".join(map(str, volumes[0].shape))
+    is_list = len(volumes) > 1
+    columns = [f"({','.join(map(str, row))})" for row in np.diag(SPACING_mm)]
+    lines = [
+        "NRRD0004",
+        "type: unsigned char",
+        f"dimension: {4 if is_list else 3}",
+        "space: left-posterior-superior",
+        f"sizes: {f'{len(volumes)} ' if is_list else ''}{shape}",
+        f"space directions: {'none ' if is_list else ''}{' '.join(columns)}",
+        f"kinds: {'list ' if is_list else ''}domain domain domain",
+        "encoding: gzip",
+        f"space origin: ({','.join(map(str, ORIGIN_mm))})",
+    ]
+    for number, fields in enumerate(segments):
+        own = {"ID": f"Segment_{number + 1}", **fields}
+        lines += [f"Segment{number}_{key}:={text}" for key, text in own.items()]
+    content = np.stack(volumes).ravel(order="F").astype(np.uint8).tobytes()
+    header = "\n".join([*lines, "", ""]).encode()
+    path.write_bytes(header + gzip.compress(content))
+
+
+def write_labels_with_table(path, values, table):
+    """Write labels whose names are an extension of the header, as TotalSegmentator."""
+    plain = path.with_name("plain.nii")
+    write_image(plain, values, (1.5, 1.5, 1.5))
+    content = bytearray(plain.read_bytes())
+    plain.unlink()
+    size = 16 * -(-(len(table) + 8) // 16)
+    struct.pack_into("<f", content, 108, 352.0 + size)
+    extension = struct.pack("<2i", size, 0) + table.ljust(size - 8, b"\0")
+    header = bytes(content[:348]) + b"\1\0\0\0" + extension
+    path.write_bytes(gzip.compress(header + content[352:]))

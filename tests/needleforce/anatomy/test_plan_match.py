@@ -1,0 +1,219 @@
+"""The plan and the ruptures correct each other."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from needleforce.anatomy import Layer, PlanError, PlanMatch
+
+NAMES = ("fat", "muscle", "gland", "lesion", "gland")
+
+
+def plan(*depths_mm, names=NAMES, std_mm=0.5):
+    edges = [0.0, *depths_mm, depths_mm[-1] + 50.0]
+    return [
+        Layer(
+            *(names[k], 1e-3 * edges[k], 1e-3 * edges[k + 1]),
+            *(1e-3 * std_mm * (k > 0), 1e-3 * std_mm, False),
+        )
+        for k in range(len(depths_mm) + 1)
+    ]
+
+
+def test_ruptures_move_the_plan_and_name_the_layer():
+    match = PlanMatch(plan(20, 35, 60), 3e-3)
+    above = match.state(-0.002)
+    start = match.state(0.005)
+    first = match.state(0.024, [0.024])
+    second = match.state(0.039, [0.024, 0.039])
+
+    assert (above.layer, above.name, above.next_name) == (-1, "outside", "fat")
+    assert (start.name, start.next_name, start.matched_name) == ("fat", "muscle", "")
+    assert start.offset_std_m == pytest.approx(3e-3, rel=0.5)
+    assert (first.name, first.next_name) == ("muscle", "gland")
+    assert 1e-3 < first.offset_m < 4e-3  # or a membrane ruptured late
+    assert second.offset_m == pytest.approx(4e-3, abs=0.5e-3)
+    assert second.offset_std_m < 1.2e-3
+    assert second.next_m == pytest.approx(0.064, abs=1e-3)
+    assert second.next_std_m == pytest.approx(np.hypot(second.offset_std_m, 0.5e-3))
+    assert (second.matched, second.matched_name) == (2, "gland")
+    assert min(second.probability, second.matched_probability) > 0.8
+    low_m, high_m = match.interval_m(0.039, [0.024, 0.039])
+    assert low_m < 4e-3 < high_m < low_m + 6e-3
+    assert match.interval_m(0.039, [0.024, 0.039], 0.5)[1] < high_m
+    last = match.state(0.064, [0.024, 0.039, 0.064])
+    assert (last.name, last.next_name, np.isnan(last.next_m)) == ("lesion", "", True)
+    assert match.state(0.0).offset_m == pytest.approx(0.0, abs=2e-4)
+
+    moved = match.state(0.139, [0.124, 0.139], contact_m=0.1, entry_depth_m=0.1)
+    same = match.state(0.039, [0.024, 0.039], contact_m=0.0)
+    assert moved.next_m == pytest.approx(same.next_m + 0.1)
+    assert moved.offset_m == pytest.approx(same.offset_m)
+
+
+@pytest.mark.parametrize(("rupture_m", "name"), [(0.028, "muscle"), (0.03, "gland")])
+def test_one_boundary_in_five_is_passed_unnoticed(rupture_m, name):
+    """Planned at 20 and 30 mm, give or take 3 mm; behind fat three in five would be."""
+    layers = plan(20, 30, 60, names=("lesion", *NAMES[1:]))
+    state = PlanMatch(layers, 3e-3).state(rupture_m + 1e-3, [rupture_m])
+
+    assert state.name == state.matched_name == name
+    # Thus a rupture that may be either is the first one less often behind fat.
+    soft = PlanMatch(plan(20, 30, 60), 3e-3).state(0.029, [0.028])
+    assert (soft.matched_name, name) != ("muscle", "gland")
+
+
+def test_where_the_surface_was_met_counts_for_half():
+    match = PlanMatch(plan(20, 35, 60), 3e-3)
+    # At a rupture 4 mm late a membrane ruptured late, or all lies deeper: so does the
+    # surface.
+    deeper, late = (
+        match.state(0.024, [0.024], contact_m=contact_m) for contact_m in (4e-3, 0.0)
+    )
+    unknown = match.state(0.024, [0.024])
+
+    assert late.offset_m < unknown.offset_m < deeper.offset_m
+    assert deeper.offset_m == pytest.approx(4e-3, abs=0.2e-3)
+    assert deeper.offset_std_m < unknown.offset_std_m
+    # Organs move beneath a skin that lies where it was: two ruptures outvote it.
+    beneath = match.state(0.039, [0.024, 0.039], contact_m=0.0)
+    assert beneath.offset_m == pytest.approx(4e-3, abs=0.5e-3)
+    widths_m = [
+        np.ptp(match.interval_m(0.039, [0.024, 0.039], contact_m=contact_m))
+        for contact_m in (4e-3, None)
+    ]
+    assert widths_m[0] < widths_m[1]
+    # The skin ruptures behind where it was met.
+    shallow = PlanMatch(plan(8, 35), 5e-3)
+    assert shallow.state(0.0085, [0.0085]).matched == 1
+    assert shallow.state(0.0085, [0.0085], contact_m=4e-3).matched == 0
+
+
+@pytest.mark.parametrize(
+    ("depth_m", "ruptures_m"), [(-0.005, []), (0.005, []), (0.024, [0.024])]
+)
+def test_air_before_the_skin_is_no_layer(depth_m, ruptures_m):
+    layers = plan(20, 35)
+    moved = [
+        replace(layer, entry_m=layer.entry_m + 0.015, exit_m=layer.exit_m + 0.015)
+        for layer in layers
+    ]
+    air = Layer("unlabelled", 0.0, 0.015, 0.0, 0.0, False)
+    contact = {"contact_m": 0.002} if depth_m > 0.002 else {}
+    bare = PlanMatch(layers, 3e-3).state(depth_m, ruptures_m, **contact)
+    state = PlanMatch([air, *moved], 3e-3).state(
+        depth_m, ruptures_m, **contact, entry_depth_m=-0.015
+    )
+
+    assert (state.layer, state.name) == (bare.layer + 1, bare.name)
+    assert state.next_name == bare.next_name
+    assert state.next_m == pytest.approx(bare.next_m)
+    assert state.offset_m == pytest.approx(bare.offset_m)
+    assert state.matched == bare.matched + (bare.matched >= 0)
+    # In front of an organ it is tissue without a label.
+    tissue = PlanMatch([air, *(replace(layer, name="liver") for layer in moved)], 3e-3)
+    assert tissue.state(0.01, [], contact_m=0.0).name == "unlabelled"
+
+
+def test_an_unnoticed_boundary_is_passed_all_the_same():
+    match = PlanMatch(plan(20, 35, 60), 2e-3)
+
+    assert match.state(0.030, [0.0200]).name == "muscle"
+    assert match.state(0.050, [0.0200]).name == "gland"
+    state = match.state(0.0601, [0.0200, 0.0601])
+    assert (state.matched, state.name) == (3, "lesion")
+    # Withdrawn, the tip is in layers that it has crossed.
+    for depth_m, name in ((0.045, "gland"), (0.025, "muscle"), (-0.01, "outside")):
+        assert match.state(depth_m, [0.0200], deepest_m=0.050).name == name
+
+
+def test_a_boundary_passed_by_less_than_an_alarm_takes_is_not_yet_missed():
+    layers = plan(20, names=("gel", "muscle"), std_mm=0.1)
+    match = PlanMatch(layers, 2e-4)
+    before, at, behind = (
+        match.state(depth_m, contact_m=0.0) for depth_m in (0.0195, 0.0203, 0.022)
+    )
+
+    assert (before.name, at.name, behind.name) == ("gel", "gel", "muscle")
+    assert before.probability > 0.98
+    assert at.probability > 0.7
+
+
+def test_a_capsule_is_expected_to_rupture_late_once():
+    def offset_m(*names):
+        return PlanMatch(plan(20, 35, 60, names=names), 3e-3).state(0.0385, [0.0385])
+
+    gland = offset_m("fat", "muscle", "gland", "lesion")
+    inside = offset_m("liver", "muscle", "liver", "lesion")
+    assert gland.matched == inside.matched == 2
+    assert gland.offset_m == pytest.approx(3e-3, abs=1e-3)
+    assert inside.offset_m == pytest.approx(3e-3, abs=1e-3)
+    for name in ("liver", "Left Kidney", "spleen"):
+        capsule = offset_m("fat", "muscle", name, "lesion")
+        assert capsule.matched == 2
+        assert capsule.offset_m == pytest.approx(-1e-3, abs=1e-3)
+
+
+def test_a_false_alarm_is_no_boundary():
+    state = PlanMatch(plan(20, 60), 1e-3).state(0.041, [0.0200, 0.041])
+
+    assert (state.matched, state.matched_name) == (-1, "a false alarm")
+    assert state.name == "muscle"
+
+
+def test_bone_is_passed_only_where_it_is_accepted():
+    layers = plan(10, 14, names=("fat", "rib_left_7", "lung"))
+    layers[1] = replace(layers[1], is_obstacle=True)
+
+    with pytest.raises(PlanError, match="rib_left_7"):
+        PlanMatch(layers, 3e-3)
+    match = PlanMatch(layers, 3e-3, accepted_obstacles=["rib_left_7"])
+    assert match.state(0.005).is_obstacle_next
+    assert not match.state(0.012, [0.01]).is_obstacle_next
+
+
+def test_equal_plans_have_one_fingerprint():
+    same = PlanMatch(plan(20, 35), 3e-3).fingerprint
+    assert PlanMatch(plan(20, 35), 3e-3).fingerprint == same
+    others = [PlanMatch(plan(20, 36), 3e-3), PlanMatch(plan(20, 35), 2e-3)]
+    others += [PlanMatch(plan(20, 35, names="abc"), 3e-3)]
+    others += [PlanMatch(plan(20, 35, std_mm=0.4), 3e-3)]
+    assert len({same, *(match.fingerprint for match in others)}) == 5
+
+
+def test_off_the_plan_no_layer_is_named():
+    state = PlanMatch(plan(20, 35), 3e-3).off_plan_state()
+    assert (state.layer, state.name, state.probability) == (-2, "off plan", 0.0)
+    assert np.isnan(state.next_m)
+
+
+@pytest.mark.parametrize(
+    ("field", "value"),
+    [("entry_m", bad) for bad in (np.nan, 20.0, -0.01)]
+    + [("entry_std_m", bad) for bad in (np.nan, -1.0)],
+)
+def test_boundaries_that_cannot_be_are_refused(field, value):
+    layers = plan(20, 35)
+    layers[1] = replace(layers[1], **{field: value})
+    for wrong in (layers, plan(20, 35)[::-1], plan(20)[:1]):
+        with pytest.raises(PlanError):
+            PlanMatch(wrong, 3e-3)
+    with pytest.raises(PlanError, match="offset_std_m"):
+        PlanMatch(plan(20), 0.0)
+
+
+@pytest.mark.parametrize("bad_m", [np.nan, np.inf])
+def test_depths_that_cannot_be_are_refused(bad_m):
+    match = PlanMatch(plan(20, 35), 3e-3)
+    settings = [{"contact_m": bad_m}, {"entry_depth_m": bad_m}, {"deepest_m": bad_m}]
+    for depth_m, ruptures_m, others in (
+        *((0.0, [], one) for one in settings),
+        *((0.03, [0.03, rupture_m], {}) for rupture_m in (bad_m, 0.01)),
+        (bad_m, [], {}),
+    ):
+        with pytest.raises(PlanError):
+            match.state(depth_m, ruptures_m, **others)
+    for depth_m, level in ((bad_m, 0.95), (0.0, 1.5), (0.0, bad_m), (0.0, 0.0)):
+        with pytest.raises(PlanError):
+            match.interval_m(depth_m, level=level)

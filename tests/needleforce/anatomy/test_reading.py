@@ -1,0 +1,688 @@
+"""Scans and segmentations from files: places, names, and what is refused."""
+
+import os
+import struct
+import sys
+from pathlib import Path
+
+import numpy as np
+import pytest
+from scipy.spatial.transform import Rotation
+
+from needleforce.anatomy import (
+    Grid,
+    Volume,
+    VolumeError,
+    read_labels,
+    read_transform,
+    read_volume,
+)
+from needleforce.anatomy.markups import read_markup, write_markup
+
+SimpleITK = pytest.importorskip("SimpleITK")
+pytest.importorskip("highdicom")
+
+from tests.needleforce.anatomy import made_files as made  # noqa: E402
+
+DATA = os.environ.get("NEEDLEFORCE_DATA", Path(__file__).parents[4] / "shared" / "data")
+CT = Path(DATA) / "torso_ct_totalsegmentator"
+
+
+def ell(signs=(1.0, 1.0, 1.0)):
+    """An image of an L in an oblique, anisotropic grid, and its centroid [m]."""
+    values = np.zeros((10, 12, 14), np.uint8)
+    values[2:4, 3:5, 2:11] = values[2:4, 3:10, 2:4] = values[2:8, 3:5, 2:4] = 1
+    image = SimpleITK.GetImageFromArray(values.T.copy())
+    directions = Rotation.from_rotvec([0.4, -0.2, 0.7]).as_matrix() * signs
+    image.SetSpacing(made.SPACING_mm.tolist())
+    image.SetOrigin(made.ORIGIN_mm.tolist())
+    image.SetDirection(directions.ravel().tolist())
+    centre = np.argwhere(values).mean(axis=0)
+    return image, 1e-3 * (made.ORIGIN_mm + directions @ (made.SPACING_mm * centre))
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz", "a.nrrd", "a.seg.nrrd"])
+@pytest.mark.parametrize("signs", [(1, 1, 1), (-1, -1, 1), (1, 1, -1)])
+def test_an_oblique_label_lies_where_it_was_written(tmp_path, name, signs):
+    image, centre_m = ell(signs)
+    if ".seg" in name:
+        for key, text in {"ID": "s", "Name": "part", "LabelValue": "1"}.items():
+            image.SetMetaData(f"Segment0_{key}", text)
+    SimpleITK.WriteImage(image, str(tmp_path / name))
+    labels = read_labels(tmp_path / name, None if ".seg" in name else {1: "part"})
+
+    np.testing.assert_allclose(labels.centroid_m("part"), centre_m, rtol=0.0, atol=1e-8)
+
+
+@pytest.mark.parametrize("depth", [0, 3])
+def test_an_oblique_series_lies_where_it_was_written(tmp_path, depth):
+    """Also in the folders of a CD, and in any order of its files."""
+    turn = Rotation.from_rotvec([0.4, -0.2, 0.7]).as_matrix()
+    places = [made.ORIGIN_mm + 1.25 * k * turn[:, 2] for k in range(9)]
+    slices = made.ct_slices((6, 5, 9), places, turn)
+    for k, item in enumerate(slices):
+        item.PixelData = np.full((5, 6), 100 * k - 300, np.int16).tobytes()
+    made.write_series(tmp_path.joinpath("PA0", *["S"] * depth), slices[::-1])
+    scan = read_volume(tmp_path)
+    middle_m = 1e-3 * (made.ORIGIN_mm + turn @ (made.SPACING_mm * [2, 3, 4]))
+    voxel = np.rint(scan.grid.indices(middle_m)).astype(int)
+
+    assert scan.grid.shape == (6, 5, 9)
+    np.testing.assert_allclose(scan.grid.points_m(voxel), middle_m, atol=1e-7)
+    assert scan.values[tuple(voxel)] == 100
+
+
+@pytest.mark.parametrize(("step_mm", "decimals"), [(0.625, 2), (1.25, 1), (2.517, 1)])
+def test_rounded_positions_are_read_and_a_missing_slice_is_not(
+    tmp_path, step_mm, decimals
+):
+    places = np.round([[0.0, 0.0, step_mm * k] for k in range(40)], decimals)
+    made.write_series(tmp_path, made.ct_slices((4, 4, 40), places))
+    scan = read_volume(tmp_path)
+
+    assert scan.grid.spacing_m[2] == pytest.approx(1e-3 * step_mm, rel=0.01)
+
+    (tmp_path / "2-006.dcm").unlink()
+    with pytest.raises(VolumeError, match="missing"):
+        read_volume(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("places", "change", "why"),
+    [
+        ([[0.02 * k, 0.0, 2.5 * k] for k in range(40)], None, "shear"),
+        ([[0.0, 0.0, 0.0]] * 3, None, "same"),
+        ([[0.0, 0.0, 0.0]], None, "one"),
+        (None, ("Modality", "MR"), "MR"),
+        (None, ("NumberOfFrames", 4), "4"),
+        (None, ("PixelSpacing", [0.9, 0.7]), "mixed"),
+        (None, ("ImageOrientationPatient", [1, 0, 0, 0, 0, 1]), "mixed"),
+        (None, ("ImagePositionPatient", None), "1-003"),
+        (None, ("SeriesInstanceUID", "2.25.77"), "2 DICOM series"),
+    ],
+)
+def test_slices_that_are_not_one_whole_ct_are_refused(tmp_path, places, change, why):
+    slices = made.ct_slices((4, 4, len(places or [0] * 5)), places, series=1)
+    if change is not None:
+        if change[1] is None:
+            del slices[2][change[0]]
+        else:
+            setattr(slices[2], *change)
+    made.write_series(tmp_path, slices)
+
+    with pytest.raises(VolumeError, match=why):
+        read_volume(tmp_path)
+
+
+def test_a_small_shift_of_slices_is_no_shear(tmp_path):
+    places = [[0.005 * k, 0.0, 2.5 * k] for k in range(40)]
+    made.write_series(tmp_path, made.ct_slices((4, 4, 40), places))
+
+    assert read_volume(tmp_path).grid.spacing_m[2] == pytest.approx(2.5e-3, rel=1e-3)
+
+
+def nifti(path, shape=(46, 45, 44)):
+    values = np.random.default_rng(0).integers(0, 9, shape, np.int16)
+    made.write_image(path, values, (3.0, 3.0, 3.0))
+
+
+@pytest.mark.parametrize("name", ["a.nii", "a.nii.gz"])
+def test_a_nifti_file_that_ends_early_or_is_damaged_is_refused(tmp_path, name):
+    path = tmp_path / name
+    nifti(path)
+    whole = path.read_bytes()
+
+    assert read_volume(path).values.shape == (46, 45, 44)
+
+    damaged = bytearray(whole)
+    damaged[-6] ^= 255  # in the checksum
+    for content in (whole[:-20], whole[:-9], whole[:200], *[damaged] * ("gz" in name)):
+        path.write_bytes(content)
+        with pytest.raises(VolumeError):
+            read_volume(path)
+
+
+QFORM = 252
+SFORM = 280
+"""Places in a NIfTI header; its matrix here is diag(-3, -3, 3) with an origin of 0."""
+
+
+@pytest.mark.parametrize(
+    ("place", "kind", "numbers", "why"),
+    [
+        (80, "3f", (1.0, 1.0, 1.0), "spacing"),
+        (80, "f168x2h", (0.0, 1, 0), None),
+        (80, "f", (np.nan,), None),
+        (SFORM, "f", (1.5,), None),
+        (SFORM, "f", (3.0,), "qform"),
+        (SFORM + 12, "f", (40.0,), "qform"),
+        (SFORM + 12, "f", (1.6,), "qform"),
+        (SFORM + 12, "f", (np.nan,), None),
+        (SFORM + 24, "f", (0.5,), None),
+        (QFORM, "2h24x8f", (0, 1, -3, 0, 0, 0, 0.5, -3, 0, 0), None),
+        (QFORM, "2h", (0, 0), "orm"),
+        (123, "b", (1,), "met"),
+    ],
+)
+def test_a_nifti_file_that_contradicts_itself_is_refused(
+    tmp_path, place, kind, numbers, why
+):
+    nifti(tmp_path / "a.nii")
+    made.patch(tmp_path / "a.nii", QFORM, "2h", 1, 2)
+    made.patch(tmp_path / "a.nii", place, kind, *numbers)
+
+    with pytest.raises(VolumeError, match=why):
+        read_volume(tmp_path / "a.nii")
+
+
+@pytest.mark.parametrize(
+    ("place", "kind", "numbers"),
+    [(QFORM, "2h", (0, 1)), (QFORM, "2h", (1, 0)), (SFORM + 12, "f", (1.4,))],
+)
+def test_a_nifti_file_needs_one_place(tmp_path, place, kind, numbers):
+    nifti(tmp_path / "a.nii")
+    made.patch(tmp_path / "a.nii", place, kind, *numbers)
+    scan = read_volume(tmp_path / "a.nii")
+
+    np.testing.assert_allclose(scan.grid.spacing_m, 3e-3)
+    np.testing.assert_allclose(
+        np.diag(scan.grid.axes_m), [3e-3, 3e-3, 3e-3], atol=1e-12
+    )
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "why"),
+    [
+        ("space directions", "# ", "directions"),
+        ("kinds", 'space units: "cm" "cm" "cm"\nkinds', "cm"),
+        ("left-posterior-superior", "scanner-xyz", "scanner-xyz"),
+        ("left-posterior-superior", "3D-right-handed", "3D-right-handed"),
+        ("kinds", 'space units: "mm" "mm" "mm"\nkinds', None),
+        ("left-posterior-superior", "RAS", None),
+    ],
+)
+def test_an_nrrd_file_must_say_how_it_lies(tmp_path, old, new, why):
+    path = tmp_path / "a.nrrd"
+    made.write_image(path, np.ones((4, 4, 4), np.uint8), origin_mm=(5.0, 0.0, 0.0))
+    path.write_bytes(path.read_bytes().replace(old.encode(), new.encode(), 1))
+    if why is None:
+        x_m = read_volume(path).grid.origin_m[0]
+        assert x_m == pytest.approx(-5e-3 if new == "RAS" else 5e-3)
+    else:
+        with pytest.raises(VolumeError, match=why):
+            read_volume(path)
+
+
+@pytest.mark.parametrize("name", ["a.hdr", "a.img", "a.tif", "a.mha", "a.dcm"])
+def test_files_of_other_kinds_are_refused(tmp_path, name):
+    made.write_image(tmp_path / name, np.ones((9, 9, 9), np.uint8))
+    with pytest.raises(VolumeError):
+        read_volume(tmp_path / name)
+
+
+def test_missing_and_foreign_files_and_a_folder_without_slices_are_refused(tmp_path):
+    for name in ("a.nrrd", "a.nii", "a.nii.gz"):
+        (tmp_path / name).write_text("no volume")
+        with pytest.raises(VolumeError, match=name):
+            read_volume(tmp_path / name)
+    with pytest.raises(VolumeError, match="no such file"):
+        read_volume(tmp_path / "none.nrrd")
+    with pytest.raises(VolumeError, match="0 DICOM"):
+        read_volume(tmp_path)
+
+
+@pytest.mark.parametrize(
+    ("values", "spacing_mm", "why"),
+    [
+        (np.zeros((4, 4, 4), np.uint8), 1.0, "no voxel"),
+        (np.full((4, 4, 4), 0.5, np.float32), 2.0, "0.5"),
+        (np.full((4, 4, 4), -3, np.int16), 1.0, "-3"),
+        (np.full((4, 4, 4), 70_000, np.int32), 1.0, "70000"),
+        (np.ones((4, 4, 4), np.uint8), 1e-3, "millimetres"),
+        (np.ones((4, 4, 4), np.uint8), 2e3, "millimetres"),
+        (np.ones((4, 4), np.uint8), 1.0, "three"),
+    ],
+)
+@pytest.mark.parametrize("name", ["a.nrrd", "a.nii"])
+def test_files_that_hold_no_labels_are_refused(tmp_path, name, values, spacing_mm, why):
+    made.write_image(tmp_path / name, values, [spacing_mm] * values.ndim)
+
+    with pytest.raises(VolumeError, match=why):
+        read_labels(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.nrrd", "a.nii.gz"])
+def test_voxels_are_kept_in_as_few_bytes_as_they_need(tmp_path, name):
+    values = np.arange(-1000, 1000, 2).reshape(10, 10, 10)
+    for kind in (np.float64, np.int32):
+        made.write_image(tmp_path / name, values.astype(kind), [2.0] * 3)
+        scan = read_volume(tmp_path / name)
+
+        assert scan.values.dtype == np.int16
+        assert scan.values.flags.c_contiguous
+        np.testing.assert_array_equal(scan.values, values)
+
+    made.write_image(tmp_path / name, values + 0.25, [2.0] * 3)
+    np.testing.assert_array_equal(read_volume(tmp_path / name).values, values + 0.25)
+
+    # Programs that compute with labels leave this.
+    made.write_image(tmp_path / name, (values > 0) * np.float32(0.99999994), [2.0] * 3)
+    labels = read_labels(tmp_path / name)
+    assert labels.volumes[0].dtype == np.uint8
+    assert labels["label_1"].voxels == 499
+
+
+@pytest.mark.parametrize("bad", [np.nan, np.inf])
+@pytest.mark.parametrize("name", ["a.nrrd", "a.nii.gz"])
+def test_voxels_that_are_no_numbers_are_refused(tmp_path, name, bad):
+    values = np.zeros((8, 8, 8), np.float32)
+    values[0, 0, :2] = bad
+    made.write_image(tmp_path / name, values, [8.0] * 3)
+
+    with pytest.raises(VolumeError, match="finite"):
+        read_volume(tmp_path / name)
+
+
+@pytest.mark.parametrize("name", ["a.nrrd", "a.nii.gz"])
+@pytest.mark.parametrize("read", [read_volume, read_labels])
+def test_a_volume_beyond_the_limit_is_refused_before_it_is_unpacked(
+    tmp_path, name, read
+):
+    path = tmp_path / name
+    values = np.random.default_rng(0).integers(0, 1000, (20, 20, 20), np.uint16)
+    made.write_image(path, values)
+
+    assert read_volume(path, max_bytes=2 * values.size).values.shape == values.shape
+
+    path.write_bytes(path.read_bytes()[:800])  # its voxels cannot be read
+    with pytest.raises(VolumeError, match="limit"):
+        read(path, max_bytes=2 * values.size - 1)
+
+
+def bodies(*, overlap=True):
+    """Masks of liver, a lesion in it, a rib, and something else."""
+    liver, lesion, rib, other = (np.zeros((12, 11, 10), np.uint8) for _ in range(4))
+    liver[1:9, 1:9, 1:9] = lesion[3:6, 3:6, 3:6] = 1
+    rib[9:11, 2:4, 2:4] = other[9:11, 6:8, 6:8] = 1
+    return liver if overlap else liver - lesion, lesion, rib, other
+
+
+LIVER = {"Name": "Segment_1", "Tags": made.slicer_tags("Liver")}
+MASS = {
+    "Name": "Segment_2",
+    "Tags": made.slicer_tags("Mass", region="SCT^10200004^Liver"),
+}
+RIB = {"Name": "Rippe links", "Tags": made.slicer_tags("Rib", "SCT^7771000^Left")}
+OTHER = {"Name": "Läsion", "Tags": made.slicer_tags("Tissue")}
+
+
+def slicer_4(path):
+    """A component per segment, as up to 4.10."""
+    made.write_seg_nrrd(path, bodies(), [LIVER, MASS, RIB, OTHER])
+
+
+def slicer_5(path):
+    """Segments that do not overlap share a layer."""
+    liver, lesion, rib, other = bodies()
+    places = [(0, 1), (1, 1), (0, 3), (0, 4)]
+    segments = [
+        {**item, "Layer": layer, "LabelValue": value, "Color": "0.5 0.25 0.125"}
+        for item, (layer, value) in zip((LIVER, MASS, RIB, OTHER), places, strict=True)
+    ]
+    made.write_seg_nrrd(path, (liver + 3 * rib + 4 * other, lesion), segments)
+
+
+def require_bodies(labels, names, expected):
+    assert [item.name for item in labels.structures] == names
+    for name, mask in zip(names, expected, strict=True):
+        place_mm = made.place_mm(np.argwhere(mask).mean(axis=0))
+        assert labels[name].voxels == mask.sum()
+        np.testing.assert_allclose(1e3 * labels.centroid_m(name), place_mm, atol=1e-7)
+
+
+@pytest.mark.parametrize("write", [slicer_4, slicer_5])
+def test_segments_of_slicer_lie_and_are_called_as_there(tmp_path, write):
+    write(tmp_path / "a.seg.nrrd")
+    labels = read_labels(tmp_path / "a.seg.nrrd")
+
+    require_bodies(labels, ["liver", "mass", "Rippe links", "Läsion"], bodies())
+    # Terms say what a needle must avoid.
+    hard = [item.is_obstacle for item in labels.structures]
+    assert hard == [False, False, True, False]
+    assert labels["Rippe links"].anatomy == "left rib"
+    if write is slicer_5:
+        assert labels["liver"].colour == (0.5, 0.25, 0.125)
+    with pytest.raises(VolumeError, match="spleen"):
+        labels["spleen"]
+
+
+def test_segments_of_one_term_are_told_apart(tmp_path):
+    liver, _, rib, other = bodies()
+    segments = [{**RIB, "Name": f"Segment_{n}", "LabelValue": n} for n in (1, 2, 3)]
+    made.write_seg_nrrd(
+        tmp_path / "a.seg.nrrd", [liver + 2 * rib + 3 * other], segments
+    )
+    names = [item.name for item in read_labels(tmp_path / "a.seg.nrrd").structures]
+
+    assert names == [f"left rib (Segment_{n})" for n in (1, 2, 3)]
+
+
+@pytest.mark.parametrize(
+    ("changes", "why"),
+    [
+        ({"Layer": 2}, "2"),
+        ({"Layer": -1}, "-1"),
+        ({"LabelValue": "one"}, "one"),
+        ({"Color": "red"}, "red"),
+        ({"Color": "0.5 0.5"}, "colour"),
+        ({"Color": "0 0 1.5"}, "colour"),
+        ({"Color": "nan 0 0"}, "colour"),
+        ({"LabelValue": 2}, "liver"),
+        ({"LabelValue": 3}, "512"),
+    ],
+)
+def test_segments_with_a_damaged_header_are_refused(tmp_path, changes, why):
+    liver, _, rib, _ = bodies()
+    segments = [{"Name": "lesion", "LabelValue": 2}, {"Name": "liver", **changes}]
+    segments[1].setdefault("LabelValue", 1)
+    made.write_seg_nrrd(tmp_path / "a.seg.nrrd", [liver + 2 * rib], segments)
+
+    with pytest.raises(VolumeError, match=why):
+        read_labels(tmp_path / "a.seg.nrrd")
+
+
+def test_segments_are_numbered_from_0(tmp_path):
+    path = tmp_path / "a.seg.nrrd"
+    slicer_5(path)
+    path.write_bytes(path.read_bytes().replace(b"Segment0_ID", b"Segment0_No"))
+
+    with pytest.raises(VolumeError, match="Segment0"):
+        read_labels(path)
+
+
+TABLE = (
+    '<?xml version="1.0" encoding="UTF-8"?><CaretExtension><VolumeInformation '
+    'Index="0"><LabelTable>{}</LabelTable></VolumeInformation></CaretExtension>'
+)
+NAMES = "".join(
+    f'<Label Key="{value}" Red="1" Alpha="1"><![CDATA[{name}]]></Label>'
+    for value, name in {5: "liver", 92: "rib_left_1", 93: "rib_left_2"}.items()
+)
+
+
+def test_labels_of_totalsegmentator_bring_their_names(tmp_path):
+    liver, _, rib, _ = bodies()
+    path = tmp_path / "a.nii.gz"
+    values = 5 * liver + 92 * rib
+    made.write_labels_with_table(path, values, TABLE.format(NAMES).encode())
+    (tmp_path / "labels.json").write_text('{"5": "spleen"}', encoding="utf-8")
+    labels = read_labels(path)
+
+    assert [item.name for item in labels.structures] == ["liver", "rib_left_1"]
+    assert labels["rib_left_1"].is_obstacle
+    # Stated names replace those of the file; a file beside it serves where it has none.
+    renamed = read_labels(path, {5: "spleen", 60: "nothing"})
+    assert [item.name for item in renamed.structures] == ["spleen", "rib_left_1"]
+    made.write_image(path, values, (1.5, 1.5, 1.5))
+    names = [item.name for item in read_labels(path).structures]
+    assert names == ["spleen", "label_92"]
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-16", "cp037"])
+def test_a_table_of_names_that_is_damaged_or_has_entities_is_not_read(
+    tmp_path, encoding
+):
+    text = '<!DOCTYPE a [<!ENTITY e "liver">]><a><Label Key="5">&e;</Label></a>'
+    head = b'<?xml version="1.0" encoding="cp037"?><!--<Label-->'
+    table = (head if encoding == "cp037" else b"") + text.encode(encoding)
+    path = tmp_path / "a.nii.gz"
+    made.write_labels_with_table(path, 5 * bodies()[0], table)
+    try:
+        names = [item.name for item in read_labels(path).structures]
+    except VolumeError:
+        names = []
+    assert "liver" not in names
+
+    made.write_labels_with_table(
+        path, 5 * bodies()[0], TABLE.encode()[:-20] + b"<Label"
+    )
+    with pytest.raises(VolumeError, match="table"):
+        read_labels(path)
+
+
+def test_masks_of_totalsegmentator_bring_their_names(tmp_path):
+    files = zip(("liver", "lesion", "rib_left_1"), bodies(), strict=False)
+    for name, mask in files:
+        made.write_image(tmp_path / f"{name}.nii.gz", mask)
+    made.write_image(tmp_path / "spleen.nii.gz", np.zeros_like(mask))
+    voxels = {item.name: item.voxels for item in read_labels(tmp_path).structures}
+
+    assert voxels == {"lesion": 27, "liver": 512, "rib_left_1": 8}
+
+    made.write_image(tmp_path / "ct.nii.gz", 3 * mask + 7)
+    with pytest.raises(VolumeError, match="ct"):
+        read_labels(tmp_path)
+    made.write_image(tmp_path / "ct.nii.gz", mask, origin_mm=(0.0, 0.02, 0.0))
+    with pytest.raises(VolumeError, match="grid"):
+        read_labels(tmp_path)
+
+
+def test_structures_are_renamed_by_name_or_value(tmp_path):
+    slicer_5(tmp_path / "a.seg.nrrd")
+    labels = read_labels(tmp_path / "a.seg.nrrd", {"Läsion": "rib", "mass": "rib"})
+
+    names = [item.name for item in labels.structures]
+    assert names == ["liver", "rib (mass)", "Rippe links", "rib (Läsion)"]
+    assert labels["rib (Läsion)"].is_obstacle
+    # A value does not say which of the overlapping structures is meant.
+    for wrong in ({"Leber": "liver"}, {"1": "liver"}, {1: None}, ["liver"]):
+        with pytest.raises(VolumeError):
+            read_labels(tmp_path / "a.seg.nrrd", wrong)
+    (tmp_path / "names.json").write_text('{"mass": "cyst"}', encoding="utf-8")
+    labels = read_labels(tmp_path / "a.seg.nrrd", tmp_path / "names.json")
+    assert labels["cyst"].voxels == 27
+
+
+SEGMENTS = [
+    made.segment(1, "Segment_1", "Liver"),
+    made.segment(2, "Segment_3", "Kidney", "Left"),
+    made.segment(3, "Rippe", "Rib"),
+]
+
+
+@pytest.mark.parametrize(
+    ("kind", "overlap"), [("BINARY", False), ("BINARY", True), ("LABELMAP", False)]
+)
+@pytest.mark.parametrize("is_folder", [False, True])
+def test_dicom_segments_lie_and_are_called_as_in_the_file(
+    tmp_path, kind, overlap, is_folder
+):
+    expected = bodies(overlap=overlap)[:3]
+    path = tmp_path / "seg.dcm"
+    made.write_dicom_segmentation(path, expected, SEGMENTS, kind)
+    labels = read_labels(tmp_path if is_folder else path)
+
+    require_bodies(labels, ["liver", "left kidney", "Rippe"], expected)
+    assert [item.is_obstacle for item in labels.structures] == [False, False, True]
+
+
+def test_dicom_segmentations_that_cannot_be_read_are_refused(tmp_path, monkeypatch):
+    path = tmp_path / "seg.dcm"
+    made.write_dicom_segmentation(path, bodies()[:3], SEGMENTS, "FRACTIONAL")
+    with pytest.raises(VolumeError, match="fractional"):
+        read_labels(path)
+    made.write_dicom_segmentation(path, bodies()[:3], SEGMENTS)
+    with pytest.raises(VolumeError, match="limit"):
+        read_labels(path, max_bytes=100)
+    whole = path.read_bytes()
+    for size in (600, len(whole) - 40):
+        path.write_bytes(whole[:size])
+        with pytest.raises(VolumeError):
+            read_labels(path)
+    path.write_bytes(whole)
+    (tmp_path / "other.dcm").write_bytes(whole)
+    with pytest.raises(VolumeError, match="2"):
+        read_labels(tmp_path)
+    monkeypatch.setitem(sys.modules, "highdicom", None)
+    with pytest.raises((VolumeError, ImportError), match="highdicom"):
+        read_labels(path)
+
+
+@pytest.mark.parametrize("is_folder", [True, False])
+def test_contours_are_refused(tmp_path, is_folder):
+    text = b"1.2.840.10008.5.1.4.1.1.481.3" + b"\0"
+    meta = b"\x02\x00\x02\x00UI" + struct.pack("<H", len(text)) + text
+    group = b"\x02\x00\x00\x00UL\x04\x00" + struct.pack("<I", len(meta))
+    content = b"\0" * 128 + b"DICM" + group + meta
+    content += b"\x08\x00\x16\x00UI" + struct.pack("<H", len(text)) + text
+    (tmp_path / "RS.dcm").write_bytes(content)
+    with pytest.raises(VolumeError, match="RTSTRUCT"):
+        read_labels(tmp_path if is_folder else tmp_path / "RS.dcm")
+
+
+@pytest.mark.parametrize(
+    ("shift_mm", "turn_deg", "size", "is_cut", "why"),
+    [
+        (0.0, 0.0, 1.0, False, None),
+        (0.0, 0.0, 1.0, True, None),
+        (1.5, 0.0, 1.0, False, "as large"),
+        (200.0, 0.0, 1.0, True, "outside"),
+        (0.0, 3.0, 1.0, False, "as large"),
+        (0.0, 0.0, 0.9, False, "as large"),
+        (0.0, 0.0, 0.5, False, "as large"),
+    ],
+)
+def test_labels_must_lie_in_their_scan(tmp_path, shift_mm, turn_deg, size, is_cut, why):
+    values = np.zeros((32, 31, 30), np.uint8)
+    values[14:17, 14:17, 14:17] = 1
+    scan = Volume(0.0 * values, Grid(values.shape, np.zeros(3), 1e-3 * np.eye(3)))
+    image = SimpleITK.GetImageFromArray(values[is_cut:].T.copy())
+    image.SetOrigin([shift_mm + is_cut, 0.0, 0.0])
+    turn = Rotation.from_euler("z", turn_deg, degrees=True).as_matrix()
+    image.SetDirection(turn.ravel().tolist())
+    image.SetSpacing([size] * 3)
+    SimpleITK.WriteImage(image, str(tmp_path / "a.nrrd"))
+    if why is None:
+        assert read_labels(tmp_path / "a.nrrd", scan=scan)["label_1"].voxels == 27
+    else:
+        with pytest.raises(VolumeError, match=f"a.nrrd.*{why}"):
+            read_labels(tmp_path / "a.nrrd", scan=scan)
+
+
+@pytest.mark.skipif(not CT.is_dir(), reason="no recordings: NEEDLEFORCE_DATA")
+def test_in_a_real_ct_left_is_left():
+    scan = read_volume(CT / "ct.nii.gz")
+    labels = read_labels(CT / "labels.nii.gz", CT / "labels.json", scan)
+    names = ("vertebrae_L1", "spleen", "liver", "vertebrae_T12")
+    middle_m, spleen_m, liver_m, upper_m = map(labels.centroid_m, names)
+
+    assert len(labels.structures) == 61
+    assert labels.unchecked == ""
+    assert spleen_m[0] - middle_m[0] > 0.05 > 0.0 > liver_m[0] - middle_m[0]
+    assert upper_m[2] > middle_m[2]
+    assert middle_m[1] > liver_m[1]
+
+
+def test_points_of_slicer_are_written_and_read(tmp_path):
+    points_m = np.array([[0.01, 0.02, 0.03], [0.0, -0.05, 0.07]])
+    write_markup(tmp_path / "a.mrk.json", "Line", ("entry", "target"), points_m)
+    markup = read_markup(tmp_path / "a.mrk.json")
+
+    assert (markup.names, markup.is_line) == (("entry", "target"), True)
+    np.testing.assert_allclose(markup.points_m, points_m, atol=1e-7)
+
+
+POINTS = (
+    '{"markups": [{"type": "Fiducial", "coordinateSystem": "LPS", "coordinateUnits": '
+    '"mm", "controlPoints": [{"label": "", "position": [10.0, 20.0, 30.0]}, {"label": '
+    '"b", "positionStatus": "undefined", "position": null}, {"label": "c", '
+    '"position": [0, 0, 0]}]}]}'
+)
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "first_mm"),
+    [
+        ("LPS", "LPS", [10, 20, 30]),
+        ("LPS", "RAS", [-10, -20, 30]),
+        ('"LPS"', "0", [-10, -20, 30]),
+        ('"LPS"', "1", [10, 20, 30]),
+        ('"mm"', '"cm"', [100, 200, 300]),
+        ("LPS", "IJK", None),
+        ('"mm"', '"inch"', None),
+        ('"c"', '"1"', None),
+        ("[10.0,", "[1e999,", None),
+        ('"markups": [', '"markups": [{},', None),
+        ("position", "place", None),
+        ("markups", "points", None),
+        ("{", "", None),
+    ],
+)
+def test_points_of_slicer_lie_in_the_stated_frame_and_unit(
+    tmp_path, old, new, first_mm
+):
+    path = tmp_path / "points.mrk.json"
+    path.write_text(POINTS.replace(old, new), encoding="utf-8")
+    if first_mm is None:
+        with pytest.raises(VolumeError, match="points"):
+            read_markup(path)
+    else:
+        markup = read_markup(path)
+        assert (markup.names, markup.is_line) == (("1", "c"), False)
+        np.testing.assert_allclose(1e3 * markup.points_m[0], first_mm)
+
+
+TURN = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+
+
+def transform(matrix, shift_mm=(10.0, 20.0, 30.0)):
+    affine = SimpleITK.AffineTransform(3)
+    affine.SetMatrix(np.asarray(matrix, float).ravel().tolist())
+    affine.SetTranslation(shift_mm)
+    return affine
+
+
+@pytest.mark.parametrize("name", ["a.h5", "a.tfm"])
+def test_a_transform_of_itk_carries_points_and_slicers_is_its_inverse_in_ras(
+    tmp_path, name
+):
+    centred = transform(TURN)
+    centred.SetCenter((1.0, 2.0, 3.0))
+    SimpleITK.WriteTransform(centred, str(tmp_path / name))
+    point_mm = np.array([4.0, 5.0, -6.0])
+    motion = read_transform(tmp_path / name, "itk")
+    place_m = motion.rotation @ (1e-3 * point_mm) + motion.translation_m
+    expected_mm = centred.TransformPoint(point_mm.tolist())
+
+    np.testing.assert_allclose(1e3 * place_m, expected_mm, atol=1e-9)
+
+    ras = np.array([-1.0, -1.0, 1.0])
+    shown = read_transform(tmp_path / name, "slicer")
+    place_m = shown.rotation @ (1e-3 * point_mm) + shown.translation_m
+    expected_mm = ras * centred.GetInverse().TransformPoint(point_mm.tolist())
+
+    np.testing.assert_allclose(1e3 * place_m, expected_mm, atol=1e-9)
+
+
+@pytest.mark.parametrize(
+    ("wrong", "why"),
+    [
+        (transform(1.01 * TURN), "1.01"),
+        (transform(np.diag([-1.0, 1.0, 1.0])), "mirror"),
+        (transform([[1, 0.1, 0], [0, 1, 0], [0, 0, 1]]), None),
+        (transform(TURN, (2e4, 0.0, 0.0)), "millimetres"),
+        (SimpleITK.BSplineTransform(3), "BSpline"),
+        (SimpleITK.Euler2DTransform(), "Euler2D"),
+        (None, "cannot read"),
+        ("no transform", "cannot read"),
+    ],
+)
+@pytest.mark.parametrize("name", ["a.h5", "a.tfm"])
+def test_files_without_a_rigid_motion_are_refused(tmp_path, capfd, name, wrong, why):
+    if isinstance(wrong, str):
+        (tmp_path / name).write_text(wrong, encoding="utf-8")
+    elif wrong is not None:
+        SimpleITK.WriteTransform(wrong, str(tmp_path / name))
+    with pytest.raises(VolumeError, match=why):
+        read_transform(tmp_path / name, "itk")
+    assert capfd.readouterr().err == ""
