@@ -460,6 +460,18 @@ def test_a_users_words_units_and_layouts_are_known(tmp_path):
         read_log(rig, required=("force",), layouts=[ours])
 
 
+def test_a_layout_may_order_the_joints_and_a_mapping_wins(tmp_path):
+    text = '[[layouts]]\nname = "rig"\ncolumns = ["a_q"]\njoints = ["b", "a"]'
+    ours = from_toml(tmp_path, text, "ours.toml")
+    rig = from_toml(tmp_path, "t,a_q,b_q\n0,1,2\n0.1,1,2\n", "rig.csv")
+    log = read_log(rig, required=("q",), joints=("a", "b"), layouts=[ours])
+    assert log["q_rad"][0].tolist() == [2.0, 1.0]
+
+    mapping = ColumnMapping(joints=("a", "b"))
+    log = read_log(rig, mapping, required=("q",), layouts=[ours])
+    assert log["q_rad"][0].tolist() == [1.0, 2.0]
+
+
 @pytest.mark.parametrize(
     "text",
     [

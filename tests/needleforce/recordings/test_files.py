@@ -53,10 +53,23 @@ def test_arrays_become_columns(tmp_path):
     assert len(table.warnings) == 3
 
 
+class Trap:
+    """An object that makes a file when it is unpickled."""
+
+    def __init__(self, path):
+        self.path = path
+
+    def __reduce__(self):
+        return open, (str(self.path), "w")
+
+
 def test_objects_are_never_loaded(tmp_path):
     path = tmp_path / "log.npz"
-    np.savez(path, f=np.ones(3), t=np.array([{}, 1, 2], dtype=object))
+    trap = np.array([Trap(tmp_path / "sprung")], dtype=object)
+    np.savez(path, f=np.ones(3), t=trap)
+
     assert list(read_table(path).columns) == ["f"]
+    assert not (tmp_path / "sprung").exists()
 
 
 def test_types_of_other_writers_become_numbers(tmp_path):
