@@ -18,7 +18,7 @@ from needleforce.recordings import (
     write_log,
     write_table,
 )
-from needleforce.recordings.output import open_table
+from needleforce.recordings.output import check_outputs, check_writable, open_table
 from needleforce.recordings.table import TableLabels
 from tests.needleforce.recordings.bag_samples import START_NS
 
@@ -234,3 +234,43 @@ def test_an_existing_bag_is_replaced_only_whole(path):
 
     assert read_table(path).columns["t_s"].size == 20
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet", "mcap"])
+@pytest.mark.parametrize("is_live", [False, True])
+def test_a_file_that_is_there_is_replaced_only_if_asked(tmp_path, suffix, is_live):
+    path = tmp_path / f"x.{suffix}"
+    path.write_text("old")
+    with (
+        pytest.raises(FileAccessError, match="exists"),
+        open_table(path, is_live=is_live, overwrites=False) as table,
+    ):
+        table.append({"t_s": T_S})
+    with pytest.raises(FileAccessError, match="exists"):
+        check_writable(path, overwrites=False)
+
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    ("outputs", "source"),
+    [
+        (("x.csv", "x.csv"), "log.csv"),
+        (("link.csv", "x.csv"), "log.csv"),
+        (("log.csv",), "log.csv"),
+        (("bag/x.csv",), "bag"),
+        (("bag",), "bag/log.csv"),
+    ],
+)
+def test_outputs_never_replace_each_other_or_the_log(tmp_path, outputs, source):
+    (tmp_path / "bag").mkdir()
+    for name in ("log.csv", "x.csv", "bag/log.csv"):
+        (tmp_path / name).write_text("old")
+    (tmp_path / "link.csv").hardlink_to(tmp_path / "x.csv")
+    paths = {f"--{k}": tmp_path / name for k, name in enumerate(outputs)}
+
+    with pytest.raises(FileAccessError, match="--0"):
+        check_outputs(paths, tmp_path / source)
+    check_outputs(
+        {"-o": tmp_path / "new.csv", "-p": tmp_path / "n.csv"}, tmp_path / source
+    )
