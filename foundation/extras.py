@@ -34,6 +34,8 @@ EXTRA_OF_MODULE = {
     "trimesh": "patient",
     "igl": "patient",
     "highdicom": "patient",
+    "nibabel": "patient",
+    "pydicom": "patient",
     "viser": "scene",
     "yourdfpy": "scene",
     "pyigtl": "slicer",

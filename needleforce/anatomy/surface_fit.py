@@ -11,7 +11,6 @@ from scipy.spatial.distance import cdist
 
 from foundation.arrays import Array
 from needleforce.anatomy.errors import (
-    TOUCH_MORE,
     RegistrationError,
     require_deviation,
 )
@@ -114,13 +113,11 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     touches = np.asarray(touches_m, dtype=float)
     if touches.ndim != 2 or touches.shape[1:] != (3,) or not np.isfinite(touches).all():
         raise RegistrationError(
-            f"touches of shape {touches.shape}: expected finite (n, 3)",
-            TOUCH_MORE,
+            f"touches of shape {touches.shape}: expected finite (n, 3)"
         )
     if len(touches) < MIN_TOUCHES:
         raise RegistrationError(
-            f"too few touches: {len(touches)}, expected {MIN_TOUCHES} or more",
-            TOUCH_MORE,
+            f"too few touches: {len(touches)}, expected {MIN_TOUCHES} or more"
         )
     max_spread_m = 5.0  # beyond it the unit is not the metre
     spread_m = float(np.linalg.norm(np.ptp(touches, axis=0)))
@@ -129,14 +126,12 @@ def _checked_touches(surface: Surface, touches_m: ArrayLike, std_m: float) -> Ar
     if is_too_large or spread_m / extent_m > MAX_LENGTH_RATIO:
         raise RegistrationError(
             f"the touches spread over {spread_m:.3g} m, the surface over "
-            f"{extent_m:.3g} m: millimetres for metres?",
-            TOUCH_MORE,
+            f"{extent_m:.3g} m: millimetres for metres?"
         )
     _, width_m, _ = rms_extents_m(touches)
     if width_m < MIN_WIDTH_m:
         raise RegistrationError(
-            f"the touches spread over {1e3 * spread_m:.3g} mm, near a point or a line",
-            TOUCH_MORE,
+            f"the touches spread over {1e3 * spread_m:.3g} mm, near a point or a line"
         )
     return touches
 

@@ -10,7 +10,6 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.anatomy import FreeSpace, Labels, PlanError, require_clear_path
 from needleforce.anatomy.clearance import describe_clearance, too_near
-from needleforce.anatomy.deepest_point import deepest_point_m
 from needleforce.anatomy.errors import OTHER_PATH
 from needleforce.anatomy.labels import DENSE
 from needleforce.anatomy.markups import read_markup, write_markup
@@ -52,7 +51,7 @@ from needleforce.plan_binding import (
 from needleforce.plan_file import PLAN
 from needleforce.plots import PAGE, require_matplotlib, whole_folder
 
-MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "igl")
+MODULES = ("SimpleITK", "nibabel", "skimage", "manifold3d", "trimesh", "igl")
 """Modules of extras that the command needs."""
 
 
@@ -185,7 +184,7 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
 def _find_target(name: str, labels: Labels) -> _Target:
     """Return the target that a user names: a file, or a structure."""
     if not name.endswith(".json"):
-        return _Target(name, deepest_point_m(labels, name))
+        return _Target(name, labels.deepest_point_m(name))
     markup = read_markup(name)
     if not markup.is_line:
         return _Target(markup.names[0], markup.points_m[0])

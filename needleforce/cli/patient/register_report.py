@@ -9,7 +9,7 @@ from scipy.special import fdtri
 
 from foundation.arrays import Array
 from needleforce.anatomy import Registration
-from needleforce.anatomy.landmark_check import MIN_VERIFIED, LandmarkResidual
+from needleforce.anatomy.landmarks import MIN_VERIFIED, LandmarkResidual
 from needleforce.anatomy.registration import MAX_DEGREES
 from needleforce.anatomy.surface import Surface
 from needleforce.cli.patient.plan_table import NOT_MEDICAL

@@ -19,7 +19,7 @@ from needleforce.anatomy import (
     require_lps,
 )
 from needleforce.anatomy.clearance import STDS
-from needleforce.anatomy.landmark_check import LandmarkResidual, judge_landmarks
+from needleforce.anatomy.landmarks import LandmarkResidual, judge_landmarks
 from needleforce.anatomy.markups import RAS_TO_LPS, Markup, read_markup
 from needleforce.anatomy.registration import MAX_DEGREES
 from needleforce.anatomy.surface import Surface
@@ -48,7 +48,7 @@ from needleforce.cli.terminal import (
 from needleforce.plan_file import PLAN
 from needleforce.plots import PAGE, whole_folder
 
-MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "igl")
+MODULES = ("SimpleITK", "nibabel", "skimage", "manifold3d", "trimesh", "igl")
 """Modules of extras that the command needs."""
 
 M_PER_MM = 1e-3
