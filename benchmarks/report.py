@@ -20,7 +20,7 @@ from benchmarks.insertion.methods import ForceReading, Identified, identify_as_r
 from benchmarks.insertion.offline import layer_spans, offline_fit, quiet_speed_m_s
 from benchmarks.insertion.signals import ForceTruth, InsertionTruth, NeedleSignal
 from benchmarks.jobs import Job
-from benchmarks.judging import GELS, TABLES, expand_groups
+from benchmarks.judging import GELS, TABLES, expand_groups, select
 from foundation.arrays import Array
 from identification import PUBLISHED_KV
 from identification.config import Model
@@ -252,11 +252,8 @@ def table_one(results: pd.DataFrame) -> pd.DataFrame:
     Ours are mean and deviation over both speeds and all seeds on the F/T sensor's
     force, by method and by how it was identified.
     """
-    chosen = results[
-        results["scenario"].isin(GELS)
-        & results["metric"].isin(TABLES["table I"])
-        & (results["source"] == "ft")
-    ]
+    of_gels = select(results, GELS, source="ft")
+    chosen = of_gels[of_gels["metric"].isin(TABLES["table I"])]
     percent = chosen["scenario"].str.extract(r"gel-(\d+)-", expand=False)
     groups = chosen.groupby([percent, "plant", "method", "metric"])["value"]
     ours = groups.agg(["mean", "std"]).round(0)
@@ -266,32 +263,22 @@ def table_one(results: pd.DataFrame) -> pd.DataFrame:
 
 def draw_gel_friction(folder: Path, results: pd.DataFrame) -> None:
     """Draw the friction of the gels, offline and online, as in Figure 10."""
+    ours = select(results, GELS, method="ours", source="ft")
+    frictions = ours[ours["metric"].isin(TABLES["table I"])]
+    table = frictions.pivot_table("value", "scenario", "metric", "median")
     drawing, axes = open_drawing(1)
-    markers = {"offline": "^", "online": "*", "true": "_"}
-    colors = {"constant": OURS, "sinusoidal": "tab:red"}
-    for kind, marker in markers.items():
-        metric = f"cumulative_friction_{kind}_Ns_per_m"
-        chosen = results[
-            (results["metric"] == metric)
-            & (results["method"] == "ours")
-            & (results["source"] == "ft")
-        ]
-        for speed, color in colors.items():
-            mine = chosen[chosen["scenario"].str.endswith(speed)]
-            label = f"{kind}, {speed}"
-            gels = mine["scenario"].str[:6]
-            axes[0, 0].scatter(
-                gels, mine["value"], marker=marker, color=color, label=label
-            )
-    axes[0, 0].set_ylabel("cumulative friction [Ns/m]")
-    job = Job(benchmark=GELS[0], plant="gels", report=folder)
-    save_drawing(drawing, job, "friction")
+    table.plot(ax=axes[0, 0], style="o", ylabel="cumulative friction [Ns/m]")
+    save_drawing(
+        drawing, Job(benchmark=GELS[0], plant="gels", report=folder), "friction"
+    )
 
 
 def write_report(folder: Path, results: pd.DataFrame) -> None:
     """Write ``index.html``: every figure that the runs have drawn, and Table I."""
-    parts = ["<!DOCTYPE html><meta charset=utf-8><title>Figures of the paper</title>"]
-    parts.append("<style>body{max-width:70em;margin:auto}img{width:100%}</style>")
+    parts = [
+        "<!DOCTYPE html><meta charset=utf-8><title>Figures of the paper</title>",
+        "<style>body{max-width:70em;margin:auto}img{width:100%}</style>",
+    ]
     has_gels = results["scenario"].isin(GELS).any()
     if has_gels:
         draw_gel_friction(folder, results)

@@ -7,9 +7,7 @@ landmarks and 40 touches around the entry, as `needleforce register` gets them.
 import tempfile
 from collections.abc import Iterator
 from functools import cache
-from importlib import import_module
 from pathlib import Path
-from time import process_time
 from typing import Any, NamedTuple
 
 import numpy as np
@@ -114,7 +112,7 @@ class Drawn(NamedTuple):
     truth_m: Array
 
 
-CASES = (*RIGHT, *MOVED, "time beside small_gicp")
+CASES = (*RIGHT, *MOVED)
 """A job each, so that an interrupted run goes on."""
 
 
@@ -122,9 +120,6 @@ def run(job: Job) -> Iterator[Figure]:
     """Yield the figures of a case."""
     bodies = _bodies(job.data)
     number = CASES.index(job.case)
-    if job.case == CASES[-1]:
-        yield from _time(bodies, np.random.default_rng([job.seed, 12]))
-        return
     rng = np.random.default_rng([job.seed, 11, number])
     yield from _measure(job.case, bodies, rng)
 
@@ -254,44 +249,6 @@ def _measure(
     yield Figure("patient_error_rms_mm", 1e3 * error_rms_m, name)
     yield Figure("patient_stated_ratio", _rms(stated_m) / error_rms_m, name)
     yield Figure("patient_to_landmarks_ratio", error_rms_m / _rms(alone_m), name)
-
-
-def _time(bodies: list[Body], rng: np.random.Generator) -> Iterator[Figure]:
-    """Yield the time of a checked registration beside small_gicp, if it is there."""
-    try:
-        small_gicp: Any = import_module("small_gicp")
-    except ImportError:
-        return
-    ratios = []
-    for _ in range(10):
-        for body in bodies:
-            drawn = draw(body, Case(), rng)
-            rough = fit_landmarks(
-                body.landmarks_m, drawn.landmarks_m, std_m=LANDMARK_STD_m
-            )
-            # Both begin with points and triangles, and build their trees.
-            skin = Surface("skin", body.skin.vertices_m, body.skin.triangles)
-            begin_s = process_time()
-            try:
-                fit_surface(skin, drawn.touches_m, rough, softness_m=3e-3)
-            except RegistrationError:
-                continue
-            ours_s = process_time() - begin_s
-            start = np.eye(4)
-            start[:3, :3] = rough.rotation.T
-            start[:3, 3] = -rough.rotation.T @ rough.translation_m
-            begin_s = process_time()
-            small_gicp.align(
-                body.skin.vertices_m,
-                drawn.touches_m,
-                start,
-                registration_type="PLANE_ICP",
-                downsampling_resolution=1e-4,
-                max_correspondence_distance=0.02,
-                num_threads=1,
-            )
-            ratios.append(ours_s / (process_time() - begin_s))
-    yield Figure("registration_time_ratio", float(np.median(ratios)), "small_gicp")
 
 
 def _rms(values: list[Any]) -> float:

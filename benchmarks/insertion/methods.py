@@ -9,7 +9,6 @@ from typing import NamedTuple, cast
 
 import numpy as np
 from scipy.optimize import OptimizeResult, minimize_scalar
-from scipy.signal import lfilter
 
 from benchmarks import DataError
 from benchmarks.insertion.signals import (
@@ -475,22 +474,3 @@ def wrench_metrics(reading: ForceReading, truth: ForceTruth) -> list[Figure]:
     if error.size > 0 and np.ptp(true) > 0.0:
         values["wrench_lag_ms"] = 1e3 * force_lag_s(truth.t_s[judged], estimate, true)
     return make_figures(values, reading.source, reading.method)
-
-
-def residual_metrics(run: Run, signals: JointSignals) -> list[Figure]:
-    """Measure a plain observer on an ideal arm; nothing on any other.
-
-    The ideal is r' = K (external torque - r) with the true torque's mean over each
-    tick, solved exactly: row k of the truth, the tick from sample k to the next, gives
-    the value at k + 1.
-    """
-    if run.plant != "ideal":
-        return []
-    gain_per_s = 50.0  # as in comparisons with other momentum observers
-    residual = joint_residual(run.robot, signals, gain_per_s, alignment="hold")
-    decay = np.exp(-gain_per_s * np.median(signals.dt_s))
-    ideal = lfilter(
-        [0.0, 1.0 - decay], [1.0, -decay], run.truth.external_torque_Nm, axis=0
-    )
-    worst = np.sqrt(np.mean((residual - ideal) ** 2, axis=0)).max()
-    return [Figure("residual_rms_Nm", worst)]

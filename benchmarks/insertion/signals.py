@@ -6,7 +6,6 @@ from itertools import accumulate
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
-from scipy.signal import lfilter
 
 from benchmarks.jobs import Source
 from foundation.arrays import Array
@@ -221,18 +220,6 @@ def measured_travel(
         place_and_speed[k] = tip_motion(axis, kinematics.needle, dq)
     depth_m = place_and_speed[:, 0] - float(axis.dot(start_m))
     return depth_m, place_and_speed[:, 1].copy()
-
-
-def lagging(values: Array, t_s: Array, lag_s: float) -> Array:
-    """Return values behind a first-order lag, shape (n,).
-
-    They are sampled evenly, and at rest before.
-    """
-    if lag_s <= 0.0:
-        return values
-    keep = float(np.exp(-np.median(np.diff(t_s)) / lag_s))
-    late, _ = lfilter([1.0 - keep], [1.0, -keep], values, zi=[keep * values[0]])
-    return np.asarray(late, dtype=np.float64)
 
 
 def inverse_dynamics(

@@ -16,7 +16,6 @@ from benchmarks.insertion.methods import (
     ft_force,
     identify,
     identify_as_run,
-    residual_metrics,
     run_session,
     wrench_metrics,
 )
@@ -146,8 +145,7 @@ def read_sensors(run: Run, methods: Sequence[Method] = tuple(METHODS)) -> Simula
 
 
 def simulated_metrics(case: SimulatedCase) -> Iterator[Figure]:
-    """Measure residual and force of one simulated insertion, and false warnings."""
-    yield from residual_metrics(case.run, case.signals)
+    """Measure the force of one simulated insertion, and false warnings."""
     for reading in case.readings:
         yield from wrench_metrics(reading, case.truth)
     for method, item in case.sessions.items():

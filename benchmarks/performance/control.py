@@ -13,7 +13,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from benchmarks.insertion.methods import on_lwr
 from benchmarks.jobs import Figure, Job
 from benchmarks.performance.ticks import (
     Update,
@@ -22,7 +21,6 @@ from benchmarks.performance.ticks import (
     time_side_by_side,
 )
 from groundtruth.rig_arm import ArmSample, SimulatedArm
-from needleforce import InsertionSession
 from needleforce.control import (
     Controller,
     Limits,
@@ -31,14 +29,11 @@ from needleforce.control import (
     Task,
     TipVelocity,
 )
-from residual import DEFAULT
 
 BARE = "Jacobian and placement"
 CONTROL = "control"
 FOLLOWING = "control, no remote centre"
 SATURATED = "control, limits bind"
-SESSION = "session"
-TOGETHER = "session and control"
 SECONDS = 8.0
 WARM_TICKS = 1000
 BEHIND_TIP_M = 0.08
@@ -127,28 +122,10 @@ def make_control(at_leisure: Recorded, hasty: Recorded) -> dict[str, Update]:
     }
 
 
-def _make_sessions(at_leisure: Recorded) -> dict[str, Update]:
-    """Return a session, alone and with control."""
-    robot = SimulatedArm(plant="clean", duration_s=1.0).robot
-    session, beside = (InsertionSession(robot, on_lwr(DEFAULT)) for _ in range(2))
-    command = command_again(at_leisure)
-    _, samples = at_leisure
-
-    def together(k: int) -> None:
-        dt_s, q, dq, tau = samples[k]
-        beside.update(q, dq, tau, dt_s)
-        command(k)
-
-    return {
-        SESSION: lambda k: session.update(*samples[k][1:], samples[k].dt_s),
-        TOGETHER: together,
-    }
-
-
 def run(job: Job) -> Iterator[Figure]:
-    """Time ticks of control, of a session, and of both together."""
+    """Time ticks of control."""
     at_leisure, hasty = record_both()
-    subjects = make_control(at_leisure, hasty) | _make_sessions(at_leisure)
+    subjects = make_control(at_leisure, hasty)
     times = time_side_by_side(subjects, WARM_TICKS, round(1e3 * SECONDS))
     again = range(WARM_TICKS, round(1e3 * SECONDS))
     for name, update in subjects.items():

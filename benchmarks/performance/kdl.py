@@ -1,15 +1,13 @@
-"""The same samples through orocos KDL's estimator of a wrench: error and time.
+"""The same samples through orocos KDL's estimator of a wrench: the time of an update.
 
 ``ChainExternalWrenchEstimator`` is what a user finds in Debian (``liborocos-kdl-dev``).
 It gets the robot, the gain and the samples that ours gets; its inner filter is off, as
-ours has none. It takes no offset off and has no tare, so it stands here as it is, and
-with torques from which the mean residual just before contact is taken off.
+ours has none. It takes no offset off and has no tare.
 """
 
 import ctypes
 import subprocess
 from collections.abc import Iterator
-from dataclasses import replace
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
@@ -17,9 +15,8 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks import BenchmarkError
-from benchmarks.insertion.methods import joint_residual, on_lwr
-from benchmarks.insertion.signals import ForceTruth, JointSignals
-from benchmarks.insertion.simulated import read_sensors
+from benchmarks.insertion.methods import on_lwr
+from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Figure, Job
 from benchmarks.performance.ticks import Update, cost_ratio, fed, time_side_by_side
 from foundation.arrays import Array
@@ -33,12 +30,10 @@ from urdf import Robot
 
 SCENARIO = "stack-constant"
 PLANT = "clean"
-SEEDS = (1000, 1001, 1002)
 KDL = "KDL"
 BARE = "KDL, addresses known in advance"
 OURS = "ours, observer and wrench"
 SENSOR = "ours, virtual sensor"
-TARED = ", mean residual before contact taken off"
 
 
 class KdlAbsentError(BenchmarkError):
@@ -190,38 +185,6 @@ class PlainEstimator:
         self.axial_N = estimate.axial
 
 
-def peer_errors(run: Run, library: ctypes.CDLL) -> dict[str, float]:
-    """Return the rms error of the axial force [N] in one insertion, by estimator.
-
-    It counts from first contact to the end of the withdrawal.
-    """
-    case = read_sensors(run, ("ours",))
-    truth = case.truth
-    signals = case.signals
-    gain_per_s = DEFAULT.slowest_gain_per_s
-    errors = {SENSOR: _rms(case.sessions["ours"].reading.axial_N, truth)}
-    # The published tare: the mean over half a second.
-    free = (truth.t_s > truth.zeroed_s - 0.5) & (truth.t_s <= truth.zeroed_s)
-    residual = joint_residual(run.robot, signals, gain_per_s, alignment="hold")
-    tared = replace(signals, tau_Nm=signals.tau_Nm + residual[free].mean(axis=0))
-    for how, sent in (("", signals), (TARED, tared)):
-        for name, estimator in (
-            (KDL, KdlEstimator(library, run.robot, sent, gain_per_s)),
-            (OURS, PlainEstimator(run.robot, sent, gain_per_s)),
-        ):
-            axial_N = np.zeros(len(truth.t_s))
-            for k in range(len(axial_N)):
-                estimator(k)
-                axial_N[k] = estimator.axial_N
-            errors[name + how] = _rms(axial_N, truth)
-    return errors
-
-
-def _rms(axial_N: Array, truth: ForceTruth) -> float:
-    """Return the rms error over the judged part [N]."""
-    return float(np.sqrt(np.mean((axial_N - truth.axial_N)[truth.judged] ** 2)))
-
-
 def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
     """Time of every tick [us] from the tare on, taking turns."""
     signals = JointSignals.of_run(run)
@@ -238,22 +201,8 @@ def peer_times(run: Run, library: ctypes.CDLL) -> dict[str, Array]:
 
 
 def run(job: Job) -> Iterator[Figure]:
-    """Compare error and time of all estimators, each with KDL's."""
-    library = kdl_library()
-    errors: list[dict[str, float]] = []
-    times: dict[str, Array] = {}
-    for seed in SEEDS:
-        run = simulate(SCENARIO, PLANT, seed)
-        errors.append(peer_errors(run, library))
-        times = times or peer_times(run, library)
-    medians_N = {
-        name: float(np.median([error[name] for error in errors])) for name in errors[0]
-    }
-    for name in (KDL, BARE, KDL + TARED, OURS, OURS + TARED, SENSOR):
-        if name in medians_N:
-            yield Figure("kdl_force_rmse_N", medians_N[name], name)
-            yield Figure("kdl_force_ratio", medians_N[name] / medians_N[KDL], name)
-        if name in times:
-            yield Figure("kdl_tick_median_us", np.median(times[name]), name)
-            yield Figure("kdl_tick_mean_us", np.mean(times[name]), name)
-            yield Figure("kdl_tick_ratio", cost_ratio(times[name], times[KDL]), name)
+    """Compare the time of all estimators, each with KDL's."""
+    times = peer_times(simulate(SCENARIO, PLANT, job.seed), kdl_library())
+    for name, taken_us in times.items():
+        yield Figure("kdl_tick_median_us", np.median(taken_us), name)
+        yield Figure("kdl_tick_ratio", cost_ratio(taken_us, times[KDL]), name)

@@ -1,7 +1,6 @@
 """What an update of the estimators costs, beside its bare Pinocchio calls."""
 
-from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from copy import deepcopy
+from collections.abc import Callable, Iterable, Iterator, Mapping
 from dataclasses import replace
 from time import perf_counter_ns
 from typing import Any
@@ -10,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from benchmarks.insertion.methods import on_lwr
-from benchmarks.insertion.signals import JointSample, JointSignals
+from benchmarks.insertion.signals import JointSignals
 from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from groundtruth import Run, simulate
@@ -83,11 +82,7 @@ def time_each(
 
 
 class ChainUpdate:
-    """A session that takes an arm's signals, called with the index of the next sample.
-
-    `alarms` are the updates that raised a rupture, `layers` those that worked on
-    identifying a traversed layer.
-    """
+    """A session that takes the samples of an arm, called with the index of the next."""
 
     def __init__(
         self,
@@ -99,19 +94,12 @@ class ChainUpdate:
         self._session = InsertionSession(robot, on_lwr(DEFAULT), identifier)
         self._samples = signals.samples()
         self._tare = tare
-        self.alarms: list[int] = []
-        self.layers: list[int] = []
 
     def __call__(self, k: int) -> None:
         """Take sample k."""
         if k == self._tare:
             self._session.tare()
-        identification = self._session.update(*self._samples[k]).identification
-        if identification.rupture is not None:
-            self.alarms.append(k)
-        if identification.identified_layer is not None:
-            # Over six updates at most; the last one reports it.
-            self.layers.extend(range(k + 1 - 6, k + 1))
+        self._session.update(*self._samples[k])
 
 
 def run(job: Job) -> Iterator[Figure]:
@@ -125,14 +113,6 @@ def run(job: Job) -> Iterator[Figure]:
     times = time_side_by_side(subjects, first, len(signals.t_s))
     for name, taken_us in times.items():
         yield from describe_ticks(name, taken_us, times)
-    for name, chain in chains.items():
-        for event, indices in (
-            ("rupture raised", chain.alarms),
-            ("layer identified", chain.layers),
-        ):
-            after = [k - first for k in indices]
-            yield from describe_event(f"{event}, {name}", after, name, times)
-    yield from time_tare(run)
 
 
 def describe_ticks(
@@ -156,27 +136,6 @@ def describe_ticks(
         bare_us = times[BARE_OBSERVER if name == OBSERVER else BARE_SENSOR]
         yield Figure("tick_ratio", cost_ratio(taken_us, bare_us), name)
         yield Figure("tick_mean_over_median", mean_us / median_us, name)
-
-
-def describe_event(
-    what: str, indices: Sequence[int], name: str, times: Mapping[str, Array]
-) -> Iterator[Figure]:
-    """Yield the time of the updates of a chain in which something happens.
-
-    Args:
-        what: Happens, and in which chain.
-        indices: Of the updates, counted from the first that was timed.
-        name: Of the chain.
-        times: Of all subjects.
-    """
-    taken_us = times[name].reshape(-1)
-    taken_us = taken_us[[k for k in indices if 0 <= k < taken_us.size]]
-    if taken_us.size:
-        yield Figure("event_ticks", taken_us.size, what)
-        yield Figure("event_tick_median_us", np.median(taken_us), what)
-        yield Figure("event_tick_worst_us", taken_us.max(), what)
-        ratio = taken_us.max() / np.median(times[BARE_SENSOR])
-        yield Figure("event_tick_worst_ratio", ratio, what)
 
 
 def first_counted(run: Run, signals: JointSignals) -> int:
@@ -261,51 +220,3 @@ def fed(estimator: Any, signals: JointSignals, tare: int = -1) -> Update:
         estimator.update(*samples[k])
 
     return update
-
-
-def time_tare(run: Run) -> Iterator[Figure]:
-    """Time the ticks of a tare after the free motion of a simulated insertion.
-
-    The same ticks are timed five times; of each the shortest counts, so that what the
-    machine does beside them does not.
-    """
-    repetitions = 5
-    signals = JointSignals.of_run(run)
-    samples = signals.samples()
-    tare = int(np.searchsorted(signals.t_s, run.tare_end_s))
-    moved = InsertionSession(run.robot, on_lwr(DEFAULT))
-    for sample in samples[:tare]:
-        moved.update(*sample)
-    passes = [_time_ticks(moved, samples[tare:]) for _ in range(repetitions)]
-    blocking_ms: list[float] = []
-    for _ in range(repetitions):
-        session = deepcopy(moved)
-        begin_ns = perf_counter_ns()
-        session.tare()
-        blocking_ms.append((perf_counter_ns() - begin_ns) / 1e6)
-    taring_ms, plain_ms = np.min(passes, axis=0).T
-    yield Figure("tare_ticks", len(taring_ms))
-    yield Figure("tare_tick_longest_ms", taring_ms.max())
-    yield Figure("tare_tick_longest_without_ms", plain_ms.max())
-    yield Figure("tare_tick_difference_ms", taring_ms.max() - plain_ms.max())
-    yield Figure("tare_at_once_ms", min(blocking_ms))
-
-
-def _time_ticks(moved: InsertionSession, samples: list[JointSample]) -> Array:
-    """Time ticks with and without a tare, in turn, until it is done, shape (n, 2)."""
-    taring = deepcopy(moved)
-    plain = deepcopy(moved)
-    taring.start_tare()
-    taken_ms: list[tuple[float, float]] = []
-    for sample in samples:
-        taken_ms.append((_time_update(taring, sample), _time_update(plain, sample)))
-        if not taring.taring:
-            break
-    return np.array(taken_ms)
-
-
-def _time_update(session: InsertionSession, sample: JointSample) -> float:
-    """Return the time of an update [ms]."""
-    begin_ns = perf_counter_ns()
-    session.update(*sample)
-    return (perf_counter_ns() - begin_ns) / 1e6

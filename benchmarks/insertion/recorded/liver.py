@@ -17,7 +17,7 @@ from benchmarks import DataError
 from benchmarks.insertion.methods import IDENTIFIERS
 from benchmarks.jobs import Figure, Job, Method, make_figures
 from foundation.arrays import Array
-from identification import Estimate, replay
+from identification import replay
 
 HAIR_m = 1e-4
 """A difference of depth that counts as none."""
@@ -228,19 +228,13 @@ class LiverEstimates(NamedTuple):
         reference: What they are compared with.
         friction_N: At each depth.
         alarms_m: Depths of the ruptures reported.
-        enhanced_N: Enhanced force, shape (n,).
         friction_std_N: At each depth; empty or nan where none is stated.
-        above_at_rest: Fraction at rest with friction two deviations above the force.
-        below_zero: Fraction in contact with the tip force two deviations below zero.
     """
 
     reference: LiverReference
     friction_N: tuple[float, ...]
     alarms_m: Sequence[float] = ()
-    enhanced_N: Array = np.empty(0)
     friction_std_N: tuple[float, ...] = ()
-    above_at_rest: float = np.nan
-    below_zero: float = np.nan
 
 
 def liver_reference(
@@ -261,38 +255,10 @@ def liver_estimates(
     method: Method,
     reference: LiverReference,
 ) -> LiverEstimates:
-    """Replay a recording; return what the method made of it."""
+    """Replay a recording; return friction at each depth, and ruptures, by a method."""
     estimates = replay(t_s, depth_m, force_N, config=IDENTIFIERS[method]).estimates
-    return summarise_estimates(depth_m, force_N, estimates, reference)
-
-
-def summarise_estimates(
-    depth_m: Array,
-    force_N: Array,
-    estimates: Sequence[Estimate],
-    reference: LiverReference,
-) -> LiverEstimates:
-    """Return friction at each depth when the needle was there, ruptures, and rest.
-
-    Args:
-        depth_m: Depth of the tip, shape (n,).
-        force_N: Axial force, shape (n,).
-        estimates: One for each sample.
-        reference: What they are compared with.
-    """
-    names = (
-        "shaft_friction_N",
-        "shaft_friction_std_N",
-        "tip_force_N",
-        "tip_force_std_N",
-    )
-    rows = [[getattr(estimate, name) for name in names] for estimate in estimates]
-    friction, friction_std, tip, tip_std = np.array(
-        rows, dtype=float
-    ).T  # None becomes nan
-    rests = depth_m >= depth_m.max() - HAIR_m
-    rests[: int(np.argmax(rests)) + 1] = False
-    in_contact = np.array([estimate.in_contact for estimate in estimates])
+    rows = [(item.shaft_friction_N, item.shaft_friction_std_N) for item in estimates]
+    friction, friction_std = np.array(rows, dtype=float).T  # None becomes nan
     # A session counts depth from the tare: where an alarm came, the recording knows.
     alarms_m = [
         float(at)
@@ -303,12 +269,7 @@ def summarise_estimates(
         reference,
         tuple(mean_at_depth(depth_m, friction, 1e-3 * mm) for mm in DEPTHS_mm),
         alarms_m,
-        np.array([estimate.enhanced_force_N for estimate in estimates]),
         tuple(mean_at_depth(depth_m, friction_std, 1e-3 * mm) for mm in DEPTHS_mm),
-        float(np.mean((friction - 2.0 * friction_std > force_N)[rests]))
-        if rests.any()
-        else 0.0,
-        float(np.mean((tip + 2.0 * tip_std < 0.0)[in_contact])),
     )
 
 
@@ -329,10 +290,6 @@ def friction_values(
         is_covered = error_N <= 2.0 * std_N
         for mm, covers in zip(DEPTHS_mm, is_covered.T, strict=True):
             yield f"pullout_coverage_{mm}mm", float(np.mean(covers))
-        above = np.mean([item.above_at_rest for item in insertions])
-        below = np.mean([item.below_zero for item in insertions])
-        yield "friction_above_force_at_rest", float(above)
-        yield "tip_force_below_zero", float(below)
 
 
 def rupture_values(insertions: Sequence[LiverEstimates]) -> Iterator[tuple[str, float]]:

@@ -132,9 +132,7 @@ def identification_values(
 ) -> Iterator[Figure]:
     """Yield friction and ruptures by both methods.
 
-    They come from the force itself and from each method's own sensor. A real enhanced
-    force has no ground truth; that of the virtual force is compared with that of the
-    same method on the force itself, which an F/T sensor would read.
+    They come from the force itself and from each method's own sensor.
     """
     felt = truth.t_s >= truth.zeroed_s
     t_s = truth.t_s[felt]
@@ -148,8 +146,6 @@ def identification_values(
             values = dict(friction_values([item])) | dict(rupture_values([item]))
             del values[OF_MANY]
             yield from make_figures(values, source, method)
-        difference_N = np.sqrt(np.mean((virtual.enhanced_N - ft.enhanced_N) ** 2))
-        yield Figure("enhanced_against_ft_rmse_N", difference_N, method=method)
 
 
 TARE_s = 4.0

@@ -18,7 +18,6 @@ from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ConnectedArm,
     open_arm,
-    require_samples,
     samples_until_stopped,
 )
 from needleforce.cli.patient.case_files import (
@@ -30,6 +29,7 @@ from needleforce.cli.patient.case_files import (
 )
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import CHECK_ARM, CommandError, progress_bar, say
+from needleforce.devices import LinkError
 from needleforce.recordings.output import require_place
 from needleforce.simulation.patient import touch_patient
 from residual import VirtualForceSensor
@@ -72,21 +72,17 @@ def record_touches(
     require_place(output)
     names = () if landmarks is None else read_markup(landmarks).names
     places_m: list[Array] = []
+    lost: LinkError | None = None
     with _open_touching_arm(arm_name, robot, options, landmarks) as (arm, model):
         say(f"rest in contact for a second, or press Enter{_next(names, places_m)}")
-        for touch in _touches(arm, model, options, contact_N):
-            done = "undone"
-            if touch is not None:
-                places_m.append(touch.place_m)
-                place_mm = ", ".join(f"{1e3 * value:.1f}" for value in touch.place_m)
-                done = f"touch {len(places_m)} at {place_mm} mm, {touch.force_N:.1f} N"
-            elif places_m:
-                places_m.pop()
-            say(f"{done}{_next(names, places_m)}")
-            if len(places_m) >= len(names) + count:
-                break
-    require_samples(arm_name, arm)
-    if not places_m:
+        try:
+            for touch in _touches(arm, model, options, contact_N):
+                say(f"{_take(touch, places_m)}{_next(names, places_m)}")
+                if len(places_m) >= len(names) + count:
+                    break
+        except LinkError as error:
+            lost = error
+    if lost is None and not places_m:
         raise CommandError(
             f"nothing was touched: the force never rose by {contact_N:g} N while the "
             "tip rested for a second",
@@ -104,7 +100,19 @@ def record_touches(
         f"{len(file.landmarks)} of {len(names)} landmarks and {len(file.touches_m)} "
         f"touches of the skin in {output}"
     )
+    if lost is not None:
+        raise lost
     return 0
+
+
+def _take(touch: TipTouch | None, places_m: list[Array]) -> str:
+    """Add a touch to the places, or remove the last one; say which."""
+    if touch is None:
+        del places_m[-1:]
+        return "undone"
+    places_m.append(touch.place_m)
+    place_mm = ", ".join(f"{1e3 * value:.1f}" for value in touch.place_m)
+    return f"touch {len(places_m)} at {place_mm} mm, {touch.force_N:.1f} N"
 
 
 def _next(names: tuple[str, ...], places_m: list[Array]) -> str:

@@ -1,7 +1,6 @@
 """Simulated insertions end to end, and errors of a force."""
 
 import math
-from dataclasses import replace
 from types import SimpleNamespace
 
 import numpy as np
@@ -49,10 +48,6 @@ def test_a_needle_alone_is_identified_by_every_method():
     assert numbers["ft", "ours", "cumulative_friction_true_Ns_per_m"] > 0.0
     assert 0.0 < ml < kv
 
-    touchless = replace(gel_slice(), layers=())
-
-    assert list(run_needle(job, touchless, is_drawn=False)) == []
-
 
 @pytest.mark.slow
 def test_the_ideal_arm_gives_true_force_and_lags():
@@ -60,27 +55,14 @@ def test_the_ideal_arm_gives_true_force_and_lags():
     numbers = values(simulated_metrics(case))
     force_N = np.sqrt(np.mean(case.truth.axial_N[case.truth.judged] ** 2))
 
-    assert numbers["virtual", "ours", "residual_rms_Nm"] < 1e-6
     # 68 g of needle are started and stopped: that much inertia is in the reading.
     assert numbers["ft", "ours", "wrench_rmse_N"] < 2e-3
     assert abs(numbers["ft", "ours", "wrench_lag_ms"]) < 5.0
-    assert numbers["virtual", "published-one-setting", "wrench_lag_ms"] > 100.0
     assert 0.0 < numbers["virtual", "ours", "wrench_lag_ms"] < 50.0
     # A wrong sign would be seen: the error of the force turned round is twice the
     # force.
     assert numbers["virtual", "ours", "wrench_rmse_N"] < 0.2 * force_N
     assert force_N > 0.05
-
-
-@pytest.mark.slow
-def test_without_tissue_only_the_virtual_sensor_is_judged():
-    case = read_sensors(simulate(replace(BRIEF, layers=()), "clean"))
-
-    assert {item.source for item in case.readings} == {"virtual"}
-    assert case.truth.start_s == case.run.tare_end_s
-    assert {"wrench_rmse_N", "tare_refused", "torque_jump_warned"} <= {
-        metric for _, _, metric in values(simulated_metrics(case))
-    }
 
 
 def test_warnings_are_told_apart():
@@ -121,17 +103,15 @@ def test_a_delay_is_found_whatever_the_offset(delay, offset):
     assert force_lag_s(T, late, SAW) == pytest.approx(delay, abs=1e-4)
 
 
-def test_constant_error_is_bias_and_coverage_two_deviations():
-    numbers = measured(SAW + 0.05)
-
-    assert numbers["wrench_rmse_N"] == pytest.approx(0.05)
-    assert numbers["wrench_bias_N"] == pytest.approx(0.05)
-    assert numbers["wrench_lag_ms"] == pytest.approx(0.0, abs=0.1)
-
+@pytest.mark.parametrize(("std_N", "fraction"), [(0.1, 0.6827), (0.2, 0.9545)])
+def test_coverage_is_of_two_stated_deviations(std_N, fraction):
     noise_N = np.random.default_rng(0).normal(scale=0.2, size=len(T))
-    for std_N, fraction in ((0.1, 0.6827), (0.2, 0.9545)):
-        covered = measured(SAW + noise_N, std_N)["wrench_coverage_2sigma"]
-        assert covered == pytest.approx(fraction, abs=0.01)
+    numbers = measured(SAW + 0.05 + noise_N, std_N)
+
+    assert numbers["wrench_bias_N"] == pytest.approx(0.05, abs=0.01)
+    assert numbers["wrench_rmse_N"] == pytest.approx(0.206, abs=0.01)
+    assert numbers["wrench_lag_ms"] == pytest.approx(0.0, abs=2.0)
+    assert numbers["wrench_coverage_2sigma"] == pytest.approx(fraction, abs=0.03)
 
 
 def test_only_the_judged_part_of_a_force_counts():

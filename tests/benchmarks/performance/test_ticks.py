@@ -34,16 +34,6 @@ def test_ratios_compare_neighbours():
     ] == pytest.approx(2.6)
 
 
-def test_updates_in_which_something_happens_stand_apart():
-    raised = numbers(ticks.describe_event("a rupture", [2], "chain", TIMES))
-    identified = numbers(ticks.describe_event("a layer", [4, 100], "chain", TIMES))
-
-    assert raised["event_tick_worst_us"] == 80.0
-    assert raised["event_tick_worst_ratio"] == 40.0
-    assert identified["event_ticks"] == 1
-    assert identified["event_tick_worst_us"] == 40.0
-
-
 def test_subjects_take_turns_and_what_warms_them_up_does_not_count():
     asked = []
     subjects = {
