@@ -12,10 +12,7 @@ from needleforce.anatomy import Labels, Volume, read_labels, read_volume
 from needleforce.cli.patient.structure_names import StructureNames
 from needleforce.cli.terminal import OTHER_PLACE, CommandError, staged_progress
 from needleforce.files import whole_file
-from needleforce.plan_file import GIVE_PLAN, PLAN
-
-PLAN_VERSION = 2
-"""Of the plan's file; 1 was that of version 0.2."""
+from needleforce.plan_file import GIVE_PLAN, PLAN, PLAN_VERSION
 
 MODULES = ("SimpleITK", "nibabel", "skimage", "manifold3d", "trimesh", "igl")
 """Modules of extras that the commands need."""

@@ -414,7 +414,7 @@ def _path_table(path: SkinPath) -> PageTable:
 def _write_scene(labels: Labels, path: SkinPath, place: Path) -> None:
     """Write structures and path as a 3-D page."""
     from needleforce.scene import PlanScene
-    from needleforce.scene.plan_scene import export_plan
+    from needleforce.scene.export_page import export_plan
 
     # Lean tissue would hide what lies in it.
     names = [name for name in large_structures(labels) if name != "lean"]

@@ -5,16 +5,11 @@ import time
 from collections.abc import Callable
 from typing import Any
 
-FRAME_S = 0.05
+FRAME_s = 0.05
 """Time from picture to picture when a recording is played."""
 
-MIN_SPAN_S = 0.01
-"""The time line is never shorter."""
 
-PLAY = "Play"
-
-
-class TimePanel:
+class TimeLine:
     """The time line with its buttons.
 
     Args:
@@ -26,50 +21,36 @@ class TimePanel:
         live: Box that is set while the page follows the newest.
         play: Button that plays, and pauses.
         speed: How fast.
-        jumps: A button for every rupture.
     """
 
     def __init__(self, gui: Any, show: Callable[[float], None]) -> None:
         self._gui = gui
         self._show = show
-        self._playing = threading.Event()
-        with gui.add_folder("Time"):
-            self.slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
-            self.play = gui.add_button(PLAY)
-            self.speed = gui.add_dropdown(
-                "speed, of real time",
-                ("0.25", "0.5", "1", "2", "4", "8"),
-                initial_value="1",
-            )
-            self.live = gui.add_checkbox("live", True)
-        self._folder = gui.add_folder("Ruptures: jump to", visible=False)
-        self.jumps: list[Any] = []
+        self._is_playing = threading.Event()
+        self.slider = gui.add_slider("time [s]", 0.0, 1.0, 0.01, 0.0)
+        self.play = gui.add_button("Play")
+        speeds = ("0.25", "0.5", "1", "2", "4", "8")
+        self.speed = gui.add_dropdown("speed", speeds, initial_value="1")
+        self.live = gui.add_checkbox("live", True)
+        self._jumps = gui.add_folder("Ruptures: jump to", visible=False)
         self.slider.on_update(self._follow_slider)
         self.play.on_click(self._toggle)
 
-    def open_recording(self, start_s: float, end_s: float) -> None:
-        """Show a recording, which has no newest, from its start."""
-        self.live.value = False
-        self.live.visible = False
-        self.set_end(end_s)
-        self.slider.min = min(start_s, self.slider.max - MIN_SPAN_S)
-        self.slider.value = round(start_s, 2)
-
-    def set_end(self, end_s: float) -> None:
-        """Let the time line end at a time."""
-        self.slider.max = max(end_s, MIN_SPAN_S)
+    def set_span(self, start_s: float, end_s: float) -> None:
+        """Let the time line begin and end at a time."""
+        self.slider.max = max(end_s, start_s + 0.01)
+        self.slider.min = start_s
 
     def add_jump(self, time_s: float, text: str) -> None:
-        """Add a button that jumps to a rupture."""
-        self._folder.visible = True
-        with self._folder:
+        """Add a button that jumps to a time."""
+        self._jumps.visible = True
+        with self._jumps:
             button = self._gui.add_button(f"{time_s:.1f} s: {text}")
         button.on_click(lambda _event: self.jump(time_s))
-        self.jumps.append(button)
 
     def jump(self, time_s: float) -> None:
         """Show a time, and stop there."""
-        self._playing.clear()
+        self._is_playing.clear()
         self.live.value = False
         self.slider.value = round(time_s, 2)
         self._show(time_s)
@@ -81,27 +62,27 @@ class TimePanel:
 
     def _toggle(self, _event: Any) -> None:
         """Play, or pause."""
-        if self._playing.is_set():
-            self._playing.clear()
+        if self._is_playing.is_set():
+            self._is_playing.clear()
             return
-        self._playing.set()
+        self._is_playing.set()
         threading.Thread(target=self._run, daemon=True).start()
 
     def _run(self) -> None:
-        """Play from where the time line stands to its end."""
+        """Play from where the time line stands to its end; from its end anew."""
         self.live.value = False
         self.play.label = "Pause"
         shown_s = float(self.slider.value)
-        if shown_s >= self.slider.max - FRAME_S:
+        if shown_s >= self.slider.max - FRAME_s:
             shown_s = float(self.slider.min)
         before_s = time.monotonic()
-        while self._playing.is_set() and shown_s < self.slider.max:
-            time.sleep(FRAME_S)
+        while self._is_playing.is_set() and shown_s < self.slider.max:
+            time.sleep(FRAME_s)
             now_s = time.monotonic()
             shown_s += float(self.speed.value) * (now_s - before_s)
             before_s = now_s
             shown_s = min(shown_s, self.slider.max)
             self.slider.value = round(shown_s, 2)
             self._show(shown_s)
-        self._playing.clear()
-        self.play.label = PLAY
+        self._is_playing.clear()
+        self.play.label = "Play"
