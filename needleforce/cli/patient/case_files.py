@@ -16,10 +16,7 @@ from needleforce.cli.terminal import (
     staged_progress,
 )
 from needleforce.files import whole_file
-from needleforce.plan_file import GIVE_PLAN, PLAN
-
-PLAN_VERSION = 2
-"""Of the plan's file; 1 was that of version 0.2."""
+from needleforce.plan_file import GIVE_PLAN, PLAN, PLAN_VERSION
 
 
 class CaseFiles(NamedTuple):

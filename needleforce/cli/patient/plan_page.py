@@ -129,7 +129,7 @@ def _write_scene(
     """Write structures and path as a 3-D page."""
     hiding = ("lean",)  # structures that would hide what lies in them
     from needleforce.scene import PlanScene
-    from needleforce.scene.plan_scene import export_plan
+    from needleforce.scene.export_page import export_plan
 
     labels = case.labels
     names = [name for name in large_structures(labels) if name not in hiding]
