@@ -218,8 +218,8 @@ def test_torques_that_stay_unlike_the_arms_are_a_warning(lwr, run, first_row, wa
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (np.degrees, "deg/s"),
-        (np.zeros_like, "stands still"),
+        (np.degrees, "rate of q"),
+        (np.zeros_like, "rate of q"),
         (lambda dq: np.where(np.arange(7) == 1, np.nan, dq), "no finite value"),
     ],
 )
