@@ -88,7 +88,7 @@ def read_arrow(path: Path, max_bytes: int) -> Table:
             require_size(size, max_bytes, f"{path}: what it holds")
 
         content = reader.read_table(path, use_threads=False)
-    except arrow.ArrowException as error:
+    except (arrow.ArrowException, UnicodeDecodeError) as error:
         raise FormatError(
             f"{path} is damaged, cut short or of another kind ({error})", RECOVER
         ) from error
