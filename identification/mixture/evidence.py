@@ -52,13 +52,18 @@ def weigh_evidence(mixture: Mixture, alarm: Rupture | None, reported: int) -> Ev
     return Evidence(mixture, mixture.weights, counted)
 
 
-def count_recent_in_full(evidence: Evidence) -> Evidence:
+def count_recent_in_full(evidence: Evidence, noise_fraction: float) -> Evidence:
     """Return the evidence with weights that count the last blocks' likelihood in full.
 
     A mixture's own weights temper it, for what is learnt over millimetres repeats the
-    model's own errors. What is heard within a tenth of a second differs by noise.
+    model's own errors. What is heard within a tenth of a second differs by noise, but
+    for tissue that moves.
+
+    Args:
+        evidence: With the mixture's own weights.
+        noise_fraction: Part of white noise in what changes the force, 0 to 1.
     """
-    mixture = evidence.mixture
-    logs = mixture.log_weights + read_column(mixture.history, "recent_log")
+    recent = read_column(evidence.mixture.history, "recent_log")
+    logs = evidence.mixture.log_weights + noise_fraction * recent
     weights = np.exp(logs - logs.max())
     return evidence._replace(weights=weights / weights.sum())

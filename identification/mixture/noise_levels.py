@@ -146,6 +146,15 @@ class NoiseVariances(NamedTuple):
     heartbeat: float
     breathing: float
 
+    @property
+    def noise_fraction(self) -> float:
+        """Part of the sensor's white noise in what changes the force within a breath.
+
+        The rest is motion of the tissue, which is alike from one block to the next.
+        """
+        motion_N2 = self.heartbeat + self.breathing
+        return self.white / (self.white + motion_N2) if motion_N2 > 0.0 else 1.0
+
 
 def _second_difference(autocorrelation: float, at_twice: float) -> float:
     """Return the variance of a second difference, for an autocorrelation at its lag."""

@@ -204,8 +204,10 @@ class Reporter:
         state = self.state
         alarm = state.alarm
         evidence = weigh_evidence(self._learner.mixture, alarm, state.ruptures)
-        recent = count_recent_in_full(evidence)
-        count = count_ruptures(recent, state.ruptures, self._learner.state.block)
+        learnt = self._learner.state
+        levels = learnt.levels.beside(learnt.tissue, learnt.block.time_s)
+        recent = count_recent_in_full(evidence, levels.variances.noise_fraction)
+        count = count_ruptures(recent, state.ruptures, learnt.block)
         state.is_due = False
         state.rupture_probability = min(count.more, 1.0)
         if self.is_layer_open:

@@ -6,12 +6,11 @@ to loopback unless an address is named. What is malformed, old or foreign is cou
 a `LinkReport`, never handed on.
 
 Reading order: `link` (what a device offers, readings, reports), `errors`,
-`datagram_link` (UDP), `cycle_counter` and `controller_link` (controllers that send a
-packet a cycle), `fri` (KUKA LWR 4+), `protobuf_wire`, `sunrise_messages` and `sunrise`
-(KUKA LBR iiwa), `rdt` and `rdt_status` (ATI Net F/T), `arm_limits` and `guard` (the
-last thing before every arm), `checked_arm` (common to arms with a client library),
-`franka`, `franka_versions` and `franka_wire` (FER, FR3), `ur` and `ur_control` (UR
-e-Series), `haply`, `arm_names` (any arm by a name of one line).
+`datagram_link` (UDP), `arm_limits` and `guard` (the last thing before every arm),
+`cycle_counter` and `controller_link` (controllers that send a packet a cycle), `fri`
+(KUKA LWR 4+), `sunrise_messages` and `sunrise` (KUKA LBR iiwa), `client_arm` (arms
+behind a vendor's client library), `franka` (FER, FR3), `ur` (UR e-Series), `rdt` (ATI
+Net F/T), `haply`, `arm_names` (any arm by a name of one line).
 
 Emulators: `emulators`.
 """

@@ -39,18 +39,6 @@ class Endpoint(NamedTuple):
     port: int
 
 
-class Datagram(NamedTuple):
-    """What came over UDP.
-
-    Attributes:
-        data: Its bytes.
-        sender: From where it came.
-    """
-
-    data: bytes
-    sender: Endpoint
-
-
 def resolve_host(host: str) -> str:
     """Return the numeric address of a host, which its datagrams bear.
 

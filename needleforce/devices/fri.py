@@ -5,17 +5,14 @@ bytes back within it. A cycle is answered before its reading is handed on, with 
 motion asked for before.
 """
 
-from collections.abc import Mapping
 from enum import IntEnum
-from typing import Any, NamedTuple
+from typing import Any
 
 import numpy as np
 
-from foundation.arrays import Array
 from needleforce.devices.controller_link import ControllerLink
 from needleforce.devices.datagram_link import LOOPBACK
-from needleforce.devices.link import ArmReading
-from needleforce.devices.sunrise_messages import MONITORING_KIND, read_kind
+from needleforce.devices.link import GIVE_UP_S, ArmReading
 
 PORT = 49938
 """Of this machine, unless the controller is configured otherwise."""
@@ -26,36 +23,23 @@ COUNTS = 1 << 16
 """Counters of packets go round after so many."""
 
 
-class PacketField(NamedTuple):
-    """A field of a packet.
-
-    Attributes:
-        kind: Its type, as numpy names it, with a length for arrays.
-        offset: Its first byte.
-    """
-
-    kind: Any
-    offset: int
-
-
-_HEADER_FIELDS = {
-    "count": PacketField("<u2", 0),
-    "reflected": PacketField("<u2", 2),
-    "size": PacketField("<u2", 4),
-    "kind": PacketField("<u2", 6),
-}
-
-
-def _packet_type(size: int, fields: Mapping[str, PacketField]) -> np.dtype:
-    """Return the type of packets of so many bytes, with a header and these fields."""
-    all_fields = {**_HEADER_FIELDS, **fields}
-    layout: Any = {
-        "names": list(all_fields),
-        "formats": [field.kind for field in all_fields.values()],
-        "offsets": [field.offset for field in all_fields.values()],
-        "itemsize": size,
+def _packet_type(size: int, fields: dict[str, tuple[Any, int]]) -> np.dtype:
+    """Return the type of packets of so many bytes: kind and first byte by field."""
+    layout = {
+        "count": ("<u2", 0),
+        "reflected": ("<u2", 2),
+        "size": ("<u2", 4),
+        "kind": ("<u2", 6),
+        **fields,
     }
-    return np.dtype(layout)
+    return np.dtype(
+        {
+            "names": list(layout),
+            "formats": [kind for kind, _ in layout.values()],
+            "offsets": [first_byte for _, first_byte in layout.values()],
+            "itemsize": size,
+        }
+    )
 
 
 # Little endian; from published descriptions of the interface (Schreiber, Stemmer,
@@ -63,18 +47,18 @@ def _packet_type(size: int, fields: Mapping[str, PacketField]) -> np.dtype:
 MEASUREMENT = _packet_type(
     916,
     {
-        "stamp_s": PacketField("<f4", 140),
-        "state": PacketField("<u2", 144),
-        "quality": PacketField("<u2", 146),
-        "period_s": PacketField("<f4", 148),
-        "error": PacketField("<u2", 184),
-        "position_rad": PacketField(("<f4", JOINTS), 216),
-        "commanded_rad": PacketField(("<f4", JOINTS), 292),
+        "stamp_s": ("<f4", 140),
+        "state": ("<u2", 144),
+        "quality": ("<u2", 146),
+        "period_s": ("<f4", 148),
+        "error": ("<u2", 184),
+        "position_rad": (("<f4", JOINTS), 216),
+        "commanded_rad": (("<f4", JOINTS), 292),
         # What this interface has added to the command.
-        "added_rad": PacketField(("<f4", JOINTS), 320),
+        "added_rad": (("<f4", JOINTS), 320),
         # Behind the gears.
-        "torque_Nm": PacketField(("<f4", JOINTS), 444),
-        "external_Nm": PacketField(("<f4", JOINTS), 472),
+        "torque_Nm": (("<f4", JOINTS), 444),
+        "external_Nm": (("<f4", JOINTS), 472),
     },
 )
 """What the controller sends."""
@@ -82,11 +66,7 @@ MEASUREMENT = _packet_type(
 MEASUREMENT_KIND = 0x2006
 
 COMMAND = _packet_type(
-    376,
-    {
-        "flags": PacketField("<u4", 140),
-        "position_rad": PacketField(("<f4", JOINTS), 144),
-    },
+    376, {"flags": ("<u4", 140), "position_rad": (("<f4", JOINTS), 144)}
 )
 """What the controller wants back."""
 
@@ -126,9 +106,8 @@ def read_measurement(data: bytes) -> np.void | None:
     is_size = measurement["size"] == MEASUREMENT.itemsize
     is_state = measurement["state"] <= max(FriState)
     is_quality = measurement["quality"] <= max(FriQuality)
-    # A measurement with a shorter period is invalid.
+    # Periods between which a measurement is valid.
     min_period_s = 0.5e-3
-    # A measurement with a longer period is invalid.
     max_period_s = 0.1
     is_period = min_period_s < measurement["period_s"] <= max_period_s
     if not (is_kind and is_size and is_state and is_quality and is_period):
@@ -146,20 +125,6 @@ def read_measurement(data: bytes) -> np.void | None:
     return measurement if is_finite else None
 
 
-def describe_stranger(data: bytes) -> str:
-    """Return what a datagram seems to be that is no measurement; empty for nothing."""
-    if read_kind(data) == MONITORING_KIND:
-        return "the sender speaks FRI for Sunrise, of an LBR iiwa: name it iiwa"
-    if len(data) == MEASUREMENT.itemsize:
-        kind = int(np.frombuffer(data, MEASUREMENT)[0]["kind"])
-        return (
-            f"the sender speaks version 0x{kind:04x} of FRI, expected "
-            f"0x{MEASUREMENT_KIND:04x}, FRI 1.0 of an LWR 4+"
-        )
-
-    return ""
-
-
 class FriArm(ControllerLink):
     """The arm at the end of the interface.
 
@@ -173,10 +138,9 @@ class FriArm(ControllerLink):
         host: Address of this machine to which the controller sends.
         port: The port set in its configuration; 0 for any free one, see `address`.
         peer: Address or name of the controller; others are dropped. None: the first
-            that sends a valid measurement is kept, see `DatagramLink.peer`; after an
-            outage only its port may have changed.
-        wait_s: A silence longer than this counts as an outage.
-        give_up_s: After so long without a valid measurement the readings end.
+            that sends a valid measurement is kept, see `DatagramLink.peer`; after a
+            silence only its port may have changed.
+        give_up_s: After so long without a valid measurement the arm is lost.
         robot: The model of the arm, kept for those who need both.
 
     Attributes:
@@ -199,24 +163,15 @@ class FriArm(ControllerLink):
         port: int = PORT,
         *,
         peer: str | None = None,
-        wait_s: float = 0.1,
-        give_up_s: float = 10.0,
+        give_up_s: float = GIVE_UP_S,
         robot: Any = None,
     ) -> None:
         super().__init__(
-            host,
-            port,
-            COUNTS,
-            JOINTS,
-            peer=peer,
-            wait_s=wait_s,
-            give_up_s=give_up_s,
-            robot=robot,
+            host, port, COUNTS, JOINTS, peer=peer, give_up_s=give_up_s, robot=robot
         )
         self.state = FriState.OFF
         self.quality = FriQuality.UNACCEPTABLE
-        self._measurement: np.void | None = None  # the latest
-
+        self._has_error = False
         self._answer = np.zeros((), COMMAND)
         self._answer["size"] = COMMAND.itemsize
         self._answer["kind"] = COMMAND_KIND
@@ -224,27 +179,18 @@ class FriArm(ControllerLink):
         self._target_rad = np.zeros(JOINTS)
 
     def _find_refusal(self) -> str:
-        if self._takes_commands():
+        is_commanded = self.state is FriState.COMMAND and not self._has_error
+        if is_commanded and self.quality >= FriQuality.GOOD:
             return ""
         return "the controller is not in command mode, or its connection is bad"
 
-    def _takes_commands(self) -> bool:
-        """Return whether the arm would move now."""
-        measurement = self._measurement
-        is_well = measurement is not None and measurement["error"] == 0
-        is_commanded = self.state is FriState.COMMAND
-        return is_commanded and self.quality >= FriQuality.GOOD and is_well
-
     def _lose_controller(self) -> None:
-        """Note that the controller is silent."""
         self.state = FriState.OFF
 
     def _process(self, data: bytes) -> ArmReading | None:
-        """Answer a measurement newer than the latest, and return its reading."""
         measurement = read_measurement(data)
         if measurement is None:
             self.report.malformed += 1
-            self.hint = self.hint or describe_stranger(data)
             return None
 
         # The period as it was meant: 1 ms is not a number of 32 bits.
@@ -268,15 +214,16 @@ class FriArm(ControllerLink):
     def _answer_measurement(self, measurement: np.void) -> None:
         """Send the command of this cycle: the position of the controller, or ours."""
         was_commanded = self.state is FriState.COMMAND
-        self._measurement = measurement
         self.state = FriState(measurement["state"])
         self.quality = FriQuality(measurement["quality"])
+        self._has_error = bool(measurement["error"])
         guard = self._guard
         if not (was_commanded and self.state is FriState.COMMAND):
-            self._target_rad = _commanded_position(measurement)
+            commanded_rad = measurement["commanded_rad"].astype(float)
+            self._target_rad = commanded_rad + measurement["added_rad"]
             guard.anchor()
         else:
-            if not self._takes_commands():
+            if self._find_refusal():
                 guard.interrupt()
             guard.cycle_s = float(measurement["period_s"])
             step_rad = guard.cycle_s * guard.advance(self._target_rad)
@@ -287,8 +234,3 @@ class FriArm(ControllerLink):
         answer["reflected"] = measurement["count"]
         answer["position_rad"] = self._target_rad
         self._send(answer.tobytes())
-
-
-def _commanded_position(measurement: np.void) -> Array:
-    """Return where the controller commands the arm to be, shape (7,) [rad]."""
-    return measurement["commanded_rad"].astype(float) + measurement["added_rad"]

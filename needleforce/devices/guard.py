@@ -26,7 +26,7 @@ from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
 from foundation.jit import compile_waiting, compiled
 from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from needleforce.devices.errors import DeviceSettingError
-from needleforce.devices.link import Link
+from needleforce.devices.link import ArmLink
 
 if TYPE_CHECKING:
     from needleforce.control.joint_limits import Limits
@@ -76,6 +76,11 @@ class Guard:
     def is_at_rest(self) -> bool:
         """Whether nothing moves any more."""
         return not self._motion.any()
+
+    @property
+    def is_idle(self) -> bool:
+        """Whether nothing moves, and no velocity is wanted."""
+        return self.is_at_rest and self._silent_cycles >= self._hold_cycles
 
     @property
     def is_ready(self) -> bool:
@@ -239,18 +244,14 @@ def write_next_motion(
         motion[1, i] = step
 
 
-class GuardedArm(Link):
+class GuardedArm(ArmLink):
     """What arms that take commands have in common.
 
     Attributes:
         preset: Its limits, or their name in `ARM_LIMITS`.
-        robot: The model of the arm, or None.
-        joints: How many it has.
     """
 
     preset: str | ArmLimits
-    robot: Any
-    joints: int
     _guard: Guard
     _closes_at_exit = False
 

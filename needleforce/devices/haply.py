@@ -18,29 +18,13 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from needleforce.devices.errors import DeviceSettingError, LinkError, import_client
-from needleforce.devices.link import Link, MasterReading
+from needleforce.devices.link import SILENCE_S, Link, MasterReading
 
 ADDRESS = "ws://127.0.0.1:10001"
 """Where the service listens."""
 
 AXES = "xyz"
 GRIPS = ("wireless_verse_grip", "verse_grip")
-
-MAX_SILENCE_S = 0.1
-"""After so long a silence the force is sent again, for which a state comes back."""
-
-MAX_READ_S = 2e-3
-"""So long a reading takes what waits at most, whatever the service sends."""
-
-MALFORMED = (
-    ValueError,
-    TypeError,
-    LookupError,
-    AttributeError,
-    OverflowError,  # an integer of hundreds of digits
-    RecursionError,  # brackets nested by the thousand
-)
-"""What reading a message raises that is none of the service."""
 
 
 class HaplyMaster(Link):
@@ -91,27 +75,24 @@ class HaplyMaster(Link):
         self._force_N = np.zeros(3)
         self._max_force_N = max_force_N
         self._device_id = ""
-        now_s = time.monotonic()
-        self._begin_s = now_s
-        self._latest_s = now_s  # when a state came
-        self._asked_s = now_s  # when a force was sent
+        self._begin_s = time.monotonic()
+        self._asked_s = self._begin_s  # when a force was sent
 
     def read(self) -> MasterReading | None:
         """Return the newest state.
 
         Returns:
-            The state; None if nothing has come, or the device is gone, see `report`.
+            The state; None if nothing has come, see `silent_s` for how long.
         """
         now_s = time.monotonic()
         reading = self._receive_newest(now_s - self._begin_s)
         if reading is not None:
-            self.report.count_used(1, now_s - self._latest_s)
-            self._latest_s = now_s
-        elif now_s - self._asked_s > MAX_SILENCE_S:
-            self.report.outages += self._asked_s == self._latest_s  # one a silence
-        else:
+            self.report.count_used(1, now_s - self._heard_s)
+            self._hear()
+        elif not self._count_silence() or now_s - self._asked_s < SILENCE_S:
             return None
 
+        # A state comes back for each force, also after a silence.
         self._asked_s = now_s
         with suppress(self._socket_error):
             self._send_force()
@@ -144,8 +125,10 @@ class HaplyMaster(Link):
 
     def _receive_newest(self, t_s: float) -> MasterReading | None:
         """Return the newest valid state of all that wait; None if there is none."""
+        # So long a reading takes what waits at most, whatever the service sends.
+        max_read_s = 2e-3
         newest = None
-        end_s = time.monotonic() + MAX_READ_S
+        end_s = time.monotonic() + max_read_s
         with suppress(TimeoutError, self._socket_error):
             while time.monotonic() < end_s:
                 text = self._socket.recv(timeout=0)
@@ -163,6 +146,14 @@ class HaplyMaster(Link):
 
     def _decode(self, text: str | bytes, t_s: float) -> MasterReading | None:
         """Return a state of the service as a reading; None if it is malformed."""
+        malformed = (
+            ValueError,
+            TypeError,
+            LookupError,
+            AttributeError,
+            OverflowError,  # an integer of hundreds of digits
+            RecursionError,  # brackets nested by the thousand
+        )
         try:
             state = json.loads(text)
             device = state["inverse3"][0]
@@ -173,7 +164,7 @@ class HaplyMaster(Link):
 
             self._device_id = str(device["device_id"])
             return MasterReading(t_s, position_m, velocity_m_s, _is_clutched(state))
-        except MALFORMED:
+        except malformed:
             self.report.malformed += 1
             return None
 

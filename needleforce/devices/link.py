@@ -5,23 +5,31 @@ None. Arms and haptic devices satisfy the protocols of `needleforce.control.port
 the simulated ones do.
 """
 
+from abc import abstractmethod
 from collections.abc import Callable, Iterable, Iterator
 from dataclasses import asdict, dataclass
 from queue import Empty, SimpleQueue
 from threading import Thread
 from time import monotonic, sleep
-from typing import NamedTuple, Self, TypeVar
+from typing import Any, NamedTuple, Self, TypeVar
 
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
+from needleforce.devices.errors import DeviceSettingError, LinkError
+
+SILENCE_S = 0.1
+"""A longer time without a valid reading is a silence."""
+
+GIVE_UP_S = 10.0
+"""After so long a silence an arm is lost, unless said otherwise."""
 
 
 class ArmReading(NamedTuple):
     """What an arm reports in one cycle.
 
     Attributes:
-        dt_s: Time since the previous reading, by the arm's own count of cycles.
+        dt_s: Time since the previous reading; after a silence, how long that was.
         q_rad: Joint positions, shape (n,).
         dq_rad_s: Joint velocities, shape (n,); None where the interface has none.
         tau_Nm: Torques measured behind the gears, with gravity, shape (n,); None where
@@ -72,8 +80,8 @@ class LinkReport:
         malformed: Wrong size, type or checks, or numbers that are not finite.
         stale: The same as the one before, or older.
         foreign: From another address than the device's.
-        outages: Silences longer than the time that the link waits.
-        longest_gap_s: Between two valid ones.
+        outages: Silences longer than `SILENCE_S`.
+        longest_gap_s: Between two valid ones, or since the last one.
     """
 
     used: int = 0
@@ -102,16 +110,51 @@ class LinkReport:
         return text or "nothing received"
 
 
+def _ignore(_silent_s: float) -> None:
+    """Do nothing about a silence."""
+
+
 class Link:
     """A connection to a device; at the end of a ``with`` statement it closes itself.
 
     Attributes:
         report: What has come, and what has not.
+        on_silence: Called every `SILENCE_S` of a silence with its length [s], by the
+            loop that waits for the device.
     """
 
     def __init__(self) -> None:
         self.report = LinkReport()
+        self.on_silence: Callable[[float], None] = _ignore
         self._is_open = True
+        self._heard_s = monotonic()  # when something valid came, or was waited for
+        self._is_silent = False
+        self._reported_s = 0.0  # length of the silence when it was reported last
+
+    @property
+    def silent_s(self) -> float:
+        """How long nothing valid has come [s]; 0 for less than `SILENCE_S`."""
+        silent_s = monotonic() - self._heard_s
+        return silent_s if silent_s >= SILENCE_S else 0.0
+
+    def _hear(self) -> None:
+        """Note that something valid has come."""
+        self._heard_s = monotonic()
+        self._is_silent = False
+        self._reported_s = 0.0
+
+    def _count_silence(self) -> float:
+        """Count and report a silence; return its length [s], 0 while there is none."""
+        silent_s = self.silent_s
+        if silent_s > 0.0:
+            self.report.outages += not self._is_silent
+            self._is_silent = True
+            if self.report.used:
+                self.report.longest_gap_s = max(self.report.longest_gap_s, silent_s)
+            if silent_s >= self._reported_s + 0.9 * SILENCE_S:
+                self._reported_s = silent_s
+                self.on_silence(silent_s)
+        return silent_s
 
     def end(self) -> None:
         """Let the readings end, at the latest when the present wait does.
@@ -131,6 +174,64 @@ class Link:
     def __exit__(self, *error: object) -> None:
         """Close the link."""
         self.close()
+
+
+class ArmLink(Link):
+    """An arm that is iterated over; one deadline and one way back for all of them.
+
+    Silence is reported by `on_silence` and in the report; after `give_up_s` of it the
+    arm is lost. Whoever iterates again waits for it again.
+
+    Attributes:
+        joints: How many the arm has.
+        robot: The model of the arm, or None.
+        give_up_s: So long a silence is waited for.
+    """
+
+    joints: int
+    robot: Any
+    give_up_s: float = GIVE_UP_S
+
+    def _set_patience(self, give_up_s: float) -> None:
+        """Set `give_up_s`; `DeviceSettingError` if it cannot be."""
+        if not SILENCE_S <= give_up_s < float("inf"):
+            raise DeviceSettingError(
+                f"{give_up_s=}: expected seconds, at least {SILENCE_S:g}"
+            )
+        self.give_up_s = give_up_s
+
+    def __iter__(self) -> Iterator[ArmReading]:
+        """Yield readings as they come.
+
+        Raises:
+            LinkError: Nothing valid came for `give_up_s`, or an arm that is commanded
+                has stopped.
+        """
+        self._heard_s = monotonic()
+        while self._is_open:
+            reading = self._read(SILENCE_S)
+            if reading is not None:
+                self._hear()
+                yield reading
+                self._heard_s = monotonic()
+            elif self._is_open and (silent_s := self._count_silence()) > 0.0:
+                self._lose()
+                if silent_s >= self.give_up_s:
+                    raise LinkError(
+                        f"the arm {self._place()} has been silent for {silent_s:.1f} s "
+                        f"({self.report})"
+                    )
+
+    @abstractmethod
+    def _read(self, wait_s: float) -> ArmReading | None:
+        """Return the next valid reading; None if none comes in time."""
+
+    @abstractmethod
+    def _place(self) -> str:
+        """Return where the arm is expected, for messages."""
+
+    def _lose(self) -> None:
+        """Note that the arm is silent."""
 
 
 Result = TypeVar("Result")
@@ -165,15 +266,7 @@ def run_within(timeout_s: float, work: Callable[[], Result]) -> Result:
     return result  # type: ignore[return-value]
 
 
-class ReadOnlyArm(Link):
-    """An arm that is only listened to."""
-
-    def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Return False: no command is taken."""
-        return False
-
-
-class ReplayArm(ReadOnlyArm):
+class ReplayArm(Link):
     """Recorded joint signals of m cycles as an arm that takes no commands.
 
     Its report counts the readings given out.
@@ -212,6 +305,10 @@ class ReplayArm(ReadOnlyArm):
                 missed=0,
                 accepts_commands=False,
             )
+
+    def send(self, dq_rad_s: ArrayLike) -> bool:
+        """Return False: no command is taken."""
+        return False
 
 
 def pace(arm: Iterable[ArmReading]) -> Iterator[ArmReading]:

@@ -2,7 +2,8 @@
 
 One request begins the stream; records of 36 bytes come back, one to a datagram or,
 buffered, forty. Numbers are big endian; counts per newton are set in the sensor and
-read from it, never assumed.
+read from it, never assumed. Bits of the status word as the manual of the sensor (Net
+F/T, system status code) and public drivers give them.
 """
 
 import struct
@@ -25,8 +26,7 @@ from needleforce.devices.datagram_link import (
     resolve_host,
 )
 from needleforce.devices.errors import DeviceSettingError, LinkError
-from needleforce.devices.link import run_within
-from needleforce.devices.rdt_status import is_faulty
+from needleforce.devices.link import SILENCE_S, run_within
 
 PORT = 49152
 """Of the sensor, unless it is configured otherwise."""
@@ -55,27 +55,70 @@ RECORD = np.dtype(
 COUNTS = 1 << 32
 """Counters of records go round after so many."""
 
-MAX_COUNTED_GAP_S = 1.0
-"""A sensor silent for longer may have been off, and count from zero."""
-
-MAX_RECORDS_AHEAD = 10_000
-"""Records of such a time; one further on, or further back, is not a new record."""
-
 MIN_RENUMBERED_RECORDS = 400
 """After so many in a row that are no new records the sensor has restarted its count."""
 
-MAX_REPLY_BYTES = 1 << 20
-"""So much of the sensor's page is read."""
-
-RECEIVE_BUFFER_BYTES = 1 << 22
-"""Room for the records of half a second, if net.core.rmem_max allows as much."""
-
-MAX_READ_S = 1.5e-3
-"""After so long `NetFT.read` takes no further datagram; the last of forty records takes
-0.2 ms. A loop of 1 kHz misses a cycle or two, whatever the network sends."""
-
 MAX_DATAGRAM_BYTES = 40 * RECORD.itemsize
 """Of a buffered datagram; a longer one is none of the sensor."""
+
+MAX_COUNTED_GAP_S = 1.0
+"""A sensor silent for longer may have been off: it is asked anew, and may count from
+zero."""
+
+BIT_NAMES = {
+    31: "error",
+    30: "CPU or RAM error",
+    29: "digital board error",
+    28: "analog board error",
+    27: "serial link error",
+    26: "program memory error",
+    25: "halted by its configuration",
+    24: "settings invalid",
+    23: "configuration does not fit the calibration",
+    22: "network failure",
+    21: "CAN error",
+    20: "RDT error",
+    19: "EtherNet/IP failure",
+    18: "DeviceNet failure",
+    17: "transducer saturated or converter error",
+    16: "threshold latched",
+    14: "watchdog timeout",
+    13: "stack error",
+    12: "EEPROM failure",
+    11: "flash failure",
+    10: "analog board watchdog timeout",
+    9: "strain gauge current too high",
+    8: "strain gauge current too low",
+    7: "analog ground out of range",
+    6: "analog supply too high",
+    5: "analog supply too low",
+    4: "serial link without data",
+    3: "reference voltage or supply error",
+    2: "temperature out of range",
+    1: "HTTP failure",
+}
+"""What each bit of the status word means."""
+
+
+def is_faulty(status: int) -> bool:
+    """Return whether a record with this status word has no valid force.
+
+    Bits below 17 come with bit 31, and so does with some firmware the latched
+    threshold, which leaves the forces valid.
+    """
+    fault_bits = 0xFFFE0000
+    error_and_latched_threshold = 1 << 31 | 1 << 16
+    return bool(status & fault_bits) and status != error_and_latched_threshold
+
+
+def describe_status(status: int) -> str:
+    """Return a status word in words, such as ``0x80020000: error, ...``."""
+    names = [
+        BIT_NAMES.get(bit, f"bit {bit}")
+        for bit in reversed(range(32))
+        if status >> bit & 1
+    ]
+    return f"0x{status:08x}: {', '.join(names) or 'well'}"
 
 
 class Scale(NamedTuple):
@@ -103,47 +146,25 @@ def read_scale(url: str, *, timeout_s: float = 2.0) -> Scale:
     """
 
     def fetch() -> bytes:
+        max_reply_bytes = 1 << 20
         with urlopen(url, timeout=timeout_s) as reply:
-            return reply.read(MAX_REPLY_BYTES)
+            return reply.read(max_reply_bytes)
 
     try:
         tree = ElementTree.fromstring(run_within(timeout_s, fetch))
+        per_N = float(tree.findtext(".//calcpf", ""))
+        per_Nm = float(tree.findtext(".//calcpt", ""))
     except (OSError, HTTPException, ElementTree.ParseError, ValueError) as error:
         raise LinkError(f"no counts per newton from {url}: {error}") from error
 
-    return Scale(
-        per_N=_read_counts(tree, url, "calcpf", "scalfu", "N"),
-        per_Nm=_read_counts(tree, url, "calcpt", "scaltu", "Nm"),
-    )
-
-
-def _read_counts(
-    tree: ElementTree.Element, url: str, name: str, unit_name: str, si_unit: str
-) -> float:
-    """Return the counts per unit that the sensor's page gives.
-
-    Args:
-        tree: The page.
-        url: Its address, for messages.
-        name: Of the element with the counts.
-        unit_name: Of the element with the unit; it may be missing.
-        si_unit: Which the unit has to be.
-    """
-    text = tree.findtext(f".//{name}")
-    unit = tree.findtext(f".//{unit_name}")
-    try:
-        counts = float(text or "")
-    except ValueError:
-        raise LinkError(f"{url} has no number under <{name}>: {text!r}") from None
-
-    if unit is not None and unit.strip().replace("-", "") != si_unit:
-        raise LinkError(
-            f"{url} counts per {unit.strip()!r} under <{unit_name}>, expected "
-            f"{si_unit}",
-            "Set the sensor to N and Nm, or give its `scale`: `Scale(per_N, per_Nm)`.",
-        )
-
-    return counts
+    for name, si_unit in (("scalfu", "N"), ("scaltu", "Nm")):
+        unit = tree.findtext(f".//{name}", si_unit).strip()
+        if unit.replace("-", "") != si_unit:
+            raise LinkError(
+                f"{url} counts per {unit!r} under <{name}>, expected {si_unit}",
+                "Set the sensor to N and Nm, or give its `scale`.",
+            )
+    return Scale(per_N, per_Nm)
 
 
 class NetFT(DatagramLink):
@@ -158,8 +179,7 @@ class NetFT(DatagramLink):
 
     Attributes:
         scale: Counts per newton and per newton metre.
-        status: Word of the latest record; 0 when all is well, see
-            `needleforce.devices.rdt_status.describe_status`.
+        status: Word of the latest record; 0 when all is well, see `describe_status`.
         faults: All bits of the status words of records that were not used.
 
     Raises:
@@ -194,7 +214,9 @@ class NetFT(DatagramLink):
             )
 
         local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
-        super().__init__(local, 0, peer=host, buffer_bytes=RECEIVE_BUFFER_BYTES)
+        # For the records of half a second, if net.core.rmem_max allows as much.
+        buffer_bytes = 1 << 22
+        super().__init__(local, 0, peer=host, buffer_bytes=buffer_bytes)
         self._keep_peer(Endpoint(host, port))
         self.status = 0
         self.faults = 0
@@ -203,7 +225,7 @@ class NetFT(DatagramLink):
         self._latest_count: int | None = None
         self._stray_count = 0  # of the latest record that was no new one
         self._stray_in_row = 0  # such records that follow each other
-        self._read_s = monotonic()  # when the latest record was read
+        self._asked_s = monotonic()
         self._zero = np.zeros(6)
         self._newest = np.zeros(6)
         self._request(self._mode)
@@ -212,42 +234,39 @@ class NetFT(DatagramLink):
         """Return the newest wrench of all that have come.
 
         It takes 2 ms at most, also when more waits to be read. Malformed and
-        old records are counted in the report. After 1 s of silence the sensor is asked
-        anew.
+        old records are counted in the report; see `silent_s` for how long none came.
+        After 1 s of silence the sensor is asked anew.
 
         Returns:
             Force [N] and torque [Nm], shape (6,); None if nothing has come.
         """
+        # After so long no further datagram is taken; the last of forty records takes
+        # 0.2 ms.
+        max_read_s = 1.5e-3
         newest = None
-        end_s = monotonic() + MAX_READ_S
+        end_s = monotonic() + max_read_s
         while self._is_open and (data := self._next(0.0)) is not None:
             for wrench in self._wrenches(data):
                 newest = wrench
             if monotonic() >= end_s:
                 break
 
-        if monotonic() - self._read_s > MAX_COUNTED_GAP_S:
-            self._ask_again()
-
+        if newest is None:
+            self._note_silence()
         return newest
 
-    def stream(self, wait_s: float = 0.1) -> Iterator[Array | None]:
+    def stream(self) -> Iterator[Array | None]:
         """Yield every wrench as it comes.
 
-        Args:
-            wait_s: A silence longer than this counts as an outage.
-
         Yields:
-            Force [N] and torque [Nm], shape (6,); None after a silence, when the sensor
-            was asked again.
+            Force [N] and torque [Nm], shape (6,); None every 0.1 s of a silence.
         """
         while self._is_open:
-            data = self._next(wait_s)
-            if data is None:
-                self._ask_again()
-                yield None
-            else:
+            data = self._next(SILENCE_S)
+            if data is not None:
                 yield from self._wrenches(data)
+            elif self._note_silence():
+                yield None
 
     def bias(self) -> None:
         """Take the latest reading for zero, here; the sensor's own zero stays."""
@@ -258,7 +277,7 @@ class NetFT(DatagramLink):
         self._zero = np.zeros(6)
 
     def bias_sensor(self) -> None:
-        """Let the sensor itself take its present load for zero."""
+        """Let the sensor itself take its load for zero, for all its users."""
         self._request(RdtCommand.SOFTWARE_BIAS)
 
     def close(self) -> None:
@@ -266,12 +285,14 @@ class NetFT(DatagramLink):
         self._request(RdtCommand.STOP)
         super().close()
 
-    def _ask_again(self) -> None:
-        """Count an outage, and ask for records once more."""
-        self.report.outages += 1
-        self._read_s = monotonic()
-        self._latest_count = None
-        self._request(self._mode)
+    def _note_silence(self) -> float:
+        """Count a silence, ask anew after a long one; return its length [s]."""
+        silent_s = self._count_silence()
+        if min(silent_s, monotonic() - self._asked_s) > MAX_COUNTED_GAP_S:
+            self._asked_s = monotonic()
+            self._latest_count = None  # it may count anew
+            self._request(self._mode)
+        return silent_s
 
     def _next(self, wait_s: float) -> bytes | None:
         """Return the next datagram; one that is too long has a byte too many."""
@@ -283,18 +304,10 @@ class NetFT(DatagramLink):
 
     def _wrenches(self, data: bytes) -> Iterator[Array]:
         """Yield the valid wrenches of a datagram, shape (6,), oldest first."""
-        report = self.report
-        now_s = monotonic()
         if not 0 < len(data) <= MAX_DATAGRAM_BYTES or len(data) % RECORD.itemsize:
-            report.malformed += 1
+            self.report.malformed += 1
             return
 
-        gap_s = now_s - self._read_s
-        if gap_s > MAX_COUNTED_GAP_S:
-            self._latest_count = None  # it may have begun to count anew
-            report.longest_gap_s = max(report.longest_gap_s, gap_s)
-
-        self._read_s = now_s
         for record in np.frombuffer(data, RECORD):
             wrench = self._process(record)
             if wrench is not None:
@@ -302,6 +315,8 @@ class NetFT(DatagramLink):
 
     def _process(self, record: np.void) -> Array | None:
         """Return the wrench of a record, shape (6,); None if it is old or invalid."""
+        # Records of a second or so; one further on, or further back, is no new one.
+        max_ahead = 10_000
         report = self.report
         count = int(record["count"])
         status = int(record["status"])
@@ -309,10 +324,13 @@ class NetFT(DatagramLink):
         ahead = 1
         if self._latest_count is not None:
             ahead = (count - self._latest_count) % COUNTS
-
-        if not 0 < ahead <= MAX_RECORDS_AHEAD:
+        if not 0 < ahead <= max_ahead:
             report.stale += 1
-            self._count_stray(count)
+            follows = 0 < (count - self._stray_count) % COUNTS <= max_ahead
+            self._stray_count = count
+            self._stray_in_row = self._stray_in_row + 1 if follows else 0
+            if self._stray_in_row >= MIN_RENUMBERED_RECORDS:
+                self._latest_count = None  # it counts anew
             return None
 
         has_fault = is_faulty(status)
@@ -322,20 +340,11 @@ class NetFT(DatagramLink):
             self._latest_count = count
             self._stray_in_row = 0
             report.missed += ahead - 1
-
         if has_fault:
             self.faults |= status
             return None
 
         report.used += 1
+        self._hear()
         self._newest = record["counts"] / self._counts_per_unit
         return self._newest - self._zero
-
-    def _count_stray(self, count: int) -> None:
-        """Count a record that is no new one; begin anew after many in a row."""
-        ahead = (count - self._stray_count) % COUNTS
-        follows = 0 < ahead <= MAX_RECORDS_AHEAD
-        self._stray_count = count
-        self._stray_in_row = self._stray_in_row + 1 if follows else 0
-        if self._stray_in_row >= MIN_RENUMBERED_RECORDS:
-            self._latest_count = None

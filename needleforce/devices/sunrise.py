@@ -10,22 +10,16 @@ from typing import Any
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.devices import fri
 from needleforce.devices.controller_link import ControllerLink
 from needleforce.devices.datagram_link import LOOPBACK
-from needleforce.devices.link import ArmReading
+from needleforce.devices.link import GIVE_UP_S, ArmReading
 from needleforce.devices.sunrise_messages import (
-    COMMAND_KIND,
     JOINTS,
     MAX_PERIOD_MS,
-    MONITORING_KIND,
     CommandMode,
-    Header,
-    Monitoring,
-    PositionCommand,
     Quality,
     Session,
-    read_kind,
+    message_type,
     read_monitoring,
     write_command,
 )
@@ -35,6 +29,9 @@ PORT = 30200
 
 COUNTS = 1 << 32
 """Counters of messages go round after so many."""
+
+MS_TO_S = 1e-3
+NS_TO_S = 1e-9
 
 
 class IiwaArm(ControllerLink):
@@ -53,8 +50,7 @@ class IiwaArm(ControllerLink):
             `address`.
         peer: Address or name of the controller; others are dropped. None: the first
             that sends a valid message is kept, see `DatagramLink.peer`.
-        wait_s: A silence longer than this counts as an outage.
-        give_up_s: After so long without a valid message the readings end.
+        give_up_s: After so long without a valid message the arm is lost.
         robot: The model of the arm, kept for those who need both.
 
     Attributes:
@@ -65,6 +61,7 @@ class IiwaArm(ControllerLink):
         preset: Name of its limits, see `needleforce.control.Limits.of_arm`.
 
     Raises:
+        MissingClientError: protobuf is not installed.
         LinkError: The address cannot be bound, or the peer's name is unknown.
         DeviceSettingError: A port or a time that cannot work.
     """
@@ -77,34 +74,27 @@ class IiwaArm(ControllerLink):
         port: int = PORT,
         *,
         peer: str | None = None,
-        wait_s: float = 0.2,
-        give_up_s: float = 10.0,
+        give_up_s: float = GIVE_UP_S,
         robot: Any = None,
     ) -> None:
+        message_type("Monitoring")
         super().__init__(
-            host,
-            port,
-            COUNTS,
-            JOINTS,
-            peer=peer,
-            wait_s=wait_s,
-            give_up_s=give_up_s,
-            robot=robot,
+            host, port, COUNTS, JOINTS, peer=peer, give_up_s=give_up_s, robot=robot
         )
         self.session = Session.IDLE
         self.quality = Quality.POOR
         self.version = 0
         self.stamp_s = 0.0
-        self._message: Monitoring | None = None  # the latest
-        self._last_without_period: Monitoring | None = None
-        self._period_s: float | None = None  # of such messages
+        self._takes_positions = False  # by the latest message
+        self._stamped: tuple[int, float] | None = None  # number, time of the latest
+        self._period_s: float | None = None  # of messages without one
         self._is_commanding = False  # whether positions are commanded
         self._offset_rad = np.zeros(JOINTS)  # that is added to the program's position
         self._answer_count = 0
         self._unanswered = 0  # messages since the latest answer
 
     def _find_refusal(self) -> str:
-        if self._is_commanding and _takes_commands(self._message):
+        if self._is_commanding and self._takes_positions:
             return ""
         return (
             "the controller's program lets no positions be commanded now, or the "
@@ -112,9 +102,8 @@ class IiwaArm(ControllerLink):
         )
 
     def _lose_controller(self) -> None:
-        """Note that the controller is silent."""
         self.session = Session.IDLE
-        self._last_without_period = None
+        self._stamped = None
         self._period_s = None
         self._end_commanding()
 
@@ -126,53 +115,53 @@ class IiwaArm(ControllerLink):
         self._is_commanding = False
 
     def _process(self, data: bytes) -> ArmReading | None:
-        """Answer a message newer than the latest, and return its reading."""
         message = read_monitoring(data)
         if message is None:
             self.report.malformed += 1
-            self.hint = self.hint or describe_stranger(data)
             return None
 
-        message = self._add_period(message)
-        if message.period_s == 0.0:
-            self.hint = self.hint or "messages have told neither period nor time so far"
+        measured = message.measured
+        stamp_s = measured.time.seconds + NS_TO_S * measured.time.nanoseconds
+        period_s = MS_TO_S * message.connection.period_ms
+        if period_s == 0.0:
+            period_s = self._find_period(message.header.number, stamp_s)
+        if period_s == 0.0:
             return None
 
-        cycles = self._count_cycles(message.header.number, message.period_s)
+        cycles = self._count_cycles(message.header.number, period_s)
         if cycles is None:
             return None
 
-        self._take_state(message)
-        self._answer_message(message)
+        self.stamp_s = stamp_s
+        place_rad = np.array(measured.position_rad.value)
+        self._take_state(message, place_rad)
+        self._answer_message(message, period_s)
         return ArmReading(
-            dt_s=cycles * message.period_s,
-            q_rad=message.position_rad,
+            dt_s=cycles * period_s,
+            q_rad=place_rad,
             dq_rad_s=None,
-            tau_Nm=message.torque_Nm,
-            external_Nm=message.external_Nm,
+            tau_Nm=np.array(measured.torque_Nm.value),
+            external_Nm=np.array(measured.external_Nm.value),
             missed=cycles - 1,
             accepts_commands=self._accepts_commands,
             is_real=True,
         )
 
-    def _add_period(self, message: Monitoring) -> Monitoring:
-        """Return a message with its period, which some controllers do not send.
+    def _find_period(self, number: int, stamp_s: float) -> float:
+        """Return the period of messages that do not say it; 0 before the second one.
 
-        It is then found from the stamps, in whole milliseconds as it is set there; zero
-        before the second message.
+        It is found from the stamps, in whole milliseconds as it is set there.
         """
-        if message.period_s > 0.0:
-            return message
-        last = self._last_without_period
-        self._last_without_period = message
-        if last is not None and self._period_s is None:
-            cycles = (message.header.number - last.header.number) % COUNTS
-            period_ms = round(1e3 * (message.stamp_s - last.stamp_s) / max(cycles, 1))
+        if self._stamped is not None and self._period_s is None:
+            last_number, last_s = self._stamped
+            cycles = max((number - last_number) % COUNTS, 1)
+            period_ms = round((stamp_s - last_s) / MS_TO_S / cycles)
             if 0 < period_ms <= MAX_PERIOD_MS:
-                self._period_s = 1e-3 * period_ms
-        return message._replace(period_s=self._period_s or 0.0)
+                self._period_s = MS_TO_S * period_ms
+        self._stamped = (number, stamp_s)
+        return self._period_s or 0.0
 
-    def _take_state(self, message: Monitoring) -> None:
+    def _take_state(self, message: Any, place_rad: Array) -> None:
         """Take over the state of the interface; begin or end commanding positions.
 
         While the session lasts the place of the arm is kept, whether or not commands
@@ -180,77 +169,55 @@ class IiwaArm(ControllerLink):
         found running, where the arm is.
         """
         has_waited = self.session is Session.COMMANDING_WAIT
-        self._message = message
-        self.session = message.session
-        self.quality = message.quality
-        self.version = 2 if message.commanded_rad is None else 1
-        self.stamp_s = message.stamp_s
-        if message.session is not Session.COMMANDING_ACTIVE:
+        self.session = Session(message.connection.session)
+        self.quality = Quality(message.connection.quality)
+        self.version = 1 if message.measured.HasField("commanded_rad") else 2
+        has_program = message.program.HasField("position_rad")
+        self._takes_positions = (
+            self.session is Session.COMMANDING_ACTIVE
+            and self.quality >= Quality.GOOD
+            and message.program.mode == CommandMode.POSITION
+            and message.robot.safety_stop == 0
+            and has_program
+        )
+        if self.session is not Session.COMMANDING_ACTIVE:
             self._end_commanding()
             return
-        if not self._is_commanding and message.interpolated_rad is not None:
+        if not self._is_commanding and has_program:
             self._is_commanding = True
-            away_rad = message.position_rad - message.interpolated_rad
+            away_rad = place_rad - message.program.position_rad.value
             self._offset_rad = np.zeros(JOINTS) if has_waited else away_rad
-        if self._is_commanding and not _takes_commands(message):
+        if self._is_commanding and not self._takes_positions:
             self._guard.interrupt()
 
-    def _answer_message(self, message: Monitoring) -> None:
+    def _answer_message(self, message: Any, period_s: float) -> None:
         """Send the command of this cycle, when the controller wants one."""
-        position_rad = self._next_position_rad(message)
+        position_rad = self._next_position_rad(message, period_s)
         self._unanswered += 1
-        is_wanted = self._unanswered >= message.answer_cycles
-        if message.session is Session.IDLE or not is_wanted:
+        is_wanted = self._unanswered >= message.connection.answer_cycles
+        if self.session is Session.IDLE or not is_wanted:
             return
 
         self._unanswered = 0
-        header = Header(COMMAND_KIND, self._answer_count, message.header.number)
-        self._answer_count = (self._answer_count + 1) % COUNTS
-        self._send(write_command(PositionCommand(header, position_rad)))
+        number = self._answer_count
+        self._answer_count = (number + 1) % COUNTS
+        self._send(write_command(number, message.header.number, position_rad))
 
-    def _next_position_rad(self, message: Monitoring) -> Array | None:
+    def _next_position_rad(self, message: Any, period_s: float) -> Array | None:
         """Return the position to be commanded, shape (7,); None while nothing is.
 
         Version 1 wants its own position back while it monitors, version 2 none.
         """
-        if self._is_commanding and message.interpolated_rad is not None:
-            self._guard.cycle_s = message.period_s
-            place_rad = message.interpolated_rad + self._offset_rad
-            step_rad = message.period_s * self._guard.advance(place_rad)
-            self._offset_rad = self._offset_rad + step_rad
-
-        if message.session < Session.COMMANDING_WAIT:
-            return message.commanded_rad
-        if message.interpolated_rad is None:
+        if self.session < Session.COMMANDING_WAIT:
+            is_told = message.measured.HasField("commanded_rad")
+            return np.array(message.measured.commanded_rad.value) if is_told else None
+        if not message.program.HasField("position_rad"):
             return None
-        if message.session is Session.COMMANDING_WAIT:
-            return message.interpolated_rad
 
-        return message.interpolated_rad + self._offset_rad
-
-
-def _takes_commands(message: Monitoring | None) -> bool:
-    """Return whether the controller lets positions be commanded now."""
-    return (
-        message is not None
-        and message.session is Session.COMMANDING_ACTIVE
-        and message.quality >= Quality.GOOD
-        and message.command_mode is CommandMode.POSITION
-        and message.safety_stop == 0
-        and message.interpolated_rad is not None
-    )
-
-
-def describe_stranger(data: bytes) -> str:
-    """Return what a datagram seems to be that is no message; empty for nothing."""
-    if fri.read_measurement(data) is not None:
-        return "the sender speaks FRI 1.0, of an LWR 4+: name it fri"
-
-    kind = read_kind(data)
-    if kind is None or kind == MONITORING_KIND:
-        return ""
-
-    return (
-        f"the sender speaks kind 0x{kind:x} of FRI for Sunrise, expected "
-        f"0x{MONITORING_KIND:x}, versions 1 and 2 of an LBR"
-    )
+        program_rad = np.array(message.program.position_rad.value)
+        if self._is_commanding:
+            self._guard.cycle_s = period_s
+            velocity_rad_s = self._guard.advance(program_rad + self._offset_rad)
+            self._offset_rad = self._offset_rad + period_s * velocity_rad_s
+            return program_rad + self._offset_rad
+        return program_rad

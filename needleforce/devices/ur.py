@@ -1,31 +1,36 @@
 """UR e-Series through RTDE, with the client library ur_rtde.
 
-The client is imported when an arm is opened.
+The client is imported when an arm is opened. To move the arm it runs a program of its
+own on the controller, which ends, so that the arm stands, when it hears nothing for
+`1 / WATCHDOG_HZ`.
 """
 
-from collections.abc import Iterator
-from time import sleep
+from contextlib import suppress
 from typing import Any
 
 import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.devices.checked_arm import ArmSignals, CheckedArm
+from needleforce.devices.client_arm import ArmSignals, ClientArm
 from needleforce.devices.datagram_link import LOOPBACK
-from needleforce.devices.errors import DeviceSettingError, LinkError, import_client
-from needleforce.devices.link import ArmReading
-from needleforce.devices.ur_control import (
-    JOINTS,
-    PROGRAM_ENDED,
-    UrControl,
-    describe_controller,
-)
+from needleforce.devices.errors import DeviceSettingError, import_client
+from needleforce.devices.link import GIVE_UP_S, ArmReading
+
+JOINTS = 6
 
 UR_RATE_HZ = 500.0
 
+WATCHDOG_HZ = 10.0
+"""The program on the controller ends when it is heard less often: a loop may pause for
+100 ms."""
 
-class UrArm(CheckedArm):
+ACCELERATION_rad_s2 = 10.0
+"""With which the controller reaches velocities: above that of the guard, whose
+velocities so pass unchanged."""
+
+
+class UrArm(ClientArm):
     """A UR e-Series arm through RTDE; torques are motor currents times a constant.
 
     Without the constants there are currents only: see docs/how-to/your-robot.md for
@@ -39,6 +44,7 @@ class UrArm(CheckedArm):
         torque_constant_Nm_A: Joint torque per motor current, shape (6,); None if it is
             not known.
         rate_hz: How often the arm sends.
+        give_up_s: After so long a silence the arm is lost.
         robot: The model of the arm, kept for those who need both.
 
     Attributes:
@@ -61,103 +67,98 @@ class UrArm(CheckedArm):
         takes_commands: bool = False,
         torque_constant_Nm_A: ArrayLike | None = None,
         rate_hz: float = UR_RATE_HZ,
+        give_up_s: float = GIVE_UP_S,
         robot: Any = None,
     ) -> None:
         if not 0.0 < rate_hz < np.inf:
             raise DeviceSettingError(f"{rate_hz=}: expected a positive number")
-
-        super().__init__(JOINTS, 1.0 / rate_hz, robot)
-        self._guard = self._make_guard(1.0 / rate_hz)
         self._constant_Nm_A: Array | None = None
         if torque_constant_Nm_A is not None:
             constant_Nm_A = np.array(torque_constant_Nm_A, dtype=float)
-            is_shaped = constant_Nm_A.shape == (JOINTS,)
-            if not (is_shaped and (constant_Nm_A > 0.0).all()):
+            if constant_Nm_A.shape != (JOINTS,) or not (constant_Nm_A > 0.0).all():
                 raise DeviceSettingError(
                     f"{torque_constant_Nm_A=}: expected six positive numbers"
                 )
-
             self._constant_Nm_A = constant_Nm_A
 
-        library = import_client("rtde_receive", "ur_rtde")
-        try:
-            # What is asked for through RTDE.
-            ur_signals = ("timestamp", "actual_q", "actual_qd", "actual_current")
-            self._arm: Any = library.RTDEReceiveInterface(
-                host, rate_hz, list(ur_signals)
-            )
-        except RuntimeError as error:
-            software = describe_controller(host)
-            raise LinkError(f"no UR arm at {host}{software}: {error}") from error
-
-        self._control: UrControl | None = None
-        if takes_commands:
-            try:
-                self._control = UrControl(host, rate_hz, self._guard)
-            except Exception:
-                self._arm.disconnect()
-                raise
-
-    def __iter__(self) -> Iterator[ArmReading]:
-        """Yield readings as they come.
-
-        The client keeps only the newest, so some are missed.
-
-        Raises:
-            LinkError: An arm that is commanded has stopped.
-        """
-        while self._is_open and self._arm.isConnected():
-            time_s = self._arm.getTimestamp()
-            if time_s > self._latest_s:
-                signals = self._read_signals(time_s)
-                if signals is not None:
-                    yield from self._readings(signals)
-            else:  # the client holds the newest only: look oftener than it comes
-                # Fraction of a period between two looks for a newer reading.
-                poll_ratio = 0.2
-                sleep(poll_ratio * self._period_s)
-
-        if self._is_open:
-            self.report.outages += 1
-
-    def _read_signals(self, time_s: float) -> ArmSignals | None:
-        """Return the signals of a time; None if a newer package came meanwhile."""
-        # The currents are checked in place of torques, which may not be known.
-        signals = ArmSignals(
-            time_s=time_s,
-            q_rad=np.array(self._arm.getActualQ()),
-            dq_rad_s=np.array(self._arm.getActualQd()),
-            effort=np.array(self._arm.getActualCurrent()),
+        super().__init__(
+            host,
+            JOINTS,
+            1.0 / rate_hz,
+            takes_commands=takes_commands,
+            give_up_s=give_up_s,
+            robot=robot,
         )
-        return signals if self._arm.getTimestamp() == time_s else None
+        self._rate_hz = rate_hz
+        self._receiver: Any = None
+        self._control: Any = None
+        self._stamp_s = -1.0  # of what was read last
+        self._open()
 
-    def _readings(self, signals: ArmSignals) -> Iterator[ArmReading]:
-        """Yield signals as a reading, if they are valid and new."""
-        current_A = signals.effort
-        constant_Nm_A = self._constant_Nm_A
-        tau_Nm = None if constant_Nm_A is None else constant_Nm_A * current_A
+    def _connect(self) -> None:
+        receiving = import_client("rtde_receive", "ur_rtde")
+        # What is asked for through RTDE.
+        signals = ["timestamp", "actual_q", "actual_qd", "actual_current"]
+        self._receiver = receiving.RTDEReceiveInterface(
+            self._host, self._rate_hz, signals
+        )
+        if self.takes_commands:
+            commanding = import_client("rtde_control", "ur_rtde")
+            self._control = commanding.RTDEControlInterface(self._host, self._rate_hz)
+            self._control.setWatchdog(WATCHDOG_HZ)
+
+    def _errors(self) -> tuple[type[Exception], ...]:
+        return (RuntimeError,)
+
+    def _read_client(self) -> ArmSignals | None:
+        receiver = self._receiver
+        if not receiver.isConnected():
+            raise RuntimeError("the connection has ended")
+        stamp_s = receiver.getTimestamp()
+        if stamp_s == self._stamp_s:
+            return None
+        signals = ArmSignals(
+            time_s=stamp_s,
+            q_rad=np.array(receiver.getActualQ()),
+            dq_rad_s=np.array(receiver.getActualQd()),
+            effort=np.array(receiver.getActualCurrent()),
+        )
+        # A newer package may have come meanwhile.
+        if receiver.getTimestamp() != stamp_s:
+            return None
+        self._stamp_s = stamp_s
+        return signals
+
+    def _checked(self, signals: ArmSignals) -> ArmReading | None:
+        reading = super()._checked(signals)
+        if reading is None:
+            return None
+        tau_Nm = None
+        if self._constant_Nm_A is not None:
+            tau_Nm = self._constant_Nm_A * signals.effort
+        return reading._replace(tau_Nm=tau_Nm, current_A=signals.effort)
+
+    def _move(self, velocity_rad_s: Array | None) -> None:
         control = self._control
-        if control is not None and self._is_open:
-            control.pass_cycle(signals.q_rad)
+        if not control.isProgramRunning():
+            raise RuntimeError(
+                "its program has ended, by a protective stop, by its panel, or after "
+                f"{1.0 / WATCHDOG_HZ:g} s without a cycle of this one"
+            )
+        if velocity_rad_s is None:
+            control.kickWatchdog()
+        elif not control.speedJ(
+            velocity_rad_s.tolist(), ACCELERATION_rad_s2, self._period_s
+        ):
+            self._guard.interrupt()  # the arm goes on as it was
 
-        for reading in self._checked(signals):
-            yield reading._replace(tau_Nm=tau_Nm, current_A=current_A)
-
-    def _find_refusal(self) -> str:
-        if self._control is None:
-            return "the arm was opened without takes_commands=True"
-        return "" if self._control.is_running else PROGRAM_ENDED
-
-    def send(self, dq_rad_s: ArrayLike) -> bool:
-        """Command a joint velocity; see `GuardedArm.send`."""
-        if not super().send(dq_rad_s) or self._control is None:
-            return False
-        return self._control.send_once()
-
-    def close(self) -> None:
-        """Brake the arm to rest if it was commanded, end readings and connection."""
-        super().close()
-        if self._control is not None:
-            self._control.stop()
-
-        self._arm.disconnect()
+    def _release(self) -> None:
+        with suppress(RuntimeError):
+            if self._control is not None and self._control.isProgramRunning():
+                self._control.speedStop(ACCELERATION_rad_s2)
+                self._control.stopScript()
+            if self._control is not None:
+                self._control.disconnect()
+        self._control = None
+        if self._receiver is not None:
+            self._receiver.disconnect()

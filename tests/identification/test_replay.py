@@ -1,21 +1,19 @@
-"""A recording through the identifier: what comes out does not depend on how rows
-come."""
+"""A recording through the identifier does not depend on how it is written down."""
 
-from itertools import pairwise
+from functools import cache
 from typing import NamedTuple
 
 import numpy as np
 import pytest
-from hypothesis import given, settings
-from hypothesis import strategies as st
 
 from groundtruth import insert_needle
 from identification import Identifier, replay
-from identification.log_replay import HEAD_ROWS, ReplayStream, SignCheck
+
+RATE_HZ = 250.0
 
 
-class Columns(NamedTuple):
-    """A recording in the order of the arguments of `replay`, each of shape (n,)."""
+class Recording(NamedTuple):
+    """Columns in the order of the arguments of `replay`, each of shape (n,)."""
 
     t_s: np.ndarray
     depth_m: np.ndarray
@@ -23,142 +21,138 @@ class Columns(NamedTuple):
     speed_m_s: np.ndarray
 
 
-@pytest.fixture(scope="module")
-def columns():
-    """An insertion from the end of the free motion until it has left the gel, one
-    depth missing."""
-    run = insert_needle("gel-50-constant", seed=1, rate_hz=100.0)
-    ends_s = run.tare_end_s, run.truth.rupture_s[0] + 3.0
-    rows = slice(*np.searchsorted(run.t_s, ends_s))
-    depth_m = run.depth_m[rows].copy()
-    depth_m[300] = np.nan
-    return Columns(run.t_s[rows], depth_m, run.force_N[rows], run.speed_m_s[rows])
+@cache
+def record():
+    """One gel, from 10 mm in front of it until the needle has left it."""
+    run = insert_needle("gel-25-constant", seed=3, rate_hz=RATE_HZ)
+    begin = np.searchsorted(run.depth_m[run.t_s > run.tare_end_s], -10e-3)
+    begin += np.searchsorted(run.t_s, run.tare_end_s)
+    rows = slice(begin, np.searchsorted(run.t_s, run.truth.rupture_s[0] + 3.0))
+    columns = (run.t_s, run.depth_m, run.force_N, run.speed_m_s)
+    return Recording(*(column[rows] for column in columns))
 
 
-@pytest.fixture(scope="module")
-def results(columns):
-    """What its replay gives, by whether it has the speed."""
-    return {True: replay(*columns), False: replay(*columns[:3])}
+@cache
+def replayed(*, has_speed):
+    return replay(*record()) if has_speed else replay(*record()[:3])
+
+
+def still(recording):
+    """The same with a needle that rests in front of the tissue for a second first."""
+    count = round(RATE_HZ)
+    noise_N = np.random.default_rng(1).normal(0.0, 0.01, count)
+    return Recording(
+        np.arange(count + len(recording.t_s)) / RATE_HZ,
+        np.append(np.full(count, recording.depth_m[0]), recording.depth_m),
+        np.append(noise_N, recording.force_N),
+        np.append(np.zeros(count), recording.speed_m_s),
+    )
+
+
+def cut_approach(recording):
+    """The same from 1 mm in front of the tissue on."""
+    begin = int(np.argmax(recording.depth_m > -1e-3))
+    return Recording(*(column[begin:] for column in recording))
+
+
+CHANGES = {
+    "depth begins 0.2 m in front": lambda r: r._replace(depth_m=r.depth_m - 0.2),
+    "depth begins at 1 m": lambda r: r._replace(depth_m=r.depth_m + 1.0),
+    "time begins at 1.7e9 s": lambda r: r._replace(t_s=r.t_s + 1.7e9),
+    "a still second in front": still,
+    "no approach": cut_approach,
+    "half the rate": lambda r: Recording(*(column[::2] for column in r)),
+    "rows twice": lambda r: Recording(*(np.repeat(column, 2) for column in r)),
+}
 
 
 @pytest.mark.slow
-def test_a_replay_is_a_loop_over_update(columns, results):
-    t_s, depth_m, force_N, speed_m_s = columns
-    result = results[True]
+@pytest.mark.parametrize("has_speed", [False, True])
+@pytest.mark.parametrize("change", CHANGES)
+def test_the_same_insertion_has_the_same_layers(change, has_speed):
+    (layer,) = replayed(has_speed=has_speed).layers
+    changed = CHANGES[change](record())
+    (after,) = replay(*(changed if has_speed else changed[:3])).layers
+    std_N = np.hypot(layer.friction_std_N, after.friction_std_N)
+
+    assert abs(after.friction_N - layer.friction_N) < std_N
+    assert after.thickness_m == pytest.approx(layer.thickness_m, abs=3e-4)
+
+
+def test_a_speed_that_is_measured_changes_no_layer():
+    (estimated,) = replayed(has_speed=False).layers
+    (measured,) = replayed(has_speed=True).layers
+    std_N = np.hypot(estimated.friction_std_N, measured.friction_std_N)
+
+    assert abs(measured.friction_N - estimated.friction_N) < std_N
+
+
+def test_a_replay_is_a_loop_over_update():
+    t_s, depth_m, force_N, speed_m_s = (column.tolist() for column in record())
+    dt_s = [1.0 / RATE_HZ, *np.diff(record().t_s).tolist()]
     identifier = Identifier()
-    usual = float(np.median(np.diff(t_s[:HEAD_ROWS])))
-    dt_s = np.concatenate(([usual], np.diff(t_s))).tolist()
-    columns = (
-        depth_m.tolist(),
-        speed_m_s.tolist(),
-        force_N.tolist(),
-        dt_s,
-        t_s.tolist(),
+    result = replayed(has_speed=True)
+    rows = zip(depth_m, speed_m_s, force_N, dt_s, t_s, strict=True)
+    looped = [identifier.update(*row) for row in rows]
+
+    assert [e.tip_force_N for e in result.estimates] == pytest.approx(
+        [e.tip_force_N for e in looped], abs=1e-9
     )
-    rows = zip(*columns, strict=True)
-
-    assert list(result.estimates) == [identifier.update(*row) for row in rows]
-    assert result.layers == identifier.layers
+    assert len(result.layers) == len(identifier.layers) == 1
 
 
-@pytest.mark.slow
-@settings(max_examples=2)
-@given(st.lists(st.integers(HEAD_ROWS, 3000), max_size=6), st.booleans())
-def test_pieces_give_what_the_whole_gives(columns, results, cuts, has_speed):
-    t_s, depth_m, force_N, speed_m_s = columns
-    whole = results[has_speed]
-    stream = ReplayStream()
-    dt_s = np.diff(t_s, prepend=t_s[0])
-    edges = [0, *sorted(set(cuts)), len(t_s)]  # the first piece is the head at least
-    runs = [
-        stream.run(
-            t_s[p], dt_s[p], depth_m[p], force_N[p], speed_m_s[p] if has_speed else None
-        )
-        for p in (slice(a, b) for a, b in pairwise(edges) if b > a)
-    ]
-
-    assert [e for estimates in runs for e in estimates] == list(whole.estimates)
-    assert stream.layers == whole.layers
-    assert stream.hints == whole.hints
-
-
-def test_a_mostly_still_clock_has_a_usual_step():
-    t_s = np.repeat(np.arange(100) / 100, 3)
-    result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
-
-    assert sum(estimate.status.is_used for estimate in result.estimates) == 100
-    assert (
-        "longer than 0.25 s: 1;"
-        in replay(t_s + 1e9 * (t_s > 0.5), t_s, t_s).hints[-1].text
-    )
-
-
-def test_wrong_speed_sign_and_still_depth_get_hints(columns):
-    _, depth_m, force_N, speed_m_s = columns
-    for depth, speed, words, advice in (
-        (
-            depth_m,
-            np.append(np.inf, -speed_m_s[1:]),
-            "speed has the sign opposite",
-            "Negate `speed_m_s` or `depth_m`, or leave the speed out.",
-        ),
-        (
-            0.0 * depth_m,
-            speed_m_s,
-            "there is nothing to identify",
-            "Give `depth_m` in metres, of a recording that has an insertion.",
-        ),
-    ):
-        check = SignCheck()
-        check.add_rows(depth, speed, force_N)
-        assert words in check.hints()[-1].text
-        assert check.hints()[-1].advice == advice
-
-
-@pytest.mark.slow
-def test_repeated_rows_change_no_layer(columns, results):
-    t_s, depth_m, force_N, _ = columns
-    once = results[False]
-    twice = replay(*(np.repeat(column, 2) for column in (t_s, depth_m, force_N)))
-
-    assert twice.layers == once.layers
-
-
-@pytest.mark.slow
-@pytest.mark.parametrize("has_speed", [True, False])
-def test_late_rows_and_clock_steps_hide_no_event(columns, results, has_speed):
-    t_s, depth_m, force_N, speed_m_s = columns
+def test_late_rows_and_a_clock_set_back_hide_no_event():
+    t_s, *signals = record()
     late_s = t_s.copy()
-    back_s = t_s.copy()
     late_s[400 :: len(t_s) // 30] -= 0.05
-    back_s[int(np.nanargmax(depth_m > 0.004)) :] -= 20.0
-    signals = (depth_m, force_N, speed_m_s if has_speed else None)
-    clean = results[has_speed]
+    back_s = t_s.copy()
+    back_s[np.argmax(record().depth_m > 0.004) :] -= 20.0
     late = replay(late_s, *signals)
     set_back = replay(back_s, *signals, dt_s=np.diff(back_s, prepend=-np.inf))
-    rejected = [k for k, e in enumerate(set_back.estimates) if not e.status.is_used]
+    rupture_s = replayed(has_speed=True).layers[0].rupture.time_s
 
-    assert len([k for k in rejected if k != 300]) <= 12
-
-    rupture_s = clean.layers[0].rupture.time_s
-
+    assert sum(not e.status.is_used for e in set_back.estimates) <= 12
     assert late.layers[0].rupture.time_s == pytest.approx(rupture_s, abs=0.02)
-
-    # The step in which it was set is not known.
     # Events are on the clock of the log, which stands 20 s earlier by then.
     back_rupture_s = set_back.layers[0].rupture.time_s
-
     assert back_rupture_s == pytest.approx(rupture_s - 20.0, abs=0.03)
-    assert len(clean.layers) == len(late.layers) == len(set_back.layers) == 1
+    assert len(late.layers) == len(set_back.layers) == 1
 
 
-@pytest.mark.slow
-def test_a_bad_stamp_spoils_its_own_row_only(columns):
-    t_s, depth_m, force_N, speed_m_s = columns
+def test_a_bad_stamp_or_depth_spoils_its_own_row_only():
+    t_s, depth_m, *others = record()
     t_s = t_s.copy()
-    t_s[[0, 500, 501, 502, 503, 800]] = np.nan
-    result = replay(t_s, depth_m, force_N, speed_m_s)
+    t_s[[0, 500, 501, 800]] = np.nan
+    depth_m = depth_m.copy()
+    depth_m[300] = np.nan
+    result = replay(t_s, depth_m, *others)
     rejected = [k for k, e in enumerate(result.estimates) if not e.status.is_used]
 
-    assert rejected == [0, 300, 500, 501, 502, 503, 800]
+    assert rejected == [0, 300, 500, 501, 800]
     assert len(result.layers) == 1
+
+
+def test_a_mostly_still_clock_has_a_usual_step_and_a_gap_is_counted():
+    t_s = np.repeat(np.arange(100) / 100, 3)
+    result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
+    jumped = replay(t_s + 1e9 * (t_s > 0.5), t_s, t_s)
+
+    assert sum(estimate.status.is_used for estimate in result.estimates) == 100
+    assert any("gaps" in hint.text for hint in jumped.hints)
+
+
+@pytest.mark.parametrize(
+    ("change", "word"),
+    [
+        (lambda r: r._replace(speed_m_s=-r.speed_m_s), "speed"),
+        (lambda r: r._replace(depth_m=0.0 * r.depth_m), "nothing"),
+        (lambda r: r._replace(force_N=-r.force_N), "negative"),
+        (lambda r: r._replace(depth_m=-r.depth_m, speed_m_s=-r.speed_m_s), "falls"),
+        (lambda r: r._replace(depth_m=1e3 * r.depth_m), "millimetres"),
+    ],
+)
+def test_wrong_signs_and_units_get_a_hint(change, word):
+    hints = replay(*change(record())).hints
+
+    assert any(word in hint.text for hint in hints)
+    assert replayed(has_speed=True).hints == ()

@@ -8,7 +8,7 @@ import pytest
 
 from foundation.records import as_record, from_record
 from identification import Identifier, SampleStatus
-from identification.config import CheckConfig, MixtureConfig
+from identification.config import CheckConfig
 from identification.mixture.speed_filter import FIRST_SPEED_FILTER, filter_speed
 from identification.travel_filter import (
     DEPTH,
@@ -194,18 +194,6 @@ def test_after_a_gap_it_starts_anew():
         assert np.abs(travel.depth_m - depth_m).max() < 1e-4
         later = (t_s > 4.1) & (t_s < 5.0)
         assert np.abs(travel.speed_m_s[later] - 4e-3).max() < 1e-4
-
-
-@pytest.mark.parametrize(("gap_s", "restarts"), [(0.25, True), (1.0, False)])
-def test_the_configured_gap_is_that_of_the_filter(gap_s, restarts):
-    identifier = Identifier(MixtureConfig(check=CheckConfig(gap_s=gap_s)))
-    for k in range(2000):
-        identifier.update(3e-6 * k, None, 0.0, 1e-3)
-    estimate = identifier.update(7.5e-3, None, 0.0, 0.5)
-    speed_m_s = identifier.snapshot().travel.speed_m_s
-
-    assert estimate.status is (SampleStatus.TIME_GAP if restarts else SampleStatus.OK)
-    assert speed_m_s == (0.0 if restarts else pytest.approx(3e-3, rel=0.01))
 
 
 @pytest.mark.slow

@@ -8,15 +8,14 @@ from types import SimpleNamespace
 
 import pytest
 
-RECORDER = "needleforce.recorder"
 EMULATOR = "needleforce.devices.emulators.process"
-IMPORTED = [RECORDER, "needleforce.devices.emulators", "needleforce.cli"]
+IMPORTED = ["needleforce.devices.emulators", "needleforce.cli"]
 ROOT = Path(__file__).parents[2]
 
 
 @pytest.fixture(autouse=True, scope="session")
 def forked_processes():
-    """Writers of recordings and emulators are forked from a process that has imported
+    """Emulators are forked from a process that has imported
     what they need.
 
     "spawn" has each import all again: a second of processor time. Programs that tests
@@ -32,6 +31,5 @@ def forked_processes():
 
     quick = SimpleNamespace(get_context=get_context)
     with pytest.MonkeyPatch.context() as patch:
-        for module in (RECORDER, EMULATOR):
-            patch.setattr(f"{module}.multiprocessing", quick)
+        patch.setattr(f"{EMULATOR}.multiprocessing", quick)
         yield

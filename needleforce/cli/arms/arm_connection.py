@@ -1,7 +1,7 @@
 """The arm that a user names, its model, and its samples until Ctrl-C."""
 
 import signal
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
@@ -14,7 +14,6 @@ from groundtruth.rig_arm import SimulatedArm
 from needleforce.cli.robot import LWR, robot_from_options, robot_from_text
 from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
 from needleforce.cli.terminal import (
-    CHECK_ARM,
     OTHER_ROBOT,
     CommandError,
     progress_bar,
@@ -31,8 +30,9 @@ from needleforce.devices import (
     pace,
     parse_arm_name,
 )
-from needleforce.devices.datagram_link import LOOPBACK, DatagramLink
+from needleforce.devices.datagram_link import DatagramLink
 from needleforce.devices.guard import GuardedArm
+from needleforce.devices.link import SILENCE_S
 from urdf import Robot
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
@@ -52,6 +52,12 @@ NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
     "docs/how-to/your-robot.md has those of one arm, and its friction"
 )
+
+
+def say_silence(silent_s: float, what: str = "") -> None:
+    """Say on stderr that nothing comes: when it begins, and once a second."""
+    if silent_s % 1.0 < SILENCE_S or silent_s < 2.0 * SILENCE_S:
+        say(f"{what}silent {silent_s:.1f} s")
 
 
 class ConnectedArm(NamedTuple):
@@ -187,7 +193,8 @@ def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
 
 def _robot_of_fr3(host: str, options: RobotOptions) -> Robot:
     """Return the robot that an FR3 describes itself as."""
-    text = Fr3Arm.read_urdf(host)
+    with Fr3Arm(host) as arm:
+        text = arm.client.model_urdf
     known = (name for name in FR3_FLANGES if f'name="{name}"' in text)
     flange = options.tool_frame or next(known, None)
     say(
@@ -219,9 +226,13 @@ def limits_of(connected: ConnectedArm) -> Limits:
 
 
 def samples_until_stopped(
-    arm: Any, options: ArmOptions, *, is_paced: bool = True
+    arm: Any,
+    options: ArmOptions,
+    *,
+    is_paced: bool = True,
+    show_silence: Callable[[float], None] = say_silence,
 ) -> Iterator[ArmReading]:
-    """Yield samples until the time is over, the arm stays away, or a signal ends it.
+    """Yield samples until the time is over or a signal ends it.
 
     Signals are Ctrl-C, SIGTERM and SIGHUP.
 
@@ -229,9 +240,11 @@ def samples_until_stopped(
         arm: A connection of `needleforce.devices`.
         options: For how long it is listened to.
         is_paced: A simulated arm sends in real time, else as fast as it can.
+        show_silence: Called every 0.1 s of a silence with its length [s].
 
     Raises:
-        CommandError: The time is not positive.
+        CommandError: The time is not positive, or nothing came until then.
+        LinkError: The arm is lost.
     """
     if not options.seconds > 0.0:
         raise CommandError(f"--seconds {options.seconds}: expected a positive time")
@@ -242,6 +255,7 @@ def samples_until_stopped(
         for number in (signal.SIGTERM, signal.SIGHUP)
         if signal.getsignal(number) != signal.SIG_IGN
     ]
+    arm.on_silence = show_silence
     passed_s = 0.0
     with stop_request(*signals, then=arm.end) as is_asked:
         for sample in pace(arm) if is_paced and isinstance(arm, ReplayArm) else arm:
@@ -251,26 +265,8 @@ def samples_until_stopped(
             yield sample
             if passed_s >= options.seconds or is_asked():
                 return
-
-
-def require_samples(arm_name: str, arm: Any) -> None:
-    """Raise `CommandError` if nothing came from an arm."""
-    if arm.report.used:
-        return
-    message = f"no sample came from {arm_name} ({arm.report}), expected one per cycle"
-    if isinstance(arm, DatagramLink):
-        host, port = arm.address
-        message += f"; it listened on {host}, port {port}"
-        if host == LOOPBACK:
-            kind = parse_arm_name(arm_name).kind
-            message += (
-                ", which only programs of this machine reach: name the address that "
-                f"the controller sends to, as {kind}:LOCAL_ADDRESS:{port}"
-            )
-    hint = getattr(arm, "hint", "")
-    if hint:
-        message += f"; {hint}"
-    raise CommandError(message, CHECK_ARM)
+    if not passed_s:
+        raise CommandError(f"no sample came ({arm.report}), expected one per cycle")
 
 
 def _say_sender(arm: Any) -> None:

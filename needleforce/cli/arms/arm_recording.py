@@ -8,11 +8,11 @@ from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ROBOTS,
     open_arm,
-    require_samples,
     samples_until_stopped,
 )
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import say
+from needleforce.devices import LinkError
 from needleforce.devices.datagram_link import DatagramLink
 from needleforce.recorder import Recorder
 from needleforce.recordings.output import check_writable
@@ -52,11 +52,18 @@ def record_signals(
         ) as recorder,
     ):
         if isinstance(arm, DatagramLink):
-            arm.drop_waiting()  # what came while the writer got ready
-        for sample in samples_until_stopped(arm, options):
-            recorder.put(sample)
-            has_torque = sample.tau_Nm is not None
-    require_samples(arm_name, arm)
+            arm.drop_waiting()  # what came while the command got ready
+        try:
+            for sample in samples_until_stopped(arm, options):
+                recorder.put(sample)
+                has_torque = sample.tau_Nm is not None
+        except LinkError as error:
+            if not recorder.rows:
+                raise
+            raise error.reworded(
+                f"{error}; {output} ends with the last sample, at "
+                f"{recorder.time_s:.3f} s"
+            ) from error
     say(f"{recorder.rows} samples, {recorder.time_s:.3f} s in {output}; {arm.report}")
     if not has_torque:
         say(f"warning: {output} holds no joint torques: {NO_TORQUES}")

@@ -5,6 +5,7 @@ import time
 from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import replace
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,8 +14,8 @@ from needleforce.anatomy.plan_match import OFF_PLAN_LAYER
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ROBOTS,
-    require_samples,
     samples_until_stopped,
+    say_silence,
 )
 from needleforce.cli.arms.arm_stroke import TareOptions, open_tared_arm
 from needleforce.cli.auto_tare import auto_tare
@@ -29,7 +30,7 @@ from needleforce.cli.terminal import (
 )
 from needleforce.depth_zero import DepthZero, find_depth_zero
 from needleforce.devices import NetFT
-from needleforce.devices.rdt_status import describe_status
+from needleforce.devices.rdt import describe_status
 from needleforce.insertion_events import describe_hard_contact
 from needleforce.needle_on_plan import describe_clearances, describe_deviation
 from needleforce.plan_file import LoadedPlan
@@ -64,6 +65,7 @@ class Display:
         self._panel = panel
         self._next_s = 0.0
         self._events: list[str] = []
+        self._values: list[str] = []
 
     def update(self, estimate: SessionEstimate) -> None:
         """Show events at once, and all the rest when it is time."""
@@ -75,16 +77,23 @@ class Display:
                 write_out(f"{event}\n")
         if estimate.time_s < self._next_s:
             return
-        values = self._describe_values(estimate)
+        self._values = self._describe_values(estimate)
         if self._panel is None:
             self._next_s = estimate.time_s + line_s
-            write_out("  ".join(values) + "\n")
+            write_out("  ".join(self._values) + "\n")
         else:
             self._next_s = estimate.time_s + PANEL_S
-            lines = [*values, *self._events[-shown_events:]]
-            lines += [str(estimate.warnings or ""), estimate.wrench.message]
-            lines += [f"link: {self._arm.report}"]
-            self._panel.update("\n".join(lines))
+            self._values += self._events[-shown_events:]
+            self._values += [str(estimate.warnings or ""), estimate.wrench.message]
+            self._panel.update("\n".join([*self._values, f"link: {self._arm.report}"]))
+
+    def show_silence(self, silent_s: float) -> None:
+        """Show how long nothing has come, in place of a status that has gone stale."""
+        if self._panel is None:
+            say_silence(silent_s)
+        else:
+            lines = [f"silent {silent_s:.1f} s", *self._values[1:]]
+            self._panel.update("\n".join([*lines, f"link: {self._arm.report}"]))
 
     def _describe_values(self, estimate: SessionEstimate) -> list[str]:
         """Return time, forces, depth and plan in words."""
@@ -181,6 +190,7 @@ class ReferenceSensor(NamedTuple):
     def opened(self) -> Iterator[ReferenceForce]:
         """Open the connection; its report is printed when it is closed."""
         with NetFT(self.address) as sensor:
+            sensor.on_silence = partial(say_silence, what="reference: ")
             yield ReferenceForce(sensor, self.axis)
             faults = f"; {describe_status(sensor.faults)}" if sensor.faults else ""
             say(f"reference: {sensor.report}{faults}")
@@ -305,7 +315,8 @@ def watch_arm(
         if plan is not None:
             plan.follow_with(session)
         display = Display(arm, reference, panel)
-        for sample in samples_until_stopped(arm, options):
+        samples = samples_until_stopped(arm, options, show_silence=display.show_silence)
+        for sample in samples:
             if sample.tau_Nm is None:
                 raise CommandError(f"{arm_name}: {NO_TORQUES}", CHECK_ARM)
             estimate = session.update(
@@ -318,7 +329,6 @@ def watch_arm(
             display.update(estimate)
             if page is not None:
                 page.put(estimate, sample.q_rad)
-    require_samples(arm_name, arm)
     if reference is not None:
         say(
             f"{describe_reference(reference)} of {reference.count} ticks since the tare"

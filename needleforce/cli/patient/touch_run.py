@@ -17,7 +17,6 @@ from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ConnectedArm,
     open_arm,
-    require_samples,
     samples_until_stopped,
 )
 from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
@@ -34,6 +33,7 @@ from needleforce.cli.terminal import (
     progress_bar,
     say,
 )
+from needleforce.devices import LinkError
 from needleforce.recordings.output import require_place
 from needleforce.simulation.patient import touch_patient
 from residual import VirtualForceSensor
@@ -133,15 +133,18 @@ def record_touches(
     require_place(output)
     names = () if landmarks is None else read_markup(landmarks).names
     touched = TouchList(names, count)
+    lost: LinkError | None = None
     with _open_touching_arm(arm_name, robot, options, landmarks) as (arm, model):
         say(touched.begin())
-        for touch in _touches(arm, model, options, contact_N):
-            say(touched.add(touch) if touch is not None else touched.remove_last())
-            if touched.is_full:
-                break
-    require_samples(arm_name, arm)
+        try:
+            for touch in _touches(arm, model, options, contact_N):
+                say(touched.add(touch) if touch is not None else touched.remove_last())
+                if touched.is_full:
+                    break
+        except LinkError as error:
+            lost = error
     file = touched.file()
-    if not file.landmarks and not file.touches_m:
+    if lost is None and not file.landmarks and not file.touches_m:
         raise CommandError(
             f"nothing was touched: the force never rose by {contact_N:g} N while the "
             "tip rested for a second",
@@ -152,6 +155,8 @@ def record_touches(
         f"{len(file.landmarks)} of {len(names)} landmarks and {len(file.touches_m)} "
         f"touches of the skin in {output}"
     )
+    if lost is not None:
+        raise lost
     return 0
 
 

@@ -5,8 +5,7 @@
 
 They speak the devices' own protocols in real time, over a wire that breaks on demand.
 
-Reading order: `process` (of an emulator), `wire`, `arm_controller` (the cycle of an
-arm), `fri`, `sunrise`, `rdt`, `haply`.
+Reading order: `process` (of an emulator), `wire`, `fri`, `rdt`.
 """
 
 from needleforce.devices.emulators.fri import (
@@ -15,18 +14,11 @@ from needleforce.devices.emulators.fri import (
 from needleforce.devices.emulators.fri import (
     emulate_fri as emulate_fri,
 )
-from needleforce.devices.emulators.haply import emulate_haply as emulate_haply
 from needleforce.devices.emulators.process import Emulator as Emulator
 from needleforce.devices.emulators.rdt import (
     RdtSettings as RdtSettings,
 )
 from needleforce.devices.emulators.rdt import (
     emulate_rdt as emulate_rdt,
-)
-from needleforce.devices.emulators.sunrise import (
-    SunriseSettings as SunriseSettings,
-)
-from needleforce.devices.emulators.sunrise import (
-    emulate_sunrise as emulate_sunrise,
 )
 from needleforce.devices.emulators.wire import WireFaults as WireFaults

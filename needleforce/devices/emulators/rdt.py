@@ -11,7 +11,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.devices import rdt
-from needleforce.devices.datagram_link import LOOPBACK, Datagram
+from needleforce.devices.datagram_link import LOOPBACK, Endpoint
 from needleforce.devices.emulators.wire import FaultyWire, WireFaults
 
 DEFAULT_SCALE = rdt.Scale(per_N=1e6, per_Nm=1e6)
@@ -49,8 +49,8 @@ def emulate_rdt(pipe: Connection, settings: RdtSettings) -> dict[str, Any]:
     while not pipe.poll():
         box.send_due_records()
         # It listens for requests for a millisecond before it sends what is due.
-        for datagram in box.wire.received(time.monotonic() + 1e-3):
-            box.take_request(datagram)
+        for data, sender in box.wire.received(time.monotonic() + 1e-3):
+            box.take_request(data, sender)
 
     return {"records": box.record_count, "sent": box.wire.sent}
 
@@ -87,12 +87,12 @@ class _Box:
             self.wire.put(records.tobytes(), self.record_count / rate_hz)
             self.record_count += size
 
-    def take_request(self, datagram: Datagram) -> None:
+    def take_request(self, data: bytes, sender: Endpoint) -> None:
         """Do what a request asks for; other datagrams are none."""
-        if len(datagram.data) != rdt.REQUEST.size:
+        if len(data) != rdt.REQUEST.size:
             return
 
-        mark, command, _ = rdt.REQUEST.unpack(datagram.data)
+        mark, command, _ = rdt.REQUEST.unpack(data)
         if mark != rdt.REQUEST_MARK:
             return
 
@@ -102,7 +102,7 @@ class _Box:
             self.wire.peer = None
         elif self.wire.peer is None:
             is_buffered = command == rdt.RdtCommand.BUFFERED
-            self.wire.peer = datagram.sender
+            self.wire.peer = sender
             self._records_per_datagram = self._settings.records if is_buffered else 1
             sent_s = self.record_count / self._settings.rate_hz
             self._begin_s = time.monotonic() - sent_s

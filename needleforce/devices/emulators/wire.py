@@ -12,12 +12,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from needleforce.devices.datagram_link import (
-    LOOPBACK,
-    Datagram,
-    DatagramLink,
-    Endpoint,
-)
+from needleforce.devices.datagram_link import LOOPBACK, DatagramLink, Endpoint
 
 Window = tuple[float, float]
 """A span of time: its start and end [s] since the first packet."""
@@ -74,8 +69,8 @@ class FaultyWire(DatagramLink):
         self.sent = 0
         self._socket.setblocking(False)
 
-    def received(self, end_s: float) -> Iterator[Datagram]:
-        """Yield datagrams that come before a time, from anywhere."""
+    def received(self, end_s: float) -> Iterator[tuple[bytes, Endpoint]]:
+        """Yield datagrams, each with its sender, that come before a time."""
         # `select` waits for microseconds, a socket's own timeout for whole
         # milliseconds.
         while (wait_s := end_s - time.monotonic()) > 0.0:
@@ -83,7 +78,7 @@ class FaultyWire(DatagramLink):
                 with suppress(ConnectionError, BlockingIOError):  # nobody listens yet
                     # No request to a device is longer than 2048 bytes.
                     data, sender = self._socket.recvfrom(2048)
-                    yield Datagram(data, Endpoint(*sender))
+                    yield data, Endpoint(*sender)
 
     def put(self, data: bytes, t_s: float) -> bool:
         """Send a packet, or break it.

@@ -17,7 +17,7 @@ from needleforce.anatomy import Layer, PlanMatch
 from needleforce.anatomy.plan_match import OUTSIDE
 from needleforce.cli import main
 from needleforce.cli.arms import arm_connection, arm_watch
-from needleforce.devices.link import ReadOnlyArm
+from needleforce.devices.link import Link
 from needleforce.plan_follower import PlanFollower
 from tests.insertion_run import (
     following,
@@ -239,7 +239,7 @@ def test_an_arm_is_watched_with_a_plan(arm, tmp_path, capsys):
 
 
 def test_a_force_sensor_stands_beside_the_estimate(arm, monkeypatch, capsys):
-    class Sensor(ReadOnlyArm):
+    class Sensor(Link):
         def __init__(self, host):
             assert host == "127.0.0.9"
             super().__init__()

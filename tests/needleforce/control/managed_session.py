@@ -5,13 +5,11 @@ import numpy as np
 from groundtruth.rig_arm import ArmSample
 from identification import SampleStatus
 from needleforce import InsertionSession
-from needleforce.control.manager import Manager
-from needleforce.control.monitors import Beside, SafetyLimits
+from needleforce.control import Beside, Manager, SafetyLimits
 from residual import SensorConfig, SensorWarning, Status, TareError
 from urdf import load_lwr
 
 ROBOT = load_lwr()
-NOTHING = Beside()
 LIMITS = SafetyLimits(axial_N=2.0)
 FIRST = InsertionSession(ROBOT).update(np.zeros(7), np.zeros(7), np.zeros(7), 1e-3)
 
@@ -55,7 +53,8 @@ class Sensor:
         **wrench,
     ):
         estimate = self.estimate
-        wrench = {"warnings": SensorWarning.NONE, "message": ""} | wrench
+        usual = {"warnings": SensorWarning.NONE, "message": ""}
+        wrench = usual | {"axial": 0.0, "lateral": 0.0} | wrench
         self.estimate = estimate._replace(
             wrench=estimate.wrench._replace(status=status, **wrench),
             status=status,
@@ -75,13 +74,21 @@ def new_manager(limits=LIMITS, log=None):
     return Manager(sensor, limits, log=log), sensor
 
 
-def run(manager, seconds=1e-3, beside=NOTHING, dt_s=1e-3):
+def run(manager, seconds=1e-3, beside=None, dt_s=1e-3, q_rad=None, is_alive=True):
+    """Update for some time, with a heartbeat unless the program is dead."""
+    q_rad = np.zeros(7) if q_rad is None else q_rad
     for _ in range(round(seconds / 1e-3)):
-        manager.heartbeat()
-        situation = manager.update(
-            ArmSample(dt_s, np.zeros(7), np.zeros(7), np.zeros(7)), beside
-        )
+        if is_alive:
+            manager.heartbeat()
+        sample = ArmSample(dt_s, q_rad, np.zeros(7), np.zeros(7))
+        situation = manager.update(sample, beside or Beside())
     return situation
+
+
+def go_to(manager, sensor, depth_m, in_contact=False):
+    """Let the needle be there, in tissue or not."""
+    sensor.reads(depth_m=depth_m, in_contact=in_contact)
+    return run(manager)
 
 
 def inserting(**kwargs):

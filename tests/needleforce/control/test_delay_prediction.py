@@ -1,20 +1,11 @@
 """Positions predicted over the delay of an arm."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
-from needleforce.control import (
-    Controller,
-    Limits,
-    Posture,
-    RemoteCentre,
-    SettingError,
-    TipVelocity,
-)
+from needleforce.control import Controller, Limits, SettingError
 from needleforce.control.delay_prediction import DelayPrediction
-from needleforce.control.tasks import ToolState
+from tests.needleforce.control.late_arm import LateArm, turn_about_entry
 from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
@@ -29,7 +20,6 @@ def test_the_prediction_is_where_a_late_arm_gets_to(cycles_late):
     prediction = DelayPrediction(2, cycles_late * CYCLE_s)
     commanded_rad = [np.zeros(2)]  # at every cycle, if nothing were late
     velocity = np.zeros(2)
-    cycles = np.arange(1)
     for _ in range(200):
         held = int(rng.integers(1, 5))
         for _ in range(held):
@@ -51,70 +41,47 @@ def test_the_prediction_is_where_a_late_arm_gets_to(cycles_late):
     assert not prediction.find_motion_ahead().any()
 
 
-def test_commands_are_remembered_while_nobody_asks():
-    """As while the measured positions are not finite."""
-    prediction = DelayPrediction(1, 3.0 * CYCLE_s)
-    for cycle in range(1000):
-        prediction.note_command(np.array([float(cycle)]), CYCLE_s)
-
-    ahead_rad = prediction.find_motion_ahead()
-
-    assert ahead_rad == pytest.approx((997.0 + 998.0 + 999.0) * CYCLE_s)
-
-
-def test_a_long_pause_leaves_the_last_command_only():
+@pytest.mark.parametrize("dt_s", [1e300, np.nan, np.inf, -1.0])
+def test_of_a_pause_the_last_command_counts_only(dt_s):
     prediction = DelayPrediction(1, 0.01)
-    prediction.note_command(np.array([0.2]), 1e300)
+    prediction.note_command(np.array([0.5]), 0.01)
+    prediction.note_command(np.array([0.2]), dt_s)
 
-    assert prediction.find_motion_ahead() == pytest.approx(0.002)
+    ahead_rad = 0.2 * 0.01 if dt_s == 1e300 else 0.5 * 0.01
+
+    assert prediction.find_motion_ahead() == pytest.approx(ahead_rad)
 
 
-def turn_about_entry(delay_s, delay_cycles, gain_per_s=30.0):
-    """Tilt the needle in 0.5 s about an entry 10 mm behind its tip; return the error
-    of its axis [m] and its tilt [rad], of every cycle."""
+def turn(delay_s, late_cycles):
+    """Tilt the needle by 0.35 rad in 0.5 s about an entry 10 mm behind its tip."""
     limits = Limits.of_arm(ROBOT, "lwr", speed_rad_s=10.0, tip_m_s=None)
-    control = Controller(ROBOT, limits, delay_s=delay_s)
-    truth = ToolState(ROBOT)
-    q_rad = HOME_rad.copy()
-    truth.update(q_rad)
-    axes = truth.rotation
-    entry_m = truth.tip_m - 0.01 * truth.axis
-    tip = TipVelocity((0.0, 0.0, 0.0), truth.tip_m, gain_per_s=10.0)
-    tasks = [RemoteCentre(entry_m, gain_per_s), tip, Posture(HOME_rad)]
-    waiting = [np.zeros(7)] * delay_cycles
-    errors_m = []
-    tilts_rad = []
-    for k in range(1500):
-        tilt_rad = 0.35 * min(k / 500, 1.0)
-        tip.goal_m = entry_m + 0.01 * axes @ (np.sin(tilt_rad), 0.0, np.cos(tilt_rad))
-        sample = SimpleNamespace(q_rad=q_rad, dt_s=CYCLE_s)
-        waiting.append(control.update(sample, tasks).dq_rad_s)
-        q_rad = q_rad + CYCLE_s * waiting.pop(0)
-        truth.update(q_rad)
-        errors_m.append(np.linalg.norm(np.cross(truth.axis, entry_m - truth.tip_m)))
-        tilts_rad.append(np.arccos(min(truth.axis @ axes[:, 2], 1.0)))
-    return np.array(errors_m), np.array(tilts_rad)
+    return turn_about_entry(
+        Controller(ROBOT, limits, delay_s=delay_s),
+        LateArm(ROBOT, HOME_rad, late_cycles),
+        lambda k: (0.35 * min(k / 500, 1.0), 0.0),
+        cycles=1500,
+        depth_m=0.01,
+    )
 
 
-@pytest.mark.slow
 def test_a_known_delay_costs_the_entry_nothing():
-    late_m, _ = turn_about_entry(None, 20)
-    predicted_m, tilts_rad = turn_about_entry(0.02, 20)
+    predicted = turn(0.02, 20)
 
-    assert predicted_m.max() < 0.25 * late_m.max()
+    assert predicted.errors_m.max() < 0.25 * turn(None, 20).errors_m.max()
     # So close behind its tip a needle turns slower than asked: joints have far to go.
-    assert 0.2 < tilts_rad[-1] < 0.4
+    assert 0.2 < predicted.tilts_rad[-1] < 0.4
 
 
 @pytest.mark.parametrize("delay_s", [None, 0.02])
 def test_a_wrong_delay_does_not_swing(delay_s):
     """The arm is 10 ms late."""
-    errors_m, tilts_rad = turn_about_entry(delay_s, 10)
+    turned = turn(delay_s, 10)
 
-    assert errors_m[-300:].max() < 5e-6
-    assert (np.diff(tilts_rad[-300:]) > -1e-6).all()  # it only comes nearer
+    assert turned.errors_m[-300:].max() < 5e-6
+    assert (np.diff(turned.tilts_rad[-300:]) > -1e-6).all()  # it only comes nearer
 
 
-def test_a_delay_in_milliseconds_is_refused():
-    with pytest.raises(SettingError, match=r"delay_s is 10, expected at most 0\.3"):
-        Controller(ROBOT, Limits(ROBOT), delay_s=10)
+@pytest.mark.parametrize("delay_s", [10, -1e-3, np.nan, "x"])
+def test_a_delay_that_is_none_is_refused(delay_s):
+    with pytest.raises(SettingError, match="delay_s"):
+        Controller(ROBOT, Limits(ROBOT), delay_s=delay_s)

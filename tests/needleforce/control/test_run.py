@@ -1,7 +1,5 @@
 """The loop that moves an arm: it rests in the end, and knows what was refused."""
 
-from types import SimpleNamespace
-
 import numpy as np
 import pytest
 
@@ -14,48 +12,45 @@ from needleforce.control import (
     run,
 )
 from needleforce.devices import MasterReading
+from tests.needleforce.control.late_arm import LateArm
 from tests.needleforce.control.managed_session import new_manager
 from urdf import NeedleTool, load_lwr
 
-HOME_rad = np.array([0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0])
+HOME_rad = [0.0, 0.5, 0.0, -1.5, 0.0, 1.0, 0.0]
 DOWN = [TipVelocity((0.0, 0.0, -0.05))]
 
 
-class PlainArm:
-    """An arm that integrates what it is sent, and refuses some cycles."""
+class PlainArm(LateArm):
+    """An arm that refuses some cycles."""
 
     def __init__(self, refused=(), is_real=False):
-        self.is_real = is_real
         self.robot = load_lwr(payload=NeedleTool())
-        self.q_rad = HOME_rad.copy()
+        super().__init__(self.robot, HOME_rad)
+        self.is_real = is_real
         self.refused = refused
         self.sent = []
 
     def __iter__(self):
         for _ in range(1000):
-            yield SimpleNamespace(
-                q_rad=self.q_rad.copy(),
-                dq_rad_s=np.zeros(7),
-                tau_Nm=np.zeros(7),
-                dt_s=1e-3,
-                is_real=self.is_real,
-            )
+            sample = self.sample()
+            sample.dq_rad_s = sample.tau_Nm = np.zeros(7)
+            sample.is_real = self.is_real
+            yield sample
 
     def send(self, dq_rad_s):
         is_taken = len(self.sent) not in self.refused
         self.sent.append(np.array(dq_rad_s))
-        self.q_rad = self.q_rad + 1e-3 * is_taken * dq_rad_s
+        self.move(is_taken * self.sent[-1])
         return is_taken
 
-
-def controller_of(arm):
-    return Controller(arm.robot, Limits.of_arm(arm.robot, "lwr"))
+    def run(self, manager=None, **how):
+        limits = Limits.of_arm(self.robot, "lwr")
+        return run(self, Controller(self.robot, limits), manager, **how)
 
 
 def test_an_arm_rests_when_its_loop_breaks_off():
     arm = PlainArm()
-    controller = controller_of(arm)
-    for number, tick in enumerate(run(arm, controller)):
+    for number, tick in enumerate(arm.run()):
         tick.tasks = DOWN
         if number == 300:
             break
@@ -69,28 +64,37 @@ def test_an_arm_rests_when_its_loop_breaks_off():
 def test_after_a_refusal_commands_begin_from_rest():
     arm = PlainArm(refused=range(200, 250))
     ticks = []
-    for tick in run(arm, controller_of(arm)):
+    for tick in arm.run():
         tick.tasks = DOWN
         ticks.append(tick)
 
     assert ticks[200].was_taken
     assert not ticks[201].was_taken
     assert ticks[251].was_taken
+    assert ticks[100].last.dq_rad_s.tolist() == arm.sent[99].tolist()
     assert np.abs(arm.sent[201:251]).max() <= 4.9e-3 + 1e-9  # one step from rest
     assert np.abs(arm.sent[400]).max() > 0.01
 
 
 def test_a_real_arm_without_a_force_limit_does_not_move():
     arm = PlainArm(is_real=True)
-    ticks = run(arm, controller_of(arm))
-
-    with pytest.raises(SettingError, match="without a manager, which limits") as info:
-        next(ticks)
-    assert "without_force_limit=True" in info.value.advice
+    with pytest.raises(SettingError, match="force"):
+        next(arm.run())
     assert not arm.sent
 
-    allowed = run(arm, controller_of(arm), without_force_limit=True)
-    assert next(allowed).situation is None
+    assert next(arm.run(without_force_limit=True)).situation is None
+
+
+@pytest.mark.parametrize("is_allowed", [False, True])
+def test_a_real_arm_without_a_limit_of_the_jerk_does_not_move(is_allowed):
+    arm = PlainArm(is_real=True)
+    limits = Limits(arm.robot)
+    controller = Controller(arm.robot, limits, allow_unlimited_jerk=is_allowed)
+    if not is_allowed:
+        with pytest.raises(SettingError, match="jerk"):
+            controller.update(next(iter(arm)), DOWN)
+    else:
+        assert controller.update(next(iter(arm)), DOWN).dq_rad_s.any()
 
 
 def test_an_arm_rests_in_states_that_do_not_move_and_at_the_force_limit():
@@ -98,7 +102,7 @@ def test_an_arm_rests_in_states_that_do_not_move_and_at_the_force_limit():
     manager, sensor = new_manager(SafetyLimits(axial_N=2.0))
     sensor.tared = True
     states = []
-    for number, tick in enumerate(run(arm, controller_of(arm), manager)):
+    for number, tick in enumerate(arm.run(manager)):
         tick.tasks = DOWN
         if number == 100:
             assert manager.request("insert") == ""
@@ -110,7 +114,30 @@ def test_an_arm_rests_in_states_that_do_not_move_and_at_the_force_limit():
     assert np.abs(arm.sent[399]).max() > 0.01
     assert states[401] == "stopped"
     assert np.abs(arm.sent[500:]).max() == 0.0
-    assert "axial force 2.50 N" in manager.events[-1].data["reason"]
+    assert "2.50 N" in manager.events[-1].data["reason"]
+
+
+@pytest.mark.parametrize("refused", [range(300, 400), ()])
+def test_an_arm_that_is_held_or_refuses_is_a_fault(refused):
+    """It refuses commands for 6 ms, or takes them and stands."""
+    arm = PlainArm(refused)
+    manager, sensor = new_manager()
+    sensor.tared = True
+    stood_rad = []
+    for number, tick in enumerate(arm.run(manager)):
+        tick.tasks = DOWN
+        if number == 100:
+            assert manager.request("insert") == ""
+        if number >= 300 and not refused:
+            stood_rad.append(arm.q_rad)
+            tick.sample.q_rad = arm.q_rad = stood_rad[0]
+        if tick.situation.state == "faulted":
+            break
+
+    assert 300 < number < 520
+    assert ("refused" if refused else "not commanded") in tick.situation.reason or (
+        "follow" in tick.situation.reason
+    )
 
 
 def test_what_a_haptic_device_sends_reaches_the_manager():
@@ -118,13 +145,13 @@ def test_what_a_haptic_device_sends_reaches_the_manager():
     manager, sensor = new_manager(SafetyLimits(axial_N=2.0))
     sensor.tared = True
     refused = []
-    for number, tick in enumerate(run(arm, controller_of(arm), manager)):
+    for number, tick in enumerate(arm.run(manager)):
         if number > 100:
             tick.handle = MasterReading(1e-3 * number, np.zeros(3), np.zeros(3), True)
         if number in (100, 200):
             refused.append(manager.request("teleoperate"))
 
-    assert "no haptic device answers" in refused[0]
+    assert "no haptic device" in refused[0]
     assert refused[1] == ""
 
 
@@ -134,14 +161,7 @@ def test_faults_of_a_program_pass_through(error):
         def write(self, *_):
             raise error("a bug")
 
-    arm = PlainArm()
+    ticks = PlainArm().run()
+    next(ticks).tasks = [Faulty((0.0, 0.0, 0.0))]
     with pytest.raises(error):
-        controller_of(arm).update(next(iter(arm)), [Faulty((0.0, 0.0, 0.0))])
-
-
-def test_a_bad_sample_is_skipped_still():
-    arm = PlainArm()
-    for bad in ({"q_rad": "x"}, {"dt_s": None}, {"q_rad": np.full(7, np.nan)}):
-        sample = SimpleNamespace(**{**vars(next(iter(arm))), **bad})
-
-        assert controller_of(arm).update(sample, DOWN).status == "skipped"
+        next(ticks)

@@ -19,27 +19,57 @@ from unittest import mock
 
 import numpy as np
 
-from needleforce.devices import (
-    Fr3Arm,
-    FrankaArm,
-    FriArm,
-    IiwaArm,
-    UrArm,
-    franka,
-    ur,
-    ur_control,
-)
+from needleforce.devices import Fr3Arm, FrankaArm, FriArm, IiwaArm, UrArm, franka, ur
 from needleforce.devices.sunrise_messages import (
     MONITORING_KIND,
     CommandMode,
-    Header,
-    Monitoring,
     Quality,
     Session,
-    read_command,
-    write_monitoring,
+    message_type,
 )
-from tests.needleforce.devices.test_golden_datagrams import golden_measurement
+
+
+def lwr_measurement(count=1, state=1, quality=3, joints=None, size=916):
+    """A measurement of FRI 1.0, its bytes at their published offsets.
+
+    Each signal of `joints` has the offset of its seven numbers.
+    """
+    data = bytearray(size)
+    struct.pack_into("<4H", data, 0, count % 65536, 0x5678, 916, 0x2006)
+    struct.pack_into("<fHHf", data, 140, 12.5, state, quality, 0.002)
+    for offset, values in (joints or {}).items():
+        struct.pack_into("<7f", data, offset, *values)
+    return bytes(data)
+
+
+def iiwa_message(
+    count=1,
+    session=Session.COMMANDING_ACTIVE,
+    place_rad=(0.0,) * 7,
+    *,
+    quality=Quality.EXCELLENT,
+    period_ms=2,
+    safety_stop=0,
+    mode=CommandMode.POSITION,
+    program_rad=(0.0,) * 7,
+    **changes,
+):
+    """A message of an iiwa's controller, version 2."""
+    message = message_type("Monitoring")()
+    message.header.kind = changes.get("kind", MONITORING_KIND)
+    message.header.number = count
+    message.robot.safety_stop = safety_stop
+    for signal_name in ("position_rad", "torque_Nm", "external_Nm"):
+        values = place_rad if signal_name == "position_rad" else [0.0] * 7
+        getattr(message.measured, signal_name).value.extend(values)
+    stamp = message.measured.time
+    stamp.seconds, stamp.nanoseconds = divmod(2_000_000 * count, 1_000_000_000)
+    message.connection.session = session
+    message.connection.quality = quality
+    message.connection.period_ms = period_ms
+    message.program.mode = mode
+    message.program.position_rad.value.extend(program_rad)
+    return message.SerializeToString()
 
 
 class ScriptedArm:
@@ -63,7 +93,6 @@ class ScriptedArm:
         self.sent_rad_s = []
         self.is_good = True
         self.is_free = False  # whether the controller goes on by itself
-        self.time_s = 0.0
         self.arm = self.open(robot)
         self.readings = iter(self.arm)
 
@@ -96,23 +125,19 @@ class ScriptedArm:
 class Lwr(ScriptedArm):
     preset = "lwr"
     cycle_s = 2e-3
+    open_link = FriArm
 
     def open(self, robot):
         self.count = 0
-        self.is_heard = True
+        self.begun_rad = self.place_rad
         self.box = socket.socket(type=socket.SOCK_DGRAM)
         self.box.settimeout(10.0)
         self.told_rad = None
-        return self.open_link(port=0, wait_s=0.5, give_up_s=2.0, robot=robot)
-
-    open_link = FriArm
+        return self.open_link(port=0, give_up_s=2.0, robot=robot)
 
     def message(self):
-        data = bytearray(golden_measurement(count=self.count, state=2))
-        data[146] = 3 if self.is_good else 1
-        struct.pack_into("<7f", data, 292, *self.place_rad)  # commanded
-        struct.pack_into("<7f", data, 320, *np.zeros(7))  # added
-        return bytes(data)
+        joints = {292: self.place_rad, 320: np.zeros(7)}  # commanded, added
+        return lwr_measurement(self.count, 2, 3 if self.is_good else 1, joints)
 
     def read(self, data):
         return np.array(struct.unpack_from("<7f", data, 144), dtype=float)
@@ -160,145 +185,102 @@ class Iiwa(Lwr):
     preset = "iiwa14"
     open_link = IiwaArm
 
-    def open(self, robot):
-        self.begun_rad = self.place_rad
-        return super().open(robot)
-
     def message(self):
-        message = Monitoring(
-            header=Header(MONITORING_KIND, self.count, 0),
-            session=Session.COMMANDING_ACTIVE,
+        return iiwa_message(
+            self.count,
+            place_rad=self.place_rad,
             quality=Quality.EXCELLENT if self.is_good else Quality.FAIR,
-            period_s=self.cycle_s,
-            answer_cycles=1,
-            safety_stop=0,
-            command_mode=CommandMode.POSITION,
-            stamp_s=self.count * self.cycle_s,
-            position_rad=self.place_rad,
-            torque_Nm=np.zeros(7),
-            external_Nm=np.zeros(7),
-            commanded_rad=None,
-            interpolated_rad=self.begun_rad,
+            program_rad=self.begun_rad,
         )
-        return write_monitoring(message)
 
     def read(self, data):
-        return read_command(data).position_rad
+        command = message_type("Command").FromString(data)
+        return np.array(command.wanted.position_rad.value)
 
 
 class ClientError(RuntimeError):
     """What a client raises when its arm stops."""
 
 
-class Fr3(ScriptedArm):
-    """Also the client of an FR3."""
-
-    preset = "fr3"
+class ScriptedClient(ScriptedArm):
+    """Also the client of the arm; a thread of the driver looks for new readings."""
 
     def open(self, robot):
+        self.time_s = 0.0
+        self.read_s = -1.0  # the latest time that the driver has read
+        return self.open_arm(robot)
+
+    def cycle(self, speed_rad_s=None):
+        self.time_s += self.cycle_s
+        return super().cycle(speed_rad_s)
+
+    def pass_time(self):
+        if self.is_free:
+            time.sleep(self.cycle_s)
+            self.time_s += self.cycle_s
+
+
+class Fr3(ScriptedClient):
+    preset = "fr3"
+    driver = Fr3Arm
+
+    def open_arm(self, robot):
         library = SimpleNamespace(
-            Robot=lambda *_: self,
-            RealtimeConfig=SimpleNamespace(kIgnore=0),
-            ControllerMode=SimpleNamespace(JointImpedance=0),
-            JointVelocities=lambda values: SimpleNamespace(values=values),
-            FrankaException=ClientError,
+            Robot=lambda *_, **__: self,
+            RealtimeConfig=SimpleNamespace(Ignore=0),
+            Duration=int,
+            JointVelocityWaypoint=lambda velocity, **_: velocity,
+            JointVelocityWaypointMotion=lambda waypoints: waypoints,
+            Exception=ClientError,
         )
         with mock.patch.object(franka, "import_client", return_value=library):
-            return self.open_arm(takes_commands=True, robot=robot)
+            return self.driver(takes_commands=True, robot=robot)
 
-    open_arm = Fr3Arm
-
+    @property
     def state(self):
-        self.time_s += self.cycle_s
-        time_s = self.time_s
+        self.pass_time()
+        time_ms = round(1e3 * self.time_s)
         return SimpleNamespace(
             q=self.place_rad.tolist(),
             dq=[0.0] * 7,
             tau_J=[0.0] * 7,
             tau_ext_hat_filtered=[0.0] * 7,
-            time=SimpleNamespace(
-                to_sec=lambda: time_s, to_msec=lambda: round(1e3 * time_s)
-            ),
+            time=SimpleNamespace(to_msec=lambda: time_ms),
         )
 
-    def require_good(self):
+    def move(self, waypoints, *, asynchronous):
+        assert asynchronous
         if not self.is_good:
             raise ClientError("communication_constraints_violation")
-
-    def start_joint_velocity_control(self, mode):
-        return self
-
-    def readOnce(self):
-        self.require_good()
-        if self.is_free:
-            time.sleep(self.cycle_s)
-        return self.state(), None
-
-    def writeOnce(self, velocities):
-        self.require_good()
-        self.keep(velocities.values)
+        held_rad_s, rest_rad_s = waypoints
+        assert not rest_rad_s.any()
+        self.keep(held_rad_s)
 
 
 class Fer(Fr3):
-    """Also the client of an FER, which calls for every cycle from a thread."""
-
     preset = "fer"
-    open_arm = FrankaArm
-
-    def open(self, robot):
-        self.wanted = threading.Semaphore(0)  # cycles
-        return super().open(robot)
-
-    def control_joint_velocity(self, answer):
-        is_finished = False
-        while not is_finished:
-            if self.is_free:
-                time.sleep(self.cycle_s)
-            else:
-                self.wanted.acquire(timeout=10.0)
-            self.require_good()
-            velocities = answer(self.state(), None)
-            self.keep(velocities.values)
-            is_finished = velocities.motion_finished
-
-    def cycle(self, speed_rad_s=None):
-        self.wanted.release()
-        return super().cycle(speed_rad_s)
-
-    def run_freely(self):
-        super().run_freely()
-        self.wanted.release()
+    driver = FrankaArm
 
 
-class Ur(ScriptedArm):
-    """Also both clients of a UR."""
-
+class Ur(ScriptedClient):
     preset = "ur5e"
     cycle_s = 2e-3
     joints = 6
 
-    def open(self, robot):
-        self.looks = 0
-        self.stopped_at_rad_s = None
+    def open_arm(self, robot):
         self.takes_velocity = True
         library = SimpleNamespace(
             RTDEReceiveInterface=lambda *_: self, RTDEControlInterface=lambda *_: self
         )
-        with (
-            mock.patch.object(ur, "import_client", return_value=library),
-            mock.patch.object(ur_control, "import_client", return_value=library),
-        ):
+        with mock.patch.object(ur, "import_client", return_value=library):
             return UrArm(takes_commands=True, robot=robot)
 
     def isConnected(self):
+        self.pass_time()
         return True
 
     def getTimestamp(self):
-        """A driver looks twice at each."""
-        self.looks += 1
-        if self.is_free:
-            time.sleep(0.5 * self.cycle_s)
-        return self.cycle_s * ((self.looks + 1) // 2)
+        return self.time_s
 
     def getActualQ(self):
         return self.place_rad.tolist()
@@ -311,8 +293,8 @@ class Ur(ScriptedArm):
     def isProgramRunning(self):
         return self.is_good
 
-    def setWatchdog(self, _rate_Hz):
-        pass
+    def setWatchdog(self, rate_Hz):
+        assert rate_Hz == 10.0
 
     def kickWatchdog(self):
         self.keep(np.zeros(6))
@@ -324,7 +306,7 @@ class Ur(ScriptedArm):
         return self.takes_velocity
 
     def speedStop(self, _acceleration_rad_s2):
-        self.stopped_at_rad_s = self.sent_rad_s[-1]
+        assert not self.sent_rad_s or not self.sent_rad_s[-1].any()
 
     def stopScript(self):
         self.is_good = False

@@ -10,16 +10,14 @@ import socket
 import struct
 import threading
 import time
+from dataclasses import dataclass
 from multiprocessing.connection import Connection
 from typing import Any
 
 import numpy as np
 
-from tests.needleforce.devices.vendor_emulators import (
-    ArmSettings,
-    listen,
-    read_exactly,
-)
+from foundation.arrays import Array
+from needleforce.devices.datagram_link import LOOPBACK
 
 DASHBOARD_PORT = 29999
 SCRIPT_PORT = 30003
@@ -65,6 +63,36 @@ STOP_SCRIPT = 255
 
 PROGRAM_END = b"NODE_CONTROL_LOOP_ENDS"
 """In the last line of the client's program."""
+
+
+@dataclass(frozen=True, kw_only=True)
+class ArmSettings:
+    """What the emulated arm sends: rows over and over, at a rate."""
+
+    q_rad: Array  # shape (m, 6)
+    dq_rad_s: Array
+    effort: Array  # currents [A]
+    rate_hz: float = 500.0
+
+
+def listen(port: int) -> socket.socket:
+    listener = socket.socket()
+    listener.setsockopt(socket.SOL_SOCKET, socket.SO_REUSEADDR, 1)
+    listener.bind((LOOPBACK, port))
+    listener.listen(1)
+    listener.settimeout(0.1)
+    return listener
+
+
+def read_exactly(link: socket.socket, size: int) -> bytes:
+    """So many bytes; `ConnectionError` if the other has gone."""
+    data = b""
+    while len(data) < size:
+        piece = link.recv(size - len(data))
+        if not piece:
+            raise ConnectionError
+        data += piece
+    return data
 
 
 def kind_of(name: str) -> str:

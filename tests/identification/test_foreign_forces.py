@@ -1,0 +1,332 @@
+"""A force that no tissue exerts is reported, and no rupture."""
+
+import math
+
+import numpy as np
+import pytest
+
+from identification import Identifier, SampleStatus, TissueWarning
+from identification.mixture.needle_pull import NeedlePull, NetForce
+from identification.mixture.rest_force import HeldForce, RestForce
+from tests.identification.worlds import run, straight
+
+STEP_S = 2e-3
+SPEED_M_S = 5e-3
+TICKS = 4_500
+RUPTURE = 2_500
+
+
+def course():
+    """Depth and force, with 10 mN of noise: 10 mm of air, a layer, 20 mm of another."""
+    depth_m = SPEED_M_S * STEP_S * np.arange(TICKS)
+    into_m = np.maximum(depth_m - 10e-3, 0.0)
+    first_N = np.minimum(into_m, 15e-3) * 60.0
+    second_N = np.maximum(into_m - 15e-3, 0.0) * 40.0
+    tip_N = np.where(into_m < 15e-3, into_m * 40.0, 0.0)
+    noise_N = 0.01 * np.random.default_rng(3).normal(size=len(depth_m))
+    return depth_m, 0.4 * first_N + second_N + tip_N + noise_N
+
+
+def insert(fault_N, end=TICKS, force_std_N=0.0):
+    """Estimates of the course with a fault, a force a sample."""
+    depth_m, force_N = course()
+    identifier = Identifier()
+    return [
+        identifier.update(depth, SPEED_M_S, force, STEP_S, force_std_N=force_std_N)
+        for depth, force in zip(
+            depth_m[:end].tolist(), (force_N + fault_N)[:end].tolist(), strict=True
+        )
+    ]
+
+
+def alarms(estimates):
+    """Samples with an alarm that is not retracted within half a second."""
+    raised = [k for k, e in enumerate(estimates) if e.rupture is not None]
+    retracted = [k for k, e in enumerate(estimates) if e.retracted is not None]
+    return [k for k in raised if not any(0 < n - k <= 250 for n in retracted)]
+
+
+def reported(estimates):
+    """Samples whose force is said to be no tissue's."""
+    return [
+        k for k, e in enumerate(estimates) if e.status is SampleStatus.NEEDLE_PULLED
+    ]
+
+
+def test_a_rupture_is_no_pull():
+    estimates = insert(np.zeros(TICKS))
+    (alarm,) = alarms(estimates)
+
+    assert RUPTURE < alarm < RUPTURE + 50
+    assert reported(estimates) == []
+
+
+@pytest.mark.parametrize("step_N", [-2.0, -5.0])
+@pytest.mark.parametrize("start", [700, 1_200, 2_300, 2_700, 3_500])
+def test_a_step_below_zero_is_reported_and_no_rupture(start, step_N):
+    fault_N = np.where(np.arange(TICKS) >= start, step_N, 0.0)
+    estimates = insert(fault_N, start + 500)
+    real = [k for k in alarms(estimates) if RUPTURE < k < RUPTURE + 50]
+
+    assert start <= reported(estimates)[0] < start + 20
+    assert alarms(estimates) == real
+    assert not any(estimates[k].status.is_used for k in reported(estimates))
+
+
+def test_a_push_at_the_hub_ends_and_the_rupture_is_found():
+    k = np.arange(TICKS)
+    estimates = insert(np.where((k >= 1_500) & (k < 2_000), -10.0, 0.0))
+    (alarm,) = alarms(estimates)
+
+    assert 1_500 <= reported(estimates)[0] <= 1_505
+    assert reported(estimates)[-1] <= 2_010
+    assert RUPTURE < alarm < RUPTURE + 50
+
+
+def test_a_push_that_leaves_a_plausible_force_is_retracted_once_the_hand_lets_go():
+    k = np.arange(TICKS)
+    push_N = -1.05 * ((k >= 3_500) & (k < 4_000))
+    estimates = insert(push_N, 4_200, force_std_N=0.25)
+    raised = [k for k, e in enumerate(estimates) if e.rupture is not None]
+    retracted = [k for k, e in enumerate(estimates) if e.retracted is not None]
+
+    assert 3_500 < raised[-1] < 3_550
+    assert 4_000 < retracted[-1] < 4_020
+    assert 4_000 < reported(estimates)[0] < 4_020
+
+
+def test_a_drift_below_zero_is_reported_and_its_alarms_retracted():
+    k = np.arange(TICKS)
+    estimates = insert(-5.0 * np.clip((k - 1_600) / 500, 0.0, 1.0), 2_400)
+
+    assert 1_600 < reported(estimates)[0] < 1_750
+    assert alarms(estimates) == []
+
+
+def test_a_force_that_stays_below_zero_becomes_a_new_zero():
+    force_N = np.where(np.arange(3_000) >= 700, -1.0, 0.0)
+    force_N = force_N + 0.01 * np.random.default_rng(5).normal(size=3_000)
+    rows = [(1e-5 * k, SPEED_M_S, f, STEP_S) for k, f in enumerate(force_N.tolist())]
+    _, estimates = run(rows)
+
+    assert 700 <= reported(estimates)[0] < 710
+    assert 1_940 < reported(estimates)[-1] < 1_980  # 2.5 s later
+    assert abs(estimates[-1].tip_force_N) < 0.05
+
+
+def test_friction_on_a_needle_drawn_back_is_no_pull():
+    depth_m, force_N = course()
+    back_m = SPEED_M_S * STEP_S * np.arange(1, 500)
+    friction_N = 0.4 * (2.0 * np.exp(-back_m / 0.3e-3) - 1.0)
+    rows = [
+        *zip(depth_m[:2_000], [SPEED_M_S] * 2_000, force_N[:2_000], strict=True),
+        *zip(depth_m[1_999] - back_m, [-SPEED_M_S] * 499, friction_N, strict=True),
+    ]
+    _, estimates = run((*map(float, row), STEP_S) for row in rows)
+
+    assert reported(estimates) == []
+
+
+def test_a_snapshot_amid_a_pull_goes_on_bit_for_bit():
+    depth_m, force_N = course()
+    force_N = force_N - 3.0 * (np.arange(TICKS) >= 1_500)
+    columns = (depth_m[:1_700].tolist(), force_N[:1_700].tolist())
+    rows = [(d, SPEED_M_S, f, STEP_S) for d, f in zip(*columns, strict=True)]
+    identifier, _ = run(rows[:1_600])
+    resumed = Identifier()
+    resumed.restore(identifier.snapshot())
+
+    assert run(rows[1_600:], identifier)[1] == run(rows[1_600:], resumed)[1]
+
+
+def pulled(forces_N, *lasts, std_N=0.03, **place):
+    """The pull after blocks of an advancing needle, then after some others."""
+    pull = NeedlePull()
+    for k, force_N in enumerate(forces_N):
+        force = NetForce(force_N, std_N, 0.01 * k, 0.01, True, 0.0, **place)
+        pull = pull.with_force(force)
+    for k, last in enumerate(lasts, len(forces_N)):
+        force = NetForce(
+            **{"std_N": std_N, "time_s": 0.01 * k, "duration_s": 0.01}
+            | {"is_advancing": False, "behind_mm": 0.0}
+            | last
+        )
+        pull = pull.with_force(force)
+    return pull
+
+
+PUSHED = [1.0] * 50
+RESTED = [{"value_N": 1.0}] * 30
+
+
+@pytest.mark.parametrize(
+    ("forces_N", "lasts", "is_pulled", "is_foreign"),
+    [
+        # Friction that turns at a reversal passes zero within a tenth of a millimetre.
+        (PUSHED, [{"value_N": -0.2}], True, True),
+        (PUSHED, [{"value_N": -0.2, "behind_mm": 0.02}], True, True),
+        (PUSHED, [{"value_N": -0.2, "behind_mm": 0.04}], False, False),
+        # Behind its deepest point tissue holds a pulled needle, as friction has turned.
+        ([-1.0] * 50, [{"value_N": -1.0, "behind_mm": 0.05}], True, True),
+        ([-1.0] * 50, [{"value_N": -1.0, "behind_mm": 0.15}], False, False),
+        # A needle at rest where it has advanced to is not pulled by tissue.
+        (PUSHED, [*RESTED, {"value_N": -0.05}], False, False),
+        (PUSHED, [*RESTED, {"value_N": -0.5}], True, True),
+        # A needle drawn back is pulled by no more than tissue has pushed.
+        (PUSHED, [{"value_N": -0.9, "behind_mm": 5.0}], False, False),
+        (PUSHED, [{"value_N": -1.2, "behind_mm": 5.0}], True, True),
+        # One that has come out is pulled by nothing.
+        (
+            PUSHED,
+            [{"value_N": -0.5, "behind_mm": 50.0, "is_outside": True}],
+            True,
+            True,
+        ),
+        # Tissue that moves pulls slowly, a sensor at fault beyond its friction.
+        ([*PUSHED, *np.linspace(1.0, -0.7, 50)], [], True, False),
+        ([*PUSHED, *np.linspace(1.0, -1.0, 60), -1.05, -1.1, -1.2], [], True, True),
+    ],
+)
+def test_what_pulls_and_what_tissue_cannot_do(forces_N, lasts, is_pulled, is_foreign):
+    pull = pulled(forces_N, *lasts)
+
+    assert pull.is_pulled == is_pulled
+    assert pull.is_foreign == is_foreign
+
+
+@pytest.mark.parametrize(
+    ("friction_N", "ticks", "is_foreign"),
+    [(0.0, 30, False), (0.5, 30, True), (0.5, 14, False), (0.28, 30, False)],
+)
+def test_a_quick_fall_below_the_friction_of_layers_traversed_is_no_rupture(
+    friction_N, ticks, is_foreign
+):
+    pull = pulled([*PUSHED, *[0.2] * ticks], friction_N=friction_N)
+
+    assert pull.is_foreign == is_foreign
+
+
+def test_a_zero_is_new_once_the_force_has_been_steady_for_two_and_a_half_seconds():
+    """A force that still falls is no zero, however long it has fallen."""
+    forces_N = [-max(min(0.01 * k, 4.0), 0.0) for k in range(800)]
+    new_s = [
+        0.01 * k
+        for k in range(600, 700)
+        if pulled(forces_N[:k], std_N=0.005).is_new_zero(0.01 * k)
+    ]
+
+    assert new_s[0] == pytest.approx(6.5, abs=0.1)
+
+
+def test_alarms_wait_no_longer_than_a_step_takes():
+    """A force that stays between half the limit and the limit blocks no alarm."""
+    rng = np.random.default_rng(3)
+    forces_N = [*PUSHED, *(-0.07 + 0.005 * rng.normal(size=200))]
+    waits = [pulled(forces_N[:k]).may_pull for k in range(51, 251)]
+
+    assert waits[0]
+    assert 10 < sum(waits) < 20
+    assert not any(waits[20:])
+
+
+def rest(force_at, seconds, *, depth_at=lambda _: 30.0, std_N=0.05, has_ruptured=False):
+    """Times at which the force on a needle at rest is said to be no tissue's."""
+    held = RestForce()
+    foreign_s = []
+    for k in range(round(100.0 * seconds)):
+        time_s = 0.01 * k
+        force = HeldForce(
+            force_at(time_s), 0.02, std_N, depth_at(time_s), 2e-3, 0.01, has_ruptured
+        )
+        held = held.with_force(force)
+        if held.is_foreign:
+            foreign_s.append(time_s)
+    return foreign_s
+
+
+@pytest.mark.parametrize("change_N", [-0.8, 0.8])
+def test_a_quick_change_at_rest_is_foreign_after_a_tenth_of_a_second(change_N):
+    foreign_s = rest(lambda t_s: 1.0 + change_N * (t_s > 1.0), 2.0)
+
+    assert 1.1 < foreign_s[0] < 1.15
+    assert foreign_s[-1] == pytest.approx(1.99)
+
+
+def breath_N(t_s):
+    return 0.6 * math.sin(2.0 * math.pi * 0.25 * t_s)
+
+
+@pytest.mark.parametrize(
+    ("force_at", "seconds", "settings", "is_foreign"),
+    [
+        # A change is more than four tenths of the force and lasts for a tenth of a
+        # second.
+        (lambda t_s: 2.0 - 0.7 * (t_s > 1.0), 2.0, {}, False),
+        (lambda t_s: 2.0 - 0.9 * (t_s > 1.0), 2.0, {}, True),
+        (lambda t_s: 1.0 - 0.8 * (1.0 < t_s % 1.2 < 1.08), 3.0, {}, False),
+        # An arm that begins to move changes it before the needle has moved.
+        (
+            lambda t_s: 1.0 - min(max(t_s - 1.0, 0.0) / 0.03, 1.0),
+            2.0,
+            {"depth_at": lambda t_s: 30.0 - 50.0 * max(t_s - 1.0, 0.0) ** 2},
+            False,
+        ),
+        # Within the sensor's slow error it is not judged.
+        (lambda t_s: 1.0 + 0.5 * (t_s > 1.0), 3.0, {"std_N": 0.3}, False),
+        (lambda t_s: 1.0 + breath_N(t_s), 8.0, {}, False),
+        # After a rupture tissue relaxes, and a sensor drifts; else tissue may move.
+        (lambda t_s: math.exp(-t_s / 4.0), 1.2, {"has_ruptured": True}, False),
+        (lambda t_s: 1.0 - 1.25 * t_s, 1.2, {"has_ruptured": True}, True),
+        (lambda t_s: 1.0 - 0.8 * t_s, 1.2, {}, False),
+    ],
+)
+def test_what_changes_the_force_at_rest(force_at, seconds, settings, is_foreign):
+    assert bool(rest(force_at, seconds, **settings)) == is_foreign
+
+
+def test_a_hand_that_lets_go_ends_it():
+    foreign_s = rest(lambda t_s: 1.0 - 0.8 * (1.0 < t_s < 2.0), 4.0)
+
+    assert foreign_s[-1] == pytest.approx(2.0, abs=0.03)
+
+
+@pytest.mark.parametrize(
+    ("change_N", "is_foreign"), [(0.0, False), (-0.5, True), (0.6, True)]
+)
+def test_a_force_that_jumps_at_a_resting_needle_is_reported(change_N, is_foreign):
+    rows = straight(seed=2)[:3_500]
+    identifier, _ = run(rows)
+    rng = np.random.default_rng(4)
+    forces_N = (
+        0.5 + 5e-3 * rng.standard_normal(2_000) + change_N * (np.arange(2_000) > 1_500)
+    )
+    depth_m = rows[-1].depth_m
+    _, estimates = run(
+        [(depth_m, 0.0, force_N, 1e-3) for force_N in forces_N.tolist()], identifier
+    )
+
+    assert bool(reported(estimates)) == is_foreign
+
+
+COUGH_S = 6.0
+
+
+def cough_m(time_s):
+    """Tissue that jumps towards the needle by 4 mm, within a tenth of a second."""
+    return -4e-3 * math.exp(-0.5 * ((time_s - COUGH_S) / 0.05) ** 2)
+
+
+def test_a_force_that_no_hypothesis_explains_is_said_and_in_the_deviations():
+    _, ordinary = run(straight(seed=3))
+    _, estimates = run(straight(seed=3, motion_m=cough_m))
+    is_said = [TissueWarning.UNEXPLAINED in e.warnings for e in estimates]
+    before = round(1e3 * (COUGH_S - 1.0))
+    after = round(1e3 * (COUGH_S + 1.0))
+
+    assert not any(TissueWarning.UNEXPLAINED in e.warnings for e in ordinary)
+    assert not any(is_said[: round(1e3 * (COUGH_S - 0.3))])
+    assert is_said[round(1e3 * (COUGH_S + 0.5))]
+    assert estimates[after].tip_force_std_N > 3.0 * estimates[before].tip_force_std_N
+    # It is held for three seconds after the last of it.
+    last = max(k for k, said in enumerate(is_said) if said)
+    assert round(1e3 * (COUGH_S + 3.0)) < last < len(estimates) - 1

@@ -1,0 +1,363 @@
+"""Ruptures, layers and forces, on forces of a known law."""
+
+from functools import cache
+
+import numpy as np
+import pytest
+
+from groundtruth import insert_needle
+from identification import MIXTURE, Identifier, MixtureConfig, SampleStatus, replay
+from identification.config import CheckConfig
+from identification.errors import InvalidConfigError
+from tests.identification.worlds import (
+    SPEED_M_S,
+    THICKNESS_M,
+    assert_both_found,
+    insertion,
+    kept_ruptures,
+    rms,
+    run,
+    straight,
+    true_force,
+    values_of,
+)
+
+
+@cache
+def straight_run(seed=0):
+    """The identifier after both layers, and its estimates."""
+    return run(straight(seed))
+
+
+@pytest.mark.parametrize("seed", [0, 1, 2])
+def test_two_layers_are_found_reported_twice_and_split_within_their_deviations(seed):
+    identifier, estimates = straight_run(seed)
+    ruptures = values_of(estimates, "rupture")
+    reports = values_of(estimates, "identified_layer")
+
+    assert_both_found(identifier, estimates)
+    assert [rupture.layer for rupture in ruptures] == [1, 2]
+    assert [
+        (layer.layer, layer.is_final, layer.rupture.is_final) for layer in reports
+    ] == [
+        (number, is_final, is_final) for number in (1, 2) for is_final in (False, True)
+    ]
+    for rupture, end_m in zip(ruptures, np.cumsum(THICKNESS_M), strict=True):
+        assert rupture.probability >= MIXTURE.alarm_probability
+        assert not rupture.is_final
+        assert rupture.contact_depth_m == pytest.approx(0.0, abs=0.5e-3)
+        # A block of 10 ms ends at once where its force falls short.
+        assert 0.0 < rupture.alarm_depth_m - end_m < 0.018 * SPEED_M_S
+    truths = [true_force(row.depth_m) for row in straight(seed)[6000:]]
+    for name, truth_N in (
+        ("tip_force", [force.tip_N for force in truths]),
+        ("shaft_friction", [force.friction_N for force in truths]),
+    ):
+        force_N = np.array(values_of(estimates[6000:], f"{name}_N"))
+        std_N = np.array(values_of(estimates[6000:], f"{name}_std_N"))
+        assert np.mean(np.abs(force_N - truth_N) < 2.0 * std_N + 5e-3) > 0.9
+    last = estimates[-1]
+    assert last.layer == 3
+    assert last.tip_force_N == pytest.approx(0.0, abs=0.1)
+    assert last.enhanced_force_N == pytest.approx(0.0, abs=0.1)
+    # One speed does not show how much of the friction stays at rest.
+    before_braking = estimates[-200]
+    assert before_braking.shaft_friction_std_N < 0.1 * before_braking.shaft_friction_N
+
+
+def test_a_provisional_alarm_comes_first_and_is_confirmed():
+    _, estimates = straight_run()
+    confirmed = {rupture.layer: rupture for rupture in values_of(estimates, "rupture")}
+
+    provisional = values_of(estimates, "provisional")
+
+    assert [early.layer for early in provisional] == [1, 2]
+    for early in provisional:
+        assert early.probability > MIXTURE.provisional_probability
+        assert 0.0 < confirmed[early.layer].alarm_s - early.alarm_s < 0.1
+
+
+@pytest.mark.slow
+def test_a_provisional_alarm_is_confirmed_or_retracted_but_not_both():
+    config = MixtureConfig(provisional_probability=0.5)
+    _, estimates = run(straight(seed=1), Identifier(config))
+
+    is_open = False
+    for estimate in estimates:
+        if estimate.provisional is not None:
+            assert not is_open
+            is_open = True
+        if estimate.provisional_retracted is not None:
+            assert is_open
+            assert estimate.rupture is None
+        if estimate.provisional_retracted is not None or estimate.rupture is not None:
+            is_open = False
+    assert not is_open
+
+
+def test_a_surer_alarm_is_later():
+    alarms_s = []
+    for probability in (0.9, 0.98, 0.999999):
+        config = MixtureConfig(
+            alarm_probability=probability, provisional_probability=0.9
+        )
+        _, estimates = run(straight()[:5200], Identifier(config))
+        (rupture,) = values_of(estimates, "rupture")
+        assert rupture.probability > probability
+        alarms_s.append(rupture.alarm_s)
+
+    assert alarms_s[0] <= alarms_s[1] < alarms_s[2]
+
+
+@pytest.mark.slow
+def test_jitter_of_the_speed_says_nothing_of_friction():
+    run = insert_needle("gel-70-sinusoidal", seed=1, rate_hz=100.0)
+    jitter = np.random.default_rng(1).standard_normal((2, len(run.t_s)))
+    depth_m = run.depth_m + 1e-5 * jitter[0]
+    speed_m_s = run.speed_m_s + 1e-4 * jitter[1]
+    estimates = replay(run.t_s, depth_m, run.force_N, speed_m_s).estimates
+    is_behind = (run.t_s > run.truth.rupture_s[0] + 1.0) & (run.speed_m_s > 1e-4)
+    enhanced_N = np.array([estimate.enhanced_force_N for estimate in estimates])
+
+    assert run.force_N[is_behind].mean() > 0.9
+    assert rms(enhanced_N[is_behind]) < 0.06
+
+
+@pytest.mark.slow
+def test_friction_at_changing_speed_is_no_texture():
+    """The speed sways from 1 to 7 mm/s, and the friction with it by up to a newton."""
+    stds_N = []
+    for rows in (straight(), straight(sway=0.8)):
+        _, estimates = run(rows)
+        is_in_second = [20e-3 < row.depth_m < 33e-3 for row in rows]
+        tip_stds_N = np.array(values_of(estimates, "tip_force_std_N"))
+        stds_N.append(tip_stds_N[is_in_second].mean())
+        assert len(kept_ruptures(estimates)) == 2
+
+    assert stds_N[1] < 2.0 * stds_N[0]
+
+
+def pushed_tip_N(force_std_N, faster_m_s):
+    """By how much the tip force rises where the force does by a newton for 30 ms."""
+    rows = straight()
+    identifier, estimates = run(rows[:3000])
+    for row in rows[3000:3030]:
+        progress = (row.depth_m - rows[3000].depth_m) / row.speed_m_s
+        estimate = identifier.update(
+            row.depth_m,
+            row.speed_m_s + faster_m_s * progress,
+            row.force_N + 1.0,
+            row.dt_s,
+            force_std_N=force_std_N,
+        )
+    return estimate.tip_force_N - estimates[-1].tip_force_N
+
+
+@pytest.mark.slow
+def test_an_uncertain_force_counts_less_during_acceleration():
+    assert pushed_tip_N(force_std_N=0.0, faster_m_s=0.2) > 0.5
+    assert pushed_tip_N(force_std_N=1.0, faster_m_s=0.0) > 0.5
+    assert abs(pushed_tip_N(force_std_N=1.0, faster_m_s=0.2)) < 0.1
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("has_speed", [True, False])
+def test_noise_of_the_position_hides_no_ruptures(has_speed):
+    # Without the stop at the end, which a speed estimated from such depths shows late.
+    rows = straight(4, jitter_m=1e-4)[:-250]
+    if not has_speed:
+        rows = [row._replace(speed_m_s=None) for row in rows]
+
+    assert_both_found(*run(rows), within=0.3)
+
+
+@pytest.mark.slow
+def test_rests_and_reversals_are_no_ruptures():
+    inwards = [(12e-3, 3.0), (0.0, 1.5), (6e-3, 1.5), (0.0, 1.0)]
+    back_and_on = [(-3e-3, 0.75), (3e-3, 0.75), (28e-3, 7.0)]
+
+    assert_both_found(*run(insertion([*inwards, *back_and_on], seed=5)), within=0.3)
+
+
+def test_a_gap_in_time_is_no_rupture():
+    rows = straight(9)
+    identifier, _ = run(rows[:2500])
+    first = identifier.update(*rows[3200]._replace(dt_s=0.701))
+    _, estimates = run(rows[3201:4000], identifier)
+
+    assert first.status is SampleStatus.TIME_GAP
+    assert values_of(estimates, "rupture") == []
+
+
+@pytest.mark.parametrize(("gap_s", "is_gap"), [(0.25, True), (1.0, False)])
+def test_what_counts_as_a_gap_is_a_setting(gap_s, is_gap):
+    rows = straight(9)
+    config = MixtureConfig(check=CheckConfig(gap_s=gap_s))
+    identifier, _ = run(rows[:2500], Identifier(config))
+    estimate = identifier.update(*rows[3000]._replace(dt_s=0.5))
+
+    assert estimate.status is (SampleStatus.TIME_GAP if is_gap else SampleStatus.OK)
+
+
+@pytest.fixture(scope="module")
+def withdrawal():
+    """Rows and estimates of a needle drawn out through both layers, and layers."""
+    rows = insertion([(40e-3, 10.0), (-44e-3, 8.0)], seed=6)
+    identifier, estimates = run(rows)
+    pairs = zip(estimates, rows, strict=True)
+    outwards = [pair for pair in pairs if pair[1].speed_m_s < 0.0][1000:]
+    return outwards, identifier.layers
+
+
+def test_withdrawal_meets_friction_only_and_ends_in_free_air(withdrawal):
+    outwards, layers = withdrawal
+    estimates = [estimate for estimate, _ in outwards]
+    errors_N = [row.force_N - estimate.predicted_force_N for estimate, row in outwards]
+
+    assert [layer.is_final for layer in layers] == [True, True]
+    assert values_of(estimates, "rupture") == []
+    assert {estimate.tip_force_N for estimate in estimates[:3000]} == {0.0}
+    assert rms(errors_N) < 0.1
+    assert rms([estimate.enhanced_force_N for estimate in estimates[:5000]]) < 0.15
+    assert estimates[-1].shaft_friction_N == 0.0
+    assert abs(estimates[-1].tip_force_N) < 0.05
+    assert all(e.in_contact for e, row in outwards if row.depth_m > 0.0)
+    assert not any(e.in_contact for e, row in outwards if row.depth_m < -2.5e-3)
+    for depth_m, layer in ((30e-3, 2), (10e-3, 1), (-2e-3, 0)):
+        near = [e.layer for e, row in outwards if abs(row.depth_m - depth_m) < 1e-3]
+        assert set(near) == {layer}
+
+
+@pytest.mark.parametrize("stiffness_N_per_m", [150.0, 250.0])
+@pytest.mark.parametrize("seed", [1, 2])
+def test_stiffness_of_a_membrane_met_in_air_is_reported(stiffness_N_per_m, seed):
+    depth_m = np.arange(0.0, 20e-3, 5e-5)
+    pushed_m = np.where(depth_m < 12e-3, np.maximum(depth_m - 5e-3, 0.0), 0.0)
+    noise_N = 0.01 * np.random.default_rng(seed).standard_normal(len(depth_m))
+    force_N = stiffness_N_per_m * pushed_m + noise_N
+    (layer,) = replay(0.01 * np.arange(len(depth_m)), depth_m, force_N).layers
+
+    error = layer.stiffness_N_per_m - stiffness_N_per_m
+    assert 0.0 < layer.stiffness_std_N_per_m < 0.1 * stiffness_N_per_m
+    assert abs(error) < 3.0 * layer.stiffness_std_N_per_m
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("zero_m", [-0.105, 0.0, 1.0])
+def test_the_first_layer_is_split_alike_wherever_depth_has_its_zero(zero_m):
+    truth = insert_needle("gel-25-constant", seed=1000, rate_hz=250.0)
+    result = replay(truth.t_s, truth.depth_m + zero_m, truth.force_N)
+    contact_s = truth.truth.contact_s
+    rupture_s = truth.truth.ruptures[0].onset_s
+    is_first_layer = (truth.t_s > contact_s) & (truth.t_s < rupture_s)
+    tip_N = np.array([estimate.tip_force_N for estimate in result.estimates])
+    std_N = np.array([estimate.tip_force_std_N for estimate in result.estimates])
+    error_N = np.abs(tip_N - truth.truth.tip_N)[is_first_layer]
+
+    assert np.mean(error_N < 2.0 * std_N[is_first_layer]) > 0.95
+    assert error_N.max() < 0.1
+
+
+@pytest.mark.slow
+def test_nothing_is_subtracted_before_the_first_rupture_is_reported():
+    """A glove is met under the first gel: its friction is known before the rupture."""
+    truth = insert_needle("stack-glove-constant", seed=0, rate_hz=250.0)
+    result = replay(truth.t_s, truth.depth_m, truth.force_N)
+    before = truth.t_s < result.layers[0].rupture.alarm_s - 0.01
+    enhanced_N = np.array([each.enhanced_force_N for each in result.estimates])
+
+    # The zero of the force is learnt.
+    assert np.abs(enhanced_N - truth.force_N)[before].max() < 0.02
+
+
+@pytest.mark.slow
+def test_thin_layers_crossed_in_two_seconds_each_are_found_one_and_all():
+    """Falls that follow one another are no heartbeat: each stays, and is a rupture."""
+    thickness_m = 6e-3
+    noise_N = np.random.default_rng(1).normal(0.0, 5e-3, 6_250)
+    rows = []
+    for tick, error_N in enumerate(noise_N.tolist()):
+        depth_m = 3e-3 * 4e-3 * tick - 2e-3
+        in_tissue_m = max(depth_m, 0.0)
+        force_N = 60.0 * (in_tissue_m % thickness_m) + 1.7 * in_tissue_m + error_N
+        rows.append((depth_m, 3e-3, force_N, 4e-3))
+    _, estimates = run(rows)
+    alarms_m = [rupture.depth_m for rupture in values_of(estimates, "rupture")]
+
+    assert alarms_m == pytest.approx(thickness_m * np.arange(1, 13), abs=0.3e-3)
+
+
+@pytest.mark.slow
+def test_a_rough_layer_stays_uncertain_behind_a_smooth_one():
+    rng = np.random.default_rng(2)
+    places_m = np.arange(-5e-3, 50e-3, 1e-4)
+    white = rng.standard_normal(len(places_m))
+    texture_N = np.convolve(white, np.exp(-np.arange(30) / 10.0), "same")
+    texture_N *= 0.06 / texture_N.std()
+    rough = []
+    for row in straight(seed=2):
+        is_rough = 0.0 < row.depth_m < 14.5e-3
+        added_N = is_rough * float(np.interp(row.depth_m, places_m, texture_N))
+        rough.append(row._replace(force_N=row.force_N + added_N))
+    identifier, estimates = run(rough)
+    layers = values_of(estimates, "identified_layer")
+    final = next(layer for layer in layers if layer.is_final)
+
+    assert final.layer == 1
+    assert identifier.layers[0].friction_std_N > 0.8 * final.friction_std_N
+
+
+@pytest.mark.parametrize(
+    ("released_N", "is_reported"), [(0.06, False), (0.08, False), (0.2, True)]
+)
+def test_a_rupture_releases_more_than_a_tenth_of_a_newton(released_N, is_reported):
+    """Less is texture: the least rupture seen in real liver is 0.15 N."""
+    rng = np.random.default_rng(0)
+    rows = []
+    for tick in range(3_000):
+        depth_m = 4e-3 * 2e-3 * tick - 4e-3
+        force_N = 20.0 * max(depth_m, 0.0)
+        fallen = min(max((depth_m - 12e-3) / 0.2e-3, 0.0), 1.0)
+        noise_N = 2e-3 * float(rng.standard_normal())
+        rows.append((depth_m, 4e-3, force_N - released_N * fallen + noise_N, 2e-3))
+    _, estimates = run(rows)
+
+    assert bool(kept_ruptures(estimates)) == is_reported
+
+
+@pytest.mark.parametrize("has_speed", [True, False])
+def test_friction_that_falls_as_the_needle_brakes_is_no_rupture(has_speed):
+    """The needle slows down from 4 to 1.5 mm/s; all of the force is viscous."""
+    rng = np.random.default_rng(0)
+    rows = []
+    depth_m = -4e-3
+    for tick in range(8_000):
+        speed_m_s = (
+            4e-3 if tick < 6_000 else max(4e-3 - 20e-3 * (tick - 6_000) * 1e-3, 1.5e-3)
+        )
+        depth_m += 1e-3 * speed_m_s
+        force_N = 50.0 * max(depth_m, 0.0) * (0.2 + 0.8 * speed_m_s / 4e-3)
+        noise_N = 5e-3 * float(rng.standard_normal())
+        seen_m_s = speed_m_s if has_speed else None
+        rows.append((depth_m, seen_m_s, force_N + noise_N, 1e-3))
+    _, estimates = run(rows)
+
+    assert estimates[6_300].predicted_force_N < 0.6 * estimates[5_999].predicted_force_N
+    assert values_of(estimates, "rupture") == []
+
+
+@pytest.mark.parametrize(
+    ("name", "values"),
+    [
+        ("alarm_probability", {"alarm_probability": 0.3}),
+        ("alarm_probability", {"alarm_probability": 1.0}),
+        ("alarm_probability", {"alarm_probability": np.nan}),
+        (
+            "provisional_probability",
+            {"alarm_probability": 0.9, "provisional_probability": 0.95},
+        ),
+    ],
+)
+def test_a_probability_of_an_alarm_must_be_one(name, values):
+    with pytest.raises(InvalidConfigError, match=name):
+        MixtureConfig(**values)

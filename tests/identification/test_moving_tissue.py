@@ -1,0 +1,224 @@
+"""Tissue that moves with heart and breath, or faster than the needle."""
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from groundtruth import insert_needle, random_stack, scenario
+from groundtruth.motion import constant_motion
+from groundtruth.scenarios import TissueMotion as TrueMotion
+from groundtruth.scenarios import Wave
+from identification import Identifier, SampleStatus, TissueWarning, replay
+from identification.mixture.block import Block
+from identification.mixture.motion_fit import Fit, displacement, turned
+from identification.mixture.tissue_pull import TissuePull
+from tests.identification.worlds import (
+    follow,
+    kept_ruptures,
+    run,
+    samples_of,
+    straight,
+    values_of,
+)
+
+HEART = ((0.2e-3, 1.3, 0.4), (0.08e-3, 2.6, 1.0))
+BREATH = ((1.2e-3, 0.28, 2.0), (0.3e-3, 0.56, 0.5))
+BEATS = np.array([[0.3, 1.0, -0.5, 0.2, 0.1], [1.2, 0.2, 0.1, -0.1, 0.05]])
+
+
+def moving(waves, name="gel-25-constant", seed=5, rate_hz=1000.0):
+    """An insertion of the simulator into tissue that moves."""
+    motion = TrueMotion(waves=waves) if waves else None
+    chosen = replace(scenario(name, 0), tissue_motion=motion)
+    return insert_needle(chosen, seed=seed, rate_hz=rate_hz)
+
+
+def test_speed_is_the_rate_of_the_place_whenever_phases_begin():
+    times_s = np.linspace(0.0, 5.0, 50_001)
+    place_mm, speed_mm_s = displacement(BEATS, times_s)
+    fit = turned(Fit(BEATS, 0.0), 1.7)
+
+    assert np.allclose(
+        np.gradient(place_mm, times_s)[1:-1], speed_mm_s[1:-1], atol=1e-5
+    )
+    assert np.allclose(displacement(fit.beats, times_s - 1.7)[0], place_mm)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("waves", "hz"), [(HEART, 1.3), (BREATH, 0.28), (HEART + BREATH, 0.28)]
+)
+def test_motion_and_ruptures_are_found_in_tissue_that_moves(waves, hz):
+    simulated = moving(waves)
+    rupture_s = simulated.truth.ruptures[0].onset_s
+    _, samples = samples_of(simulated)
+    begin_s = samples[0][-1] - 1e-3
+    cut = sum(time_s < rupture_s for *_, time_s in samples)
+    identifier, before = run(samples[:cut])
+    fit = identifier.snapshot().state.learner.tissue.fit
+    _, after = run(samples[cut:], identifier)
+    times_s = np.linspace(0.0, 1.0 / hz, 50)
+    place_mm, _ = displacement(fit.beats, times_s)
+    true_mm = 1e3 * TrueMotion(waves=waves).at(begin_s + fit.at_s + times_s)[0]
+    ruptures = values_of(before + after, "rupture")
+    near_s = [rupture.alarm_s - rupture_s for rupture in ruptures]
+    near_s = [delay_s for delay_s in near_s if abs(delay_s) < 3.0]
+
+    assert fit.beats[0, 0] == pytest.approx(hz, abs=0.01)
+    assert np.std(place_mm - true_mm) < 0.3 * np.std(place_mm)
+    assert len(ruptures) <= 4  # not one at every beat
+    assert len(near_s) == 1
+    assert 0.0 < near_s[0] < 0.2
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("name", ["gel-25-constant", "abdomen-sinusoidal"])
+def test_tissue_at_rest_stays_at_rest(name):
+    result = follow(moving((), name))
+
+    assert not result.identifier.snapshot().state.learner.tissue.is_known
+    assert all(not estimate.warnings for estimate in result.estimates)
+
+
+@pytest.mark.slow
+def test_a_heartbeat_that_ends_is_given_up_and_hides_no_rupture():
+    def beat_m(t_s):
+        return 0.2e-3 * np.sin(2.0 * np.pi * 1.2 * min(t_s, 6.0))
+
+    beating = straight(3, motion_m=lambda t_s: 0.2e-3 * np.sin(2.0 * np.pi * 1.2 * t_s))
+    identifier, estimates = run(beating)
+    assert len(kept_ruptures(estimates)) == len(identifier.layers) == 2
+    _, estimates = run(straight(3, motion_m=beat_m))
+    assert len(kept_ruptures(estimates)) == 2
+
+
+@pytest.mark.slow
+def test_an_insertion_resumes_in_moving_tissue():
+    simulated = moving(HEART, seed=7)
+    columns = (simulated.depth_m, simulated.speed_m_s, simulated.force_N)
+    rows = [(*row, 1e-3) for row in np.column_stack(columns)[13_000:27_000].tolist()]
+    first, _ = run(rows[:12_000])
+    second = Identifier()
+    second.restore(first.snapshot())
+
+    assert first.snapshot().state.learner.tissue.is_known
+    assert run(rows[12_000:], second)[1] == run(rows[12_000:], first)[1]
+
+
+@pytest.mark.slow
+def test_tissue_that_draws_back_beyond_the_tip_ends_the_search_for_its_motion():
+    """The window of the search empties while a part of its work is still due."""
+    waves = (Wave(10.4e-3, 0.2212, 3.795), Wave(3.754e-3, 0.4424, 1.3926))
+    breathing = moving(waves, seed=105, rate_hz=250.0)
+    columns = (breathing.t_s, breathing.depth_m, breathing.force_N, breathing.speed_m_s)
+    result = replay(*columns)
+
+    assert result.estimates[-1].status is SampleStatus.OK
+
+
+@pytest.mark.parametrize("dt_s", [0.1, 0.2, 0.24])
+def test_a_log_too_slow_for_a_heartbeat_is_identified(dt_s):
+    rng = np.random.default_rng(1)
+    rows = []
+    for tick in range(round(40.0 / dt_s)):
+        depth_m = 1e-3 * tick * dt_s - 3e-3
+        breath_N = 0.2 * np.sin(2.0 * np.pi * 0.25 * tick * dt_s) * (depth_m > 0.0)
+        noise_N = 5e-3 * rng.standard_normal()
+        force_N = float(30.0 * max(depth_m, 0.0) + breath_N + noise_N)
+        rows.append((depth_m, 1e-3, force_N, dt_s))
+    _, estimates = run(rows)
+
+    assert estimates[-1].status is SampleStatus.OK
+
+
+@pytest.mark.parametrize("force_N", [0.0, 190.0, -190.0])
+@pytest.mark.parametrize("speed_m_s", [0.0, 1e-3, 0.9])
+def test_absurd_forces_and_speeds_leave_every_number_finite(force_N, speed_m_s):
+    rows = [
+        (0.05 * k * speed_m_s, speed_m_s, force_N if k % 7 else -force_N, 0.05)
+        for k in range(400)
+    ]
+    _, estimates = run(rows)
+
+    for estimate in estimates:
+        assert all(np.isfinite(v) for v in estimate if isinstance(v, float))
+
+
+def breathing(breath_m, hz, speed_m_s, seed):
+    """An insertion into a stack that breathes by so much from peak to peak."""
+    stack = random_stack(np.random.default_rng(seed))
+    depth_m = min(sum(layer.thickness_m for layer in stack.layers) + 5e-3, 40e-3)
+    motion = constant_motion(
+        speed_m_s=speed_m_s, depth_m=depth_m, standoff_m=5e-3 + breath_m
+    )
+    tissue_motion = TrueMotion(waves=(Wave(0.5 * breath_m, hz, 1.0),))
+    chosen = replace(stack, motion=motion, tissue_motion=tissue_motion)
+    return follow(insert_needle(chosen, seed=seed, rate_hz=250.0))
+
+
+@pytest.mark.parametrize(
+    ("breath_m", "hz", "speed_m_s", "seed"),
+    [(7e-3, 0.25, 2e-3, 2), (15e-3, 0.22, 3e-3, 7)],
+)
+def test_in_tissue_that_breathes_freely_nothing_is_stated_as_known(
+    breath_m, hz, speed_m_s, seed
+):
+    identifier, estimates, rows, simulated = breathing(breath_m, hz, speed_m_s, seed)
+    # The pull of the tissue is friction of the whole shaft, less what acts otherwise.
+    friction_N = -simulated.truth.axial_N[rows].min()
+    last = estimates[-1]
+
+    assert TissueWarning.TISSUE_MOVES in last.warnings
+    assert not last.friction_identified
+    assert last.shaft_friction_std_N > 0.5 * friction_N
+    for layer in identifier.layers:
+        assert not layer.is_final
+        assert layer.friction_std_N > 0.3 * friction_N
+        assert not layer.friction_identified
+        assert not layer.stiffness_identified
+
+
+def pulled(*stretches, amplitude_mm=0.0, breathing_N=0.0, is_sliding=True):
+    """Tissue after stretches of a force [N] and its seconds; the needle advances."""
+    pull = TissuePull(is_met=True)
+    time_s = 0.0
+    for force_N, seconds in stretches:
+        for _ in range(round(seconds / 0.05)):
+            time_s += 0.05
+            block = Block(time_s=time_s, duration_s=0.05, force_N=force_N)
+            pull = pull.with_force(
+                block, 1e-4, amplitude_mm, breathing_N**2, is_sliding=is_sliding
+            )
+    return pull, pull.is_moving(time_s)
+
+
+@pytest.mark.parametrize(
+    ("stretches", "settings", "is_moving"),
+    [
+        ([(0.5, 2.0), (-0.5, 0.3)], {}, True),
+        ([(0.5, 2.0), (-0.5, 0.1)], {}, False),
+        ([(0.5, 2.0), (-0.05, 5.0)], {}, False),  # the inertia of a needle pulls so
+        (5 * [(-0.5, 0.1), (0.5, 1.0)], {}, False),  # friction that turns again
+        ([(-0.5, 0.3), (0.5, 14.0)], {}, True),  # as long as two breaths later
+        ([(-0.5, 0.3), (0.5, 16.0)], {}, False),
+        ([(-0.5, 2.0)], {"is_sliding": False}, False),  # held, not pulled
+        ([(0.5, 1.0)], {"amplitude_mm": 1.5}, False),  # it is followed
+        ([(0.5, 1.0)], {"amplitude_mm": 3.0}, True),
+        ([(1.0, 5.0)], {"breathing_N": 0.35}, True),
+        ([(1.0, 3.0)], {"breathing_N": 0.35}, False),  # a layer that begins bends it
+        ([(1.0, 5.0)], {"breathing_N": 0.1}, False),  # texture, the noise of an arm
+        ([(0.2, 5.0)], {"breathing_N": 0.08}, False),  # of little force a large part
+    ],
+)
+def test_when_tissue_counts_as_moving(stretches, settings, is_moving):
+    assert pulled(*stretches, **settings)[1] == is_moving
+
+
+def test_friction_is_known_no_better_than_half_the_swing_of_this_breath():
+    pull, _ = pulled((0.8, 1.0), (-0.4, 1.0))
+    drawn_back, _ = pulled((-5.0, 0.1), (0.5, 75.0), (-0.5, 1.0))
+    never, _ = pulled((0.5, 75.0), (-0.5, 1.0))
+
+    assert pull.doubt_N == pytest.approx(0.6, rel=0.1)
+    assert drawn_back.doubt_N == pytest.approx(never.doubt_N, rel=0.1)

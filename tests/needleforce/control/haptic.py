@@ -1,0 +1,68 @@
+"""What a session estimates of a needle that a hand drives; what the handle sends."""
+
+from types import SimpleNamespace
+
+import numpy as np
+
+from residual import Status
+
+DT = 1e-3
+
+
+def estimate(
+    axial_N=0.0,
+    tip_N=None,
+    depth_m=0.0,
+    speed_m_s=0.0,
+    status=Status.OK,
+    rupture=None,
+    stiffness=0.0,
+):
+    tip_N = axial_N if tip_N is None else tip_N
+    identification = SimpleNamespace(
+        tip_force_N=tip_N,
+        enhanced_force_N=0.5 * (tip_N + axial_N),
+        rupture=rupture,
+        provisional=None,
+        stiffness_N_per_m=stiffness,
+    )
+    return SimpleNamespace(
+        wrench=SimpleNamespace(axial_unsmoothed=axial_N),
+        identification=identification,
+        depth_m=depth_m,
+        speed_m_s=speed_m_s,
+        status=status,
+    )
+
+
+def handle(z_m=0.0, speed_m_s=0.0, clutch=True, **changes):
+    """Return a sample of a handle that moves along z; ``changes`` of its fields."""
+    sample = {
+        "position_m": np.array((0.0, 0.0, z_m)),
+        "velocity_m_s": np.array((0.0, 0.0, speed_m_s)),
+        "clutch": clutch,
+    }
+    return SimpleNamespace(**sample | changes)
+
+
+def answer(tele, sample, session_estimate, dt_s=DT):
+    """Return the teleoperation's command for a sample of the handle."""
+    return tele.update(sample, session_estimate, dt_s)
+
+
+class Needle:
+    """A needle that follows its commands late.
+
+    Attributes:
+        depth_m: Its depth.
+        speed_m_s: Its speed.
+    """
+
+    def __init__(self):
+        self.depth_m = 0.0
+        self.speed_m_s = 0.0
+
+    def follow(self, command):
+        """Move for a tick; the arm's servo is 5 ms late."""
+        self.speed_m_s += (command.speed_m_s - self.speed_m_s) / 6.0
+        self.depth_m += self.speed_m_s * DT
