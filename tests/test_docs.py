@@ -5,28 +5,17 @@ import io
 import re
 import runpy
 from contextlib import redirect_stdout
-<<<<<<< HEAD
 from dataclasses import replace
-from importlib import import_module
-=======
->>>>>>> bench2
 from pathlib import Path
 
 import matplotlib.pyplot as plt
 import numpy as np
 import pytest
 
-<<<<<<< HEAD
-import urdf
 from groundtruth import simulate
 from needleforce import InsertionSession
-from residual import Status, TareError
+from residual import Status
 from tests.insertion_run import cut, simulated
-from tests.residual.residual_signals import pose_of
-=======
-from needleforce import InsertionSession
-from tests.insertion_run import simulated
->>>>>>> bench2
 from tests.source_files import project_files
 from urdf import MissingPackageError, example_robot_path
 
@@ -117,7 +106,6 @@ def test_the_readmes_example_finds_the_layers(monkeypatch):
     assert len(said.splitlines()) == 3
 
 
-<<<<<<< HEAD
 @pytest.mark.slow
 def test_the_readmes_loop_runs_with_an_arm_that_sends_no_velocities(monkeypatch):
     run = simulate("free-motion", plant="fri")
@@ -132,18 +120,11 @@ def test_the_readmes_loop_runs_with_an_arm_that_sends_no_velocities(monkeypatch)
     assert names["estimate"].status is Status.NOT_TARED
 
 
-def run_explanation(page):
-    """Names and printed text of the example on a page of explanation."""
-    text = (DOCS / "explanation" / page).read_text(encoding="utf-8")
-    (code,) = examples(text)
-    return text, *run_example(code)
-=======
 @pytest.mark.parametrize("page", ["control", "identification", "registration"])
 def test_the_example_of_an_explanation_runs_and_prints_what_its_page_says(page):
     text = (DOCS / "explanation" / f"{page}.md").read_text(encoding="utf-8")
     for code in examples(text):
         _, said = run_example(code)
->>>>>>> bench2
 
         assert [line for line in said.splitlines() if f"`{line}`" not in text] == []
 
