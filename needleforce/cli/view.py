@@ -51,12 +51,13 @@ def view_command(
 
     needleforce view insertion.csv --tare 13
     """
-    from needleforce.cli.logs.session_view import ScenePage, view_recording
+    from needleforce.cli.logs.session_view import view_recording
 
     return view_recording(
         recording,
         robot,
-        ScenePage(options.port, options.export),
+        port=options.port,
+        export=options.export,
         tare_s=options.tare,
         mapping=options.mapping,
         anatomy=options.anatomy,
