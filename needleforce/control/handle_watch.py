@@ -95,7 +95,11 @@ def _parse(sample: MasterSample | None) -> HandleReading | None:
 
 
 class HandleWatch:
-    """Checks every sample of a haptic device; see `update`."""
+    """Checks every sample of a haptic device; see `update`.
+
+    Make a new one after a pause in which nobody asked: positions before it would look
+    like a motion.
+    """
 
     def __init__(self) -> None:
         self._last: HandleReading | None = None

@@ -111,6 +111,8 @@ def run(
             )
             if not is_taken:
                 controller.reset()
+            if tick.handle is None:  # what it does while nobody asks is no motion
+                handle_watch = HandleWatch()
     finally:
         _bring_to_rest(arm, samples, controller)
 

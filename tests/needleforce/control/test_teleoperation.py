@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from groundtruth.errors import PlantError
 from groundtruth.rig_line import DelayLine
 from groundtruth.rig_operator import HapticMaster, Operator, random_operator
-from needleforce.control import SettingError
+from needleforce.control import HandleWatch, SettingError
 from needleforce.control.passivity import HandPort, NeedlePort, Port, passive_fraction
 from needleforce.control.teleoperation import shown_force
 from residual import Status
@@ -320,6 +320,7 @@ def test_after_a_reset_the_needle_stays(is_reset):
     """It does not make up for the hand's motion, while nobody asked."""
     tele = teleoperate()
     answer(tele, handle(), estimate(depth_m=0.05))
+    tele.watch = HandleWatch()
     if is_reset:
         tele.reset()
     move = answer(tele, handle(0.004), estimate(depth_m=0.0))
