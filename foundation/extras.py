@@ -10,7 +10,7 @@ EXTRAS = {
     "patient": "CT and segmentations, planned layers, registration",
     "scene": "the 3-D scene in a browser, with the patient in it",
     "slicer": "the needle shown live in 3D Slicer",
-    "devices": "haptic device, Franka and UR arms",
+    "devices": "haptic device, KUKA iiwa, Franka and UR arms",
     "ros2": "nothing: the ROS 2 node takes the rclpy of your own ROS 2",
     "cluster": "benchmark campaigns on several machines",
     "docs": "building the documentation",
@@ -25,6 +25,7 @@ EXTRA_OF_MODULE = {
     "matplotlib": "demo",
     "jinja2": "demo",
     "markupsafe": "demo",
+    "example_robot_data": "robots",
     "pyarrow": "recordings",
     "rosbags": "recordings",
     "mcap": "recordings",
@@ -34,6 +35,8 @@ EXTRA_OF_MODULE = {
     "trimesh": "patient",
     "igl": "patient",
     "highdicom": "patient",
+    "nibabel": "patient",
+    "pydicom": "patient",
     "viser": "scene",
     "yourdfpy": "scene",
     "pyigtl": "slicer",
@@ -43,6 +46,7 @@ EXTRA_OF_MODULE = {
     "rtde_receive": "devices",
     "rtde_control": "devices",
     "distributed": "cluster",
+    "sphinx": "docs",
 }
 """The extra that brings a module which may be missing."""
 

@@ -38,7 +38,14 @@ class SampleStatus(Enum):
 
 
 class TissueWarning(IntFlag):
-    """What about the tissue keeps an estimate from being what it is elsewhere."""
+    """What about the tissue keeps an estimate from being what it is elsewhere.
+
+    As text it is the names of what it holds.
+    """
+
+    def __str__(self) -> str:
+        names = [str(warning.name).lower().replace("_", " ") for warning in self]
+        return ", ".join(names) or "none"
 
     NONE = 0
     TISSUE_MOVES = 1

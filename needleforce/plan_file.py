@@ -61,8 +61,8 @@ ROTATION_TOLERANCE = 1e-3
 """By so much the rows of a rotation may miss being orthonormal."""
 
 
-UNBOUND_VERSION = 1
-"""Of plans that do not say what they were made of."""
+PLAN_VERSION = 2
+"""Of the file that `needleforce plan` writes; 1 was that of version 0.2."""
 
 MISSING_PATH = "neither layers nor entry_m and target_m in it"
 MISSING_LAYERS = "no layers in it, nor labels.nii.gz, .nrrd or a .seg.nrrd beside it"
@@ -405,10 +405,11 @@ def _require_metres(plan: _PlanFile) -> None:
 
 def _require_registration(plan: _PlanFile) -> None:
     """Refuse a plan of `needleforce plan` that was not registered."""
-    if plan.version == UNBOUND_VERSION:
+    if plan.version not in (0, PLAN_VERSION):
         raise ValueError(
-            "it was made by version 0.2 and does not say what CT and labels it was "
-            "made of: plan again with `needleforce plan`, and register"
+            f"it has version {plan.version}: expected {PLAN_VERSION}, as "
+            "`needleforce plan` writes it; earlier ones do not say what CT and labels "
+            "they were made of"
         )
     if plan.version and plan.made_of is None:
         raise ValueError(

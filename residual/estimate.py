@@ -31,8 +31,12 @@ class Status(StrEnum):
 class SensorWarning(IntFlag):
     """What may be wrong beyond the standard deviation, or has widened it.
 
-    The first three make a sample `REJECTED`.
+    The first three make a sample `REJECTED`. As text it is the names of what it holds.
     """
+
+    def __str__(self) -> str:
+        names = [str(warning.name).lower().replace("_", " ") for warning in self]
+        return ", ".join(names) or "none"
 
     NONE = 0
     SPIKE = 1

@@ -6,6 +6,7 @@ import io
 import re
 import runpy
 from contextlib import redirect_stdout
+from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
 from types import ModuleType
@@ -16,9 +17,10 @@ import pinocchio as pin
 import pytest
 
 import urdf
+from groundtruth import simulate
 from needleforce import InsertionSession
-from residual import TareError
-from tests.insertion_run import simulated
+from residual import Status, TareError
+from tests.insertion_run import cut, simulated
 from tests.residual.residual_signals import pose_of
 from tests.source_files import project_files
 from urdf import MissingPackageError, example_robot_path
@@ -109,6 +111,20 @@ def test_the_readmes_example_finds_the_layers(monkeypatch):
 
     assert said.splitlines()[0] == shown[1] == "28 mm, 0.57 N of friction"
     assert len(said.splitlines()) == 3
+
+
+@pytest.mark.slow
+def test_the_readmes_loop_runs_with_an_arm_that_sends_no_velocities(monkeypatch):
+    run = simulate("free-motion", plant="fri")
+    signals = cut(run.signals, slice(1000))
+    monkeypatch.setattr(
+        "groundtruth.simulate", lambda *_, **__: replace(run, signals=signals)
+    )
+    (code,) = examples(README)
+    names, _ = run_example(code)
+
+    assert signals.dq_rad_s is None
+    assert names["estimate"].status is Status.NOT_TARED
 
 
 def run_explanation(page):

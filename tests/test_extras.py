@@ -15,9 +15,12 @@ from tests.source_files import INSTALLED, ROOT
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
 OF_DEVELOPERS = {"bench", "test", "dev"}
 HEAVY = ("trimesh", "shapely", "lxml", "PIL", "matplotlib", "yourdfpy", "networkx")
-CORE_MODULES = {"pinocchio", "coal", "numpy", "scipy", "numba", "msgspec", "cyclopts"}
+CORE_MODULES = {
+    *("pinocchio", "coal", "numpy", "pandas", "scipy", "numba", "msgspec", "cyclopts"),
+}
 BROUGHT_BY_CYCLOPTS = {"rich"}
 DISTRIBUTIONS = {
+    "example_robot_data": "example-robot-data",
     "markupsafe": "jinja2",
     "skimage": "scikit-image",
     "igl": "libigl",

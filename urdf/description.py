@@ -2,30 +2,43 @@
 
 The URDF reader that Pinocchio uses (urdfdom) drops a link's whole ``<inertial>`` when
 one number in it does not parse, and goes on with mass 0; the only sign is a line on
-stderr. So every number of an inertial is parsed here first, as strictly as urdfdom
-does.
+stderr. So every number of an inertial is parsed here first, and the masses are added
+up. It knows no namespaces, and neither does the parser here: a prefix that nothing
+declares, as in Fetch's old ``<sensor:camera>``, stops no file.
 """
 
 import re
-from collections import Counter
-from collections.abc import Iterable
+from collections.abc import Collection, Iterable
 from pathlib import Path
-from xml.etree import ElementTree
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement, TreeBuilder, tostring
+from xml.parsers import expat
 
 import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
-from urdf.errors import InputError, UnknownNameError, UrdfFileError
-from urdf.xml_reader import read_links_and_joints
+from urdf.errors import (
+    KEEP_JOINTS,
+    PLAIN_URDF,
+    InputError,
+    UnknownNameError,
+    UrdfFileError,
+)
 
-_MOMENTS = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in Pinocchio's order
-# What urdfdom reads as a number: blanks before it but not after it, no nan, inf,
-# hexadecimal or _.
-_NUMBER = re.compile(r"\s*[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+MAX_JOINTS = 499
+"""Most joints of a robot, fixed ones included. urdfdom and Pinocchio recurse once per
+link of a chain and end the process when the stack is used up (between 3000 and 6000
+links at 8 MB). Assign a larger number to load a larger robot."""
 
-# What Pinocchio takes for a limit of a joint that has none; replaced by infinity.
+MAX_BYTES = 1 << 23
+"""Larger files are not read: the largest known description, with meshes' names and
+sensors of a humanoid, has 0.5 MB."""
+
+_KEPT = {
+    "link": {"inertial"},
+    "joint": {"parent", "child", "origin", "axis", "limit", "mimic"},
+}
+"""What is kept of links and joints; all the rest is not used."""
 
 
 def read_description(path: Path, without: Iterable[str] = ()) -> Element:
@@ -38,9 +51,77 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
         raise InputError(
             f"without is the string {without!r}, expected a list of link names"
         )
-    root = read_links_and_joints(path)
-    _remove_links(root, without, str(path))
+    file = _parse(_read_text(path), path)
+    tags = {element.tag for element in file.iter()}
+    is_unexpanded = tags & {"xacro:include", "xacro:macro", "xacro:property"}
+    if is_unexpanded or ("link" not in tags and any("xacro:" in tag for tag in tags)):
+        raise UrdfFileError(f"{path}: is a xacro file, expected a URDF", PLAIN_URDF)
+    if file.tag != "robot":
+        raise UrdfFileError(f"{path}: root element is <{file.tag}>, expected <robot>")
+    root = Element("robot", name=file.get("name", path.stem))
+    for element in file:
+        if element.tag in _KEPT:
+            kept = SubElement(root, element.tag, element.attrib)
+            kept.extend(part for part in element if part.tag in _KEPT[element.tag])
+    if max(len(root.findall("joint")), len(root.findall("link")) - 1) > MAX_JOINTS:
+        raise UrdfFileError(
+            f"{path}: has more than {MAX_JOINTS} joints or {MAX_JOINTS + 1} links, "
+            "expected the description of one robot",
+            KEEP_JOINTS,
+        )
+    _remove_links(root, set(without), str(path))
     return root
+
+
+def _read_text(path: Path) -> str:
+    """Return the text of a file; single bytes where it is not UTF-8.
+
+    Names in a URDF are ASCII; what is not UTF-8 are comments of an exporter, in the
+    code page of its author's machine.
+    """
+    try:
+        # Not a pipe, device or folder: reading those may never end.
+        if not path.is_file():
+            raise UrdfFileError(f"{path}: there is no such file", PLAIN_URDF)
+        if path.stat().st_size > MAX_BYTES:
+            raise UrdfFileError(
+                f"{path}: is larger than any robot description ({MAX_BYTES} bytes)",
+                KEEP_JOINTS,
+            )
+        data = path.read_bytes()
+    except OSError as error:
+        raise UrdfFileError(f"{path!s:.200}: cannot be read: {error}") from error
+    try:
+        return data.decode("utf-8-sig")
+    except UnicodeDecodeError:
+        return data.decode("latin-1")
+
+
+def _parse(text: str, path: Path) -> Element:
+    """Return the tree of an XML text without entities of its own."""
+
+    def refuse(*_: object) -> None:
+        raise UrdfFileError(f"{path}: has a DOCTYPE, expected plain XML")
+
+    builder = TreeBuilder()
+    parser = expat.ParserCreate()
+    parser.StartElementHandler = builder.start
+    parser.EndElementHandler = builder.end
+    parser.StartDoctypeDeclHandler = refuse
+    try:
+        if text.rfind("<!--") > text.rfind("-->"):
+            raise UrdfFileError(f"{path}: is not well-formed XML: an open comment")
+        # Comments may hold "--" for urdfdom, and blanks may stand before the header.
+        plain = re.sub(r"<!--.*?-->", _line_ends_of, text, flags=re.DOTALL)
+        parser.Parse(re.sub(r"\A\s*<\?xml[^>]*\?>", _line_ends_of, plain), True)
+        return builder.close()
+    except (expat.ExpatError, AssertionError) as error:
+        raise UrdfFileError(f"{path}: is not well-formed XML: {error}") from error
+
+
+def _line_ends_of(found: re.Match[str]) -> str:
+    """Return the line ends of a text, with which errors name the right line."""
+    return "\n" * found[0].count("\n")
 
 
 def read_bodies(root: Element, source: str) -> dict[str, Array]:
@@ -53,27 +134,30 @@ def read_bodies(root: Element, source: str) -> dict[str, Array]:
     Raises:
         UrdfFileError: A number of another link does not parse.
     """
-    grounded = _grounded_links(root)
+    children = {link_of(joint, "child") for joint in root.findall("joint")}
+    roots = {link.get("name", "") for link in root.findall("link")} - children
+    grounded = links_behind(root, roots, kinds={"fixed"})
     bodies: dict[str, Array] = {}
     for link in root.findall("link"):
         inertial = link.find("inertial")
         if inertial is None:
             continue
         name = link.get("name", "")
-        if name in grounded:
-            link.remove(inertial)
-            continue
         owner = f"{source}: link {name!r}"
-        mass_kg = read_numbers(inertial, "mass", "value", owner)[0]
-        if mass_kg == 0.0:
+        if name in grounded or read_numbers(inertial, "mass", "value", owner) == [0.0]:
             link.remove(inertial)
             continue
         origin = inertial.find("origin")
         keys = () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib)
         for key in keys:  # only parsed: a body is possible wherever it is, in any axes
             read_numbers(inertial, "origin", key, owner, count=3)
-        moments = [read_numbers(inertial, "inertia", key, owner)[0] for key in _MOMENTS]
-        bodies[name] = np.array([mass_kg, 0.0, 0.0, 0.0, *moments])
+        moments = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in Pinocchio's order
+        numbers = [
+            *read_numbers(inertial, "mass", "value", owner),
+            *(0.0, 0.0, 0.0),
+            *(read_numbers(inertial, "inertia", key, owner)[0] for key in moments),
+        ]
+        bodies[name] = np.array(numbers)
     return bodies
 
 
@@ -84,89 +168,102 @@ def build_model(root: Element, source: str) -> pin.Model:
     the circle. The URDF reader (urdfdom) may still refuse it: `UrdfFileError`.
     """
     _require_tree(root, source)
-    unlimited: set[str] = set()
+    unlimited: list[str] = []
     for joint in root.findall("joint"):
         for mimic in joint.findall("mimic"):
             joint.remove(mimic)
         if joint.get("type") != "fixed" and not _complete_limits(joint):
-            unlimited.add(joint.get("name", ""))
+            unlimited.append(joint.get("name", ""))
     try:
-        model = pin.buildModelFromXML(ElementTree.tostring(root, encoding="unicode"))
+        model = pin.buildModelFromXML(tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
         raise UrdfFileError(
             f"{source}: is not a valid URDF: {error} (its reader prints the reason on "
             "stderr)"
         ) from error
-    _free_limits(model, unlimited)
-    _require_all_mass(root, model, source)
+    is_unlimited = np.isin(list(model.names)[1:], unlimited)
+    lower_rad = np.where(is_unlimited, -np.inf, model.lowerPositionLimit)
+    model.lowerPositionLimit = lower_rad
+    model.upperPositionLimit = np.where(is_unlimited, np.inf, model.upperPositionLimit)
+    masses = root.iterfind("link/inertial/mass[1]")
+    written_kg = sum(float(mass.attrib["value"]) for mass in masses)
+    loaded_kg = sum(inertia.mass for inertia in model.inertias)
+    if not abs(loaded_kg - written_kg) <= 1e-9 * abs(written_kg):
+        raise UrdfFileError(
+            f"{source}: the masses in the file add up to {written_kg:g} kg, those of "
+            f"the loaded model to {loaded_kg:g} kg; its reader has dropped an "
+            "<inertial>, see stderr"
+        )
     return model
 
 
-def link_of(joint: Element, end: str) -> str | None:
+def link_of(joint: Element, end: str) -> str:
     """Return the name of a joint's link at the end ``parent`` or ``child``."""
     element = joint.find(end)
-    return None if element is None else element.get("link")
+    return "" if element is None else element.get("link", "")
+
+
+def links_behind(
+    root: Element, start: Iterable[str], kinds: Collection[str] | None = None
+) -> set[str]:
+    """Return some links and all that hang on them, by joints of any or some kinds."""
+    joints = [
+        joint
+        for joint in root.findall("joint")
+        if kinds is None or joint.get("type") in kinds
+    ]
+    reached = set(start)
+    waiting = list(reached)
+    while waiting:
+        parent = waiting.pop()
+        carried = {
+            link_of(j, "child") for j in joints if link_of(j, "parent") == parent
+        }
+        waiting += carried - reached
+        reached |= carried
+    return reached
 
 
 def read_numbers(
     element: Element, tag: str, key: str, owner: str, count: int = 1
 ) -> list[float]:
-    """Return the numbers of an attribute of a child of an element.
-
-    Vectors are split at blanks only, as urdfdom does it, not at tabs.
+    """Return the finite numbers of an attribute of a child of an element.
 
     Raises:
         UrdfFileError: It is missing, or not so many numbers.
     """
     child = element.find(tag)
-    text = None if child is None else child.get(key)
-    if text is None:
-        raise UrdfFileError(
-            f"{owner}: <{element.tag}> needs <{tag}> with the number {key}",
-            "Write digits with a decimal point: no commas, formulas, units or blanks.",
-        )
-    words = [text] if count == 1 else [word for word in text.split(" ") if word]
-    numbers = [float(word) for word in words if _NUMBER.fullmatch(word)]
+    text = "" if child is None else child.get(key, "")
+    # What urdfdom reads as a number: no nan, inf, hexadecimal, comma or _.
+    number = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
+    words = text.split() if count > 1 else [text.lstrip()]
+    numbers = [float(word) for word in words if number.fullmatch(word)]
     if len(numbers) != count or len(words) != count or not np.isfinite(numbers).all():
-        expected = (
-            "one number" if count == 1 else f"{count} numbers with blanks between them"
-        )
         raise UrdfFileError(
-            f'{owner}: <{element.tag}> <{tag} {key}="{text}"> is not {expected}; the '
-            "URDF reader would drop it",
-            "Write digits with a decimal point: no commas, formulas, units or blanks.",
+            f'{owner}: <{element.tag}> <{tag} {key}="{text}"> has to be {count} '
+            "numbers with blanks between them; the URDF reader would drop it",
+            "Write digits with a decimal point: no commas, formulas or units.",
         )
     return numbers
 
 
 def _require_tree(root: Element, source: str) -> None:
     """Refuse what is no tree of links; the URDF reader says so on stderr only."""
-    links = [link.get("name") for link in root.findall("link")]
     joints = root.findall("joint")
+    links = [link.get("name", "") for link in root.findall("link")]
     children = [link_of(joint, "child") for joint in joints]
-    faults = [f"link {name!r} stands twice" for name in _repeated(links)]
-    names = [joint.get("name") for joint in joints]
-    faults += [f"joint {name!r} stands twice" for name in _repeated(names)]
-    faults += [f"link {name!r} hangs on two joints" for name in _repeated(children)]
-    for joint in joints:
-        faults += [
-            f"joint {joint.get('name')!r} has the {end} link {link_of(joint, end)!r}, "
-            "which is not there"
-            for end in ("parent", "child")
-            if link_of(joint, end) not in links
-        ]
-    roots = [str(link) for link in links if link not in children]
-    if not faults and len(roots) != 1:
-        faults.append(
-            f"{len(roots)} links hang on nothing, expected one: {', '.join(roots)}"
+    roots = sorted(set(links) - set(children))
+    faults: list[str] = []
+    for names in (links, [joint.get("name", "") for joint in joints], children):
+        faults += sorted({name for name in names if names.count(name) > 1})
+    ends = {link_of(joint, "parent") for joint in joints} | set(children)
+    faults += sorted(ends - set(links))
+    if faults or len(roots) != 1:
+        raise UrdfFileError(
+            f"{source}: is not a valid URDF: expected one tree, each name once and "
+            f"each link on one joint; stand twice or are not there: "
+            f"{', '.join(faults) or 'none'}; hang on nothing: {', '.join(roots)}"
         )
-    if faults:
-        raise UrdfFileError(f"{source}: is not a valid URDF: {'; '.join(faults)}")
-
-
-def _repeated(names: Iterable[str | None]) -> list[str | None]:
-    """Return the names that stand twice, each once."""
-    return [name for name, count in Counter(names).items() if count > 1]
 
 
 def _complete_limits(joint: Element) -> bool:
@@ -178,103 +275,39 @@ def _complete_limits(joint: Element) -> bool:
         Whether its position has limits: not that of a continuous joint, nor where they
         are absent or leave no room, as where an exporter has written zeros.
     """
-    unlimited = "1e9"
     limit = joint.find("limit")
     if limit is None:
-        limit = Element("limit")
-        joint.append(limit)
+        limit = SubElement(joint, "limit")
     for key in ("effort", "velocity"):
         if limit.get(key, "-").strip().startswith("-"):
             limit.set(key, "0")
-    bounds = [limit.get(key, "0") for key in ("lower", "upper")]
-    is_read = all(map(_NUMBER.fullmatch, bounds))
-    is_limited = not is_read or float(bounds[0]) < float(bounds[1])
+    try:
+        is_limited = float(limit.get("lower", "0")) < float(limit.get("upper", "0"))
+    except ValueError:  # its reader refuses the file
+        is_limited = True
     if joint.get("type") == "continuous":
         joint.set("type", "revolute")
         is_limited = False
     if not is_limited:
-        limit.set("lower", f"-{unlimited}")
-        limit.set("upper", unlimited)
+        limit.set("lower", "-1e9")
+        limit.set("upper", "1e9")
     return is_limited
 
 
-def _free_limits(model: pin.Model, names: set[str]) -> None:
-    """Set the limits of the positions of these joints to infinity."""
-    lower_rad = model.lowerPositionLimit.copy()
-    upper_rad = model.upperPositionLimit.copy()
-    for name, joint in zip(list(model.names), list(model.joints), strict=True):
-        if name in names:
-            lower_rad[joint.idx_q] = -np.inf
-            upper_rad[joint.idx_q] = np.inf
-    model.lowerPositionLimit = lower_rad
-    model.upperPositionLimit = upper_rad
-
-
-def _require_all_mass(root: Element, model: pin.Model, source: str) -> None:
-    """Refuse a model that has another mass than its description.
-
-    A second line of defence: another build of urdfdom may take other texts for numbers.
-    """
-    written_kg = sum(
-        float(mass.attrib["value"]) for mass in root.iterfind("link/inertial/mass[1]")
-    )
-    loaded_kg = sum(inertia.mass for inertia in model.inertias)
-    if abs(loaded_kg - written_kg) > 1e-9 * abs(written_kg):
-        raise UrdfFileError(
-            f"{source}: the masses in the file add up to {written_kg:g} kg, those of "
-            f"the loaded model to {loaded_kg:g} kg; its reader has dropped an "
-            "<inertial>, see stderr"
-        )
-
-
-def _grounded_links(root: Element) -> set[str | None]:
-    """Return the links that no moving joint carries."""
-    children = {link_of(joint, "child") for joint in root.findall("joint")}
-    grounded = {link.get("name") for link in root.findall("link")} - children
-    fixed = {
-        link_of(joint, "child"): link_of(joint, "parent")
-        for joint in root.findall("joint")
-        if joint.get("type") == "fixed"
-    }
-    return _reached_from(grounded, fixed)
-
-
-def _reached_from(
-    start: set[str | None], parents: dict[str | None, str | None]
-) -> set[str | None]:
-    """Return some links and all that hang on them, by each link's parent."""
-    carried: dict[str | None, list[str | None]] = {}
-    for child, parent in parents.items():
-        carried.setdefault(parent, []).append(child)
-    reached = set(start)
-    waiting = list(start)
-    while waiting:
-        children = carried.get(waiting.pop(), ())
-        new = [child for child in children if child not in reached]
-        reached.update(new)
-        waiting += new
-    return reached
-
-
-def _remove_links(root: Element, without: Iterable[str], source: str) -> None:
+def _remove_links(root: Element, without: set[str], source: str) -> None:
     """Remove links, the joints they hang on and everything behind them."""
-    links = {link.get("name"): link for link in root.findall("link")}
     joints = root.findall("joint")
-    parents = {link_of(joint, "child"): link_of(joint, "parent") for joint in joints}
-    left_out: set[str | None] = set(without)
-    for name in sorted(left_out - set(links), key=str):
-        known = ", ".join(str(link) for link in links)
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    if unknown := sorted(without - links.keys()):
         raise UnknownNameError(
-            f"{source}: cannot leave out {name!r}, there is no such link; links: "
-            f"{known}"
+            f"{source}: cannot leave out {unknown}, there is no such link; links: "
+            f"{', '.join(links)}"
         )
-    for name in left_out - set(parents):
-        raise InputError(
-            f"{source}: cannot leave out {name!r}, it is the root of the robot"
-        )
-    gone = _reached_from(left_out, parents)
+    if roots := without - {link_of(joint, "child") for joint in joints}:
+        raise InputError(f"{source}: cannot leave out {roots}, the root of the robot")
+    gone = links_behind(root, without)
     for joint in joints:
         if link_of(joint, "child") in gone:
             root.remove(joint)
-    for name in gone & set(links):
+    for name in gone & links.keys():
         root.remove(links[name])

@@ -9,7 +9,7 @@ from foundation.errors import NeedleforceError
 PLAIN_URDF = "Give the path of a plain URDF file; expand a xacro file first."
 KEEP_JOINTS = (
     "Name the joints of the log with `keep_joints`; for a real robot raise "
-    "`urdf.xml_reader.MAX_JOINTS` or `urdf.joint_choice.MAX_MOVING_JOINTS`."
+    "`urdf.description.MAX_JOINTS` or `urdf.joint_choice.MAX_MOVING_JOINTS`."
 )
 GIVE_INERTIA = (
     "Give the links mass, centre and inertia; lock their joints with `locked_joints`, "

@@ -3,109 +3,20 @@
 A link that is fixed to the ground never moves and is not looked at. Links that are
 fixed to each other move as one body, and only what they have together enters a torque.
 Inertia that no body can have changes no torque at rest; while joints accelerate it
-does, by that part of a moment which cannot be, v, times the acceleration:
-
-    v = max(-J_1, J_3 - J_1 - J_2),   J_1 <= J_2 <= J_3 the principal moments.
-
-A small v is one warning for the whole robot; a large one is refused, and so is a link
-that moves without inertia, whose weight would be missing.
+does, by the `urdf.payload.impossible_moment` times the acceleration. A small one is one
+warning for the whole robot; a large one is refused, and so is a link that moves without
+inertia, whose weight would be missing.
 """
 
-from collections.abc import Mapping
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from collections.abc import Mapping, Sequence
 
 import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
 from urdf.errors import GIVE_INERTIA, InertiaError
-from urdf.payload import MAX_PARAMETER, rounding_of
+from urdf.payload import impossible_moment, principal_moments
 from urdf.robot import Robot
-
-TOLERATED_RATIO = 0.05
-"""The same, relative to the largest moment of the body, or to the largest that a joint
-of the arm turns: no description is known more exactly."""
-
-LEVER_M = 0.1
-"""Lever at which the warning gives the effect on the force."""
-
-
-class BodyFault(NamedTuple):
-    """Why no rigid body has the inertia of a link.
-
-    Attributes:
-        text: What is wrong, in words.
-        moment_kg_m2: The part of a moment that cannot be; infinite for other faults.
-        largest_kg_m2: The largest principal moment.
-    """
-
-    text: str
-    moment_kg_m2: float
-    largest_kg_m2: float
-
-    def is_large(self, limit_kg_m2: float) -> bool:
-        """Return whether it is more than rounding, a few percent, and a limit."""
-        # A part of a moment that cannot be, below this, is the rounding of a written
-        # table.
-        rounding_kg_m2 = 1e-6
-        own_limit_kg_m2 = TOLERATED_RATIO * self.largest_kg_m2
-        return self.moment_kg_m2 > max(rounding_kg_m2, own_limit_kg_m2, limit_kg_m2)
-
-
-@dataclass(slots=True)
-class InertiaFindings:
-    """What is wrong with the inertia of a robot's moving links.
-
-    Attributes:
-        refused: Links that no rigid body can be, with the reason.
-        tolerated: Links that miss being one by little.
-        missing: Links that move without inertia, each with its joint.
-        moment_kg_m2: The largest part of a tolerated moment that cannot be.
-    """
-
-    refused: list[str] = field(default_factory=list)
-    tolerated: list[str] = field(default_factory=list)
-    missing: list[str] = field(default_factory=list)
-    moment_kg_m2: float = 0.0
-
-    def add(self, name: str, fault: BodyFault, *, is_refused: bool) -> None:
-        """Add what is wrong with a link."""
-        if is_refused:
-            self.refused.append(f"link {name!r}: {fault.text}")
-        else:
-            self.tolerated.append(name)
-            self.moment_kg_m2 = max(self.moment_kg_m2, fault.moment_kg_m2)
-
-    def reasons(self) -> str:
-        """Return in words what is refused; empty if nothing is."""
-        reasons = list(self.refused)
-        if self.missing:
-            reasons.append(f"moving links without inertia: {', '.join(self.missing)}")
-        return "; ".join(reasons)
-
-    def warning(self) -> str:
-        """Return what is odd and what it does to the force; empty if nothing is."""
-        effects: list[str] = []
-        if self.tolerated:
-            moment = self.moment_kg_m2
-            effects.append(
-                f"no rigid body has the inertia of {', '.join(self.tolerated)}, by up "
-                f"to {moment:.2g} kg m^2: no effect on the force at rest; while a "
-                f"joint accelerates by 1 rad/s^2, up to {moment:.2g} Nm or "
-                f"{moment / LEVER_M:.2g} N on a lever of {LEVER_M:g} m"
-            )
-        if self.refused:
-            effects.append(
-                f"inertia accepted that no rigid body has ({'; '.join(self.refused)}): "
-                "what it adds to gravity and acceleration is in the force"
-            )
-        if self.missing:
-            effects.append(
-                f"accepted without inertia: {', '.join(self.missing)}; their weight is "
-                "in the force, but for what the tare removes"
-            )
-        return "; ".join(effects)
 
 
 def check_inertia(
@@ -126,93 +37,94 @@ def check_inertia(
         InertiaError: All links that are refused; with ``accept`` only if no moving link
             has inertia.
     """
-    findings = find_inertia_faults(robot, bodies)
-    reasons = findings.reasons()
-    has_inertia = len(findings.missing) < robot.nv
-    if reasons and not (accept and has_inertia):
-        advice = GIVE_INERTIA if findings.missing else ""
-        raise InertiaError(f"{source}: {reasons}", advice)
-    warning = findings.warning()
-    return f"{source}: {warning}" if warning else ""
-
-
-def find_inertia_faults(robot: Robot, bodies: Mapping[str, Array]) -> InertiaFindings:
-    """Return what is wrong with the inertia of a robot's moving links."""
-    findings = InertiaFindings()
-    limit_kg_m2 = TOLERATED_RATIO * _largest_turned(robot)
-    model = robot.model
-    for joint in range(1, model.njoints):
-        links = _links_moved_by(model, joint)
+    refused: list[str] = []
+    tolerated: list[str] = []
+    missing: list[str] = []
+    for joint in range(1, robot.model.njoints):
+        links = _links_moved_by(robot, joint)
         described = [name for name in links if name in bodies]
-        if not described and model.inertias[joint].mass == 0.0:
-            findings.missing.append(f"{links[0]} (joint {model.names[joint]})")
-        whole = _fault_together(robot.bare_model.inertias[joint])
-        is_body = whole is not None and not whole.is_large(limit_kg_m2)
-        is_turned = _is_turned(model, joint)
-        for name in described:
-            fault = fault_of(bodies[name])
-            if fault is None or not (is_turned or np.isinf(fault.moment_kg_m2)):
-                continue
-            is_refused = np.isinf(fault.moment_kg_m2) or not is_body
-            is_refused = is_refused and fault.is_large(limit_kg_m2)
-            findings.add(name, fault, is_refused=bool(is_refused))
-    return findings
-
-
-def fault_of(parameters: Array) -> BodyFault | None:
-    """Return why no rigid body has ten parameters, shape (10,); None if one has.
-
-    Rounding of the written table is no fault.
-    """
-    # Below this, a milligram at a millimetre, it is the rounding of a computation.
-    negligible_kg_m2 = 1e-12
-    if not np.all(np.abs(parameters) <= MAX_PARAMETER):
-        text = f"a number above {MAX_PARAMETER:g} in SI units"
-        return BodyFault(text, np.inf, 0.0)
-    mass_kg = float(parameters[0])
-    if mass_kg <= 0.0:
-        text = f"mass is {mass_kg:g} kg, expected a positive mass"
-        return BodyFault(text, np.inf, 0.0)
-    inertia = pin.Inertia.FromDynamicParameters(parameters)
-    moments = np.linalg.eigvalsh(inertia.inertia)
-    largest_kg_m2 = float(moments[2])
-    excess_kg_m2 = largest_kg_m2 - float(moments[0] + moments[1])
-    shown = ", ".join(f"{moment:.4g}" for moment in moments)
-    slack_kg_m2 = max(negligible_kg_m2, rounding_of(parameters, largest_kg_m2))
-    if moments[0] < -slack_kg_m2:
-        impossible_kg_m2 = max(-float(moments[0]), excess_kg_m2)
-        text = f"principal moments {shown} kg m^2 are not positive definite"
-        return BodyFault(text, impossible_kg_m2, largest_kg_m2)
-    if excess_kg_m2 > slack_kg_m2:
-        text = (
-            f"principal moments {shown} kg m^2 break the triangle inequality by "
-            f"{excess_kg_m2:.2g}"
+        if not described and robot.model.inertias[joint].mass == 0.0:
+            missing.append(f"{links[0]} (joint {robot.model.names[joint]})")
+        for name, is_refused in _find_odd(robot, joint, bodies, described).items():
+            (refused if is_refused else tolerated).append(name)
+    impossible = ", ".join(f"{name} ({_describe(bodies[name])})" for name in refused)
+    if (refused or missing) and not (accept and len(missing) < robot.nv):
+        raise InertiaError(
+            f"{source}: no rigid body has the inertia of {impossible or 'none'}; "
+            f"moving links without inertia: {', '.join(missing) or 'none'}",
+            GIVE_INERTIA if missing else "",
         )
-        return BodyFault(text, excess_kg_m2, largest_kg_m2)
-    return None
+    warnings: list[str] = []
+    if refused:
+        warnings.append(f"accepted that no rigid body has the inertia of {impossible}")
+    if missing:
+        warnings.append(
+            f"accepted without inertia: {', '.join(missing)}; their weight is in the "
+            "force, but for what the tare removes"
+        )
+    if tolerated:
+        moment_kg_m2 = max(impossible_moment(bodies[name]) for name in tolerated)
+        warnings.append(
+            f"no rigid body has the inertia of {', '.join(tolerated)}: no effect at "
+            f"rest, up to {moment_kg_m2:.2g} Nm at 1 rad/s^2 of a joint"
+        )
+    return f"{source}: {'; '.join(warnings)}" if warnings else ""
 
 
-def _fault_together(inertia: pin.Inertia) -> BodyFault | None:
-    """Return what is wrong with all links of a joint together; None without mass."""
-    no_fault = BodyFault("", 0.0, 0.0)  # a rigid body can have the inertia
-    if inertia.mass == 0.0:
-        return None
-    return fault_of(inertia.toDynamicParameters()) or no_fault
-
-
-def _links_moved_by(model: pin.Model, joint: int) -> list[str]:
+def _links_moved_by(robot: Robot, joint: int) -> list[str]:
     """Return the links that move as one with a joint, its own first."""
     return [
         frame.name
-        for frame in model.frames
+        for frame in robot.model.frames
         if frame.parentJoint == joint and frame.type == pin.FrameType.BODY
     ]
 
 
-def _is_turned(model: pin.Model, joint: int) -> bool:
-    """Return whether a joint's links can turn: moments of what slides do not matter."""
+def _find_odd(
+    robot: Robot, joint: int, bodies: Mapping[str, Array], names: Sequence[str]
+) -> dict[str, bool]:
+    """Return which links of a joint no body can be, and whether that is too much.
+
+    Moments of what slides do not matter, and neither does how links that are fixed to
+    each other share what they have together.
+    """
+    model = robot.model
+    together = robot.bare_model.inertias[joint].toDynamicParameters()
+    turned_kg_m2 = _largest_turned(robot)
     carriers = list(model.supports[joint])[1:]  # without the ground
-    return any(_is_turning(model.joints[carrier]) for carrier in carriers)
+    is_turned = any(_is_turning(model.joints[carrier]) for carrier in carriers)
+    is_body = not _is_large(together, turned_kg_m2)
+    odd: dict[str, bool] = {}
+    for name in names:
+        moment_kg_m2 = impossible_moment(bodies[name])
+        is_none = bool(np.isinf(moment_kg_m2))
+        if is_none or (moment_kg_m2 > 0.0 and is_turned):
+            odd[name] = is_none or (
+                not is_body and _is_large(bodies[name], turned_kg_m2)
+            )
+    return odd
+
+
+def _is_large(parameters: Array, turned_kg_m2: float) -> bool:
+    """Return whether no body has ten parameters, by more than is tolerated.
+
+    The largest moment that a joint turns is given: neither that nor the body's own is
+    known better than to 5 %.
+    """
+    moment_kg_m2 = impossible_moment(parameters)
+    if moment_kg_m2 in (0.0, np.inf):
+        return moment_kg_m2 > 0.0
+    largest_kg_m2 = max(float(principal_moments(parameters)[2]), turned_kg_m2)
+    # A milligram at a metre is the rounding of a written table.
+    return moment_kg_m2 > max(1e-6, 0.05 * largest_kg_m2)
+
+
+def _describe(parameters: Array) -> str:
+    """Return mass and principal moments of a body in words."""
+    if not np.isfinite(parameters).all() or parameters[0] <= 0.0:
+        return f"mass {parameters[0]:g} kg"
+    shown = ", ".join(f"{moment:.4g}" for moment in principal_moments(parameters))
+    return f"mass {parameters[0]:g} kg, principal moments {shown} kg m^2"
 
 
 def _is_turning(joint: pin.JointModel) -> bool:

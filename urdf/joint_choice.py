@@ -4,14 +4,13 @@ A joint that is welded becomes a fixed one at a position, before there is a mode
 its kind does not matter, nor a name that a link has too, nor how many there are.
 """
 
-from collections.abc import Collection, Iterable, Mapping
+from collections.abc import Iterable, Mapping
 from pathlib import Path
-from xml.etree.ElementTree import Element
+from xml.etree.ElementTree import Element, SubElement
 
 import numpy as np
 import pinocchio as pin
 
-from foundation.arrays import Array
 from urdf.description import link_of, read_description, read_numbers
 from urdf.errors import (
     KEEP_JOINTS,
@@ -33,10 +32,8 @@ def movable_joints(path: Path, without: Iterable[str] = ()) -> tuple[str, ...]:
     Fixed joints and those that mimic another are not among them. Errors are those of
     `urdf.load_urdf`.
     """
-    root = read_description(path, without)
-    return tuple(
-        joint.get("name", "") for joint in root.findall("joint") if _is_movable(joint)
-    )
+    joints = read_description(path, without).findall("joint")
+    return tuple(joint.get("name", "") for joint in joints if _is_movable(joint))
 
 
 def joints_towards(
@@ -56,13 +53,11 @@ def joints_towards(
     joints = root.findall("joint")
     if frame is None:
         return _route_to(joints, last_link(root, str(path)))
-    links = [link.get("name", "") for link in root.findall("link")]
-    child_of_joint = {joint.get("name"): link_of(joint, "child") for joint in joints}
-    link = frame if frame in links else child_of_joint.get(frame)
+    links = {link.get("name"): link.get("name", "") for link in root.findall("link")}
+    children = {joint.get("name"): link_of(joint, "child") for joint in joints}
+    link = (children | links).get(frame)
     if link is None:
-        raise UnknownNameError(
-            f"{path}: there is no frame {frame!r}; links: {', '.join(links)}"
-        )
+        raise UnknownNameError(f"{path}: no frame {frame!r}; links: {', '.join(links)}")
     return _route_to(joints, link)
 
 
@@ -94,32 +89,41 @@ def weld_joints(
         name: joint for name, joint in joints.items() if joint.get("type") != "fixed"
     }
     kept = None if kept is None else tuple(kept)
-    for name, position in locked.items():
-        if name not in joints or (name not in moving and position != 0.0):
-            raise _unknown_joint(f"lock {name!r}", moving, source)
-    for name in kept or ():
-        if name not in moving:
-            raise _unknown_joint(f"keep {name!r}", moving, source)
-        if name in locked:
-            raise InputError(
-                f"joint {name!r} is in locked_joints and in keep_joints, expected one "
-                "of them"
-            )
-    positions = {name: locked[name] for name in locked if name in moving}
-    if kept is not None:
-        positions = {name: 0.0 for name in moving if name not in kept} | positions
     chosen = {*locked, *(kept or ())}
-    for name, position in _with_followers(moving, positions, chosen, source).items():
+    # A fixed joint may be locked where it is.
+    unknown = chosen - moving.keys()
+    unknown -= {name for name in joints if locked.get(name) == 0.0}
+    if unknown:
+        wish = "lock" if unknown & locked.keys() else "keep"
+        raise UnknownNameError(
+            f"{source}: cannot {wish} {', '.join(map(repr, sorted(unknown)))}, there "
+            f"is no such joint that moves; joints: {', '.join(moving)}"
+        )
+    if kept is not None and (both := set(kept) & locked.keys()):
+        raise InputError(f"joints {sorted(both)} are to be locked and to be kept")
+    positions = {name: locked[name] for name in moving.keys() & locked.keys()}
+    if kept is not None:
+        positions = dict.fromkeys(moving.keys() - set(kept), 0.0) | positions
+    followers = {name: joint for name, joint in moving.items() if name not in chosen}
+    _lead_followers(followers, positions, source)
+    for name, position in positions.items():
         _weld(moving.pop(name), position, source)
-    _require_one_number(moving.values(), source)
-
-
-def _unknown_joint(
-    wish: str, moving: Mapping[str, Element], source: str
-) -> UnknownNameError:
-    return UnknownNameError(
-        f"{source}: cannot {wish}, there is no such joint; joints: {', '.join(moving)}"
-    )
+    odd = [
+        f"joint {name!r} is of type {joint.get('type')!r}"
+        for name, joint in moving.items()
+        if not _is_movable(joint)
+    ]
+    if odd:
+        raise UnsupportedJointError(
+            f"{source}: {'; '.join(odd)}, or mimics another; expected joints of type "
+            f"{', '.join(_ONE_NUMBER_KINDS)} that move on their own, or fixed"
+        )
+    if len(moving) > MAX_MOVING_JOINTS:
+        raise UnsupportedJointError(
+            f"{source}: {len(moving)} joints move, expected {MAX_MOVING_JOINTS} at "
+            "most: those that the log has",
+            KEEP_JOINTS,
+        )
 
 
 def _is_movable(joint: Element) -> bool:
@@ -134,7 +138,7 @@ def _route_to(joints: Iterable[Element], link: str) -> tuple[str, ...]:
         joint = by_child.pop(link)  # so that a loop of links ends
         if _is_movable(joint):
             route.append(joint.get("name", ""))
-        link = link_of(joint, "parent") or ""
+        link = link_of(joint, "parent")
     return tuple(reversed(route))
 
 
@@ -145,14 +149,14 @@ def last_link(root: Element, source: str) -> str:
     sensors of a base.
     """
     joints = root.findall("joint")
-    links = [link.get("name", "") for link in root.findall("link")]
     parents = {link_of(joint, "parent") for joint in joints}
-    ends = {link: len(_route_to(joints, link)) for link in links if link not in parents}
-    moved_by = {link: count for link, count in ends.items() if count}
-    if len(moved_by) == 1:
-        return next(iter(moved_by))
-    limit = max(moved_by.values(), default=0) / 2.0
-    likely = [link for link, count in moved_by.items() if count >= limit]
+    ends = {link.get("name", "") for link in root.findall("link")} - parents
+    counts = {link: len(_route_to(joints, link)) for link in sorted(ends)}
+    moved = [link for link, count in counts.items() if count]
+    if len(moved) == 1:
+        return moved[0]
+    limit = max(counts.values(), default=0) / 2.0
+    likely = [link for link in moved if counts[link] >= limit]
     raise UnknownNameError(
         f"{source}: there is no single last link that could carry the tool; it ends "
         f"in: {', '.join(likely) or 'none'}",
@@ -160,34 +164,22 @@ def last_link(root: Element, source: str) -> str:
     )
 
 
-def _with_followers(
-    moving: Mapping[str, Element],
-    positions: Mapping[str, float],
-    chosen: Collection[str],
-    source: str,
-) -> dict[str, float]:
-    """Return the positions with those of all joints that mimic one of them.
-
-    Joints that were chosen to be locked or kept stay as they are.
-    """
-    positions = dict(positions)
-    followers = {
-        name: mimic
-        for name, joint in moving.items()
-        if (mimic := joint.find("mimic")) is not None and name not in chosen
-    }
+def _lead_followers(
+    followers: Mapping[str, Element], positions: dict[str, float], source: str
+) -> None:
+    """Add the positions of joints that mimic one of those with a position."""
     for _ in followers:  # a follower may be followed
-        for name, mimic in followers.items():
-            leader = mimic.get("joint", "")
-            if leader not in positions:
+        for name, joint in followers.items():
+            mimic = joint.find("mimic")
+            leader = "" if mimic is None else mimic.get("joint", "")
+            if mimic is None or leader not in positions:
                 continue
             owner = f"{source}: joint {name!r}"
-            factor = {"multiplier": 1.0, "offset": 0.0}
-            for key in factor.keys() & mimic.attrib.keys():
-                factor[key] = read_numbers(moving[name], "mimic", key, owner)[0]
-            position = factor["multiplier"] * positions[leader] + factor["offset"]
-            positions[name] = position
-    return positions
+            factors = {"multiplier": 1.0, "offset": 0.0}
+            for key in factors.keys() & mimic.attrib.keys():
+                factors[key] = read_numbers(joint, "mimic", key, owner)[0]
+            led = factors["multiplier"] * positions[leader]
+            positions[name] = led + factors["offset"]
 
 
 def _weld(joint: Element, position: float, source: str) -> None:
@@ -198,69 +190,22 @@ def _weld(joint: Element, position: float, source: str) -> None:
         return
     owner = f"{source}: joint {joint.get('name')!r}"
     axis = np.array([1.0, 0.0, 0.0])
-    is_axial = kind in _ONE_NUMBER_KINDS
-    if is_axial and joint.find("axis") is not None:
+    if kind in _ONE_NUMBER_KINDS and joint.find("axis") is not None:
         axis = np.array(read_numbers(joint, "axis", "xyz", owner, count=3))
         axis /= np.linalg.norm(axis) or 1.0
     motion = pin.SE3(np.eye(3), position * axis)
     if kind in ("revolute", "continuous"):
         motion = pin.SE3(pin.exp3(position * axis), np.zeros(3))
-    _set_origin(joint, _origin_of(joint, owner) * motion)
-
-
-def _origin_of(joint: Element, owner: str) -> pin.SE3:
-    """Return where a joint stands in its parent link."""
-    origin = joint.find("origin")
-    vectors: dict[str, Array] = {}
-    for key in ("xyz", "rpy"):
-        is_given = origin is not None and key in origin.attrib
-        numbers = (
-            read_numbers(joint, "origin", key, owner, count=3)
-            if is_given
-            else [0.0, 0.0, 0.0]
-        )
-        vectors[key] = np.array(numbers)
-    return pin.SE3(pin.rpy.rpyToMatrix(*vectors["rpy"].tolist()), vectors["xyz"])
-
-
-def _set_origin(joint: Element, placement: pin.SE3) -> None:
-    """Write where a joint stands in its parent link."""
     origin = joint.find("origin")
     if origin is None:
-        origin = Element("origin")
-        joint.append(origin)
+        origin = SubElement(joint, "origin")
+    for key in {"xyz", "rpy"} - origin.attrib.keys():
+        origin.set(key, "0 0 0")
+    translation_m, angles_rad = (
+        read_numbers(joint, "origin", key, owner, count=3) for key in ("xyz", "rpy")
+    )
+    placement = pin.SE3(pin.rpy.rpyToMatrix(*angles_rad), np.array(translation_m))
+    placement = placement * motion
     angles_rad = pin.rpy.matrixToRpy(placement.rotation)
     for key, vector in (("xyz", placement.translation), ("rpy", angles_rad)):
         origin.set(key, " ".join(map(repr, vector.tolist())))
-
-
-def _require_one_number(joints: Iterable[Element], source: str) -> None:
-    """Refuse joints whose position and velocity do not have one number each.
-
-    All of them are named at once.
-    """
-    joints = list(joints)
-    faults = [fault for joint in joints if (fault := _fault_of(joint))]
-    if faults:
-        raise UnsupportedJointError(
-            f"{source}: {'; '.join(faults)}; expected joints that move on their own, "
-            f"of type {', '.join(_ONE_NUMBER_KINDS)}, or fixed"
-        )
-    if len(joints) > MAX_MOVING_JOINTS:
-        raise UnsupportedJointError(
-            f"{source}: {len(joints)} joints move, expected {MAX_MOVING_JOINTS} at "
-            "most: those that the log has",
-            KEEP_JOINTS,
-        )
-
-
-def _fault_of(joint: Element) -> str:
-    """Return in words why a joint cannot move; empty if it can."""
-    name = joint.get("name", "")
-    kind = joint.get("type")
-    mimic = joint.find("mimic")
-    if kind not in _ONE_NUMBER_KINDS:
-        return f"joint {name!r} is of type {kind!r}"
-    if mimic is not None:
-        return f"joint {name!r} mimics {mimic.get('joint')!r}"
-    return ""

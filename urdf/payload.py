@@ -22,23 +22,36 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from urdf.errors import InertiaError, InputError, finite_array, read_only
 
-# A thin rod in a table of a few digits may miss the boundary by this fraction.
-_ROUNDING = 1e-6
-# Of the inertia about the origin, lost in doubles when m c^2 is subtracted.
 MAX_PARAMETER = 1e9
 """In kg, kg m, kg m^2: beyond any link, and no product of them overflows."""
 
 
-def rounding_of(parameters: Array, largest_kg_m2: float) -> float:
-    """Return by how much rounding may make a moment impossible [kg m^2].
+def principal_moments(parameters: Array) -> Array:
+    """Return the principal moments about the centre of mass, ascending [kg m^2].
 
-    Args:
-        parameters: The ten parameters of a body, shape (10,).
-        largest_kg_m2: The largest of its principal moments.
+    The ten parameters have the shape (10,).
     """
-    cancellation = 1e-12
-    about_origin = float(np.sum(np.abs(parameters[[4, 6, 9]])))
-    return _ROUNDING * abs(largest_kg_m2) + cancellation * about_origin
+    body = pin.Inertia.FromDynamicParameters(parameters)
+    return np.linalg.eigvalsh(body.inertia)
+
+
+def impossible_moment(parameters: Array) -> float:
+    """Return that part of a moment which no rigid body can have [kg m^2].
+
+    With the principal moments J_1 <= J_2 <= J_3 it is ``max(-J_1, J_3 - J_1 - J_2)``; 0
+    for what a body can have, up to the rounding of a table of a few digits; infinite
+    without a positive mass, and for absurd numbers. The ten parameters have the shape
+    (10,).
+    """
+    if not np.all(np.abs(parameters) <= MAX_PARAMETER) or parameters[0] <= 0.0:
+        return np.inf
+    least, middle, largest = principal_moments(parameters).tolist()
+    moment = max(-least, largest - least - middle)
+    # Lost in doubles when the inertia about the origin is moved to the centre.
+    cancellation = 1e-12 * float(np.sum(np.abs(parameters[[4, 6, 9]])))
+    # Below 1e-12, a milligram at a millimetre, it is the rounding of a computation.
+    rounding = max(1e-12, 1e-6 * abs(largest) + cancellation)
+    return moment if moment > rounding else 0.0
 
 
 def require_mass(parameters: Array, owner: str) -> None:
@@ -69,24 +82,11 @@ def require_physical(parameters: Array, owner: str) -> None:
         owner: Name of the body in the message.
     """
     require_mass(parameters, owner)
-    mass = parameters[0]
-    if mass < 0.0:
-        raise InertiaError(f"{owner}: mass is {mass:g} kg, expected a positive mass")
-    if mass == 0.0:
-        return
-    moments = np.linalg.eigvalsh(pin.Inertia.FromDynamicParameters(parameters).inertia)
-    slack = rounding_of(parameters, float(moments[2]))
-    shown = ", ".join(f"{moment:.6g}" for moment in moments)
-    if moments[0] < -slack:
+    if parameters[0] != 0.0 and impossible_moment(parameters) > 0.0:
+        shown = ", ".join(f"{value:.6g}" for value in parameters)
         raise InertiaError(
-            f"{owner}: inertia about the centre of mass is not positive definite "
-            f"(principal moments {shown} kg m^2)"
-        )
-    if moments[0] + moments[1] < moments[2] - slack:
-        raise InertiaError(
-            f"{owner}: principal moments {shown} kg m^2 break the triangle inequality "
-            "(the largest exceeds the sum of the others by "
-            f"{moments[2] - moments[0] - moments[1]:.3g} kg m^2)"
+            f"{owner}: no rigid body of positive mass has the parameters (mass, first "
+            f"moments, inertia) {shown}"
         )
 
 

@@ -11,7 +11,6 @@ with Y the joint-torque regressor's columns of the body behind the flange.
 """
 
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 import pinocchio as pin
@@ -22,12 +21,9 @@ from urdf.errors import InputError, finite_array, read_only
 from urdf.payload import Payload
 from urdf.robot import Robot
 
-# The size of payloads: in units of it the parameters are of comparable size.
-_LENGTH_M = 0.1
-_UNITS = np.array([1.0, *[_LENGTH_M] * 3])
-# Below this a payload is none: its centre of mass would be noise over noise.
-# Singular values below this part of the largest are not determined.
-# A parameter with a larger part outside the determined axes is unknown.
+_UNITS = np.array([1.0, 0.1, 0.1, 0.1])
+"""Mass [kg] and first moments [kg m] of a usual payload: in these units the parameters
+are of comparable size."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -103,14 +99,19 @@ def identify_payload_static(
     tau = finite_array(tau_Nm, q.shape, "tau_Nm")
     regressor, unexplained = _payload_equation(robot, q, tau)
     std = _joint_noise(regressor, unexplained, torque_noise_std_Nm)
-    solution = _solve(regressor, unexplained, std)
-    remaining = unexplained - regressor @ solution.parameters
-    freedom = tau.size - solution.rank
-    variance = (
-        float(np.sum((remaining / std) ** 2)) / freedom if freedom > 0 else np.inf
-    )
-    covariance = solution.covariance(max(variance, 1e-300))
-    parameters = solution.parameters * _UNITS
+    matrix, inverse, determined = _invert(regressor, std)
+    solution = inverse @ (unexplained / std).ravel()
+    rank = round(np.trace(determined))
+    remaining = unexplained - regressor @ solution
+    freedom = tau.size - rank
+    square = float(np.sum((matrix @ solution - (unexplained / std).ravel()) ** 2))
+    variance = max(square / freedom, 1e-300) if freedom > 0 else np.inf
+    covariance = inverse @ inverse.T * variance
+    # A parameter with a part outside of what the data determine is unknown.
+    unknown = 1.0 - determined.diagonal() > 1e-12
+    covariance[unknown, :] = covariance[:, unknown] = 0.0
+    covariance[unknown, unknown] = np.inf
+    parameters = solution * _UNITS
     mass_kg = 0.0
     com_m = np.zeros(3)
     if parameters[0] >= no_mass_kg:
@@ -120,7 +121,7 @@ def identify_payload_static(
         payload=Payload(mass_kg=mass_kg, com_m=com_m, inertia_kg_m2=np.zeros((3, 3))),
         parameters=read_only(parameters),
         covariance=read_only(covariance * np.outer(_UNITS, _UNITS)),
-        rank=solution.rank,
+        rank=rank,
         residual_rms_Nm=read_only(np.sqrt(np.mean(remaining**2, axis=0))),
     )
 
@@ -166,62 +167,25 @@ def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Ar
             )
         return std
     for _ in range(reweightings):
-        fit = regressor @ _solve(regressor, target, std).parameters
+        _, inverse, _ = _invert(regressor, std)
+        fit = regressor @ (inverse @ (target / std).ravel())
         rms = np.sqrt(np.mean((target - fit) ** 2, axis=0))
         # A joint that fits to rounding must not outweigh the others without bound.
         std = np.maximum(rms, max(1e-3 * rms.max(), 1e-12))
     return std
 
 
-class _Solution(NamedTuple):
-    """Weighted least squares through a singular value decomposition.
-
-    Attributes:
-        parameters: The shortest solution, in `_UNITS`, shape (4,).
-        singular_values: Of the weighted regressor, descending.
-        axes: Right singular vectors, one per row.
-        rank: Number of singular values that are not negligible.
-    """
-
-    parameters: Array
-    singular_values: Array
-    axes: Array
-    rank: int
-
-    def covariance(self, variance: float) -> Array:
-        """Covariance of the parameters, in `_UNITS`, shape (4, 4).
-
-        The variance of what the data do not determine is infinite.
-
-        Args:
-            variance: Of one weighted equation.
-        """
-        unknown_part = 1e-6
-        axes = self.axes
-        rank = self.rank
-        inverse_squares = self.singular_values[:rank] ** -2.0
-        covariance = (axes[:rank].T * inverse_squares) @ axes[:rank] * variance
-        unknown = np.linalg.norm(axes[rank:], axis=0) > unknown_part
-        covariance[unknown, :] = covariance[:, unknown] = 0.0
-        covariance[unknown, unknown] = np.inf
-        return covariance
-
-
-def _solve(regressor: Array, target: Array, std: Array) -> _Solution:
-    """Return the solution of regressor @ parameters = target, weighted by 1 / std.
+def _invert(regressor: Array, std: Array) -> tuple[Array, Array, Array]:
+    """Return the weighted regressor W, shape (n nv, 4), and its pseudo-inverse.
 
     Args:
         regressor: Shape (n, nv, 4).
-        target: Shape (n, nv).
         std: Noise of each joint, shape (nv,).
+
+    Returns:
+        W, its pseudo-inverse, shape (4, n nv), and their product, shape (4, 4): the
+        projector on what the data determine.
     """
-    rank_tolerance = 1e-8
-    matrix = (regressor / std[:, None]).reshape(target.size, -1)
-    # The axes are complete also where there are fewer equations than unknowns.
-    left_vectors, values, axes = np.linalg.svd(
-        matrix, full_matrices=target.size < matrix.shape[1]
-    )
-    rank = int(np.sum(values > rank_tolerance * max(values[0], 1e-300)))
-    projections = ((target / std).ravel() @ left_vectors)[:rank]
-    parameters = axes[:rank].T @ (projections / values[:rank])
-    return _Solution(parameters, values, axes, rank)
+    matrix = (regressor / std[:, None]).reshape(-1, regressor.shape[2])
+    inverse = np.linalg.pinv(matrix, rcond=1e-8)
+    return matrix, inverse, inverse @ matrix

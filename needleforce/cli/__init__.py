@@ -16,8 +16,6 @@ import re
 import sys
 from collections.abc import Sequence
 
-from cyclopts import UnusedCliTokensError
-
 from needleforce.cli import (
     check,
     demo,
@@ -76,17 +74,9 @@ def main(argv: Sequence[str] | None = None) -> int:
                 "variable of the shell may not be set)",
                 "--help lists what a command takes",
             )
-        try:
-            command, bound, _ = app.parse_args(
-                tokens, exit_on_error=False, print_error=False
-            )
-        except UnusedCliTokensError as error:
-            unused = " ".join(map(repr, error.unused_tokens or ()))
-            raise CommandError(
-                f"{unused}: not expected here; a command takes one name, and options "
-                "begin with --",
-                "--help lists what a command takes",
-            ) from error
+        command, bound, _ = app.parse_args(
+            tokens, exit_on_error=False, print_error=False
+        )
         return command(*bound.args, **bound.kwargs) or 0
 
     return run_command(dispatch)

@@ -2,7 +2,6 @@
 
 import math
 
-from needleforce.cli.advice import describe_error
 from needleforce.cli.terminal import CommandError, say
 from needleforce.tare_run import AutoTare
 from residual import TareError
@@ -22,6 +21,9 @@ def auto_tare(every_s: float, *, at_once: bool = False) -> AutoTare:
         raise CommandError(f"--tare {every_s:g}: expected seconds of free motion")
 
     def say_refusal(time_s: float, error: TareError) -> None:
-        say(f"no tare at {time_s:.1f} s, {describe_error(error, is_watching=True)}")
+        say(
+            f"no tare at {time_s:.1f} s: {error}; keep the needle free, the next "
+            "attempt follows by itself"
+        )
 
     return AutoTare(every_s, at_once=at_once, on_refusal=say_refusal)

@@ -23,14 +23,13 @@ def check_command(
     sensor: SensorOptions = SensorOptions(),
     columns: JointColumns = JointColumns(),
 ) -> int:
-    """Say what a log and its motion without contact verify, and what they do not.
+    """Print what `force` says of a log and of its motion without contact.
 
-    Channels, clock, samples, velocities, noise, and from the tare the torques' order,
-    signs and scale and the payload. Every cause of a doubt has been tried on the log
-    itself. The exit code is 0 if nothing is doubtful, else 1.
+    Robot, channels, samples, gaps, warnings, and from the tare the torques' scale and
+    the missing mass. The exit code is 0 if nothing is doubtful, else 1.
 
     needleforce check insertion.csv --robot ur5e --tare +0:+4
     """
-    from needleforce.cli.logs.check_run import run
+    from needleforce.cli.logs.replay import check
 
-    return run(log, robot, sensor, columns, as_json=json)
+    return check(log, robot, sensor, columns, as_json=json)

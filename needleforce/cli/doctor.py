@@ -19,22 +19,6 @@ def doctor_command(
         ),
     ] = False,
     json: Annotated[bool, Parameter(group=LIVE_OUTPUT, help="Print JSON.")] = False,
-    sizes: Annotated[
-        bool,
-        Parameter(
-            group=LIVE_OUTPUT,
-            help="Also print the sizes on disk of the core and of what each extra "
-            "adds.",
-        ),
-    ] = False,
-    licences: Annotated[
-        bool,
-        Parameter(
-            group=LIVE_OUTPUT,
-            help="Print instead a table of the packages that the core and each extra "
-            "bring, with their licences.",
-        ),
-    ] = False,
 ) -> int:
     """Print versions, extras, the compiler's cache, and what is in the way of use.
 
@@ -44,20 +28,11 @@ def doctor_command(
     """
     import msgspec
 
-    from needleforce.cli.checkup import (
-        compile_everything,
-        describe,
-        examine,
-        licence_table,
-    )
-
-    if licences:
-        write_out(licence_table())
-        return 0
+    from needleforce.cli.checkup import compile_everything, describe, examine
 
     if compile:
         compile_everything()
-    found = examine(with_sizes=sizes)
+    found = examine()
     as_json = msgspec.json.format(msgspec.json.encode(found)).decode() + "\n"
     write_out(as_json if json else describe(found))
     return 0

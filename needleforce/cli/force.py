@@ -29,8 +29,6 @@ def force_command(
 
     needleforce force insertion.csv --tare 0:4 -o forces.csv --figure forces.png
     """
-    from needleforce.cli.logs.force_run import run
-    from needleforce.cli.logs.outputs import refuse_report
+    from needleforce.cli.logs.replay import force
 
-    refuse_report(log, output)
-    return run(log, output, robot, sensor, columns)
+    return force(log, output, robot, sensor, columns)

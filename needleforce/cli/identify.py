@@ -26,8 +26,6 @@ def identify_command(
 
     needleforce identify forces.csv -o layers.csv --figure layers.png
     """
-    from needleforce.cli.logs.identify_run import run
-    from needleforce.cli.logs.outputs import refuse_report
+    from needleforce.cli.logs.replay import identify
 
-    refuse_report(log, output)
-    return run(log, output, options, columns)
+    return identify(log, output, options, columns)

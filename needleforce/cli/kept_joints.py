@@ -1,8 +1,7 @@
 """Which joints of a URDF move: those of the log; ``--lock-others`` locks the rest."""
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping
 from contextlib import suppress
-from itertools import product
 from pathlib import Path
 from typing import NamedTuple
 
@@ -45,7 +44,7 @@ def joints_to_keep(
         name for name in movable_joints(path, options.without) if name not in locked
     ]
     if joints.names:
-        kept = _named_alike(movable, joints.names)
+        kept = tuple(name for name in movable if name in joints.names)
         if kept:
             return kept
         raise CommandError(
@@ -73,29 +72,6 @@ def joints_to_keep(
     return route[len(route) - joints.number :]
 
 
-def _named_alike(joints: Sequence[str], names: Sequence[str]) -> tuple[str, ...]:
-    """Return the joints of the robot that a log names, up to a common prefix or suffix.
-
-    Empty if no name is the same and no prefix or suffix fits more joints than others.
-    """
-    same = tuple(joint for joint in joints if joint in names)
-    if same:
-        return same
-    alike: dict[tuple[str, str], list[str]] = {}
-    for joint, name in product(joints, names):
-        longer, shorter = (name, joint) if len(name) > len(joint) else (joint, name)
-        owner = "log" if longer == name else "robot"
-        if longer.endswith(shorter):
-            prefix = f"{owner} {longer.removesuffix(shorter)}"
-            alike.setdefault((prefix, ""), []).append(joint)
-        elif longer.startswith(shorter):
-            suffix = longer.removeprefix(shorter)
-            alike.setdefault((owner, suffix), []).append(joint)
-    best = sorted(alike.values(), key=len, reverse=True)
-    is_clear = bool(best) and (len(best) == 1 or len(best[0]) > len(best[1]))
-    return tuple(best[0]) if is_clear else ()
-
-
 def assumed_positions(
     options: RobotOptions, chosen: Collection[str]
 ) -> tuple[str, ...]:
@@ -112,20 +88,7 @@ def assumed_positions(
     assumed = [name for name in route if name not in chosen]
     if not assumed:
         return ()
-    names = ", ".join(assumed)
     return (
         f"{path}: joints on the way to the tool that the log does not have are locked "
-        f"at 0: {names}; --lock JOINT=POSITION where one stands elsewhere",
+        f"at 0: {', '.join(assumed)}; --lock JOINT=POSITION where one stands elsewhere",
     )
-
-
-def parse_lock(text: str) -> tuple[str, float]:
-    """Return name and position [rad, m] of a joint that ``--lock`` holds."""
-    name, equals, position = text.partition("=")
-    try:
-        return name, float(position) if equals else 0.0
-    except ValueError as error:
-        raise CommandError(
-            f"--lock {text}: {position!r} is no number; expected JOINT or "
-            "JOINT=POSITION"
-        ) from error

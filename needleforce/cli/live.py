@@ -80,7 +80,7 @@ def live_command(
     from needleforce.cli.arms.arm_stroke import TareOptions, find_stroke
     from needleforce.cli.arms.arm_watch import ReferenceSensor, watch_arm
 
-    stroke = find_stroke(watch.tare_stroke, watch.tare_swivel, is_confirmed=watch.yes)
+    motion = find_stroke(watch.tare_stroke, watch.tare_swivel)
     sensor = None
     if watch.reference is not None:
         sensor = ReferenceSensor(watch.reference, watch.reference_axis)
@@ -88,7 +88,7 @@ def live_command(
         arm,
         options,
         robot,
-        taring=TareOptions(watch.tare, stroke),
+        taring=TareOptions(watch.tare, motion, is_confirmed=watch.yes),
         plan_path=watch.plan,
         situs_inversus=watch.situs_inversus,
         reference_sensor=sensor,

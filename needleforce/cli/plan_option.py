@@ -2,7 +2,7 @@
 
 from pathlib import Path
 
-from needleforce.cli.terminal import CommandError, progress_bar, say
+from needleforce.cli.terminal import CommandError, progress_bar, warn
 from needleforce.plan_file import LoadedPlan, read_plan
 
 
@@ -27,6 +27,5 @@ def load_plan(
         plan = read_plan(
             place, is_past=is_past, situs_inversus=situs_inversus, progress=progress
         )
-    for warning in plan.warnings:
-        say(f"warning: {warning}")
+    warn(plan.warnings)
     return plan

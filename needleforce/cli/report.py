@@ -9,7 +9,6 @@ from needleforce.cli.application import LOG, LOGS, app
 from needleforce.cli.shared_options import (
     AllColumns,
     IdentificationOptions,
-    Output,
     RobotOptions,
     SensorOptions,
     Source,
@@ -47,18 +46,19 @@ def report_command(
 
     needleforce report insertion.csv report
     """
-    from needleforce.cli.logs import force_run, identify_run
-    from needleforce.cli.logs.log_session import has_channels
+    from needleforce.cli.logs import replay
+    from needleforce.cli.logs.columns import has_channels
     from needleforce.cli.plan_option import load_plan
 
-    output = Output(report=folder)
     torque = "tau_ext" if sensor.external_torque else "tau"
     if has_channels(log, columns, ("q", torque)):
-        loaded = None if plan is None else load_plan(plan, is_past=True)
-        return force_run.run(log, output, robot, sensor, columns, options, loaded)
+        loaded = load_plan(plan, is_past=True)
+        return replay.report_forces(
+            log, folder, robot, sensor, columns, options, loaded
+        )
     if plan is not None:
         raise CommandError(
             f"--plan {plan}: {log} has no joint positions and torques, so that it is "
             "not known where its needle was; give the log of the arm"
         )
-    return identify_run.run(log, output, options, columns)
+    return replay.report_layers(log, folder, options, columns)

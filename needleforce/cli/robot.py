@@ -3,27 +3,21 @@
 Arm, payload, friction and settings.
 """
 
-from collections.abc import Callable, Mapping
-from contextlib import suppress
-from dataclasses import fields, replace
+from collections.abc import Callable
+from dataclasses import MISSING, fields, is_dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any
+from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
 
+import msgspec
 import numpy as np
 
 import urdf
 from foundation.arrays import Array
-from needleforce.cli.kept_joints import (
-    LogJoints,
-    assumed_positions,
-    joints_to_keep,
-    parse_lock,
-)
+from needleforce.cli.kept_joints import LogJoints, assumed_positions, joints_to_keep
 from needleforce.cli.shared_options import RobotOptions, SensorOptions
-from needleforce.cli.terminal import CommandError, say
-from needleforce.cli.toml_tables import NOTHING, convert_table
+from needleforce.cli.terminal import CommandError, warn
 from needleforce.recordings.channels import read_toml
 from residual import (
     DEFAULT,
@@ -37,12 +31,13 @@ from urdf import NeedleTool, Payload, Robot, example_robot_path
 from urdf.errors import finite_array
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
+T = TypeVar("T")
+
 LWR = "lwr"
 """Name of the arm that is taken without options."""
 
-MOUNT_TILT_DEG = {"wall": 90.0, "ceiling": 180.0}
-"""By how much a mounting turns the base about its y axis from upright."""
-
+NOTHING = "none"
+"""How a file says None, for which TOML has no word."""
 
 NEEDLE = "needle"
 """Name of the payload that a known LWR has without options."""
@@ -64,8 +59,8 @@ def robot_from_options(
     Raises:
         CommandError: Options contradict each other, or the robot cannot be loaded.
     """
-    payload = payload_from_options(options, mapping)
     _check_robot_options(options)
+    payload = payload_from_options(options, mapping)
     gravity_m_s2 = gravity_from_options(options)
     if _is_lwr(options):
         return urdf.load_lwr(payload=payload, gravity_m_s2=gravity_m_s2)  # none is odd
@@ -78,25 +73,22 @@ def robot_from_options(
     }
     if options.urdf is None:
         robot = urdf.load_example(str(options.robot), **tool)
-        _say_warnings(robot)
-        return robot
-    locked_joints = dict(map(parse_lock, options.lock))
-    kept_joints = None
-    if options.lock_others:
-        kept_joints = joints_to_keep(options, locked_joints, find_joints())
-    robot = urdf.load_urdf(
-        options.urdf,
-        locked_joints=locked_joints,
-        keep_joints=kept_joints,
-        check_inertias=not options.accept_inertia,
-        **tool,
-    )
-    if kept_joints is not None:
-        chosen = {*kept_joints, *locked_joints}
-        robot = replace(
-            robot, warnings=robot.warnings + assumed_positions(options, chosen)
+    else:
+        locked_joints = dict(map(_parse_lock, options.lock))
+        kept_joints = None
+        if options.lock_others:
+            kept_joints = joints_to_keep(options, locked_joints, find_joints())
+        robot = urdf.load_urdf(
+            options.urdf,
+            locked_joints=locked_joints,
+            keep_joints=kept_joints,
+            check_inertias=not options.accept_inertia,
+            **tool,
         )
-    _say_warnings(robot)
+        if kept_joints is not None:
+            assumed = assumed_positions(options, {*kept_joints, *locked_joints})
+            robot = replace(robot, warnings=robot.warnings + assumed)
+    warn(robot.warnings)
     return robot
 
 
@@ -114,16 +106,12 @@ def robot_from_text(text: str, source: str, options: RobotOptions) -> Robot:
         return robot_from_options(replace(options, urdf=str(path)), None)
 
 
-def _say_warnings(robot: Robot) -> None:
-    """Write what is odd in a robot's description to stderr."""
-    for warning in robot.warnings:
-        say(f"warning: {warning}")
-
-
 def _check_robot_options(options: RobotOptions) -> None:
     """Refuse options of the robot that contradict each other."""
     if options.urdf is not None and options.robot is not None:
         raise CommandError("--robot and --urdf name two robots, expected one of them")
+    if options.gravity is not None and options.mount:
+        raise CommandError("--gravity and --mount say the same, expected one of them")
     for_urdf = {
         "--lock": options.lock,
         "--lock-others": options.lock_others,
@@ -144,6 +132,17 @@ def _check_robot_options(options: RobotOptions) -> None:
         )
 
 
+def _parse_lock(text: str) -> tuple[str, float]:
+    """Return name and position [rad, m] of a joint that ``--lock`` holds."""
+    name, equals, position = text.partition("=")
+    try:
+        return name, float(position) if equals else 0.0
+    except ValueError as error:
+        raise CommandError(
+            f"--lock {text}: expected JOINT or JOINT=POSITION"
+        ) from error
+
+
 def gravity_from_options(options: RobotOptions) -> Array:
     """Return gravity in base axes [m/s^2], shape (3,).
 
@@ -153,10 +152,6 @@ def gravity_from_options(options: RobotOptions) -> Array:
     # Weaker and stronger than anywhere on Earth: a unit vector, or another unit
     max_gravity_m_s2 = 9.9
     min_gravity_m_s2 = 9.7
-    # Digits of a gravity from an angle: the sine of 180 degrees is zero
-    gravity_digits = 9
-    if options.gravity is not None and options.mount:
-        raise CommandError("--gravity and --mount say the same, expected one of them")
     if options.gravity is not None:
         size_m_s2 = float(np.linalg.norm(options.gravity))
         if not min_gravity_m_s2 <= size_m_s2 <= max_gravity_m_s2:
@@ -166,28 +161,24 @@ def gravity_from_options(options: RobotOptions) -> Array:
                 "robot that hangs from the ceiling"
             )
         return np.array(options.gravity)
-    tilt_rad = np.deg2rad(_parse_mount(options.mount))
+    tilts_deg = {"": 0.0, "wall": 90.0, "ceiling": 180.0}
+    mount = " ".join(options.mount).replace("=", " ")
+    tilt_deg = tilts_deg.get(mount, np.nan)
+    if mount.startswith("tilt "):
+        try:
+            tilt_deg = float(mount.removeprefix("tilt "))
+        except ValueError:
+            tilt_deg = np.nan
+    if not np.isfinite(tilt_deg):
+        raise CommandError(
+            f"--mount {mount}: expected wall, ceiling or tilt DEG, as in --mount tilt "
+            "30, and the log before it"
+        )
     down_m_s2 = STANDARD_GRAVITY_M_S2[2]
+    tilt_rad = np.deg2rad(tilt_deg)
     # The base is turned about its y axis: R_y(tilt)' g.
     gravity_m_s2 = down_m_s2 * np.array([-np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
-    return np.round(gravity_m_s2, gravity_digits) + 0.0  # never -0.0
-
-
-def _parse_mount(words: tuple[str, ...]) -> float:
-    """Return by how many degrees the base is turned about its y axis from upright."""
-    text = " ".join(words)
-    if not words:
-        return 0.0
-    if text in MOUNT_TILT_DEG:
-        return MOUNT_TILT_DEG[text]
-    kind, _, tilt = text.replace("=", " ").replace(":", " ").partition(" ")
-    with suppress(ValueError):
-        if kind == "tilt" and np.isfinite(float(tilt)):
-            return float(tilt)
-    raise CommandError(
-        f"--mount {text}: expected wall, ceiling or tilt DEG, as in --mount tilt 30, "
-        "and the log before it"
-    )
+    return np.round(gravity_m_s2, 9) + 0.0  # sin(180 degrees) is 0, and never -0.0
 
 
 def _is_lwr(options: RobotOptions) -> bool:
@@ -232,34 +223,15 @@ def payload_from_options(
     if value == NEEDLE:
         return NeedleTool()
     if isinstance(value, str):
-        where = value
-        if options.payload is None:  # a path in the mapping counts from its folder
-            where = str(Path(mapping or "").parent / value)
+        # A path in the mapping counts from its folder.
+        folder = Path() if options.payload is not None else Path(mapping or "").parent
+        where = str(folder / value)
         value = read_toml(where, "payload file")
-    if not isinstance(value, dict):
-        raise CommandError(
-            f"{mapping}: payload is {type(value).__name__}, expected a table, a file, "
-            "needle or none",
-        )
-    return _payload_from_table(value, where)
-
-
-def _payload_from_table(table: Mapping[str, Any], where: str) -> Payload | NeedleTool:
-    """Return the payload that a table describes."""
-    if "needle" in table:
-        if len(table) > 1 or not isinstance(table["needle"], dict):
-            raise CommandError(
-                f"{where}: expected a table [needle] alone, or mass_kg and com_m",
-            )
-        return convert_table(NeedleTool, table["needle"], f"{where}: [needle]")
-    for name in ("mass_kg", "com_m"):
-        if name not in table:
-            raise CommandError(
-                f"{where}: {name} is missing; a payload has mass_kg, com_m and "
-                "inertia_kg_m2, or is a table [needle]",
-            )
+    if isinstance(value, dict) and value.keys() == {"needle"}:
+        return convert_table(NeedleTool, value["needle"], f"{where}: [needle]")
     point_mass = {"inertia_kg_m2": [[0.0] * 3] * 3}
-    return convert_table(Payload, {**point_mass, **table}, where)
+    table = {**point_mass, **value} if isinstance(value, dict) else value
+    return convert_table(Payload, table, where)
 
 
 def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
@@ -270,17 +242,13 @@ def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
     if isinstance(payload, NeedleTool):
         page = "docs/how-to/tool-and-payload.md"
         title = f"[payload.needle]  # force sensor and needle; see {page}"
-    lines = [title]
-    for item in fields(payload):
-        value = np.asarray(getattr(payload, item.name))
-        lines.append(f"{item.name} = {value.tolist()!r}")
-    return lines
-
-
-_FRICTION_MODELS = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
-"""Friction models, by the name of their table."""
-
-_ROTOR_INERTIA = "rotor_inertia_kg_m2"
+    return [
+        title,
+        *(
+            f"{item.name} = {np.asarray(getattr(payload, item.name)).tolist()!r}"
+            for item in fields(payload)
+        ),
+    ]
 
 
 def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel | None]:
@@ -299,34 +267,26 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
     """
     if path is None:
         return robot, None
+    models = {"viscous_coulomb": JointFriction, "sigmoid": SigmoidFriction}
     tables = read_toml(path, "friction file")
-    rotor_inertia = tables.pop(_ROTOR_INERTIA, None)
-    if len(tables) > 1 or not tables.keys() <= _FRICTION_MODELS.keys():
-        known = " or ".join(f"[{name}]" for name in _FRICTION_MODELS)
+    rotor_inertia = tables.pop("rotor_inertia_kg_m2", None)
+    if len(tables) > 1 or not tables.keys() <= models.keys():
         raise CommandError(
-            f"{path} has {', '.join(tables)}; expected one table of {known}, and "
-            f"{_ROTOR_INERTIA} if it counts",
+            f"{path} has {', '.join(tables)}; expected one table of "
+            f"{' or '.join(models)}, and rotor_inertia_kg_m2 if it counts"
         )
     friction = None
     for name, table in tables.items():
-        friction = _friction_from_table(name, table, f"{path}: [{name}]", robot.nv)
+        friction = convert_table(models[name], table, f"{path}: [{name}]")
+        for item in fields(friction):
+            values = np.asarray(getattr(friction, item.name))
+            if values.ndim:
+                where = f"{path}: [{name}]: {item.name}, one number per joint,"
+                finite_array(values, (robot.nv,), where)
     if rotor_inertia is not None:
-        where = f"{path}: {_ROTOR_INERTIA}, one number per joint,"
-        inertia_kg_m2 = finite_array(rotor_inertia, (robot.nv,), where)
-        robot = robot.with_armature(inertia_kg_m2)
+        where = f"{path}: rotor_inertia_kg_m2, one number per joint,"
+        robot = robot.with_armature(finite_array(rotor_inertia, (robot.nv,), where))
     return robot, friction
-
-
-def _friction_from_table(
-    name: str, table: Any, where: str, joints: int
-) -> FrictionModel:
-    """Return the friction of a table; lists in it must have one number per joint."""
-    if isinstance(table, dict):
-        for key, value in table.items():
-            if isinstance(value, list):
-                label = f"{where}: {key}, one number per joint,"
-                finite_array(value, (joints,), label)
-    return convert_table(_FRICTION_MODELS[name], table, where)
 
 
 def sensor_config(
@@ -360,3 +320,63 @@ def sensor_config(
     }
     chosen = {name: value for name, value in settings.items() if value is not None}
     return replace(config, **chosen)
+
+
+def convert_table(kind: type[T], table: Any, where: str, preset: Any = None) -> T:
+    """Return a dataclass with the values of a table.
+
+    Args:
+        kind: A dataclass of numbers, text, choices, arrays and further dataclasses.
+        table: What TOML gives.
+        where: File and table, as messages name them.
+        preset: Instance with the values that the table does not give.
+
+    Raises:
+        CommandError: A key is unknown or missing, or its value does not fit.
+    """
+    if not isinstance(table, dict):
+        raise CommandError(f"{where} is {type(table).__name__}, expected a table")
+    declared: Any = kind
+    hints = get_type_hints(kind)
+    known = {item.name: item for item in fields(declared) if item.init}
+    if unknown := sorted(table.keys() - known.keys()):
+        raise CommandError(
+            f"{where}: unknown key {unknown[0]!r}; known are: {', '.join(known)}"
+        )
+    given: dict[str, Any] = {}
+    for name, value in table.items():
+        nested = getattr(preset, name, None)
+        if is_dataclass(nested) and isinstance(value, dict):
+            given[name] = convert_table(type(nested), value, f"{where}: {name}", nested)
+        elif value == NOTHING:
+            given[name] = None
+        else:
+            given[name] = _convert_value(hints[name], value, f"{where}: {name}")
+    if preset is not None:
+        return replace(preset, **given)
+    needed = [name for name, item in known.items() if item.default is MISSING]
+    if missing := [name for name in needed if name not in given]:
+        raise CommandError(f"{where}: {', '.join(missing)} is missing")
+    return kind(**given)
+
+
+def _convert_value(kind: Any, value: Any, where: str) -> Any:
+    """Return a value of TOML as a field of a dataclass takes it."""
+    try:
+        return msgspec.convert(value, kind, dec_hook=_convert_array)
+    except (msgspec.ValidationError, OverflowError) as error:
+        text = f"{where}: {error}"
+        if get_origin(kind) is Literal:
+            text += f", expected {' or '.join(map(repr, get_args(kind)))}"
+        raise CommandError(text) from error
+
+
+def _convert_array(_kind: Any, value: Any) -> Array:
+    """Return a list of numbers as an array; used by msgspec."""
+    try:
+        array = np.array(value, dtype=np.float64)
+    except (ValueError, TypeError, OverflowError):
+        array = np.array(np.nan)
+    if not (array.ndim and np.isfinite(array).all()):
+        raise ValueError("Expected a list of finite numbers")
+    return array

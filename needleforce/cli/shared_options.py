@@ -112,7 +112,6 @@ class Output:
         start: Start of the figure on its own axis, in seconds or, with --over depth,
             millimetres.
         end: End of the figure, likewise.
-        report: Folder of a page, which `report` alone writes.
     """
 
     output: Annotated[
@@ -125,7 +124,6 @@ class Output:
     over: Over = "time"
     start: Annotated[float | None, Parameter(name="--from", metavar="X")] = None
     end: Annotated[float | None, Parameter(name="--to", metavar="X")] = None
-    report: Annotated[Path | None, Parameter(metavar="DIR", show=False)] = None
 
 
 Direction = tuple[float, float, float]

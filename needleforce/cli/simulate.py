@@ -80,12 +80,6 @@ def simulate_command(
                 f"--seed {options.seed}: the insertion of a plan is always that of "
                 "seed 0, leave --seed out"
             )
-        return simulated_log.write_patient_simulation(
-            Path(scenario),
-            options.output,
-            options.truth,
-            overwrites=options.overwrite,
-        )
     return simulated_log.write_simulation(
         scenario,
         plant=options.plant,

@@ -1,19 +1,16 @@
 """What every command does with errors, Ctrl-C and SIGTERM, and with what it prints."""
 
 import os
-import re
 import signal
 import sys
 import threading
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
-from difflib import SequenceMatcher
 from importlib.util import find_spec
 from types import FrameType
 
 from foundation.errors import NeedleforceError
 from foundation.extras import extra_of, install_command
-from needleforce.cli.advice import describe_error
 
 FAILED = 2
 """Exit code after one line that says what is wrong with options or files."""
@@ -96,8 +93,7 @@ def _describe_failure(error: BaseException) -> str:
         reason = f"{error.name} is not installed"
         error = CommandError(reason, f"Install it: {install_command(extra)}")
     if type(error).__module__.partition(".")[0] == "cyclopts":
-        message = _without_far_suggestion(str(error))
-        error = CommandError(message, "--help lists what a command takes")
+        error = CommandError(str(error), "--help lists what a command takes")
     if isinstance(error, NeedleforceError):
         try:
             write_out("")
@@ -112,16 +108,11 @@ def _describe_failure(error: BaseException) -> str:
     return describe_error(CommandError(reason, OTHER_PLACE))
 
 
-def _without_far_suggestion(message: str) -> str:
-    """Return a message without an option that it suggests for its dashes alone.
-
-    The parser compares names with their dashes, which all options share.
-    """
-    found = re.search(r": --(\S+?)\.? Did you mean --(\S+)\?", message)
-    # Half of "idle" and "view" is the same, a letter of four is wrong in a mistake.
-    if found is None or SequenceMatcher(None, found[1], found[2]).ratio() > 0.5:
-        return message
-    return re.sub(r" Did you mean --\S+\?", "", message)
+def describe_error(error: NeedleforceError) -> str:
+    """Return an error in one line: what came and was expected, what to do."""
+    text = str(error).rstrip()
+    end = "" if text.endswith((".", "?", "!")) else "."
+    return f"{text}{end} {error.advice}".strip().removesuffix(".")
 
 
 def require_modules(command: str, modules: Iterable[str]) -> None:
@@ -240,6 +231,12 @@ def say(text: str) -> None:
     """Write a message to stderr as one line, whatever line ends it has."""
     if sys.stderr is not None:
         sys.stderr.write(f"{' '.join(text.split())}\n")
+
+
+def warn(warnings: Iterable[str]) -> None:
+    """Write warnings to stderr, a line each."""
+    for warning in warnings:
+        say(f"warning: {warning}")
 
 
 def write_out(text: str, *, to_stderr: bool = False) -> None:

@@ -25,11 +25,8 @@ class ViewOptions:
             is refused, again after as many.
         export: Write the scene as one page (.html) with the insertion as a film, and
             end.
-        host: Address on which the page is served (default: 127.0.0.1, this machine
-            alone); for any other one the page's address carries a token.
-        allow_host: Name beside that address by which browsers may open the page; may be
-            repeated.
-        port: Port of that page (default: 8080); another is used if it is busy.
+        port: Port of the page, on this machine alone (default: 8080); another is used
+            if it is busy.
     """
 
     anatomy: Annotated[
@@ -39,10 +36,6 @@ class ViewOptions:
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
     tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
     export: Annotated[Path | None, Parameter(metavar="FILE", group=LIVE_OUTPUT)] = None
-    host: Annotated[str, Parameter(metavar="ADDRESS", group=LIVE_OUTPUT)] = "127.0.0.1"
-    allow_host: Annotated[
-        tuple[str, ...], Parameter(metavar="NAME", group=LIVE_OUTPUT, negative="")
-    ] = ()
     port: Annotated[int, Parameter(metavar="N", group=LIVE_OUTPUT)] = 8080
 
 
@@ -58,12 +51,13 @@ def view_command(
 
     needleforce view insertion.csv --tare 13
     """
-    from needleforce.cli.logs.session_view import ScenePage, view_recording
+    from needleforce.cli.logs.session_view import view_recording
 
     return view_recording(
         recording,
         robot,
-        ScenePage(options.host, options.port, options.export, options.allow_host),
+        port=options.port,
+        export=options.export,
         tare_s=options.tare,
         mapping=options.mapping,
         anatomy=options.anatomy,

@@ -3,12 +3,13 @@
 A program that runs on one arm runs on another by changing this line.
 """
 
+import re
 from typing import Any, NamedTuple
 
 from numpy.typing import ArrayLike
 
 from needleforce.devices import fri, sunrise
-from needleforce.devices.datagram_link import LOOPBACK, MAX_PORT
+from needleforce.devices.datagram_link import LOOPBACK
 from needleforce.devices.errors import DeviceSettingError
 from needleforce.devices.franka import Fr3Arm, FrankaArm
 from needleforce.devices.fri import FriArm
@@ -21,11 +22,13 @@ LISTENING_KINDS = ("fri", "iiwa")
 CALLED_KINDS = ("fr3", "franka", "ur")
 """Arms that are connected to at their own address."""
 
-EXPECTED_NAMES = (
-    "fri or iiwa, with [:LOCAL_ADDRESS][:PORT][@CONTROLLER], fr3:ADDRESS, "
-    "franka:ADDRESS, ur:ADDRESS"
+LISTENING_NAME = re.compile(
+    r"(?P<kind>fri|iiwa)(:(?P<host>[^:@]*[^:@\d][^:@]*))?(:(?P<port>\d+))?"
+    r"(@(?P<peer>.+))?"
 )
-"""How arms are named, for messages."""
+"""``fri[:LOCAL_ADDRESS][:PORT][@CONTROLLER]``; a local address is not all digits."""
+
+CALLED_NAME = re.compile(r"(?P<kind>fr3|franka|ur):(?P<host>.+)")
 
 
 class ArmAddress(NamedTuple):
@@ -33,78 +36,46 @@ class ArmAddress(NamedTuple):
 
     Attributes:
         kind: Its interface, such as ``fri``.
-        address: What follows the kind, such as ``arm.example``; empty for none.
-    """
-
-    kind: str
-    address: str
-
-
-class ListeningAddress(NamedTuple):
-    """Where a controller's packets are expected.
-
-    Attributes:
-        host: Address of this machine.
-        port: To which the controller sends; None for the usual one.
+        host: Its address; of this machine where its controller sends to that.
+        port: To which a controller sends; None for the usual one.
         peer: The controller; None: the first that sends something valid.
     """
 
+    kind: str
     host: str
-    port: int | None
-    peer: str | None
+    port: int | None = None
+    peer: str | None = None
 
 
 def parse_arm_name(name: str) -> ArmAddress:
-    """Split the name of an arm into its kind and its address.
+    """Split the name of an arm into its kind and its addresses.
 
     Args:
         name: Such as ``fri``, ``fri:pc.example:30200@kuka.example`` or
             ``ur:arm.example``.
 
     Raises:
-        DeviceSettingError: No such kind of arm, or no address where one is needed.
+        DeviceSettingError: No such arm, or a controller elsewhere that could not reach
+            loopback.
     """
-    kind_length = next((i for i, c in enumerate(name) if c in ":@"), len(name))
-    kind = name[:kind_length]
-    address = name[kind_length:].removeprefix(":")
-    is_complete = kind in LISTENING_KINDS or (kind in CALLED_KINDS and address)
-    if not is_complete:
-        raise DeviceSettingError(f"{name}: expected an arm as {EXPECTED_NAMES}")
-
-    return ArmAddress(kind, address)
-
-
-def parse_listening_address(text: str) -> ListeningAddress:
-    """Split ``[LOCAL_ADDRESS][:PORT][@CONTROLLER]``, or ``PORT[@CONTROLLER]``.
-
-    Args:
-        text: What a user wrote; empty for loopback and the usual port.
-
-    Raises:
-        DeviceSettingError: The port is no number from 0 to 65535, an address is
-            missing where a sign announces it, or a controller elsewhere could not
-            reach loopback.
-    """
-    local, at_sign, peer = text.partition("@")
-    host_and_port = f":{local}" if local.isdecimal() else local
-    host, colon, port_text = host_and_port.partition(":")
-    if at_sign and not peer:
-        raise DeviceSettingError(f"{text!r}: expected the controller's address after @")
-
-    if colon and not (port_text.isdecimal() and int(port_text) <= MAX_PORT):
+    if called := CALLED_NAME.fullmatch(name):
+        return ArmAddress(called["kind"], called["host"])
+    listening = LISTENING_NAME.fullmatch(name)
+    if listening is None:
         raise DeviceSettingError(
-            f"{text!r}: expected a port from 0 to {MAX_PORT} after the colon, got "
-            f"{port_text!r}"
+            f"{name!r}: expected an arm as fri or iiwa, with "
+            "[:LOCAL_ADDRESS][:PORT][@CONTROLLER], fr3:ADDRESS, franka:ADDRESS, "
+            "ur:ADDRESS"
         )
 
-    if not host and peer and not peer.startswith("127."):
+    peer = listening["peer"]
+    if peer and not listening["host"] and not peer.startswith("127."):
         raise DeviceSettingError(
-            f"{text!r}: {peer} cannot send to {LOOPBACK}; name the address of this "
-            f"machine that it sends to, as LOCAL_ADDRESS@{peer}"
+            f"{name!r}: {peer} cannot send to {LOOPBACK}; name the address of this "
+            f"machine that it sends to, as {listening['kind']}:LOCAL_ADDRESS@{peer}"
         )
-
-    port = int(port_text) if colon else None
-    return ListeningAddress(host or LOOPBACK, port, peer or None)
+    port = int(listening["port"]) if listening["port"] else None
+    return ArmAddress(listening["kind"], listening["host"] or LOOPBACK, port, peer)
 
 
 def connect_arm(
@@ -131,20 +102,19 @@ def connect_arm(
     Raises:
         DeviceError: No such arm, no client library, or no answer.
     """
-    kind, address = parse_arm_name(name)
-    if kind in LISTENING_KINDS:
-        local = parse_listening_address(address)
-        usual_port = fri.PORT if kind == "fri" else sunrise.PORT
-        port = usual_port if local.port is None else local.port
-        arm_type = FriArm if kind == "fri" else IiwaArm
-        return arm_type(host=local.host, port=port, peer=local.peer, robot=robot)
+    kind, host, port, peer = parse_arm_name(name)
+    if kind == "fri":
+        return FriArm(host, fri.PORT if port is None else port, peer=peer, robot=robot)
+    if kind == "iiwa":
+        port = sunrise.PORT if port is None else port
+        return IiwaArm(host, port, peer=peer, robot=robot)
     if kind == "ur":
         return UrArm(
-            address,
+            host,
             takes_commands=takes_commands,
             torque_constant_Nm_A=torque_constant_Nm_A,
             robot=robot,
         )
 
     arm_type = Fr3Arm if kind == "fr3" else FrankaArm
-    return arm_type(address, takes_commands=takes_commands, robot=robot)
+    return arm_type(host, takes_commands=takes_commands, robot=robot)

@@ -4,7 +4,6 @@
 
 import math
 from collections import deque
-from collections.abc import Iterator
 from copy import copy
 from time import monotonic
 from typing import Any
@@ -16,7 +15,7 @@ from rclpy.executors import SingleThreadedExecutor
 from rclpy.qos import qos_profile_sensor_data
 from sensor_msgs.msg import JointState
 
-from needleforce.devices import ArmReading, DeviceSettingError, LinkError
+from needleforce.devices import ArmReading, DeviceSettingError
 from needleforce.devices.arm_limits import ArmLimits, limits_with_our_rates
 from needleforce.devices.guard import GuardedArm
 from needleforce.ros2.joint_samples import JointReader
@@ -26,9 +25,6 @@ from needleforce.ros2.velocity_controller import (
     VelocityController,
 )
 from urdf import Robot
-
-WAIT_S = 0.1
-"""Longest wait for a message before the end is looked for."""
 
 MAX_START_S = 10.0
 """Time within which publisher and subscription find each other, and a state comes."""
@@ -101,7 +97,7 @@ class Ros2Arm(GuardedArm):
         node.create_subscription(JointState, topic, self._take, quality)
         self._executor = SingleThreadedExecutor(context=self._context)
         self._executor.add_node(node)
-        self._heard_s = -math.inf
+        self._stated_s = -math.inf
         self._controller: VelocityController | None = None
         if takes_commands:
             try:
@@ -121,7 +117,7 @@ class Ros2Arm(GuardedArm):
         if sample is None or sample.dt_s < 0.0:
             return
         self.report.count_used(1, sample.dt_s)
-        self._heard_s = monotonic()
+        self._stated_s = monotonic()
         if self._controller is not None:
             self._controller.place_rad = sample.q_rad
         self._readings.append(
@@ -137,35 +133,22 @@ class Ros2Arm(GuardedArm):
             )
         )
 
-    def __iter__(self) -> Iterator[ArmReading]:
-        """Yield readings as they come.
+    @property
+    def give_up_s(self) -> float:
+        """So long a silence is waited for [s]."""
+        return MAX_SILENCE_S if self.report.used else MAX_START_S
 
-        Raises:
-            LinkError: None came within `MAX_START_S`, or for `MAX_SILENCE_S`.
-        """
-        heard_s = monotonic()
-        while self._is_open:
-            self._executor.spin_once(timeout_sec=WAIT_S)
-            if self._readings:
-                heard_s = monotonic()
-                yield self._readings.popleft()
-                continue
-            silent_s = monotonic() - heard_s
-            if not self.report.used and silent_s > MAX_START_S:
-                raise LinkError(
-                    f"{self._topic}: {self._reader.problem} within {MAX_START_S:g} s"
-                )
-            if self.report.used:
-                # What is still going on counts, too.
-                self.report.longest_gap_s = max(self.report.longest_gap_s, silent_s)
-            if self.report.used and silent_s > MAX_SILENCE_S:
-                self.report.outages += 1
-                raise LinkError(f"{self._topic}: silent {silent_s:.1f} s")
+    def _read(self, wait_s: float) -> ArmReading | None:
+        self._executor.spin_once(timeout_sec=wait_s)
+        return self._readings.popleft() if self._readings else None
+
+    def _place(self) -> str:
+        return f"of {self._topic}{self._reader.problem and ': '}{self._reader.problem},"
 
     def _find_refusal(self) -> str:
         if self._controller is None:
             return "the arm was opened without takes_commands=True"
-        if monotonic() - self._heard_s > MAX_BLIND_S:
+        if monotonic() - self._stated_s > MAX_BLIND_S:
             self._guard.interrupt()
             return f"no joint state has come for {MAX_BLIND_S:g} s"
         return "" if self._controller.is_heard else "the controller does not listen"

@@ -1,107 +1,87 @@
 """A scene as one page that needs nothing else: film, forces, CT, ruptures, legend.
 
-viser exports the 3-D part alone, which plays by itself, so it stands in a frame of a
+viser records the 3-D part alone, which plays by itself, so it stands in a frame of a
 page like all others.
 """
 
 import math
 import secrets
-from collections.abc import Iterable, Sequence
+from collections.abc import Sequence
 from io import BytesIO
 from itertools import groupby
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foundation.arrays import Array
 from needleforce.plots import (
-    Chart,
-    Curve,
-    Instants,
-    LineStyle,
     Page,
     PageFigure,
     PageTable,
-    Panel,
     Section,
     WriteError,
-    draw_svg,
-    palette,
+    require_matplotlib,
     write_page,
 )
-from needleforce.scene.force_plots import (
-    COLUMN,
-    CURVES,
-    FORCE_LABEL,
-    M_TO_MM,
-    TIME_LABEL,
-    ForceCurve,
-    deepest_rows,
-    shown_rows,
-)
-from needleforce.scene.legend import LegendLine, sample_style
-from needleforce.scene.page_policy import page_policy, with_nonce
-from needleforce.scene.row_text import MEANINGS
-from needleforce.scene.scan_slices import TITLES, SlicePictures
-from needleforce.scene.state_ring import SceneError
-from needleforce.scene.title_bar import NOTE
+from needleforce.scene import nodes
+from needleforce.scene.force_plots import CURVES, force_table, places_of
+from needleforce.scene.moment import Moment, SceneError
+from needleforce.scene.scan_slices import TITLES
+from needleforce.scene.words import MEANINGS, NOTE, find_banner
 
-MIN_FILM_s = 0.05
-"""A film lasts at least so long."""
-
-
-def film_times_s(times_s: Array, events_s: Iterable[float], count: int) -> Array:
-    """Return when the pictures of a film are taken, shape (n,) [s].
-
-    Args:
-        times_s: Of the rows, shape (m,).
-        events_s: Of ruptures, each of which gets a picture of its own.
-        count: Pictures beside those of ruptures.
-    """
-    start_s = float(times_s[0])
-    end_s = max(float(times_s[-1]), start_s + MIN_FILM_s)
-    regular_s = np.linspace(start_s, end_s, max(count, 2))
-    shown_s = np.unique(np.concatenate([regular_s, np.array([*events_s])]))
-    # Pictures closer in time than a millisecond are one.
-    return shown_s[np.diff(shown_s, prepend=-np.inf) >= 1e-3]
+if TYPE_CHECKING:
+    from needleforce.scene.viewer import Mark
 
 
 def write_scene_page(
     path: Path,
     scene: str,
-    title: str,
+    plan: nodes.PlanScene,
     *,
-    warnings: Sequence[str],
-    legend: Sequence[LegendLine],
+    warnings: Sequence[str] = (),
     card: str = "",
     sections: Sequence[Section] = (),
+    has_needle: bool = False,
 ) -> Path:
     """Write a page, whole or not at all.
 
     Args:
         path: The page.
         scene: The 3-D part, as viser exports it.
-        title: Of the page.
-        warnings: What is wrong, or could not be checked.
-        legend: What marks and colours stand for.
+        plan: Anatomy and plan.
+        warnings: What is wrong beside the plan's own warnings.
         card: The clinician's view where the needle was deepest, as HTML.
         sections: What is said below the scene.
-
-    Returns:
-        Its path.
+        has_needle: Whether an insertion is shown.
 
     Raises:
         SceneError: The file cannot be written.
     """
+    # viser's own scripts have a nonce and run; what came in by a name has none. Its
+    # WebAssembly builds functions from text.
     nonce = secrets.token_urlsafe(16)
-    lines = tuple((sample_style(line), line.text) for line in legend)
-    words = Section(heading="What is what", anchor="legend", legend=lines)
+    loader = 'document.createElement("script");'
+    marked = scene.replace("<script", f'<script nonce="{nonce}"')
+    marked = marked.replace(loader, f'{loader}e.nonce="{nonce}";')
+    policy = (
+        f"default-src 'none'; script-src 'nonce-{nonce}' 'unsafe-eval'; "
+        "worker-src blob: data:; connect-src blob: data:; img-src blob: data:; "
+        "font-src data:; style-src 'unsafe-inline'"
+    )
+    square = "display:inline-block;width:1em;height:.8em;margin-right:.6em;background:"
+    legend = tuple(
+        (f"{square}{color}", text)
+        for color, text in nodes.legend_of(plan, has_needle=has_needle)
+    )
+    words = Section(heading="What is what", anchor="legend", legend=legend)
     page = Page(
-        title=title,
+        title="needleforce",
         lead=(NOTE,),
-        notices=tuple(f"Warning: {warning}" for warning in warnings),
-        policy=page_policy(nonce),
-        scene=with_nonce(scene, nonce),
+        notices=tuple(f"Warning: {one}" for one in (*plan.warnings, *warnings)),
+        policy=policy,
+        scene=marked,
         card=card,
         sections=(*sections, words),
     )
@@ -111,127 +91,162 @@ def write_scene_page(
         raise SceneError(str(error), "Give a place that can be written to.") from error
 
 
-def describe_banners(times_s: Array, banners: Iterable[str]) -> list[str]:
-    """Return in words when what was shown large, such as that the needle is off plan.
+def export_plan(plan: nodes.PlanScene, path: Path) -> Path:
+    """Write structures and path of a plan, without an arm, as one page.
 
     Args:
-        times_s: When each was shown, shape (n,), from the start of the film.
-        banners: What was shown; empty for nothing.
+        plan: Anatomy and plan, with entry and target.
+        path: The page.
     """
-    texts: list[str] = []
-    shown = zip(times_s.tolist(), banners, strict=True)
-    for banner, moments in groupby(shown, key=lambda moment: moment[1]):
-        start_s, *_, end_s = [time_s for time_s, _ in moments] * 2
-        if banner:
-            texts.append(
-                f"{banner} from {start_s:.1f} to {end_s:.1f} s of the film: "
-                f"{MEANINGS[banner]}"
-            )
-    return texts
+    from needleforce.scene.viewer import open_server, stop_server
+
+    server = open_server(0, "needleforce plan")
+    try:
+        nodes.add_plan(server, plan)
+        planned = plan.path
+        if planned is not None:
+            camera = server.initial_camera
+            camera.look_at = planned.target_m
+            # Behind the entry and a little to the head.
+            above_m = np.array([0.0, 0.0, 0.15])
+            camera.position = planned.target_m - 0.45 * planned.axis + above_m
+        scene = server.get_scene_serializer().as_html()
+    finally:
+        stop_server(server)
+    return write_scene_page(path, scene, plan)
 
 
-def rupture_section(ruptures: Iterable[tuple[float, float, str]]) -> Section:
-    """Return what was detected.
+def write_insertion_page(
+    path: Path,
+    scene: str,
+    plan: nodes.PlanScene,
+    moments: Sequence[Moment],
+    marks: Sequence["Mark"],
+    *,
+    card: str,
+    pictures: Sequence[NDArray[np.uint8]],
+) -> Path:
+    """Write an insertion.
 
     Args:
-        ruptures: When each was detected and when that was retracted, from the start of
-            the film [s], infinite for one that stands; its depth and what it was.
+        path: The page.
+        scene: The film.
+        plan: Anatomy and plan.
+        moments: At least one.
+        marks: The ruptures.
+        card: The clinician's view where the needle was deepest.
+        pictures: The CT there; none without a CT.
+
+    Raises:
+        SceneError: The file cannot be written.
+        MissingExtraError: matplotlib or jinja2 is not installed.
     """
+    require_matplotlib("an exported scene")
+    start_s = moments[0].estimate.time_s
     rows = tuple(
-        (
-            f"{time_s:.1f}",
-            text if math.isinf(until_s) else f"{text}; retracted at {until_s:.1f} s",
-        )
-        for time_s, until_s, text in ruptures
+        (f"{mark.time_s - start_s:.1f}", _describe_mark(mark, start_s))
+        for mark in marks
     )
     table = PageTable(
         caption="Detected ruptures", head=("time in the film [s]", "what"), rows=rows
     )
-    return Section(
+    ruptures = Section(
         heading="Ruptures",
         anchor="ruptures",
         paragraphs=() if rows else ("None was detected.",),
         tables=(table,) if rows else (),
     )
-
-
-def slice_section(pictures: SlicePictures) -> Section:
-    """Return the CT at the needle."""
-    from matplotlib.image import imsave
-
-    figures: list[PageFigure] = []
-    for title, picture in zip(TITLES, pictures, strict=True):
-        buffer = BytesIO()
-        imsave(buffer, picture, format="png")
-        figures.append(PageFigure(path=buffer.getvalue(), alt=title, caption=title))
-    return Section(
-        heading="CT at the needle, where it was deepest",
-        anchor="ct",
-        figures=tuple(figures),
+    sections = [ruptures, _force_section(moments, [mark.time_s for mark in marks])]
+    if len(pictures):
+        figures = tuple(
+            PageFigure(path=_png_of(picture), alt=title, caption=title)
+            for title, picture in zip(TITLES, pictures, strict=True)
+        )
+        heading = "CT at the needle, where it was deepest"
+        sections.append(Section(heading=heading, anchor="ct", figures=figures))
+    return write_scene_page(
+        path,
+        scene,
+        plan,
+        warnings=_describe_banners(moments),
+        card=card,
+        sections=sections,
+        has_needle=True,
     )
 
 
-def force_section(
-    rows: Array, zero_m: float, zero_name: str, events_s: Sequence[float]
-) -> Section:
-    """Return the forces of rows, shape (n, k), over time and over depth.
+def _describe_mark(mark: "Mark", start_s: float) -> str:
+    """Return a rupture, and when it was retracted."""
+    if math.isinf(mark.until_s):
+        return mark.text
+    return f"{mark.text}; retracted at {mark.until_s - start_s:.1f} s"
+
+
+def _describe_banners(moments: Sequence[Moment]) -> list[str]:
+    """Return when verdicts were shown large, such as that the needle is off plan."""
+    start_s = moments[0].estimate.time_s
+    texts: list[str] = []
+    for banner, group in groupby(moments, key=lambda moment: find_banner(moment[1])):
+        times_s = [estimate.time_s - start_s for _, estimate in group]
+        if banner:
+            texts.append(
+                f"{banner.upper()} from {times_s[0]:.1f} to {times_s[-1]:.1f} s of the "
+                f"film: {MEANINGS[banner]}"
+            )
+    return texts
+
+
+def _png_of(picture: NDArray[np.uint8]) -> bytes:
+    """Return a picture as PNG."""
+    from PIL import Image
+
+    buffer = BytesIO()
+    Image.fromarray(picture).save(buffer, "png")
+    return buffer.getvalue()
+
+
+def _force_section(moments: Sequence[Moment], events_s: Sequence[float]) -> Section:
+    """Return the forces of moments over time and over depth.
 
     Args:
-        rows: See `view_row`.
-        zero_m: Depth from which shown depths count.
-        zero_name: Of that depth, such as ``below first contact``.
-        events_s: When ruptures were detected [s].
+        moments: At least one.
+        events_s: When ruptures were detected.
     """
-    start_s = rows[0, COLUMN["time_s"]]
-    rows = shown_rows(rows)
-    deepest = deepest_rows(rows)
-    times_s = rows[:, COLUMN["time_s"]] - start_s
-    depths_mm = M_TO_MM * (deepest[:, COLUMN["depth_m"]] - zero_m)
-    numbers = np.searchsorted(deepest[:, COLUMN["time_s"]], np.array(events_s))
-    events_mm = depths_mm[np.clip(numbers, 0, max(len(depths_mm) - 1, 0))]
-    shown_s = (np.array(events_s) - start_s).tolist()
-    charts = {
-        "time in the film": _chart(TIME_LABEL, rows, times_s, shown_s),
-        "depth": _chart(
-            f"depth {zero_name} [mm]", deepest, depths_mm, events_mm.tolist()
-        ),
-    }
+    table = force_table(moments)
     figures = tuple(
         PageFigure(
-            path=draw_svg(chart),
-            alt=f"Axial force, tip force and enhanced force over {axis}",
-            caption=f"Forces over {axis}; bands: two standard deviations.",
+            path=_draw_forces(label, places, rows, events_s),
+            alt=f"Axial force, tip force and enhanced force over {label}",
+            caption=f"Forces over {label}; bands: two standard deviations; marks: "
+            "detected ruptures.",
         )
-        for axis, chart in charts.items()
+        for label, (places, rows) in places_of(table).items()
     )
     return Section(heading="Forces", anchor="forces", figures=figures)
 
 
-def _chart(x_label: str, rows: Array, x: Array, events: Sequence[float]) -> Chart:
-    """Return a chart of all forces of rows over places of an axis, shape (n,)."""
-    ruptures = LineStyle(color=palette.ORANGE, marker="|", width_pt=2.0, size_pt=11.0)
-    return Chart(
-        title="Forces",
-        x_label=x_label,
-        panels=(
-            Panel(
-                y_label=FORCE_LABEL,
-                curves=tuple(_curve(curve, rows, x) for curve in CURVES),
-            ),
-        ),
-        instants=(Instants("rupture", ruptures, tuple(events)),),
-        height_in=2.6,
-    )
+def _draw_forces(
+    label: str, places: Array, rows: Array, events_s: Sequence[float]
+) -> bytes:
+    """Return a drawing of all forces of rows over places of an axis, as SVG."""
+    from matplotlib.figure import Figure
 
-
-def _curve(curve: ForceCurve, rows: Array, x: Array) -> Curve:
-    """Return one force of rows with its band."""
-    std_N = rows[:, COLUMN[curve.std_field]] if curve.std_field else None
-    dash = (0.0, curve.dash) if curve.dash else "-"
-    return Curve(
-        style=LineStyle(color=curve.hex_color, dash=dash),
-        x=x,
-        y=rows[:, COLUMN[curve.field]],
-        label=f"{curve.name} [N]",
-        std=std_N,
-    )
+    figure = Figure((4.4, 3.0), layout="constrained")
+    axes = figure.subplots()
+    for name, color, dash, column in CURVES:
+        force_N = rows[:, column]
+        axes.plot(places, force_N, dash, color=color, label=f"{name} [N]")
+        if column < CURVES[-1][3]:
+            band_N = 2.0 * rows[:, column + 1]
+            axes.fill_between(
+                places, force_N - band_N, force_N + band_N, color=color, alpha=0.2
+            )
+    indices = np.searchsorted(rows[:, 0], events_s)
+    marked = places[indices[indices < len(places)]]
+    bottom = axes.get_ylim()[0]
+    axes.plot(marked, np.full(len(marked), bottom), "k|", markersize=12)
+    axes.set(xlabel=label, ylabel="force [N]")
+    figure.legend(loc="outside lower left", ncols=3, fontsize=8)
+    buffer = BytesIO()
+    figure.savefig(buffer, format="svg", metadata={"Date": None})
+    return buffer.getvalue()

@@ -4,7 +4,8 @@ Everything is in the robot's base; anatomy comes through a registration. Surface
 layers are those of `needleforce.anatomy`, or anything with the same names.
 """
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Sequence
+from functools import partial
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -13,69 +14,28 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.scene.arm_shapes import load_shapes
-from needleforce.scene.state_ring import SceneError
+from needleforce.scene.moment import SceneError
+from needleforce.scene.words import shown_name
 from urdf import Robot
 
+Color = tuple[int, int, int]
+"""Red, green and blue from 0 to 255."""
 
-class Color(NamedTuple):
-    """A colour.
+PATH_COLOR: Color = (60, 60, 60)
+OBSTACLE_COLOR: Color = (170, 40, 30)
+RUPTURE_COLOR: Color = (230, 159, 0)
+EXPECTED_COLOR: Color = (0, 114, 178)
+NEEDLE_COLOR: Color = (70, 75, 90)
+WARNING_COLOR: Color = (230, 30, 30)
+TARGET_COLOR: Color = (0, 158, 115)
+NEAREST_COLOR: Color = (150, 0, 120)
+FORCE_COLOR: Color = (213, 94, 0)
+STD_COLOR: Color = (120, 120, 120)
 
-    Attributes:
-        red: From 0 to 255.
-        green: From 0 to 255.
-        blue: From 0 to 255.
-    """
+NEEDLE_LENGTH_m = 0.2
 
-    red: int
-    green: int
-    blue: int
-
-
-def color_of(parts: Sequence[float]) -> Color:
-    """Return the colour of red, green and blue from 0 to 1."""
-    red, green, blue = (round(255 * part) for part in parts)
-    return Color(red, green, blue)
-
-
-class RingStyle(NamedTuple):
-    """How a ring about the needle's line looks.
-
-    Attributes:
-        color: Of the ring.
-        label_offset_m: Of its label along x: planned rings have it on one side, the
-            others on the other.
-    """
-
-    color: Color
-    label_offset_m: float
-
-
-class Ring(NamedTuple):
-    """A ring in the scene.
-
-    Attributes:
-        line: Its node.
-        label: The node of its label.
-    """
-
-    line: Any
-    label: Any
-
-    def set_visible(self, is_visible: bool) -> None:
-        """Show the ring with its label, or hide it."""
-        self.line.visible = is_visible
-        self.label.visible = is_visible
-
-    def shift_label(self, shift_m: float) -> None:
-        """Shift the label along the axis, so that it overprints no other."""
-        x, y, _ = self.label.position
-        self.label.position = (x, y, shift_m)
-
-    def move(self, position_m: Array, axis: Array) -> None:
-        """Move the ring to a place, about an axis."""
-        self.line.position = tuple(position_m)
-        self.line.wxyz = quaternion_of_axis(axis)
+PATH_LEAD_m = 0.03
+"""The planned path begins so far before the entry."""
 
 
 class NeedlePose(NamedTuple):
@@ -88,44 +48,6 @@ class NeedlePose(NamedTuple):
 
     tip_m: Array
     axis: Array
-
-
-RING_RADIUS_M = 6e-3
-"""Of a boundary or a rupture."""
-
-_PLANNED_LABEL_M = -2.0 * RING_RADIUS_M
-_FOUND_LABEL_M = 2.0 * RING_RADIUS_M
-
-LABEL_GAP_M = 10e-3
-"""Distance along the needle from one label to the next."""
-
-PATH_COLOR = Color(60, 60, 60)
-PLANNED = RingStyle(PATH_COLOR, _PLANNED_LABEL_M)
-OBSTACLE = RingStyle(Color(170, 40, 30), _PLANNED_LABEL_M)
-DETECTED = RingStyle(Color(230, 159, 0), _FOUND_LABEL_M)
-
-EXPECTED = RingStyle(Color(0, 114, 178), _FOUND_LABEL_M)
-"""Of the next boundary, moved by what the ruptures have shown."""
-
-NEEDLE_COLOR = Color(70, 75, 90)
-OFF_PLAN_COLOR = Color(230, 30, 30)
-"""Of the needle while it is off the plan."""
-
-TARGET_COLOR = Color(0, 158, 115)
-NEAREST_COLOR = Color(150, 0, 120)
-TRAIL_COLOR = Color(213, 94, 0)
-TRAIL_WIDTH = 3.0  # pixels
-
-CAMERA_M = np.array([0.19, -0.23, 0.11])
-"""Where the camera stands at first, from the tip."""
-
-RIGHT = np.array([0.55, 0.45, 0.0]) / np.hypot(0.55, 0.45)
-"""Direction to the right of the first view, where labels stand."""
-
-NEEDLE_LENGTH_M = 0.2
-
-PATH_LEAD_M = 0.03
-"""The planned path begins so far before the entry."""
 
 
 class PlannedLine(NamedTuple):
@@ -156,8 +78,7 @@ class PlanScene(NamedTuple):
         translation_m: Of the model's origin in the robot's base, shape (3,).
         warnings: What is wrong with the plan, or could not be checked.
         scan: CT around the path, with `values` and `grid`, in the model; None for none.
-        watched: Names of the structures that the needle must not come near to, by the
-            numbers of their clearances.
+        watched: Names of the structures that the needle must not come near to.
     """
 
     surfaces: Sequence[Any] = ()
@@ -175,7 +96,7 @@ class PlanScene(NamedTuple):
         return np.asarray(points_m, dtype=float) @ self.rotation.T + self.translation_m
 
     @property
-    def path(self) -> "PlannedLine | None":
+    def path(self) -> PlannedLine | None:
         """The planned path in the robot's base; None without entry and target.
 
         Raises:
@@ -187,61 +108,50 @@ class PlanScene(NamedTuple):
         target_m = self.to_robot(self.target_m)
         length_m = float(np.linalg.norm(target_m - entry_m))
         if not length_m > 0.0:
-            raise SceneError(
-                f"a plan from {self.entry_m} to {self.target_m}: expected two points"
-            )
-        return PlannedLine(entry_m, target_m, (target_m - entry_m) / length_m, length_m)
+            raise SceneError(f"entry and target are {entry_m}; expected two points")
+        axis = (target_m - entry_m) / length_m
+        return PlannedLine(entry_m, target_m, axis, length_m)
 
 
 EMPTY = PlanScene()
-"""Neither anatomy nor plan."""
 
 
 class ArmNodes:
-    """The arm and its needle, which is the z axis of its tool.
+    """The arm with its needle; without shapes it is a line through its joints.
 
     Args:
         server: Of the page.
         robot: The arm.
-        urdf_path: The description with the arm's own shapes; without one a line through
-            its joints is drawn.
+        urdf_path: Its description, for its shapes.
 
     Attributes:
-        unread_meshes: Names of meshes that cannot be read; the arm is shown without.
+        unread_meshes: Meshes that cannot be read; it is shown without.
     """
 
-    def __init__(
-        self, server: Any, robot: Robot, urdf_path: Path | None = None
-    ) -> None:
+    def __init__(self, server: Any, robot: Robot, urdf_path: Path | None) -> None:
+        self._robot = robot
         self._data = robot.create_data()
         self._server = server
-        self._robot = robot
         self._shapes: Any = None
-        self.unread_meshes: tuple[str, ...] = ()
+        self.unread_meshes: list[str] = []
         if urdf_path is not None:
             from viser.extras import ViserUrdf
 
-            shapes = load_shapes(urdf_path)
-            self.unread_meshes = shapes.unread
-            self._shapes = ViserUrdf(server, shapes.urdf, root_node_name="/arm")
-            shown_names = self._shapes.get_actuated_joint_names()
-            self._shown_joints = [shown_names.index(name) for name in robot.joint_names]
-            # What the robot lacks, it holds at zero.
-            self._shown_rad = np.zeros(len(shown_names))
-
-        self._needle = server.scene.add_cylinder(
+            description, self.unread_meshes = _load_shapes(urdf_path)
+            self._shapes = ViserUrdf(server, description)
+            names = self._shapes.get_actuated_joint_names()
+            # What the description moves and the robot lacks, it holds at zero.
+            self._shown_rad = np.zeros(len(names))
+            self._shown_joints = [names.index(name) for name in robot.joint_names]
+        self.needle = server.scene.add_cylinder(
             "/needle",
             radius=0.8e-3,  # metres
-            height=NEEDLE_LENGTH_M,
+            height=NEEDLE_LENGTH_m,
             color=NEEDLE_COLOR,
             visible=False,  # until it is known where it is
         )
 
-    def show_off_plan(self, is_off_plan: bool) -> None:
-        """Show the needle in the colour of a needle on the plan, or off it."""
-        self._needle.color = OFF_PLAN_COLOR if is_off_plan else NEEDLE_COLOR
-
-    def needle_at(self, q_rad: ArrayLike) -> NeedlePose:
+    def find_needle(self, q_rad: ArrayLike) -> NeedlePose:
         """Return where the needle is at joint positions, shape (n,)."""
         q = np.asarray(q_rad, dtype=float)
         pin.framesForwardKinematics(self._robot.model, self._data, q)
@@ -250,147 +160,192 @@ class ArmNodes:
 
     def update(self, q_rad: ArrayLike) -> NeedlePose:
         """Move the arm to joint positions, shape (n,); return where the needle is."""
-        q = np.asarray(q_rad, dtype=float)
-        needle = self.needle_at(q)
-        tip_m = needle.tip_m
-        axis = needle.axis
-        data = self._data
+        needle = self.find_needle(q_rad)
         if self._shapes is not None:
-            self._shown_rad[self._shown_joints] = q
+            self._shown_rad[self._shown_joints] = q_rad
             self._shapes.update_cfg(self._shown_rad)
         else:
-            joints = range(self._robot.model.njoints)
-            points_m = [data.oMi[joint].translation for joint in joints]
-            bones = np.array([*points_m, tip_m])
-            add_lines(self._server, "/bones", bones, Color(90, 100, 120), 6.0)
-
-        self._needle.visible = True
-        self._needle.position = tuple(tip_m - 0.5 * NEEDLE_LENGTH_M * axis)
-        self._needle.wxyz = quaternion_of_axis(axis)
+            joints_m = [joint.translation for joint in self._data.oMi]
+            bones_m = np.array([*joints_m, needle.tip_m])
+            add_line(self._server, "/bones", bones_m, (90, 100, 120), 6.0)
+        self.needle.visible = True
+        self.needle.position = needle.tip_m - 0.5 * NEEDLE_LENGTH_m * needle.axis
+        self.needle.wxyz = quaternion_along(needle.axis)
         return needle
 
 
-def label_shifts_m(depths_m: Sequence[float]) -> list[float]:
-    """Return how far labels at depths are shifted so that none overprints another.
+def _load_shapes(urdf_path: Path) -> tuple[Any, list[str]]:
+    """Return the description of an arm for yourdfpy, and the meshes it cannot read."""
+    import trimesh
+    import yourdfpy
 
-    The deepest stays; those before it move towards the entry as far as they must.
-
-    Args:
-        depths_m: Along the needle, in rising order.
-    """
-    shifts_m: list[float] = []
-    limit_m = np.inf
-    for depth_m in reversed(depths_m):
-        place_m = min(depth_m, limit_m)
-        limit_m = place_m - LABEL_GAP_M
-        shifts_m.append(place_m - depth_m)
-    return shifts_m[::-1]
-
-
-def free_shift_m(depth_m: float, taken_m: Sequence[float]) -> float:
-    """Return how far a label at a depth is shifted inwards to overprint no other.
-
-    Args:
-        depth_m: Along the needle.
-        taken_m: Depths of the other labels.
-    """
-    place_m = depth_m
-    for other_m in sorted(taken_m):
-        if abs(other_m - place_m) < LABEL_GAP_M:
-            place_m = other_m + LABEL_GAP_M
-    return place_m - depth_m
+    find = partial(yourdfpy.filename_handler_magic, dir=urdf_path.parent)
+    plain = yourdfpy.URDF.load(
+        urdf_path, build_scene_graph=False, load_meshes=False, filename_handler=find
+    )
+    unread: list[str] = []
+    for link in plain.robot.links:
+        for visual in list(link.visuals):
+            mesh = visual.geometry and visual.geometry.mesh
+            path = find(fname=mesh.filename) if mesh else ""
+            # yourdfpy leaves out what is not there.
+            if not Path(path).is_file():
+                continue
+            try:
+                trimesh.load(path, force="scene")
+            except Exception:  # whatever a reader of meshes raises
+                link.visuals.remove(visual)
+                unread.append(mesh.filename)
+    return yourdfpy.URDF(plain.robot, filename_handler=find), unread
 
 
-def rotation_of_axis(axis: Array) -> Array:
-    """Return the rotation that turns the z axis to a direction, shape (3, 3).
+def rotation_along(axis: Array) -> Array:
+    """Return a rotation that turns the z axis to a direction, shape (3, 3).
 
     x is turned to the right of the first view, as far as it can be.
     """
+    right = np.array([0.77, 0.63, 0.0])
     # An axis along that direction has its labels along z instead.
-    is_along_right = abs(axis @ RIGHT) >= 0.9
-    right = np.array([0.0, 0.0, 1.0]) if is_along_right else RIGHT
-    side = right - (right @ axis) * axis
-    side /= np.linalg.norm(side)
+    side = np.array([0.0, 0.0, 1.0]) if abs(axis @ right) >= 0.9 else right
+    side = side - (side @ axis) * axis
+    side = side / np.linalg.norm(side)
     return np.column_stack([side, np.cross(axis, side), axis])
 
 
-def quaternion_of_axis(axis: Array) -> tuple[float, ...]:
-    """Return the quaternion (w, x, y, z) of `rotation_of_axis`."""
-    quaternion = pin.Quaternion(rotation_of_axis(axis))
-    return (
-        float(quaternion.w),
-        float(quaternion.x),
-        float(quaternion.y),
-        float(quaternion.z),
+def quaternion_along(axis: Array) -> Array:
+    """Return the quaternion (w, x, y, z) of `rotation_along`, shape (4,)."""
+    return np.roll(pin.Quaternion(rotation_along(axis)).coeffs(), 1)
+
+
+def add_line(server: Any, name: str, points_m: Array, color: Color, px: float) -> Any:
+    """Add a line through points, shape (n, 3), so many pixels wide."""
+    return server.scene.add_line_segments(
+        name,
+        points=segments_of(points_m),
+        colors=color,
+        thickness=px,
+        thickness_units="screen",
     )
 
 
-def add_path(server: Any, plan: PlanScene) -> None:
-    """Add the planned path, its target, and a ring with a name at every boundary.
-
-    Raises:
-        SceneError: The plan has no length.
-    """
-    path = plan.path
-    if path is None:
-        return
-    entry_m, target_m, axis, _ = path
-    line = np.array([entry_m - PATH_LEAD_M * axis, target_m])
-    add_lines(server, "/plan/way", line, PATH_COLOR, 2.0)
-    server.scene.add_icosphere(
-        "/plan/target", 3e-3, color=TARGET_COLOR, position=tuple(target_m)
-    )
-    exits_m = [layer.exit_m for layer in plan.layers[:-1]]
-    shifts_m = label_shifts_m(exits_m)
-    for number, layer in enumerate(plan.layers[:-1], 1):
-        next_layer = plan.layers[number]
-        text = next_layer.name.replace("_", " ")
-        if next_layer.is_obstacle:
-            text += " (obstacle)"  # not by its colour alone
-        ring = add_ring(
-            server,
-            f"/plan/boundary {number}",
-            NeedlePose(entry_m + layer.exit_m * axis, axis),
-            OBSTACLE if next_layer.is_obstacle else PLANNED,
-            text,
-        )
-        ring.shift_label(shifts_m[number - 1])
+def segments_of(points_m: Array) -> Array:
+    """Return the pieces of a line through points, shape (n, 3), as (n - 1, 2, 3)."""
+    return np.stack([points_m[:-1], points_m[1:]], axis=1).astype(np.float32)
 
 
-def add_ring(
-    server: Any, name: str, pose: NeedlePose, style: RingStyle, text: str
-) -> Ring:
-    """Add a ring about the needle's line with a label.
+class Ring:
+    """A ring about the needle's line with a label.
 
     Args:
         server: Of the page.
         name: Of its node.
-        pose: Where the ring is, and about which axis.
-        style: How it looks.
+        color: Of the ring.
         text: Of the label.
+        side: On which the label stands: -1 for planned ones, 1 for the others.
     """
-    angle_rad = np.linspace(0.0, 2.0 * np.pi, 33)
-    circle = [np.cos(angle_rad), np.sin(angle_rad), np.zeros_like(angle_rad)]
-    points_m = RING_RADIUS_M * np.stack(circle, axis=1)
-    line = add_lines(server, name, points_m, style.color, 4.0)
-    label = server.scene.add_label(
-        f"{name}/label",
-        text,
-        position=(style.label_offset_m, 0.0, 0.0),
-        font_size_mode="scene",
-        font_scene_height=6e-3,  # metres
-        anchor="center-right" if style.label_offset_m < 0.0 else "center-left",
-    )
-    ring = Ring(line, label)
-    ring.move(pose.tip_m, pose.axis)
-    return ring
+
+    def __init__(
+        self, server: Any, name: str, color: Color, text: str, side: float = 1.0
+    ) -> None:
+        radius_m = 6e-3
+        angle_rad = np.linspace(0.0, 2.0 * np.pi, 33)
+        circle = [np.cos(angle_rad), np.sin(angle_rad), np.zeros(33)]
+        points_m = radius_m * np.stack(circle, axis=1)
+        self.line = add_line(server, name, points_m, color, 4.0)
+        self.label = server.scene.add_label(
+            f"{name}/label",
+            text,
+            position=(2.0 * side * radius_m, 0.0, 0.0),
+            font_size_mode="scene",
+            font_scene_height=radius_m,
+            anchor="center-right" if side < 0.0 else "center-left",
+        )
+
+    def move(self, position_m: Array, axis: Array) -> None:
+        """Move the ring to a place, about an axis."""
+        self.line.position = position_m
+        self.line.wxyz = quaternion_along(axis)
+
+    def show(self, is_visible: bool) -> None:
+        """Show the ring with its label, or hide it."""
+        self.line.visible = is_visible
+        self.label.visible = is_visible
 
 
-def add_lines(
-    server: Any, name: str, points_m: Array, color: Color, width: float
-) -> Any:
-    """Add a line through points, shape (n, 3), so many pixels wide."""
-    segments = np.stack([points_m[:-1], points_m[1:]], axis=1)
-    return server.scene.add_line_segments(
-        name, points=segments, colors=color, thickness=width, thickness_units="screen"
-    )
+def add_plan(server: Any, plan: PlanScene) -> dict[str, Any]:
+    """Add structures, planned path, target, and a ring at every boundary.
+
+    Returns:
+        Nodes of the structures by their names.
+
+    Raises:
+        SceneError: The plan has no length.
+    """
+    server.scene.set_up_direction("+z")
+    structures: dict[str, Any] = {}
+    for surface in plan.surfaces:
+        structures[surface.name] = server.scene.add_mesh_simple(
+            f"/anatomy/{surface.name}",
+            plan.to_robot(surface.vertices_m).astype(np.float32),
+            np.asarray(surface.triangles, dtype=np.uint32),
+            color=color_of(surface.colour),
+            opacity=usual_opacity(surface.name),
+            side="double",
+        )
+    path = plan.path
+    if path is not None:
+        line_m = np.array([path.entry_m - PATH_LEAD_m * path.axis, path.target_m])
+        add_line(server, "/plan/path", line_m, PATH_COLOR, 2.0)
+        server.scene.add_icosphere(
+            "/plan/target", 3e-3, color=TARGET_COLOR, position=path.target_m
+        )
+        for number, layer in enumerate(plan.layers[1:], 1):
+            text = shown_name(layer.name)
+            color = PATH_COLOR
+            if layer.is_obstacle:
+                text += " (obstacle)"  # not by its colour alone
+                color = OBSTACLE_COLOR
+            ring = Ring(server, f"/plan/boundary {number}", color, text, -1.0)
+            depth_m = plan.layers[number - 1].exit_m
+            ring.move(path.entry_m + depth_m * path.axis, path.axis)
+    return structures
+
+
+def color_of(parts: Sequence[float]) -> Color:
+    """Return the colour of red, green and blue from 0 to 1."""
+    red, green, blue = (round(255 * part) for part in parts)
+    return red, green, blue
+
+
+def usual_opacity(name: str) -> float:
+    """Return how opaque a structure is at first; what surrounds all others is faint."""
+    words = shown_name(name.lower()).split()
+    faint = ("fat", "skin", "body", "lean", "muscle", "cavity")
+    return 0.06 if any(word in words for word in faint) else 0.25
+
+
+def legend_of(plan: PlanScene, *, has_needle: bool = True) -> Iterator[tuple[str, str]]:
+    """Yield the colours of a scene as ``#rrggbb``, each with what it stands for."""
+    colors: list[tuple[Color, str]] = []
+    if has_needle:
+        colors += [
+            (NEEDLE_COLOR, "needle (red: a warning stands above)"),
+            (FORCE_COLOR, "path of the tip; arrow: force of the tissue on the tip"),
+            (STD_COLOR, "bar beside the arrow: ± two standard deviations"),
+            (RUPTURE_COLOR, "rupture detected"),
+        ]
+    if plan.entry_m is not None:
+        colors += [
+            (PATH_COLOR, "planned path; rings: planned boundaries"),
+            (OBSTACLE_COLOR, "planned boundary of an obstacle"),
+            (TARGET_COLOR, "target"),
+        ]
+    if has_needle and plan.entry_m is not None:
+        colors += [
+            (EXPECTED_COLOR, "next boundary, as the ruptures moved it"),
+            (NEAREST_COLOR, "line to the nearest structure at risk"),
+        ]
+    for one in sorted(plan.surfaces, key=lambda surface: surface.name):
+        colors.append((color_of(one.colour), shown_name(one.name)))
+    for color, text in colors:
+        yield "#{:02x}{:02x}{:02x}".format(*color), text

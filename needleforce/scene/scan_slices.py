@@ -4,7 +4,7 @@ Two planes hold the needle, one along the other across the body; the third is th
 probe's-eye view, perpendicular to it at the tip.
 """
 
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,170 +12,124 @@ from scipy import ndimage
 
 from foundation.arrays import Array
 from needleforce.plots.needle_view import NeedleView, patient_side
-from needleforce.scene.nodes import TARGET_COLOR, NeedlePose, PlanScene
+from needleforce.scene.nodes import TARGET_COLOR, NeedlePose, PlannedLine, PlanScene
 
-PIXELS = 140
-PIXEL_M = 0.8e-3
-"""Size of a picture, and of its pixels [m]."""
+if TYPE_CHECKING:
+    from PIL.ImageDraw import ImageDraw
 
-TIP_ROW = 80
+PIXELS = 280
+PIXEL_m = 0.4e-3
+"""Size of a picture, and of its pixels."""
+
+TIP_ROW = 160
 """Row of the tip in the planes that hold the needle."""
 
 NEEDLE_COLOR = (255, 212, 0)
 """Seen on grey by all."""
 
-SIZE_MM = round(1e3 * PIXELS * PIXEL_M)
-
 TITLES = (
-    f"along the needle, side to side, {SIZE_MM} mm wide",
-    f"along the needle, head to feet, {SIZE_MM} mm wide",
-    f"probe's eye: across the needle at its tip, head up, {SIZE_MM} mm wide",
+    "along the needle, side to side",
+    "along the needle, head to feet",
+    "probe's eye: across the needle at its tip, head up",
 )
-"""What the three pictures show; green are planned path and target. Until the needle
-comes near to its entry the cuts are those along the path, at the target."""
+"""What the three pictures show, 112 mm wide; letters are sides of the patient, green
+are planned path and target. Until the needle comes near to its entry the cuts are those
+along the path, at the target."""
 
 
-class SlicePictures(NamedTuple):
-    """The pictures of the three planes, each of shape (n, n, 3).
-
-    Attributes:
-        side: Along the needle, side to side.
-        head: Along the needle, head to feet.
-        probe: Across the needle at its tip.
-    """
-
-    side: NDArray[np.uint8]
-    head: NDArray[np.uint8]
-    probe: NDArray[np.uint8]
-
-
-class ScanSlices:
-    """Cuts the CT of a plan at the needle.
+def draw_slices(
+    plan: PlanScene, path: PlannedLine, needle: NeedlePose | None
+) -> list[NDArray[np.uint8]]:
+    """Return the three pictures, each of shape (n, n, 3).
 
     Args:
         plan: With its scan.
-
-    Attributes:
-        latest: The pictures drawn last; None before the first.
+        path: Its path.
+        needle: None for the planned path, without a needle, at its target.
     """
-
-    def __init__(self, plan: PlanScene) -> None:
-        self._plan = plan
-        self._drawn_at: NeedlePose | None = None
-        self.latest: SlicePictures | None = None
-
-    def draw(self, needle: NeedlePose | None) -> SlicePictures | None:
-        """Return the three pictures; None if they are those drawn last.
-
-        Args:
-            needle: None for the planned path, without a needle, at its target.
-        """
-        place = needle
-        if place is None:
-            path = self._plan.path
-            if path is None:
-                return None
-            place = NeedlePose(path.target_m, path.axis)
-        drawn = self._drawn_at
-        if drawn is not None:
-            travel_m = np.linalg.norm(place.tip_m - drawn.tip_m)
-            turn_m = np.linalg.norm(place.axis - drawn.axis) * PIXELS * PIXEL_M
-            if max(travel_m, turn_m) < 0.5e-3:  # less than a pixel
-                return None
-        self._drawn_at = place
-        rotation = self._plan.rotation
-        view = NeedleView.along(rotation.T @ place.axis)
-        across = rotation @ view.side
-        up = rotation @ view.up
-        middle = PIXELS // 2
-        side = self._cut(place.tip_m, place.axis, across, TIP_ROW)
-        head = self._cut(place.tip_m, place.axis, up, TIP_ROW)
-        probe = self._cut(place.tip_m, -up, across, middle)
-        if needle is not None:
-            for picture in (side, head):
-                picture[:TIP_ROW, middle - 1 : middle + 1] = NEEDLE_COLOR
-            probe[middle, middle - 5 : middle + 6] = NEEDLE_COLOR
-            probe[middle - 5 : middle + 6, middle] = NEEDLE_COLOR
-        _name_sides(side, view.side)
-        _name_sides(head, view.up)
-        _name_sides(probe, view.side)
-        _write_side(probe, patient_side(view.up), middle, 2)
-        _write_side(probe, patient_side(-view.up), middle, PIXELS - 12)
-        self.latest = SlicePictures(side, head, probe)
-        return self.latest
-
-    def _draw_path(
-        self,
-        picture: NDArray[np.uint8],
-        tip_m: Array,
-        axes: Array,
-        tip_pixel: tuple[int, int],
-    ) -> None:
-        """Draw the planned path into a plane, and its target as a square.
-
-        Args:
-            picture: Of the plane.
-            tip_m: Where the plane was cut.
-            axes: Directions of its rows and columns, shape (2, 3).
-            tip_pixel: Row and column of that place.
-        """
-        path = self._plan.path
-        if path is None:
-            return
-        points_m = np.linspace(path.entry_m, path.target_m, 2 * PIXELS)
-        pixels = np.rint((points_m - tip_m) @ axes.T / PIXEL_M).astype(int) + tip_pixel
-        square = np.indices((5, 5)).reshape(2, -1).T - 2
-        pixels = np.concatenate([pixels, pixels[-1] + square])
-        is_inside = ((pixels >= 0) & (pixels < PIXELS)).all(axis=1)
-        rows, columns = pixels[is_inside].T
-        picture[rows, columns] = TARGET_COLOR
-
-    def _cut(
-        self, tip_m: Array, row_axis: Array, column_axis: Array, tip_row: int
-    ) -> NDArray[np.uint8]:
-        """Return the picture of a plane through the tip, rows along one direction."""
-        air_HU = -1000.0  # outside the scan
-        rows_m = PIXEL_M * (np.arange(PIXELS) - tip_row)
-        columns_m = PIXEL_M * (np.arange(PIXELS) - PIXELS // 2)
-        points_m = (
-            tip_m
-            + rows_m[:, None, None] * row_axis
-            + columns_m[None, :, None] * column_axis
-        )
-        model_m = (points_m - self._plan.translation_m) @ self._plan.rotation
-        scan: Any = self._plan.scan
-        index = np.moveaxis(scan.grid.indices(model_m), -1, 0)
-        values_HU = np.full((PIXELS, PIXELS), air_HU)
-        ndimage.map_coordinates(
-            scan.values, index, output=values_HU, order=1, cval=air_HU
-        )
-        low_HU, high_HU = -160.0, 240.0  # from black to white: soft tissue
-        grey = np.clip((values_HU - low_HU) / (high_HU - low_HU), 0.0, 1.0)
-        pixels = (255.0 * grey).astype(np.uint8)
-        picture = np.repeat(pixels[:, :, None], 3, axis=2)
-        axes = np.array([row_axis, column_axis])
-        self._draw_path(picture, tip_m, axes, (tip_row, PIXELS // 2))
-        return picture
+    place = NeedlePose(path.target_m, path.axis) if needle is None else needle
+    view = NeedleView.along(plan.rotation.T @ place.axis)
+    middle = PIXELS // 2
+    planes = (
+        (view.axis, view.side, TIP_ROW),
+        (view.axis, view.up, TIP_ROW),
+        (-view.up, view.side, middle),
+    )
+    return [
+        _draw_plane(plan, path, place.tip_m, np.array([down, right]), tip_row, needle)
+        for down, right, tip_row in planes
+    ]
 
 
-def _name_sides(picture: NDArray[np.uint8], direction: Array) -> None:
-    """Write the patient's sides at the left and the right edge of a picture.
+def _draw_plane(
+    plan: PlanScene,
+    path: PlannedLine,
+    tip_m: Array,
+    axes: Array,
+    tip_row: int,
+    needle: NeedlePose | None,
+) -> NDArray[np.uint8]:
+    """Return the picture of a plane through a tip.
 
     Args:
-        picture: The picture, which is changed.
-        direction: To the right of the picture, in LPS, shape (3,).
+        plan: With its scan.
+        path: Its path.
+        tip_m: In the robot's base, shape (3,).
+        axes: Directions of the rows and the columns in the patient, shape (2, 3).
+        tip_row: Row of the tip; it stands in the middle column.
+        needle: None for a picture without needle.
     """
-    row = PIXELS // 2 - 5
-    _write_side(picture, patient_side(-direction), 6, row)
-    _write_side(picture, patient_side(direction), PIXELS - 6, row)
-
-
-def _write_side(
-    picture: NDArray[np.uint8], side: str, column: int, top_row: int
-) -> None:
-    """Write the letter of a side into a picture, its middle at a column."""
     from PIL import Image, ImageDraw
 
-    image = Image.fromarray(picture)
-    ImageDraw.Draw(image).text((column, top_row), side, NEEDLE_COLOR, anchor="ma")
-    picture[:] = np.asarray(image)
+    middle = PIXELS // 2
+    image = Image.fromarray(_cut(plan, tip_m, axes, tip_row)).convert("RGB")
+    draw = ImageDraw.Draw(image)
+    ends_m = np.array([path.entry_m, path.target_m]) - tip_m
+    rows, columns = ((ends_m @ plan.rotation @ axes.T) / PIXEL_m).T
+    line = list(
+        zip((columns + middle).tolist(), (rows + tip_row).tolist(), strict=True)
+    )
+    draw.line(line, TARGET_COLOR, width=2)
+    x, y = line[1]
+    draw.rectangle((x - 5, y - 5, x + 5, y + 5), TARGET_COLOR)
+    is_across = tip_row == middle
+    if needle is not None and is_across:
+        draw.line((middle - 10, middle, middle + 10, middle), NEEDLE_COLOR, width=2)
+        draw.line((middle, middle - 10, middle, middle + 10), NEEDLE_COLOR, width=2)
+    elif needle is not None:
+        draw.line((middle, 0, middle, tip_row), NEEDLE_COLOR, width=4)
+    _write_sides(draw, axes[1], (8, middle), (PIXELS - 8, middle))
+    if is_across:
+        _write_sides(draw, axes[0], (middle, 12), (middle, PIXELS - 12))
+    return np.asarray(image)
+
+
+def _write_sides(
+    draw: "ImageDraw",
+    direction: Array,
+    begin: tuple[int, int],
+    end: tuple[int, int],
+) -> None:
+    """Write the patient's sides at two opposite edges; a direction leads to the end."""
+    draw.text(begin, patient_side(-direction), NEEDLE_COLOR, anchor="mm", font_size=16)
+    draw.text(end, patient_side(direction), NEEDLE_COLOR, anchor="mm", font_size=16)
+
+
+def _cut(plan: PlanScene, tip_m: Array, axes: Array, tip_row: int) -> NDArray[np.uint8]:
+    """Return the grey values of a plane through the tip, shape (n, n)."""
+    rows_m = PIXEL_m * (np.arange(PIXELS) - tip_row)
+    columns_m = PIXEL_m * (np.arange(PIXELS) - PIXELS // 2)
+    points_m = (
+        (tip_m - plan.translation_m) @ plan.rotation
+        + rows_m[:, None, None] * axes[0]
+        + columns_m[None, :, None] * axes[1]
+    )
+    scan: Any = plan.scan
+    index = np.moveaxis(scan.grid.indices(points_m), -1, 0)
+    air_HU = -1000.0  # outside the scan
+    values_HU = np.full((PIXELS, PIXELS), air_HU)
+    ndimage.map_coordinates(scan.values, index, output=values_HU, order=1, cval=air_HU)
+    low_HU = -160.0  # black
+    high_HU = 240.0  # white: soft tissue in between
+    grey = np.clip((values_HU - low_HU) / (high_HU - low_HU), 0.0, 1.0)
+    return (255.0 * grey).astype(np.uint8)

@@ -4,8 +4,7 @@ Slicer's OpenIGTLinkIF module connects as a client. Poses are in the model's
 coordinates, turned from LPS metres to Slicer's RAS millimetres.
 """
 
-import math
-from collections.abc import Sequence
+from contextlib import AbstractContextManager
 from functools import partial
 from typing import Any
 
@@ -15,8 +14,8 @@ from numpy.typing import ArrayLike
 
 from foundation.extras import install_command
 from needleforce.depth_zero import DepthZero, find_depth_zero
-from needleforce.needle_on_plan import find_verdict
-from needleforce.scene.state_ring import FREE_PORT, Closing, SceneError
+from needleforce.needle_on_plan import state_values
+from needleforce.scene.moment import FREE_PORT, SceneError
 
 PORT = 18944
 """Where Slicer connects, unless another port is given."""
@@ -27,12 +26,12 @@ MAX_RATE_HZ = 50.0
 M_TO_MM = 1e3
 
 
-def _to_json(values: dict[str, float | str]) -> str:
-    """Return numbers as JSON; a NaN becomes null."""
-    return msgspec.json.encode(values, enc_hook=float).decode()
+def _plain(value: Any) -> float:
+    """Return a number of numpy as one that JSON knows."""
+    return value.item()
 
 
-class SlicerOutput(Closing):
+class SlicerOutput(AbstractContextManager[Any]):
     """A server that sends at most `MAX_RATE_HZ` updates a second.
 
     Args:
@@ -89,10 +88,15 @@ class SlicerOutput(Closing):
         self._next_s = estimate.time_s + 1.0 / MAX_RATE_HZ
         self._send_pose(pose_m)
         self._send_forces(estimate)
-        if getattr(estimate, "deviation", None) is not None:
-            clearances = getattr(estimate, "clearances", ())
-            self._send_deviation(estimate.deviation, clearances)
+        if estimate.deviation is not None:
+            values = state_values(estimate.deviation, estimate.clearances)
+            self._send_text("Plan", values)
         return True
+
+    def _send_text(self, name: str, values: dict[str, Any]) -> None:
+        """Send values as JSON; a NaN becomes null."""
+        text = msgspec.json.encode(values, enc_hook=_plain).decode()
+        self._send(self._igtl.StringMessage(text, device_name=name))
 
     def _send_rupture(self, rupture: Any, zero: DepthZero) -> None:
         """Send a detected rupture."""
@@ -103,7 +107,7 @@ class SlicerOutput(Closing):
             "probability": rupture.probability,
             "time_s": rupture.time_s,
         }
-        self._send(self._igtl.StringMessage(_to_json(values), device_name="Rupture"))
+        self._send_text("Rupture", values)
 
     def _send_pose(self, pose_m: ArrayLike) -> None:
         """Send the needle's pose in the model, shape (4, 4)."""
@@ -122,32 +126,11 @@ class SlicerOutput(Closing):
             "depth_mm": zero.shown_mm(estimate.depth_m),
             "depth_zero": zero.name,
         }
-        self._send(self._igtl.StringMessage(_to_json(values), device_name="Force"))
+        self._send_text("Force", values)
 
-    def _send_deviation(self, deviation: Any, clearances: Sequence[Any]) -> None:
-        """Send the needle against the plan, and the nearest structure at risk."""
-        values = {
-            "verdict": find_verdict(deviation, clearances),
-            "is_off_plan": deviation.is_off_plan,
-            "is_past_target": deviation.is_past_target,
-            "entry_mm": M_TO_MM * deviation.entry_m,
-            "entry_std_mm": M_TO_MM * deviation.entry_std_m,
-            "tip_mm": M_TO_MM * deviation.tip_m,
-            "tip_std_mm": M_TO_MM * deviation.tip_std_m,
-            "angle_deg": math.degrees(deviation.angle_rad),
-            "angle_std_deg": math.degrees(deviation.angle_std_rad),
-            "depth_below_entry_mm": M_TO_MM * deviation.depth_m,
-        }
-        if not math.isnan(deviation.to_target_m):
-            values["to_target_mm"] = M_TO_MM * deviation.to_target_m
-            values["to_target_std_mm"] = M_TO_MM * deviation.to_target_std_m
-        for nearest in clearances[:1]:
-            values["nearest"] = nearest.name
-            values["nearest_mm"] = M_TO_MM * nearest.distance_m
-            values["nearest_std_mm"] = M_TO_MM * nearest.std_m
-            values["nearest_is_ahead"] = nearest.is_ahead
-            values["is_too_near"] = nearest.is_too_near
-        self._send(self._igtl.StringMessage(_to_json(values), device_name="Plan"))
+    def __exit__(self, *error: object) -> None:
+        """Close it."""
+        self.close()
 
     def close(self) -> None:
         """End the connection."""

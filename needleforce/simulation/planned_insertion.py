@@ -30,7 +30,7 @@ from needleforce.anatomy import (
     Registration,
     Structure,
 )
-from needleforce.scene.state_ring import FIELDS, view_row
+from needleforce.scene import Moment, is_kept
 from needleforce.session import InsertionSession, SessionEstimate
 from needleforce.simulation.patient import Pose
 from needleforce.simulation.scanned_torso import (
@@ -89,7 +89,7 @@ class FollowedInsertion(NamedTuple):
         tip_N: Force at the tip, shape (n,).
         ruptures: The ruptures, but for those that were retracted.
         stop_m: Depth at which the corrected plan has the target.
-        rows: Rows of the scene, see `needleforce.scene.view_row`.
+        moments: What the scene shows.
         entry_in_base_m: Where the needle meets the planned entry, shape (3,).
         axis: Direction of the needle there, in base axes, shape (3,).
     """
@@ -99,7 +99,7 @@ class FollowedInsertion(NamedTuple):
     tip_N: Array
     ruptures: list[RuptureOfPlan]
     stop_m: float
-    rows: Array
+    moments: list[Moment]
     entry_in_base_m: Array
     axis: Array
 
@@ -316,7 +316,8 @@ def _follow_plan(
     signals = run.signals
     session = InsertionSession(run.robot)
     ruptures: list[RuptureOfPlan] = []
-    rows: list[tuple[float, ...]] = []
+    moments: list[Moment] = []
+    latest_s = -np.inf
     entry_m = depth_m = 0.0
     entry_in_base_m = axis = np.zeros(3)
     steps_s = np.diff(signals.t_s, prepend=signals.t_s[0])
@@ -338,21 +339,22 @@ def _follow_plan(
             continue
         if signals.t_s[number] > run.scenario.motion.insertion_end_s:
             break
-        count = len(ruptures)
         ruptures = _updated_ruptures(ruptures, estimate, entry_m)
-        if number % 20 == 0 or len(ruptures) != count:
-            rows.append(view_row(estimate, q_rad))
+        if is_kept(estimate, latest_s):
+            latest_s = estimate.time_s
+            moments.append(Moment(q_rad, estimate))
         depth_m = estimate.depth_m - entry_m
         if depth_m >= length_m + estimate.plan.offset_m:
             break
-    table = np.array(rows)
+    estimates = [moment.estimate for moment in moments]
+    found = [estimate.identification for estimate in estimates]
     return FollowedInsertion(
-        depth_m=table[:, FIELDS.index("depth_m")] - entry_m,
-        force_N=table[:, FIELDS.index("force_N")],
-        tip_N=table[:, FIELDS.index("tip_N")],
+        depth_m=np.array([estimate.depth_m for estimate in estimates]) - entry_m,
+        force_N=np.array([estimate.wrench.axial for estimate in estimates]),
+        tip_N=np.array([one.tip_force_N for one in found]),
         ruptures=ruptures,
         stop_m=depth_m,
-        rows=table,
+        moments=moments,
         entry_in_base_m=entry_in_base_m,
         axis=axis,
     )

@@ -13,12 +13,10 @@ import pytest
 from groundtruth import simulate
 from needleforce import InsertionSession
 from needleforce.cli import main
-from needleforce.cli.logs.identify_run import OPTIONAL, REQUIRED
-from needleforce.cli.logs.layer_result import identify_layers
+from needleforce.cli.logs.layers import identify_layers
+from needleforce.cli.logs.replay import depth_channels
 from needleforce.cli.shared_options import IdentificationOptions
-from needleforce.recordings import ColumnMapping, read_table, write_table
-from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.log import log_of_table
+from needleforce.recordings import ColumnMapping, read_log, write_table
 
 pytestmark = pytest.mark.slow
 
@@ -133,9 +131,12 @@ def layers_of_log(log, folder, *, has_own_units=False):
     output = ["-o", str(folder / "forces.npz")]
     assert main(["force", str(folder / "arm.npz"), "--tare", tare, *output]) == 0
 
-    request = ChannelRequest(ColumnMapping(), REQUIRED, OPTIONAL)
-    forces = log_of_table(read_table(folder / "forces.npz"), request)
-    return identify_layers(forces.parts(), "forces", IdentificationOptions()).layers
+    forces = read_log(
+        folder / "forces.npz",
+        required=("depth", "force"),
+        optional=depth_channels(ColumnMapping()),
+    )
+    return identify_layers(forces, IdentificationOptions()).layers
 
 
 @cache

@@ -15,14 +15,7 @@ from needleforce.control.monitors import NOTHING, Monitors, SafetyLimits
 from needleforce.control.state_machine import State
 from needleforce.insertion_events import session_events
 from needleforce.needle_on_plan import PlannedEntry, PlannedPath, describe_deviation
-from needleforce.scene.row_text import (
-    banner_of,
-    layer_names,
-    rupture_text,
-    state_lines,
-    target_parts,
-)
-from needleforce.scene.state_ring import FIELDS, ViewRow, view_row
+from needleforce.scene.words import describe_state, describe_tissue, find_banner
 from tests.insertion_run import following, samples, short_run, stopped_after, tare_index
 
 ENTRY_m = np.array([0.6, 0.1, 0.2])
@@ -233,13 +226,9 @@ def test_off_the_plan_no_layer_is_named(zero):
 
     assert again.update(*row).deviation == session.update(*row).deviation
 
-    row = ViewRow(*view_row(off_plan[-1], row[0])[: len(FIELDS)])
-    lines = "\n".join(state_lines(row, layer_names(SimpleNamespace(layers=[]))))
-
-    assert row.is_off_plan
-    assert "50.0 ± 0.2 mm beside the planned entry" in lines
-    assert "in **" not in lines
-    assert rupture_text(row._replace(plan_matched=0.0), {}).endswith(": off plan")
+    assert find_banner(off_plan[-1]) == "off plan"
+    assert "50.0 ± 0.2 mm beside" in "\n".join(describe_state(off_plan[-1]))
+    assert "not known" in describe_tissue(off_plan[-1])
 
 
 def test_before_the_tare_depth_counts_from_the_planned_entry_too(zero):
@@ -352,13 +341,9 @@ def test_past_the_target_is_one_event_and_is_said_in_live_and_scene(past_target_
     row = next(iter(following(TARE + 400, 1)))
     assert again.update(*row).plan_events == ()
 
-    shown = ViewRow(*view_row(estimates[-1], row[0])[: len(FIELDS)])
-    names = layer_names(SimpleNamespace(layers=[]))
-    assert banner_of(shown) == "PAST TARGET"
-    number, side = target_parts(shown)
-    assert re.fullmatch(r"1[45]\d\.\d", number)
-    assert side == "± 0.2 mm past the target"
-    assert "mm past the target" in "\n".join(state_lines(shown, names))
+    assert find_banner(estimates[-1]) == "past target"
+    words = "\n".join(describe_state(estimates[-1]))
+    assert re.search(r"1[45]\d\.\d ± 0\.2 mm past the target", words)
 
 
 @pytest.mark.parametrize(

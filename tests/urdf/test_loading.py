@@ -1,4 +1,4 @@
-"""Any URDF: what loads, and what cannot work is refused with what would be valid."""
+"""Any URDF: what loads, and what cannot work is refused."""
 
 import os
 import re
@@ -17,8 +17,8 @@ from urdf import (
     UrdfFileError,
     description,
     load_urdf,
-    xml_reader,
 )
+from urdf.joint_choice import joints_towards, movable_joints
 
 ORIGIN = '<origin xyz="0 0 0.1"/>'
 MASS = '<mass value="1"/>'
@@ -38,57 +38,164 @@ def joint(name, parent, child, kind="revolute", extra=""):
     )
 
 
+def body(name, mass="1", moments=(0.01, 0.01, 0.01)):
+    ixx, iyy, izz = moments
+    inertia = f'<inertia ixx="{ixx}" ixy="0" ixz="0" iyy="{iyy}" iyz="0" izz="{izz}"/>'
+    return link(name, ORIGIN, f'<mass value="{mass}"/>', inertia)
+
+
 @pytest.fixture
-def urdf_file(tmp_path):
+def arm(tmp_path):
     """Write an arm made of the given pieces, `base` first, and return its path."""
 
-    def write(*pieces, head='<robot name="toy">'):
-        path = tmp_path / "toy.urdf"
-        path.write_text("\n".join([head, '<link name="base"/>', *pieces, "</robot>"]))
+    def write(*pieces, before="", base='<link name="base"/>'):
+        path = tmp_path / "arm.urdf"
+        text = "\n".join([before, '<robot name="toy">', base, *pieces, "</robot>"])
+        path.write_text(text)
         return path
 
     return write
 
 
-ONE_LINK = (link("a"), joint("j1", "base", "a"))
-TWO_LINKS = (link("a"), link("b"), joint("j1", "base", "a"), joint("j2", "a", "b"))
+ONE = (link("a"), joint("j1", "base", "a"))
+TWO = (*ONE, link("b"), joint("j2", "a", "b"))
+HAND = (
+    *TWO,
+    link("hand"),
+    joint("palm", "b", "hand", kind="fixed"),
+    link("f1"),
+    joint("finger", "hand", "f1"),
+    link("f2"),
+    joint(
+        "other_finger",
+        "hand",
+        "f2",
+        extra='<mimic joint="finger" multiplier="-2" offset="0.1"/>',
+    ),
+    link("wheel"),
+    joint("wheel_joint", "base", "wheel", kind="continuous"),
+    link("ball"),
+    joint("ball_joint", "base", "ball", kind="floating"),
+)
 
 
-def placement(robot, frame):
-    return robot.model.frames[robot.frame_id(frame)].placement
+def torque_at(robot, q):
+    return pin.computeGeneralizedGravity(
+        robot.model, robot.create_data(), np.array(q, dtype=float)
+    )
 
 
-def test_the_last_link_is_the_default_tool_frame(
-    urdf_file,
-):
+# What loads.
+
+
+def test_the_last_link_is_the_tool_frame_and_what_is_not_used_is_not_read(arm):
     mesh = '<visual><geometry><mesh filename="nowhere.stl"/></geometry></visual>'
-    robot = load_urdf(urdf_file(*TWO_LINKS, f"<gazebo><a>{mesh}</a></gazebo>"))
+    odd = '<dynamics friction="-1" damping="x"/><calibration rising="nan"/>'
+    shaped = link("a").replace("</link>", f"{mesh}</link>")
+    path = arm(shaped, joint("j1", "base", "a", extra=odd), *TWO[2:], f"<x>{mesh}</x>")
+    robot = load_urdf(path)
 
-    assert robot.nv == 2
+    assert robot.joint_names == ("j1", "j2")
     assert robot.tool_frame == robot.flange_frame == "b"
+    assert robot.warnings == ()
 
 
-@pytest.mark.parametrize("kind", ["planar", "floating", "screw", "mimic"])
-def test_joints_without_one_number_must_be_locked(urdf_file, kind):
-    odd = joint("odd", "a", "b", kind=kind)
-    message = f"'odd' is of type '{kind}'.*revolute"
-    if kind == "mimic":
-        odd = joint("odd", "a", "b", extra='<mimic joint="j1"/>')
-        message = "'odd' mimics 'j1'"
-    path = urdf_file(*TWO_LINKS[:3], odd)
-
-    with pytest.raises(UnsupportedJointError, match=message):
-        load_urdf(path)
-
-    robot = load_urdf(path, locked_joints={"odd": 0.5})
-
-    assert robot.joint_names == ("j1",)
-    if kind == "mimic":
-        assert pin.log3(placement(robot, "b").rotation) == pytest.approx([0, 0.5, 0])
+@pytest.mark.parametrize(
+    ("before", "within"),
+    [
+        ("", '<gazebo><sensor:camera name="rgb" x:y="1"/></gazebo>'),
+        ("\n\n<?xml version='1.0'?>", ""),
+        ('<?xml version="1.0" encoding="gb2312"?><!-- a -- b --->', ""),
+        ("\ufeff", '<gazebo><xacro:grey xmlns:z="z"/></gazebo>'),
+    ],
+)
+def test_xml_that_the_usual_reader_takes_loads(arm, before, within):
+    assert load_urdf(arm(*ONE, within, before=before)).nv == 1
 
 
-def test_links_left_out_go_with_their_children(urdf_file):
-    path = urdf_file(
+def test_a_comment_in_another_code_page_stops_no_file(arm):
+    path = arm(*ONE, "<!-- KIND -->")
+    path.write_bytes(path.read_bytes().replace(b"KIND", "Länge".encode("cp1252")))
+
+    assert load_urdf(path).nv == 1
+
+
+def test_a_robot_without_a_name_is_called_as_its_file(arm):
+    path = arm(*ONE)
+    path.write_text(path.read_text().replace(' name="toy"', ""))
+
+    assert load_urdf(path).model.name == "arm"
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "expected"),
+    [
+        ('type="revolute"', 'type="continuous"', (-np.inf, np.inf, 5.0, 2.0)),
+        ('lower="-1" upper="1"', 'lower="0" upper="0"', (-np.inf, np.inf, 5.0, 2.0)),
+        ('lower="-1" upper="1"', 'lower="1" upper="-1"', (-np.inf, np.inf, 5.0, 2.0)),
+        ('lower="-1" upper="1"', "", (-np.inf, np.inf, 5.0, 2.0)),
+        ("<limit[^>]*>", "", (-np.inf, np.inf, 0.0, 0.0)),
+        ('effort="5"', 'effort="-5"', (-1.0, 1.0, 0.0, 2.0)),
+        ('effort="5"', "", (-1.0, 1.0, 0.0, 2.0)),
+        ('velocity="2"', 'velocity="0"', (-1.0, 1.0, 5.0, 0.0)),
+    ],
+)
+def test_limits_that_are_none_are_not_known(arm, old, new, expected):
+    robot = load_urdf(arm(link("a"), re.sub(old, new, ONE[1])))
+    limits = robot.position_lower_rad, robot.position_upper_rad
+    limits += robot.effort_limit_Nm, robot.velocity_limit_rad_s
+
+    assert np.concatenate(limits).tolist() == list(expected)
+    assert robot.model.nq == 1  # a continuous joint is an angle
+    assert torque_at(robot, [0.5]) == pytest.approx(
+        torque_at(load_urdf(arm(*ONE)), [0.5])
+    )
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
+def test_a_welded_joint_stands_where_it_was_locked(arm, kind):
+    turned = '<origin xyz="0.1 0 0.2" rpy="0.3 0 0.5"/>'
+    path = arm(*ONE, link("b"), joint("j2", "a", "b", kind=kind, extra=turned))
+    free = load_urdf(path)
+    welded = load_urdf(path, locked_joints={"j2": 0.7})
+
+    assert torque_at(welded, [0.4]) == pytest.approx(torque_at(free, [0.4, 0.7])[:1])
+
+
+def test_joints_that_are_not_kept_are_locked_and_followers_follow(arm):
+    path = arm(*HAND)
+    robot = load_urdf(path, tool_frame="hand", keep_joints=iter(["j2", "j1"]))
+    locked = {"finger": 0.3, "wheel_joint": 1.0, "ball_joint": 0.0}
+    both = locked | {"other_finger": -0.5}
+    arms = [
+        load_urdf(path, tool_frame="hand", locked_joints=locked),
+        load_urdf(path, tool_frame="hand", locked_joints=both),
+        load_urdf(
+            path, tool_frame="hand", keep_joints=["j1", "j2"], locked_joints=both
+        ),
+    ]
+
+    assert robot.joint_names == arms[0].joint_names == ("j1", "j2")
+    assert len({tuple(torque_at(one, [0.2, 0.3]).round(9)) for one in arms}) == 1
+    with pytest.raises(UnsupportedJointError, match=r"other_finger.*ball_joint"):
+        load_urdf(path, tool_frame="hand")
+
+
+def test_a_joint_and_a_link_may_share_a_name(arm):
+    grip = joint("grip", "hand", "f", kind="prismatic"), link("f")
+    tip = joint("tip_joint", "hand", "tip", kind="fixed"), link("tip")
+    hand = joint("hand", "a", "hand", kind="fixed"), link("hand")
+    path = arm(*ONE, *hand, *tip, *grip)
+    for kinds in (
+        {"locked_joints": {"grip": 0.01}},
+        {"keep_joints": ["j1"]},
+        {"locked_joints": ["hand", "grip"]},
+    ):
+        assert load_urdf(path, tool_frame="tip", **kinds).joint_names == ("j1",)
+
+
+def test_links_left_out_go_with_their_children(arm):
+    path = arm(
         joint("finger_joint", "hand", "finger", kind="continuous"),
         *(link(name) for name in ("finger", "hand", "a")),
         joint("hand_joint", "a", "hand", kind="fixed"),
@@ -96,164 +203,216 @@ def test_links_left_out_go_with_their_children(urdf_file):
     )
     robot = load_urdf(path, without=["hand"])
 
-    assert robot.joint_names == ("j1",)
     assert robot.frame_names == ("universe", "base", "j1", "a")
     assert pin.computeTotalMass(robot.model) == pytest.approx(1.0)
     assert load_urdf(path, without=("finger", "hand")).tool_frame == "a"
 
 
-def test_a_tool_is_placed_anywhere_on_a_link(urdf_file):
-    turned = pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.array([0, 0.3, 0]))
-    matrix = np.diag([-1.0, -1, 1, 1])
-    moved = pin.SE3(np.eye(3), np.array([0.1, 0, 0.2])).homogeneous
-    for tool_placement, expected in (
-        (turned, turned.homogeneous),
-        (matrix, matrix),
-        ([0.1, 0, 0.2], moved),
-    ):
-        robot = load_urdf(urdf_file(*ONE_LINK), tool_placement=tool_placement)
-        assert robot.tool_frame == robot.flange_frame == "tool"
-        assert placement(robot, "tool").homogeneous == pytest.approx(expected)
-    # A needle stands on the placement, and so does its weight.
-    sideways = pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.array([0, 0, 0.1]))
+def test_the_joints_on_the_way_to_the_tool_are_known(arm):
+    assert joints_towards(arm(*TWO), None) == ("j1", "j2")
+
+    path = arm(*HAND)
+
+    assert movable_joints(path) == ("j1", "j2", "finger", "wheel_joint")
+    for frame in ("hand", "palm", "f2"):
+        assert joints_towards(path, frame) == ("j1", "j2")
+    for frame in ("nowhere", None):
+        with pytest.raises(UnknownNameError):
+            joints_towards(path, frame)
+
+
+TURNED = pin.SE3(pin.rpy.rpyToMatrix(0, np.pi / 2, 0), np.array([0, 0, 0.1]))
+
+
+@pytest.mark.parametrize(
+    ("placement", "expected"),
+    [
+        (TURNED, TURNED.homogeneous),
+        (np.diag([-1.0, -1, 1, 1]), np.diag([-1.0, -1, 1, 1])),
+        ([0.1, 0, 0.2], pin.SE3(np.eye(3), np.array([0.1, 0, 0.2])).homogeneous),
+    ],
+)
+def test_a_tool_is_placed_anywhere_on_a_link_and_carries_the_needle(
+    arm, placement, expected
+):
     tool = NeedleTool(sensor_height_m=0)
-    robot = load_urdf(urdf_file(*ONE_LINK), tool_placement=sideways, payload=tool)
+    robot = load_urdf(arm(*ONE), tool_placement=placement, payload=tool)
+    place, tip = (
+        robot.model.frames[robot.frame_id(name)].placement
+        for name in ("tool", "needle_tip")
+    )
+    weight = pin.SE3(expected).act(tool.payload.com_m) * 0.068
+    body = robot.model.inertias[1]
 
     assert (robot.tool_frame, robot.flange_frame) == ("needle_tip", "tool")
-    assert "ft_sensor" not in robot.frame_names
-    assert placement(robot, "needle_tip").translation == pytest.approx([0.153, 0, 0.1])
-
-    first_moment = robot.model.inertias[1].mass * robot.model.inertias[1].lever
-
-    assert first_moment[0] == pytest.approx(0.068 * tool.payload.com_m[2])
+    assert place.homogeneous == pytest.approx(expected)
+    assert place.actInv(tip).translation == pytest.approx([0, 0, 0.153])
+    assert body.mass * body.lever == pytest.approx(weight + np.array([0, 0, 0.1]))
 
 
-@pytest.mark.parametrize(
-    ("old", "new", "message"),
-    [
-        ('value="1"', 'value="-1"', "mass is -1 kg"),
-        ('ixy="0"', 'ixy="0.02"', "not positive definite"),
-        ('izz="0.01"', 'izz="0.05"', "triangle inequality"),
-    ],
-)
-def test_inertia_no_body_can_have_is_refused(urdf_file, old, new, message):
-    path = urdf_file(link("a", ORIGIN, (MASS + INERTIA).replace(old, new)), ONE_LINK[1])
-
-    with pytest.raises(InertiaError, match=f"link 'a': .*{message}"):
-        load_urdf(path)
-
-    robot = load_urdf(path, check_inertias=False)
-
-    assert robot.nv == 1
-    assert re.search(f"accepted that no rigid body has.*{message}", robot.warnings[0])
+# Inertia.
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "message"),
+    ("old", "new"),
     [
         *(
-            ('value="1"', f'value="{text}"', f'<mass value="{text}"> is not one number')
-            for text in ("1 ", "", "nan", "1e400", "0x10", "1,5", "１")
+            ('value="1"', f'value="{text}"')
+            for text in ("1 ", "", "nan", "1e400", "0x10", "1,5", "１", "1_0", "?")
         ),
-        ('ixx="0.01"', 'ixx="0,01"', '<inertia ixx="0,01"> is not one number'),
+        ('ixx="0.01"', 'ixx="0,01"'),
         *(
-            (
-                ORIGIN,
-                f'<origin xyz="{text}"/>',
-                f'<origin xyz="{text}"> is not 3 numbers',
-            )
-            for text in ("0, 0, 0.1", "0 0", "0 0 nan")
+            (ORIGIN, f'<origin xyz="{text}"/>')
+            for text in ("0, 0, 1", "0 0", "0 0 nan")
         ),
-        (
-            ORIGIN,
-            '<origin rpy="0 0 pi/2"/>',
-            '<origin rpy="0 0 pi/2"> is not 3 numbers',
-        ),
-        (MASS, "<mass/>", "needs <mass> with the number value"),
-        (INERTIA, "<inertia/>", "needs <inertia> with the number ixx"),
+        (ORIGIN, '<origin rpy="0 0 pi/2"/>'),
+        (MASS, "<mass/>"),
+        (INERTIA, "<inertia/>"),
     ],
 )
-def test_inertials_the_reader_would_drop_are_refused(urdf_file, old, new, message):
+def test_inertials_the_reader_would_drop_are_refused(arm, old, new):
     """urdfdom gives such a link no inertia at all and goes on; only stderr knows."""
-    path = urdf_file(
-        link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE_LINK[1]
-    )
+    path = arm(link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE[1])
     for check in (True, False):
-        with pytest.raises(
-            UrdfFileError, match=f"toy.urdf: link 'a': <inertial> .*{message}"
-        ):
+        with pytest.raises(UrdfFileError, match="link 'a'"):
             load_urdf(path, check_inertias=check)
 
 
-def test_numbers_are_parsed_as_the_reader_does(urdf_file, monkeypatch):
-    for old, new in (
-        ('value="1"', 'value=" 1"'),
-        ('value="1"', 'value="+1.0E0"'),
-        ('value="1"', 'value="1."'),
-        (ORIGIN, '<origin xyz=" 0  0\t.1 " rpy="0 0 0"/>'),
-        (ORIGIN, "<!-- a note --><origin xyz='0 0 1e-1'/><origin xyz='9 9 9'/>"),
-    ):
-        path = urdf_file(
-            link("a", (ORIGIN + MASS + INERTIA).replace(old, new)), ONE_LINK[1]
-        )
-        inertia = load_urdf(path).model.inertias[1]
-        assert inertia.mass == 1.0
-        assert inertia.lever == pytest.approx([0, 0, 0.1])
-    monkeypatch.setattr(description, "_NUMBER", re.compile(".*"))
-    path = urdf_file(link("a", ORIGIN, '<mass value="1 "/>', INERTIA), ONE_LINK[1])
+def test_a_reader_that_drops_an_inertial_all_the_same_is_noticed(arm, monkeypatch):
+    monkeypatch.setattr(description, "read_numbers", lambda *_, count=1: [1.0] * count)
+    with pytest.raises(UrdfFileError, match="0 kg"):
+        load_urdf(arm(link("a", ORIGIN, '<mass value="1 "/>', INERTIA), ONE[1]))
 
-    with pytest.raises(
-        UrdfFileError, match=r"file add up to 1 kg, .* loaded model to 0 kg"
-    ):
+
+@pytest.mark.parametrize("text", [" 1", "+1.0E0", "1."])
+def test_numbers_are_parsed_as_the_reader_does(arm, text):
+    origins = "<origin xyz=' 0  0 \t1e-1'/><origin xyz='9 9 9'/>"
+    path = arm(link("a", origins, f'<mass value="{text}"/>', INERTIA), ONE[1])
+    inertia = load_urdf(path).model.inertias[1]
+
+    assert inertia.mass == 1.0
+    assert inertia.lever == pytest.approx([0, 0, 0.1])
+
+
+@pytest.mark.parametrize(
+    ("mass", "moments"),
+    [
+        ("-1", (0.01, 0.01, 0.01)),
+        ("1", (0.01, 0.01, -0.002)),
+        ("1", (0.01, 0.01, 0.03)),
+    ],
+)
+def test_inertia_no_body_can_have_is_refused_and_may_be_accepted(arm, mass, moments):
+    path = arm(body("a", mass, moments), ONE[1])
+    with pytest.raises(InertiaError, match="a "):
         load_urdf(path)
 
+    assert "accepted" in load_urdf(path, check_inertias=False).warnings[0]
 
-def test_joints_that_move_no_inertia_are_refused(
-    urdf_file,
-):
-    path = urdf_file(link("a"), joint("weld", "base", "a", kind="fixed"))
 
-    with pytest.raises(UnsupportedJointError, match="no joint that moves"):
-        load_urdf(path, tool_frame="a")
+def test_inertia_impossible_by_little_is_one_warning_with_its_effect(arm):
+    rounded = body("b", moments=(-3.5e-8, 3.5e-8, 9e-8))
+    broken = body("c", moments=(0.01, 0.01, 0.0206))
+    path = arm(*ONE, rounded, joint("j2", "a", "b"), broken, joint("j3", "b", "c"))
+    robot = load_urdf(path, payload=NeedleTool(sensor_height_m=0))
 
-    point_mass = MASS + INERTIA.replace("0.01", "0")
-    path = urdf_file(*ONE_LINK, link("b", point_mass), joint("idle", "a", "b"))
+    (warning,) = robot.warnings
+    assert all(text in warning for text in ("b, c", "0.0006 Nm"))
+    assert robot.with_payload(None).warnings == robot.warnings
 
-    with pytest.raises(InertiaError, match="move no inertia: idle"):
-        load_urdf(path)
 
-    # Rounding may leave a point mass a moment of -1e-20, which Pinocchio's constructor
-    # refuses.
-    body = Payload(
-        mass_kg=0.3, com_m=np.full(3, 0.1), inertia_kg_m2=np.diag([0, -1e-20, 0])
+def test_a_large_arm_may_have_a_small_body_that_cannot_be(arm):
+    upper = body("a", mass="20", moments=(0.5, 0.5, 0.1))
+    far = joint("j2", "a", "b", extra='<origin xyz="0 0 0.5"/>')
+    path = arm(upper, ONE[1], body("b", moments=(0.001, 0.002, 0.016)), far)
+
+    assert "0.013 Nm" in load_urdf(path).warnings[0]
+
+
+def test_inertia_that_cannot_matter_is_not_looked_at(arm):
+    path = arm(
+        link("mast", '<mass value="?"/>'),
+        joint("mount", "base", "mast", kind="fixed"),
+        link("arm"),
+        joint("j1", "mast", "arm"),
+        body("flange", mass="0", moments=(0.1, 0.1, 0.1)),
+        joint("flange_joint", "arm", "flange", kind="fixed"),
+        link("loose", '<mass value="1 kg"/>'),
+        joint("neck", "mast", "loose"),
+        base=body("base", moments=(0.01, 0.01, 0.5)),
     )
-    robot = load_urdf(urdf_file(*ONE_LINK), payload=body)
+    robot = load_urdf(path, tool_frame="flange", keep_joints=["j1"])
+    slider = joint("j1", "base", "a", kind="prismatic")
+
+    assert robot.warnings == ()
+    assert robot.bare_model.inertias[1].mass == 1.0
+    assert load_urdf(arm(body("a", moments=(0.01, 0.01, 0.5)), slider)).warnings == ()
+
+
+def test_all_links_without_inertia_are_named_at_once_and_can_be_accepted(arm):
+    path = arm(
+        *ONE,
+        *(f'<link name="{name}"/>' for name in "bde"),
+        *(link("c"), body("f", mass="-1")),
+        joint("j2", "a", "b"),
+        joint("j3", "b", "c"),
+        joint("j4", "c", "d"),
+        joint("j5", "d", "e", kind="fixed"),
+        joint("j6", "c", "f"),
+    )
+    named = r"f .*b \(joint j2\), d \(joint j4\)"
+    with pytest.raises(InertiaError, match=named) as caught:
+        load_urdf(path, tool_frame="e")
+
+    assert "keep_joints" in caught.value.advice
+    robot = load_urdf(path, tool_frame="e", check_inertias=False)
+    assert robot.nv == 5
+    assert re.search(named, robot.warnings[0])
+
+
+def test_an_arm_without_any_inertia_is_refused_with_the_checks_off(arm):
+    path = arm('<link name="a"/>', ONE[1])
+    for check in (True, False):
+        with pytest.raises(InertiaError, match="joint j1"):
+            load_urdf(path, check_inertias=check)
+
+    # What hangs on the flange is inertia of the last joint.
+    assert load_urdf(path, payload=NeedleTool(sensor_height_m=0)).nv == 1
+
+
+def test_joints_that_move_no_inertia_are_refused(arm):
+    point = body("b", moments=(0, 0, 0)).replace(ORIGIN, "")
+    with pytest.raises(InertiaError, match="idle"):
+        load_urdf(arm(*ONE, point, joint("idle", "a", "b")))
+
+    # Rounding may leave a point mass a moment that Pinocchio's constructor refuses.
+    moments = np.diag([0, -1e-20, 0])
+    hung = Payload(mass_kg=0.3, com_m=np.full(3, 0.1), inertia_kg_m2=moments)
+    robot = load_urdf(arm(*ONE), payload=hung)
 
     assert pin.computeTotalMass(robot.model) == pytest.approx(1.3)
 
 
-def test_a_chain_too_long_is_refused(urdf_file, monkeypatch):
-    def chain(count):
-        names = ["base", *(f"l{k}" for k in range(1, count))]
-        joints = [joint(f"j{k}", names[k - 1], names[k]) for k in range(1, count)]
-        return urdf_file(*map(link, names[1:]), *joints)
+# What is refused.
 
-    with pytest.raises(UrdfFileError, match="more than 499 joints"):
-        load_urdf(chain(20_000))
 
-    with pytest.raises(
-        UnsupportedJointError, match=r"(?s)298 joints move.*keep_joints"
-    ):
-        load_urdf(chain(299))
+def chain(count):
+    names = ["base", *(f"l{k}" for k in range(1, count))]
+    joints = [joint(f"j{k}", names[k - 1], names[k]) for k in range(1, count)]
+    return *map(link, names[1:]), *joints
 
-    assert load_urdf(chain(299), keep_joints=["j7"], tool_frame="l298").nv == 1
 
-    monkeypatch.setattr(xml_reader, "MAX_JOINTS", 2)
+def test_a_chain_too_long_is_refused(arm, monkeypatch):
+    with pytest.raises(UrdfFileError, match="499"):
+        load_urdf(arm(*chain(501)))
+    with pytest.raises(UnsupportedJointError, match="298"):
+        load_urdf(arm(*chain(299)))
+    assert load_urdf(arm(*chain(299)), keep_joints=["j7"], tool_frame="l298").nv == 1
 
-    assert load_urdf(chain(3)).nv == 2
-    monkeypatch.setattr(xml_reader, "MAX_BYTES", 100_000)
-    with pytest.raises(UrdfFileError, match=r"(?s)larger than any robot.*MAX_JOINTS"):
-        load_urdf(urdf_file(*ONE_LINK, "<!--" + 200_000 * " " + "-->"))
+    with pytest.raises(UrdfFileError, match="larger"):
+        load_urdf(arm(*ONE, "<!--" + 9_000_000 * " " + "-->"))
+    monkeypatch.setattr(description, "MAX_JOINTS", 2)
+    assert load_urdf(arm(*chain(3))).nv == 2
 
 
 def test_what_is_no_file_of_text_is_refused(tmp_path):
@@ -261,11 +420,15 @@ def test_what_is_no_file_of_text_is_refused(tmp_path):
     pipe = tmp_path / "pipe.urdf"
     binary.write_bytes(b"\xff\xfe\x00\x80")
     os.mkfifo(pipe)
-    for path in (tmp_path / "none.urdf", tmp_path, pipe, "a\0b.urdf"):
-        with pytest.raises(UrdfFileError, match="no such file"):
-            load_urdf(path)
-    for path in (binary, 5000 * "x"):
-        with pytest.raises(UrdfFileError, match="cannot be read as text"):
+    for path in (
+        tmp_path / "none.urdf",
+        tmp_path,
+        pipe,
+        "a\0b.urdf",
+        binary,
+        5000 * "x",
+    ):
+        with pytest.raises(UrdfFileError):
             load_urdf(path)
 
 
@@ -275,71 +438,77 @@ ENTITIES = "".join(f'<!ENTITY e{k + 1} "{10 * f"&e{k};"}">' for k in range(9))
 
 
 @pytest.mark.parametrize(
-    ("text", "message"),
+    ("text", "word"),
     [
-        ("", "not well-formed XML"),
-        ("<robot name='toy'><link name='a'/>", "not well-formed XML"),
-        ("<sdf/>", "root element is <sdf>"),
-        (
-            f'<robot name="x" xmlns:xacro="{XACRO}"><xacro:arm/></robot>',
-            "is a xacro file",
-        ),
-        (
-            f'<!DOCTYPE r [<!ENTITY e0 "ha">{ENTITIES}]><robot name="&e9;"/>',
-            "well-formed XML",
-        ),
-        (
-            "<robot name='toy'>" + 10_000 * "<a>" + 10_000 * "</a>" + "</robot>",
-            "not a valid URDF",
-        ),
-        (
-            f"<robot name='t'><link name='base'/>{link('a')}{SHIFTED}</robot>",
-            "not a valid URDF",
+        ("", "XML"),
+        ("<robot name='toy'><link name='a'/>", "XML"),
+        ("<?xml\nversion='1.0'?>\n<!-- --\n-->\n<robot>\n</bot>", "line 6"),
+        ("<sdf/>", "sdf"),
+        (f'<robot name="x" xmlns:xacro="{XACRO}"><xacro:arm/></robot>', "xacro"),
+        ('<robot><link name="a"/><xacro:include filename="b"/></robot>', "xacro"),
+        (f'<!DOCTYPE r [<!ENTITY e0 "ha">{ENTITIES}]><robot name="&e9;"/>', "DOCTYPE"),
+        ("<robot name='toy'>" + 10_000 * "<a>" + 10_000 * "</a>" + "</robot>", "tree"),
+        (f"<robot><link name='base'/>{link('a')}{SHIFTED}</robot>", "valid"),
+        *(
+            ("<robot name='a'>" + unit * (200_000 // len(unit)), "XML")
+            for unit in ("<!--", "<?xml ", "<?xml", "&", "&a", "<!-- & -->&")
         ),
     ],
 )
-def test_malformed_files_are_refused_with_the_reason(tmp_path, text, message):
+def test_malformed_files_are_refused(tmp_path, text, word):
     path = tmp_path / "bad.urdf"
     path.write_text(text)
 
-    with pytest.raises(UrdfFileError, match=message):
+    with pytest.raises(UrdfFileError, match=word):
         load_urdf(path)
 
 
 @pytest.mark.parametrize(
-    ("arguments", "error", "message"),
+    ("piece", "word"),
     [
-        ({"locked_joints": ["j9"]}, UnknownNameError, r"cannot lock 'j9'.*joints: j1"),
-        ({"locked_joints": "j1"}, InputError, "expected a list of names"),
-        ({"locked_joints": {"j1": np.nan}}, InputError, "position of 'j1' is nan"),
-        (
-            {"without": ["hand"]},
-            UnknownNameError,
-            "leave out 'hand'.*links: base, needle_tip",
-        ),
-        ({"without": ["base"]}, InputError, "'base', it is the root"),
-        ({"without": "base"}, InputError, "expected a list of link names"),
-        (
-            {"tool_frame": "tool"},
-            UnknownNameError,
-            r"no frame 'tool'.*base, j1, needle_tip",
-        ),
-        ({"tool_placement": [1, 2]}, InputError, r"tool_placement has shape \(2,\)"),
-        (
-            {"tool_placement": 2 * np.eye(4)},
-            InputError,
-            "tool_placement is not a rigid motion",
-        ),
-        ({"gravity_m_s2": 9.81}, InputError, "gravity_m_s2"),
-        ({"payload": 0.3}, InputError, "Payload, NeedleTool or None, got float"),
-        (
-            {"payload": NeedleTool()},
-            UnknownNameError,
-            "'needle_tip', but robot 'toy' has one",
-        ),
+        (link("a"), "a"),
+        (ONE[1], "a, j1|j1, a"),
+        (joint("j2", "a", "c"), "c"),
+        (joint("j2", "x", "a"), "x"),
+        (link("b"), "base"),
+        (joint("j2", "a", "base"), "a|base"),
     ],
 )
-def test_arguments_that_do_not_fit_are_refused(urdf_file, arguments, error, message):
-    path = urdf_file(link("needle_tip"), joint("j1", "base", "needle_tip"))
-    with pytest.raises(error, match=message):
-        load_urdf(path, **arguments)
+def test_what_is_no_tree_of_links_is_refused(arm, piece, word):
+    with pytest.raises(UrdfFileError, match=word):
+        load_urdf(arm(*ONE, piece), tool_frame="a")
+
+
+@pytest.mark.parametrize(
+    ("arguments", "error", "word"),
+    [
+        ({"locked_joints": ["j9"]}, UnknownNameError, "j9"),
+        ({"locked_joints": {"palm": 1}}, UnknownNameError, "palm"),
+        ({"keep_joints": ["j9"]}, UnknownNameError, "j9"),
+        ({"keep_joints": ["palm"]}, UnknownNameError, "palm"),
+        ({"locked_joints": "j1"}, InputError, "list"),
+        ({"keep_joints": "j1"}, InputError, "list"),
+        ({"locked_joints": {"j1": np.nan}}, InputError, "nan"),
+        ({"keep_joints": ["j1"], "locked_joints": ["j1"]}, InputError, "j1"),
+        ({"keep_joints": ["other_finger"]}, UnsupportedJointError, "other_finger"),
+        ({"keep_joints": []}, UnsupportedJointError, "no joint"),
+        ({"without": ["foot"]}, UnknownNameError, "foot"),
+        ({"without": ["base"]}, InputError, "base"),
+        ({"without": "base"}, InputError, "list"),
+        ({"tool_frame": "tool"}, UnknownNameError, "base, "),
+        ({"tool_placement": [1, 2]}, InputError, "tool_placement"),
+        ({"tool_placement": 2 * np.eye(4)}, InputError, "tool_placement"),
+        ({"gravity_m_s2": 9.81}, InputError, "gravity_m_s2"),
+        ({"payload": 0.3}, InputError, "float"),
+    ],
+)
+def test_arguments_that_do_not_fit_are_refused(arm, arguments, error, word):
+    kept = {} if "locked_joints" in arguments else {"keep_joints": ["j1", "j2"]}
+    with pytest.raises(error, match=word):
+        load_urdf(arm(*HAND), **{"tool_frame": "hand"} | kept | arguments)
+
+
+def test_a_needle_adds_no_frame_of_a_name_that_is_there(arm):
+    path = arm(link("needle_tip"), joint("j1", "base", "needle_tip"))
+    with pytest.raises(UnknownNameError, match="needle_tip"):
+        load_urdf(path, payload=NeedleTool())

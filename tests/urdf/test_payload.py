@@ -38,178 +38,117 @@ def payloads(draw):
     return Payload(mass_kg=sum(masses), com_m=com, inertia_kg_m2=inertia)
 
 
-@given(payloads())
-def test_parameters_are_pinocchios_and_complete(payload):
-    expected = payload.spatial_inertia.toDynamicParameters()
-
-    assert payload.parameters == pytest.approx(expected, abs=1e-12)
-
-    again = Payload.from_parameters(payload.parameters)
-
-    assert again.mass_kg == pytest.approx(payload.mass_kg)
-    assert again.com_m == pytest.approx(payload.com_m, abs=1e-12)
-    assert again.inertia_kg_m2 == pytest.approx(payload.inertia_kg_m2, abs=1e-12)
-
-
 @pytest.mark.slow
 @given(payloads(), payloads(), rotations, vectors)
 def test_bodies_add_and_moving_is_linear(one, other, rotation, shift):
-    moved = one.moved(rotation, shift)
+    def moved(body):
+        return body.moved(rotation, shift)
 
-    assert moved.com_m == pytest.approx(rotation @ one.com_m + shift, abs=1e-9)
-    assert (one + other).parameters == pytest.approx(
-        one.parameters + other.parameters, abs=1e-12
-    )
-    assert (one + other).parameters == pytest.approx(
-        (other + one).parameters, abs=1e-12
-    )
+    back = moved(one).moved(rotation.T, -rotation.T @ shift)
+    expected = one.parameters + other.parameters
+    moved_sum = moved(one).parameters + moved(other).parameters
 
-    moved_sum = (one + other).moved(rotation, shift).parameters
-
-    assert moved_sum == pytest.approx(
-        (moved + other.moved(rotation, shift)).parameters, abs=1e-9
-    )
-
-    back = moved.moved(rotation.T, -rotation.T @ shift)
-
+    assert moved(one).com_m == pytest.approx(rotation @ one.com_m + shift, abs=1e-9)
+    assert (one + other).parameters == pytest.approx(expected, abs=1e-12)
+    assert moved(one + other).parameters == pytest.approx(moved_sum, abs=1e-9)
     assert back.parameters == pytest.approx(one.parameters, abs=1e-9)
 
 
 def test_degenerate_bodies_are_accepted_and_movable():
-    point = Payload(
-        mass_kg=1.0, com_m=np.array([0.4, -0.3, 0.2]), inertia_kg_m2=np.zeros((3, 3))
-    )
-
-    assert Payload.from_parameters(point.parameters).com_m == pytest.approx(point.com_m)
+    com_m = np.array([0.4, -0.3, 0.2])
+    point = Payload(mass_kg=1.0, com_m=com_m, inertia_kg_m2=np.zeros((3, 3)))
+    nothing = Payload.from_parameters(np.zeros(10))
+    com_m[2] = 9.0
 
     Payload(mass_kg=1.0, com_m=np.zeros(3), inertia_kg_m2=np.diag([0.01, 0.01, 0.0]))
-    nothing = Payload.from_parameters(np.zeros(10))
-
+    assert point.com_m[2] == 0.2
     assert (nothing + point).parameters == pytest.approx(point.parameters)
-
-    for rotation in (2.0 * np.eye(3), -np.eye(3)):
-        with pytest.raises(InputError, match="not a rotation"):
-            point.moved(rotation, np.zeros(3))
-
-    with pytest.raises(InputError, match="translation_m"):
-        point.moved(np.eye(3), [0, 0])
+    for array in (point.com_m, point.inertia_kg_m2, NeedleTool().tip_in_flange_m):
+        assert not array.flags.writeable
+    for rotation, shift in ((2 * np.eye(3), [0] * 3), (-np.eye(3), [0] * 3), (1, [0])):
+        with pytest.raises(InputError):
+            point.moved(rotation * np.eye(3), shift)
     with pytest.raises(TypeError):
         point + 1.0
 
 
-def test_arrays_are_read_only_copies():
-    com = np.array([0.0, 0.0, 0.1])
-    payload = Payload(mass_kg=1.0, com_m=com, inertia_kg_m2=0.01 * np.eye(3))
-    tool = NeedleTool()
-    com[2] = 9.0
-
-    assert payload.com_m[2] == 0.1
-
-    for array in (payload.com_m, payload.inertia_kg_m2, tool.tip_in_flange_m):
-        assert not array.flags.writeable
-
-
 @pytest.mark.parametrize(
-    ("change", "error", "message"),
+    ("change", "error", "word"),
     [
-        ({"mass_kg": -0.1}, InertiaError, "mass is -0.1 kg"),
-        (
-            {"mass_kg": 1e308},
-            InertiaError,
-            r"parameters \[1e\+308, .*above 1e\+09 in SI units",
-        ),
-        (
-            {"inertia_kg_m2": np.diag([0.01, 0.01, -0.01])},
-            InertiaError,
-            "not positive definite",
-        ),
-        (
-            {"inertia_kg_m2": np.diag([0.01, 0.01, 0.03])},
-            InertiaError,
-            "triangle inequality",
-        ),
-        ({"mass_kg": np.nan}, InputError, "mass_kg has NaN"),
-        ({"mass_kg": "heavy"}, InputError, "mass_kg is not an array of numbers"),
-        (
-            {"com_m": np.zeros(2)},
-            InputError,
-            r"com_m has shape \(2,\), expected \(3,\)",
-        ),
-        (
-            {"inertia_kg_m2": np.triu(np.full((3, 3), 0.01))},
-            InputError,
-            "not symmetric",
-        ),
-        ([0, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InertiaError, "mass is 0 kg but"),
-        ([1e-320, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InputError, "NaN or infinite"),
-        (np.zeros(9), InputError, r"expected \(10,\)"),
+        ({"mass_kg": -0.1}, InertiaError, "-0.1"),
+        ({"mass_kg": 1e308}, InertiaError, "1e"),
+        ({"inertia_kg_m2": np.diag([0.01, 0.01, -1e-3])}, InertiaError, "payload"),
+        ({"inertia_kg_m2": np.diag([0.01, 0.01, 0.03])}, InertiaError, "payload"),
+        ({"mass_kg": np.nan}, InputError, "mass_kg"),
+        ({"mass_kg": "heavy"}, InputError, "mass_kg"),
+        ({"mass_kg": 1j}, InputError, "mass_kg"),
+        ({"com_m": np.zeros(2)}, InputError, "com_m"),
+        ({"inertia_kg_m2": np.triu(np.full((3, 3), 0.01))}, InputError, "symmetric"),
+        ([0, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InertiaError, "0 kg"),
+        ([1e-320, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InputError, "NaN"),
+        (np.zeros(9), InputError, "10"),
     ],
 )
-def test_what_no_body_can_be(change, error, message):
+def test_what_no_body_can_be(change, error, word):
     good = {"mass_kg": 1.0, "com_m": np.full(3, 0.2), "inertia_kg_m2": 0.01 * np.eye(3)}
-    with pytest.raises(error, match=message):
-        Payload(**(good | change)) if isinstance(
-            change, dict
-        ) else Payload.from_parameters(change)
+    is_named = isinstance(change, dict)
+    with pytest.raises(error, match=word):
+        Payload(**(good | change)) if is_named else Payload.from_parameters(change)
 
 
 def test_default_tool_is_published_and_rod_is_textbook():
     tool = NeedleTool()
     beyond = tool.beyond_sensor
-
-    assert tool.sensor.mass_kg == 0.236
-    assert beyond.mass_kg == pytest.approx(0.068)
-    assert tool.payload.mass_kg == pytest.approx(0.304)
-    assert tool.tip_in_flange_m == pytest.approx([0, 0, 0.040 + 0.153])
-
     by_hand = 0.236 * 0.020 + 0.068 * (0.040 + beyond.com_m[2])
-
-    assert tool.payload.parameters[3] == pytest.approx(by_hand)
-    assert tool.payload.com_m[:2] == pytest.approx([0, 0])
     # A solid 18-gauge steel shaft of 118 mm weighs rho pi/4 d^2 L.
-    assert tool.shaft_mass_kg == pytest.approx(
-        7850 * np.pi / 4 * 0.00127**2 * 0.118, rel=1e-12
-    )
+    shaft_kg = 7850 * np.pi / 4 * 0.00127**2 * 0.118
+
+    assert tool.payload.mass_kg == pytest.approx(0.304)
+    assert tool.payload.parameters[1:4] == pytest.approx([0, 0, by_hand])
+    assert tool.tip_in_flange_m == pytest.approx([0, 0, 0.040 + 0.153])
+    assert tool.shaft_mass_kg == pytest.approx(shaft_kg, rel=1e-12)
 
     rod = {"needle_mass_kg": 0.1, "needle_length_m": 0.2 + 1e-9, "hub_length_m": 1e-9}
     density = 0.1 / (np.pi / 4 * 0.002**2 * 0.2)
-    tool = NeedleTool(**rod, needle_diameter_m=0.002, shaft_density_kg_m3=density)
+    rod |= {"needle_diameter_m": 0.002, "shaft_density_kg_m3": density}
+    beyond = NeedleTool(**rod).beyond_sensor
     across = 0.1 * (3 * 0.001**2 + 0.2**2) / 12
-    moments = np.diag(tool.beyond_sensor.inertia_kg_m2)
+    expected = [across, across, 0.5 * 0.1 * 0.001**2]
 
-    assert moments == pytest.approx([across, across, 0.5 * 0.1 * 0.001**2], rel=1e-6)
-    assert tool.beyond_sensor.com_m[2] == pytest.approx(0.1)
-
-
-def test_no_sensor_leaves_the_needle_on_the_flange():
-    assert NeedleTool(sensor_mass_kg=0.0).payload.mass_kg == pytest.approx(0.068)
-
-    tool = NeedleTool(sensor_height_m=0)
-
-    assert (tool.has_sensor, tool.sensor_mass_kg) == (False, 0.0)
-    assert tool.payload.parameters == pytest.approx(
-        NeedleTool().beyond_sensor.parameters
-    )
-    assert tool.tip_in_flange_m == pytest.approx([0, 0, 0.153])
-    assert NeedleTool(
-        sensor_height_m=0, sensor_mass_kg=0.1
-    ).payload.mass_kg == pytest.approx(0.168)
+    assert np.diag(beyond.inertia_kg_m2) == pytest.approx(expected, rel=1e-6)
+    assert beyond.com_m[2] == pytest.approx(0.1)
 
 
-def test_tools_that_cannot_be_built():
-    for name, value, message in (
-        ("needle_length_m", 0.0, "needle_length_m is 0, expected a positive"),
-        ("sensor_mass_kg", -0.1, "sensor_mass_kg is -0.1"),
-        ("hub_diameter_m", np.nan, "hub_diameter_m has NaN"),
-        ("needle_length_m", 0.03, "hub_length_m 0.035 must be shorter"),
-        (
-            "needle_diameter_m",
-            0.02,
-            "more than needle_mass_kg 0.068; give a thinner shaft",
-        ),
-    ):
-        with pytest.raises(InputError, match=message):
-            NeedleTool(**{name: value})
+@pytest.mark.parametrize(
+    ("kinds", "mass_kg", "has_sensor", "tip_m"),
+    [
+        ({"sensor_mass_kg": 0.0}, 0.068, True, 0.193),
+        ({"sensor_height_m": 0}, 0.068, False, 0.153),
+        ({"sensor_height_m": 0, "sensor_mass_kg": 0.1}, 0.168, False, 0.153),
+    ],
+)
+def test_a_tool_without_a_sensor(kinds, mass_kg, has_sensor, tip_m):
+    tool = NeedleTool(**kinds)
+
+    assert tool.payload.mass_kg == pytest.approx(mass_kg)
+    assert tool.has_sensor == has_sensor
+    assert tool.tip_in_flange_m[2] == pytest.approx(tip_m)
+
+
+@pytest.mark.parametrize(
+    ("name", "value"),
+    [
+        ("needle_length_m", 0.0),
+        ("sensor_mass_kg", -0.1),
+        ("hub_diameter_m", np.nan),
+        ("hub_diameter_m", 1e7),
+        ("needle_length_m", 0.03),  # shorter than the hub
+        ("needle_diameter_m", 0.02),  # heavier than the needle
+    ],
+)
+def test_tools_that_cannot_be_built(name, value):
+    with pytest.raises(InputError):
+        NeedleTool(**{name: value})
 
 
 @pytest.fixture(scope="module")
@@ -219,17 +158,13 @@ def posed(lwr):
 
 
 def test_poses_at_rest_give_mass_and_centre(lwr, posed):
-    q, tau = posed
     other = Payload(mass_kg=5.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
     for robot in (lwr, lwr.with_payload(None), lwr.with_payload(other)):
-        estimate = identify_payload_static(robot, q, tau)
+        estimate = identify_payload_static(robot, *posed)
+
         assert (estimate.rank, estimate.is_identified) == (4, True)
         assert estimate.parameters == pytest.approx(TRUE.parameters[:4], abs=1e-9)
-        assert estimate.payload.mass_kg == pytest.approx(0.304)
         assert estimate.payload.com_m == pytest.approx(TRUE.com_m, abs=1e-9)
-        assert estimate.payload.inertia_kg_m2 == pytest.approx(
-            np.zeros((3, 3)), abs=1e-15
-        )
         assert np.all(estimate.residual_rms_Nm < 1e-9)
 
 
@@ -244,34 +179,31 @@ def test_standard_deviations_are_true(lwr, posed, count, options):
         error = estimate.parameters - TRUE.parameters[:4]
         com = (estimate.payload.com_m - TRUE.com_m) / estimate.com_std_m
         rows.append([*error / np.sqrt(np.diag(estimate.covariance)), *com])
+    errors = np.array(rows)
 
     assert estimate.mass_std_kg == np.sqrt(estimate.covariance[0, 0])
-
-    for errors_in_std in (np.array(rows)[:, :4], np.array(rows)[:, 4:]):
+    for errors_in_std in (errors[:, :4], errors[:, 4:]):
         assert 0.8 < np.sqrt(np.mean(np.square(errors_in_std))) < 1.25
 
 
+@pytest.mark.filterwarnings("ignore::RuntimeWarning")
 def test_what_the_data_do_not_determine_is_infinite(lwr, posed):
     q, tau = posed
-    estimate = identify_payload_static(lwr, q[:1], tau[:1])
-
-    assert estimate.rank < 4
-    assert not estimate.is_identified
-    assert np.all(np.isinf(estimate.com_std_m))
-
     floating = load_lwr(gravity_m_s2=np.zeros(3))
-    estimate = identify_payload_static(floating, q, np.zeros((60, 7)))
+    few = identify_payload_static(lwr, q[:1], tau[:1])
+    none = identify_payload_static(floating, q, np.zeros((60, 7)))
 
-    assert estimate.rank == 0
-    assert np.isinf(estimate.mass_std_kg)
-    assert estimate.payload.mass_kg == 0.0
+    assert few.rank < 4
+    assert not few.is_identified
+    assert np.all(np.isinf(few.com_std_m))
+    assert (none.rank, none.payload.mass_kg) == (0, 0.0)
+    assert np.isinf(none.mass_std_kg)
 
 
 def test_a_negative_mass_gives_no_payload(lwr, posed):
     q, tau = posed
-    estimate = identify_payload_static(
-        lwr, q, 2 * gravity_of(lwr.with_payload(None), q) - tau
-    )
+    lifted_Nm = 2 * gravity_of(lwr.with_payload(None), q) - tau
+    estimate = identify_payload_static(lwr, q, lifted_Nm)
 
     assert estimate.payload.mass_kg == 0.0
     assert np.isinf(estimate.com_std_m).all()
@@ -286,9 +218,8 @@ def test_the_flange_may_be_off_its_joint():
         for k, axis in enumerate([(0, 1, 0), (1, 0, 0), (0, 1, 0)])
     ]
     flange = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.4, 0.5), np.array([0.05, 0.1, -0.2]))
-    tool = Payload(
-        mass_kg=0.8, com_m=[0.1, 0, 0.2], inertia_kg_m2=np.diag([0.01, 0.02, 0.02])
-    )
+    inertia = np.diag([0.01, 0.02, 0.02])
+    tool = Payload(mass_kg=0.8, com_m=[0.1, 0, 0.2], inertia_kg_m2=inertia)
     robot = build_serial_robot(joints, tool_placement=flange, payload=tool)
     q = np.random.default_rng(0).uniform(-1, 1, (200, 3))
     estimate = identify_payload_static(robot, q, gravity_of(robot, q))
@@ -297,18 +228,18 @@ def test_the_flange_may_be_off_its_joint():
 
 
 @pytest.mark.parametrize(
-    ("change", "message"),
+    ("name", "value"),
     [
-        ({"q_rad": np.zeros((5, 6))}, r"q_rad has shape \(5, 6\), expected \(n, 7\)"),
-        ({"q_rad": np.zeros((0, 7))}, r"q_rad has shape \(0, 7\)"),
-        ({"tau_Nm": np.full((5, 7), np.nan)}, "tau_Nm has NaN or infinite"),
-        ({"tau_Nm": np.zeros((4, 7))}, "tau_Nm has shape"),
-        ({"torque_noise_std_Nm": np.zeros(7)}, "torque_noise_std_Nm must be positive"),
-        ({"torque_noise_std_Nm": -NOISE_NM}, "torque_noise_std_Nm must be positive"),
-        ({"torque_noise_std_Nm": NOISE_NM[:3]}, "torque_noise_std_Nm has shape"),
+        ("q_rad", np.zeros((5, 6))),
+        ("q_rad", np.zeros((0, 7))),
+        ("tau_Nm", np.full((5, 7), np.nan)),
+        ("tau_Nm", np.zeros((4, 7))),
+        ("torque_noise_std_Nm", np.zeros(7)),
+        ("torque_noise_std_Nm", -NOISE_NM),
+        ("torque_noise_std_Nm", NOISE_NM[:3]),
     ],
 )
-def test_malformed_recordings_are_refused(lwr, change, message):
+def test_malformed_recordings_are_refused(lwr, name, value):
     good = {"q_rad": np.zeros((5, 7)), "tau_Nm": np.zeros((5, 7))}
-    with pytest.raises(InputError, match=message):
-        identify_payload_static(lwr, **(good | change))
+    with pytest.raises(InputError, match=name):
+        identify_payload_static(lwr, **(good | {name: value}))

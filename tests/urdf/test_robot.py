@@ -383,8 +383,8 @@ def test_unphysical_links_are_refused_unless_asked_for():
     bad[9] = 0.9
     idle = [a_joint(), a_joint(name="j2", inertia=np.zeros(10))]
     for joints, message in (
-        ([a_joint(inertia=bad)], r"link behind joint 'j1'.*triangle"),
-        (idle, "move no inertia: j2"),
+        ([a_joint(inertia=bad)], "j1"),
+        (idle, "j2"),
     ):
         with pytest.raises(InertiaError, match=message):
             build_serial_robot(joints)

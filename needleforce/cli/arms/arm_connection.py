@@ -1,6 +1,7 @@
 """The arm that a user names, its model, and its samples until Ctrl-C."""
 
 import signal
+import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from dataclasses import replace
@@ -37,16 +38,6 @@ from urdf import Robot
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
 """The robot of a kind of arm, unless options describe another."""
-
-FR3_FLANGES = ("fr3_link8", "link8")
-"""Names of an FR3's flange in its own description."""
-
-LISTENED_NAMES = "ros2:TOPIC or sim:SCENARIO"
-MOVED_NAMES = "ros2:TOPIC or sim"
-"""Arms without a connection of their own, to be listened to or moved, for messages."""
-
-SIMULATED_SCENARIO = "stack-glove-constant"
-"""What ``sim`` simulates without a scenario."""
 
 NO_TORQUES = (
     "a UR sends motor currents, no torques: give --motor-constants K1 ... K6 [Nm/A]; "
@@ -91,21 +82,32 @@ def open_arm(
     Raises:
         CommandError: There is no such arm, or the model does not fit it.
     """
-    kind, _, scenario = name.partition(":")
+    kind, _, place = name.partition(":")
     if constants_Nm_A is not None and kind != "ur":
         raise CommandError(f"--motor-constants describes a ur:ADDRESS, not {name}")
-    if takes_commands and kind == "sim":
-        yield _open_simulated(name, options)
-        return
     if kind == "sim":
-        yield _simulate_arm(name, scenario or SIMULATED_SCENARIO, options)
+        yield _simulated_arm(name, place, options, takes_commands=takes_commands)
         return
     if kind == "ros2":
-        with _open_ros2(name, scenario, options, takes_commands) as connected:
-            yield connected
+        from needleforce.ros2.arm import Ros2Arm
+
+        if not place:
+            raise CommandError(
+                f"{name}: expected ros2:TOPIC, such as ros2:/joint_states"
+            )
+        robot = _robot_of(name, kind, options)
+        with Ros2Arm(
+            place, robot.joint_names, takes_commands=takes_commands, robot=robot
+        ) as arm:
+            yield ConnectedArm(arm, robot)
         return
-    other_names = MOVED_NAMES if takes_commands else LISTENED_NAMES
-    robot = _robot_of(name, _kind_of(name, other_names), options)
+    try:
+        parse_arm_name(name)
+    except DeviceSettingError as error:
+        # Arms without a connection of their own, to be moved or listened to.
+        others = "sim" if takes_commands else "sim:SCENARIO"
+        raise CommandError(f"{error}, ros2:TOPIC or {others}") from error
+    robot = _robot_of(name, kind.partition("@")[0], options)
     with connect_arm(
         name,
         takes_commands=takes_commands,
@@ -121,26 +123,20 @@ def open_arm(
         yield ConnectedArm(arm, robot)
 
 
-def _open_simulated(name: str, options: RobotOptions) -> ConnectedArm:
-    """Return a simulated LWR 4+ in free air, which takes commands."""
-    if name != "sim":
-        raise CommandError(
-            f"{name}: the simulated arm moves in free air, expected sim without a "
-            "scenario"
-        )
-    if options not in (RobotOptions(), RobotOptions(robot=LWR)):
-        raise CommandError(f"{name} is an LWR 4+, expected no options of the robot")
-    arm = SimulatedArm(plant="clean")
-    return ConnectedArm(arm, arm.robot)
-
-
-def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedArm:
-    """Return an LWR 4+ that replays a simulated insertion."""
+def _simulated_arm(
+    name: str, scenario: str, options: RobotOptions, *, takes_commands: bool
+) -> ConnectedArm:
+    """Return an LWR 4+ that replays a simulated insertion, or moves in free air."""
     if options not in (RobotOptions(), RobotOptions(robot=LWR)):
         raise CommandError(
             f"{name} simulates an LWR 4+ with its needle, expected no options of the "
             "robot"
         )
+    if takes_commands:
+        if scenario:
+            raise CommandError(f"{name} moves in free air, expected sim alone")
+        arm = SimulatedArm(plant="clean")
+        return ConnectedArm(arm, arm.robot)
     from needleforce.cli.patient.case_files import read_plan_fields
     from needleforce.simulation.patient import insert_into_patient
 
@@ -148,30 +144,11 @@ def _simulate_arm(name: str, scenario: str, options: RobotOptions) -> ConnectedA
         if scenario.endswith(".json"):
             run = insert_into_patient(read_plan_fields(Path(scenario)))
         else:
-            run = simulate(scenario, plant="clean")
+            run = simulate(scenario or "stack-glove-constant", plant="clean")
     signals = run.signals
     dt_s = np.diff(signals.t_s, prepend=2.0 * signals.t_s[0] - signals.t_s[1])
     arm = ReplayArm(dt_s, signals.q_rad, signals.dq_rad_s, signals.tau_Nm)
     return ConnectedArm(arm, run.robot)
-
-
-@contextmanager
-def _open_ros2(
-    name: str, topic: str, options: RobotOptions, takes_commands: bool
-) -> Iterator[ConnectedArm]:
-    """Listen to the joint states of a topic of ROS 2; move it by ros2_control."""
-    from needleforce.ros2 import require_ros
-
-    require_ros()
-    from needleforce.ros2.arm import Ros2Arm
-
-    if not topic:
-        raise CommandError(f"{name}: expected ros2:TOPIC, such as ros2:/joint_states")
-    robot = _robot_of(name, "ros2", options)
-    with Ros2Arm(
-        topic, robot.joint_names, takes_commands=takes_commands, robot=robot
-    ) as arm:
-        yield ConnectedArm(arm, robot)
 
 
 def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
@@ -179,7 +156,17 @@ def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
     if options.robot is not None or options.urdf is not None:
         return robot_from_options(options, None)
     if kind == "fr3":
-        return _robot_of_fr3(parse_arm_name(name).address, options)
+        with Fr3Arm(parse_arm_name(name).host) as arm:
+            text = arm.client.model_urdf
+        # Names of its flange in its own description.
+        flanges = ("fr3_link8", "link8")
+        known = (flange for flange in flanges if f'name="{flange}"' in text)
+        flange = options.tool_frame or next(known, None)
+        say(
+            f"the model is the arm's own, its flange {flange}; --urdf and --tool-frame "
+            "name others"
+        )
+        return robot_from_text(text, "fr3.urdf", replace(options, tool_frame=flange))
     if kind not in ROBOTS:
         raise CommandError(
             f"{name} does not say what arm it is, expected --urdf FILE",
@@ -191,30 +178,18 @@ def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
     return robot_from_options(replace(options, robot=ROBOTS[kind]), None)
 
 
-def _robot_of_fr3(host: str, options: RobotOptions) -> Robot:
-    """Return the robot that an FR3 describes itself as."""
-    with Fr3Arm(host) as arm:
-        text = arm.client.model_urdf
-    known = (name for name in FR3_FLANGES if f'name="{name}"' in text)
-    flange = options.tool_frame or next(known, None)
-    say(
-        f"the model is the arm's own, its flange {flange}; --urdf and --tool-frame "
-        "name others"
-    )
-    return robot_from_text(text, "fr3.urdf", replace(options, tool_frame=flange))
-
-
-def _kind_of(name: str, other_names: str) -> str:
-    """Return the kind of an arm; refuse a name of none.
+def ask_to_move(name: str, motion: str) -> None:
+    """Ask whether an arm may move; raise `CommandError` unless the answer is yes.
 
     Args:
         name: The arm as the command line names it.
-        other_names: How arms without a connection are named, for the message.
+        motion: In words how it will move.
     """
-    try:
-        return parse_arm_name(name).kind
-    except DeviceSettingError as error:
-        raise CommandError(f"{error}, {other_names}") from error
+    if not sys.stdin.isatty():
+        raise CommandError(f"{name} would move and nobody can be asked: give --yes")
+    say(f"{motion} The needle must be in free air, and the stop button at hand.")
+    if input("Move? [y/N] ").strip().lower() not in ("y", "yes"):
+        raise CommandError("not confirmed: nothing has moved")
 
 
 def limits_of(connected: ConnectedArm) -> Limits:

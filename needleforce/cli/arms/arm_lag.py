@@ -1,16 +1,11 @@
 """The delay of an arm, measured by moving it: `needleforce lag`."""
 
 import json
-import sys
 
 from foundation.jit import compile_waiting
-from needleforce.cli.arms.arm_connection import limits_of, open_arm
+from needleforce.cli.arms.arm_connection import ask_to_move, limits_of, open_arm
 from needleforce.cli.shared_options import RobotOptions
-from needleforce.cli.terminal import (
-    CommandError,
-    say,
-    write_out,
-)
+from needleforce.cli.terminal import write_out
 from needleforce.control.lag import Delay, SafeGain, find_safe_gain, measure_lag
 from needleforce.control.tasks import GAIN_PER_S
 from urdf import Robot
@@ -37,30 +32,20 @@ def measure_arm(
         ControlError: It cannot be measured: see the message.
     """
     if not is_confirmed:
-        _ask(arm_name)
+        ask_to_move(
+            arm_name,
+            f"All joints of {arm_name} will move for 4 s, the tip by at most 5 mm "
+            "either way.",
+        )
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
     with open_arm(arm_name, options, takes_commands=True) as connected:
         arm, robot = connected
         lag = measure_lag(arm, robot, limits_of(connected))
     slowest = max(lag.delays, key=lambda delay: delay.delay_s + delay.std_s)
     gain = find_safe_gain(slowest, lag.cycle_s)
-    write = _as_json if as_json else _as_text
-    write_out(write(robot, lag.delays, gain, lag.cycle_s) + "\n")
+    describe = _as_json if as_json else _as_text
+    write_out(describe(robot, lag.delays, gain, lag.cycle_s) + "\n")
     return 0
-
-
-def _ask(arm_name: str) -> None:
-    """Ask whether the arm may move; raise `CommandError` unless the answer is yes."""
-    if not sys.stdin.isatty():
-        raise CommandError(
-            f"{arm_name} would move and nobody can be asked: give --yes",
-        )
-    say(
-        f"All joints of {arm_name} will move for 4 s, the tip by at most 5 mm either "
-        "way. The needle must be in free air, and the stop button at hand."
-    )
-    if input("Move? [y/N] ").strip().lower() not in ("y", "yes"):
-        raise CommandError("not confirmed: nothing has moved")
 
 
 def _as_json(robot: Robot, delays: list[Delay], gain: SafeGain, cycle_s: float) -> str:

@@ -1,16 +1,16 @@
 """The stroke before a tare: `needleforce live --tare-stroke`."""
 
 import math
-import sys
 from collections.abc import Iterator
 from contextlib import contextmanager
-from typing import Any, NamedTuple
+from typing import NamedTuple
 
 from foundation.jit import compile_waiting
 from groundtruth.rig_arm import ArmSample, SimulatedArm
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     ConnectedArm,
+    ask_to_move,
     limits_of,
     open_arm,
 )
@@ -19,7 +19,6 @@ from needleforce.cli.terminal import CHECK_ARM, CommandError, say
 from needleforce.control.tare_stroke import TareMotion, tare_with_stroke
 from needleforce.devices.link import LinkReport
 from needleforce.session import InsertionSession
-from urdf import Robot
 
 MEAN_SPEED_m_s = 0.01
 """Mean speed of a stroke: slow, as an insertion is, since friction depends on it."""
@@ -28,33 +27,21 @@ MIN_LEG_S = 10.0
 """Time of a stroke each way, at least: the elbow needs it for its swings."""
 
 
-class StrokeOptions(NamedTuple):
-    """The motion before a tare that a user asks for.
-
-    Attributes:
-        motion: The stroke and the swings of the elbow.
-        is_confirmed: Whether the arm may move without a question.
-    """
-
-    motion: TareMotion
-    is_confirmed: bool
-
-
 class TareOptions(NamedTuple):
     """When, and from what motion, a session is tared.
 
     Attributes:
         after_s: Motion without contact before the tare, where the arm is not moved [s].
-        stroke: Motion that the arm makes first, and is tared from; None for none.
+        motion: That the arm makes first, and is tared from; None for none.
+        is_confirmed: Whether the arm may move without a question.
     """
 
     after_s: float
-    stroke: StrokeOptions | None
+    motion: TareMotion | None
+    is_confirmed: bool
 
 
-def find_stroke(
-    stroke_mm: float | None, swivel_deg: float, *, is_confirmed: bool
-) -> StrokeOptions | None:
+def find_stroke(stroke_mm: float | None, swivel_deg: float) -> TareMotion | None:
     """Return the motion that options ask for; None without a stroke.
 
     Raises:
@@ -70,26 +57,11 @@ def find_stroke(
         raise CommandError(
             f"--tare-swivel {swivel_deg:g}: expected degrees from 0 to less than 360"
         )
-    motion = TareMotion(
+    return TareMotion(
         stroke_m=1e-3 * stroke_mm,
         leg_s=max(1e-3 * stroke_mm / MEAN_SPEED_m_s, MIN_LEG_S),
         swivel_rad=math.radians(swivel_deg),
     )
-    return StrokeOptions(motion, is_confirmed)
-
-
-class TaredArm(NamedTuple):
-    """An arm, its model, and a session that the arm's motion has tared.
-
-    Attributes:
-        arm: The connection.
-        robot: The model.
-        session: Of the arm; not tared if no motion was asked for.
-    """
-
-    arm: Any
-    robot: Robot
-    session: InsertionSession
 
 
 class _RestingArm:
@@ -121,58 +93,31 @@ def open_tared_arm(
     name: str,
     options: RobotOptions,
     constants_Nm_A: MotorConstants | None,
-    stroke: StrokeOptions | None,
-) -> Iterator[TaredArm]:
+    taring: TareOptions,
+) -> Iterator[tuple[ConnectedArm, InsertionSession]]:
     """Open an arm to be listened to; before, if asked, move it and tare.
 
     A simulated arm stays the one that has moved; any other is given back and opened
-    anew, so that its user may move it.
+    anew, so that its user may move it. The session is not tared without a motion.
 
     Args:
         name: The arm as the command line names it.
         options: Options that describe the robot.
         constants_Nm_A: Torque per motor current of each joint of a UR [Nm/A].
-        stroke: The motion; None for none.
+        taring: With the motion; None for none.
 
     Raises:
         CommandError: The user says no, or the arm sends no torques.
         ControlError: The arm has not moved as it should.
         TareError: The motion is no free motion.
     """
-    if stroke is None:
+    if taring.motion is None:
         with open_arm(name, options, constants_Nm_A) as connected:
-            session = InsertionSession(connected.robot)
-            yield TaredArm(connected.arm, connected.robot, session)
+            yield connected, InsertionSession(connected.robot)
         return
     if name.startswith("ur:") and constants_Nm_A is None:
         raise CommandError(f"{name}: {NO_TORQUES}", CHECK_ARM)
-    if not stroke.is_confirmed:
-        _ask(name, stroke.motion)
-    compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
-    with open_arm(name, options, constants_Nm_A, takes_commands=True) as connected:
-        session = _tare_by_stroke(name, connected, stroke.motion)
-        if name.partition(":")[0] == "sim":
-            resting = _RestingArm(connected.arm)
-            yield TaredArm(resting, connected.robot, session)
-            return
-    with open_arm(name, options, constants_Nm_A) as connected:
-        yield TaredArm(connected.arm, connected.robot, session)
-
-
-def _ask(name: str, motion: TareMotion) -> None:
-    """Ask whether the arm may move; raise `CommandError` unless the answer is yes."""
-    if not sys.stdin.isatty():
-        raise CommandError(
-            f"{name} would move and nobody can be asked: give --yes",
-        )
-    say(f"{_describe(name, motion)} The needle must be in free air, with room for the")
-    say("elbow beside the arm, and the stop button at hand.")
-    if input("Move? [y/N] ").strip().lower() not in ("y", "yes"):
-        raise CommandError("not confirmed: nothing has moved")
-
-
-def _describe(name: str, motion: TareMotion) -> str:
-    """Return in words how the arm will move."""
+    motion = taring.motion
     text = (
         f"{name} will draw the needle back by {1e3 * motion.stroke_m:.0f} mm and return"
     )
@@ -181,16 +126,18 @@ def _describe(name: str, motion: TareMotion) -> str:
             f"; the elbow of an arm of seven joints will swing {motion.swings} times "
             f"by {math.degrees(motion.swivel_rad):.0f} degrees"
         )
-    return f"{text}, in {motion.duration_s:.0f} s."
-
-
-def _tare_by_stroke(
-    name: str, connected: ConnectedArm, motion: TareMotion
-) -> InsertionSession:
-    """Move an arm, and return a session tared from that."""
-    robot = connected.robot
-    session = InsertionSession(robot)
-    say(_describe(name, motion))
-    tare_with_stroke(connected.arm, session, limits_of(connected), motion, robot=robot)
-    say("tared")
-    return session
+    text = f"{text}, in {motion.duration_s:.0f} s."
+    if not taring.is_confirmed:
+        ask_to_move(name, f"{text} Leave room for the elbow beside the arm.")
+    compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
+    with open_arm(name, options, constants_Nm_A, takes_commands=True) as connected:
+        arm, robot = connected
+        session = InsertionSession(robot)
+        say(text)
+        tare_with_stroke(arm, session, limits_of(connected), motion, robot=robot)
+        say("tared")
+        if name.partition(":")[0] == "sim":
+            yield ConnectedArm(_RestingArm(arm), robot), session
+            return
+    with open_arm(name, options, constants_Nm_A) as connected:
+        yield connected, session

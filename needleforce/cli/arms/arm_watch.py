@@ -1,13 +1,14 @@
 """`needleforce live`: a session beside an arm, in words and in the scene."""
 
+import math
 import sys
 import time
-from collections.abc import Iterator
-from contextlib import AbstractContextManager, contextmanager, nullcontext
+from collections.abc import Iterable, Iterator
+from contextlib import ExitStack, contextmanager
 from dataclasses import replace
 from functools import partial
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any
 
 from needleforce.anatomy import PlanState
 from needleforce.anatomy.plan_match import OFF_PLAN_LAYER
@@ -29,17 +30,14 @@ from needleforce.cli.terminal import (
     write_out,
 )
 from needleforce.depth_zero import DepthZero, find_depth_zero
-from needleforce.devices import NetFT
+from needleforce.devices import ArmReading, NetFT
 from needleforce.devices.rdt import describe_status
 from needleforce.insertion_events import describe_hard_contact
 from needleforce.needle_on_plan import describe_clearances, describe_deviation
 from needleforce.plan_file import LoadedPlan
 from needleforce.reference_force import ReferenceForce
-from needleforce.session import SessionEstimate
+from needleforce.session import InsertionSession, SessionEstimate
 from urdf import Robot
-
-ZERO_S = 0.5
-"""Time in which a sensor at 1 kHz gives all readings that make its zero."""
 
 PANEL_S = 0.1
 """Time between two pictures on a terminal [s]."""
@@ -175,78 +173,55 @@ def _percent(probability: float) -> str:
     return f"{100.0 * probability:.0f} %"
 
 
-class ReferenceSensor(NamedTuple):
+class ReferenceSensor:
     """A force sensor beside the session.
 
-    Attributes:
+    Where the arm's own stroke has tared the session, the sensor has read nothing yet:
+    it is zeroed once it has had half a second to do so.
+
+    Args:
         address: Host of the ATI Net F/T.
         axis: Direction of insertion in the sensor's axes.
     """
 
-    address: str
-    axis: Direction
+    def __init__(self, address: str, axis: Direction) -> None:
+        self._address = address
+        self._axis = axis
+        self._zero_due_s = math.inf
 
     @contextmanager
-    def opened(self) -> Iterator[ReferenceForce]:
+    def opened(self, *, is_tared: bool) -> Iterator[ReferenceForce]:
         """Open the connection; its report is printed when it is closed."""
-        with NetFT(self.address) as sensor:
+        # A sensor at 1 kHz gives in this time all readings that make its zero.
+        zero_s = 0.5
+        self._zero_due_s = zero_s if is_tared else math.inf
+        with NetFT(self._address) as sensor:
             sensor.on_silence = partial(say_silence, what="reference: ")
-            yield ReferenceForce(sensor, self.axis)
+            yield ReferenceForce(sensor, self._axis)
             faults = f"; {describe_status(sensor.faults)}" if sensor.faults else ""
             say(f"reference: {sensor.report}{faults}")
 
-    def zero(self, reference: ReferenceForce) -> None:
-        """Zero the sensor with the tare, or say that it has sent nothing."""
-        if not reference.zero():
-            say(f"{self.address} had sent nothing at the tare: no reference")
-
-
-class _ReferenceZero:
-    """Zeroes a sensor beside the session at the tare.
-
-    Where the arm's own stroke has tared the session, the sensor has read nothing yet:
-    it is zeroed once it has had `ZERO_S` to do so.
-
-    Args:
-        sensor: The sensor, if any.
-        reference: Its readings, if any.
-        is_tared: Whether the session is tared already.
-    """
-
-    def __init__(
+    def update(
         self,
-        sensor: ReferenceSensor | None,
-        reference: ReferenceForce | None,
+        reference: ReferenceForce,
+        estimate: SessionEstimate,
+        dt_s: float,
         *,
-        is_tared: bool,
+        is_tared_now: bool,
     ) -> None:
-        self._sensor = sensor
-        self._reference = reference
-        self._is_waiting = is_tared
-        self._first_s: float | None = None
-
-    def after(self, time_s: float, *, is_tared_now: bool) -> None:
-        """Zero the sensor if it is time.
-
-        Args:
-            time_s: Of the session's update.
-            is_tared_now: Whether that update has ended a tare.
-        """
-        if self._first_s is None:
-            self._first_s = time_s
-        has_waited = self._is_waiting and time_s - self._first_s >= ZERO_S
-        if not (is_tared_now or has_waited):
-            return
-        self._is_waiting = False
-        if self._sensor is not None and self._reference is not None:
-            self._sensor.zero(self._reference)
+        """Read the sensor beside an update of the session; zero it if it is time."""
+        reference.update(estimate.wrench)
+        self._zero_due_s -= dt_s
+        if is_tared_now or self._zero_due_s <= 0.0:
+            self._zero_due_s = math.inf
+            if not reference.zero():
+                say(f"{self._address} had sent nothing at the tare: no reference")
 
 
-@contextmanager
 def _open_page(
     kind: str, port: int, model: Robot, plan: LoadedPlan | None, robot: RobotOptions
-) -> Iterator[Any]:
-    """Serve the scene beside the session."""
+) -> Any:
+    """Return the page of the scene beside the session."""
     from needleforce.scene import open_viewer
     from needleforce.scene.nodes import EMPTY
 
@@ -254,16 +229,15 @@ def _open_page(
         robot = replace(robot, robot=ROBOTS.get(kind))
     scene = EMPTY if plan is None else plan.scene
     say("opening the scene ...")
-    with open_viewer(
-        model, scene, urdf_path=urdf_with_shapes(robot), port=port
-    ) as page:
-        say(f"{page.url} shows the scene")
-        yield page
+    return open_viewer(model, scene, urdf_path=urdf_with_shapes(robot), port=port)
 
 
 @contextmanager
 def _open_panel() -> Iterator[Any]:
-    """Open a place on the terminal that is written over."""
+    """Open a place on the terminal that is written over; None where there is none."""
+    if not sys.stdout.isatty():
+        yield None
+        return
     from rich.live import Live
 
     with Live("", refresh_per_second=1.0 / PANEL_S) as panel:
@@ -299,33 +273,36 @@ def watch_arm(
 
     Raises:
         CommandError: The arm sends nothing, or no torques.
+        LinkError: The arm is lost.
     """
     tare = auto_tare(taring.after_s)
     constants_Nm_A = options.motor_constants
     plan = load_plan(plan_path, situs_inversus=situs_inversus)
-    with (
-        open_tared_arm(arm_name, robot, constants_Nm_A, taring.stroke) as tared,
-        _reference_beside(reference_sensor) as reference,
-        _page_beside(arm_name, page_port, tared.robot, plan, robot) as page,
-        _panel_on_terminal() as panel,
-    ):
-        arm = tared.arm
-        session = tared.session
-        zero = _ReferenceZero(reference_sensor, reference, is_tared=session.tared)
+    with ExitStack() as stack:
+        connected, session = stack.enter_context(
+            open_tared_arm(arm_name, robot, constants_Nm_A, taring)
+        )
+        arm = connected.arm
+        reference = page = None
+        if reference_sensor is not None:
+            opened = reference_sensor.opened(is_tared=session.tared)
+            reference = stack.enter_context(opened)
+        if page_port is not None:
+            kind = arm_name.partition(":")[0]
+            page = stack.enter_context(
+                _open_page(kind, page_port, connected.robot, plan, robot)
+            )
+            say(f"{page.url} shows the scene")
         if plan is not None:
             plan.follow_with(session)
-        display = Display(arm, reference, panel)
+        display = Display(arm, reference, stack.enter_context(_open_panel()))
         samples = samples_until_stopped(arm, options, show_silence=display.show_silence)
-        for sample in samples:
-            if sample.tau_Nm is None:
-                raise CommandError(f"{arm_name}: {NO_TORQUES}", CHECK_ARM)
-            estimate = session.update(
-                sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
-            )
-            if reference is not None:
-                reference.update(estimate.wrench)
+        for sample, estimate in _estimates(arm_name, samples, session):
             is_tared_now = tare.after(session, estimate)
-            zero.after(estimate.time_s, is_tared_now=is_tared_now)
+            if reference_sensor is not None and reference is not None:
+                reference_sensor.update(
+                    reference, estimate, sample.dt_s, is_tared_now=is_tared_now
+                )
             display.update(estimate)
             if page is not None:
                 page.put(estimate, sample.q_rad)
@@ -337,23 +314,14 @@ def watch_arm(
     return 0
 
 
-def _reference_beside(
-    sensor: ReferenceSensor | None,
-) -> AbstractContextManager[ReferenceForce | None]:
-    return nullcontext() if sensor is None else sensor.opened()
-
-
-def _page_beside(
-    arm_name: str,
-    port: int | None,
-    model: Robot,
-    plan: LoadedPlan | None,
-    robot: RobotOptions,
-) -> AbstractContextManager[Any | None]:
-    if port is None:
-        return nullcontext()
-    return _open_page(arm_name.partition(":")[0], port, model, plan, robot)
-
-
-def _panel_on_terminal() -> AbstractContextManager[Any | None]:
-    return _open_panel() if sys.stdout.isatty() else nullcontext()
+def _estimates(
+    arm_name: str, samples: Iterable[ArmReading], session: InsertionSession
+) -> Iterator[tuple[ArmReading, SessionEstimate]]:
+    """Yield each sample with what the session makes of it."""
+    for sample in samples:
+        if sample.tau_Nm is None:
+            raise CommandError(f"{arm_name}: {NO_TORQUES}", CHECK_ARM)
+        estimate = session.update(
+            sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
+        )
+        yield sample, estimate

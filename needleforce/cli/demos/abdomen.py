@@ -158,7 +158,7 @@ def write_scene(insertion: PlannedInsertion, path: Path) -> Path:
     )
     shapes = urdf_with_shapes(RobotOptions())
     viewer = Viewer(insertion.robot, scene, urdf_path=shapes)
-    viewer.append(followed.rows)
+    viewer.append(followed.moments)
     try:
         return viewer.export(path)
     finally:

@@ -1,17 +1,17 @@
 """A plan against what was found in a log: the needle's path, and its ruptures."""
 
 from collections.abc import Sequence
+from operator import itemgetter
 from typing import NamedTuple
 
 import msgspec
 import numpy as np
+import pandas as pd
 
 from foundation.arrays import Array
 from identification import LayerEstimate
-from needleforce import plots
-from needleforce.anatomy import Layer, NeedleClearance, PlanError, PlanMatch, PlanState
+from needleforce.anatomy import NeedleClearance, PlanError, PlanState
 from needleforce.anatomy.needle_surroundings import sort_clearances
-from needleforce.cli.logs.outputs import Answer
 from needleforce.depth_zero import PLANNED_ENTRY, DepthZero
 from needleforce.needle_on_plan import (
     PlanDeviation,
@@ -21,7 +21,7 @@ from needleforce.needle_on_plan import (
     state_values,
 )
 from needleforce.plan_file import LoadedPlan
-from needleforce.sensor_replay import SensorReplay
+from needleforce.plan_follower import PlanFollower
 from residual.tool_kinematics import ToolKinematics
 
 NOTE = (
@@ -29,30 +29,15 @@ NOTE = (
     "layer. Deeper: by how much it lies deeper than planned."
 )
 
-SHOWN_CLEARANCES = 3
-"""Nearest structures that are named."""
-
-M_TO_MM = 1e3
-
-
-class NamedRupture(NamedTuple):
-    """A rupture, and what the plan says of it.
-
-    Attributes:
-        depth_m: Below the planned entry.
-        state: Plan and ruptures up to this one.
-    """
-
-    depth_m: float
-    state: PlanState
+HEADER = ("rupture", "at mm", "into", "probability", "planned mm", "deeper mm")
 
 
 class PlanFound(NamedTuple):
     """A plan against what was found.
 
     Attributes:
-        layers: The planned layers.
-        ruptures: The ruptures, in the order in which they came.
+        ruptures: A line of text per rupture, see `HEADER`; empty where no layer can be
+            named.
         last: Plan and all ruptures with the needle at its deepest; None where they
             cannot be matched.
         deepest: The needle against the planned path where it was deepest; None without
@@ -63,34 +48,52 @@ class PlanFound(NamedTuple):
         off_fraction: Fraction of the time below the planned entry for which the needle
             was off the plan.
         warnings: What is wrong with the plan, or could not be compared.
+        zero: The planned entry, from which depths count; None without one.
     """
 
-    layers: tuple[Layer, ...]
-    ruptures: tuple[NamedRupture, ...]
+    ruptures: pd.DataFrame
     last: PlanState | None
     deepest: PlanDeviation | None
     nearest: tuple[NeedleClearance, ...]
     off_fraction: float
     warnings: tuple[str, ...]
+    zero: DepthZero | None = None
 
-    def answer(self) -> Answer:
-        """Return where the needle was against the plan, and the table of ruptures."""
+    def sentences(self) -> list[str]:
+        """Return where the needle was against the plan."""
+        shown_clearances = 3
         sentences: list[str] = []
-        if self.last is not None and not self._is_off_plan:
+        if self.last is not None and not self.off_fraction:
             sentences.append(
                 f"Plan against found: {len(self.ruptures)} ruptures matched; all lies "
-                f"{M_TO_MM * self.last.offset_m:+.1f} ± "
-                f"{M_TO_MM * self.last.offset_std_m:.1f} mm deeper than planned."
+                f"{1e3 * self.last.offset_m:+.1f} ± {1e3 * self.last.offset_std_m:.1f} "
+                "mm deeper than planned."
             )
         if self.deepest is not None:
             sentences.append(
-                f"Needle at its deepest, {M_TO_MM * self.deepest.depth_m:.1f} mm below "
-                f"the planned entry: {describe_deviation(self.deepest)}."
+                f"Needle at its deepest, {1e3 * self.deepest.depth_m:.1f} mm below the "
+                f"planned entry: {describe_deviation(self.deepest)}."
             )
         if self.nearest:
-            nearest = ", ".join(map(str, self.nearest[:SHOWN_CLEARANCES]))
+            nearest = ", ".join(map(str, self.nearest[:shown_clearances]))
             sentences.append(f"Nearest on its way: {nearest}.")
-        return Answer(tuple(sentences), self._describe_warnings(), self._tables())
+        return sentences
+
+    def doubts(self) -> list[str]:
+        """Return where the needle left the plan, then what else is doubtful."""
+        doubts: list[str] = []
+        if self.off_fraction:
+            doubts.append(
+                f"OFF PLAN for {100.0 * self.off_fraction:.0f} % of the rows below the "
+                "planned entry: no layer is named from the plan"
+            )
+        if self.deepest is not None and self.deepest.is_past_target:
+            doubts.append(
+                "PAST THE TARGET: at its deepest the tip was "
+                f"{describe_to_target(self.deepest)}"
+            )
+        doubts += [describe_too_near(one) for one in self.nearest if one.is_too_near]
+        return [*doubts, *self.warnings]
 
     def state_json(self) -> bytes:
         """Return where the needle was at its deepest, and how near it came, as JSON."""
@@ -100,181 +103,105 @@ class PlanFound(NamedTuple):
         values["off_plan_fraction"] = self.off_fraction
         return msgspec.json.format(msgspec.json.encode(values)) + b"\n"
 
-    def text(self) -> str:
-        """Return the same as lines below the layers."""
-        answer = self.answer()
-        rows = [row for table in answer.tables for row in table.rows]
-        lines = [
-            *answer.sentences,
-            *(f"warning: {text}" for text in answer.warnings),
-            *(f"rupture {row[0]}: {row[1]} mm, into {row[2]}" for row in rows),
-        ]
-        return "\n" + "".join(f"{line}\n" for line in lines)
 
-    @property
-    def _is_off_plan(self) -> bool:
-        return self.off_fraction > 0.0
-
-    def _describe_warnings(self) -> tuple[str, ...]:
-        """Return where the needle left the plan, then what else is doubtful."""
-        off_plan: tuple[str, ...] = ()
-        if self._is_off_plan:
-            off_plan = (
-                f"OFF PLAN for {100.0 * self.off_fraction:.0f} % of the rows below the "
-                "planned entry: no layer is named from the plan",
-            )
-        past_target: tuple[str, ...] = ()
-        if self.deepest is not None and self.deepest.is_past_target:
-            past_target = (
-                "PAST THE TARGET: at its deepest the tip was "
-                f"{describe_to_target(self.deepest)}",
-            )
-        near = [describe_too_near(one) for one in self.nearest if one.is_too_near]
-        return (*off_plan, *past_target, *near, *self.warnings)
-
-    def _tables(self) -> tuple[plots.PageTable, ...]:
-        """Return the table of ruptures; none where no layer can be named."""
-        if self._is_off_plan or not self.ruptures:
-            return ()
-        cells = tuple(
-            self._cells(number, one) for number, one in enumerate(self.ruptures, 1)
-        )
-        head = ("rupture", "at mm", "into", "probability", "planned mm", "deeper mm")
-        table = plots.PageTable(
-            caption="Plan against found",
-            head=head,
-            rows=cells,
-            numeric=frozenset((0, 1, 3, 4, 5)),
-            note=NOTE,
-        )
-        return (table,)
-
-    def _cells(self, number: int, rupture: NamedRupture) -> tuple[str, ...]:
-        """Return the line of a rupture."""
-        state = rupture.state
-        planned = deeper = ""
-        if state.matched >= 0:
-            planned_m = self.layers[state.matched].entry_m
-            planned = f"{M_TO_MM * planned_m:.1f}"
-            deeper = f"{M_TO_MM * (rupture.depth_m - planned_m):+.1f}"
-        return (
-            str(number),
-            f"{M_TO_MM * rupture.depth_m:.1f}",
-            state.matched_name,
-            f"{100.0 * state.matched_probability:.0f} %",
-            planned,
-            deeper,
-        )
-
-
-class PlanWatch:
-    """Watches the needle of a log against a plan.
+def compare_with_plan(
+    plan: LoadedPlan,
+    tool: ToolKinematics,
+    q_rad: Array,
+    travel_m: Array,
+    layers: Sequence[LayerEstimate],
+) -> PlanFound:
+    """Compare the needle of a log, and the ruptures found, with a plan.
 
     Args:
         plan: The plan.
-        replay: The sensor, whose travel begins at the first finite row.
+        tool: Kinematics of the needle, which are updated.
+        q_rad: Joint positions, shape (m, n).
+        travel_m: Travel of the needle since the first finite row, shape (m,).
+        layers: The layers found; their depths are travel.
     """
+    warnings = list(plan.warnings)
+    rows = np.flatnonzero(np.isfinite(travel_m))
+    zero: DepthZero | None = None
+    if len(rows) and plan.entry_in_base_m is not None:
+        tool.update(q_rad[rows[0]])
+        way_m = plan.entry_in_base_m - tool.pose[:3, 3]
+        zero = DepthZero(float(tool.axis_in_base.dot(way_m)), PLANNED_ENTRY)
+    compared = rows[::10]
+    below, nearest = _compare_with_path(plan, tool, q_rad[compared], travel_m[compared])
+    if plan.path is not None and not below:
+        warnings.append("the needle never came below the planned entry")
+    rows_off = sum(deviation.is_off_plan for _, deviation in below)
 
-    def __init__(self, plan: LoadedPlan, replay: SensorReplay) -> None:
-        config = replay.config
-        self._plan = plan
-        self._tool = ToolKinematics(replay.robot, config.frame, config.insertion_axis)
-        self._entry_travel_m: float | None = None  # travel at the planned entry
-        self._deepest_m = -np.inf
-        self._deepest: PlanDeviation | None = None
-        self._nearest: dict[str, NeedleClearance] = {}
-        self._rows_below = 0
-        self._rows_off = 0
-
-    @property
-    def zero(self) -> DepthZero | None:
-        """The planned entry, from which depths count; None without one."""
-        if self._plan.entry_in_base_m is None:
-            return None
-        return DepthZero(self._entry_travel_m or 0.0, PLANNED_ENTRY)
-
-    def add(self, q_rad: Array, travel_m: Array) -> None:
-        """Take further rows: joint positions, (m, n), and travel of the tool, (m,)."""
-        # Every so many rows the needle is compared with the planned path.
-        compared_rows = 10
-        finite = np.flatnonzero(np.isfinite(q_rad).all(axis=1))
-        if len(finite) and self._entry_travel_m is None:
-            self._begin(self._plan, q_rad[finite[0]])
-        for row in finite[::compared_rows].tolist():
-            self._compare_row(self._plan, q_rad[row], float(travel_m[row]))
-
-    def _begin(self, plan: LoadedPlan, q_rad: Array) -> None:
-        """Note where travel is zero."""
-        self._tool.update(q_rad)
-        entry_m = plan.entry_in_base_m
-        self._entry_travel_m = 0.0
-        if entry_m is not None:
-            way_m = entry_m - self._tool.pose[:3, 3]
-            self._entry_travel_m = float(way_m @ self._axis)
-
-    @property
-    def _axis(self) -> Array:
-        """Direction of the needle in the robot's base, shape (3,)."""
-        return self._tool.pose[:3, :3] @ self._tool.axis_in_tool
-
-    def _compare_row(self, plan: LoadedPlan, q_rad: Array, travel_m: float) -> None:
-        """Compare the needle of a row with the planned path."""
-        is_deepest = travel_m > self._deepest_m
-        self._deepest_m = max(self._deepest_m, travel_m)
-        if plan.path is None:
-            return
-        self._tool.update(q_rad)
-        deviation = plan.path.deviation(self._tool.pose[:3, 3], self._axis)
-        if deviation.depth_m <= 0.0:
-            return
-        self._rows_below += 1
-        self._rows_off += deviation.is_off_plan
-        if plan.surroundings is not None:
-            tip_m = self._tool.pose[:3, 3]
-            for one in plan.surroundings.clearances(tip_m, self._axis):
-                before = self._nearest.get(one.name, one)
-                self._nearest[one.name] = min(
-                    before, one, key=lambda clearance: clearance.distance_m
-                )
-        if is_deepest:
-            self._deepest = deviation
-
-    def compare(self, layers: Sequence[LayerEstimate]) -> PlanFound:
-        """Match the ruptures of the layers found with the plan."""
-        plan = self._plan
-        entry_m = self._entry_travel_m or 0.0
-        ruptures_m = [layer.rupture.depth_m - entry_m for layer in layers]
-        contact_m = layers[0].start_depth_m - entry_m if layers else None
-        warnings = list(plan.warnings)
-        if plan.path is not None and not self._rows_below:
-            warnings.append("the needle never came below the planned entry")
-        ruptures: tuple[NamedRupture, ...] = ()
-        last: PlanState | None = None
-        try:
-            ruptures = _match(plan.match, ruptures_m, contact_m)
-            if np.isfinite(self._deepest_m):
-                deepest_m = self._deepest_m - entry_m
-                last = plan.match.state(deepest_m, ruptures_m, contact_m=contact_m)
-        except PlanError as error:
-            warnings.append(f"ruptures not matched with the plan: {error}")
-        return PlanFound(
-            layers=plan.match.layers,
-            ruptures=ruptures,
-            last=last,
-            deepest=self._deepest,
-            nearest=sort_clearances(self._nearest.values()),
-            off_fraction=self._rows_off / max(self._rows_below, 1),
-            warnings=tuple(warnings),
-        )
+    entry_m = 0.0 if zero is None else zero.depth_m
+    ruptures_m = [layer.rupture.depth_m - entry_m for layer in layers]
+    contact_m = layers[0].start_depth_m - entry_m if layers else None
+    lines: list[tuple[str, ...]] = []
+    last: PlanState | None = None
+    try:
+        for number, depth_m in enumerate(ruptures_m, 1):
+            state = plan.match.state(depth_m, ruptures_m[:number], contact_m=contact_m)
+            lines.append(_rupture_cells(number, depth_m, state, plan))
+        if len(compared):
+            deepest_m = float(travel_m[compared].max()) - entry_m
+            last = plan.match.state(deepest_m, ruptures_m, contact_m=contact_m)
+    except PlanError as error:
+        warnings.append(f"ruptures not matched with the plan: {error}")
+    is_named = last is not None and not rows_off
+    return PlanFound(
+        ruptures=pd.DataFrame(lines if is_named else [], columns=HEADER),
+        last=last,
+        deepest=max(below, key=itemgetter(0))[1] if below else None,
+        nearest=sort_clearances(nearest.values()),
+        off_fraction=rows_off / max(len(below), 1),
+        warnings=tuple(warnings),
+        zero=zero,
+    )
 
 
-def _match(
-    match: PlanMatch, ruptures_m: list[float], contact_m: float | None
-) -> tuple[NamedRupture, ...]:
-    """Match ruptures with a plan, each with those before it."""
-    return tuple(
-        NamedRupture(
-            depth_m, match.state(depth_m, ruptures_m[:count], contact_m=contact_m)
-        )
-        for count, depth_m in enumerate(ruptures_m, 1)
+def _compare_with_path(
+    plan: LoadedPlan, tool: ToolKinematics, q_rad: Array, travel_m: Array
+) -> tuple[list[tuple[float, PlanDeviation]], dict[str, NeedleClearance]]:
+    """Return travel and deviation below the entry, and the nearest of each structure.
+
+    Args:
+        plan: The plan; without a path both are empty.
+        tool: Kinematics of the needle, which are updated.
+        q_rad: Joint positions, shape (k, n).
+        travel_m: Travel of the needle, shape (k,).
+    """
+    below: list[tuple[float, PlanDeviation]] = []
+    nearest: dict[str, NeedleClearance] = {}
+    if plan.path is None:
+        return below, nearest
+    follower = PlanFollower(None, plan.path, plan.surroundings)
+    for q, travel in zip(q_rad, travel_m.tolist(), strict=True):
+        tool.update(q)
+        follower.compare_with(tool)
+        deviation = follower.deviation
+        if deviation is None or deviation.depth_m <= 0.0:
+            continue
+        below.append((travel, deviation))
+        for one in follower.clearances:
+            before = nearest.get(one.name, one)
+            nearest[one.name] = min(before, one, key=lambda each: each.distance_m)
+    return below, nearest
+
+
+def _rupture_cells(
+    number: int, depth_m: float, state: PlanState, plan: LoadedPlan
+) -> tuple[str, ...]:
+    """Return the line of a rupture."""
+    planned = deeper = ""
+    if state.matched >= 0:
+        planned_m = plan.match.layers[state.matched].entry_m
+        planned = f"{1e3 * planned_m:.1f}"
+        deeper = f"{1e3 * (depth_m - planned_m):+.1f}"
+    return (
+        str(number),
+        f"{1e3 * depth_m:.1f}",
+        state.matched_name,
+        f"{100.0 * state.matched_probability:.0f} %",
+        planned,
+        deeper,
     )

@@ -4,85 +4,39 @@ from collections import Counter
 from functools import partial
 from pathlib import Path
 from time import sleep
-from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Array
 from needleforce.cli.auto_tare import auto_tare
-from needleforce.cli.logs.log_joints import find_log_joints
+from needleforce.cli.logs.columns import find_log_joints
 from needleforce.cli.plan_option import load_plan
 from needleforce.cli.robot import robot_from_options, urdf_with_shapes
 from needleforce.cli.shared_options import TARE_S, RobotOptions
 from needleforce.cli.terminal import (
     CommandError,
     progress_bar,
-    say,
     stop_request,
+    warn,
     write_out,
 )
 from needleforce.plan_file import LoadedPlan
 from needleforce.recordings import ColumnMapping, load_mapping, read_log
-from needleforce.recordings.errors import readable_path
 from needleforce.recordings.output import check_outputs, require_place
-from needleforce.scene import Viewer, view_row
+from needleforce.scene import Moment, Viewer, is_kept
 from needleforce.scene.nodes import EMPTY
-from needleforce.scene.viewer import check_address
 from needleforce.sensor_replay import describe_rejections, require_joints
-from needleforce.session import InsertionSession, SessionEstimate
+from needleforce.session import InsertionSession
 from needleforce.session_replay import replay_session
 from residual import Status
 from urdf import Robot
-
-POLL_S = 0.2
-"""Time between two looks at whether Ctrl-C came [s]."""
-
-
-class ScenePage(NamedTuple):
-    """Where the scene is shown: served until Ctrl-C, or written into a file.
-
-    Attributes:
-        host: Address on which the page is served.
-        port: Port of the page; another is used if it is busy.
-        export: HTML file that is written instead of waiting for Ctrl-C.
-        further_hosts: Other names by which the page is opened.
-    """
-
-    host: str
-    port: int
-    export: Path | None = None
-    further_hosts: tuple[str, ...] = ()
-
-    def check(self, recording: Path) -> None:
-        """Refuse now what would fail, or harm the recording, after minutes of work.
-
-        Raises:
-            CommandError: The name of the file does not end in .html.
-        """
-        check_address(self.host, self.port)
-        if self.export is None:
-            return
-        if self.export.suffix.lower() != ".html":
-            raise CommandError(f"--export {self.export}: its name must end in .html")
-        require_place(self.export)
-        check_outputs({"--export": self.export}, readable_path(recording))
-
-    def show(self, viewer: Viewer) -> None:
-        """Write the page into the file, or serve it until Ctrl-C."""
-        if self.export is not None:
-            write_out(f"{viewer.export(self.export)}\n")
-            return
-        write_out(f"{viewer.url}  (Ctrl-C ends it)\n")
-        with stop_request() as is_asked:
-            while not is_asked():
-                sleep(POLL_S)
 
 
 def view_recording(
     recording: Path,
     robot: RobotOptions,
-    page: ScenePage,
     *,
+    port: int,
+    export: Path | None,
     tare_s: float,
     mapping: str | None,
     anatomy: Path | None,
@@ -93,7 +47,8 @@ def view_recording(
     Args:
         recording: File of joint signals.
         robot: Options that describe the robot.
-        page: Where the scene is shown.
+        port: Port of the page; another is used if it is busy.
+        export: HTML file that is written instead of waiting for Ctrl-C.
         tare_s: Motion without contact before a tare [s].
         mapping: File that says which columns are which, if any.
         anatomy: Folder with plan and labels, if any.
@@ -101,58 +56,61 @@ def view_recording(
 
     Returns:
         The exit code.
+
+    Raises:
+        CommandError: The name of the page does not end in .html.
     """
-    page.check(recording)
+    if export is not None:
+        if export.suffix.lower() != ".html":
+            raise CommandError(f"--export {export}: its name must end in .html")
+        require_place(export)
+        check_outputs({"--export": export}, recording)
     columns = load_mapping(mapping) if mapping else ColumnMapping()
-    find_joints = partial(find_log_joints, str(recording), columns, "tau")
+    find_joints = partial(find_log_joints, str(recording), columns)
     model = robot_from_options(robot, mapping, find_joints)
     plan = load_plan(anatomy, is_past=True, situs_inversus=situs_inversus)
-    rows = scene_rows(recording, model, tare_s=tare_s, mapping=mapping, plan=plan)
+    moments = scene_moments(recording, model, tare_s=tare_s, columns=columns, plan=plan)
     scene = EMPTY if plan is None else plan.scene
-    shapes = urdf_with_shapes(robot)
-    viewer = Viewer(
-        model,
-        scene,
-        urdf_path=shapes,
-        host=page.host,
-        port=page.port,
-        further_hosts=page.further_hosts,
+    viewer = Viewer(model, scene, urdf_path=urdf_with_shapes(robot), port=port)
+    warn(
+        f"the arm is shown without {name}, which cannot be read"
+        for name in viewer.unread_meshes
     )
-    for name in viewer.unread_meshes:
-        say(f"warning: the arm is shown without {name}, which cannot be read")
-    viewer.append(rows)
+    viewer.append(moments)
     viewer.open_recording()
-    page.show(viewer)
+    if export is not None:
+        write_out(f"{viewer.export(export)}\n")
+    else:
+        write_out(f"{viewer.url}  (Ctrl-C ends it)\n")
+        with stop_request() as is_asked:
+            while not is_asked():
+                sleep(0.2)
     viewer.stop()
     return 0
 
 
-def scene_rows(
+def scene_moments(
     recording: Path,
     model: Robot,
     *,
     tare_s: float = TARE_S,
-    mapping: str | None = None,
+    columns: ColumnMapping | None = None,
     plan: LoadedPlan | None = None,
-) -> Array:
+) -> list[Moment]:
     """Run a session over a recording; what is wrong with it is said on stderr.
 
     Args:
         recording: File of joint signals.
         model: The robot.
         tare_s: Motion without contact before a tare [s].
-        mapping: File that says which columns are which, if any.
+        columns: Which columns are which channels.
         plan: Plan to match ruptures with, if any.
 
     Returns:
-        Rows of the scene, see `needleforce.scene.view_row`.
+        Moments of the scene, fifty a second and those with events.
     """
-    progress_ticks = 1000  # Samples between two updates of the progress bar
-    # Every so many samples become a row of the scene, beside those of events
-    row_ticks = 10
-    tare = auto_tare(tare_s, at_once=True)
+    progress_ticks = 1000  # samples between two updates of the progress bar
     session = InsertionSession(model)
-    columns = load_mapping(mapping) if mapping else None
     log = read_log(
         recording,
         columns,
@@ -163,44 +121,26 @@ def scene_rows(
     require_joints(log["q_rad"], model)
     if plan is not None:
         plan.follow_with(session)
-    rows: list[tuple[float, ...]] = []
+    moments: list[Moment] = []
+    latest_s = -np.inf
     rejected = Counter[str]()
     with progress_bar("estimating") as progress:
-        replayed = replay_session(session, log, tare)
+        replayed = replay_session(session, log, auto_tare(tare_s, at_once=True))
         for tick, (q_rad, estimate) in enumerate(replayed):
             if estimate.status is Status.REJECTED:
                 rejected[estimate.wrench.message.split(";")[0]] += 1
-            if tick % row_ticks == 0 or _has_event(estimate):
-                rows.append(view_row(estimate, q_rad))
+            if is_kept(estimate, latest_s):
+                latest_s = estimate.time_s
+                moments.append(Moment(q_rad, estimate))
             if tick % progress_ticks == 0:
-                progress(tick / len(log.t_s))
-    for warning in log.warnings:
-        say(f"warning: {warning}")
-    _report_rejections(rejected)
-    if not session.tared:
-        # The first sample has the time step of the second.
-        duration_s = log.t_s[-1] - 2.0 * log.t_s[0] + log.t_s[1]
-        say(
-            f"warning: no tare in {duration_s:.4g} s (--tare {tare_s:g} asks for so "
-            "many seconds of motion without contact): forces carry errors of the model "
-            "and of the torque sensors"
-        )
-    return np.array(rows)
-
-
-def _report_rejections(rejected: Counter[str]) -> None:
-    """Say on stderr how many samples were rejected, if any were."""
+                progress(tick / len(log))
+    warn(log.warnings)
     if rejected:
-        say(f"warning: samples rejected, {describe_rejections(rejected)}")
-
-
-def _has_event(estimate: SessionEstimate) -> bool:
-    """Return whether something was detected or retracted at this sample."""
-    identification = estimate.identification
-    is_quiet = (
-        identification.rupture
-        is identification.retracted
-        is identification.hard_contact
-        is None
-    )
-    return not is_quiet or bool(estimate.plan_events)
+        warn([f"samples rejected, {describe_rejections(rejected)}"])
+    if not session.tared:
+        text = (
+            f"no tare (--tare {tare_s:g} asks for so many seconds of motion without "
+            "contact): forces carry errors of the model and of the torque sensors"
+        )
+        warn([text])
+    return moments

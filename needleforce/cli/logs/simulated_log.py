@@ -1,9 +1,9 @@
 """`needleforce simulate`: a simulated insertion as a recording."""
 
-from collections.abc import Mapping
 from pathlib import Path
 
-from groundtruth import SCENARIOS, NeedleRun, Run, Scenario, insert_needle, simulate
+from foundation.arrays import Array
+from groundtruth import SCENARIOS, NeedleRun, Run, insert_needle, simulate
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from groundtruth.scenarios import scenario as scenario_named
 from needleforce.cli.arm_frames import ArmFrames, read_description
@@ -26,9 +26,6 @@ NEEDLE = "needle"
 """As the plant: a needle on a linear stage with its force sensor, without an arm."""
 
 
-NOTHING_TO_WRITE = "nothing to write, expected -o FILE or --truth FILE"
-
-
 def print_scenarios() -> int:
     """Print every scenario with its title; return the exit code."""
     titles = {name: item.title for name, item in SCENARIOS.items()}
@@ -47,10 +44,10 @@ def write_simulation(
     truth: Path | None,
     overwrites: bool = False,
 ) -> int:
-    """Simulate a scenario, write recording and ground truth, and print a summary.
+    """Simulate a scenario, or the insertion of a plan, write its files, and a summary.
 
     Args:
-        scenario: Name of the scenario.
+        scenario: Name of the scenario, or a plan's file (.json).
         plant: Plant model, or `NEEDLE`.
         seed: Seed of everything that is drawn at random.
         recording: File of the measured signals, if any.
@@ -63,41 +60,25 @@ def write_simulation(
     Raises:
         CommandError: No scenario or file is named, or the seed is negative.
     """
-    outputs = {"-o": recording, "--truth": truth}
-    paths = {option: path for option, path in outputs.items() if path is not None}
-    chosen = _check_simulation(scenario, seed)
-    _check_places(paths, overwrites=overwrites)
-    if plant == NEEDLE:
-        return _write_needle_simulation(chosen, seed, recording, truth)
-    with progress_bar(f"simulating {chosen.id}"):
-        run = simulate(chosen, plant=plant, seed=seed)
-    _write_run(run, recording, truth)
-    return 0
-
-
-def write_patient_simulation(
-    plan: Path,
-    recording: Path | None,
-    truth: Path | None,
-    *,
-    overwrites: bool = False,
-) -> int:
-    """Simulate the insertion of a plan, write its files, and print a summary.
-
-    Args:
-        plan: The plan's file.
-        recording: File of the measured signals, if any.
-        truth: File of the ground truth, if any.
-        overwrites: Whether files that are there are replaced.
-
-    Returns:
-        The exit code.
-    """
-    outputs = {"-o": recording, "--truth": truth}
-    paths = {option: path for option, path in outputs.items() if path is not None}
-    _check_places(paths, overwrites=overwrites)
-    with progress_bar("simulating"):
-        run = insert_into_patient(read_plan_fields(plan))
+    paths = {"-o": recording, "--truth": truth}
+    named = {option: path for option, path in paths.items() if path is not None}
+    if scenario is None:
+        raise CommandError("no scenario is named; --list prints the scenarios")
+    if seed < 0:
+        raise CommandError(f"--seed {seed}: expected a whole number from 0 up")
+    chosen = None if scenario.endswith(".json") else scenario_named(scenario, seed)
+    if not named:
+        raise CommandError("nothing to write, expected -o FILE or --truth FILE")
+    check_outputs(named)
+    for path in named.values():
+        check_writable(path, overwrites=overwrites)
+    with progress_bar(f"simulating {scenario}"):
+        if chosen is None:
+            run = insert_into_patient(read_plan_fields(Path(scenario)))
+        elif plant == NEEDLE:
+            return _write_needle_run(insert_needle(chosen, seed=seed), recording, truth)
+        else:
+            run = simulate(chosen, plant=plant, seed=seed)
     _write_run(run, recording, truth)
     return 0
 
@@ -135,64 +116,32 @@ def _write_run(run: Run, recording: Path | None, truth: Path | None) -> None:
     if truth is not None:
         labels = TableLabels(joint_names=joint_names, prefix="/truth")
         write_table(truth, truth_table(run), labels=labels)
-    write_out(_summary(run, recording))
+    write_out(_summary(run, run.signals.t_s, f"plant model {run.plant}"))
+    if recording is not None:
+        forces = f"forces{''.join(recording.suffixes)}"
+        window = f"0:{run.tare_end_s:.4g}"
+        write_out(f"next: needleforce force {recording} --tare {window} -o {forces}\n")
 
 
-def _write_needle_simulation(
-    scenario: Scenario, seed: int, recording: Path | None, truth: Path | None
+def _write_needle_run(
+    run: NeedleRun, recording: Path | None, truth: Path | None
 ) -> int:
-    """Simulate a needle without an arm, write its files, and print a summary."""
-    run = insert_needle(scenario, seed=seed)
+    """Write recording and ground truth of a needle without an arm, and a summary."""
     if recording is not None:
         write_table(recording, needle_table(run))
     if truth is not None:
         table = tissue_table(run.truth, run.t_s, run.depth_m, run.speed_m_s)
         write_table(truth, table, labels=TableLabels(prefix="/truth"))
-    write_out(_needle_summary(run, recording))
+    write_out(_summary(run, run.t_s, "needle without an arm"))
+    if recording is not None:
+        write_out(f"next: needleforce identify {recording} --figure layers.png\n")
     return 0
 
 
-def _check_simulation(scenario: str | None, seed: int) -> Scenario:
-    """Return the scenario of that name."""
-    if scenario is None:
-        raise CommandError("no scenario is named; --list prints the scenarios")
-    if seed < 0:
-        raise CommandError(f"--seed {seed}: expected a whole number from 0 up")
-    return scenario_named(scenario, seed)
-
-
-def _check_places(paths: Mapping[str, Path], *, overwrites: bool) -> None:
-    """Refuse files that cannot be written, or are there; and none at all."""
-    if not paths:
-        raise CommandError(NOTHING_TO_WRITE)
-    check_outputs(paths)
-    for path in paths.values():
-        check_writable(path, overwrites=overwrites)
-
-
-def _summary(run: Run, recording: Path | None) -> str:
-    """Return what was simulated, and the command for the recording, if there is one."""
-    end_s = f"{run.tare_end_s:.4g}"
-    t_s = run.signals.t_s
-    text = (
-        f"{run.scenario.id}: {run.scenario.title}; plant model {run.plant}, "
-        f"seed {run.seed}\n"
-        f"{len(t_s)} samples in {t_s[-1]:.4g} s, without contact until {end_s} s\n"
-    )
-    if recording is not None:
-        forces = f"forces{''.join(recording.suffixes)}"
-        text += f"next: needleforce force {recording} --tare 0:{end_s} -o {forces}\n"
-    return text
-
-
-def _needle_summary(run: NeedleRun, recording: Path | None) -> str:
-    """Return what was simulated, and the command for the recording, if there is one."""
-    text = (
-        f"{run.scenario.id}: {run.scenario.title}; needle without an arm, "
-        f"seed {run.seed}\n"
-        f"{len(run.t_s)} samples in {run.t_s[-1]:.4g} s, without contact until "
+def _summary(run: Run | NeedleRun, t_s: Array, plant: str) -> str:
+    """Return what was simulated."""
+    return (
+        f"{run.scenario.id}: {run.scenario.title}; {plant}, seed {run.seed}\n"
+        f"{len(t_s)} samples in {t_s[-1]:.4g} s, without contact until "
         f"{run.tare_end_s:.4g} s\n"
     )
-    if recording is not None:
-        text += f"next: needleforce identify {recording} --figure layers.png\n"
-    return text

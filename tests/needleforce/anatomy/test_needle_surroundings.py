@@ -3,6 +3,7 @@
 from types import SimpleNamespace
 
 import numpy as np
+import pandas as pd
 import pytest
 
 from needleforce.cli.arms.arm_watch import Display
@@ -17,10 +18,9 @@ from needleforce.needle_on_plan import (
 )
 from needleforce.plan_follower import PlanFollower
 from needleforce.ros2.reports import plan_reports
-from needleforce.scene.clinician_view import card_html
+from needleforce.scene.insertion_card import card_html
 from needleforce.scene.nodes import PlanScene
-from needleforce.scene.row_text import banner_of, near_text
-from needleforce.scene.state_ring import FIELDS, ViewRow, view_row
+from needleforce.scene.words import find_banner
 from tests.needleforce.anatomy.test_path import (
     TURN,
     PLANNED_m,
@@ -58,11 +58,7 @@ def test_too_near_is_one_event_stops_autonomy_and_is_said_everywhere():
     values = state_values(on_plan, clearances)
     assert values["verdict"] == "too near"
     assert values["clearances"]["portal_vein"]["is_too_near"] is True
-
-    row = ViewRow(*[0.0] * 14, near_number=0.0, near_distance_m=5.3e-3)
-    row = row._replace(near_std_m=0.5e-3, near_is_too_near=1.0)
-    assert banner_of(row) == "TOO NEAR"
-    assert near_text(row, around.names).startswith("nearest: portal_vein at 5.3 ±")
+    assert find_banner(estimate) == "too near"
 
     for state, is_stopped in ((State.INSERTION, True), (State.TELEOP, False)):
         monitors = Monitors.__new__(Monitors)
@@ -142,22 +138,20 @@ def test_live_scene_report_json_and_ros_say_the_same(
                 one[key], rel=1e-3
             )
 
-    row = ViewRow(*view_row(estimate, np.zeros(7))[: len(FIELDS)])
-    assert banner_of(row) == ("" if verdict == "on plan" else verdict.upper())
+    assert find_banner(estimate) == ("" if verdict == "on plan" else verdict)
     plan = PlanScene(
         (), (), to_robot(ENTRY_m), to_robot(TARGET_m), watched=around.names
     )
-    card = card_html(row, plan)
+    card = card_html(estimate, None, plan)
     nearest = clearances[0]
-    assert near_text(row, around.names).startswith(f"nearest: {nearest.name} at ")
     assert f"{1e3 * nearest.distance_m:.1f} ± 0.5 mm" in card
     part = "from its way ahead" if nearest.is_ahead else "from the needle"
     assert part in card
     assert ("TOO NEAR: " in card) is bool(too_near)
 
-    found = PlanFound((), (), None, deviation, clearances, 0.0, ())
-    assert too_near in found.text()
-    assert describe_deviation(deviation) in found.text()
+    found = PlanFound(pd.DataFrame(), None, deviation, clearances, 0.0, ())
+    assert any(too_near in text for text in ["", *found.doubts()])
+    assert any(describe_deviation(deviation) in text for text in found.sentences())
     assert f'"verdict": "{verdict}"'.encode() in found.state_json()
 
     monitors = Monitors.__new__(Monitors)

@@ -37,7 +37,7 @@ def folder(tmp_path_factory):
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(place)
         patch.setattr("needleforce.simulation.torso_case.SPACING_m", COARSE_m)
-        patch.setattr("needleforce.cli.patient.plan_page.find_spec", lambda name: None)
+        patch.setattr("needleforce.cli.patient.plan_run.find_spec", lambda name: None)
         patch.setattr("needleforce.plan_file._large_surfaces", lambda *_: ())
         for arguments in commands()[:-1]:
             assert main(arguments) == 0
@@ -185,7 +185,8 @@ def with_layer_of(fields, **changes):
         (lambda f: {k: f[k] for k in f if k != "made_of"}, "made of"),
         (lambda f: {k: f[k] for k in f if k != "rotation"}, "register"),
         (lambda f: {k: f[k] for k in f if k != "registration"}, "regist"),
-        (lambda f: f | {"version": 1}, "version"),
+        (lambda f: f | {"version": 1}, "version 1"),
+        (lambda f: f | {"version": 3}, "version 3"),
         (lambda f: f | {"ct": ""}, "CT"),
         (lambda f: f | {"margin_m": 0.08}, "rib_right"),
         (lambda f: with_layer_of(f, name="RightRib9"), "RightRib9"),

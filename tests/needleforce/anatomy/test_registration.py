@@ -15,7 +15,7 @@ from needleforce.anatomy import (
     fit_surface,
     require_lps,
 )
-from needleforce.anatomy.landmark_check import judge_landmarks
+from needleforce.anatomy.landmarks import judge_landmarks
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("igl")

@@ -99,18 +99,9 @@ def test_summary_has_the_lines_of_the_page(capsys):
     tutorial = ROOT / "docs" / "tutorials" / "arm-log.md"
     forces = tutorial.read_text(encoding="utf-8").split("\n## 3. Forces\n")[1]
     shown = forces.split("```text\n")[1].split("```")[0].splitlines()
-    printed, channels = capsys.readouterr().out.split("\n\n")
-    printed = printed.splitlines()
+    printed, _ = capsys.readouterr().out.split("\n\n")
 
-    assert [line[:13] for line in printed] == [line[:13] for line in shown]
-    assert [line.split()[0] for line in channels.splitlines()] == [
-        *("channel", "time", "q", "tau", "dq")
-    ]
-
-    exact = ("robot", "rejected", "gaps", "warnings")
-    chosen = [line for line in printed if line.startswith(exact)]
-
-    assert chosen == [line for line in shown if line.startswith(exact)]
+    assert [line[:13] for line in printed.splitlines()] == [line[:13] for line in shown]
 
 
 def test_identification_page_runs_and_names_its_columns(tmp_path, monkeypatch, capsys):

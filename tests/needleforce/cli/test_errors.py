@@ -1,11 +1,9 @@
-"""Bad input to `needleforce`: exit code 2 and one line that helps, never a
+"""Bad input to `needleforce`: exit code 2 and one line that names it, never a
 traceback."""
 
 import builtins
 import os
-import re
 import sys
-from pathlib import Path
 
 import numpy as np
 import pytest
@@ -19,6 +17,136 @@ from tests.needleforce.cli.residual_command_log import (
     write_insertion,
 )
 
+pytestmark = pytest.mark.slow
+
+FILES = {
+    "arm.urdf": SMALL_ARM,
+    "broken.toml": "mass_kg = ",
+    "blank.toml": "# nothing\n",
+    "negative.toml": "mass_kg = -1.0\ncom_m = [0.0, 0.0, 0.1]\n",
+    "lacking.toml": "mass_kg = 1.0\n",
+    "key.toml": "gian_per_s = 5.0\n",
+    "nested.toml": "prior = {gear_ration = 3.0}\n",
+    "choice.toml": 'mode = "axail"\n',
+    "range.toml": "gain_per_s = -5.0\n",
+    "frame.toml": 'frame = "nowhere"\n',
+    "given_friction.toml": "[friction]\na = 1\n",
+    "part.toml": "[viscous_coulomb]\nviscous_Nms = [0.0]\n",
+    "short.toml": (
+        "[viscous_coulomb]\nviscous_Nms = [0.0]\ncoulomb_Nm = [0.0]\n"
+        "offset_Nm = [0.0]\n"
+    ),
+    "rotor_sign.toml": "rotor_inertia_kg_m2 = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
+    "three.toml": "payload = 3",
+    "sub/map.toml": 'payload = "heavy.toml"',
+}
+
+LOGS = {
+    "missing.csv": "missing.csv",
+    "log.wav": "suffix",
+    "empty.csv": "empty.csv",
+    "cut.csv": "cannot be tared",
+    "no_torque.csv": "tau",
+    "early.npz": "--tare START:END",
+    "milli.npz": "rejected",
+    "six.csv": "6 columns",
+}
+
+OPTIONS = {
+    "--tau effort": "'effort'",
+    "--q q_rad_{1..6}": "number of joints",
+    "--mapping missing.toml": "missing.toml",
+    "--mapping three.toml": "payload",
+    "--mapping sub/map.toml": "sub/heavy.toml",
+    "--rate -5": "-5",
+    "--robot pandas": "'pandas'",
+    "--robot ur5e --urdf arm.urdf": "two robots",
+    "--urdf arm.urdf": "3 joints",
+    "--urdf arm.urdf --tool-frame nowhere": "'nowhere'",
+    "--urdf arm.urdf --tool-frame tip --lock wrist": "'wrist'",
+    "--urdf arm.urdf --tool-frame tip --lock gripper=open": "gripper=open",
+    "--urdf arm.urdf --tool-frame tip --lock gripper": "2 joints",
+    "--tool-frame flange": "--urdf FILE",
+    "--lock lwr_joint_3": "--lock",
+    "--lock-others": "--lock-others",
+    "--accept-inertia": "--accept-inertia",
+    "--gravity 0 0 1": "9.81",
+    "--gravity 0 0 9.81 --mount wall": "say the same",
+    "--mount roof": "roof",
+    "--mount tilt up": "tilt up",
+    "--payload missing.toml": "missing.toml",
+    "--payload broken.toml": "broken.toml",
+    "--payload blank.toml": "blank.toml",
+    "--payload negative.toml": "mass",
+    "--payload lacking.toml": "com_m",
+    "--config key.toml": "'gian_per_s'",
+    "--config nested.toml": "'gear_ration'",
+    "--config choice.toml": "'axial' or 'point' or 'full'",
+    "--config range.toml": "gain_per_s",
+    "--config frame.toml": "'nowhere'",
+    "--config given_friction.toml": "friction",
+    "--gain inf": "gain_per_s",
+    "--insertion-axis 0 0 0": "zero",
+    "--friction part.toml": "coulomb_Nm",
+    "--friction short.toml": "one number per joint",
+    "--friction rotor_sign.toml": "negative",
+    "--tare 4": "START:END",
+    "--tare 0:soon": "0:soon",
+    "--tare 0:inf": "0:inf",
+    "--tare 0:60": "1.199 s",
+    "--tare=-3:-1": "-3 to -1 s",
+    "--tare 1:0.5": "start before its end",
+    "--tare 0.1:0.11": "0.1 to 0.11 s",
+    "--tare 0:1 --no-tare": "contradict",
+    "--force-tare --no-tare": "contradict",
+    "": "cannot be tared",
+    "-o forces.xlsx": ".xlsx",
+    "-o sub": "suffix",
+    "-o good.csv": "the log itself",
+    "-o no/where.csv": "no folder",
+    "-o f.csv --figure f.csv": ".csv",
+    "--figure .": "cannot write",
+    "--figure forces.gif": "forces.gif",
+    "--figure no/where.svg": "no folder",
+    "--no-tare --figure a.png --from 3 --to 1": "--from 3 --to 1",
+    "--no-tare --figure a.png --from nan": "--from nan",
+    "--from soon": "float",
+    "--mode axail": "axial",
+    "--gian 4": "--gian",
+    "more.csv": "more.csv",
+}
+
+USAGE = {
+    "force": "LOG",
+    "forc good.csv": "forc",
+    "identify good.csv --method ferro": "mixture",
+    "identify empty.csv": "empty",
+    "identify good.csv": "depth",
+    "report good.csv": "DIR",
+    "report - page": "pipe",
+    "report missing.csv new/page": "missing.csv",
+    "report good.csv arm.urdf/page": "cannot write",
+    "report good.csv page --tare 0:60": "1.199 s",
+    "live nao": "nao",
+    "lag nao --yes": "nao",
+    "demo --data ct": "abdomen",
+    "simulate torso -o x --plant fri": "--plant",
+    "simulate torso -o x --truth y": "--truth",
+    "simulate p.json -o x.csv --seed 1": "--seed",
+    "simulate p.json -o x.csv --plant fri": "--plant",
+    "simulate gel-25-constant": "nothing to write",
+    "simulate -o x.csv": "--list",
+    "simulate gel-26 -o x.csv": "gel-26",
+    "simulate gel-25-constant -o x.xyz": "x.xyz",
+    "simulate gel-25-constant -o x.csv --seed -1": "--seed -1",
+    "simulate gel-25-constant -o x.csv --truth x.csv": "both write",
+    "simulate gel-25-constant -o good.csv": "exists",
+    "view good.csv --export x.htm": ".html",
+    "view good.csv --export no/x.html": "no folder",
+}
+
+EMPTY = [["force", ""], ["report", "good.csv", ""], ["force", "good.csv", "--figure="]]
+
 
 @pytest.fixture(scope="module")
 def folder(lwr, tmp_path_factory):
@@ -30,8 +158,6 @@ def folder(lwr, tmp_path_factory):
     write_insertion(folder / "early.npz", lwr, contact_s=1.2)
     columns = insertion(lwr)
     write_table(folder / "milli.npz", {**columns, "tau_Nm": 1e3 * columns["tau_Nm"]})
-    turned = {name: values.T for name, values in insertion(lwr).items()}
-    np.savez(folder / "transposed.npz", **turned)
     write_insertion(folder / "no_torque.csv", lwr, seconds=0.1, only=("t_s", "q_rad"))
     columns = {"t_s": [0.0, 0.001], "q_rad": [[0.0] * 6] * 2, "tau_Nm": [[0.0] * 6] * 2}
     write_table(folder / "six.csv", columns)
@@ -41,209 +167,84 @@ def folder(lwr, tmp_path_factory):
     return folder
 
 
-FILES = {
-    "arm.urdf": SMALL_ARM,
-    "broken.toml": "mass_kg = ",
-    "blank.toml": "# nothing\n",
-    "negative.toml": "mass_kg = -1.0\ncom_m = [0.0, 0.0, 0.1]\n",
-    "key.toml": "gian_per_s = 5.0\n",
-    "choice.toml": 'mode = "axail"\n',
-    "range.toml": "gain_per_s = -5.0\n",
-    "frame.toml": 'frame = "nowhere"\n',
-    "given_friction.toml": "[friction]\na = 1\n",
-    "part.toml": (
-        "[viscous_coulomb]\nviscous_Nms = [0.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n"
-    ),
-    "rotor_sign.toml": "rotor_inertia_kg_m2 = [-1.0, 0.0, 0.0, 0.0, 0.0, 0.0, 0.0]\n",
-    "three.toml": "payload = 3",
-    "sub/map.toml": 'payload = "heavy.toml"',
-}
-
-LOGS = {
-    "missing.csv": "missing.csv",
-    "log.xlsx": "log.xlsx is not read as it is.*save the sheet as CSV",
-    "log.wav": "no known suffix",
-    "empty.csv": "empty.csv",
-    "cut.csv": "the log ends before",
-    "no_torque.csv": "no column found for tau .*Columns are: t_s, q_rad_1",
-    "early.npz": "no tare from .*needle.*--tare START:END.*--force-tare.*--no-tare",
-    "milli.npz": (
-        r"samples were rejected .* mNm read as Nm.*Give --tau tau_Nm:Nm:0\.001"
-    ),
-    "transposed.npz": "q_rad has 7 rows of 4000: is it transposed?",
-    "six.csv": (
-        "6 columns per joint signal, the robot has 7 joints: "
-        "lwr_joint_1.*lwr_joint_7.*--q"
-    ),
-    "n" * 300 + ".csv": "name too long",
-}
-
-OPTIONS = {
-    "--tau effort": "no column 'effort'.*Columns are",
-    "--q q_rad_{1..6}": (
-        "number of joints: q has 6 .q_rad_1.*; tau has 7 .tau_Nm_1.*--q q_\\*"
-    ),
-    "--mapping missing.toml": "cannot read the mapping",
-    "--mapping three.toml": "payload is int, expected a table, a file, needle or none",
-    "--mapping sub/map.toml": "cannot read the payload file sub/heavy.toml",
-    "--rate -5": "rate_hz = -5",
-    "--robot pandas": (
-        "no example robot 'pandas'; robots: panda.*; --urdf FILE loads any other"
-    ),
-    "--robot ur5e --urdf arm.urdf": "--robot and --urdf name two robots",
-    "--urdf arm.urdf": (
-        "7 columns per joint signal, the robot has 3 joints: .*, gripper"
-    ),
-    "--urdf arm.urdf --tool-frame nowhere": "no frame 'nowhere'.*frames: .*tip",
-    "--urdf arm.urdf --tool-frame tip --lock wrist": (
-        "cannot lock 'wrist'.*shoulder, elbow"
-    ),
-    "--urdf arm.urdf --tool-frame tip --lock gripper=open": "'open' is no number",
-    "--urdf arm.urdf --tool-frame tip --lock gripper": (
-        "robot has 2 joints: shoulder, elbow"
-    ),
-    "--tool-frame flange": "--urdf FILE",
-    "--lock lwr_joint_3": "--urdf FILE",
-    "--payload missing.toml": "cannot read the payload file missing.toml: No such file",
-    "--payload broken.toml": "payload file broken.toml is not valid TOML",
-    "--payload blank.toml": "is empty",
-    "--payload negative.toml": "negative.toml: .*mass",
-    "--config key.toml": (
-        "unknown key 'gian_per_s'; did you mean gain_per_s. known are: gain_per_s"
-    ),
-    "--config choice.toml": "mode: .* 'axail', expected 'axial' or 'point' or 'full'",
-    "--config range.toml": "range.toml: gain_per_s is -5.0",
-    "--config frame.toml": "no frame 'nowhere'",
-    "--config given_friction.toml": "joint friction stands in the file of --friction",
-    "--gain inf": "gain_per_s is inf, expected a finite number",
-    "--insertion-axis 0 0 0": (
-        "insertion_axis is .0.0, 0.0, 0.0.: they must not all be zero"
-    ),
-    "--friction part.toml": r"\[viscous_coulomb\]: .*missing required field coulomb_Nm",
-    "--friction rotor_sign.toml": "must not be negative",
-    "--tare 4": "expected START:END",
-    "--tare 0:60": "outside the log, which runs from 0 s to 1.199 s",
-    "--tare=-3:-1": "outside the log, which starts at 0 s",
-    "--tare 0.1:0.11": "0.1 to 0.11 s: the filters had not settled by then",
-    "": (
-        "the log ends before the filters have settled and 2 s of free motion.*--no-tare"
-    ),
-    "-o forces.xlsx": "known are: .csv",
-    "--figure .": "cannot write",
-    "--figure forces.gif": "forces.gif: its name must end in one of",
-}
-
-USAGE = {
-    "force": "LOG requires an argument",
-    "forc good.csv": 'Unknown command "forc". Did you mean "force"',
-    "force good.csv more.csv": "'more.csv': not expected here",
-    "force good.csv --mode axail": 'Did you mean "axial"',
-    "force good.csv --gian 4": "Unknown option: --gian. Did you mean --gain",
-    "force good.csv --tare 0:1 --no-tare": "--tare and --no-tare contradict each other",
-    "force good.csv --force-tare --no-tare": (
-        "--force-tare and --no-tare contradict each other"
-    ),
-    "force good.csv --no-tare --figure a.png --from 3 --to 1": (
-        "--from 3 --to 1: expected --from"
-    ),
-    "force good.csv --no-tare --figure a.png --from nan": (
-        "--from nan --to inf: expected --from"
-    ),
-    "identify no.csv --figure a.png --to=-inf": (
-        "--from -inf --to -inf: expected --from"
-    ),
-    "force good.csv --from soon": 'unable to convert "soon" into float',
-    "identify good.csv --method ferro": 'Choose from: "mixture", "published"',
-    "identify empty.csv": "it is empty",
-    "identify good.csv": "no column found for depth",
-    "report good.csv": "DIR requires an argument",
-    "report - page": "a report needs a file",
-}
-
-
-EMPTY = [["force", ""], ["report", "good.csv", ""], ["force", "good.csv", "--report="]]
-
-
-@pytest.mark.slow
 @pytest.mark.filterwarnings("ignore::RuntimeWarning")
 @pytest.mark.parametrize(
-    ("argv", "message"),
+    ("argv", "word"),
     [
+        *((["force", name, "-o", "out.csv"], word) for name, word in LOGS.items()),
         *(
-            (["force", name, "-o", "out.csv"], message)
-            for name, message in LOGS.items()
+            (["force", "good.csv", *text.split()], word)
+            for text, word in OPTIONS.items()
         ),
-        *(
-            (["force", "good.csv", *text.split()], message)
-            for text, message in OPTIONS.items()
-        ),
-        *((text.split(), message) for text, message in USAGE.items()),
-        *(
-            (argv, f"{argv[-1]!r}: nothing is given there, expected a name")
-            for argv in EMPTY
-        ),
+        *((text.split(), word) for text, word in USAGE.items()),
+        *((argv, "nothing is given") for argv in EMPTY),
     ],
-    ids=lambda value: " ".join(value)[-60:] if isinstance(value, list) else "",
+    ids=lambda value: " ".join(value) if isinstance(value, list) else "",
 )
 def test_bad_input_is_one_line_and_leaves_nothing(
-    folder, monkeypatch, capsys, argv, message
+    folder, monkeypatch, capsys, argv, word
 ):
     monkeypatch.chdir(folder)
     files = sorted(path.name for path in folder.iterdir())
     line = refusal(argv, capsys)
 
-    assert re.search(message, line), line
+    assert word in line
     assert sorted(path.name for path in folder.iterdir()) == files
 
 
-@pytest.mark.parametrize("command", ["force", "identify"])
-def test_a_page_is_refused_with_the_command_that_writes_it(command, capsys):
-    line = refusal([command, "a.csv", "--report", "page"], capsys)
-
-    assert "pages are written by `needleforce report a.csv page`" in line
-
-
-@pytest.mark.parametrize("command", ["force", "identify"])
-def test_missing_matplotlib_is_refused_before_the_work(
-    folder, monkeypatch, capsys, command
-):
+@pytest.mark.parametrize(
+    "argv", [["force", "no.csv", "--figure", "f.png"], ["report", "no.csv", "page"]]
+)
+def test_missing_matplotlib_is_refused_before_the_work(monkeypatch, capsys, argv):
     def missing(name, *more, before=builtins.__import__, **named):
         if name.startswith("matplotlib"):
             raise ImportError(name, name="matplotlib")
         return before(name, *more, **named)
 
     monkeypatch.setattr(builtins, "__import__", missing)
-    monkeypatch.chdir(folder)
-    line = refusal([command, "missing.csv", "--figure", "f.png"], capsys)
+    monkeypatch.setattr("needleforce.cli.logs.columns.has_channels", lambda *_: False)
 
-    assert re.search("needs matplotlib, which is not installed.*pip install", line)
-
-
-def test_failed_command_leaves_no_report_folder(folder, tmp_path, capsys):
-    (tmp_path / "file").touch()
-    assert "no.csv" in refusal(["report", "no.csv", f"{tmp_path}/new/p"], capsys)
-    good = str(folder / "good.csv")
-    line = refusal(["report", good, str(tmp_path / "file" / "page")], capsys)
-    assert "cannot write to" in line
-
-    assert os.listdir(tmp_path) == ["file"]
+    assert "matplotlib" in refusal(argv, capsys)
 
 
-def test_stamps_in_another_unit_are_named(lwr, tmp_path, capsys):
-    columns = insertion(lwr)
-    columns["t_s"] = 1_700_000_000_000_000_000 + np.rint(1e9 * columns["t_s"]).astype(
-        np.int64
-    )
-    write_table(tmp_path / "log.npz", {"time": columns.pop("t_s"), **columns})
+def test_missing_mujoco_is_named_with_its_package(monkeypatch, capsys, tmp_path):
+    monkeypatch.setattr("groundtruth.arm_plant.mujoco", None)
+    line = refusal(["simulate", "free-motion", "-o", str(tmp_path / "x.csv")], capsys)
 
-    assert main(["force", str(tmp_path / "log.npz"), "--tare", "+0:+1"]) == 2
-
-    printed = capsys.readouterr().err
-
-    assert re.search("^error: .* --time time:ns$", printed, re.MULTILINE)
+    assert "mujoco" in line
+    assert "pip install" in line
 
 
-@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("source", "output", "word"),
+    [
+        ("bag/bag.mcap", ["-o", "bag/x.csv"], "the log"),
+        ("link", ["-o", "bag/x.csv"], "the log"),
+        ("log.csv", ["--figure", "log.png"], "the log itself"),
+        ("log.csv", ["-o", "hard.csv"], "the log itself"),
+        ("log.csv", ["-o", "f.csv", "--figure", "f.png"], "both write"),
+        ("log.csv", ["-o", "t.csv"], "it is a folder"),
+        ("log.csv", ["-o", "bag.db3"], ".mcap"),
+    ],
+)
+def test_harmful_output_is_refused(tmp_path, monkeypatch, capsys, source, output, word):
+    pytest.importorskip("matplotlib")
+    monkeypatch.chdir(tmp_path)
+    columns = {"t_s": np.arange(3) / 1000.0, "force_N": np.ones(3)}
+    write_table("log.csv", columns)
+    (tmp_path / "bag").mkdir()
+    write_table("bag/bag.mcap", columns)
+    (tmp_path / "bag/metadata.yaml").touch()
+    (tmp_path / "link").symlink_to(tmp_path / "bag")
+    (tmp_path / "log.png").symlink_to(tmp_path / "log.csv")
+    (tmp_path / "hard.csv").hardlink_to(tmp_path / "log.csv")
+    (tmp_path / "f.csv").touch()
+    (tmp_path / "t.csv").mkdir()
+    (tmp_path / "f.png").symlink_to(tmp_path / "f.csv")
+
+    assert word in refusal(["identify", source, *output], capsys)
+
+
 @pytest.mark.skipif(sys.platform != "linux", reason="file names are bytes on Linux")
 def test_undecodable_file_name_is_drawn_and_printed(folder, tmp_path, capsys):
     name = tmp_path / os.fsdecode(b"log-\xff-$\\frac{$.csv")
@@ -255,13 +256,7 @@ def test_undecodable_file_name_is_drawn_and_printed(folder, tmp_path, capsys):
     assert "log-\\udcff-$\\frac{$.csv" in (page / "index.html").read_text(
         encoding="utf-8"
     )
+    capsys.readouterr()
     assert main(["force", str(name), "--print-config"]) == 0
     assert "\\udcff" in capsys.readouterr().out
-    assert Path(picture).stat().st_size > 5_000
-
-
-def test_no_option_is_suggested_for_its_dashes_alone(capsys):
-    assert main(["live", "lwr", "--idle"]) == 2
-    said = capsys.readouterr().err
-    assert "Unknown option: --idle" in said
-    assert "--view" not in said
+    assert picture.stat().st_size > 5_000

@@ -1,119 +1,112 @@
-"""A plan against what was found in a log: which layers ruptures led into, off plan."""
+"""`report --plan`: where the needle went against the plan, and which layers ruptures
+led into."""
 
-from types import SimpleNamespace
+import json
 
 import numpy as np
 import pytest
 
-from needleforce import NeedleTool, load_lwr
-from needleforce.anatomy import Layer, PlanMatch
 from needleforce.cli import main
-from needleforce.cli.logs.plan_found import PlanWatch
-from needleforce.needle_on_plan import PlannedPath
-from needleforce.plan_file import LoadedPlan
-from needleforce.scene import PlanScene
+from needleforce.recordings import write_table
 from residual import SensorConfig
 from residual.tool_kinematics import ToolKinematics
+from tests.insertion_run import cut, short_run
 
-HOME = np.array([0.0, 0.5, 0.0, -1.2, 0.0, 1.0, 0.0])
-LAYERS = [
-    Layer("fat", 0.0, 0.01, 0.0, 0.5e-3, False),
-    Layer("muscle", 0.01, 0.03, 0.5e-3, 0.5e-3, False),
-    Layer("liver", 0.03, 0.06, 0.5e-3, 0.0, False),
-]
+pytestmark = pytest.mark.slow
+
+LAYERS = ((0.0, "fat"), (0.027, "liver"))  # where they begin below the entry [m]
 
 
-def found(aside_m=0.0, ruptures_mm=(11.5, 31.5), length_m=0.1):
-    """A needle that stands 45 mm below the planned entry, after two ruptures; its
-    travel counts from where it stands."""
-    robot = load_lwr(payload=NeedleTool())
-    config = SensorConfig()
-    replay = SimpleNamespace(robot=robot, config=config)
-    tool = ToolKinematics(robot, config.frame, config.insertion_axis)
-    tool.update(HOME)
-    tip_m = tool.pose[:3, 3].copy()
-    axis = tool.pose[:3, :3] @ tool.axis_in_tool
-    aside = np.cross(axis, [1.0, 0.0, 0.0])
-    depth_m = 0.045
-    entry_m = tip_m - depth_m * axis + aside_m * aside / np.linalg.norm(aside)
-    path = PlannedPath.of_std(entry_m, entry_m + length_m * axis, 0.3e-3)
-    match = PlanMatch(LAYERS, 2e-3)
-    plan = LoadedPlan(PlanScene(), match, entry_m, ("not checked",), path)
-    watch = PlanWatch(plan, replay)
-    watch.add(HOME[None], np.array([0.0]))
-    layers = [
-        SimpleNamespace(
-            rupture=SimpleNamespace(depth_m=1e-3 * mm - depth_m),
-            start_depth_m=-depth_m + 1.5e-3,
-        )
-        for mm in ruptures_mm
-    ]
-    return watch.compare(layers)
-
-
-def test_ruptures_are_named_by_the_plan():
-    answer = found().answer()
-    (table,) = answer.tables
-
-    assert [row[1:3] + row[4:] for row in table.rows] == [
-        ("11.5", "muscle", "10.0", "+1.5"),
-        ("31.5", "liver", "30.0", "+1.5"),
-    ]
-    assert "all lies +1." in answer.sentences[0]
-    assert "45.0 mm below the planned entry: on plan" in answer.sentences[1]
-    assert answer.warnings == ("not checked",)
-
-
-def test_off_plan_comes_first_and_names_no_layer():
-    comparison = found(aside_m=8e-3)
-    answer = comparison.answer()
-
-    assert answer.warnings[0].startswith("OFF PLAN for 100 % of the rows")
-    assert answer.tables == ()
-    assert "muscle" not in comparison.text()
-    assert "OFF PLAN: 8.0" in comparison.text()
-
-
-def test_a_needle_beyond_the_target_is_not_on_plan():
-    # 45 mm deep, with the target at 34.9 mm: as deep as in the tutorial, 10.1 mm past.
-    comparison = found(length_m=0.0349)
-    answer = comparison.answer()
-
-    assert answer.warnings[0] == (
-        "PAST THE TARGET: at its deepest the tip was 10.1 ± 0.3 mm past the target"
-    )
-    assert "45.0 mm below the planned entry: PAST THE TARGET: " in answer.sentences[1]
-    assert "on plan" not in comparison.text()
-    assert answer.tables != ()
-
-
-def test_ruptures_that_go_back_are_reported():
-    assert (
-        "ruptures not matched with the plan" in found(ruptures_mm=(31.0, 11.0)).text()
-    )
-
-
-def test_a_log_without_joints_is_refused(tmp_path, capsys):
-    log = tmp_path / "a.csv"
-    log.write_text("t_s,depth_m,force_N\n0,0,0\n1,0.001,1\n")
-
-    assert main(["report", str(log), str(tmp_path / "b"), "--plan", "p.json"]) == 2
-    assert "has no joint positions and torques" in capsys.readouterr().err
-    assert not (tmp_path / "b").exists()
-
-
-@pytest.mark.parametrize("contents", ["{", "{}"])
-def test_an_unreadable_plan_is_refused_before_the_work(tmp_path, capsys, contents):
-    from needleforce.recordings import write_table
-    from needleforce.simulation import signal_table
-    from tests.insertion_run import short_run
-
-    table = signal_table(short_run())
+@pytest.fixture(scope="module")
+def log(tmp_path_factory):
+    """The short run at 500 Hz, and the axis of its needle."""
+    run = short_run()
+    path = tmp_path_factory.mktemp("log") / "log.npz"
+    signals = cut(run.signals, slice(None, None, 2))
     names = ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
-    write_table(tmp_path / "a.npz", {name: table[name][:500] for name in names})
-    (tmp_path / "plan.json").write_text(contents)
-    argv = ["report", str(tmp_path / "a.npz"), str(tmp_path / "b")]
+    write_table(path, {name: getattr(signals, name) for name in names})
+    return path
 
-    assert main([*argv, "--plan", str(tmp_path)]) == 2
-    assert "error: " in capsys.readouterr().err
+
+def report(log, capsys, *, aside_m=0.0, length_m=0.1):
+    """Report the log against a plan whose entry is the gel's surface, but moved aside;
+    return what is printed, the warnings, and the state as JSON."""
+    run = short_run()
+    config = SensorConfig()
+    tool = ToolKinematics(run.robot, config.frame, config.insertion_axis)
+    surface = int(np.searchsorted(run.signals.t_s, run.truth.contact_s))
+    tool.update(run.signals.q_rad[surface])
+    axis = tool.axis_in_base
+    aside = np.cross(axis, [1.0, 0.0, 0.0])
+    entry_m = tool.pose[:3, 3] + aside_m * aside / np.linalg.norm(aside)
+    ends_m = [start for start, _ in LAYERS[1:]] + [0.1]
+    plan = {
+        "entry_m": entry_m.tolist(),
+        "target_m": (entry_m + length_m * axis).tolist(),
+        "offset_std_m": 0.3e-3,
+        "layers": [
+            {"name": name, "exit_m": end_m}
+            for (_, name), end_m in zip(LAYERS, ends_m, strict=True)
+        ],
+    }
+    (log.parent / "plan.json").write_text(json.dumps(plan))
+    folder = log.parent / "page"
+    argv = ["report", str(log), str(folder), "--tare", "0:13"]
+    assert main([*argv, "--plan", str(log.parent / "plan.json")]) == 0
+    printed = capsys.readouterr()
+    state = json.loads((folder / "needle_on_plan.json").read_bytes())
+    return printed.out, printed.err, state
+
+
+def test_a_rupture_is_named_by_the_plan(log, capsys):
+    out, err, state = report(log, capsys)
+    (line,) = [line.split() for line in out.splitlines() if "liver" in line]
+    number, at_mm, name, _, _, planned_mm, deeper_mm = line
+
+    assert (number, name, planned_mm) == ("1", "liver", "27.0")
+    assert float(at_mm) == pytest.approx(28.2, abs=1.5)
+    assert float(deeper_mm) == pytest.approx(float(at_mm) - 27.0, abs=0.11)
+    assert "on plan" in out
+    assert "below the planned entry" in out
+    assert "PLAN" not in err
+    assert state["verdict"] == "on plan"
+    assert state["off_plan_fraction"] == 0.0
+
+
+def test_off_plan_comes_first_and_names_no_layer(log, capsys):
+    out, err, state = report(log, capsys, aside_m=8e-3)
+
+    assert "OFF PLAN for 100 %" in err
+    assert "OFF PLAN: 8.0" in out
+    assert "liver" not in out
+    assert state["off_plan_fraction"] == 1.0
+
+
+def test_a_needle_beyond_the_target_is_not_on_plan(log, capsys):
+    out, err, state = report(log, capsys, length_m=0.02)
+
+    assert "PAST THE TARGET" in err
+    assert "on plan" not in out
+    assert state["verdict"] == "past target"
+
+
+@pytest.mark.parametrize(
+    ("log_text", "plan_text", "word"),
+    [
+        ("t_s,depth_m,force_N\n0,0,0\n1,0.001,1\n", "", "joint positions"),
+        (None, "{", "plan.json"),
+        (None, "{}", "plan.json"),
+    ],
+)
+def test_what_cannot_be_compared_is_refused(
+    log, tmp_path, capsys, log_text, plan_text, word
+):
+    (tmp_path / "plan.json").write_text(plan_text)
+    if log_text is not None:
+        log = tmp_path / "log.csv"
+        log.write_text(log_text)
+    argv = ["report", str(log), str(tmp_path / "b"), "--plan", str(tmp_path)]
+
+    assert main(argv) == 2
+    assert word in capsys.readouterr().err
     assert not (tmp_path / "b").exists()

@@ -210,8 +210,11 @@ class ScriptedClient(ScriptedArm):
         self.read_s = -1.0  # the latest time that the driver has read
         return self.open_arm(robot)
 
-    def cycle(self, speed_rad_s=None):
+    def send(self):
         self.time_s += self.cycle_s
+
+    def cycle(self, speed_rad_s=None):
+        self.send()
         return super().cycle(speed_rad_s)
 
     def pass_time(self):

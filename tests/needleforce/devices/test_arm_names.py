@@ -34,9 +34,9 @@ def test_a_listening_arm_has_address_port_and_controller(name, arm_type, host, p
 @pytest.mark.parametrize(
     ("name", "error", "word"),
     [
-        ("fri:pc.example:", DeviceSettingError, "port"),
+        ("fri:pc.example:", DeviceSettingError, "pc.example:"),
         ("fri:pc.example:70000", DeviceSettingError, "70000"),
-        ("fri:pc.example:port", DeviceSettingError, "'port'"),
+        ("fri:pc.example:port", DeviceSettingError, "example:port"),
         ("fri:pc.example@", DeviceSettingError, "@"),
         ("fri@kuka.example", DeviceSettingError, "127.0.0.1"),
         ("fri:30200@kuka.example", DeviceSettingError, "kuka.example"),

@@ -3,6 +3,7 @@
 import os
 import subprocess
 import sys
+import time
 from pathlib import Path
 
 import numpy as np
@@ -247,6 +248,33 @@ def test_after_a_bad_connection_an_arm_begins_slowly_from_rest(name):
     drive_fast(scripted)
 
     assert_within_limits(scripted)
+
+    scripted.close()
+
+
+def test_after_a_silence_an_arm_begins_slowly_from_rest(scripted):
+    drive_fast(scripted)
+    scripted.arm.on_silence = lambda _: scripted.send()
+    next(scripted.readings)
+
+    assert not scripted.arm.send([0.3] + [0.0] * (scripted.joints - 1))
+    assert "interruption" in scripted.arm.refusal
+    assert scripted.arm.send([0.05] + [0.0] * (scripted.joints - 1))
+
+
+@pytest.mark.parametrize("name", ["fr3", "ur5e"])
+def test_a_program_that_was_busy_sends_one_command_a_cycle(name):
+    """What waits for it tells of the past."""
+    scripted = KINDS[name]()
+    drive_fast(scripted)
+    for _ in range(15):
+        scripted.send()
+        time.sleep(0.02)
+    told = len(scripted.sent_rad_s)
+    for _ in range(6):
+        next(scripted.readings)
+
+    assert len(scripted.sent_rad_s) == told
 
     scripted.close()
 

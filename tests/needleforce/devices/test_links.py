@@ -176,6 +176,29 @@ def test_commands_need_command_mode_and_good_connection():
     assert moved_rad == pytest.approx(0.05 * sum(accepted) * 1e-3, rel=0.1)
 
 
+@pytest.mark.parametrize(
+    ("state", "quality", "error", "accepts"),
+    [
+        (2, 2, 0, True),
+        (2, 3, 0, True),
+        (2, 1, 0, False),
+        (2, 3, 9, False),
+        (1, 3, 0, 0),
+    ],
+)
+def test_an_error_or_a_bad_connection_refuses_commands(
+    state, quality, error, accepts, box
+):
+    with FriArm(port=0) as arm:
+        readings = iter(arm)
+        for count in (1, 2):
+            data = bytearray(lwr_measurement(count, state, quality))
+            struct.pack_into("<H", data, 184, error)
+            box.sendto(data, arm.address)
+            assert next(readings).accepts_commands == accepts
+            assert arm.send(np.zeros(7)) == accepts
+
+
 def test_invalid_datagrams_count_as_silence(box):
     with FriArm(port=0, give_up_s=0.6) as arm:
         box.sendto(lwr_measurement(5), arm.address)

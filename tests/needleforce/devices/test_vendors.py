@@ -175,11 +175,11 @@ def test_a_ur_that_was_lost_is_connected_to_again():
         lost_s = time.monotonic()
         first.__exit__()
         with ur():
-            back = next(reading for reading in readings if reading.dt_s > 0.1)
+            back = next(reading for reading in readings if reading.dt_s > 0.5)
             passed_s = time.monotonic() - lost_s
             assert next(readings).dt_s < 0.1
 
-    assert 0.1 < back.dt_s <= passed_s + 0.1
+    assert back.dt_s <= passed_s + 0.1
     assert arm.report.outages == 1
 
 

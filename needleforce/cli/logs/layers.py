@@ -1,0 +1,316 @@
+"""Layers of depths and forces: the identifier's replay, and what it says in words."""
+
+from collections import Counter
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from operator import attrgetter
+
+import numpy as np
+import pandas as pd
+
+from foundation.arrays import Array
+from identification import (
+    MIXTURE,
+    PUBLISHED,
+    PUBLISHED_KV,
+    Estimate,
+    LayerEstimate,
+    SampleStatus,
+    TissueWarning,
+)
+from identification.log_replay import ReplayStream
+from needleforce.cli.shared_options import IdentificationOptions
+from needleforce.cli.terminal import CommandError
+from needleforce.depth_zero import FIRST_CONTACT, LOG_ZERO, DepthZero
+from needleforce.recordings import Log
+from needleforce.recordings.channels import FORCE_STATUS, WORTHLESS
+
+METHODS = {
+    "mixture": MIXTURE,
+    "published": PUBLISHED,
+    "published-kv": PUBLISHED_KV,
+}
+"""What ``--method`` may be."""
+
+HEADER = (
+    "layer",
+    "from mm",
+    "to mm",
+    "rupture s",
+    "alarm s",
+    "drop N",
+    "K N/m",
+    "friction N",
+    "B Ns/m2",
+)
+"""Heads of the columns of `layer_table`."""
+
+_NUMBERS = (
+    "enhanced_force_N",
+    "tip_force_N",
+    "shaft_friction_N",
+    "shaft_friction_std_N",
+    "predicted_force_N",
+    "stiffness_N_per_m",
+    "stiffness_std_N_per_m",
+    "friction_Ns_per_m2",
+    "friction_std_Ns_per_m2",
+    "cumulative_friction_Ns_per_m",
+    "cumulative_friction_std_Ns_per_m",
+    "in_contact",
+    "layer",
+    "stiffness_identified",
+    "friction_identified",
+)
+"""Fields of an estimate that are columns as they are."""
+
+_EVENTS = ("rupture", "identified_layer", "retracted")
+"""Fields of an estimate that are None but on the rows of events."""
+
+
+@dataclass(frozen=True, slots=True, eq=False)
+class LayerReplay:
+    """What the identifier has found in a log.
+
+    Attributes:
+        rows: The columns of `estimate_table`, and `depth_m` and `force_N` of the log.
+        layers: Layers traversed, as known at the end.
+        warnings: What seems wrong with signs and forces.
+        zero: Where the depths that are shown count from.
+        method: One of `METHODS`.
+    """
+
+    rows: pd.DataFrame
+    layers: tuple[LayerEstimate, ...]
+    warnings: tuple[str, ...]
+    zero: DepthZero
+    method: str
+
+
+def identify_layers(
+    log: Log,
+    options: IdentificationOptions,
+    progress: Callable[[float], None] = lambda fraction: None,
+) -> LayerReplay:
+    """Run the identifier over depths and forces.
+
+    Args:
+        log: With `depth_m` and `force_N`, perhaps `speed_m_s`, `force_std_N`, and
+            status and warnings of the force.
+        options: Method, and whether marked rows are used.
+        progress: Takes the fraction of the rows that is done.
+
+    Raises:
+        CommandError: No row could be used, or rows lie too far apart in time.
+    """
+    stream = ReplayStream(METHODS[options.method])
+    ignored = Counter[str]()
+    statuses = Counter[SampleStatus]()
+    tables: list[pd.DataFrame] = []
+    done = 0
+    for part in log.parts():  # a million estimates at once would fill the memory
+        channels = part.channels
+        depth_m = channels["depth_m"]
+        force_N = channels["force_N"]
+        if not options.ignore_status:
+            force_N = usable_force(part.channels, ignored)
+        estimates = stream.run(
+            part.t_s,
+            part.dt_s,
+            depth_m,
+            force_N,
+            channels.get("speed_m_s"),
+            channels.get("force_std_N"),
+        )
+        statuses.update(estimate.status for estimate in estimates)
+        table = estimate_table(part.t_s, depth_m - stream.contact_depths_m, estimates)
+        tables.append(table.assign(depth_m=depth_m, force_N=force_N))
+        done += len(part.t_s)
+        progress(done / len(log))
+    _require_used_rows(statuses, ignored, log)
+    contact_m = stream.contact_depth_m
+    zero = DepthZero(0.0, LOG_ZERO)
+    if contact_m is not None:
+        zero = DepthZero(contact_m, FIRST_CONTACT)
+    counted = [
+        f"rows {reason} were left out: {count} (--ignore-status takes them)"
+        for reason, count in (+ignored).items()
+    ]
+    return LayerReplay(
+        rows=pd.concat(tables, ignore_index=True),
+        layers=stream.layers,
+        warnings=(*counted, *(hint.text for hint in stream.hints)),
+        zero=zero,
+        method=options.method,
+    )
+
+
+def usable_force(channels: Mapping[str, Array], ignored: Counter[str]) -> Array:
+    """Return the force [N], NaN where it is marked; untared it is off by a newton.
+
+    The others are those that `needleforce.InsertionSession` gives to its identifier.
+
+    Args:
+        channels: Rows of a log.
+        ignored: How many rows were ignored for which reason; counted here.
+    """
+    force_N = channels["force_N"]
+    zeros = np.zeros(len(force_N))
+    is_marked = channels.get("force_status", zeros) != FORCE_STATUS.index("ok")
+    warnings = np.nan_to_num(channels.get("force_warnings", zeros)).astype(np.int64)
+    is_worthless = (warnings & sum(WORTHLESS.values())) != 0
+    untared = "whose status says that the force is not tared or not settled"
+    ignored[untared] += int(is_marked.sum())
+    doubtful = f"with a warning ({', '.join(WORTHLESS)})"
+    ignored[doubtful] += int((is_worthless & ~is_marked).sum())
+    return np.where(is_marked | is_worthless, np.nan, force_N)
+
+
+def _require_used_rows(
+    statuses: Counter[SampleStatus], ignored: Counter[str], log: Log
+) -> None:
+    """Refuse a log of which no row was used, or whose rows lie too far apart.
+
+    Args:
+        statuses: What became of the rows.
+        ignored: How many rows were ignored for which reason.
+        log: The log.
+
+    Raises:
+        CommandError: The log holds nothing to identify; the message says why.
+    """
+    max_step_s = 0.5  # a rupture lasts less; nobody records a needle more slowly
+    if not any(status.is_used for status in statuses):
+        reasons = [f"{count} x {status.value}" for status, count in statuses.items()]
+        reasons += [f"{count} of them {reason}" for reason, count in (+ignored).items()]
+        raise CommandError(
+            f"none of {statuses.total()} rows could be used: {', '.join(reasons)}; "
+            "expected depth and force in the same row"
+        )
+    step_s = float(np.median(np.diff(log.t_s))) if len(log) > 1 else 0.0
+    if step_s > max_step_s:
+        raise CommandError(
+            f"{step_s:.4g} s lie between two rows, expected at most {max_step_s:g} s: "
+            "name the unit of time if it is another one, as in --time t:ms"
+        )
+
+
+def estimate_table(
+    t_s: Array, depth_in_tissue_m: Array, estimates: Sequence[Estimate]
+) -> pd.DataFrame:
+    """Return the columns of the estimates of at least one row; names carry the unit.
+
+    `used` is 0 for rows that were rejected. On the rows of events stands the number of
+    a layer, else 0: `rupture` on the row of the alarm, `identified_layer` where its
+    friction was identified, provisionally or, with `is_final`, finally, `retracted`
+    where the alarm proved false. `hard_contact` is 1 on the row that showed one, and
+    `tissue_moves` on every row with that warning. Standard deviations that a method
+    does not state are nan.
+
+    Args:
+        t_s: Time stamps [s], shape (n,).
+        depth_in_tissue_m: Depth of the tip below first contact, as known then; nan
+            before, shape (n,).
+        estimates: One estimate per row.
+    """
+    read_row = attrgetter(*_NUMBERS, "status.is_used")
+    table = pd.DataFrame(
+        np.array([read_row(each) for each in estimates], dtype=np.float64),
+        columns=[*_NUMBERS, "used"],  # None becomes nan
+    )
+    for name in _EVENTS:
+        events = map(attrgetter(name), estimates)
+        table[name] = [0.0 if event is None else float(event.layer) for event in events]
+    identified = [estimate.identified_layer for estimate in estimates]
+    table["is_final"] = [
+        float(each is not None and each.is_final) for each in identified
+    ]
+    table["hard_contact"] = [float(each.hard_contact is not None) for each in estimates]
+    table["tissue_moves"] = [
+        float(TissueWarning.TISSUE_MOVES in each.warnings) for each in estimates
+    ]
+    table["depth_in_tissue_m"] = depth_in_tissue_m
+    table.insert(0, "t_s", t_s)
+    return table
+
+
+def layer_table(found: LayerReplay) -> pd.DataFrame:
+    """Return a line of text per layer; ``?`` marks what is not identified."""
+    return pd.DataFrame(
+        [_layer_cells(layer, found.zero) for layer in found.layers], columns=HEADER
+    )
+
+
+def _layer_cells(layer: LayerEstimate, zero: DepthZero) -> tuple[str, ...]:
+    """Return the line of a layer, its times on the log's clock."""
+    rupture = layer.rupture
+    end_mm = zero.shown_mm(layer.start_depth_m + layer.thickness_m)
+    stiffness = _with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
+    stiffness_mark = "" if layer.stiffness_identified else "?"
+    friction = _with_std(layer.friction_N, layer.friction_std_N, 3)
+    friction_mark = "" if layer.friction_identified else "?"
+    return (
+        str(layer.layer),
+        f"{zero.shown_mm(layer.start_depth_m):.1f}",
+        _with_std(end_mm, zero.end_std_mm(layer), 1),
+        f"{rupture.time_s:.2f}",
+        f"{rupture.alarm_s:.2f}",
+        _with_std(layer.force_drop_N, layer.force_drop_std_N, 2),
+        f"{stiffness}{stiffness_mark}",
+        f"{friction}{friction_mark}",
+        f"{layer.friction_Ns_per_m2:.0f}{friction_mark}",
+    )
+
+
+def _with_std(value: float, std: float | None, digits: int) -> str:
+    text = f"{value:.{digits}f}"
+    return text if std is None else f"{text}±{std:.{digits}f}"
+
+
+def describe_zero(zero: DepthZero) -> str:
+    """Return in a sentence where depths count from."""
+    if zero.name == LOG_ZERO:
+        return f"Depths count {LOG_ZERO}."
+    return (
+        f"Depths are {zero.name}, {1e3 * zero.depth_m:z.1f} mm from the log's own zero."
+    )
+
+
+def describe_layers(found: LayerReplay) -> str:
+    """Return the ruptures found and the friction of their layers, in sentences."""
+    if not found.layers:
+        return "No rupture was detected."
+    zero = found.zero
+    depths = _join(
+        f"{zero.shown_mm(layer.rupture.depth_m):.1f} mm" for layer in found.layers
+    )
+    plural = "s" if len(found.layers) > 1 else ""
+    text = f"{len(found.layers)} rupture{plural} detected, {depths} {zero.name}."
+    known = [layer for layer in found.layers if layer.friction_identified]
+    if not known:
+        return text
+    frictions = _join(
+        f"{layer.friction_N:.2f} N (layer {layer.layer})" for layer in known
+    )
+    return f"{text} Friction of the layers traversed: {frictions}."
+
+
+def find_tissue_doubts(found: LayerReplay) -> list[str]:
+    """Return where something hard was met, and whether the tissue moved."""
+    doubts: list[str] = []
+    depths_m = found.rows.loc[found.rows["hard_contact"] > 0, "depth_m"]
+    if len(depths_m):
+        depths = _join(f"{found.zero.shown_mm(depth_m):.1f} mm" for depth_m in depths_m)
+        doubts.append(f"Hard contact, as with bone, {depths} {found.zero.name}.")
+    if np.any(found.rows["tissue_moves"] > 0):
+        doubts.append(
+            "The tissue moved and pulled at the needle: ruptures of that time are "
+            "doubtful, and no layer became final."
+        )
+    return doubts
+
+
+def _join(texts: Iterable[str]) -> str:
+    """Return texts as a list in a sentence."""
+    *others, last = texts
+    return f"{', '.join(others)} and {last}" if others else last

@@ -1,0 +1,396 @@
+"""Pages: served, beside a loop, exported; names from files stay text in each."""
+
+import errno
+import os
+import re
+import threading
+import time
+from base64 import b64decode
+from contextlib import contextmanager
+from functools import partial
+from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from io import BytesIO
+from pathlib import Path
+from types import SimpleNamespace
+
+import numpy as np
+import pytest
+
+from needleforce import NeedleTool, load_lwr
+from needleforce.cli import main
+from needleforce.plots import Page, PageTable, Section, write_page
+from tests.chromium import PHONE, needs_chromium
+from tests.insertion_run import short_run
+from tests.needleforce.scene.insertions import (
+    HOME,
+    deviation,
+    insertion,
+    moment,
+    plan,
+    planned,
+    scanned,
+    tick,
+)
+from tests.needleforce.scene.scene_page import open_page
+
+pytest.importorskip("viser")
+
+from PIL import Image, ImageDraw
+
+from needleforce.scene import PlanScene, SceneError, Viewer, open_viewer
+from needleforce.scene.export_page import export_plan
+from needleforce.scene.scan_slices import NEEDLE_COLOR, PIXELS, TIP_ROW
+
+FILM = "document.getElementById('scene').contentDocument"
+ADVANCED = HOME + np.array([0.0, 0.1, 0.0, 0.0, 0.0, 0.0, 0.0])
+SETTLE_s = 3.0
+"""So long a page may fetch what it should not."""
+
+
+@pytest.fixture(scope="module")
+def exported(tmp_path_factory):
+    """A page of a needle 9.9 mm past its target and back; depth began deeper."""
+    robot = load_lwr(payload=NeedleTool())
+    viewer = Viewer(robot, port=8621)
+    tip_m, axis = viewer._arm.find_needle(ADVANCED)
+    viewer.stop()
+    scene = scanned(np.zeros(3), tip_m, axis)
+    viewer = Viewer(robot, scene._replace(warnings=("<b>unchecked",)), port=8621)
+    on_plan = {"deviation": deviation(), "plan": planned(0, 0.02)}
+    beyond = deviation(to_target_m=-9.9e-3, is_past_target=True)
+    viewer.append(
+        [
+            moment(0.0, 0.2, status="not tared"),
+            moment(1.0, 0.0, **on_plan),
+            moment(2.0, 0.02, rupture=1, **on_plan),
+            moment(2.5, 0.03, rupture=2, **on_plan),
+            moment(3.0, 0.08, ADVANCED, status="rejected", deviation=beyond),
+            moment(4.0, 0.05, retracted=2, **on_plan),
+            moment(5.0, 0.0, deviation=deviation(to_target_m=84.5e-3)),
+        ]
+    )
+    path = viewer.export(tmp_path_factory.mktemp("scene") / "scene.html", frames=3)
+    viewer.stop()
+    return path
+
+
+def test_an_export_begins_where_the_needle_was_deepest_since_the_tare(exported):
+    text = exported.read_text(encoding="utf-8")
+    card = text[text.index("was deepest") : text.index("<iframe")]
+
+    assert "PAST TARGET" in card
+    assert ">9.9</div>" in card
+    assert "PAST TARGET from 3.0 to 3.0 s" in text
+    assert "retracted at 4.0 s" in text
+    assert "&lt;b&gt;unchecked" in text
+    assert "not a medical device" in text
+    assert "rupture detected" in text
+
+
+def test_the_ct_of_an_export_shows_that_point_and_the_sides_of_the_patient(exported):
+    text = exported.read_text(encoding="utf-8")
+    found = re.findall(r"data:image/png;base64,([^\"]+)", text)
+    side, head, probe = (np.asarray(Image.open(BytesIO(b64decode(p)))) for p in found)
+    middle = PIXELS // 2
+
+    # The bright place lies at the tip, which is there in the deepest moment alone.
+    for picture in (side, head):
+        assert tuple(picture[TIP_ROW - 20, middle]) == NEEDLE_COLOR
+        assert picture[TIP_ROW + 2, middle].min() > 200
+    for picture, left, right in ((side, "R", "L"), (head, "F", "H"), (probe, "R", "L")):
+        for letter, x in ((left, 8), (right, PIXELS - 8)):
+            assert is_written(picture, letter, x, middle)
+    assert is_written(probe, "H", middle, 12)
+    assert is_written(probe, "F", middle, PIXELS - 12)
+
+
+def is_written(picture, letter, x, y):
+    """Whether a letter, and no other, stands at a place."""
+    image = Image.new("RGB", (PIXELS, PIXELS))
+    ImageDraw.Draw(image).text((x, y), letter, NEEDLE_COLOR, anchor="mm", font_size=16)
+    rows, columns = slice(max(y - 8, 0), y + 8), slice(max(x - 8, 0), x + 8)
+    return np.array_equal(np.asarray(image)[rows, columns], picture[rows, columns])
+
+
+@pytest.mark.slow
+@needs_chromium
+@pytest.mark.parametrize("size", [(1280, 900), PHONE])
+def test_an_export_plays_in_a_browser(exported, size):
+    assert exported.stat().st_size < 3_000_000
+    with open_page(exported.as_uri()) as page:
+        page.set_size(size)
+        page.call("Page.reload")
+        assert page.wait_for(f"{FILM}?.querySelectorAll('canvas').length > 0")
+        assert page.wait_for(f"Boolean({FILM}?.querySelector('[role=slider]'))")
+        assert page.evaluate("document.scrollingElement.scrollWidth") <= size[0]
+        # Two charts, three planes.
+        widths = page.evaluate("[...document.images].map(i => i.naturalWidth).join()")
+        assert all(int(width) > 100 for width in widths.split(","))
+        assert widths.count(",") == 4
+        assert page.errors == []
+
+
+def test_a_failing_export_leaves_the_older_page(tmp_path, monkeypatch):
+    def full(_handle):
+        raise OSError(errno.ENOSPC, os.strerror(errno.ENOSPC))
+
+    path = tmp_path / "page.html"
+    path.write_text("old")
+    viewer = Viewer(load_lwr(), port=8631)
+    try:
+        with pytest.raises(SceneError, match="nothing"):
+            viewer.export(path)
+        viewer.append(insertion(2))
+        monkeypatch.setattr(os, "fsync", full)
+        with pytest.raises(SceneError, match="space"):
+            viewer.export(path, frames=2)
+    finally:
+        viewer.stop()
+
+    assert [item.read_text() for item in tmp_path.iterdir()] == ["old"]
+
+
+def test_a_plan_becomes_a_page_without_a_needle(tmp_path):
+    path = export_plan(plan(), tmp_path / "plan.html")
+    text = path.read_text(encoding="utf-8")
+
+    assert "not a medical device" in text
+    assert "planned boundary" in text
+    assert "rupture detected" not in text
+
+
+# Names that are markup
+
+
+class CountingHandler(BaseHTTPRequestHandler):
+    def __init__(self, paths, *arguments):
+        self.paths = paths
+        super().__init__(*arguments)
+
+    def do_GET(self):
+        self.paths.append(self.path)
+        self.send_response(200)
+        self.send_header("Access-Control-Allow-Origin", "*")
+        self.end_headers()
+
+    def log_message(self, *_):
+        pass
+
+
+@contextmanager
+def counting_server():
+    """A server that notes what is fetched from it: its address, and the paths."""
+    paths = []
+    server = ThreadingHTTPServer(("127.0.0.1", 0), partial(CountingHandler, paths))
+    threading.Thread(target=server.serve_forever, daemon=True).start()
+    try:
+        yield f"http://127.0.0.1:{server.server_port}", paths
+    finally:
+        server.shutdown()
+        server.server_close()
+
+
+def hostile(place, url):
+    """A name that runs and fetches wherever markup of a name is not escaped."""
+    get = f"{url}/{place}"
+    run = f"top.hasRun=true;fetch(`{get}-fetch`)"
+    return (
+        f'<iframe srcdoc="<script>{run}</script>"></iframe>'
+        f"<iframe src={get}-frame></iframe><script>{run}</script>"
+        f'<img src="{get}-image" onerror="{run}"><svg onload="{run}"></svg>'
+        f"![picture]({get}-markdown.png) [link]({get}-link) **bold** {{{run}}} "
+        f'<link rel=stylesheet href="{get}-style">'
+        f'<meta http-equiv=refresh content="0;url={get}-refresh">{place}'
+    )
+
+
+def hostile_plan(url):
+    """A plan whose layers, structures and warnings have hostile names."""
+    named = partial(hostile, url=url)
+    scene = plan()
+    for one in (*scene.surfaces, *scene.layers):
+        one.name = named(one.name)
+    return scene._replace(warnings=(named("warning"),), watched=(named("watched"),))
+
+
+def hostile_moment(scene):
+    """A rupture into a layer of a hostile name."""
+    state = planned(1, 0.052, 1)
+    name = scene.layers[1].name
+    state = state._replace(name=name, next_name=name, matched_name=name)
+    return moment(1.0, 0.022, rupture=1, plan=state, deviation=deviation())
+
+
+@needs_chromium
+@pytest.mark.parametrize("kind", ["live", "film", "plan", "report"])
+def test_names_in_a_page_are_text(kind, tmp_path):
+    path = tmp_path / "page.html"
+    with counting_server() as (url, paths):
+        scene = hostile_plan(url)
+        viewer = Viewer(load_lwr(payload=NeedleTool()), scene, port=8641)
+        viewer.append([moment(0.0), hostile_moment(scene)])
+        viewer.show()
+        address = path.as_uri()
+        if kind == "live":
+            address = viewer.url
+        elif kind == "film":
+            viewer.export(path, frames=3)
+        elif kind == "plan":
+            export_plan(scene, path)
+        else:
+            write_report(partial(hostile, url=url), path)
+        with open_page(address) as page:
+            text = "document.body.textContent"
+            assert page.wait_for(f"{text}.includes('warning')")
+            if kind != "report":
+                views = "document" if kind == "live" else FILM
+                assert page.wait_for(f"{views}?.querySelectorAll('canvas').length > 0")
+            time.sleep(SETTLE_s)
+            assert "<iframe srcdoc=" in page.evaluate(text)
+            assert not page.evaluate("Boolean(window.hasRun)")
+            frames = page.evaluate("document.querySelectorAll('iframe').length")
+            assert frames == (kind in ("film", "plan"))
+            assert page.errors == []
+        viewer.stop()
+        assert paths == []
+
+
+def write_report(named, path):
+    """A page whose every text has a hostile name in it."""
+    table = PageTable(
+        caption=named("caption"), head=(named("joint"),), rows=((named("file"),),)
+    )
+    section = Section(
+        heading=named("heading"),
+        anchor=named('anchor" onclick="'),
+        paragraphs=(named("text"),),
+        command=named("command"),
+        tables=(table,),
+    )
+    lead = (named("warning"),)
+    write_page(path, Page(title=named("title"), lead=lead, sections=(section,) * 3))
+
+
+@pytest.mark.slow
+@needs_chromium
+def test_the_page_is_used_in_a_browser():
+    viewer = Viewer(load_lwr(payload=NeedleTool()), plan(), port=8651)
+    viewer.append(insertion())
+    viewer.open_recording()
+    text = "document.body.innerText"
+    try:
+        with open_page(viewer.url) as page:
+            assert page.wait_for(f"{text}.includes('6.0 s: rupture 1')")
+            assert "not a medical device" in page.evaluate(text)
+            page.evaluate(
+                "[...document.querySelectorAll('button')]"
+                ".find(b => b.innerText.startsWith('6.0 s: rupture 1')).click()"
+            )
+            assert page.wait_for(f"{text}.includes('rupture 1 at 12.0 mm')")
+            assert viewer.time.slider.value == 6.0
+            page.evaluate(
+                "(() => { const s = document.querySelector('[role=slider]'); s.focus();"
+                "s.dispatchEvent(new KeyboardEvent('keydown', {key: 'Home',"
+                "code: 'Home', bubbles: true})); })()"
+            )
+            assert page.wait_for(f"!{text}.includes('rupture 1 at 12.0 mm')")
+            assert page.errors == []
+        with open_page(viewer.url, PHONE) as page:
+            page.set_size(PHONE)
+            assert page.wait_for(f"{text}.includes('0.0 s, 0.0 mm')")
+            # All of the card is seen, nothing is cut.
+            box = "document.querySelector('.needle-card').getBoundingClientRect()"
+            assert page.evaluate(f"{box}.right") <= PHONE[0]
+            assert page.evaluate(f"{box}.top") > 0
+    finally:
+        viewer.stop()
+
+
+# Beside a loop, and commands
+
+
+@pytest.mark.slow
+@needs_chromium
+def test_a_loop_hands_ticks_to_a_page_process():
+    with open_viewer(load_lwr(payload=NeedleTool()), port=8661) as view:
+        for k in range(1000):
+            view.put(tick(1e-3 * k, 1e-5 * k, rupture=1 if k == 500 else None), HOME)
+        with open_page(view.url) as page:
+            text = "document.body.innerText"
+            assert page.wait_for(f"{text}.includes('rupture 1 at 5.0 mm')")
+            assert page.wait_for(f"{text}.includes('1.0 s, 9.')")
+    assert not view._process.is_alive()
+
+
+def test_a_page_that_hangs_holds_no_loop_up(monkeypatch):
+    from needleforce.scene.live import LiveView
+
+    class Pipe:
+        def send_bytes(self, _):
+            threading.Event().wait(20.0)
+
+        def close(self):
+            pass
+
+    process = SimpleNamespace(join=lambda seconds: None, kill=lambda: None)
+    view = LiveView(process, Pipe(), "")
+    for k in range(3000):
+        view.put(tick(0.02 * k), HOME)
+
+    assert len(view._waiting) == 1000
+    view.close()
+
+
+@pytest.mark.slow
+def test_a_page_that_cannot_open_is_reported():
+    with pytest.raises(SceneError, match="70000"):
+        open_viewer(load_lwr(), port=70000)
+    place_m = np.zeros(3)
+    with pytest.raises(SceneError, match="two points"):
+        open_viewer(load_lwr(), PlanScene(entry_m=place_m, target_m=place_m), port=8671)
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("tare_s", "warning"), [("0.5", ""), ("60", "no tare"), ("nan", None)]
+)
+def test_a_recording_is_exported_by_the_command(
+    tare_s, warning, tmp_path, monkeypatch, capsys
+):
+    from needleforce.recordings import write_table
+    from needleforce.simulation import signal_table
+
+    monkeypatch.chdir(tmp_path)
+    table = signal_table(short_run())
+    names = ("t_s", "q_rad", "dq_rad_s", "tau_Nm")
+    write_table("a.npz", {name: table[name][:2001] for name in names})
+    code = main(["view", "a.npz", "--tare", tare_s, "--export", "a.html"])
+    said, warned = capsys.readouterr()
+
+    if warning is None:
+        assert code == 2
+        return
+    assert (code, said) == (0, "a.html\n")
+    assert warning in warned
+    assert Path("a.html").stat().st_size > 500_000
+
+
+@pytest.mark.parametrize(
+    ("arguments", "word"),
+    [
+        (["log.csv", "--export", "log.csv"], ".html"),
+        (["log.csv", "--export", "link.html"], "link.html"),
+        (["log.csv", "--export", "no/page.html"], "no"),
+        (["log.csv", "--anatomy", "."], "plan.json"),
+    ],
+)
+def test_an_export_or_a_plan_that_cannot_be_is_refused_early(
+    arguments, word, tmp_path, monkeypatch, capsys
+):
+    monkeypatch.chdir(tmp_path)
+    Path("log.csv").write_text("t,q_1\n0,0\n")
+    Path("link.html").symlink_to("log.csv")
+
+    assert main(["view", *arguments]) == 2
+    assert word in capsys.readouterr().err
+    assert Path("log.csv").read_text() == "t,q_1\n0,0\n"
