@@ -103,7 +103,13 @@ def solved(
     stack = Stack(tasks, last.size)
     stack.fill(tasks, stacks.tool)
     write_velocity_bounds(
-        np.array(stacks.limits.joints), stacks.tool.q_rad, last, 1e-3, stack.bounds
+        np.array(stacks.limits.joints),
+        stacks.tool.q_rad,
+        last,
+        np.zeros_like(last),
+        1e-3,
+        1e-3,
+        stack.bounds,
     )
     return stack, solve(stack)[0]
 
