@@ -245,7 +245,7 @@ def test_a_tare_is_forced_in_spite_of_velocities_and_the_doubt_stays(run, lwr):
     forces, summary, _ = run(columns, *TARE, "--force-tare")
 
     assert "x velocity" in summary["warnings"]
-    assert "deg/s" in summary["signals"]
+    assert "rate of q" in summary["signals"]
     assert (forces["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
 
 
