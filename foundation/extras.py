@@ -35,6 +35,8 @@ EXTRA_OF_MODULE = {
     "trimesh": "patient",
     "igl": "patient",
     "highdicom": "patient",
+    "nibabel": "patient",
+    "pydicom": "patient",
     "viser": "scene",
     "yourdfpy": "scene",
     "pyigtl": "slicer",

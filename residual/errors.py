@@ -91,8 +91,8 @@ class VelocityError(TareError):
     """A tare with measured velocities that are not the rate of the positions."""
 
     usual_advice = (
-        "Correct the units, signs, order or delay of `dq`, then move in free air "
-        "anew; `tare(ignore_contact=True)` tares as it is."
+        "Correct the units, signs, order or delay of `dq`, or pass `dq=None` in every "
+        "sample, and move in free air anew; `tare(ignore_contact=True)` tares as it is."
     )
 
 

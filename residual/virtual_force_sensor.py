@@ -17,7 +17,6 @@ from residual.bias.separation import JointSeparation
 from residual.bias.torque_diagnosis import TorqueDiagnosis
 from residual.checks.input import SampleClock, long_step_message
 from residual.checks.monitor import ConsistencyMonitor
-from residual.checks.velocity import is_velocity_missing
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import (
     ConfigurationError,
@@ -314,7 +313,7 @@ class VirtualForceSensor:
             Whether torques are the robot's own external ones.
         """
         if self._monitor.velocity_fault and not ignore_contact:
-            raise _velocity_error(self._monitor.velocity_fault)
+            raise VelocityError(f"{self._monitor.velocity_fault}: no tare would hold")
         return self._stream is not None and self._stream.is_external
 
     def _continue_tare(self) -> None:
@@ -653,14 +652,3 @@ class VirtualForceSensor:
             message=str(error),
             warnings=estimate.warnings | error.warning,
         )
-
-
-def _velocity_error(fault: str) -> VelocityError:
-    """Return the error of a tare with a `residual.checks.velocity.velocity_fault`."""
-    advice = ""
-    if is_velocity_missing(fault):
-        advice = (
-            "Pass `dq=None` in every sample, and velocities are estimated from `q`; "
-            "`tare(ignore_contact=True)` tares as it is."
-        )
-    return VelocityError(f"{fault} No tare would hold", advice)

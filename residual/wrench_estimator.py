@@ -14,7 +14,6 @@ import numpy as np
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
 from foundation.jit import compile_waiting, compiled, compiled_inside
 from foundation.linear_algebra import (
-    decompose_symmetric,
     dot,
     multiply,
     multiply_transposed,
@@ -170,17 +169,17 @@ def pseudo_inverse(symmetric: Matrix, min_ratio: float) -> PseudoInverse:
     Directions whose eigenvalue is below ``min_ratio`` times the largest stay at zero.
     """
     count = len(symmetric)
-    eigen = decompose_symmetric(symmetric)
-    min_eigenvalue = eigen.values[count - 1] * min_ratio
+    values, vectors = np.linalg.eigh(symmetric)
+    min_eigenvalue = values[count - 1] * min_ratio
     inverse = np.zeros((count, count))
     unseen_part = np.zeros(count)
     for m in range(count):
-        is_seen = eigen.values[m] > min_eigenvalue
+        is_seen = values[m] > min_eigenvalue
         for i in range(count):
-            component = eigen.vectors[i, m]
+            component = vectors[i, m]
             if is_seen:
                 for j in range(count):
-                    inverse[i, j] += component * eigen.vectors[j, m] / eigen.values[m]
+                    inverse[i, j] += component * vectors[j, m] / values[m]
             else:
                 unseen_part[i] += component * component
     return PseudoInverse(inverse, unseen_part)
@@ -195,16 +194,16 @@ def inverse_of(covariance: Array) -> Array | None:
     # Written so that a NaN is not valid either.
     if not asymmetry <= MAX_ASYMMETRY * abs(np.trace(covariance)):
         return None
-    eigen = decompose_symmetric(covariance)
-    if eigen.values[0] <= 0.0:
+    values, vectors = np.linalg.eigh(covariance)
+    if values[0] <= 0.0:
         return None
-    return (eigen.vectors / eigen.values).dot(eigen.vectors.T)
+    return (vectors / values).dot(vectors.T)
 
 
 @compiled_inside
 def condition_number(information: Matrix) -> float:
     """Return the square root of the ratio of the extreme eigenvalues, limited."""
-    eigenvalues = decompose_symmetric(information).values
+    eigenvalues = np.linalg.eigvalsh(information)
     least = eigenvalues[0]
     largest = eigenvalues[len(eigenvalues) - 1]
     if least > largest / MAX_CONDITIONING**2:
@@ -264,7 +263,7 @@ def weighted_inverse(
 def smallest_singular_value(rows: Matrix) -> float:
     """Return the smallest of the min(k, n) singular values of a (k, n) matrix."""
     count, joints = rows.shape
-    eigenvalues = decompose_symmetric(multiply_transposed(rows, rows)).values
+    eigenvalues = np.linalg.eigvalsh(multiply_transposed(rows, rows))
     return math.sqrt(max(eigenvalues[max(count - joints, 0)], 0.0))
 
 
@@ -322,7 +321,7 @@ def axial_variances(direction: Vector, covariance: Matrix) -> Array:
             across[i, j] = (1.0 if i == j else 0.0) - direction[i] * direction[j]
     covariance_across = multiply(multiply(across, of_force), across)
     variances[0] = dot(direction, multiply_vector(of_force, direction))
-    variances[1] = decompose_symmetric(covariance_across).values[2]
+    variances[1] = np.linalg.eigvalsh(covariance_across)[2]
     return variances
 
 

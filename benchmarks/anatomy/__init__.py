@@ -1,7 +1,6 @@
 """The patient's anatomy against analytic shapes and a real CT.
 
-Parts: `surface`, `path`, `obstacles`, `agreement`, `deviation`, `registration`,
-`patient`, `match`, `abdomen`, `fullsize`.
+Parts: `path`, `registration`, `patient`.
 """
 
 CT_FOLDER = "torso_ct_totalsegmentator"

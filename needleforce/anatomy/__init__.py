@@ -8,13 +8,11 @@
 Points are in the patient's frame LPS (x to the left, y to the back, z to the head), in
 metres. Stands alone: no robots, no forces. Not a medical device.
 
-Reading order: `volume`, `structures`, `labels`, `body`, `resampling`, `segmentation`,
-`voxel_walk`, `path_layers`, `clearance`, `surface`, `slabs`, `reading`,
-`file_checks`, `dicom_series`, `dicom_kinds`, `dicom_segmentation`, `label_names`,
-`mask_folder`, `slicer_segments`, `segment_names`, `renaming`, `registration`,
-`landmark_check`, `landmarks`, `landmark_frame`, `touch_problem`, `patient_motion`,
-`surface_fit`, `markups`, `transform_file`, `deepest_point`, `path_search`,
-`needle_surroundings`, `plan_match`, `rupture_model`.
+Reading order: `volume`, `structures`, `labels`, `body`, `body_order`, `scan_agreement`,
+`path_layers`, `clearance`, `surface`, `scan_files`, `label_files`, `registration`,
+`landmarks`, `landmark_frame`, `touch_problem`, `patient_motion`, `surface_fit`,
+`markups`, `transform_file`, `path_search`, `needle_surroundings`, `plan_match`,
+`rupture_model`.
 """
 
 from needleforce.anatomy.clearance import (
@@ -29,6 +27,7 @@ from needleforce.anatomy.errors import (
     RegistrationError,
     VolumeError,
 )
+from needleforce.anatomy.label_files import read_labels
 from needleforce.anatomy.labels import Labels
 from needleforce.anatomy.landmark_frame import SkinLandmarks, require_lps
 from needleforce.anatomy.landmarks import fit_landmarks
@@ -38,8 +37,8 @@ from needleforce.anatomy.needle_surroundings import (
 )
 from needleforce.anatomy.path_layers import Layer
 from needleforce.anatomy.plan_match import PlanMatch, PlanState
-from needleforce.anatomy.reading import read_labels, read_volume
 from needleforce.anatomy.registration import Registration
+from needleforce.anatomy.scan_files import read_volume
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.surface_fit import fit_surface

@@ -9,21 +9,19 @@ dozens of them, however many voxels there are.
 
 from collections.abc import Iterable
 from dataclasses import dataclass
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
+from scipy.spatial import KDTree
 
 from foundation.arrays import Array, Matrix, Vector, WrittenVector
 from foundation.jit import compile_waiting, compiled, compiled_inside
-from needleforce.anatomy.errors import (
-    EXPORT_VOLUME,
-    OTHER_PATH,
-    PlanError,
-    VolumeError,
-)
-from needleforce.anatomy.segmentation import Segmentation
+from needleforce.anatomy.errors import OTHER_PATH, PlanError, VolumeError
 from needleforce.anatomy.structures import Structure
+
+if TYPE_CHECKING:
+    from needleforce.anatomy.labels import Labels
 
 NEEDLE_RADIUS_m = 0.8e-3
 """Of an 18 G needle (1.27 mm) with its sheath; what is not said otherwise."""
@@ -113,23 +111,28 @@ class VoxelBoxes:
         VolumeError: The axes of the grid are not orthogonal.
     """
 
-    def __init__(self, labels: Segmentation, structure: Structure) -> None:
+    def __init__(self, labels: "Labels", structure: Structure) -> None:
         self.structure = structure
         grid = labels.grid
         spacing_m = grid.spacing_m
         directions = grid.axes_m / spacing_m
         if np.abs(directions.T @ directions - np.eye(3)).max() > 1e-6:
             raise VolumeError(
-                "the axes of the labels' grid are not orthogonal: resample them",
-                EXPORT_VOLUME,
+                "the axes of the labels' grid are not orthogonal: resample them"
             )
         self._origin_m = grid.origin_m
         self._directions = directions
-        first, last = _runs(labels, structure)
-        order = _nearby_order(first + last)
+        # Voxels behind each other along the last axis of the grid are one box.
+        mask = labels.volumes[structure.volume][structure.box] == structure.value
+        change = np.diff(np.pad(mask, ((0, 0), (0, 0), (1, 1))).view(np.int8), axis=-1)
+        corner = np.array([side.start for side in structure.box])
+        first = np.argwhere(change == 1) + corner
+        last = np.argwhere(change == -1) + corner - [0, 0, 1]
+        # In the order of such a tree neighbours come soon after each other.
+        order = KDTree(0.5 * (first + last) * spacing_m, leafsize=2).indices
         self.tree = _box_tree(
-            0.5 * (first + last)[order] * spacing_m,
-            0.5 * (last - first + 1)[order] * spacing_m,
+            (0.5 * (first + last) * spacing_m)[order],
+            (0.5 * (last - first + 1) * spacing_m)[order],
         )
         compile_waiting()
 
@@ -156,31 +159,6 @@ class VoxelBoxes:
     def from_grid(self, points_m: Array) -> Array:
         """Return points along the axes of the boxes, (n, 3), in LPS."""
         return points_m @ self._directions.T + self._origin_m
-
-
-def _runs(labels: Segmentation, structure: Structure) -> tuple[Array, Array]:
-    """Return the indices (n, 3) of the first and last voxels of a structure's rows."""
-    mask = labels.volumes[structure.volume][structure.box] == structure.value
-    padded = np.pad(mask, ((0, 0), (0, 0), (1, 1))).view(np.int8)
-    change = np.diff(padded, axis=-1)  # 1 where a row begins, -1 behind its end
-    corner = np.array([side.start for side in structure.box])
-    first = np.argwhere(change == 1) + corner
-    last = np.argwhere(change == -1) + corner
-    last[:, 2] -= 1
-    return first.astype(float), last.astype(float)
-
-
-def _nearby_order(places: Array) -> NDArray[np.intp]:
-    """Return an order of points (n, 3) in which neighbours come soon after each other.
-
-    Along a curve of Morton: by the bits of all three whole coordinates in turn.
-    """
-    cells = (places - places.min(axis=0)).astype(np.int64)
-    key = np.zeros(len(cells), np.int64)
-    for bit in range(16):  # 32,768 voxels along an axis, in steps of half a voxel
-        for axis in range(3):
-            key |= ((cells[:, axis] >> bit) & 1) << (3 * bit + axis)
-    return np.argsort(key)
 
 
 def _box_tree(centres_m: Array, halves_m: Array) -> Matrix:
@@ -222,9 +200,8 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
     tie = 1e-9  # beside a flat face thousands of boxes are as near, but for rounding
     entry = ends[0]
     way = ends[1] - ends[0]
-    cuts = np.empty(6)
     waiting = np.empty((64, 3))  # boxes to look into: number, distance, fraction
-    _measure_box(tree, 1, entry, way, cuts, waiting[0])
+    _measure_box(tree, 1, entry, way, waiting[0])
     size = 1
     nearest = within
     found = -1.0
@@ -241,8 +218,8 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
             found = fraction
             row = int(number)
             continue
-        _measure_box(tree, left, entry, way, cuts, waiting[size])
-        _measure_box(tree, left + 1, entry, way, cuts, waiting[size + 1])
+        _measure_box(tree, left, entry, way, waiting[size])
+        _measure_box(tree, left + 1, entry, way, waiting[size + 1])
         # The nearer one is looked into first: it goes last.
         _, near, near_at = waiting[size]
         _, far, far_at = waiting[size + 1]
@@ -257,12 +234,7 @@ def nearest_box(tree: Matrix, ends: Matrix, within: float) -> tuple[float, float
 
 @compiled_inside
 def _measure_box(
-    tree: Matrix,
-    number: int,
-    entry: Vector,
-    way: Vector,
-    cuts: WrittenVector,
-    measured: WrittenVector,
+    tree: Matrix, number: int, entry: Vector, way: Vector, measured: WrittenVector
 ) -> None:
     """Write the number of a box, its distance from a segment, and where that is.
 
@@ -271,11 +243,10 @@ def _measure_box(
         number: Of the box.
         entry: Start of the segment, (3,).
         way: To its end, (3,).
-        cuts: Room for six numbers.
         measured: Number, distance, and fraction of the segment, (3,).
     """
     box = tree[number]
-    fraction = _nearest_fraction(box, entry, way, cuts)
+    fraction = _nearest_fraction(box, entry, way)
     square = 0.0
     for i in range(3):
         excess = abs(entry[i] + fraction * way[i] - box[i]) - box[3 + i]
@@ -287,41 +258,34 @@ def _measure_box(
 
 
 @compiled_inside
-def _nearest_fraction(
-    box: Vector, entry: Vector, way: Vector, cuts: WrittenVector
-) -> float:
+def _nearest_fraction(box: Vector, entry: Vector, way: Vector) -> float:
     """Return where a line segment is nearest to a box, as a fraction of its length.
 
     The square of the distance, along the segment, is convex and of degree two between
     the places where the segment passes the planes of the box's faces: its slope is
     linear there, and where it changes sign lies the minimum.
     """
-    square = 0.0
-    for i in range(3):
-        square += way[i] * way[i]
-        speed = way[i] if way[i] != 0.0 else 1.0  # beside a plane its cut is any place
-        cuts[2 * i] = (box[i] - box[3 + i] - entry[i]) / speed
-        cuts[2 * i + 1] = (box[i] + box[3 + i] - entry[i]) / speed
-    flat = -1e-12 * square  # a slope less steep than this is none
-    before = 0.0
-    after = 1.0
-    slope_before = _slope_at(box, entry, way, before)
-    slope_after = _slope_at(box, entry, way, after)
-    if slope_before >= flat:
-        return before
-    if slope_after < flat:
-        return after
-    for cut in cuts:
-        if before < cut < after:
-            slope = _slope_at(box, entry, way, cut)
-            if slope < flat:
-                before = cut
-                slope_before = slope
+    # A slope less steep than this is none.
+    flat = -1e-12 * (way[0] * way[0] + way[1] * way[1] + way[2] * way[2])
+    begin = 0.0
+    end = 1.0
+    if _slope_at(box, entry, way, begin) >= flat:
+        return begin
+    if _slope_at(box, entry, way, end) < flat:
+        return end
+    for side in range(6):
+        axis = side // 2
+        face = box[axis] + (2.0 * (side % 2) - 1.0) * box[3 + axis]
+        # Beside a plane its cut is any place.
+        cut = (face - entry[axis]) / way[axis] if way[axis] != 0.0 else 0.0
+        if begin < cut < end:
+            if _slope_at(box, entry, way, cut) < flat:
+                begin = cut
             else:
-                after = cut
-                slope_after = slope
-    part = -slope_before / (slope_after - slope_before)
-    return before + min(part, 1.0) * (after - before)
+                end = cut
+    slope = _slope_at(box, entry, way, begin)
+    part = -slope / (_slope_at(box, entry, way, end) - slope)
+    return begin + min(part, 1.0) * (end - begin)
 
 
 @compiled_inside

@@ -9,11 +9,10 @@ from numpy.typing import ArrayLike, NDArray
 from scipy import ndimage
 
 from foundation.arrays import Array
-from needleforce.anatomy.body import find_body
+from needleforce.anatomy.body import find_body, resample_nearest
 from needleforce.anatomy.clearance import Clearance, VoxelBoxes, find_clearances
-from needleforce.anatomy.errors import EXPORT_LABELS, VolumeError
+from needleforce.anatomy.errors import VolumeError
 from needleforce.anatomy.path_layers import TISSUES, Layer, find_layers
-from needleforce.anatomy.resampling import resample_nearest
 from needleforce.anatomy.scan_agreement import NO_SCAN, check_against_scan
 from needleforce.anatomy.structures import Structure
 from needleforce.anatomy.surface import Surface, closed_surface, join_voxels
@@ -57,20 +56,18 @@ class Labels:
         Raises:
             VolumeError: No structure has a voxel, or two have the same name.
         """
-        boxes = [dict(enumerate(ndimage.find_objects(volume), 1)) for volume in volumes]
-        by_name: dict[str, Structure] = {}
+        boxes = [ndimage.find_objects(volume) for volume in volumes]
+        found: dict[str, Structure] = {}
         for item in structures:
-            if item.name in by_name:
-                raise _twice(item.name)
-            if (box := boxes[item.volume].get(item.value)) is not None:
+            if item.name in found:
+                raise VolumeError(f"two structures are named {item.name!r}")
+            box = dict(enumerate(boxes[item.volume], 1)).get(item.value)
+            if box is not None:
                 voxels = np.count_nonzero(volumes[item.volume][box] == item.value)
-                by_name[item.name] = replace(item, voxels=int(voxels), box=box)
-        if not by_name:
-            raise VolumeError(
-                "no voxel is labelled: expected at least one structure",
-                EXPORT_LABELS,
-            )
-        return cls(volumes, grid, tuple(by_name.values()))
+                found[item.name] = replace(item, voxels=int(voxels), box=box)
+        if not found:
+            raise VolumeError("no voxel is labelled: expected at least one structure")
+        return cls(volumes, grid, tuple(found.values()))
 
     def __getitem__(self, name: str) -> Structure:
         by_name = {item.name: item for item in self.structures}
@@ -89,14 +86,18 @@ class Labels:
     def centroid_m(self, name: str) -> Array:
         """Return the mean position of a structure's voxels in LPS, (3,)."""
         corner = [side.start for side in self[name].box]
-        mask = self.mask(name)
-        index_sums = [
-            np.arange(size) @ np.count_nonzero(mask, axis=others)
-            for size, others in zip(mask.shape, ((1, 2), (0, 2), (0, 1)), strict=True)
-        ]
         return self.grid.points_m(
-            np.array(index_sums) / np.count_nonzero(mask) + corner
+            np.add(ndimage.center_of_mass(self.mask(name)), corner)
         )
+
+    def deepest_point_m(self, name: str) -> Array:
+        """Return the point of a structure that lies farthest from its surface, (3,)."""
+        mask = np.pad(self.mask(name), 1)
+        spacing_m = self.grid.spacing_m.tolist()
+        depth_m = np.asarray(ndimage.distance_transform_edt(mask, spacing_m))
+        index = np.unravel_index(int(depth_m.argmax()), depth_m.shape)
+        corner = [side.start - 1 for side in self[name].box]
+        return self.grid.points_m(np.array(index) + corner)
 
     def with_body(
         self,
@@ -118,21 +119,24 @@ class Labels:
         """
         unchecked = check_against_scan(self, scan)
         kinds = find_body(scan, fat=fat, progress=progress)
-        # Each of our voxels takes the scan's nearest: grids may be flipped, cropped or
-        # finer.
-        volume = resample_nearest(kinds, scan.grid, self.grid)
+        values = resample_nearest(kinds, scan.grid, self.grid)
         names = ("lean", "fat") if fat else ("body",)
-        body = Labels.of(
-            [volume],
-            self.grid,
-            [Structure.named(name, value) for value, name in enumerate(names, 1)],
-        )
-        for item in body.structures:
-            if item.name in {own.name for own in self.structures}:
-                raise _twice(item.name)
-        added = [replace(item, volume=len(self.volumes)) for item in body.structures]
-        return Labels(
-            [*self.volumes, volume], self.grid, (*self.structures, *added), unchecked
+        return replace(self._with_volume(values, names), unchecked=unchecked)
+
+    def _with_volume(self, values: NDArray[Any], names: Sequence[str]) -> "Labels":
+        """Return labels with one more volume, and structures of values from 1."""
+        named = [Structure.named(name, value) for value, name in enumerate(names, 1)]
+        added = [
+            replace(item, volume=len(self.volumes))
+            for item in Labels.of([values], self.grid, named).structures
+        ]
+        twice = {item.name for item in self.structures} & {item.name for item in added}
+        if twice:
+            raise VolumeError(f"two structures are named {', '.join(twice)}")
+        return replace(
+            self,
+            volumes=[*self.volumes, values],
+            structures=(*self.structures, *added),
         )
 
     def with_dense(self, scan: Volume) -> "Labels":
@@ -154,23 +158,11 @@ class Labels:
             if item.name not in TISSUES:
                 inside = self.volumes[item.volume][item.box] == item.value
                 is_dense[item.box] &= ~inside
-        pieces = np.zeros(self.grid.shape, np.int32)
-        ndimage.label(is_dense, np.ones((3, 3, 3)), output=pieces)
-        voxel_m3 = float(np.prod(self.grid.spacing_m))
-        is_large = np.bincount(pieces.ravel()) * voxel_m3 >= min_dense_m3
+        pieces, _ = ndimage.label(is_dense, np.ones((3, 3, 3)))
+        is_large = np.bincount(pieces.ravel()) * self.grid.voxel_m3 >= min_dense_m3
         is_large[0] = False
-        volume = np.take(is_large, pieces).astype(np.uint8)
-        if not volume.any():
-            return self
-        dense = Labels.of([volume], self.grid, [Structure.named(DENSE, 1)])
-        if DENSE in {item.name for item in self.structures}:
-            raise _twice(DENSE)
-        added = [replace(item, volume=len(self.volumes)) for item in dense.structures]
-        return replace(
-            self,
-            volumes=[*self.volumes, volume],
-            structures=(*self.structures, *added),
-        )
+        values = is_large[pieces].astype(np.uint8)
+        return self._with_volume(values, (DENSE,)) if values.any() else self
 
     def checked_against(self, scan: Volume) -> "Labels":
         """Return the same labels, checked against their scan.
@@ -199,35 +191,36 @@ class Labels:
             VolumeError: No structure with voxels has one of the names.
         """
         rounding = 1e-6  # fraction of a voxel by which it may be larger
-        all_names = [item.name for item in self.structures]
-        chosen_names = all_names if names is None else list(names)
+        chosen = [item.name for item in self.structures] if names is None else [*names]
+        voxels = voxel_m / self.grid.spacing_m + rounding
+        joined = np.maximum(voxels, 1.0).astype(int)
         surfaces: dict[str, Surface] = {}
-        for name in chosen_names:
-            structure = self[name]
-            mask = self.mask(name)
-            voxels = voxel_m / self.grid.spacing_m + rounding
-            joined = np.maximum(voxels, 1.0).astype(int)
-            mask = join_voxels(mask, joined)
-            corner = [side.start for side in structure.box] + 0.5 * (joined - 1)
+        for name in chosen:
+            corner = [side.start for side in self[name].box] + 0.5 * (joined - 1)
             surfaces[name] = closed_surface(
                 name,
-                mask,
+                join_voxels(self.mask(name), joined),
                 self.grid.points_m(corner),
                 self.grid.axes_m * joined,
-                structure.colour,
+                self[name].colour,
             )
             if progress is not None:
-                progress(len(surfaces) / len(chosen_names))
+                progress(len(surfaces) / len(chosen))
         return surfaces
 
     def skin(self) -> Surface:
         """Return the closed surface of all that is labelled; see `with_body`."""
+        body = Labels.of(
+            [self.inside().view(np.uint8)], self.grid, [Structure.named("skin", 1)]
+        )
+        return body.surfaces()["skin"]
+
+    def inside(self) -> NDArray[np.bool_]:
+        """Return which voxels any structure covers, (i, j, k)."""
         inside = np.zeros(self.grid.shape, bool)
         for volume in self.volumes:
             inside |= volume != 0
-        name = "skin"
-        body = Labels.of([inside.view(np.uint8)], self.grid, [Structure.named(name, 1)])
-        return body.surfaces()[name]
+        return inside
 
     def layers_along(
         self, entry_m: ArrayLike, target_m: ArrayLike, boundary_std_m: float = 0.0
@@ -270,14 +263,8 @@ class Labels:
         Raises:
             VolumeError: No structure with voxels has one of the names.
         """
-        if names is None:
-            chosen = [one for one in self.structures if one.is_obstacle or one.is_risk]
-        else:
+        chosen = [one for one in self.structures if one.is_obstacle or one.is_risk]
+        if names is not None:
             chosen = [self[name] for name in names]
         boxes = [VoxelBoxes(self, one) for one in chosen]
         return find_clearances(boxes, entry_m, target_m)
-
-
-def _twice(name: str) -> VolumeError:
-    """Return the error of two structures with one name."""
-    return VolumeError(f"two structures are named {name!r}", EXPORT_LABELS)

@@ -1,24 +1,20 @@
-"""Rigid registration by landmarks.
+"""Rigid registration by landmarks; each landmark against the others.
 
 Residuals at the landmarks do not say how large the error at the target is (Fitzpatrick
 2009); they serve to estimate the touches' deviation, and to refuse.
 """
 
-from collections.abc import Iterator
-from itertools import combinations
-from typing import NamedTuple
+from collections.abc import Sequence
+from dataclasses import dataclass
+from itertools import permutations
 
 import numpy as np
 from numpy.typing import ArrayLike
+from scipy.spatial.distance import cdist
 from scipy.special import chdtrc, chdtri
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import (
-    TOUCH_LANDMARKS,
-    RegistrationError,
-    require_deviation,
-)
-from needleforce.anatomy.landmark_check import find_equal_order, find_order
+from needleforce.anatomy.errors import RegistrationError, require_deviation
 from needleforce.anatomy.registration import (
     MAX_LENGTH_RATIO,
     MIN_WIDTH_m,
@@ -26,55 +22,13 @@ from needleforce.anatomy.registration import (
     displacement_jacobian,
     fit_rigidly,
     rms_extents_m,
-    rms_length,
 )
 
+MIN_VERIFIED = 5
+"""With fewer landmarks the others do not say which of them is off."""
 
-class _Landmarks(NamedTuple):
-    """The same points in both frames, shape (n, 3) each.
-
-    Attributes:
-        model_m: In the CT.
-        robot_m: In the robot's base.
-    """
-
-    model_m: Array
-    robot_m: Array
-
-    def fit(self, std_m: float) -> bool:
-        """Return whether they fit with a standard deviation along each axis."""
-        return bool(fit_rigidly(*self).squares_m2 <= self.max_squares_m2(std_m))
-
-    def max_squares_m2(self, std_m: float) -> float:
-        """Return the largest sum of squares that good landmarks leave."""
-        # Probability that good landmarks do not fit: no refusal is wrong in a life.
-        false_refusal = 1e-6
-        degrees = 3 * len(self.model_m) - 6
-        return float(std_m**2 * chdtri(degrees, false_refusal))
-
-
-class _Noise(NamedTuple):
-    """How far landmarks are off.
-
-    Attributes:
-        variance_m2: Along each axis; nan where nothing can be said.
-        degrees: Of freedom behind it.
-    """
-
-    variance_m2: float
-    degrees: float
-
-
-class _Explanation(NamedTuple):
-    """What may be wrong with landmarks.
-
-    Attributes:
-        cause: In words, and what would help.
-        corrected: The landmarks without it.
-    """
-
-    cause: str
-    corrected: _Landmarks
+DOUBTFUL = 0.01
+"""A landmark whose residual would be exceeded less often is named."""
 
 
 def fit_landmarks(
@@ -102,97 +56,64 @@ def fit_landmarks(
             landmarks that fit as well in another order.
             Three landmarks cannot show a mirror image.
     """
+    false_refusal = 1e-6  # probability that good landmarks do not fit
     require_deviation("std_m", std_m, RegistrationError)
-    landmarks = _checked_landmarks(model_m, robot_m)
-    fit = fit_rigidly(*landmarks)
-    count = len(landmarks.model_m)
+    model = np.asarray(model_m, dtype=float)
+    robot = np.asarray(robot_m, dtype=float)
+    _require_landmarks(model, robot)
+    fit = fit_rigidly(model, robot)
+    count = len(model)
     residual_rms_m = float(np.sqrt(fit.squares_m2 / count))
-    if not landmarks.fit(std_m):
+    degrees = 3.0 * count - 6.0
+    if fit.squares_m2 > std_m**2 * chdtri(degrees, false_refusal):
         raise RegistrationError(
-            _find_cause(landmarks, std_m, residual_rms_m),
-            "Check the order and the place of the landmarks, touch them "
-            "again, or give the `std_m` of a touch.",
+            f"the landmarks do not fit: {1e3 * residual_rms_m:.1f} mm rms are left, "
+            f"with {1e3 * std_m:g} mm per axis expected: two are swapped, one lies "
+            "elsewhere, or they are a mirror image or scaled"
         )
-    _require_one_order(landmarks, std_m)
-    noise = _estimate_noise(fit.squares_m2, count, std_m, is_std_known=is_std_known)
-    moved_m = landmarks.model_m @ fit.rotation.T + fit.translation_m
+    _require_one_order(model, robot, std_m)
+    # Residuals that good landmarks exceed more seldom are taken for those of one
+    # landmark that is off: its three coordinates decide.
+    if count == 3 and not is_std_known:
+        variance_m2 = np.nan
+    elif chdtrc(degrees, fit.squares_m2 / std_m**2) < 0.05:
+        variance_m2 = fit.squares_m2 / degrees
+        degrees = 3.0
+    elif count == 3:
+        variance_m2 = std_m**2
+        degrees = np.inf
+    else:
+        # A known deviation counts as half a residual: as all but those of the
+        # landmarks, or one of them that is off would leave the error as it is.
+        stated = 0.5 if is_std_known else 0.0
+        variance_m2 = (fit.squares_m2 + stated * std_m**2) / (degrees + stated)
+        degrees += stated
+    moved_m = model @ fit.rotation.T + fit.translation_m
     pivot_m = moved_m.mean(axis=0)
     rows = displacement_jacobian(moved_m - pivot_m).reshape(-1, 6)
-    covariance = noise.variance_m2 * np.linalg.inv(rows.T @ rows)
     return Registration(
         rotation=fit.rotation,
         translation_m=fit.translation_m,
-        covariance=np.asarray(covariance, dtype=float),
+        covariance=np.asarray(variance_m2 * np.linalg.inv(rows.T @ rows), dtype=float),
         pivot_m=pivot_m,
-        degrees=noise.degrees,
+        degrees=degrees,
         residual_rms_m=residual_rms_m,
     )
 
 
-def _estimate_noise(
-    squares_m2: float, count: int, std_m: float, *, is_std_known: bool
-) -> _Noise:
-    """Return how far landmarks are off, by the residuals.
-
-    Where these are larger than good landmarks leave, one landmark is taken to be off:
-    its three coordinates decide, so the region grows as Student's law with three
-    degrees of freedom does.
-
-    Args:
-        squares_m2: Sum of the squared residuals.
-        count: Landmarks.
-        std_m: Stated deviation along each axis.
-        is_std_known: It counts, too.
-    """
-    degrees_of_one = 3.0  # degrees of freedom of one landmark that is off
-    # Residuals that good landmarks exceed more seldom are taken for those of one
-    # landmark that is off.
-    doubtful_fit = 0.05
-    # Residuals for which a known deviation counts: all but those of the landmarks, or
-    # one of them that is off would leave the stated error as it is.
-    stated_degrees = 0.5
-    degrees = 3.0 * count - 6.0
-    if count == 3 and not is_std_known:
-        return _Noise(np.nan, degrees)
-    if chdtrc(degrees, squares_m2 / std_m**2) < doubtful_fit:
-        return _Noise(squares_m2 / degrees, degrees_of_one)
-    if count == 3:
-        return _Noise(std_m**2, np.inf)
-    stated = stated_degrees if is_std_known else 0.0
-    variance_m2 = (squares_m2 + stated * std_m**2) / (degrees + stated)
-    return _Noise(variance_m2, degrees + stated)
-
-
-def _require_one_order(landmarks: _Landmarks, std_m: float) -> None:
-    """Refuse landmarks that fit as well in another order."""
-    order = find_equal_order(landmarks.model_m, landmarks.robot_m, std_m)
-    if order is not None:
-        numbers = ", ".join(str(number + 1) for number in order)
-        raise RegistrationError(
-            f"the landmarks fit as well in another order ({numbers}): they lie "
-            "symmetrically; touch one more, off the symmetry",
-            TOUCH_LANDMARKS,
-        )
-
-
-def _checked_landmarks(model_m: ArrayLike, robot_m: ArrayLike) -> _Landmarks:
-    """Return landmarks that could register."""
-    # Keeps the ratio of extents finite where all landmarks are at one place.
-    min_extent_m = 1e-12
-    model = np.asarray(model_m, dtype=float)
-    robot = np.asarray(robot_m, dtype=float)
+def _require_landmarks(model: Array, robot: Array) -> None:
+    """Refuse landmarks that could not register."""
     if model.ndim != 2 or model.shape[1:] != (3,) or model.shape != robot.shape:
         shapes = f"{model.shape} and {robot.shape}"
         raise RegistrationError(f"landmarks of shapes {shapes}: expected (n, 3) twice")
-    if len(model) < 3:
+    if len(model) < 3 or not np.isfinite([model, robot]).all():
         raise RegistrationError(
-            f"too few landmarks: {len(model)}, expected three or more"
+            f"too few landmarks, or one is not finite: {len(model)}, expected three or "
+            "more"
         )
-    if not np.isfinite([model, robot]).all():
-        raise RegistrationError("a landmark is not finite")
     model_length_m, model_width_m, _ = rms_extents_m(model)
     robot_length_m, robot_width_m, _ = rms_extents_m(robot)
-    ratio = robot_length_m / max(model_length_m, min_extent_m)
+    ratio = robot_length_m / max(model_length_m, 1e-12)
     if not 1.0 / MAX_LENGTH_RATIO < ratio < MAX_LENGTH_RATIO:
         raise RegistrationError(
             f"the touched landmarks are {ratio:.3g} times as far apart as those of the "
@@ -202,55 +123,98 @@ def _checked_landmarks(model_m: ArrayLike, robot_m: ArrayLike) -> _Landmarks:
         raise RegistrationError(
             "the landmarks are collinear: the model could turn about their line"
         )
-    return _Landmarks(model, robot)
 
 
-def _find_cause(landmarks: _Landmarks, std_m: float, residual_rms_m: float) -> str:
-    """Return why landmarks do not fit: the first explanation without which they do."""
-    for cause, corrected in _explanations(landmarks):
-        if corrected.fit(std_m):
-            return cause
-    order = find_order(*landmarks, std_m, landmarks.max_squares_m2(std_m))
-    if order is not None:
-        numbers = ", ".join(str(number + 1) for number in order)
-        return (
-            f"the touched landmarks fit in the order {numbers}; touch them in the "
-            "model's order"
-        )
-    return (
-        f"the landmarks do not fit: {1e3 * residual_rms_m:.1f} mm rms are left with "
-        f"{1e3 * std_m:g} mm per axis expected; are they the same points, in the same "
-        "order?"
-    )
+def _require_one_order(model: Array, robot: Array, std_m: float) -> None:
+    """Refuse landmarks that fit as well in another order: they lie symmetrically."""
+    # Of more landmarks not all orders are tried.
+    max_ordered = 7
+    # Distances between landmarks that differ by so many standard deviations rule an
+    # order out before it is fitted.
+    max_gap_std = 8.0
+    # Difference of the squares over the variance below which another order fits as
+    # well: the stated one is less than 150 times as likely. Of three landmarks two
+    # sides are often nearly equal.
+    equal_fit = 10.0 if len(model) > 3 else 2.0
+    if len(model) > max_ordered:
+        return
+    max_squares_m2 = fit_rigidly(model, robot).squares_m2 + equal_fit * std_m**2
+    # Without the first one, which is the stated order.
+    orders = np.array(list(permutations(range(len(model)))))[1:]
+    gaps_m = cdist(robot, robot)[orders[:, :, None], orders[:, None, :]]
+    differences_m = np.abs(gaps_m - cdist(model, model)).max(axis=(1, 2))
+    for order in orders[differences_m <= max_gap_std * std_m]:
+        if fit_rigidly(model, robot[order]).squares_m2 <= max_squares_m2:
+            numbers = ", ".join(str(number + 1) for number in order)
+            raise RegistrationError(
+                f"the landmarks fit as well in another order ({numbers}): they lie "
+                "symmetrically; touch one more, off the symmetry"
+            )
 
 
-def _explanations(landmarks: _Landmarks) -> Iterator[_Explanation]:
-    """Yield what may be wrong: order, mirror, scale, one landmark, in this order.
+@dataclass(frozen=True)
+class LandmarkResidual:
+    """How far a landmark lies from where the others put it.
 
-    In another order the scale would take the blame.
+    Attributes:
+        name: Of the landmark.
+        left_m: Distance that the fit of all landmarks leaves.
+        left_out_m: Distance in the fit of the others; nan where they cannot register.
+        probability: Of so large a distance or a larger one where nothing is wrong; nan
+            where it cannot be judged.
     """
-    model_m, robot_m = landmarks
-    count = len(model_m)
-    for i, j in combinations(range(count), 2):
-        order = np.arange(count)
-        order[[i, j]] = j, i
-        yield _Explanation(
-            f"landmarks {i + 1} and {j + 1} are swapped; touch them in the model's "
-            "order",
-            _Landmarks(model_m, robot_m[order]),
+
+    name: str
+    left_m: float
+    left_out_m: float
+    probability: float
+
+    @property
+    def is_doubtful(self) -> bool:
+        """Whether the landmark is probably off."""
+        return bool(self.probability < DOUBTFUL)
+
+
+def judge_landmarks(
+    model_m: ArrayLike,
+    robot_m: ArrayLike,
+    std_m: float,
+    names: Sequence[str] = (),
+) -> list[LandmarkResidual]:
+    """Return the residual of each landmark, also in the fit of the others.
+
+    That is not pulled towards the landmark itself. With n - 1 others of standard
+    deviation s, its covariance is s^2 (I + J (J'J)^-1 J'), J the displacement per
+    rotation and shift, so its size follows chi squared with three degrees of freedom.
+
+    Args:
+        model_m: Landmarks in the CT, (n, 3).
+        robot_m: The same in the robot's base.
+        std_m: Standard deviation of a landmark along each axis.
+        names: Of the landmarks; by default their numbers from 1.
+    """
+    model = np.asarray(model_m, dtype=float)
+    robot = np.asarray(robot_m, dtype=float)
+    fit = fit_rigidly(model, robot)
+    left_m = np.linalg.norm(model @ fit.rotation.T + fit.translation_m - robot, axis=1)
+    residuals: list[LandmarkResidual] = []
+    for number in range(len(model)):
+        name = names[number] if names else str(number + 1)
+        is_other = np.arange(len(model)) != number
+        distance_m = probability = np.nan
+        if len(model) > 3 and rms_extents_m(model[is_other])[1] >= MIN_WIDTH_m:
+            fit = fit_rigidly(model[is_other], robot[is_other])
+            moved_m = model @ fit.rotation.T + fit.translation_m
+            error_m = moved_m[number] - robot[number]
+            distance_m = float(np.linalg.norm(error_m))
+            jacobian = displacement_jacobian(moved_m - moved_m[is_other].mean(axis=0))
+            rows = jacobian[is_other].reshape(-1, 6)
+            inner = np.linalg.solve(rows.T @ rows, jacobian[number].T)
+            factor = np.eye(3) + jacobian[number] @ inner
+            squares = error_m @ np.linalg.solve(factor, error_m) / std_m**2
+            if len(model) >= MIN_VERIFIED:
+                probability = float(chdtrc(3, squares))
+        residuals.append(
+            LandmarkResidual(name, float(left_m[number]), distance_m, probability)
         )
-    yield _Explanation(
-        "the touched landmarks are the mirror image of the model's: left for right?",
-        _Landmarks(-model_m, robot_m),
-    )
-    robot_size_m = rms_length(robot_m - robot_m.mean(axis=0))
-    scale = robot_size_m / rms_length(model_m - model_m.mean(axis=0))
-    yield _Explanation(
-        f"the touched landmarks fit with a scale of {scale:.3f}: is the spacing right?",
-        _Landmarks(scale * model_m, robot_m),
-    )
-    for k in range(count if count > 4 else 0):
-        yield _Explanation(
-            f"landmark {k + 1} lies elsewhere than in the model; touch it again",
-            _Landmarks(np.delete(model_m, k, axis=0), np.delete(robot_m, k, axis=0)),
-        )
+    return residuals

@@ -12,7 +12,7 @@ import msgspec
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import SAVE_MARKUPS, VolumeError
+from needleforce.anatomy.errors import VolumeError
 from needleforce.files import whole_file
 
 SCHEMA = (
@@ -102,22 +102,17 @@ def read_markup(path: Path | str) -> Markup:
     except (OSError, msgspec.MsgspecError) as error:
         raise VolumeError(
             f"cannot read {path}: {error}; expected points or a line that 3D Slicer "
-            "saved as .mrk.json",
-            SAVE_MARKUPS,
+            "saved as .mrk.json"
         ) from error
     if len(file.markups) != 1:
-        raise VolumeError(
-            f"{path} holds {len(file.markups)} markups: expected one",
-            SAVE_MARKUPS,
-        )
+        raise VolumeError(f"{path} holds {len(file.markups)} markups: expected one")
     markup = file.markups[0]
     scale_m = units_m.get(markup.units)
     factors = frames.get(str(markup.frame))
     if scale_m is None or factors is None:
         raise VolumeError(
             f"{path} is in {markup.frame!r} and {markup.units!r}: expected LPS or RAS, "
-            f"and one of {', '.join(units_m)}",
-            SAVE_MARKUPS,
+            f"and one of {', '.join(units_m)}"
         )
     placed = [
         point
@@ -125,17 +120,14 @@ def read_markup(path: Path | str) -> Markup:
         if point.position is not None and point.status not in unplaced
     ]
     if not placed:
-        raise VolumeError(f"{path} holds no placed point", SAVE_MARKUPS)
+        raise VolumeError(f"{path} holds no placed point")
     names = tuple(point.label or str(n) for n, point in enumerate(placed, 1))
     if len(set(names)) < len(names):
-        raise VolumeError(
-            f"{path}: two points have one name: {', '.join(names)}",
-            SAVE_MARKUPS,
-        )
+        raise VolumeError(f"{path}: two points have one name: {', '.join(names)}")
     positions = np.array([point.position for point in placed], dtype=float)
     points_m = scale_m * factors * positions
     if not np.isfinite(points_m).all():
-        raise VolumeError(f"{path}: a point is not finite", SAVE_MARKUPS)
+        raise VolumeError(f"{path}: a point is not finite")
     return Markup(names, points_m, markup.kind == "Line")
 
 

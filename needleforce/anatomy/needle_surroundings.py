@@ -5,16 +5,18 @@ along its own direction: what counts is what lies beside the needle, and ahead o
 """
 
 from collections.abc import Iterable
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.arrays import Array, Matrix, Vector, WrittenBlocks, WrittenMatrix
 from foundation.jit import compile_waiting, compiled
 from needleforce.anatomy.clearance import FreeSpace, VoxelBoxes, nearest_box
 from needleforce.anatomy.registration import Registration
-from needleforce.anatomy.segmentation import Segmentation
+
+if TYPE_CHECKING:
+    from needleforce.anatomy.labels import Labels
 
 REACH_m = 0.1
 """Structures further away than this are not reported."""
@@ -106,7 +108,7 @@ class NeedleSurroundings:
 
     def __init__(
         self,
-        labels: Segmentation,
+        labels: "Labels",
         registration: Registration,
         entry_m: ArrayLike,
         target_m: ArrayLike,
@@ -132,13 +134,11 @@ class NeedleSurroundings:
         self._std_m = space.std_m
         kept_free_m = space.needle_radius_m + space.margin_m
         planned = [one.nearest(entry_m, target_m, REACH_m) for one in boxes]
-        self._needed_m = np.array(
-            [
-                kept_free_m
-                if nearest is None or nearest.distance_m > kept_free_m
-                else nearest.distance_m - closer_m
-                for nearest in planned
-            ]
+        planned_m = np.array(
+            [np.inf if one is None else one.distance_m for one in planned]
+        )
+        self._needed_m = np.where(
+            planned_m > kept_free_m, kept_free_m, planned_m - closer_m
         )
         compile_waiting()
         self._along_grid = boxes[0].along_grid if boxes else np.asarray
@@ -172,44 +172,34 @@ class NeedleSurroundings:
         inside_m = max(depth_m, 1e-4) * forward
         ahead_m = max(self._length_m - depth_m, 1e-4) * forward
         ends = self._along_grid([tip - inside_m, tip, tip, tip + ahead_m])
-        measured = [
-            measure_again(
-                self._trees,
-                self._begins,
-                self._needed_m,
-                ends[2 * part : 2 * part + 2],
-                self._measured_ends[part],
-                self._distances_m[part],
-                self._places_m[part],
-            )
-            for part in range(2)
-        ]
+        measured = measure_again(
+            self._trees,
+            self._begins,
+            self._needed_m,
+            ends,
+            self._measured_ends,
+            self._distances_m,
+            self._places_m,
+        )
         is_inside = depth_m > 0.0
-        if any(measured) or is_inside != self._was_inside:
+        if measured or is_inside != self._was_inside:
             self._was_inside = is_inside
             self._found = self._clearances()
         return self._found
 
     def _clearances(self) -> tuple[NeedleClearance, ...]:
         """Return the measured distances of structures within 0.1 m, in order."""
-        inside_m, ahead_m = self._distances_m.tolist()
+        inside_m, ahead_m = self._distances_m
         if not self._was_inside:
-            inside_m = [np.inf] * len(inside_m)
-        is_ahead = np.array(inside_m) > np.array(ahead_m)
-        places_m = self._places_m[is_ahead.astype(int), np.arange(len(is_ahead))]
-        places_m = self._registration.to_robot(self._from_grid(places_m))
+            inside_m = np.full_like(ahead_m, np.inf)
+        part = (inside_m > ahead_m).astype(int)
+        nearest = self._from_grid(self._places_m[part, np.arange(len(part))])
+        places_m = self._registration.to_robot(nearest).tolist()
         found = [
             NeedleClearance(
-                number=number,
-                name=item.name,
-                needle_m=inside_m[number],
-                ahead_m=ahead_m[number],
-                std_m=self._std_m,
-                needed_m=float(self._needed_m[number]),
-                is_obstacle=item.is_obstacle,
-                x_m=float(places_m[number, 0]),
-                y_m=float(places_m[number, 1]),
-                z_m=float(places_m[number, 2]),
+                *(number, item.name, float(inside_m[number]), float(ahead_m[number])),
+                *(self._std_m, float(self._needed_m[number]), item.is_obstacle),
+                *places_m[number],
             )
             for number, item in enumerate(self._structures)
             if min(inside_m[number], ahead_m[number]) < np.inf
@@ -223,11 +213,11 @@ def measure_again(
     begins: Vector,
     needed: Vector,
     ends: Matrix,
-    measured_ends: WrittenMatrix,
-    distances: WrittenVector,
-    places: WrittenMatrix,
+    measured_ends: WrittenBlocks,
+    distances: WrittenMatrix,
+    places: WrittenBlocks,
 ) -> int:
-    """Measure the distances of a straight part of the needle that may have changed.
+    """Measure the distances of straight parts of the needle that may have changed.
 
     None comes nearer than it must stay unnoticed, and far ones cost little. Returns how
     many were measured.
@@ -236,32 +226,38 @@ def measure_again(
         trees: Boxes of all structures, see `clearance.nearest_box`.
         begins: Row at which each structure's begin, and the end of the last, (n + 1,).
         needed: How far from each the needle must stay, (n,).
-        ends: Of the part, along the axes of the boxes, (2, 3).
-        measured_ends: The ends with which each distance was measured, (n, 6).
-        distances: From each structure, infinite beyond `REACH_m`, (n,).
-        places: Where each structure is nearest, along the axes of the boxes, (n, 3).
+        ends: Of the parts inside and ahead, along the axes of the boxes, (4, 3).
+        measured_ends: The ends with which each distance was measured, (2, n, 6).
+        distances: From each structure, infinite beyond `REACH_m`, (2, n).
+        places: Where each structure is nearest, along the axes of the boxes,
+            (2, n, 3).
     """
     step = 0.1e-3  # of the needle, after which a near structure is measured again
     step_fraction = 0.2  # of what is left above what is needed, for far ones
     count = 0
-    for number in range(len(needed)):
-        moved = 0.0
-        for end in range(2):
-            square = 0.0
-            for i in range(3):
-                square += (ends[end, i] - measured_ends[number, 3 * end + i]) ** 2
-            moved = max(moved, np.sqrt(square))
-        left = min(distances[number], REACH_m) - needed[number]
-        if moved > max(step, step_fraction * left):
+    for part in range(2):
+        both = ends[2 * part : 2 * part + 2]
+        for number in range(len(needed)):
+            moved = 0.0
+            for end in range(2):
+                square = 0.0
+                for i in range(3):
+                    square += (
+                        both[end, i] - measured_ends[part, number, 3 * end + i]
+                    ) ** 2
+                moved = max(moved, np.sqrt(square))
+            left = min(distances[part, number], REACH_m) - needed[number]
+            if moved <= max(step, step_fraction * left):
+                continue
             tree = trees[int(begins[number]) : int(begins[number + 1])]
-            nearest, fraction, row = nearest_box(tree, ends, REACH_m)
-            distances[number] = nearest if fraction >= 0.0 else np.inf
+            nearest, fraction, row = nearest_box(tree, both, REACH_m)
+            distances[part, number] = nearest if fraction >= 0.0 else np.inf
             for i in range(3):
                 low = tree[row, i] - tree[row, 3 + i]
                 high = tree[row, i] + tree[row, 3 + i]
-                place = ends[0, i] + fraction * (ends[1, i] - ends[0, i])
-                places[number, i] = min(max(place, low), high)
-            measured_ends[number, :3] = ends[0]
-            measured_ends[number, 3:] = ends[1]
+                place = both[0, i] + fraction * (both[1, i] - both[0, i])
+                places[part, number, i] = min(max(place, low), high)
+            measured_ends[part, number, :3] = both[0]
+            measured_ends[part, number, 3:] = both[1]
             count += 1
     return count

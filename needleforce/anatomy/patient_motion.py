@@ -32,16 +32,11 @@ class PatientMotion(NamedTuple):
         probability: That he did.
         step: From where the unknowns are without a motion to their mean, (7,).
         covariance: What it adds to that of the unknowns, (7, 7).
-        first: Number of the first touch behind the most probable motion, 0 for one
-            between landmarks and touches.
-        motion: The most probable one, a rotation and a shift, (6,).
     """
 
     probability: float
     step: Array
     covariance: Array
-    first: int
-    motion: Array
 
 
 class _Moments(NamedTuple):
@@ -102,13 +97,10 @@ def find_motion(problem: Problem, fit: Fit) -> PatientMotion:
     covariances += steps[..., None] * steps[..., None, :]
     step = np.einsum("fk,fkn->n", probabilities, steps)
     covariance = np.einsum("fk,fknm->nm", probabilities, covariances)
-    best_number, best_kind = divmod(int(odds.argmax()), len(kinds))
     return PatientMotion(
         probability=float(probabilities.sum()),
         step=step,
         covariance=covariance - np.outer(step, step),
-        first=int(firsts[best_number]),
-        motion=motions[best_number, best_kind],
     )
 
 

@@ -13,19 +13,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from foundation.arrays import Array
 from needleforce.anatomy.errors import (
     OTHER_PATH,
     PlanError,
     require_deviation,
 )
 from needleforce.anatomy.path_layers import UNLABELLED, Layer
-from needleforce.anatomy.rupture_model import (
-    Match,
-    RuptureModel,
-    join,
-    match_last_rupture,
-)
+from needleforce.anatomy.rupture_model import RuptureModel
 from needleforce.anatomy.structures import words_of
 
 SKIN = frozenset(("body", "skin", "lean", "fat"))
@@ -112,16 +106,13 @@ class PlanMatch:
         *,
         accepted_obstacles: Iterable[str] = (),
     ) -> None:
-        if len(layers) < 2:
-            raise PlanError(f"the plan has {len(layers)} layers: expected two or more")
         require_deviation("offset_std_m", offset_std_m, PlanError)
-        _require_passable(layers, frozenset(accepted_obstacles))
+        _require_layers(layers, frozenset(accepted_obstacles))
         self.offset_std_m = float(offset_std_m)
         self.layers = tuple(layers)
         self.fingerprint = _fingerprint(layers, float(offset_std_m))
         bound_m = np.array([float(layer.entry_m) for layer in layers])
         bound_std_m = np.array([float(layer.entry_std_m) for layer in layers])
-        _require_boundaries(np.append(bound_m, layers[-1].exit_m), bound_std_m)
         # Air in front of the skin is no layer: boundaries lie in front of each from the
         # first tissue on, the first is the surface. Without a body among the labels it
         # is tissue, too.
@@ -161,9 +152,9 @@ class PlanMatch:
             PlanError: A depth that is not finite, or of a rupture more than 1 mm above
                 the one before.
         """
+        withdrawn_m = 1e-3  # a tip so far above the deepest point is being withdrawn
         # What lies behind the last boundary.
         behind_all = Layer("", *[np.nan] * 4, is_obstacle=False)
-        withdrawn_m = 1e-3  # a tip so far above the deepest point is being withdrawn
         _require_finite(depth_m, deepest_m, contact_m, entry_depth_m)
         model = self._model
         tip_m = float(depth_m) - entry_depth_m
@@ -173,15 +164,15 @@ class PlanMatch:
         if contact_m is not None:
             contact_m = contact_m - entry_depth_m
         ruptures = [float(rupture_m) - entry_depth_m for rupture_m in ruptures_m]
-        joint, match = self._infer(lowest_m, ruptures, contact_m)
+        joint, matched, matched_probability = model.infer(lowest_m, ruptures, contact_m)
         is_withdrawn = tip_m < lowest_m - withdrawn_m
         by_passed = model.withdraw(joint, tip_m) if is_withdrawn else joint.sum(axis=1)
         layer = int(np.argmax(by_passed)) + self._first - 1
         # The median: where two assignments compete, their mean is what neither says.
         offset_m = model.quantile_m(joint, 0.5)
-        variance_m2 = model.variance_m2(joint, offset_m)
+        variance_m2 = float((joint @ (model.offset_m - offset_m) ** 2).sum())
         next_layer = (*self.layers, behind_all)[layer + 1]
-        matched = match.boundary + self._first * (match.boundary >= 0)
+        matched += self._first * (matched >= 0)
         return PlanState(
             layer=layer,
             name=self._name(layer),
@@ -193,7 +184,7 @@ class PlanMatch:
             next_std_m=float(np.sqrt(variance_m2 + next_layer.entry_std_m**2)),
             matched=matched,
             matched_name=self._name(matched, FALSE_ALARM) if ruptures else "",
-            matched_probability=match.probability,
+            matched_probability=matched_probability,
             is_obstacle_next=next_layer.is_obstacle,
         )
 
@@ -213,20 +204,6 @@ class PlanMatch:
             matched_probability=0.0,
             is_obstacle_next=False,
         )
-
-    def _infer(
-        self, deepest_m: float, ruptures_m: Sequence[float], contact_m: float | None
-    ) -> tuple[Array, Match]:
-        """Return what contact, ruptures and the deepest point of the tip say.
-
-        Returns:
-            The probability of each number of boundaries passed (rows) and offset, and
-            the boundary that the last rupture most likely was.
-        """
-        expected = self._model.expect(contact_m)
-        ahead = self._model.look_ahead(expected, deepest_m)
-        weights = self._model.weigh(expected, ruptures_m)
-        return join(ahead, weights), match_last_rupture(ahead, weights)
 
     def _name(self, layer: int, none: str = OUTSIDE) -> str:
         """Return the name of a layer; `OUTSIDE` for air, ``none`` for -1."""
@@ -253,13 +230,11 @@ class PlanMatch:
         Raises:
             PlanError: As `state`, or a level that is not between 0 and 1.
         """
-        if not np.isfinite([depth_m, contact_m or 0.0]).all() or not 0.0 < level < 1.0:
-            raise PlanError(
-                f"tip at {depth_m!r} m, contact at {contact_m!r} m, level {level!r}: "
-                "expected finite depths, and a level between 0 and 1"
-            )
+        _require_finite(depth_m, contact_m)
+        if not 0.0 < level < 1.0:
+            raise PlanError(f"level {level!r}: expected one between 0 and 1")
         model = self._model
-        joint, _ = self._infer(depth_m, ruptures_m, contact_m)
+        joint = model.infer(depth_m, ruptures_m, contact_m).joint
         beyond = 0.5 - 0.5 * level
         return model.quantile_m(joint, beyond), model.quantile_m(joint, 1.0 - beyond)
 
@@ -272,8 +247,16 @@ def _fingerprint(layers: Sequence[Layer], offset_std_m: float) -> str:
     return sha256(plan.encode()).hexdigest()[:16]
 
 
-def _require_passable(layers: Sequence[Layer], accepted: frozenset[str]) -> None:
-    """Refuse layers of bone or cartilage, but for accepted ones."""
+def _require_layers(layers: Sequence[Layer], accepted: frozenset[str]) -> None:
+    """Refuse what is no plan: depths that do not grow or are not in metres, bone.
+
+    Args:
+        layers: The plan's.
+        accepted: Names of obstacles that the needle may go through.
+    """
+    max_depth_m = 1.0  # of a boundary; beyond it the unit is not the metre
+    if len(layers) < 2:
+        raise PlanError(f"the plan has {len(layers)} layers: expected two or more")
     obstacles = [
         f"{layer.name} from {1e3 * layer.entry_m:.1f} to {1e3 * layer.exit_m:.1f} mm"
         for layer in layers
@@ -281,11 +264,8 @@ def _require_passable(layers: Sequence[Layer], accepted: frozenset[str]) -> None
     ]
     if obstacles:
         raise PlanError(f"the path runs through {', '.join(obstacles)}", OTHER_PATH)
-
-
-def _require_boundaries(depths_m: Array, stds_m: Array) -> None:
-    """Refuse depths that do not grow, and what is not in metres."""
-    max_depth_m = 1.0  # of a boundary; beyond it the unit is not the metre
+    depths_m = np.array([*(one.entry_m for one in layers), layers[-1].exit_m], float)
+    stds_m = np.array([one.entry_std_m for one in layers], float)
     is_ordered = np.all(np.abs(depths_m) < max_depth_m) and np.all(
         np.diff(depths_m) >= 0.0
     )
@@ -297,16 +277,7 @@ def _require_boundaries(depths_m: Array, stds_m: Array) -> None:
         )
 
 
-def _require_finite(
-    depth_m: float,
-    deepest_m: float | None,
-    contact_m: float | None,
-    entry_depth_m: float,
-) -> None:
-    """Refuse a depth that is not finite."""
-    depths_m = [depth_m, deepest_m or 0.0, contact_m or 0.0, entry_depth_m]
-    if not np.isfinite(depths_m).all():
-        raise PlanError(
-            f"tip at {depth_m!r} m, deepest {deepest_m!r} m, contact at {contact_m!r} "
-            f"m, entry at {entry_depth_m!r} m: expected finite depths"
-        )
+def _require_finite(*depths_m: float | None) -> None:
+    """Refuse depths that are not finite: of tip, contact and entry."""
+    if not np.isfinite([depth_m or 0.0 for depth_m in depths_m]).all():
+        raise PlanError(f"depths of {depths_m} m: expected finite ones")

@@ -2,12 +2,17 @@
 
 import csv
 import re
-from collections.abc import Mapping
 from dataclasses import dataclass
 from importlib.resources import files
-from typing import NamedTuple
 
-TABLE = "structures.csv"
+TABLE = list(
+    csv.DictReader(
+        files("needleforce.anatomy")
+        .joinpath("structures.csv")
+        .read_text(encoding="utf-8")
+        .splitlines()
+    )
+)
 """Words in the names of structures, and what they imply.
 
 Roles: `obstacle` stops a needle, from `risk` a needle should keep away, it may pass
@@ -16,50 +21,14 @@ that `is_soft` words of obstacles do not count: a renal pelvis is no bone. Colou
 red, green, blue of 3D Slicer's table of generic anatomy; of several the first counts.
 """
 
+ROLES = {
+    role: frozenset(row["word"] for row in TABLE if row["role"] == role)
+    for role in ("obstacle", "risk", "passable", "says nothing")
+}
+"""Words by their role."""
 
-class _Words(NamedTuple):
-    """What the words in names imply.
-
-    Attributes:
-        obstacles: Stop a needle.
-        risks: A needle should keep away from them.
-        soft: Beside them words of obstacles do not count.
-        passable: A needle may pass them.
-        says_nothing: Say nothing where a name has no others.
-        colours: Red, green, blue by word; the first in a name counts.
-    """
-
-    obstacles: frozenset[str]
-    risks: frozenset[str]
-    soft: frozenset[str]
-    passable: frozenset[str]
-    says_nothing: frozenset[str]
-    colours: Mapping[str, tuple[float, ...]]
-
-
-def _read_words() -> _Words:
-    """Read the table of words."""
-    text = files("needleforce.anatomy").joinpath(TABLE).read_text(encoding="utf-8")
-    rows = list(csv.DictReader(text.splitlines()))
-
-    def with_role(role: str) -> frozenset[str]:
-        return frozenset(row["word"] for row in rows if row["role"] == role)
-
-    return _Words(
-        obstacles=with_role("obstacle"),
-        risks=with_role("risk"),
-        soft=frozenset(row["word"] for row in rows if row["is_soft"]),
-        passable=with_role("passable"),
-        says_nothing=with_role("says nothing"),
-        colours={
-            row["word"]: tuple(map(float, row["colour"].split()))
-            for row in rows
-            if row["colour"]
-        },
-    )
-
-
-_WORDS = _read_words()
+SOFT = frozenset(row["word"] for row in TABLE if row["is_soft"])
+"""Beside them words of obstacles do not count."""
 
 
 @dataclass(frozen=True)
@@ -103,14 +72,19 @@ class Structure:
         """
         max_colour = 255.0  # of the table; colours of a structure are from 0 to 1
         words = _telling_words(name) | _telling_words(kind)
-        colours = [colour for word, colour in _WORDS.colours.items() if word in words]
-        colour = colours[0] if colours else _bluish(value)
+        # Multiples of the golden ratio, modulo one, lie far apart: no two numbers close
+        # by look alike where a name says nothing.
+        shade = (0.618 * value) % 1.0
+        bluish = f"{90 + 150 * shade} {200 - 60 * shade} {240 - 150 * shade}"
+        told = [row["colour"] for row in TABLE if row["word"] in words]
+        chosen = next(filter(None, told), bluish)
+        colour = [float(number) / max_colour for number in chosen.split()]
         return cls(
             name=name,
             value=value,
-            colour=tuple(number / max_colour for number in colour),
-            is_obstacle=bool(words & _WORDS.obstacles),
-            is_risk=bool(words & _WORDS.risks),
+            colour=tuple(colour),
+            is_obstacle=bool(words & ROLES["obstacle"]),
+            is_risk=bool(words & ROLES["risk"]),
             volume=volume,
             kind=kind,
         )
@@ -119,14 +93,6 @@ class Structure:
     def anatomy(self) -> str:
         """What it is: its name, or its kind where the name says nothing known."""
         return self.name if is_known(self.name) or not self.kind else self.kind
-
-
-def _bluish(number: int) -> tuple[float, ...]:
-    """Return a colour for a structure whose name says nothing."""
-    # Multiples of it, modulo one, lie far apart: no two numbers close by look alike.
-    golden_ratio = 0.618
-    shade = (golden_ratio * number) % 1.0
-    return (90 + 150 * shade, 200 - 60 * shade, 240 - 150 * shade)
 
 
 def words_of(name: str) -> set[str]:
@@ -146,12 +112,11 @@ def words_of(name: str) -> set[str]:
 
 def is_known(name: str) -> bool:
     """Return whether a name says what a structure is, in words that are known here."""
-    words = words_of(name)
-    known = _WORDS.obstacles | _WORDS.risks | _WORDS.soft | _WORDS.passable
-    return bool((words - _WORDS.says_nothing) & known)
+    known = ROLES["obstacle"] | ROLES["risk"] | SOFT | ROLES["passable"]
+    return bool((words_of(name) - ROLES["says nothing"]) & known)
 
 
 def _telling_words(name: str) -> set[str]:
     """Return the words of a name, without those of bone in names of soft tissue."""
     words = words_of(name)
-    return words - _WORDS.obstacles if words & _WORDS.soft else words
+    return words - ROLES["obstacle"] if words & SOFT else words

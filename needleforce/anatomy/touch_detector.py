@@ -25,20 +25,6 @@ SLOT_s = 0.02
 """Samples are averaged over so long: one is as good as fifty."""
 
 
-class _Slot(NamedTuple):
-    """A moment.
-
-    Attributes:
-        time_s: Its end.
-        tip_m: Mean place of the tip, (3,).
-        force_N: Mean force, (3,).
-    """
-
-    time_s: float
-    tip_m: Array
-    force_N: Array
-
-
 class TipTouch(NamedTuple):
     """A place that was touched.
 
@@ -60,13 +46,12 @@ class TouchDetector:
 
     def __init__(self, contact_N: float) -> None:
         self._contact_N = contact_N
-        self._sums = np.zeros(6)
-        self._count = 0
+        self._sums = np.zeros(7)  # of the samples of this moment: one, tip, force
         self._time_s = 0.0
         self._slot_end_s = SLOT_s
-        self._recent: deque[_Slot] = deque()
-        self._older: deque[_Slot] = deque(maxlen=int(60.0 / SLOT_s))
-        self._last_m: Array | None = None
+        # Ends of moments, mean places of the tip and mean forces.
+        self._slots: deque[Array] = deque(maxlen=int(60.0 / SLOT_s))
+        self._last_m = np.full(3, np.inf)
 
     def update(self, dt_s: float, tip_m: Array, force_N: Array) -> TipTouch | None:
         """Take a sample; return the touch that it completes, if it does.
@@ -77,63 +62,42 @@ class TouchDetector:
             force_N: Force on it in any fixed axes, (3,).
         """
         self._time_s += dt_s
-        self._sums += np.concatenate([tip_m, force_N])
-        self._count += 1
+        self._sums += np.concatenate([[1.0], tip_m, force_N])
         if self._time_s < self._slot_end_s:
             return None
-        mean = self._sums / self._count
+        means = self._sums[1:] / self._sums[0]
+        self._slots.append(np.concatenate([[self._time_s], means]))
         self._sums[:] = 0.0
-        self._count = 0
         self._slot_end_s = self._time_s + SLOT_s
-        self._recent.append(_Slot(self._time_s, mean[:3], mean[3:]))
-        while self._recent[0].time_s < self._time_s - DWELL_s:
-            self._older.append(self._recent.popleft())
         return self._find_touch()
 
     def take_now(self) -> TipTouch | None:
         """Return where the tip is now, as a touch; None before the first moment."""
-        if not self._recent:
+        if not self._slots:
             return None
-        self._last_m = self._recent[-1].tip_m
+        self._last_m = self._slots[-1][1:4]
         return TipTouch(self._last_m, 0.0)
 
     def _find_touch(self) -> TipTouch | None:
         """Return the touch of the latest second, if it was one."""
-        span_s = self._recent[-1].time_s - self._recent[0].time_s
-        if span_s < DWELL_s - 2.0 * SLOT_s:
+        still_m = 0.7e-3  # in a ball of this radius it rests: a hand trembles by less
+        slots = np.array(self._slots)[::-1]  # the latest first
+        is_recent = slots[:, 0] >= self._time_s - DWELL_s
+        recent = slots[is_recent]
+        older = slots[~is_recent]
+        place_m = recent[:, 1:4].mean(axis=0)
+        radius_m = np.linalg.norm(recent[:, 1:4] - place_m, axis=1).max()
+        is_new = np.linalg.norm(place_m - self._last_m) >= AWAY_m
+        is_away = np.linalg.norm(older[:, 1:4] - place_m, axis=1) >= AWAY_m
+        if radius_m > still_m or not is_new or not is_away.any():
             return None
-        tips_m = np.array([slot.tip_m for slot in self._recent])
-        place_m = tips_m.mean(axis=0)
-        # It rests while it stays in a ball of this radius: a hand trembles by less.
-        still_m = 0.7e-3
-        if np.linalg.norm(tips_m - place_m, axis=1).max() > still_m:
-            return None
-        if self._is_at_last_touch(place_m):
-            return None
-        free_N = self._free_force_N(place_m)
-        if free_N is None:
-            return None
-        force_N = np.mean([slot.force_N for slot in self._recent], axis=0)
-        rise_N = float(np.linalg.norm(force_N - free_N))
-        if rise_N < self._contact_N:
+        # What was felt when the tip was last away from that place.
+        gone = older[int(is_away.argmax()) :]
+        stays = np.append(is_away[int(is_away.argmax()) :], False)
+        free = gone[: min(int(stays.argmin()), round(FREE_s / SLOT_s))]
+        rise_N = recent[:, 4:].mean(axis=0) - free[:, 4:].mean(axis=0)
+        force_N = float(np.linalg.norm(rise_N))
+        if force_N < self._contact_N:
             return None
         self._last_m = place_m
-        return TipTouch(place_m, rise_N)
-
-    def _is_at_last_touch(self, place_m: Array) -> bool:
-        """Return whether the tip has not left the place of the last touch."""
-        if self._last_m is None:
-            return False
-        return bool(np.linalg.norm(place_m - self._last_m) < AWAY_m)
-
-    def _free_force_N(self, place_m: Array) -> Array | None:
-        """Return the force that was felt when the tip was last away from a place."""
-        away: list[Array] = []
-        for slot in reversed(self._older):
-            if np.linalg.norm(slot.tip_m - place_m) >= AWAY_m:
-                away.append(slot.force_N)
-            elif away:
-                break
-            if len(away) * SLOT_s >= FREE_s:
-                break
-        return np.mean(away, axis=0) if away else None
+        return TipTouch(place_m, force_N)

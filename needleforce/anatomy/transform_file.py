@@ -6,18 +6,16 @@ RAS, in which x and y have the other sign.
 """
 
 from pathlib import Path
-from typing import Any, Literal, NamedTuple
+from typing import Literal, NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.anatomy.errors import SAVE_TRANSFORM, VolumeError
+from needleforce.anatomy.errors import VolumeError
 from needleforce.anatomy.markups import RAS_TO_LPS
 
 TransformSource = Literal["slicer", "itk"]
 """Who wrote a transform, and so which way round it is."""
-
-M_PER_MM = 1e-3
 
 
 class RigidTransform(NamedTuple):
@@ -45,80 +43,41 @@ def read_transform(path: Path | str, source: TransformSource) -> RigidTransform:
         VolumeError: Not readable, not linear, stretched, sheared or mirrored, or not in
             millimetres.
     """
-    # By so much lengths may change in a rigid motion: files round their numbers.
-    max_stretch = 1e-3
-    transform = _open(Path(path))
+    m_per_mm = 1e-3
+    max_stretch = 1e-3  # lengths change by no more: files round their numbers
+    max_distance_m = 10.0  # a CT further from the base is not in millimetres
+    import SimpleITK
+
+    try:
+        with Path(path).open("rb") as file:
+            is_hdf5 = file.read(4) == b"\x89HDF"
+        if is_hdf5 != str(path).endswith((".h5", ".hdf5")):
+            # The HDF5 library prints pages about other files.
+            raise OSError("it is not what its name says")
+        transform = SimpleITK.ReadTransform(str(path))
+    except (OSError, RuntimeError) as error:
+        raise VolumeError(
+            f"cannot read {path}: expected a transform of ITK, as .h5 or .tfm"
+        ) from error
     if transform.GetDimension() != 3 or not transform.IsLinear():
+        raise VolumeError(f"{path} is a {transform.GetName()}: expected a rigid motion")
+    shift_mm = np.array(transform.TransformPoint(np.zeros(3).tolist()))
+    images_mm = [transform.TransformPoint(axis.tolist()) for axis in np.eye(3)]
+    matrix = (np.array(images_mm) - shift_mm).T
+    left, stretches, right = np.linalg.svd(matrix)
+    if np.abs(stretches - 1.0).max() > max_stretch or np.linalg.det(matrix) < 0.0:
         raise VolumeError(
-            f"{path} holds a {transform.GetName()}: expected a rigid motion in three "
-            "dimensions",
-            SAVE_TRANSFORM,
+            f"{path} stretches by {stretches.min():.4g} to {stretches.max():.4g}, or "
+            "is a mirror image: expected a rigid motion"
         )
-    matrix, shift_mm = _affine_of(transform)
-    stretches = np.linalg.svd(matrix, compute_uv=False)
-    if np.abs(stretches - 1.0).max() > max_stretch:
-        raise VolumeError(
-            f"{path} stretches by {stretches.min():.4g} to {stretches.max():.4g}: "
-            "expected a rigid motion; fit it again without scaling and shear",
-            SAVE_TRANSFORM,
-        )
-    if np.linalg.det(matrix) < 0.0:
-        raise VolumeError(
-            f"{path} is a mirror image: expected a rigid motion", SAVE_TRANSFORM
-        )
-    left, _, right = np.linalg.svd(matrix)
     rotation = left @ right
     if source == "slicer":
         rotation = RAS_TO_LPS[:, None] * rotation.T
         shift_mm = -rotation @ shift_mm
-    translation_m = M_PER_MM * shift_mm
-    max_distance_m = 10.0  # a CT further from the base is not in millimetres
+    translation_m = m_per_mm * shift_mm
     if np.linalg.norm(translation_m) > max_distance_m:
         raise VolumeError(
             f"{path} carries the CT {np.linalg.norm(translation_m):.3g} m away: "
-            "expected a file in millimetres",
-            SAVE_TRANSFORM,
+            "expected millimetres"
         )
     return RigidTransform(rotation, translation_m)
-
-
-def _affine_of(transform: Any) -> tuple[Array, Array]:
-    """Return matrix (3, 3) and shift (3,) [mm] of a linear transform of ITK."""
-    shift_mm = np.array(transform.TransformPoint([0.0, 0.0, 0.0]))
-    columns = [
-        np.array(transform.TransformPoint(axis.tolist())) - shift_mm
-        for axis in np.eye(3)
-    ]
-    return np.column_stack(columns), shift_mm
-
-
-def _open(path: Path) -> Any:
-    """Return the transform of SimpleITK in a file.
-
-    Raises:
-        VolumeError: There is none.
-    """
-    hdf5_magic = b"\x89HDF\r\n\x1a\n"
-    hdf5_endings = (".h5", ".hdf5")
-    import SimpleITK
-
-    reason = "no such file"
-    try:
-        with path.open("rb") as file:
-            start = file.read(len(hdf5_magic))
-        # The HDF5 library prints pages about other files.
-        if path.suffix in hdf5_endings and start != hdf5_magic:
-            reason = "it is no HDF5 file"
-        else:
-            return SimpleITK.ReadTransform(str(path))
-    except OSError as error:
-        reason = error.strerror or reason
-    except RuntimeError as error:
-        reason = next(
-            (line for line in str(error).splitlines() if "ITK ERROR" in line),
-            "it holds no transform",
-        )
-    raise VolumeError(
-        f"cannot read {path}: {reason}; expected a transform as .h5 or .tfm",
-        SAVE_TRANSFORM,
-    )

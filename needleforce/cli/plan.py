@@ -93,20 +93,10 @@ def plan_command(
     needleforce plan --ct ct/ --labels segmentation.nii.gz --target lesion -o plan
     """
     from needleforce.cli.patient.case_files import CaseFiles
-    from needleforce.cli.patient.plan_run import PathWish, plan_paths
+    from needleforce.cli.patient.plan_run import plan_paths
     from needleforce.cli.patient.structure_names import parse_structures
 
     files = CaseFiles(
         case.ct, case.labels, parse_structures(case.structures), case.situs_inversus
     )
-    wish = PathWish(
-        target=case.target,
-        avoid=limits.avoid,
-        passable=limits.passable,
-        radius_mm=limits.radius,
-        margin_mm=limits.margin,
-        max_length_mm=limits.max_length,
-        cone_deg=limits.cone,
-        number=limits.choose,
-    )
-    return plan_paths(files, wish, output)
+    return plan_paths(files, case.target, limits, output)

@@ -7,7 +7,6 @@ from typing import Annotated, Literal
 from cyclopts import Group, Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, LOG, PATIENT, app
-from needleforce.cli.terminal import CommandError
 
 REGISTRATION = Group("Registration", sort_key=2)
 
@@ -83,50 +82,6 @@ def register_command(
     needleforce register --plan plan/plan.json --landmarks landmarks.mrk.json --touches
     touches.json -o plan/plan.json
     """
-    if options.transform is not None:
-        return _register_by_transform(plan, options, output, report)
-    if options.landmarks is None or options.touches is None:
-        raise CommandError(
-            "expected --landmarks and --touches, or --transform with a file"
-        )
-    from needleforce.cli.patient.register_run import Evidence, register_plan
+    from needleforce.cli.patient.register_run import register_plan
 
-    evidence = Evidence(
-        landmarks=options.landmarks,
-        touches=options.touches,
-        landmark_std_mm=options.landmark_std,
-        touch_std_mm=options.touch_std,
-        softness_mm=options.softness,
-        motion_mm=options.motion,
-        landmarks_only=options.landmarks_only,
-        is_xy_negated=options.negate_xy,
-    )
-    return register_plan(plan, evidence, output, report)
-
-
-def _register_by_transform(
-    plan: Path, options: RegisterOptions, output: Path, report: Path | None
-) -> int:
-    """Register the patient by a transform of another program."""
-    from needleforce.cli.patient.transform_run import (
-        StatedTransform,
-        register_by_transform,
-    )
-
-    if options.transform is None or options.landmarks is not None:
-        raise CommandError("--transform stands in place of --landmarks: leave one out")
-    if options.negate_xy or options.landmarks_only:
-        option = "--negate-xy" if options.negate_xy else "--landmarks-only"
-        raise CommandError(
-            f"{option} belongs to --landmarks, which --transform replaces: leave "
-            f"{option} out"
-        )
-    stated = StatedTransform(
-        path=options.transform,
-        source=options.transform_from,
-        std_mm=options.transform_std,
-        motion_mm=options.motion,
-        touches=options.touches,
-        touch_std_mm=options.touch_std,
-    )
-    return register_by_transform(plan, stated, output, report)
+    return register_plan(plan, options, output, report)

@@ -136,7 +136,6 @@ class ConsistencyMonitor:
         mismatch_squared += faded * (square - mismatch_squared)
         if mismatch_squared > MAX_MISMATCH**2:
             warnings |= SensorWarning.MODEL_MISMATCH
-        match = self._next_match(q, dq, dt_s)
         self.state = MonitorState(
             doubt=doubt._replace(since_s=doubt.since_s + max(dt_s, 0.0)),
             is_covariance_due=state.is_covariance_due
@@ -145,11 +144,11 @@ class ConsistencyMonitor:
             mismatch_squared=mismatch_squared,
             warnings=int(warnings),
             at_limit=at_limit,
-            match=match,
+            match=None if dq is None else self._next_match(q, dq, dt_s),
             change=change,
             course=course,
         )
-        self._report(self._next_velocity_fault(match, state.match))
+        self._report()
 
     def _joints_at_limit(self, q: Array) -> tuple[int, ...]:
         return tuple(
@@ -185,27 +184,12 @@ class ConsistencyMonitor:
         directions = max(self._wrench.size, 3)
         return np.ascontiguousarray(self._wrench.kinematics.jacobian[:directions])
 
-    def _next_match(
-        self, q: Array, dq: Array | None, dt_s: float
-    ) -> VelocityMatch | None:
+    def _next_match(self, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
         """Return the next match of velocities with positions; arguments of `check`."""
-        if dq is None:
-            return None
         match = self.state.match
         if match is None or dt_s <= 0.0:
             return first_match(q, dq)
         return velocity_match_step(match, q, dq, dt_s)
-
-    def _next_velocity_fault(
-        self, match: VelocityMatch | None, match_before: VelocityMatch | None
-    ) -> str:
-        """Return the faults of measured velocities after a check, in words."""
-        if match is None:
-            return ""
-        # While nothing moves the sums stay.
-        if match_before is not None and match.sums is match_before.sums:
-            return self.velocity_fault
-        return velocity_fault(match)
 
     @property
     def jump_std_N(self) -> float:
@@ -286,19 +270,20 @@ class ConsistencyMonitor:
     def restore(self, state: MonitorState) -> None:
         """Go on from a `state` taken earlier."""
         self.state = state
-        self._report("" if state.match is None else velocity_fault(state.match))
+        self._report()
 
-    def _report(self, velocity_fault: str) -> None:
+    def _report(self) -> None:
         """Set the attributes that report the result of a check."""
-        self.velocity_fault = velocity_fault
+        match = self.state.match
+        self.velocity_fault = "" if match is None else velocity_fault(match)
         self.mismatch = math.sqrt(self.state.mismatch_squared)
         self.warnings = SensorWarning(self.state.warnings)
         self.message = ""
-        if velocity_fault:
+        if self.velocity_fault:
             self.warnings |= SensorWarning.VELOCITY
         if self.warnings:
             position = self.question or self.limit
-            texts = (velocity_fault, position, *_reasons(self.warnings))
+            texts = (self.velocity_fault, position, *_reasons(self.warnings))
             self.message = "; ".join(filter(None, texts))
         self.assessment = Assessment(
             Status.OK, self.message, self.mismatch, self.warnings

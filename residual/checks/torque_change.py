@@ -10,7 +10,6 @@ from foundation.arrays import Array, Matrix, Vector
 from foundation.jit import compiled, compiled_inside
 from foundation.linear_algebra import (
     dot,
-    invert_definite,
     multiply,
     multiply_transposed,
     multiply_vector,
@@ -32,12 +31,13 @@ def invert_beside_force(rows: Matrix, covariance: Matrix, force_N: float) -> Arr
         covariance: Without the force [Nm^2], shape (n, n).
         force_N: Deviation of the force.
     """
-    precision = invert_definite(covariance)
+    # Both are symmetric; turned, what LAPACK returns is contiguous in rows.
+    precision = np.linalg.inv(covariance).T
     weighted = multiply(rows, precision)
     information = multiply_transposed(weighted, rows)
     for i in range(len(rows)):
         information[i, i] += 1.0 / force_N**2
-    share = multiply(invert_definite(information), weighted)
+    share = multiply(np.linalg.inv(information).T, weighted)
     joints = len(covariance)
     for i in range(joints):
         for j in range(joints):

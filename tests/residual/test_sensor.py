@@ -532,8 +532,8 @@ STORIES = {
         ("reset", "update", 1, 1e-3, Status.INITIALIZING, NONE, ""),
     ],
     "velocities that are wrong, right, and wrong again": [
-        ("", "in_degrees", 4000, 1e-3, Status.NOT_TARED, WRONG, "57.3"),
-        ("", "update", 500, 1e-3, Status.NOT_TARED, WRONG, "57.3"),
+        ("", "in_degrees", 4000, 1e-3, Status.NOT_TARED, WRONG, "dq"),
+        ("", "update", 500, 1e-3, Status.NOT_TARED, WRONG, "dq"),
         *(ANEW, TARE),
         (
             "start_tare_recording",
@@ -542,9 +542,9 @@ STORIES = {
             1e-3,
             Status.NOT_TARED,
             WRONG,
-            "57.3",
+            "dq",
         ),
-        (*REFUSED, "57.3"),
+        (*REFUSED, "dq"),
     ],
 }
 

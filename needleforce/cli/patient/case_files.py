@@ -1,22 +1,23 @@
-"""CT and labels of a patient, and the plan's file that names them."""
+"""CT and labels of a patient, the plan's file that names them, and what was touched."""
 
 import os
 from collections.abc import Mapping
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import Any, Literal, NamedTuple
 
 import msgspec
 import numpy as np
 
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
 from needleforce.cli.patient.structure_names import StructureNames
-from needleforce.cli.terminal import (
-    OTHER_PLACE,
-    CommandError,
-    staged_progress,
-)
+from needleforce.cli.terminal import OTHER_PLACE, CommandError, staged_progress
 from needleforce.files import whole_file
 from needleforce.plan_file import GIVE_PLAN, PLAN, PLAN_VERSION
+
+MODULES = ("SimpleITK", "nibabel", "skimage", "manifold3d", "trimesh", "igl")
+"""Modules of extras that the commands need."""
+
+NOT_MEDICAL = "Research only: not a medical device."
 
 
 class CaseFiles(NamedTuple):
@@ -53,6 +54,32 @@ class PatientCase(NamedTuple):
     file_labels: Labels
 
 
+class LandmarkTouch(msgspec.Struct, forbid_unknown_fields=True):
+    """A touched landmark.
+
+    Attributes:
+        name: As in the CT's markups.
+        place_m: Of the needle's tip in the robot's base.
+    """
+
+    name: str
+    place_m: tuple[float, float, float]
+
+
+class TouchFile(msgspec.Struct, forbid_unknown_fields=True):
+    """What was touched.
+
+    Attributes:
+        version: Of the file.
+        landmarks: In the order in which they were touched.
+        touches_m: Of the skin, in the robot's base.
+    """
+
+    version: Literal[1]
+    landmarks: tuple[LandmarkTouch, ...] = ()
+    touches_m: tuple[tuple[float, float, float], ...] = ()
+
+
 def read_case(files: CaseFiles) -> PatientCase:
     """Read CT and labels, and find the body in the CT.
 
@@ -67,12 +94,25 @@ def read_case(files: CaseFiles) -> PatientCase:
         )
     with staged_progress("finding body, fat and lean tissue") as progress:
         labels = file_labels.with_body(scan, fat=True, progress=progress)
-    labels = labels.with_dense(scan)
-    return PatientCase(files, scan, labels, file_labels)
+    return PatientCase(files, scan, labels.with_dense(scan), file_labels)
+
+
+def read_touches(path: Path) -> TouchFile:
+    """Read what `needleforce touch` wrote.
+
+    Raises:
+        CommandError: The file cannot be read, or is of another version.
+    """
+    try:
+        return msgspec.json.decode(path.read_bytes(), type=TouchFile)
+    except (OSError, msgspec.MsgspecError) as error:
+        raise CommandError(
+            f"{path}: {error}; expected what `needleforce touch` writes, version 1"
+        ) from error
 
 
 def read_plan_fields(place: Path) -> dict[str, Any]:
-    """Return the fields of a plan's file.
+    """Return the fields of a plan's file that `needleforce plan` wrote.
 
     Raises:
         CommandError: The file cannot be read, or is no plan of this version.
@@ -82,11 +122,11 @@ def read_plan_fields(place: Path) -> dict[str, Any]:
         fields = msgspec.json.decode(path.read_bytes(), type=dict[str, Any])
     except (OSError, msgspec.MsgspecError) as error:
         raise CommandError(f"{path}: {error}", GIVE_PLAN) from error
-    if fields.get("version") != PLAN_VERSION:
+    is_whole = fields.get("ct") and fields.get("labels")
+    if fields.get("version") != PLAN_VERSION or not is_whole:
         raise CommandError(
-            f"{path} has version {fields.get('version')}: expected {PLAN_VERSION}, as "
-            "`needleforce plan` writes it; earlier ones do not say what they were made "
-            "of",
+            f"{path} has version {fields.get('version')}, or names no CT and labels: "
+            f"expected {PLAN_VERSION}, as `needleforce plan` writes it"
         )
     return fields
 
@@ -98,14 +138,8 @@ def case_of_plan(place: Path) -> PatientCase:
         CommandError: The file is no plan, or does not name them.
         needleforce.anatomy.VolumeError: They cannot be read any more.
     """
-    path = place / PLAN if place.is_dir() else place
-    fields = read_plan_fields(path)
-    if not fields.get("ct") or not fields.get("labels"):
-        raise CommandError(
-            f"{path} names no CT and labels: expected a plan that `needleforce plan` "
-            "wrote",
-        )
-    folder = path.parent
+    fields = read_plan_fields(place)
+    folder = place if place.is_dir() else place.parent
     structures = fields.get("structures") or None
     return read_case(
         CaseFiles(

@@ -2,17 +2,17 @@
 
 from collections import Counter
 from collections.abc import Mapping, Sequence
+from importlib.util import find_spec
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
 from foundation.arrays import Array
 from needleforce.anatomy import FreeSpace, Labels, PlanError, require_clear_path
 from needleforce.anatomy.clearance import describe_clearance, too_near
-from needleforce.anatomy.deepest_point import deepest_point_m
 from needleforce.anatomy.errors import OTHER_PATH
-from needleforce.anatomy.labels import DENSE
+from needleforce.anatomy.labels import DENSE, SHOWN_VOXEL_m
 from needleforce.anatomy.markups import read_markup, write_markup
 from needleforce.anatomy.path_search import (
     FoundPaths,
@@ -23,6 +23,8 @@ from needleforce.anatomy.path_search import (
     orient_line,
 )
 from needleforce.cli.patient.case_files import (
+    MODULES,
+    NOT_MEDICAL,
     PLAN_VERSION,
     CaseFiles,
     PatientCase,
@@ -30,12 +32,7 @@ from needleforce.cli.patient.case_files import (
     relative_path,
     write_plan_fields,
 )
-from needleforce.cli.patient.plan_page import write_plan_page
-from needleforce.cli.patient.plan_table import describe_paths
-from needleforce.cli.patient.structure_names import (
-    require_confirmed_names,
-    require_known_names,
-)
+from needleforce.cli.patient.structure_names import require_known_names
 from needleforce.cli.terminal import (
     CommandError,
     require_modules,
@@ -49,86 +46,48 @@ from needleforce.plan_binding import (
     record_labels,
     record_scan,
 )
-from needleforce.plan_file import PLAN
-from needleforce.plots import PAGE, require_matplotlib, whole_folder
+from needleforce.plan_file import PLAN, large_structures
+from needleforce.plots import (
+    PAGE,
+    Page,
+    PageFigure,
+    PageTable,
+    Section,
+    require_matplotlib,
+    whole_folder,
+    write_page,
+)
+from needleforce.plots.plan_slices import draw_along, draw_probe_view
 
-MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "igl")
-"""Modules of extras that the command needs."""
+if TYPE_CHECKING:
+    from needleforce.cli.plan import LimitOptions
 
+MARKUP = "path.mrk.json"
+"""The planned path for 3D Slicer, in the plan's folder."""
 
-M_PER_MM = 1e-3
+HEAD = ("path", "length", "to skin", "nearest structures", "layers")
 
-POINT_m = 1e-6
-"""Length of a line that stands for a point."""
+ALONG = (
+    "CT in two planes that hold the path (yellow, with a bar where a layer ends and a "
+    "ring at the target); outlines of the structures."
+)
 
+ACROSS = (
+    "Probe's-eye view: slices across the path at depths from the skin to the target, "
+    "seen along the needle, the head up. The circle must stay free of what is avoided."
+)
 
-class PathWish(NamedTuple):
-    """What path is asked for.
-
-    Attributes:
-        target: Name of a structure, or a ``.mrk.json`` file.
-        avoid: Names of structures that must stay clear beside those at risk.
-        passable: Names of structures that the needle may pass.
-        radius_mm: Of the needle [mm].
-        margin_mm: Stays free around the needle [mm].
-        max_length_mm: Of the path [mm].
-        cone_deg: Largest angle to the skin's normal [degrees].
-        number: Of the path that becomes the plan, from 1.
-    """
-
-    target: str
-    avoid: tuple[str, ...]
-    passable: tuple[str, ...]
-    radius_mm: float
-    margin_mm: float
-    max_length_mm: float
-    cone_deg: float
-    number: int
-
-    def limits(self) -> PathLimits:
-        """Return the limits of the search.
-
-        Raises:
-            CommandError: One of them cannot be.
-        """
-        if not 0.1 <= self.radius_mm <= 5.0:
-            raise CommandError(f"--radius {self.radius_mm:g}: expected 0.1 to 5 mm")
-        if not 0.0 <= self.margin_mm <= 100.0:
-            raise CommandError(f"--margin {self.margin_mm:g}: expected 0 to 100 mm")
-        if not 1.0 <= self.max_length_mm <= 500.0:
-            raise CommandError(
-                f"--max-length {self.max_length_mm:g}: expected 1 to 500 mm"
-            )
-        if not 0.0 < self.cone_deg <= 90.0:
-            raise CommandError(f"--cone {self.cone_deg:g}: expected 0 to 90 degrees")
-        if self.number < 1:
-            raise CommandError(f"--choose {self.number}: expected 1 or more")
-        return PathLimits(
-            M_PER_MM * self.max_length_mm,
-            float(np.radians(self.cone_deg)),
-            FreeSpace(M_PER_MM * self.radius_mm, M_PER_MM * self.margin_mm),
-        )
+M_TO_MM = 1e3
 
 
-class _Target(NamedTuple):
-    """Where the needle shall go.
-
-    Attributes:
-        name: Of the target.
-        place_m: The target, (3,) in LPS.
-        entry_m: A point outside through which it shall come; None for any.
-    """
-
-    name: str
-    place_m: Array
-    entry_m: Array | None = None
-
-
-def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
+def plan_paths(
+    files: CaseFiles, target: str, wish: "LimitOptions", folder: Path
+) -> int:
     """Find paths, print them, and write the plan of one of them.
 
     Args:
         files: CT and labels.
+        target: Name of a structure, or a ``.mrk.json`` file.
         wish: What path is asked for.
         folder: Folder of the plan; whole or absent.
 
@@ -140,40 +99,45 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
         needleforce.anatomy.AnatomyError: The files do not belong together, or there is
             no path.
     """
-    path_markup = "path.mrk.json"  # the planned path for 3D Slicer
     require_matplotlib("plan")
     require_modules("plan", MODULES)
-    limits = wish.limits()
+    limits = _checked_limits(wish)
     case = read_case(files)
-    avoid = names_to_avoid(case.labels, wish)
-    target = _find_target(wish.target, case.labels)
-    paths = _search(case.labels, target, avoid, limits)
-    if wish.number > len(paths.paths):
+    labels = case.labels
+    avoid = _names_to_avoid(labels, target, wish)
+    name, target_m, entry_m = _find_target(target, labels)
+    if entry_m is None:
+        with staged_progress("searching paths") as progress:
+            paths = find_paths(labels, target_m, avoid, limits, progress)
+    else:
+        path = judge_path(labels, entry_m, target_m, limits)
+        _require_clear_line(labels, path, avoid, limits.space)
+        paths = FoundPaths((path,), Counter())
+    if wish.choose > len(paths.paths):
         raise CommandError(
-            f"--choose {wish.number}: only {len(paths.paths)} paths were found"
+            f"--choose {wish.choose}: only {len(paths.paths)} paths were found"
         )
-    chosen = paths.paths[wish.number - 1]
-    accepted = _accepted_obstacles(case.labels, wish, target)
+    chosen = paths.paths[wish.choose - 1]
+    accepted = [
+        item.name
+        for item in labels.structures
+        if item.is_obstacle and item.name in (name, *wish.passable)
+    ]
     require_clear_path(chosen.clearances, limits.space, accepted)
-    write_out(describe_paths(paths, target.name, avoid, limits, wish.number))
-    if case.labels.unchecked:
-        say(f"warning: {case.labels.unchecked}")
+    write_out(_table(paths, name, avoid, limits, wish.choose))
+    if labels.unchecked:
+        say(f"warning: {labels.unchecked}")
     with whole_folder(folder) as place:
         if place is not None:
-            fields = _plan_fields(case, wish, target, chosen, folder, avoid)
+            fields = _plan_fields(case, limits.space, name, chosen, folder, avoid)
+            if accepted:
+                fields["accepted_obstacles"] = accepted
             write_plan_fields(place / PLAN, fields)
-            write_markup(
-                place / path_markup,
-                "Line",
-                ("entry", "target"),
-                np.array([chosen.entry_m, chosen.target_m]),
-            )
-            with staged_progress("drawing the page") as progress:
-                write_plan_page(
-                    case, chosen, paths, target.name, limits, place, progress
-                )
-    for name in (PLAN, path_markup, PAGE):
-        write_out(f"{folder / name}\n")
+            ends_m = np.array([chosen.entry_m, chosen.target_m])
+            write_markup(place / MARKUP, "Line", ("entry", "target"), ends_m)
+            _write_page(case, chosen, paths, name, limits, place)
+    for file in (PLAN, MARKUP, PAGE):
+        write_out(f"{folder / file}\n")
     say(
         f"next: needleforce touch ARM --landmarks FILE -o touches.json, then "
         f"needleforce register --plan {folder / PLAN} --landmarks FILE --touches "
@@ -182,20 +146,49 @@ def plan_paths(files: CaseFiles, wish: PathWish, folder: Path) -> int:
     return 0
 
 
-def _find_target(name: str, labels: Labels) -> _Target:
-    """Return the target that a user names: a file, or a structure."""
+def _checked_limits(wish: "LimitOptions") -> PathLimits:
+    """Return the limits of the search.
+
+    Raises:
+        CommandError: One of them cannot be.
+    """
+    for option, value, low, high in (
+        ("--radius", wish.radius, 0.1, 5.0),
+        ("--margin", wish.margin, 0.0, 100.0),
+        ("--max-length", wish.max_length, 1.0, 500.0),
+        ("--cone", wish.cone, 0.1, 90.0),
+        ("--choose", wish.choose, 1, 1000),
+    ):
+        if not low <= value <= high:
+            raise CommandError(f"{option} {value:g}: expected {low:g} to {high:g}")
+    return PathLimits(
+        wish.max_length / M_TO_MM,
+        float(np.radians(wish.cone)),
+        FreeSpace(wish.radius / M_TO_MM, wish.margin / M_TO_MM),
+    )
+
+
+def _find_target(name: str, labels: Labels) -> tuple[str, Array, Array | None]:
+    """Return name and place of the target, and a point outside on the way to it.
+
+    Args:
+        name: A file with points or a line, or a structure.
+        labels: The segmentation.
+    """
     if not name.endswith(".json"):
-        return _Target(name, deepest_point_m(labels, name))
+        return name, labels.deepest_point_m(name), None
     markup = read_markup(name)
     if not markup.is_line:
-        return _Target(markup.names[0], markup.points_m[0])
+        return markup.names[0], markup.points_m[0], None
     if len(markup.points_m) != 2:
         raise CommandError(f"{name}: a line of {len(markup.points_m)} points")
     entry_m, target_m = orient_line(labels, markup.points_m)
-    return _Target("end of the line", target_m, entry_m)
+    return "end of the line", target_m, entry_m
 
 
-def names_to_avoid(labels: Labels, wish: PathWish) -> tuple[str, ...]:
+def _names_to_avoid(
+    labels: Labels, target: str, wish: "LimitOptions"
+) -> tuple[str, ...]:
     """Return the names of the structures that must stay clear.
 
     Raises:
@@ -204,67 +197,34 @@ def names_to_avoid(labels: Labels, wish: PathWish) -> tuple[str, ...]:
     """
     asked = [labels[name].name for name in wish.avoid]
     passable = {labels[name].name for name in wish.passable}
-    bones = [
-        name for name in sorted(passable) if labels[name].is_obstacle and name != DENSE
-    ]
+    bones = [name for name in passable if labels[name].is_obstacle and name != DENSE]
     if bones:
         raise CommandError(
             f"--passable {', '.join(bones)}: a needle passes no bone or cartilage"
         )
-    if not asked:
-        require_known_names(labels)
-    require_confirmed_names(labels, {wish.target, *asked, *passable})
+    require_known_names(labels, {target, *asked, *passable}, has_asked=bool(asked))
     usual = [
         item.name
         for item in labels.structures
         if (item.is_obstacle or item.is_risk)
-        and item.name != wish.target
-        and item.name not in passable
-        and item.name not in asked
+        and item.name not in {target, *passable, *asked}
     ]
     return (*asked, *usual)
 
 
-def _accepted_obstacles(
-    labels: Labels, wish: PathWish, target: _Target
-) -> tuple[str, ...]:
-    """Return the names of obstacles that the path may touch."""
-    return tuple(
-        item.name
-        for item in labels.structures
-        if item.is_obstacle and item.name in (target.name, *wish.passable)
-    )
-
-
-def _search(
-    labels: Labels, target: _Target, avoid: tuple[str, ...], limits: PathLimits
-) -> FoundPaths:
-    """Return the paths to a target; of a line that path alone."""
-    if target.entry_m is not None:
-        path = judge_path(labels, target.entry_m, target.place_m, limits)
-        clear_of = [name for name in avoid if not _is_in(labels, name, target.place_m)]
-        _require_clear_line(labels, path, clear_of, limits.space)
-        return FoundPaths((path,), Counter())
-    with staged_progress("searching paths") as progress:
-        return find_paths(labels, target.place_m, avoid, limits, progress)
-
-
-def _is_in(labels: Labels, name: str, point_m: Array) -> bool:
-    """Return whether a point lies in a structure."""
-    clearances = labels.clearances(point_m, point_m + POINT_m, [name])
-    return bool(clearances) and clearances[0].distance_m == 0.0
-
-
 def _require_clear_line(
-    labels: Labels, path: SkinPath, names: Sequence[str], space: FreeSpace
+    labels: Labels, path: SkinPath, avoid: Sequence[str], space: FreeSpace
 ) -> None:
     """Refuse a line that comes too near to what an offered path must stay clear of.
 
     Raises:
         needleforce.anatomy.PlanError: It comes nearer than a path needs.
     """
-    clearances = labels.clearances(path.entry_m, path.target_m, names)
-    near = too_near(clearances, space)
+    point_m = 1e-6  # length of a line that stands for a point
+    at_target = labels.clearances(path.target_m, path.target_m + point_m, avoid)
+    around_target = {one.name for one in at_target if one.distance_m == 0.0}
+    names = [name for name in avoid if name not in around_target]
+    near = too_near(labels.clearances(path.entry_m, path.target_m, names), space)
     if near:
         raise PlanError(
             f"the line {'; '.join(map(describe_clearance, near))}: these must stay "
@@ -276,23 +236,23 @@ def _require_clear_line(
 
 def _plan_fields(
     case: PatientCase,
-    wish: PathWish,
-    target: _Target,
+    space: FreeSpace,
+    target: str,
     path: SkinPath,
     folder: Path,
     avoid: Sequence[str],
-) -> Mapping[str, Any]:
+) -> dict[str, Any]:
     """Return what stands in the plan's file; see docs/reference/files.md."""
     files = case.files
     fields: dict[str, Any] = {
         "version": PLAN_VERSION,
-        "target": target.name,
+        "target": target,
         "ct": relative_path(files.ct, folder),
         "labels": relative_path(files.labels, folder),
         "entry_m": path.entry_m,
         "target_m": path.target_m,
-        "needle_radius_m": M_PER_MM * wish.radius_mm,
-        "margin_m": M_PER_MM * wish.margin_mm,
+        "needle_radius_m": space.needle_radius_m,
+        "margin_m": space.margin_m,
         "layers": [
             {
                 "name": layer.name,
@@ -302,29 +262,169 @@ def _plan_fields(
             }
             for layer in path.layers
         ],
-    }
-    fields["made_of"] = MadeOf(
-        ct=record_scan(case.scan),
-        labels=record_labels(case.file_labels),
-        path_sha256=path_sha256(
-            path.entry_m,
-            path.target_m,
-            [(layer.name, layer.exit_m) for layer in path.layers],
-            fields["needle_radius_m"],
-            fields["margin_m"],
+        "made_of": MadeOf(
+            ct=record_scan(case.scan),
+            labels=record_labels(case.file_labels),
+            path_sha256=path_sha256(
+                path.entry_m,
+                path.target_m,
+                [(layer.name, layer.exit_m) for layer in path.layers],
+                space.needle_radius_m,
+                space.margin_m,
+            ),
+            avoided=tuple(avoid),
         ),
-        avoided=tuple(avoid),
-    )
-    accepted = _accepted_obstacles(case.labels, wish, target)
-    if accepted:
-        fields["accepted_obstacles"] = accepted
-    if files.structures is not None:
-        fields["structures"] = _stated_names(files.structures, folder)
+    }
+    if isinstance(files.structures, Mapping):
+        fields["structures"] = dict(files.structures)
+    elif files.structures is not None:
+        fields["structures"] = relative_path(files.structures, folder)
     if files.situs_inversus:
         fields["situs_inversus"] = True
     return fields
 
 
-def _stated_names(names: Path | Mapping[str, str], folder: Path) -> Any:
-    """Return names of structures, or where their file is found from a folder."""
-    return relative_path(names, folder) if isinstance(names, Path) else dict(names)
+def _row(number: int, path: SkinPath) -> tuple[str, ...]:
+    """Return number, length, angle, clearances and layers of a path in words."""
+    shown_clearances = 4  # nearest structures that a row names
+    near = [
+        f"{one.name} {M_TO_MM * one.distance_m:.0f}"
+        for one in path.clearances[:shown_clearances]
+    ]
+    layers = [
+        f"{layer.name} {M_TO_MM * (layer.exit_m - layer.entry_m):.0f}"
+        for layer in path.layers
+    ]
+    return (
+        str(number),
+        f"{M_TO_MM * path.length_m:.0f} mm",
+        f"{np.degrees(path.angle_rad):.0f} deg",
+        ", ".join(near) or "none within 100 mm",
+        ", ".join(layers),
+    )
+
+
+def _left_out(paths: FoundPaths) -> str:
+    """Return in words how many directions were left out, and why."""
+    counts = paths.rejected.most_common()
+    reasons = [f"{count} {reason}" for reason, count in counts if count]
+    return f"left out: {', '.join(reasons) or 'none'}"
+
+
+def _table(
+    paths: FoundPaths,
+    target: str,
+    avoid: Sequence[str],
+    limits: PathLimits,
+    chosen: int,
+) -> str:
+    """Return a line for each path, and those of the search, in words."""
+    rows = [HEAD, *(_row(n, path) for n, path in enumerate(paths.paths, 1))]
+    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
+    lines = [
+        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
+        for row in rows
+    ]
+    lines += [
+        "",
+        f"target {target}; at most {M_TO_MM * limits.max_length_m:g} mm long and "
+        f"{np.degrees(limits.max_angle_rad):.0f} degrees from the skin's normal; "
+        f"{M_TO_MM * limits.space.needed_m:.1f} mm from the needle's centre line stay "
+        f"clear of {', '.join(avoid) or 'nothing: no structure is at risk by its name'}"
+        "; lengths, thicknesses and clearances in mm",
+        _left_out(paths),
+        f"path {chosen} is the plan. {NOT_MEDICAL}",
+    ]
+    return "".join(f"{line.rstrip()}\n" for line in lines)
+
+
+def _write_page(
+    case: PatientCase,
+    path: SkinPath,
+    paths: FoundPaths,
+    target: str,
+    limits: PathLimits,
+    folder: Path,
+) -> None:
+    """Write the page of a plan, and the 3-D page where viser is installed."""
+    along = draw_along(case.scan, case.labels, path, folder / "along.png")
+    needed_m = limits.space.needed_m
+    across = draw_probe_view(
+        case.scan, case.labels, path, needed_m, folder / "probes-eye.png"
+    )
+    figures = (
+        PageFigure(path=along, alt=ALONG, caption=ALONG),
+        PageFigure(path=across, alt=ACROSS, caption=ACROSS),
+    )
+    in_space = "3-D view: not drawn, the extra `scene` is not installed."
+    if find_spec("viser") is not None:
+        _write_scene(case.labels, path, folder / "scene.html")
+        in_space = "3-D view: open `scene.html` in the same folder."
+    table = PageTable(
+        caption="Paths, the best first; lengths, thicknesses and clearances in mm",
+        head=HEAD,
+        rows=tuple(_row(number, one) for number, one in enumerate(paths.paths, 1)),
+        note=_left_out(paths),
+    )
+    unchecked = case.labels.unchecked
+    sections = (
+        Section(
+            heading=f"Path to {target}",
+            anchor="path",
+            paragraphs=(in_space,),
+            notices=(unchecked,) if unchecked else (),
+            tables=(_path_table(path), table),
+        ),
+        Section(heading="Slices", anchor="slices", figures=figures),
+    )
+    page = Page(title=f"Plan: {target}", lead=(NOT_MEDICAL,), sections=sections)
+    write_page(folder / PAGE, page)
+
+
+def _path_table(path: SkinPath) -> PageTable:
+    """Return the table of the path that is the plan."""
+    ends = [
+        ", ".join(f"{coordinate:.1f}" for coordinate in M_TO_MM * point_m)
+        for point_m in (path.entry_m, path.target_m)
+    ]
+    rows = [
+        ("entry, LPS [mm]", ends[0]),
+        ("target, LPS [mm]", ends[1]),
+        ("length [mm]", f"{M_TO_MM * path.length_m:.1f}"),
+        ("angle to the skin's normal [deg]", f"{np.degrees(path.angle_rad):.0f}"),
+    ]
+    rows += [
+        (
+            f"layer {number}: {layer.name}",
+            f"{M_TO_MM * layer.entry_m:.1f} to {M_TO_MM * layer.exit_m:.1f} mm",
+        )
+        for number, layer in enumerate(path.layers, 1)
+    ]
+    rows += [
+        (f"clearance of {one.name} [mm]", f"{M_TO_MM * one.distance_m:.1f}")
+        for one in path.clearances
+    ]
+    return PageTable(
+        caption="The plan; depths count from the planned entry",
+        head=("what", "value"),
+        rows=tuple(rows),
+    )
+
+
+def _write_scene(labels: Labels, path: SkinPath, place: Path) -> None:
+    """Write structures and path as a 3-D page."""
+    from needleforce.scene import PlanScene
+    from needleforce.scene.export_page import export_plan
+
+    # Lean tissue would hide what lies in it.
+    names = [name for name in large_structures(labels) if name != "lean"]
+    with staged_progress("drawing the page") as progress:
+        surfaces = labels.surfaces(names, progress, voxel_m=SHOWN_VOXEL_m)
+    scene = PlanScene(
+        surfaces=tuple(surfaces.values()),
+        layers=list(path.layers),
+        entry_m=path.entry_m,
+        target_m=path.target_m,
+        warnings=(labels.unchecked,) if labels.unchecked else (),
+    )
+    export_plan(scene, place)

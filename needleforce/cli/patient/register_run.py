@@ -2,9 +2,10 @@
 
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
+from scipy.special import fdtri
 
 from foundation.arrays import Array
 from needleforce.anatomy import (
@@ -12,44 +13,47 @@ from needleforce.anatomy import (
     Labels,
     PlanError,
     Registration,
+    RegistrationError,
     SkinLandmarks,
+    Surface,
     fit_landmarks,
     fit_surface,
+    read_transform,
     require_clear_path,
     require_lps,
 )
 from needleforce.anatomy.clearance import STDS
-from needleforce.anatomy.landmark_check import LandmarkResidual, judge_landmarks
-from needleforce.anatomy.markups import RAS_TO_LPS, Markup, read_markup
+from needleforce.anatomy.landmarks import (
+    MIN_VERIFIED,
+    LandmarkResidual,
+    judge_landmarks,
+)
+from needleforce.anatomy.markups import RAS_TO_LPS, read_markup
 from needleforce.anatomy.registration import MAX_DEGREES
-from needleforce.anatomy.surface import Surface
 from needleforce.anatomy.surface_fit import MIN_TOUCHES
 from needleforce.cli.patient.case_files import (
+    MODULES,
+    NOT_MEDICAL,
+    TouchFile,
     case_of_plan,
     read_plan_fields,
+    read_touches,
     relative_path,
     write_plan_fields,
 )
-from needleforce.cli.patient.register_report import (
-    FitReport,
-    describe_doubts,
-    describe_fit,
-    skin_distances_m,
-    write_fit_page,
-)
-from needleforce.cli.patient.touch_file import TouchFile, read_touches
 from needleforce.cli.terminal import (
     CommandError,
+    aligned,
     require_modules,
     say,
     staged_progress,
     write_out,
 )
-from needleforce.plan_file import PLAN
-from needleforce.plots import PAGE, whole_folder
+from needleforce.needle_on_plan import PlannedPath
+from needleforce.plots import PAGE, Page, PageTable, Section, whole_folder, write_page
 
-MODULES = ("SimpleITK", "skimage", "manifold3d", "trimesh", "igl")
-"""Modules of extras that the command needs."""
+if TYPE_CHECKING:
+    from needleforce.cli.register import RegisterOptions
 
 M_PER_MM = 1e-3
 
@@ -57,89 +61,14 @@ MAX_STD_mm = 50.0
 """Larger ones are not in millimetres."""
 
 
-class Evidence(NamedTuple):
-    """What a registration rests on.
-
-    Attributes:
-        landmarks: Points of the CT.
-        touches: What was touched.
-        landmark_std_mm: Of a landmark along each axis [mm].
-        touch_std_mm: Of a touch of the skin [mm].
-        softness_mm: By up to so much touches press the skin in [mm].
-        motion_mm: Of organs against the skin [mm].
-        landmarks_only: The touches of the skin are left out.
-        is_xy_negated: The landmarks' file says LPS and holds RAS, or the reverse.
-    """
-
-    landmarks: Path
-    touches: Path
-    landmark_std_mm: float
-    touch_std_mm: float
-    softness_mm: float
-    motion_mm: float
-    landmarks_only: bool
-    is_xy_negated: bool
-
-    def check(self) -> None:
-        """Raise `CommandError` for a deviation that cannot be."""
-        require_std("--landmark-std", self.landmark_std_mm)
-        require_std("--touch-std", self.touch_std_mm)
-        require_motion(self.motion_mm)
-        if not 0.0 <= self.softness_mm < 20.0:
-            raise CommandError(
-                f"--softness {self.softness_mm:g}: expected millimetres, 0 for what "
-                "does not give way, and below 20"
-            )
-
-
-def require_std(option: str, std_mm: float) -> None:
-    """Refuse a standard deviation [mm] that is not positive, or not in millimetres.
-
-    Raises:
-        CommandError: It is not.
-    """
-    if not 0.0 < std_mm < MAX_STD_mm:
-        raise CommandError(
-            f"{option} {std_mm:g}: expected millimetres, above 0 and below "
-            f"{MAX_STD_mm:g}"
-        )
-
-
-def require_motion(motion_mm: float) -> None:
-    """Refuse a motion of organs [mm] that is negative, or not in millimetres.
-
-    Raises:
-        CommandError: It is not zero or more, in millimetres.
-    """
-    if not 0.0 <= motion_mm < MAX_STD_mm:
-        raise CommandError(
-            f"--motion {motion_mm:g}: expected millimetres, 0 or more and below "
-            f"{MAX_STD_mm:g}"
-        )
-
-
-class _Pairs(NamedTuple):
-    """Landmarks in both frames.
-
-    Attributes:
-        names: Of the landmarks.
-        model_m: In the CT, (n, 3).
-        robot_m: In the robot's base, (n, 3).
-    """
-
-    names: tuple[str, ...]
-    model_m: Array
-    robot_m: Array
-
-
 def register_plan(
-    place: Path, evidence: Evidence, output: Path, report: Path | None
+    place: Path, options: "RegisterOptions", output: Path, report: Path | None
 ) -> int:
-    """Register the patient of a plan; print the report and write the plan.
+    """Register the patient of a plan by landmarks and touches, or by a transform.
 
     Args:
         place: The plan.
-        evidence: What the registration rests on.
+        options: What the registration rests on.
         output: The plan with its registration.
         report: Folder for a page, if any.
 
@@ -148,195 +77,330 @@ def register_plan(
 
     Raises:
         CommandError: A file or an option cannot be used.
-        needleforce.anatomy.RegistrationError: Landmarks or touches do not fit.
+        needleforce.anatomy.AnatomyError: Landmarks or touches do not fit, or the file
+            holds no rigid motion; the path comes too near to an obstacle.
     """
     require_modules("register", MODULES)
-    evidence.check()
+    _require_mm("--landmark-std", options.landmark_std, 1e-3)
+    _require_mm("--touch-std", options.touch_std, 1e-3)
+    _require_mm("--motion", options.motion)
+    _require_mm("--softness", options.softness)
     fields = read_plan_fields(place)
-    touched = read_touches(evidence.touches)
-    pairs = _pair_landmarks(read_markup(evidence.landmarks), touched, evidence)
-    landmark_std_m = M_PER_MM * evidence.landmark_std_mm
-    rough = fit_landmarks(
-        pairs.model_m, pairs.robot_m, std_m=landmark_std_m, is_std_known=True
-    )
-    residuals = judge_landmarks(
-        pairs.model_m, pairs.robot_m, landmark_std_m, pairs.names
-    )
-    fit = rough
-    touches_m = touched.skin_m()
-    if not evidence.landmarks_only:
-        _require_touches(touches_m)
-    labels = case_of_plan(place).labels
-    skin = labels.skin()
-    landmarks = SkinLandmarks(
-        points_m=pairs.model_m,
-        skin=skin,
-        names=pairs.names,
-        touches_m=rough.to_model(touches_m),
-        entry_m=np.array(fields["entry_m"]),
-    )
-    for doubt in require_lps(landmarks):
-        say(f"warning: {doubt}")
-    if not evidence.landmarks_only:
-        with staged_progress("fitting the touches to the skin"):
-            fit = fit_surface(
-                skin,
-                touches_m,
-                rough,
-                touch_std_m=M_PER_MM * evidence.touch_std_mm,
-                softness_m=M_PER_MM * evidence.softness_mm,
+    touches_m = np.zeros((0, 3))
+    touched = None
+    if options.touches is not None:
+        touched = read_touches(options.touches)
+        touches_m = np.array(touched.touches_m, dtype=float).reshape(-1, 3)
+    residuals: list[LandmarkResidual] = []
+    if options.transform is not None:
+        fit = _fit_of_transform(fields, options)
+        labels = case_of_plan(place).labels
+        skin = labels.skin()
+        _require_touched_skin(fit, skin, touches_m, options)
+    else:
+        rough, residuals, model_m = _fit_by_landmarks(touched, options)
+        if options.landmarks_only:
+            touches_m = touches_m[:0]
+        elif len(touches_m) < MIN_TOUCHES:
+            raise CommandError(
+                f"{len(touches_m)} touches of the skin: expected {MIN_TOUCHES} or "
+                "more; --landmarks-only goes without, by the landmarks alone"
             )
-    touched_m = touches_m[:0] if evidence.landmarks_only else touches_m
-    fit_report = _report_of(fit, residuals, skin, touched_m, fields, evidence)
-    for warning in describe_doubts(residuals):
-        say(f"warning: {warning}")
-    return finish_registration(place, fields, labels, fit_report, output, report)
-
-
-def finish_registration(
-    place: Path,
-    fields: Mapping[str, Any],
-    labels: Labels,
-    fit_report: FitReport,
-    output: Path,
-    report: Path | None,
-) -> int:
-    """Print the report of a registration, judge the path, and write plan and page.
-
-    Args:
-        place: The plan.
-        fields: What stands in it.
-        labels: The segmentation of the plan.
-        fit_report: The registration.
-        output: The plan with its registration.
-        report: Folder for a page, if any.
-
-    Returns:
-        The exit code.
-
-    Raises:
-        PlanError: The path comes too near to an obstacle for this registration.
-    """
-    write_out(describe_fit(fit_report))
-    _require_clear_path(fields, labels, fit_report)
-    source = place / PLAN if place.is_dir() else place
-    folder = source.parent
-    moved = {
-        key: relative_path(folder / fields[key], output.parent)
-        for key in ("ct", "labels", "structures")
-        if isinstance(fields.get(key), str) and fields[key]
-    }
-    write_plan_fields(output, {**fields, **moved, **_fit_fields(fit_report)})
-    write_out(f"{output}\n")
-    with whole_folder(report) as page_folder:
-        if page_folder is not None:
-            write_fit_page(fit_report, page_folder)
-    if report is not None:
-        write_out(f"{report / PAGE}\n")
+        labels = case_of_plan(place).labels
+        skin = labels.skin()
+        names = [one.name for one in residuals]
+        touched_m = rough.to_model(touches_m)
+        entry_m = np.array(fields["entry_m"])
+        shown = SkinLandmarks(model_m, skin, names, touched_m, entry_m)
+        for doubt in (*require_lps(shown), *_doubts(residuals)):
+            say(f"warning: {doubt}")
+        fit = rough
+        if not options.landmarks_only:
+            with staged_progress("fitting the touches to the skin"):
+                fit = fit_surface(
+                    skin,
+                    touches_m,
+                    rough,
+                    touch_std_m=M_PER_MM * options.touch_std,
+                    softness_m=M_PER_MM * options.softness,
+                )
+    distances_m = _skin_distances_m(fit, skin, touches_m)
+    motion_m = M_PER_MM * options.motion
+    added = _fit_fields(fields, fit, residuals, distances_m, motion_m)
+    rows = _rows(fit, residuals, distances_m, added)
+    write_out(f"{aligned(rows)}{NOT_MEDICAL}\n")
+    _require_clear_path(fields, labels, fit)
+    _write(place, {**fields, **added}, output)
+    with whole_folder(report) as folder:
+        if folder is not None and report is not None:
+            _write_page(rows, distances_m, folder)
+            write_out(f"{report / PAGE}\n")
     say(f"next: needleforce live ARM --plan {output} --view")
     return 0
 
 
-def _require_clear_path(
-    fields: Mapping[str, Any], labels: Labels, report: FitReport
-) -> None:
-    """Refuse what `live` would: obstacles nearer than this registration asks for.
+def _require_mm(option: str, value_mm: float, low: float = 0.0) -> None:
+    """Refuse a length that is too small, or not in millimetres.
 
-    `plan` judged them before any registration, without its deviation.
+    Raises:
+        CommandError: It is.
     """
-    std_m = report.fit.largest_std_m(np.array([report.entry_m, report.target_m]))
-    space = FreeSpace(fields["needle_radius_m"], fields["margin_m"], std_m)
-    accepted = fields.get("accepted_obstacles", ())
-    clearances = labels.clearances(report.entry_m, report.target_m)
-    try:
-        require_clear_path(clearances, space, accepted)
-    except PlanError as error:
-        gaps_m = [
-            one.distance_m
-            for one in clearances
-            if one.is_obstacle and one.name not in accepted
-        ]
-        free_m = min(gaps_m) - space._replace(std_m=0.0).needed_m
-        raise PlanError(
-            f"{error}. This path bears a registration with a std of up to "
-            f"{max(free_m / STDS, 0.0) / M_PER_MM:.2f} mm, and this one has "
-            f"{std_m / M_PER_MM:.2f} mm: register again with more touches around the "
-            "entry and landmarks further apart, or plan a path with more space "
-            "(--margin, --choose)"
-        ) from error
-
-
-def _pair_landmarks(markup: Markup, touched: TouchFile, evidence: Evidence) -> _Pairs:
-    """Return the landmarks that are in both files, by their names."""
-    place_by_name = dict(zip(markup.names, markup.points_m, strict=True))
-    names = tuple(one.name for one in touched.landmarks)
-    if len(set(names)) < len(names):
+    if not low <= value_mm < MAX_STD_mm:
         raise CommandError(
-            f"{evidence.touches}: a landmark was touched twice: {', '.join(names)}",
+            f"{option} {value_mm:g}: expected millimetres, from {low:g} to "
+            f"{MAX_STD_mm:g}"
         )
-    unknown = [name for name in names if name not in place_by_name]
-    if unknown:
+
+
+def _fit_by_landmarks(
+    touched: TouchFile | None, options: "RegisterOptions"
+) -> tuple[Registration, list[LandmarkResidual], Array]:
+    """Return the fit of the landmarks that were touched, and their places in the CT."""
+    if touched is None or options.landmarks is None:
+        raise CommandError("expected --landmarks and --touches, or --transform")
+    markup = read_markup(options.landmarks)
+    place_by_name = dict(zip(markup.names, markup.points_m, strict=True))
+    names = [one.name for one in touched.landmarks]
+    if len({*names}) < len(names) or not place_by_name.keys() >= {*names}:
         raise CommandError(
-            f"{evidence.touches} has landmarks {', '.join(unknown)} that are not in "
-            f"{evidence.landmarks}: there are {', '.join(markup.names)}",
+            f"{options.touches} has landmarks {', '.join(names)}: expected each once, "
+            f"of those in {options.landmarks}: {', '.join(markup.names)}"
         )
     model_m = np.array([place_by_name[name] for name in names]).reshape(-1, 3)
-    if evidence.is_xy_negated:
+    if options.negate_xy:
         model_m = model_m * RAS_TO_LPS
     robot_m = np.array([one.place_m for one in touched.landmarks]).reshape(-1, 3)
-    return _Pairs(names, model_m, robot_m)
+    std_m = M_PER_MM * options.landmark_std
+    fit = fit_landmarks(model_m, robot_m, std_m=std_m, is_std_known=True)
+    return fit, judge_landmarks(model_m, robot_m, std_m, names), model_m
 
 
-def _require_touches(touches_m: Array) -> None:
-    """Refuse too few touches of the skin before the CT is read."""
-    if len(touches_m) < MIN_TOUCHES:
+def _doubts(residuals: Sequence[LandmarkResidual]) -> list[str]:
+    """Return in words which landmark is probably off, or that none can be verified."""
+    if len(residuals) < MIN_VERIFIED:
+        return [
+            f"{len(residuals)} landmarks cannot be verified: one that is off shows "
+            f"only with {MIN_VERIFIED} or more"
+        ]
+    worst = min(residuals, key=lambda one: one.probability)
+    text = (
+        f"landmark {worst.name!r} lies {worst.left_out_m / M_PER_MM:.1f} mm from where "
+        f"the others put it (p = {worst.probability:.2g}): touch it again"
+    )
+    return [text] * worst.is_doubtful
+
+
+def _fit_of_transform(
+    fields: Mapping[str, Any], options: "RegisterOptions"
+) -> Registration:
+    """Return the registration of a transform with one deviation at the patient."""
+    if options.transform_from is None or options.transform_std is None:
         raise CommandError(
-            f"{len(touches_m)} touches of the skin: expected {MIN_TOUCHES} or more; "
-            "--landmarks-only goes without, by the landmarks alone",
+            "--transform needs --transform-from slicer or itk, whose files hold a "
+            "motion and its inverse, and --transform-std, its deviation at the "
+            "patient along each axis in mm; see docs/how-to/segmentations.md"
         )
-
-
-def _report_of(
-    fit: Registration,
-    residuals: Sequence[LandmarkResidual],
-    skin: Surface,
-    touches_m: Array,
-    fields: Mapping[str, Any],
-    evidence: Evidence,
-) -> FitReport:
-    """Return what is reported of a registration."""
-    distances_m: Sequence[float] = ()
-    if len(touches_m):
-        distances_m = skin_distances_m(fit, skin, touches_m).tolist()
-    return FitReport(
-        fit=fit,
-        landmarks=tuple(residuals),
-        touch_distances_m=tuple(distances_m),
-        entry_m=np.array(fields["entry_m"]),
-        target_m=np.array(fields["target_m"]),
-        motion_m=M_PER_MM * evidence.motion_mm,
+    _require_mm("--transform-std", options.transform_std, 1e-3)
+    if options.landmarks or options.negate_xy or options.landmarks_only:
+        raise CommandError(
+            "--transform stands in place of --landmarks: leave that, --negate-xy and "
+            "--landmarks-only out"
+        )
+    motion = read_transform(str(options.transform), options.transform_from)
+    ends_m = np.array([fields["entry_m"], fields["target_m"]]) @ motion.rotation.T
+    ends_m = ends_m + motion.translation_m
+    path = PlannedPath.of_std(*ends_m, M_PER_MM * options.transform_std)
+    return Registration(
+        rotation=motion.rotation,
+        translation_m=motion.translation_m,
+        covariance=path.covariance,
+        pivot_m=path.pivot_m,
+        degrees=np.inf,
+        residual_rms_m=np.nan,
     )
 
 
-def _fit_fields(report: FitReport) -> dict[str, Any]:
+def _require_touched_skin(
+    fit: Registration, skin: Surface, touches_m: Array, options: "RegisterOptions"
+) -> None:
+    """Refuse touches of the skin that contradict a transform."""
+    # Touches further from the skin than so many standard deviations do.
+    max_stds = 3.0
+    if not len(touches_m):
+        say("warning: the transform was not checked: --touches FILE checks it")
+        return
+    distances_m = _skin_distances_m(fit, skin, touches_m)
+    rms_mm = float(np.sqrt((distances_m**2).mean())) / M_PER_MM
+    expected_mm = float(np.hypot(options.transform_std or 0.0, options.touch_std))
+    if rms_mm > max_stds * expected_mm:
+        raise RegistrationError(
+            f"the touches lie {rms_mm:.1f} mm (rms) from the skin under this "
+            f"transform, and {expected_mm:.1f} mm are expected by --transform-std and "
+            "--touch-std: it is the inverse (--transform-from), in other axes, of "
+            "another patient, or less accurate than stated"
+        )
+
+
+def _skin_distances_m(fit: Registration, skin: Surface, touches_m: Array) -> Array:
+    """Return how far touches lie from the skin, positive outside, shape (n,)."""
+    if not len(touches_m):
+        return np.zeros(0)
+    points_m = fit.to_model(touches_m)
+    nearest_m, normals = skin.nearest(points_m)
+    signed_m = ((points_m - nearest_m) * normals).sum(axis=1)
+    return np.copysign(np.linalg.norm(points_m - nearest_m, axis=1), signed_m)
+
+
+def _fit_fields(
+    fields: Mapping[str, Any],
+    fit: Registration,
+    residuals: Sequence[LandmarkResidual],
+    distances_m: Array,
+    motion_m: float,
+) -> dict[str, Any]:
     """Return what a registration adds to the plan's file."""
-    fit = report.fit
+    entry_m = np.array(fields["entry_m"])
+    target_m = np.array(fields["target_m"])
+    way_m = fit.to_robot(target_m) - fit.to_robot(entry_m)
     return {
         "rotation": fit.rotation,
         "translation_m": fit.translation_m,
-        "offset_std_m": report.offset_std_m,
+        "offset_std_m": float(np.hypot(fit.std_along_m(way_m, target_m), motion_m)),
         "covariance": fit.covariance,
         "pivot_m": fit.pivot_m,
         "registration": {
-            "landmark_residuals_m": {one.name: one.left_m for one in report.landmarks},
-            "touch_distances_m": report.touch_distances_m,
-            "entry_in_base_m": fit.to_robot(report.entry_m),
-            "target_in_base_m": fit.to_robot(report.target_m),
-            "entry_error_rms_m": fit.tre_m(report.entry_m),
-            "target_error_rms_m": fit.tre_m(report.target_m),
-            "motion_std_m": report.motion_m,
+            "landmark_residuals_m": {one.name: one.left_m for one in residuals},
+            "touch_distances_m": distances_m,
+            "entry_in_base_m": fit.to_robot(entry_m),
+            "target_in_base_m": fit.to_robot(target_m),
+            "entry_error_rms_m": fit.tre_m(entry_m),
+            "target_error_rms_m": fit.tre_m(target_m),
+            "motion_std_m": motion_m,
             "degrees": min(fit.degrees, MAX_DEGREES),
             "indentation_m": fit.indentation_m,
             "indentation_std_m": fit.indentation_std_m,
         },
     }
+
+
+def _rows(
+    fit: Registration,
+    residuals: Sequence[LandmarkResidual],
+    distances_m: Array,
+    added: Mapping[str, Any],
+) -> list[tuple[str, str]]:
+    """Return label and text of every line of the report."""
+    level = 0.95  # of the region at the target
+    rows: list[tuple[str, str]] = []
+    for one in residuals:
+        text = f"residual {one.left_m / M_PER_MM:.1f} mm"
+        if np.isfinite(one.left_out_m):
+            text += f", {one.left_out_m / M_PER_MM:.1f} mm from where the others put it"
+        if np.isfinite(one.probability):
+            text += f" (p = {one.probability:.2g})"
+        rows.append((f"landmark {one.name}", text))
+    sizes_mm = np.abs(distances_m) / M_PER_MM
+    if len(sizes_mm):
+        text = (
+            f"half within {np.median(sizes_mm):.1f} mm, 9 of 10 within "
+            f"{np.quantile(sizes_mm, 0.9):.1f} mm, largest {sizes_mm.max():.1f} mm "
+            f"(touch {int(sizes_mm.argmax()) + 1})"
+        )
+        rows.append((f"{len(sizes_mm)} touches of the skin", text))
+    place = added["registration"]
+    if fit.indentation_std_m > 1e-6:  # of a surface that is not hard
+        text = (
+            f"by {fit.indentation_m / M_PER_MM:.1f} ± "
+            f"{fit.indentation_std_m / M_PER_MM:.1f} mm"
+        )
+        rows.append(("touches press the skin in", text))
+    target_mm = place["target_in_base_m"] / M_PER_MM
+    covariance = fit.covariance_at(fit.to_model(place["target_in_base_m"]))
+    quantile = 3.0 * fdtri(3, place["degrees"], level)
+    half_axes_m2 = np.maximum(np.linalg.eigvalsh(covariance)[::-1], 0.0) * quantile
+    region_mm = np.sqrt(half_axes_m2) / M_PER_MM
+    return [
+        *rows,
+        (
+            "target in the robot's base",
+            f"{', '.join(f'{value:.1f}' for value in target_mm)} mm",
+        ),
+        (
+            "expected error at the target",
+            f"{place['target_error_rms_m'] / M_PER_MM:.1f} mm rms",
+        ),
+        (
+            "it lies with 95 % within",
+            f"{' x '.join(f'{value:.1f}' for value in region_mm)} mm (half axes)",
+        ),
+        (
+            "layers along the needle",
+            f"± {added['offset_std_m'] / M_PER_MM:.1f} mm (one standard deviation, "
+            f"with the organs' motion of {place['motion_std_m'] / M_PER_MM:g} mm)",
+        ),
+    ]
+
+
+def _require_clear_path(
+    fields: Mapping[str, Any], labels: Labels, fit: Registration
+) -> None:
+    """Refuse what `live` would: obstacles nearer than this registration asks for.
+
+    `plan` judged them before any registration, without its deviation.
+
+    Raises:
+        PlanError: The path comes too near to an obstacle.
+    """
+    ends_m = np.array([fields["entry_m"], fields["target_m"]])
+    std_m = fit.largest_std_m(ends_m)
+    space = FreeSpace(fields["needle_radius_m"], fields["margin_m"], std_m)
+    accepted = fields.get("accepted_obstacles", ())
+    clearances = labels.clearances(*ends_m)
+    try:
+        require_clear_path(clearances, space, accepted)
+    except PlanError as error:
+        free_m = min(
+            one.distance_m
+            for one in clearances
+            if one.is_obstacle and one.name not in accepted
+        )
+        free_m -= space._replace(std_m=0.0).needed_m
+        raise PlanError(
+            f"{error}. This path bears a registration with a std of up to "
+            f"{max(free_m / STDS, 0.0) / M_PER_MM:.2f} mm, and this one has "
+            f"{std_m / M_PER_MM:.2f} mm: touch more around the entry, landmarks "
+            "further apart, or plan a path with more space (--margin, --choose)"
+        ) from error
+
+
+def _write(place: Path, fields: Mapping[str, Any], output: Path) -> None:
+    """Write the registered plan, from whose folder its files are found."""
+    folder = place if place.is_dir() else place.parent
+    moved = {
+        key: relative_path(folder / fields[key], output.parent)
+        for key in ("ct", "labels", "structures")
+        if isinstance(fields.get(key), str) and fields[key]
+    }
+    write_plan_fields(output, {**fields, **moved})
+    write_out(f"{output}\n")
+
+
+def _write_page(
+    rows: Sequence[tuple[str, str]], distances_m: Array, folder: Path
+) -> None:
+    """Write the page of a registration into a folder."""
+    touches = [
+        (str(number), f"{distance_m / M_PER_MM:+.2f}")
+        for number, distance_m in enumerate(distances_m.tolist(), 1)
+    ]
+    tables = (
+        PageTable(caption="Registration", head=("what", "value"), rows=tuple(rows)),
+        PageTable(
+            caption="Touches of the skin",
+            head=("touch", "distance from the skin [mm], positive outside"),
+            rows=tuple(touches),
+        ),
+    )
+    section = Section(heading="Registration", anchor="registration", tables=tables)
+    page = Page(title="Registration", lead=(NOT_MEDICAL,), sections=(section,))
+    write_page(folder / PAGE, page)

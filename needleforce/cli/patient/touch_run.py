@@ -7,6 +7,7 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
+import msgspec
 import numpy as np
 import pinocchio as pin
 
@@ -19,82 +20,20 @@ from needleforce.cli.arms.arm_connection import (
     open_arm,
     samples_until_stopped,
 )
-from needleforce.cli.patient.case_files import case_of_plan, read_plan_fields
-from needleforce.cli.patient.touch_file import (
-    VERSION,
+from needleforce.cli.patient.case_files import (
     LandmarkTouch,
     TouchFile,
-    write_touches,
+    case_of_plan,
+    read_plan_fields,
+    write_plan_fields,
 )
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
-from needleforce.cli.terminal import (
-    CHECK_ARM,
-    CommandError,
-    progress_bar,
-    say,
-)
+from needleforce.cli.terminal import CHECK_ARM, CommandError, progress_bar, say
 from needleforce.devices import LinkError
 from needleforce.recordings.output import require_place
 from needleforce.simulation.patient import touch_patient
 from residual import VirtualForceSensor
 from urdf import Robot
-
-M_TO_MM = 1e3
-
-
-class TouchList:
-    """What was touched so far: landmarks in their order, then the skin.
-
-    Args:
-        names: Of the landmarks.
-        count: Touches of the skin that are wanted.
-    """
-
-    def __init__(self, names: tuple[str, ...], count: int) -> None:
-        self._names = names
-        self._count = count
-        self._places_m: list[Array] = []
-
-    @property
-    def is_full(self) -> bool:
-        """Whether all is touched."""
-        return len(self._places_m) >= len(self._names) + self._count
-
-    def add(self, touch: TipTouch) -> str:
-        """Add a touch; return in words what it is, and what comes next."""
-        number = len(self._places_m)
-        self._places_m.append(touch.place_m)
-        place_mm = ", ".join(f"{value:.1f}" for value in M_TO_MM * touch.place_m)
-        what = f"touch {number - len(self._names) + 1} of the skin"
-        if number < len(self._names):
-            what = f"landmark {self._names[number]!r}"
-        return f"{what} at {place_mm} mm, {touch.force_N:.1f} N{self._next()}"
-
-    def remove_last(self) -> str:
-        """Remove the last touch; return in words what is wanted now."""
-        if self._places_m:
-            self._places_m.pop()
-        return f"undone{self._next()}"
-
-    def begin(self) -> str:
-        """Return in words what is wanted first."""
-        return f"rest in contact for a second, or press Enter{self._next()}"
-
-    def file(self) -> TouchFile:
-        """Return what was touched."""
-        places = [tuple(place_m.tolist()) for place_m in self._places_m]
-        named = zip(self._names, places, strict=False)
-        return TouchFile(
-            version=VERSION,
-            landmarks=tuple(LandmarkTouch(name, place) for name, place in named),
-            touches_m=tuple(places[len(self._names) :]),
-        )
-
-    def _next(self) -> str:
-        number = len(self._places_m)
-        if number < len(self._names):
-            return f"; next: landmark {self._names[number]!r}"
-        return "" if self.is_full else "; next: the skin, anywhere around the entry"
 
 
 def record_touches(
@@ -132,25 +71,31 @@ def record_touches(
         )
     require_place(output)
     names = () if landmarks is None else read_markup(landmarks).names
-    touched = TouchList(names, count)
+    places_m: list[Array] = []
     lost: LinkError | None = None
     with _open_touching_arm(arm_name, robot, options, landmarks) as (arm, model):
-        say(touched.begin())
+        say(f"rest in contact for a second, or press Enter{_next(names, places_m)}")
         try:
             for touch in _touches(arm, model, options, contact_N):
-                say(touched.add(touch) if touch is not None else touched.remove_last())
-                if touched.is_full:
+                say(f"{_take(touch, places_m)}{_next(names, places_m)}")
+                if len(places_m) >= len(names) + count:
                     break
         except LinkError as error:
             lost = error
-    file = touched.file()
-    if lost is None and not file.landmarks and not file.touches_m:
+    if lost is None and not places_m:
         raise CommandError(
             f"nothing was touched: the force never rose by {contact_N:g} N while the "
             "tip rested for a second",
             CHECK_ARM,
         )
-    write_touches(output, file)
+    places = [tuple(place_m.tolist()) for place_m in places_m]
+    file = TouchFile(
+        version=1,
+        landmarks=tuple(map(LandmarkTouch, names, places)),
+        touches_m=tuple(places[len(names) :]),
+    )
+    fields: dict[str, Any] = msgspec.to_builtins(file)
+    write_plan_fields(output, fields)
     say(
         f"{len(file.landmarks)} of {len(names)} landmarks and {len(file.touches_m)} "
         f"touches of the skin in {output}"
@@ -158,6 +103,23 @@ def record_touches(
     if lost is not None:
         raise lost
     return 0
+
+
+def _take(touch: TipTouch | None, places_m: list[Array]) -> str:
+    """Add a touch to the places, or remove the last one; say which."""
+    if touch is None:
+        del places_m[-1:]
+        return "undone"
+    places_m.append(touch.place_m)
+    place_mm = ", ".join(f"{1e3 * value:.1f}" for value in touch.place_m)
+    return f"touch {len(places_m)} at {place_mm} mm, {touch.force_N:.1f} N"
+
+
+def _next(names: tuple[str, ...], places_m: list[Array]) -> str:
+    """Return in words what is wanted next."""
+    if len(places_m) < len(names):
+        return f"; next: landmark {names[len(places_m)]!r}"
+    return "; next: the skin, anywhere around the entry"
 
 
 @contextmanager

@@ -46,34 +46,44 @@ def ct_slices(shape, places_mm=None, turn=None, series=2):
         item = Dataset()
         item.file_meta = FileMetaDataset()
         item.file_meta.TransferSyntaxUID = ExplicitVRLittleEndian
-        item.file_meta.MediaStorageSOPClassUID = item.SOPClassUID = CTImageStorage
+        item.file_meta.MediaStorageSOPClassUID = CTImageStorage
         uid = pydicom.uid.UID(f"2.25.{1000 * series + k}")
-        item.file_meta.MediaStorageSOPInstanceUID = item.SOPInstanceUID = uid
-        item.StudyInstanceUID = "2.25.1"
-        item.SeriesInstanceUID = f"2.25.{series}"
-        item.FrameOfReferenceUID = "2.25.3"
-        for name in ("PatientBirthDate", "PatientSex", "AccessionNumber"):
-            setattr(item, name, "")
-        item.PatientID = item.StudyID = "1"
-        item.PatientName = "Torso^Analytic"
-        item.ReferringPhysicianName = item.PositionReferenceIndicator = ""
-        item.StudyDate = datetime(2026, 1, 1).date()
-        item.StudyTime = datetime(2026, 1, 1).time()
-        item.Modality = "CT"
-        item.SeriesNumber = series
-        item.InstanceNumber = k + 1
-        item.ImagePositionPatient = [f"{one:.10g}" for one in place]
-        item.ImageOrientationPatient = [f"{one:.10g}" for one in axes[:, :2].T.ravel()]
-        item.PixelSpacing = [SPACING_mm[1], SPACING_mm[0]]
-        item.SliceThickness = SPACING_mm[2]
-        item.Rows = shape[1]
-        item.Columns = shape[0]
-        item.BitsAllocated = item.BitsStored = 16
-        item.HighBit = 15
-        item.PixelRepresentation = 1
-        item.SamplesPerPixel = 1
-        item.PhotometricInterpretation = "MONOCHROME2"
-        item.PixelData = np.zeros(shape[1::-1], np.int16).tobytes()
+        item.file_meta.MediaStorageSOPInstanceUID = uid
+        fields = {
+            "SOPClassUID": CTImageStorage,
+            "SOPInstanceUID": uid,
+            "StudyInstanceUID": "2.25.1",
+            "SeriesInstanceUID": f"2.25.{series}",
+            "FrameOfReferenceUID": "2.25.3",
+            "PatientID": "1",
+            "PatientName": "Torso^Analytic",
+            "PatientBirthDate": "",
+            "PatientSex": "",
+            "StudyID": "1",
+            "StudyDate": datetime(2026, 1, 1).date(),
+            "StudyTime": datetime(2026, 1, 1).time(),
+            "AccessionNumber": "",
+            "ReferringPhysicianName": "",
+            "PositionReferenceIndicator": "",
+            "Modality": "CT",
+            "SeriesNumber": series,
+            "InstanceNumber": k + 1,
+            "ImagePositionPatient": [f"{one:.10g}" for one in place],
+            "ImageOrientationPatient": [f"{one:.10g}" for one in axes[:, :2].T.ravel()],
+            "PixelSpacing": [SPACING_mm[1], SPACING_mm[0]],
+            "SliceThickness": SPACING_mm[2],
+            "Rows": shape[1],
+            "Columns": shape[0],
+            "BitsAllocated": 16,
+            "BitsStored": 16,
+            "HighBit": 15,
+            "PixelRepresentation": 1,
+            "SamplesPerPixel": 1,
+            "PhotometricInterpretation": "MONOCHROME2",
+            "PixelData": np.zeros(shape[1::-1], np.int16).tobytes(),
+        }
+        for name, value in fields.items():
+            setattr(item, name, value)
         slices.append(item)
     return slices
 

@@ -326,6 +326,8 @@ def test_clearances_are_stated_and_radius_margin_and_registration_kept_free():
         require_clear_path(found, FreeSpace(1e-3, 2e-3, 1.3e-3))
     require_clear_path(found, FreeSpace(1e-3, 2e-3, 1.3e-3), ["rib_right_8"])
     require_clear_path([liver], FreeSpace(1e-3, 2e-3, 1.3e-3))
+    # An 18 G needle with its sheath, and 2 mm.
+    assert FreeSpace().needed_m == pytest.approx(2.8e-3)
 
 
 def block(centre, half, names=("body", "rib", "lesion"), spacing_m=2e-3):

@@ -186,6 +186,7 @@ def test_off_the_plan_no_layer_is_named():
     state = PlanMatch(plan(20, 35), 3e-3).off_plan_state()
     assert (state.layer, state.name, state.probability) == (-2, "off plan", 0.0)
     assert np.isnan(state.next_m)
+    assert (state.offset_m, state.offset_std_m) == (0.0, 3e-3)
 
 
 @pytest.mark.parametrize(

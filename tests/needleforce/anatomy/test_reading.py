@@ -196,7 +196,7 @@ def test_a_nifti_file_needs_one_place(tmp_path, place, kind, numbers):
         ("space directions", "# ", "directions"),
         ("kinds", 'space units: "cm" "cm" "cm"\nkinds', "cm"),
         ("left-posterior-superior", "scanner-xyz", "scanner-xyz"),
-        ("left-posterior-superior", "3D-right-handed", "3D-right-handed"),
+        ("left-posterior-superior", "3D-right-handed", "right-handed"),
         ("kinds", 'space units: "mm" "mm" "mm"\nkinds', None),
         ("left-posterior-superior", "RAS", None),
     ],

@@ -15,7 +15,7 @@ from needleforce.anatomy import (
     fit_surface,
     require_lps,
 )
-from needleforce.anatomy.landmark_check import judge_landmarks
+from needleforce.anatomy.landmarks import judge_landmarks
 
 trimesh = pytest.importorskip("trimesh")
 pytest.importorskip("igl")
@@ -94,9 +94,11 @@ def test_an_exact_fit_returns_the_pose_and_its_residuals():
     np.testing.assert_allclose(fit.translation_m, shift_m, atol=1e-12)
     np.testing.assert_allclose(fit.to_model(fit.to_robot(FRONT_m)), FRONT_m, atol=1e-12)
     assert fit.residual_rms_m < 1e-8
-    for count, is_finite in ((3, False), (4, True)):
-        few = fit_landmarks(FRONT_m[:count], robot_m[:count])
-        assert np.isfinite(few.tre_m(TARGET_m)) == is_finite
+    degrees = {(3, False): 3.0, (3, True): np.inf, (4, False): 6.0, (4, True): 6.5}
+    for (count, is_known), expected in degrees.items():
+        few = fit_landmarks(FRONT_m[:count], robot_m[:count], is_std_known=is_known)
+        assert few.degrees == expected
+        assert np.isfinite(few.tre_m(TARGET_m)) == (is_known or count > 3)
 
 
 @given(lever=st.tuples(*[st.floats(-0.2, 0.2)] * 3))

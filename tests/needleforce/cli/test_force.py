@@ -228,8 +228,8 @@ def test_torques_that_stay_unlike_the_arms_are_a_warning(lwr, run, first_row, wa
 @pytest.mark.parametrize(
     ("change", "word"),
     [
-        (np.degrees, "deg/s"),
-        (np.zeros_like, "stands still"),
+        (np.degrees, "rate of q"),
+        (np.zeros_like, "rate of q"),
         (lambda dq: np.where(np.arange(7) == 1, np.nan, dq), "no finite value"),
     ],
 )
@@ -255,7 +255,7 @@ def test_a_tare_is_forced_in_spite_of_velocities_and_the_doubt_stays(run, lwr):
     forces, summary, _ = run(columns, *TARE, "--force-tare")
 
     assert "x velocity" in summary["warnings"]
-    assert "deg/s" in summary["signals"]
+    assert "rate of q" in summary["signals"]
     assert (forces["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
 
 
