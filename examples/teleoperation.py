@@ -29,7 +29,7 @@ teleoperation = control.Teleoperation(motion_scale=0.4, shown="tip")
 rows = []
 for tick in control.run(arm, controller, manager):
     state, estimate = tick.situation.state, tick.situation.estimate
-    tick.handle = device.read()
+    handle = tick.check_handle(device.read())
     speed_m_s = 0.0
     if state == "idle":
         manager.request("teleoperate" if session.tared else "tare")
@@ -38,7 +38,7 @@ for tick in control.run(arm, controller, manager):
         if arm.time_s > TARE_s:
             manager.request("arrived")  # it rests for about a second
     elif state == "teleop":
-        move = teleoperation.update(tick.handle, estimate, tick.sample.dt_s)
+        move = teleoperation.update(handle, estimate, tick.sample.dt_s)
         device.render(move.force_N)  # passive at the hand, whatever the line does
         speed_m_s = move.speed_m_s
         rows.append((arm.time_s, estimate.wrench.axial, teleoperation.shown_N))

@@ -21,6 +21,7 @@ from needleforce.control import (
     AxialSpeed,
     Controller,
     Fixture,
+    HandleWatch,
     Limits,
     Posture,
     Teleoperation,
@@ -200,6 +201,7 @@ class _HandLoop:
         self._hand = hand
         self._master = master
         self._teleoperation = teleoperation
+        self._handle_watch = HandleWatch()
         self._session = InsertionSession(arm.robot, sensor)
         self._stroke = _TareStroke(self._session)
         self._controller = Controller(arm.robot, Limits.of_arm(arm.robot, arm.preset))
@@ -242,7 +244,9 @@ class _HandLoop:
         self._end_s = min(self._end_s, end_s)
         master.clutch = self._hand.at(master.time_s).pedal_down
         position_m = master.position_m[2]
-        command = self._teleoperation.update(master.read(), estimate, dt_s)
+        command = self._teleoperation.update(
+            self._handle_watch.update(master.read(), dt_s), estimate, dt_s
+        )
         moved_m = master.position_m[2] - position_m
         self._asked_m += self._hand.scale * moved_m * master.clutch
         master.render(command.force_N)

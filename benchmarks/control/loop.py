@@ -94,7 +94,6 @@ class Insertion:
         posture = Posture(rig.home_rad)
         was_inside = False
         dq_rad_s = np.zeros(rig.robot.nv)
-        loop_failure = ""
         for sample in rig:
             manager.heartbeat()
             axial_N = self._axial_N() if self._with_ft else None
@@ -118,10 +117,9 @@ class Insertion:
                     sample, [] if situation.state is State.FAULTED else stack
                 )
                 dq_rad_s = command.dq_rad_s
-                loop_failure = command.loop_failure
             # A sample that was rejected moves nothing: the last command stands until a
             # fault.
-            beside = Beside(rig.send(dq_rad_s), dq_rad_s, loop_failure=loop_failure)
+            beside = Beside(rig.send(dq_rad_s), dq_rad_s)
             is_inside = situation.state in (State.INSERTION, State.TELEOP)
             if was_inside and not is_inside and self.ended_s is None:
                 self.ended_s = rig.time_s

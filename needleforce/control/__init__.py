@@ -6,11 +6,10 @@
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
 Reading order: `ports` (what lies outside), `tasks`, `joint_limits`,
-`controller` (one tick), `delay_prediction`, `loop_watch` (whether its loop has failed),
-`lag` (its delay and gain), `priority_solver`, `state_machine`, `monitors`,
-`manager`, `run`, `event_log`, `rupture_counter`, `insertion_profile`, `elbow_swivel`,
-`tare_stroke`, `guidance`, `handle_watch`, `passivity`, `teleoperation_sides`,
-`teleoperation`.
+`controller` (one tick), `delay_prediction`, `lag` (its delay and gain),
+`priority_solver`, `state_machine`, `monitors`, `manager`, `run`, `event_log`,
+`rupture_counter`, `insertion_profile`, `guarded_motion`, `tare_stroke`, `guidance`,
+`handle_watch`, `passivity`, `teleoperation_sides`, `teleoperation`.
 """
 
 from needleforce.control.controller import Controller as Controller
@@ -18,12 +17,11 @@ from needleforce.control.errors import (
     ControlError as ControlError,
     SettingError as SettingError,
 )
-from needleforce.control.event_log import (
-    read_events as read_events,
-    replay as replay,
-    write_mcap as write_mcap,
-)
 from needleforce.control.guidance import Guidance as Guidance
+from needleforce.control.handle_watch import (
+    HandleReport as HandleReport,
+    HandleWatch as HandleWatch,
+)
 from needleforce.control.insertion_profile import (
     InsertionPlan as InsertionPlan,
     InsertionProfile as InsertionProfile,
@@ -36,7 +34,6 @@ from needleforce.control.run import Tick as Tick, run as run
 from needleforce.control.state_machine import State as State
 from needleforce.control.tare_stroke import (
     TareMotion as TareMotion,
-    TareStroke as TareStroke,
     tare_with_stroke as tare_with_stroke,
 )
 from needleforce.control.tasks import (

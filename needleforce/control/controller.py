@@ -18,11 +18,11 @@ from foundation.jit import compile_waiting
 from needleforce.control.delay_prediction import DelayPrediction
 from needleforce.control.errors import RIGHT_LIMITS, SettingError
 from needleforce.control.joint_limits import (
+    BRAKE_CYCLES,
     Limits,
-    SLACK_rad_s,
+    write_reach,
     write_velocity_bounds,
 )
-from needleforce.control.loop_watch import FailureKind, LoopFailure, LoopWatch
 from needleforce.control.ports import ArmSample
 from needleforce.control.priority_solver import Solver, Stack, hierarchical
 from needleforce.control.setting_checks import as_vector
@@ -32,17 +32,12 @@ from urdf import Robot
 FIRST_STEP_s = 1e-3
 """Time step that a first, invalid sample is braked with: the usual cycle."""
 
-
 FILTER_s = 8e-3
 """Time constant of the positions under a limit of the jerk: 20 Hz."""
 
 MAX_SURPRISE_rad = 0.01
 """An arm that is further from where its commands have led it has been moved: its
 positions are used as they are."""
-
-BRAKE_CYCLES = 2.0
-"""A joint whose jerk is limited turns from acceleration to braking in so many
-cycles."""
 
 
 class CommandStatus(StrEnum):
@@ -53,10 +48,6 @@ class CommandStatus(StrEnum):
     NEAR_SINGULAR = "near singular"  # the same, with a direction damped: it hardly acts
     BRAKING = "braking"  # no task: as slow as the limits allow
     SKIPPED = "skipped"  # sample or task invalid: braking without them
-    OSCILLATES = "oscillates"  # the loop swings by itself, see `loop_watch`
-    AT_LIMIT = "at limit"  # a joint at its stop keeps a task from moving
-    SINGULAR = "singular"  # joints cannot move the needle as a task asks, in this pose
-    NO_PROGRESS = "no progress"  # the arm does not follow its commands
 
 
 class Command(NamedTuple):
@@ -65,8 +56,7 @@ class Command(NamedTuple):
     Attributes:
         dq_rad_s: To be sent to the arm, shape (n,).
         status: How they came about.
-        reason: Why the sample or a task was skipped, or the loop has failed; empty
-            otherwise.
+        reason: Why the sample or a task was skipped; empty otherwise.
         is_limited: Whether tasks have at least one joint at a limit.
         is_damped: Whether tasks ask for a direction that joints hardly move.
     """
@@ -77,11 +67,6 @@ class Command(NamedTuple):
     is_limited: bool = False
     is_damped: bool = False
 
-    @property
-    def loop_failure(self) -> str:
-        """How the loop has failed, for `Beside`; empty if it has not."""
-        return self.reason if self.status in tuple(FailureKind) else ""
-
 
 class Controller:
     """Turns samples and stacks of tasks into joint velocities; see `update`.
@@ -91,13 +76,9 @@ class Controller:
         limits: What its joints may do.
         solve: Strict priority within limits; another one to compare with, not to move
             an arm.
-        stops_failed_loop: Whether the arm brakes and rests until `reset` once its loop
-            oscillates or a task stands still; otherwise the command of that tick says
-            so, and the motion goes on.
         delay_s: From command to measured motion, as `needleforce lag` prints it; None
             if it is not known. Tasks then act on where the arm will be when the command
-            does, and a hand that shakes the arm is told from an oscillation at any
-            gain.
+            does.
         allow_unlimited_jerk: Whether a real arm may be moved with limits that have none
             of the jerk. It may then stop itself, a Franka with a reflex.
 
@@ -116,7 +97,6 @@ class Controller:
         limits: Limits,
         solve: Solver = hierarchical,
         *,
-        stops_failed_loop: bool = True,
         delay_s: float | None = None,
         allow_unlimited_jerk: bool = False,
     ) -> None:
@@ -127,15 +107,13 @@ class Controller:
                 RIGHT_LIMITS,
             )
         self.tool = ToolState(robot)
-        self._limits = limits.joints
-        self._rates = limits.rates
-        self._tip_m_s = limits.tip_m_s
+        self._max_rad_s = limits.joints.speed_rad_s
         self._limit_rows = np.array(limits.joints)
+        self._cycle_s = limits.cycle_s
+        self._tip_m_s = limits.tip_m_s
         self._joints = joints
         self._solve = solve
-        self._stops_failed_loop = stops_failed_loop
-        self._needs_simulation = limits.rates is None and not allow_unlimited_jerk
-        self._watch = LoopWatch(robot, limits.joints, delay_s)
+        self._needs_simulation = limits.cycle_s is None and not allow_unlimited_jerk
         self._prediction = DelayPrediction(joints, delay_s or 0.0)
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()
@@ -147,7 +125,7 @@ class Controller:
         """Begin from the velocity that the arm has, within its limits, or from rest.
 
         Call it when the arm has not followed: its commands were refused, or it has
-        stopped itself; and to move on after a loop has failed.
+        stopped itself.
 
         Raises:
             SettingError: The velocity is anything but n finite numbers.
@@ -155,13 +133,10 @@ class Controller:
         velocity_rad_s = np.zeros(self._joints)
         if dq_rad_s is not None:
             velocity_rad_s = as_vector(dq_rad_s, self._joints, "dq_rad_s")
-        max_rad_s = self._limits.speed_rad_s
-        self.last_rad_s = np.clip(velocity_rad_s, -max_rad_s, max_rad_s)
+        self.last_rad_s = np.clip(velocity_rad_s, -self._max_rad_s, self._max_rad_s)
         self._acceleration_rad_s2 = np.zeros(self._joints)
         self._position_rad: Array | None = None  # low-passed
         self._prediction.reset()
-        self._watch.reset()
-        self._failure: LoopFailure | None = None  # that the arm stands for
 
     def update(self, sample: ArmSample, stack: Sequence[Task]) -> Command:
         """Return the command for the coming cycle; always answer, whatever the sample.
@@ -195,42 +170,19 @@ class Controller:
             numbers.fill(stack, self.tool)
             self._write_bounds(predicted_rad, numbers.bounds)
             if not stack:
-                self._watch.reset()
                 slowest_rad_s = np.clip(0.0, *numbers.bounds)
                 return self._command(slowest_rad_s, CommandStatus.BRAKING)
-            if self._failure is not None:
-                return self._stop_for(self._failure)
             velocity_rad_s, is_limited = self._solve(numbers)
-            failure = self._watch.update(
-                stack,
-                numbers,
-                q_rad,
-                self.last_rad_s,
-                dt_s,
-                ahead_rad=position_rad - q_rad,
-                is_limited=is_limited,
-            )
-            if failure is not None and self._stops_failed_loop:
-                self._failure = failure
-                return self._stop_for(failure)
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
         # Of values, a shape or a number; a program's own faults pass through.
         except (NeedleforceError, ValueError) as error:
             return self._brake(f"{type(error).__name__}: {error}")
-        is_damped = numbers.is_damped
-        if failure is not None:
-            status = CommandStatus(failure.kind)
-            reason = failure.reason
-        else:
-            status = self._status_of(is_limited)
-            reason = ""
-        return self._command(velocity_rad_s, status, reason, is_limited, is_damped)
-
-    def _status_of(self, is_limited: bool) -> CommandStatus:
-        """Return the status of a tick whose tasks were served."""
-        if self._stack.is_damped:
-            return CommandStatus.NEAR_SINGULAR
-        return CommandStatus.SATURATED if is_limited else CommandStatus.OK
+        status = CommandStatus.SATURATED if is_limited else CommandStatus.OK
+        if numbers.is_damped:
+            status = CommandStatus.NEAR_SINGULAR
+        return self._command(
+            velocity_rad_s, status, is_limited=is_limited, is_damped=numbers.is_damped
+        )
 
     def _require_jerk_limit(self, sample: ArmSample) -> None:
         """Refuse to move a real arm without a limit of the jerk, see `update`."""
@@ -254,12 +206,20 @@ class Controller:
             SettingError: The velocity is anything but n finite numbers.
         """
         sent_rad_s = as_vector(dq_rad_s, self._joints, "dq_rad_s")
-        if self._rates is not None:
-            self._acceleration_rad_s2 = (
-                self._acceleration_rad_s2
-                + (sent_rad_s - self.last_rad_s) / self._rates.cycle_s
-            )
+        change_rad_s = sent_rad_s - self.last_rad_s
+        self._acceleration_rad_s2 = (
+            self._acceleration_rad_s2 + change_rad_s / self._change_time_s
+        )
         self.last_rad_s = sent_rad_s
+
+    @property
+    def _change_time_s(self) -> float:
+        """Time over which a change of the command counts.
+
+        Where the jerk is limited it is the arm's cycle, however many samples were lost
+        since the last command.
+        """
+        return self._step_s if self._cycle_s is None else self._cycle_s
 
     def _filter_positions(self, q_rad: Array, dt_s: float) -> Array:
         """Return positions, low-passed about the commanded motion if jerk is limited.
@@ -268,7 +228,7 @@ class Controller:
 
         which lags behind a motion that was not commanded only.
         """
-        if self._rates is None:
+        if self._cycle_s is None:
             return q_rad
         if self._position_rad is None or dt_s > MAX_STEP_s:
             self._position_rad = q_rad.copy()
@@ -282,17 +242,18 @@ class Controller:
         return self._position_rad
 
     def _write_bounds(self, q_rad: Array, bounds: Array) -> None:
-        """Write the bounds of the coming cycle, see `write_velocity_bounds`.
-
-        Where the jerk is limited they count from the last command by the arm's cycle,
-        however many samples were lost since.
-        """
-        rates = self._rates
-        step_s = self._step_s if rates is None else BRAKE_CYCLES * rates.cycle_s
-        write_velocity_bounds(self._limit_rows, q_rad, self.last_rad_s, step_s, bounds)
-        if rates is not None:
-            reach = rates.find_reach(self.last_rad_s, self._acceleration_rad_s2)
-            np.clip(bounds, *reach, out=bounds)
+        """Write the bounds of the coming cycle, see `write_velocity_bounds`."""
+        cycles = 1.0 if self._cycle_s is None else BRAKE_CYCLES
+        cycle_s = self._change_time_s
+        write_velocity_bounds(
+            self._limit_rows,
+            q_rad,
+            self.last_rad_s,
+            self._acceleration_rad_s2,
+            cycle_s,
+            cycles * cycle_s,
+            bounds,
+        )
 
     def _slow_tip(self, velocity_rad_s: Array, bounds: Array) -> Array:
         """Return a velocity of the joints that keeps the limit of the tip's speed.
@@ -322,20 +283,17 @@ class Controller:
         self._tasks = list(tasks)
         self._stack = self._stacks[key]
 
-    def _stop_for(self, failure: LoopFailure) -> Command:
-        """Slow down as the bounds of this tick allow, and say why."""
-        slowest_rad_s = np.clip(0.0, *self._stack.bounds)
-        return self._command(slowest_rad_s, CommandStatus(failure.kind), failure.reason)
-
     def _brake(self, reason: str) -> Command:
         """Brake from the last command at the rate that limits allow."""
-        if self._rates is not None:
-            reach = self._rates.find_reach(self.last_rad_s, self._acceleration_rad_s2)
-            slowest_rad_s = np.clip(0.0, *reach)
-            return self._command(slowest_rad_s, CommandStatus.SKIPPED, reason)
-        change = self._limits.acceleration_rad_s2 * self._step_s - SLACK_rad_s
-        velocity_rad_s = self.last_rad_s - np.clip(self.last_rad_s, -change, change)
-        return self._command(velocity_rad_s, CommandStatus.SKIPPED, reason)
+        reach = np.zeros((2, self._joints))
+        write_reach(
+            self._limit_rows,
+            self.last_rad_s,
+            self._acceleration_rad_s2,
+            self._change_time_s,
+            reach,
+        )
+        return self._command(np.clip(0.0, *reach), CommandStatus.SKIPPED, reason)
 
     def _command(
         self,
@@ -347,9 +305,8 @@ class Controller:
     ) -> Command:
         """Remember a velocity as the last one, and return it as a command."""
         velocity_rad_s.setflags(write=False)
-        if self._rates is not None:
-            change_rad_s = velocity_rad_s - self.last_rad_s
-            self._acceleration_rad_s2 = change_rad_s / self._rates.cycle_s
+        change_rad_s = velocity_rad_s - self.last_rad_s
+        self._acceleration_rad_s2 = change_rad_s / self._change_time_s
         self.last_rad_s = velocity_rad_s
         return Command(velocity_rad_s, status, reason, is_limited, is_damped)
 

@@ -5,7 +5,6 @@ from foundation.errors import NeedleforceError
 RIGHT_LIMITS = (
     "Give `JointLimits` one number for each joint, the lower below the upper."
 )
-OWN_EVENT_LOG = "Give a file that `EventLog` wrote, and data that JSON can hold."
 
 
 class ControlError(NeedleforceError):

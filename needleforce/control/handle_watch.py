@@ -1,5 +1,11 @@
 """Is a sample of the haptic device to be used? Numbers, motion, velocity, jumps.
 
+It is checked once; manager and teleoperation both go by the report:
+
+    report = watch.update(device.read(), dt_s)          # or tick.check_handle(...)
+    situation = manager.update(sample, Beside(handle=report))
+    move = teleoperation.update(report, situation.estimate, dt_s)
+
 What a device reports moves a needle, so nothing of it is taken for granted: a handle
 may be gone, repeat itself, jump, or report a velocity that its positions contradict.
 """
@@ -11,6 +17,7 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.control.ports import MasterSample
+from residual.checks.input import as_float
 
 MAX_HANDLE = 100.0
 """No handle is further away [m], or quicker [m/s]."""
@@ -87,68 +94,23 @@ def _parse(sample: MasterSample | None) -> HandleReading | None:
     return HandleReading(vectors[0], vectors[1], is_coupled)
 
 
-class _VelocityCheck:
-    """Compares the reported velocity with the change of the positions.
+class HandleWatch:
+    """Checks every sample of a haptic device; see `update`.
 
-    Both pass the same low-pass, so that their lag is the same.
+    Make a new one after a pause in which nobody asked: positions before it would look
+    like a motion.
     """
 
     def __init__(self) -> None:
-        self._of_positions_m_s = np.zeros(3)
-        self._reported_m_s = np.zeros(3)
-        self.contradicted_s = 0.0
-
-    def restart(self, velocity_m_s: Array) -> None:
-        """Begin at a velocity: the positions before say nothing about it."""
-        self._of_positions_m_s = velocity_m_s.copy()
-        self._reported_m_s = velocity_m_s.copy()
-
-    def check(self, reading: HandleReading, moved_m: Array, dt_s: float) -> Array:
-        """Return the velocity to be used, shape (3,).
-
-        Of two that contradict each other it is the slower one, in each direction, and
-        none where they oppose each other. A device that reports zeros has no velocity
-        to report: that of its positions is used.
-
-        Args:
-            reading: The sample.
-            moved_m: Change of its position since the one before, shape (3,).
-            dt_s: The time of that.
-        """
-        weight = dt_s / (VELOCITY_MEMORY_s + dt_s)
-        self._of_positions_m_s += weight * (moved_m / dt_s - self._of_positions_m_s)
-        self._reported_m_s += weight * (reading.velocity_m_s - self._reported_m_s)
-        speed_m_s = math.sqrt(float(self._of_positions_m_s @ self._of_positions_m_s))
-        error_m_s = self._reported_m_s - self._of_positions_m_s
-        error_size_m_s = math.sqrt(float(error_m_s @ error_m_s))
-        max_m_s = VELOCITY_TOLERANCE_m_s + VELOCITY_TOLERANCE_RATIO * speed_m_s
-        if error_size_m_s <= max_m_s:
-            self.contradicted_s = 0.0
-            return reading.velocity_m_s
-        if not self._reported_m_s.any():
-            self.contradicted_s = 0.0
-            return self._of_positions_m_s.copy()
-        self.contradicted_s += dt_s
-        return _slower(reading.velocity_m_s, self._of_positions_m_s)
-
-
-def _slower(first_m_s: Array, second_m_s: Array) -> Array:
-    """Return in each direction the slower of two velocities; zero if they oppose."""
-    size_m_s = np.minimum(np.abs(first_m_s), np.abs(second_m_s))
-    return np.where(first_m_s * second_m_s > 0.0, np.sign(first_m_s) * size_m_s, 0.0)
-
-
-class HandleWatch:
-    """Checks every sample of a haptic device; see `update`."""
-
-    def __init__(self) -> None:
-        self._velocity = _VelocityCheck()
         self._last: HandleReading | None = None
         self._last_t_s: object = None
         self._since_s = 0.0  # time since the last reading
         self._silent_s = 0.0  # time without a valid sample
         self._repeated_s = 0.0  # time for which one sample has been repeated
-        self._is_invalid = False
+        self._contradicted_s = 0.0  # time for which the velocity has been wrong
+        # Means over `VELOCITY_MEMORY_s`: both lag alike.
+        self._of_positions_m_s = np.zeros(3)
+        self._reported_m_s = np.zeros(3)
 
     def update(self, sample: MasterSample | None, dt_s: float) -> HandleReport:
         """Return what a sample is good for; never raise.
@@ -158,76 +120,105 @@ class HandleWatch:
 
         Args:
             sample: Of the device, or None if it has sent nothing new.
-            dt_s: Time since the last call, positive.
+            dt_s: Time since the last call; without one the sample is not used.
         """
+        dt_s = as_float(dt_s)
+        if not 0.0 < dt_s < math.inf:
+            return HandleReport(None)
         self._since_s += dt_s
         reading = _parse(sample)
         if reading is None:
             self._silent_s += dt_s
-            self._is_invalid = sample is not None
-            return HandleReport(None, fault=self._silence())
+            what = (
+                "has been silent"
+                if sample is None
+                else "has sent no three finite positions and velocities"
+            )
+            fault = f"the haptic device {what} for {1e3 * self._silent_s:.0f} ms"
+            return HandleReport(None, fault if self._silent_s >= MAX_SILENT_s else "")
         self._silent_s = 0.0
         last = self._last
-        is_repeated = self._is_repeated(sample, reading)
+        self._last = reading
+        is_repeated = last is not None and self._is_repeated(sample, reading, last)
+        self._last_t_s = getattr(sample, "t_s", None)
         self._repeated_s = self._repeated_s + dt_s if is_repeated else 0.0
         if self._repeated_s >= FROZEN_s:
             repeated_ms = 1e3 * self._repeated_s
             return HandleReport(
                 None,
-                fault=f"the haptic device has repeated one sample for "
-                f"{repeated_ms:.0f} ms: it is frozen, or nobody holds it",
+                f"the haptic device has repeated one sample for {repeated_ms:.0f} ms: "
+                "it is frozen, or nobody holds it",
             )
-        return self._use(reading, last)
-
-    def _silence(self) -> str:
-        """Return what is wrong with a device that has sent nothing usable."""
-        if self._silent_s < MAX_SILENT_s:
-            return ""
-        what = (
-            "has sent no three finite positions and velocities"
-            if self._is_invalid
-            else "has been silent"
-        )
-        return f"the haptic device {what} for {1e3 * self._silent_s:.0f} ms"
-
-    def _is_repeated(self, sample: object, reading: HandleReading) -> bool:
-        """Return whether a sample is the one before it."""
-        t_s = getattr(sample, "t_s", None)
-        last_t_s = self._last_t_s
-        self._last_t_s = t_s
-        last = self._last
-        self._last = reading
-        if last is None:
-            return False
-        if t_s is not None and t_s == last_t_s:
-            return True
-        is_same = bool(
-            (reading.position_m == last.position_m).all()
-            and (reading.velocity_m_s == last.velocity_m_s).all()
-        )
-        is_at_rest = t_s is not None and not reading.velocity_m_s.any()
-        return is_same and not is_at_rest
-
-    def _use(self, reading: HandleReading, last: HandleReading | None) -> HandleReport:
-        """Return a valid sample, compared with the one before it."""
         since_s = self._since_s
         self._since_s = 0.0
         if last is None:
-            self._velocity.restart(reading.velocity_m_s)
+            self._restart(reading.velocity_m_s)
             return HandleReport(reading)
-        moved_m = reading.position_m - last.position_m
+        return self._compare(reading, reading.position_m - last.position_m, since_s)
+
+    def _is_repeated(
+        self, sample: object, reading: HandleReading, last: HandleReading
+    ) -> bool:
+        """Return whether a sample is the one before it."""
+        t_s = getattr(sample, "t_s", None)
+        if t_s is not None and t_s == self._last_t_s:
+            return True
+        is_at_rest = t_s is not None and not reading.velocity_m_s.any()
+        return not is_at_rest and bool(
+            (reading.position_m == last.position_m).all()
+            and (reading.velocity_m_s == last.velocity_m_s).all()
+        )
+
+    def _restart(self, velocity_m_s: Array) -> None:
+        """Begin the means at a velocity: positions before say nothing about it."""
+        self._of_positions_m_s = velocity_m_s.copy()
+        self._reported_m_s = velocity_m_s.copy()
+
+    def _compare(
+        self, reading: HandleReading, moved_m: Array, since_s: float
+    ) -> HandleReport:
+        """Return a sample with the velocity to be used, and what is in doubt.
+
+        Of two that contradict each other it is the slower one, in each direction, and
+        none where they oppose each other. A device that reports zeros has no velocity
+        to report: that of its positions is used.
+
+        Args:
+            reading: The sample.
+            moved_m: Change of its position since the one before, shape (3,).
+            since_s: The time of that.
+        """
         distance_m = math.sqrt(float(moved_m @ moved_m))
         if distance_m > MAX_JUMP_m:
-            self._velocity.restart(np.zeros(3))
+            self._restart(np.zeros(3))
             return HandleReport(
                 reading._replace(velocity_m_s=np.zeros(3)),
                 doubt=f"the handle jumped by {1e3 * distance_m:.0f} mm in "
                 f"{1e3 * since_s:.0f} ms",
                 has_jumped=True,
             )
-        velocity_m_s = self._velocity.check(reading, moved_m, since_s)
-        usable = reading._replace(velocity_m_s=velocity_m_s)
-        if self._velocity.contradicted_s < CONTRADICTED_s:
-            return HandleReport(usable)
-        doubt = "the handle's velocity contradicts its positions"
-        return HandleReport(usable, doubt=doubt)
+        weight = since_s / (VELOCITY_MEMORY_s + since_s)
+        self._of_positions_m_s += weight * (moved_m / since_s - self._of_positions_m_s)
+        self._reported_m_s += weight * (reading.velocity_m_s - self._reported_m_s)
+        positions_m_s = self._of_positions_m_s
+        error_m_s = np.linalg.norm(self._reported_m_s - positions_m_s)
+        tolerated_m_s = VELOCITY_TOLERANCE_RATIO * np.linalg.norm(positions_m_s)
+        is_contradicted = error_m_s > VELOCITY_TOLERANCE_m_s + tolerated_m_s
+        is_reported = bool(self._reported_m_s.any())
+        self._contradicted_s += since_s
+        if not is_contradicted or not is_reported:
+            self._contradicted_s = 0.0
+        if not is_contradicted:
+            return HandleReport(reading)
+        velocity_m_s = positions_m_s.copy()
+        if is_reported:
+            velocity_m_s = _slower(reading.velocity_m_s, positions_m_s)
+        is_wrong = self._contradicted_s >= CONTRADICTED_s
+        doubt = "the handle's velocity contradicts its positions" if is_wrong else ""
+        return HandleReport(reading._replace(velocity_m_s=velocity_m_s), doubt=doubt)
+
+
+def _slower(first_m_s: Array, second_m_s: Array) -> Array:
+    """Return in each direction the slower of two velocities; zero if they oppose."""
+    size_m_s = np.minimum(np.abs(first_m_s), np.abs(second_m_s))
+    return np.where(first_m_s * second_m_s > 0.0, np.sign(first_m_s) * size_m_s, 0.0)

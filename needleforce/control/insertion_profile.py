@@ -22,6 +22,7 @@ from needleforce.control.manager import Situation
 from needleforce.control.rupture_counter import RuptureCounter
 from needleforce.control.setting_checks import require_positive
 from needleforce.control.state_machine import State
+from needleforce.control.tare_stroke import find_course
 
 TRACKING_GAIN_PER_s = 10.0
 """Gain with which a stroke keeps to its course."""
@@ -316,17 +317,14 @@ class InsertionProfile:
 
     def _stroke(self, situation: Situation, legs_m: Sequence[float]) -> Step:
         """Move along quintic strokes from rest to rest, one after another."""
-        leg_s = self._plan.stroke_s
-        index = int(situation.state_s / leg_s)
-        if index >= len(legs_m):
+        duration_s = self._plan.stroke_s * len(legs_m)
+        if situation.state_s >= duration_s:
             return Step(0.0, "arrived")
-        s = situation.state_s / leg_s - index
-        length_m = legs_m[index]
-        course_m = sum(legs_m[:index]) + length_m * s**3 * (10.0 + s * (6.0 * s - 15.0))
-        rate_m_s = length_m * 30.0 * (s * (1.0 - s)) ** 2 / leg_s
-        error_m = self._start_m + course_m - situation.estimate.depth_m
-        max_m_s = MAX_STROKE_SPEED * abs(length_m) / leg_s
-        return Step(_clip(rate_m_s + TRACKING_GAIN_PER_s * error_m, max_m_s))
+        course = find_course(legs_m, self._plan.stroke_s, situation.state_s)
+        error_m = self._start_m + course.position - situation.estimate.depth_m
+        longest_m = max(map(abs, legs_m))
+        max_m_s = MAX_STROKE_SPEED * longest_m / self._plan.stroke_s
+        return Step(_clip(course.rate + TRACKING_GAIN_PER_s * error_m, max_m_s))
 
 
 def _clip(speed_m_s: float, max_m_s: float) -> float:

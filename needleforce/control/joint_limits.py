@@ -16,64 +16,35 @@ SLACK_rad_s = 1e-7
 """Speeds and their changes stay this far inside, and a solver may exceed the box by
 as much."""
 
-
 RATE_HEADROOM = 0.98
-"""Fraction of acceleration and jerk that is used: `SLACK_rad_s` is 0.1 rad/s3 at 1 kHz,
-arms round, and their clocks drift."""
+"""Fraction of acceleration and jerk that is used where the jerk is limited:
+`SLACK_rad_s` is 0.1 rad/s3 at 1 kHz, arms round, and their clocks drift."""
 
-
-class RateLimits(NamedTuple):
-    """How fast the commanded velocity may change from cycle to cycle; arrays (n,).
-
-    The acceleration is at most the jerk times a cycle: it can then end within a cycle,
-    so that neither a stop nor a command that is lost, the one before held, exceeds the
-    jerk.
-
-    Attributes:
-        acceleration_rad_s2: Highest acceleration, either way.
-        jerk_rad_s3: Highest jerk, either way.
-        cycle_s: Time between two commands.
-    """
-
-    acceleration_rad_s2: Vector
-    jerk_rad_s3: Vector
-    cycle_s: float
-
-    def find_reach(
-        self, last_rad_s: Vector, last_acceleration_rad_s2: Vector
-    ) -> tuple[Vector, Vector]:
-        """Return the lowest and the highest velocity of the coming cycle, (n,) each.
-
-            dq_last + T clip(a_last -+ j T, -a, a)
-
-        Args:
-            last_rad_s: The velocity sent last.
-            last_acceleration_rad_s2: Its change since the one before, over T.
-        """
-        highest_rad_s2 = self.acceleration_rad_s2
-        change_rad_s2 = self.jerk_rad_s3 * self.cycle_s
-        start_rad_s2 = np.clip(
-            last_acceleration_rad_s2, -highest_rad_s2, highest_rad_s2
-        )
-        lower = np.maximum(start_rad_s2 - change_rad_s2, -highest_rad_s2)
-        upper = np.minimum(start_rad_s2 + change_rad_s2, highest_rad_s2)
-        return last_rad_s + self.cycle_s * lower, last_rad_s + self.cycle_s * upper
+BRAKE_CYCLES = 2.0
+"""A joint whose jerk is limited turns from acceleration to braking in so many
+cycles."""
 
 
 class JointLimits(NamedTuple):
     """What each of n joints may do; arrays of shape (n,), read-only.
+
+    Where the jerk is limited the acceleration is at most the jerk times a cycle: it can
+    then end within a cycle, so that neither a stop nor a command that is lost, the one
+    before held, exceeds the jerk.
 
     Attributes:
         position_lower_rad: Lowest position.
         position_upper_rad: Highest position.
         speed_rad_s: Highest speed, either way.
         acceleration_rad_s2: Highest acceleration, either way.
+        jerk_rad_s3: Highest jerk, either way; infinite where none is limited.
     """
 
     position_lower_rad: Vector
     position_upper_rad: Vector
     speed_rad_s: Vector
     acceleration_rad_s2: Vector
+    jerk_rad_s3: Vector
 
 
 class Limits:
@@ -93,8 +64,8 @@ class Limits:
 
     Attributes:
         joints: The limits of every joint, the margin and `SLACK_rad_s` subtracted.
-        rates: How fast the command may change, `RATE_HEADROOM` subtracted; None without
-            a limit of the jerk.
+        cycle_s: See above; None without a limit of the jerk, where a change counts over
+            the time since the sample before.
         tip_m_s: See above.
 
     Raises:
@@ -113,25 +84,26 @@ class Limits:
         cycle_s: float = 1e-3,
     ) -> None:
         require_positive({"margin_rad": margin_rad}, or_zero=("margin_rad",))
-        require_positive({"cycle_s": cycle_s})
-        if tip_m_s is not None:
-            require_positive({"tip_m_s": tip_m_s})
+        require_positive(
+            {"cycle_s": cycle_s, "tip_m_s": 1.0 if tip_m_s is None else tip_m_s}
+        )
         self.tip_m_s = tip_m_s
-        self.rates: RateLimits | None = None
-        if jerk_rad_s3 is not None:
-            self.rates = _limit_rates(
-                robot.nv, acceleration_rad_s2, jerk_rad_s3, cycle_s
-            )
-            acceleration_rad_s2 = self.rates.acceleration_rad_s2
+        self.cycle_s = None if jerk_rad_s3 is None else cycle_s
         limits = _one_per_joint(
             robot.nv,
             robot.position_lower_rad + margin_rad,
             robot.position_upper_rad - margin_rad,
             robot.velocity_limit_rad_s if velocity_rad_s is None else velocity_rad_s,
             acceleration_rad_s2,
+            np.inf if jerk_rad_s3 is None else jerk_rad_s3,
         )
         _require_usable(limits, robot, margin_rad)
         limits.speed_rad_s[:] -= SLACK_rad_s
+        if self.cycle_s is not None:
+            limits.jerk_rad_s3[:] *= RATE_HEADROOM
+            limits.acceleration_rad_s2[:] = np.minimum(
+                RATE_HEADROOM * limits.acceleration_rad_s2, limits.jerk_rad_s3 * cycle_s
+            )
         for values in limits:
             values.setflags(write=False)
         self.joints = limits
@@ -181,43 +153,19 @@ class Limits:
         )
 
 
-def _limit_rates(
-    joint_count: int,
-    acceleration_rad_s2: ArrayLike,
-    jerk_rad_s3: ArrayLike,
-    cycle_s: float,
-) -> RateLimits:
-    """Return the limits of acceleration and jerk, see `RateLimits`."""
+def _one_per_joint(joint_count: int, *limits: ArrayLike) -> JointLimits:
+    """Return limits with one number per joint, from one number or one per joint."""
     try:
-        acceleration = np.broadcast_to(
-            np.asarray(acceleration_rad_s2, np.float64), joint_count
-        )
-        jerk = np.broadcast_to(np.asarray(jerk_rad_s3, np.float64), joint_count)
+        rows = [
+            np.broadcast_to(np.asarray(limit, np.float64), joint_count)
+            for limit in limits
+        ]
     except (TypeError, ValueError):
         raise SettingError(
             f"limits must be one number or {joint_count}, one per joint",
             RIGHT_LIMITS,
         ) from None
-    if not (np.isfinite(jerk).all() and (jerk > 0.0).all()):
-        raise SettingError(
-            f"jerk_rad_s3 is {jerk_rad_s3!r}, expected positive numbers",
-            RIGHT_LIMITS,
-        )
-    jerk = RATE_HEADROOM * jerk
-    acceleration = np.minimum(RATE_HEADROOM * acceleration, jerk * cycle_s)
-    return RateLimits(acceleration, jerk, cycle_s)
-
-
-def _one_per_joint(joint_count: int, *limits: ArrayLike) -> JointLimits:
-    """Return limits with one number per joint, from one number or one per joint."""
-    try:
-        rows = [np.broadcast_to(limit, joint_count) for limit in limits]
-    except ValueError:
-        raise SettingError(
-            f"limits must be one number or {joint_count}, one per joint",
-            RIGHT_LIMITS,
-        ) from None
-    return JointLimits(*np.array(rows, dtype=np.float64))
+    return JointLimits(*np.array(rows))
 
 
 def _require_usable(limits: JointLimits, robot: Robot, margin_rad: float) -> None:
@@ -238,7 +186,10 @@ def _require_usable(limits: JointLimits, robot: Robot, margin_rad: float) -> Non
             ~np.isfinite(rates).all(axis=0),
             "no limit of speed or acceleration; give one",
         ),
-        (~(rates > 0.0).all(axis=0), "a speed or acceleration that is not positive"),
+        (
+            ~((rates > 0.0).all(axis=0) & (limits.jerk_rad_s3 > 0.0)),
+            "a speed, acceleration or jerk that is not positive",
+        ),
         (
             limits.speed_rad_s > robot_speed_rad_s,
             f"a speed above the robot's own {robot_speed_rad_s.tolist()} rad/s",
@@ -251,16 +202,46 @@ def _require_usable(limits: JointLimits, robot: Robot, margin_rad: float) -> Non
 
 
 @compiled
+def write_reach(
+    limits: Matrix,
+    last_rad_s: Vector,
+    last_rad_s2: Vector,
+    cycle_s: float,
+    bounds: WrittenMatrix,
+) -> None:
+    """Write the lowest and the highest velocity of the coming cycle that rates allow.
+
+        dq_last + T clip(a_last -+ j T, -a, a)
+
+    Args:
+        limits: As of `write_velocity_bounds`.
+        last_rad_s: dq_last, the velocity commanded last, shape (n,).
+        last_rad_s2: a_last, its change since the one before, over T, shape (n,).
+        cycle_s: T.
+        bounds: The velocities, shape (2, n).
+    """
+    highest_rad_s2 = limits[3]
+    change_rad_s2 = limits[4] * cycle_s
+    start_rad_s2 = np.minimum(np.maximum(last_rad_s2, -highest_rad_s2), highest_rad_s2)
+    lower_rad_s2 = np.maximum(start_rad_s2 - change_rad_s2, -highest_rad_s2)
+    upper_rad_s2 = np.minimum(start_rad_s2 + change_rad_s2, highest_rad_s2)
+    bounds[0] = last_rad_s + cycle_s * lower_rad_s2 + SLACK_rad_s
+    bounds[1] = last_rad_s + cycle_s * upper_rad_s2 - SLACK_rad_s
+
+
+@compiled
 def write_velocity_bounds(
     limits: Matrix,
     q_rad: Vector,
     last_rad_s: Vector,
-    step_s: float,
+    last_rad_s2: Vector,
+    cycle_s: float,
+    brake_s: float,
     bounds: WrittenMatrix,
 ) -> None:
     """Write the bounds l <= dq <= u of the coming tick.
 
-        u = min(v, sqrt((a T)^2 + 2 a (q_max - q)) - a T),   clipped to dq_last -+ a T
+        u = min(v, sqrt((a T)^2 + 2 a (q_max - q)) - a T),   clipped to what rates allow
 
     and l alike. The root is the fastest speed from which the arm, braking at a after
     this tick of T, stops before q_max: u^2 / 2a + u T = q_max - q. From anywhere in the
@@ -268,29 +249,26 @@ def write_velocity_bounds(
     has moved the arm too close, the clip lets it brake as hard as it may; l <= u.
 
     Args:
-        limits: q_min, q_max, v and a: rows as the fields of `JointLimits`, shape
-            (4, n). One array passes into compiled code in 0.4 us less than four.
+        limits: q_min, q_max, v, a and j: rows as the fields of `JointLimits`, shape
+            (5, n). One array passes into compiled code in 0.4 us less than five.
         q_rad: q, shape (n,).
-        last_rad_s: dq_last, the velocity commanded last, shape (n,).
-        step_s: T.
+        last_rad_s: The velocity commanded last, shape (n,).
+        last_rad_s2: Its acceleration, see `write_reach`.
+        cycle_s: Over which a change of the velocity counts.
+        brake_s: T, after which the arm brakes with a.
         bounds: l and u, shape (2, n); nan where a position is.
     """
-    position_lower_rad = limits[0]
-    position_upper_rad = limits[1]
+    write_reach(limits, last_rad_s, last_rad_s2, cycle_s, bounds)
     speed_rad_s = limits[2]
-    acceleration_rad_s2 = limits[3]
-    change = acceleration_rad_s2 * step_s - SLACK_rad_s
-    change_squared = change * change
-    twice_acceleration = 2.0 * acceleration_rad_s2
-    lowest_reachable = last_rad_s - change
-    highest_reachable = last_rad_s + change
-    room_above = np.maximum(position_upper_rad - q_rad, 0.0)
-    room_below = np.maximum(q_rad - position_lower_rad, 0.0)
-    upper = np.sqrt(change_squared + twice_acceleration * room_above) - change
-    lower = change - np.sqrt(change_squared + twice_acceleration * room_below)
-    bounds[0] = np.minimum(
-        np.maximum(np.maximum(lower, -speed_rad_s), lowest_reachable), highest_reachable
+    change = limits[3] * brake_s - SLACK_rad_s
+    room_below = np.maximum(q_rad - limits[0], 0.0)
+    room_above = np.maximum(limits[1] - q_rad, 0.0)
+    lower = change - np.sqrt(change * change + 2.0 * limits[3] * room_below)
+    upper = np.sqrt(change * change + 2.0 * limits[3] * room_above) - change
+    lowest = np.minimum(
+        np.maximum(np.maximum(lower, -speed_rad_s), bounds[0]), bounds[1]
     )
     bounds[1] = np.minimum(
-        np.maximum(np.minimum(upper, speed_rad_s), lowest_reachable), highest_reachable
+        np.maximum(np.minimum(upper, speed_rad_s), bounds[0]), bounds[1]
     )
+    bounds[0] = lowest

@@ -14,8 +14,8 @@ import numpy as np
 from foundation.arrays import Array
 from identification.estimate import SampleStatus
 from needleforce.control.errors import SettingError
-from needleforce.control.handle_watch import HandleWatch
-from needleforce.control.ports import ArmSample, MasterSample
+from needleforce.control.handle_watch import HandleReport
+from needleforce.control.ports import ArmSample
 from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.state_machine import State
 from needleforce.insertion_events import describe_hard_contact
@@ -80,20 +80,18 @@ class Beside(NamedTuple):
             None for that of the session.
         has_device: Whether the haptic device has sent something new, where nothing
             else is known of it: at the far end of a line.
-        handle: What the haptic device has sent, or None; it counts as something new
-            unless it is invalid or repeated.
+        handle: What a sample of the haptic device is good for, see `HandleWatch`; None
+            where there was no call for it.
         sample_status: Of an `Identifier` that uses the F/T sensor, at the sample
             before; nothing of it is known to the session.
-        loop_failure: Why the controller has stopped by itself, `Command.loop_failure`.
     """
 
     accepted: bool = True
     command_rad_s: Array | None = None
     axial_N: float | None = None
     has_device: bool = False
-    handle: MasterSample | None = None
+    handle: HandleReport | None = None
     sample_status: SampleStatus = SampleStatus.OK
-    loop_failure: str = ""
 
 
 NOTHING = Beside()
@@ -276,7 +274,6 @@ class Monitors:
         self._side_force = _SideForce(limits)
         self._bad_s = 0.0
         self._device_silent_s = math.inf
-        self._handle_watch: HandleWatch | None = None  # once a handle has come
         self._device_fault = ""
         self._clear_s = math.inf
         self.has_device = False
@@ -319,7 +316,7 @@ class Monitors:
             else as_float(beside.axial_N)
         )
         fault = (
-            self._check_lateness(as_float(getattr(sample, "dt_s", None)), step_s)
+            self._check_lateness(as_float(getattr(sample, "dt_s", None)))
             or self._check_signals(estimate, axial_N, step_s)
             or self._check_pull(estimate, beside, axial_N)
             or self._check_command(estimate, sample, beside, step_s)
@@ -377,18 +374,16 @@ class Monitors:
 
     def _watch_device(self, beside: Beside, step_s: float) -> None:
         """Find out whether the haptic device has sent something usable of late."""
-        has_news = beside.has_device
-        if beside.handle is not None and self._handle_watch is None:
-            self._handle_watch = HandleWatch()
-        if self._handle_watch is not None:
-            report = self._handle_watch.update(beside.handle, step_s)
-            has_news = has_news or report.reading is not None
-            self._device_fault = "" if beside.has_device else report.fault
+        handle = beside.handle
+        has_news = beside.has_device or (
+            handle is not None and handle.reading is not None
+        )
+        self._device_fault = handle.fault if handle is not None else ""
         self._device_silent_s = 0.0 if has_news else self._device_silent_s + step_s
         is_silent = self._device_silent_s > self._limits.device_s
         self.has_device = not (is_silent or self._device_fault)
 
-    def _check_lateness(self, dt_s: float, step_s: float) -> str:
+    def _check_lateness(self, dt_s: float) -> str:
         """Return what is wrong with the time since the last sample."""
         is_late = dt_s > self._limits.late_s
         return f"no sample for {1e3 * dt_s:.0f} ms" if is_late else ""
@@ -432,8 +427,6 @@ class Monitors:
         step_s: float,
     ) -> str:
         """Return what is wrong with the last command and what the arm made of it."""
-        if beside.loop_failure:
-            return beside.loop_failure
         self._refused_s = 0.0 if beside.accepted else self._refused_s + step_s
         if self._refused_s > self._limits.refused_s:
             return f"the arm has refused commands for {1e3 * self._refused_s:.0f} ms"

@@ -8,10 +8,11 @@ However it ends, the arm comes to rest.
 """
 
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 
 from needleforce.control.controller import Command, Controller
 from needleforce.control.errors import SettingError
+from needleforce.control.handle_watch import HandleReport, HandleWatch
 from needleforce.control.manager import Manager, Situation
 from needleforce.control.monitors import Beside
 from needleforce.control.ports import Arm, ArmSample, MasterSample
@@ -27,7 +28,7 @@ class Tick:
         situation: What the manager says; None without one.
         tasks: To be set by the program; with none the arm brakes and rests, and so it
             does in states of the manager that do not move.
-        handle: To be set by the program to what a haptic device has sent, if anything.
+        handle: What the program has found out of a haptic device by `check_handle`.
         last: The command of the cycle before; None in the first.
         was_taken: Whether the arm took that.
     """
@@ -37,7 +38,17 @@ class Tick:
     last: Command | None
     was_taken: bool
     tasks: Sequence[Task] = ()
-    handle: MasterSample | None = None
+    handle: HandleReport | None = None
+    _handle_watch: HandleWatch = field(default_factory=HandleWatch)
+
+    def check_handle(self, sample: MasterSample | None) -> HandleReport:
+        """Return what a sample of the haptic device is good for; the manager learns it.
+
+        Args:
+            sample: What it has sent, or None if that is nothing new.
+        """
+        self.handle = self._handle_watch.update(sample, self.sample.dt_s)
+        return self.handle
 
 
 def run(
@@ -70,6 +81,7 @@ def run(
     """
     samples = iter(arm)
     beside = Beside()
+    handle_watch = HandleWatch()
     command: Command | None = None
     is_taken = True
     try:
@@ -84,7 +96,9 @@ def run(
                     "Give run() a Manager(session, SafetyLimits(axial_N=6.0)); in free "
                     "air without_force_limit=True allows it.",
                 )
-            tick = Tick(sample, situation, command, is_taken)
+            tick = Tick(
+                sample, situation, command, is_taken, _handle_watch=handle_watch
+            )
             yield tick
             is_moving = situation is None or situation.is_moving
             command = controller.update(sample, tick.tasks if is_moving else ())
@@ -94,10 +108,11 @@ def run(
                 accepted=is_taken or not is_moving,
                 command_rad_s=command.dq_rad_s,
                 handle=tick.handle,
-                loop_failure=command.loop_failure,
             )
             if not is_taken:
                 controller.reset()
+            if tick.handle is None:  # what it does while nobody asks is no motion
+                handle_watch = HandleWatch()
     finally:
         _bring_to_rest(arm, samples, controller)
 

@@ -1,7 +1,4 @@
-"""The states of the arm, and one table of rules that is the whole machine.
-
-`transition` applies the table and is all that a replay of a log needs.
-"""
+"""The states of the arm, and one table of rules that is the whole machine."""
 
 from collections.abc import Collection
 from enum import StrEnum

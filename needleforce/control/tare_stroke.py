@@ -8,34 +8,43 @@ and the elbow of a redundant arm meanwhile swings N times to one side and back:
 
     angle(t) = A / 2 (1 - cos(2 pi N t / 2 T))
 
+which leaves the tip at rest: dq = d (w + K (angle - angle_now)), with J d = 0 and
+max |d_j| = 1, so that the angle is that of the joint that moves most.
+
 Where the elbow swings, torques and positions of the joints reverse at different places;
 that tells the hysteresis of the torque sensors from friction. Friction of bearings
 depends on their speed: so the motion is slow, as the insertion is. See `residual.bias`.
 """
 
 import math
-from collections.abc import Callable
-from enum import StrEnum
+from collections.abc import Sequence
 from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
 
-from needleforce.control.controller import Command, Controller
-from needleforce.control.elbow_swivel import ElbowSwivel
+from foundation.arrays import Array
+from needleforce.control.controller import Controller
 from needleforce.control.errors import ControlError, SettingError
+from needleforce.control.guarded_motion import GuardedMotion
 from needleforce.control.joint_limits import Limits
-from needleforce.control.ports import Arm, ArmSample
+from needleforce.control.ports import Arm
 from needleforce.control.setting_checks import require_positive
-from needleforce.control.tasks import AxialSpeed, Fixture
+from needleforce.control.tasks import AxialSpeed, Fixture, JointTask, Task, ToolState
 from needleforce.tare_run import TareRun
 from urdf import Robot
 
 if TYPE_CHECKING:
+    from collections.abc import Callable
+
     from needleforce.session import InsertionSession, SessionEstimate
 
 LINE_GAIN_PER_S = 10.0
 """Gain that keeps the needle to its line and its course: arms follow late, and
 positions may be rounded to 2e-4 rad."""
+
+SWIVEL_GAIN_PER_S = 3.0
+"""K. Gain with which the elbow keeps to its angle: slow enough for arms that follow
+late and for positions that are rounded."""
 
 MAX_STRAY_m = 5e-3
 """A tip that is so far off its course is held back, pushed, or runs away."""
@@ -43,9 +52,6 @@ MAX_STRAY_m = 5e-3
 POSTURE_MARGIN_rad = 0.05
 """A joint stays so far from its limits: the room for a swivel is only predicted from
 the posture in which it begins."""
-
-MAX_WAIT_S = 30.0
-"""So long the arm may take to accept commands."""
 
 REST_S = 0.5
 """Rest before the motion, and after it."""
@@ -63,7 +69,21 @@ class Course(NamedTuple):
     rate: float
 
 
-AT_REST = Course(0.0, 0.0)
+def find_course(legs_m: Sequence[float], leg_s: float, time_s: float) -> Course:
+    """Return a course along legs, each from rest to rest, see s(u) of the module.
+
+    Args:
+        legs_m: Their lengths, with sign.
+        leg_s: Time of each.
+        time_s: Since the begin; the course rests before it and after the end.
+    """
+    if not 0.0 < time_s < leg_s * len(legs_m):
+        return Course(sum(legs_m) if time_s > 0.0 else 0.0, 0.0)
+    leg = min(int(time_s / leg_s), len(legs_m) - 1)
+    u = time_s / leg_s - leg
+    fraction = u**3 * (10.0 + u * (6.0 * u - 15.0))
+    rate_per_s = 30.0 * (u * (1.0 - u)) ** 2 / leg_s
+    return Course(sum(legs_m[:leg]) + legs_m[leg] * fraction, legs_m[leg] * rate_per_s)
 
 
 class TareMotion(NamedTuple):
@@ -87,22 +107,10 @@ class TareMotion(NamedTuple):
         """Time of the motion."""
         return 2.0 * self.leg_s
 
-    def travel_at(self, time_s: float) -> Course:
-        """Return the travel along the needle, inwards positive."""
-        if not 0.0 < time_s < self.duration_s:
-            return AT_REST
-        leg = min(int(time_s / self.leg_s), 1)
-        s = time_s / self.leg_s - leg
-        sign = 1.0 if leg else -1.0
-        fraction = s**3 * (10.0 + s * (6.0 * s - 15.0))
-        rate = 30.0 * (s * (1.0 - s)) ** 2 / self.leg_s
-        position_m = self.stroke_m * (sign * fraction - leg)
-        return Course(position_m, sign * self.stroke_m * rate)
-
     def elbow_at(self, time_s: float) -> Course:
         """Return the angle of the elbow, on its positive side."""
         if not 0.0 < time_s < self.duration_s:
-            return AT_REST
+            return Course(0.0, 0.0)
         pulse_rad_s = 2.0 * math.pi * self.swings / self.duration_s
         phase = pulse_rad_s * time_s
         amplitude_rad = 0.5 * self.swivel_rad
@@ -116,139 +124,116 @@ USUAL_MOTION = TareMotion()
 """What `tare_with_stroke` moves unless it is given another motion."""
 
 
-class StrokeState(StrEnum):
-    """How far the motion before a tare has come."""
-
-    WAITING = "waiting"  # for the arm to take commands
-    MOVING = "moving"
-    DONE = "done"
-    FAILED = "failed"  # see `TareStroke.reason`
-
-
-class TareStroke:
-    """Moves the arm before a tare, see the module.
-
-    Call `update`, send its velocity, then `note_sent`.
+class ElbowSwivel(JointTask):
+    """Turns the elbow along a course, see the module; put it last in a stack.
 
     Args:
+        tool: Of the controller that runs the stack; the elbow's angle is zero where it
+            is now.
+
+    Attributes:
+        wanted: Where the elbow shall be.
+        direction: d, shape (n,); zero without a free motion.
+    """
+
+    def __init__(self, tool: ToolState) -> None:
+        self.size = tool.q_rad.size
+        self.wanted = Course(0.0, 0.0)
+        self.direction = _find_self_motion(tool.jacobian, np.ones(self.size))
+        self._angle_rad = 0.0
+        self._tool = tool
+        self._q_rad = tool.q_rad.copy()
+
+    def velocity_at(self, q_rad: Array) -> Array:
+        """Return the velocity asked for, shape (n,); zero without a free motion."""
+        self.direction = _find_self_motion(self._tool.jacobian, self.direction)
+        length_squared = max(float(self.direction @ self.direction), 1e-12)
+        self._angle_rad += (
+            float(self.direction @ (q_rad - self._q_rad)) / length_squared
+        )
+        self._q_rad = np.array(q_rad)
+        error_rad = self.wanted.position - self._angle_rad
+        return self.direction * (self.wanted.rate + SWIVEL_GAIN_PER_S * error_rad)
+
+
+def _find_self_motion(jacobian: Array, near: Array) -> Array:
+    """Return the direction d of joints that leaves the tip at rest, shape (n,).
+
+    Args:
+        jacobian: Of the tip, shape (6, n).
+        near: Direction that it goes on from, shape (n,).
+
+    Returns:
+        d, its largest entry one; zero where no motion is free.
+    """
+    free = np.linalg.svd(jacobian)[2][len(jacobian) :]
+    direction = free.T @ (free @ near)
+    largest = float(np.abs(direction).max())
+    return direction / largest if largest > 0.0 else direction
+
+
+class _Stroke:
+    """The tasks of the motion, from where the needle is.
+
+    Args:
+        tool: Of the controller.
         robot: The arm.
-        limits: What its joints may do.
         motion: The stroke and the swings of the elbow.
 
     Attributes:
-        state: How far it has come.
-        reason: Why it has failed; empty otherwise.
-
-    Raises:
-        SettingError: A number of the motion is negative, zero where it may not be, or
-            not whole where it has to be.
+        reason: Why there is no room for it; empty if there is.
     """
 
-    def __init__(
-        self, robot: Robot, limits: Limits, motion: TareMotion = USUAL_MOTION
-    ) -> None:
-        require_positive(motion._asdict(), or_zero=("swivel_rad", "swings"))
-        if motion.swings != int(motion.swings):
-            raise SettingError(
-                f"swings is {motion.swings:g}, expected a whole number: the elbow ends "
-                "where it began",
-            )
-        self.state = StrokeState.WAITING
+    def __init__(self, tool: ToolState, robot: Robot, motion: TareMotion) -> None:
         self.reason = ""
-        self._robot = robot
+        self._tool = tool
         self._motion = motion
-        self._controller = Controller(robot, limits)
-        self._line: Fixture | None = None  # once it moves
-        self._start_m = np.zeros(3)
-        self._advance = AxialSpeed(0.0)
-        self._elbow = ElbowSwivel(self._controller.tool)
-        self._side = 1.0  # to which the elbow swings
-        self._waited_s = 0.0
-        self._moving_s = 0.0
-
-    @property
-    def is_over(self) -> bool:
-        """Whether the motion has ended, well or not."""
-        return self.state in (StrokeState.DONE, StrokeState.FAILED)
-
-    def update(self, sample: ArmSample) -> Command:
-        """Return the command for the coming cycle; at rest once it is over."""
-        if self.state is StrokeState.WAITING:
-            self._wait(sample.dt_s)
-        elif self.state is StrokeState.MOVING:
-            self._moving_s += sample.dt_s
-            if self._line is None:
-                self._begin()
-        if self._line is None or self.state is not StrokeState.MOVING:
-            return self._controller.update(sample, [])
-        travel = self._motion.travel_at(self._moving_s - REST_S)
-        elbow = self._motion.elbow_at(self._moving_s - REST_S)
-        self._check_course(self._line, travel.position)
-        error_m = travel.position - self._travelled_m(self._line)
-        self._advance.speed_m_s = travel.rate + LINE_GAIN_PER_S * error_m
-        self._elbow.turn(self._side * elbow.position, self._side * elbow.rate)
-        return self._controller.update(sample, [self._line, self._advance, self._elbow])
-
-    def note_sent(self, command: Command, *, is_accepted: bool) -> None:
-        """Note whether the arm has taken the command of this cycle."""
-        if self.state is StrokeState.WAITING and is_accepted:
-            self.state = StrokeState.MOVING
-        elif self.state is StrokeState.MOVING and not is_accepted:
-            self._fail("the arm has refused a command")
-
-    def _wait(self, dt_s: float) -> None:
-        """Count the time without commands."""
-        self._waited_s += dt_s
-        if self._waited_s > MAX_WAIT_S:
-            self._fail(
-                f"the arm took no command in {MAX_WAIT_S:g} s: let it take commands "
-                "at its own panel"
-            )
-
-    def _begin(self) -> None:
-        """Lay the line along the needle, and choose the side with more room."""
-        tool = self._controller.tool
         self._line = Fixture.here(tool, LINE_GAIN_PER_S)
-        self._start_m = tool.tip_m
+        self._advance = AxialSpeed(0.0)
         self._elbow = ElbowSwivel(tool)
-        if not self._motion.swings:
-            return
-        swivel_rad = self._motion.swivel_rad
-        rooms = {
-            side: self._elbow.room_after(self._robot, side * swivel_rad)
-            for side in (1.0, -1.0)
-        }
-        self._side = max(rooms, key=lambda side: rooms[side][0])
-        room_rad, joint = rooms[self._side]
-        if room_rad < POSTURE_MARGIN_rad:
-            self._fail(
-                f"a swivel of {math.degrees(swivel_rad):.0f} degrees would bring "
-                f"{joint} within {POSTURE_MARGIN_rad} rad of its limit: swing less, or "
-                "begin in another posture"
+        self._side = 1.0  # to which the elbow swings
+        if motion.swivel_rad and motion.swings and self._elbow.direction.any():
+            self._choose_side(robot)
+
+    def _choose_side(self, robot: Robot) -> None:
+        """Choose the side with more room, by the self-motion at this posture."""
+        turns_rad = np.outer(
+            (1.0, -1.0), self._motion.swivel_rad * self._elbow.direction
+        )
+        q_rad = self._tool.q_rad + turns_rad
+        rooms_rad = np.minimum(
+            q_rad - robot.position_lower_rad, robot.position_upper_rad - q_rad
+        )
+        side = int(rooms_rad.min(axis=1).argmax())
+        self._side = (1.0, -1.0)[side]
+        if rooms_rad[side].min() < POSTURE_MARGIN_rad:
+            joint = robot.joint_names[int(rooms_rad[side].argmin())]
+            self.reason = (
+                f"a swivel of {math.degrees(self._motion.swivel_rad):.0f} degrees "
+                f"would bring {joint} within {POSTURE_MARGIN_rad} rad of its limit: "
+                "swing less, or begin in another posture"
             )
 
-    def _travelled_m(self, line: Fixture) -> float:
-        """Return how far the tip has moved along its line since the start."""
-        moved_m = self._controller.tool.tip_m - self._start_m
-        return float(line.rotation[:, 2] @ moved_m)
-
-    def _check_course(self, line: Fixture, travel_m: float) -> None:
-        """End the motion if it is over, or where the tip has left its course."""
-        wanted_m = self._start_m + travel_m * line.rotation[:, 2]
-        stray_m = float(np.linalg.norm(self._controller.tool.tip_m - wanted_m))
+    def tasks_at(self, time_s: float) -> list[Task]:
+        """Return the tasks at a time; a tip that strays is a `reason` to stop."""
+        length_m = self._motion.stroke_m
+        travel = find_course((-length_m, length_m), self._motion.leg_s, time_s)
+        elbow = self._motion.elbow_at(time_s)
+        axis = self._line.rotation[:, 2]
+        moved_m = self._tool.tip_m - self._line.goal_m
+        stray_m = float(np.linalg.norm(moved_m - travel.position * axis))
         if not stray_m < MAX_STRAY_m:
-            self._fail(
+            self.reason = (
                 f"the tip is {1e3 * stray_m:.1f} mm off its course, expected less than "
                 f"{1e3 * MAX_STRAY_m:g}: something holds the arm, it runs away, or a "
                 "joint is at its limit"
             )
-        elif self._moving_s > self._motion.duration_s + 2.0 * REST_S:
-            self.state = StrokeState.DONE
-
-    def _fail(self, reason: str) -> None:
-        """End the motion, and keep why."""
-        self.state = StrokeState.FAILED
-        self.reason = reason
+        error_m = travel.position - float(axis @ moved_m)
+        self._advance.speed_m_s = travel.rate + LINE_GAIN_PER_S * error_m
+        self._elbow.wanted = Course(
+            self._side * elbow.position, self._side * elbow.rate
+        )
+        return [self._line, self._advance, self._elbow]
 
 
 def tare_with_stroke(
@@ -279,34 +264,47 @@ def tare_with_stroke(
         SettingError: A number of the motion is negative, zero where it may not be, or
             not whole where it has to be.
     """
-    stroke = TareStroke(arm.robot if robot is None else robot, limits, motion)
+    require_positive(motion._asdict(), or_zero=("swivel_rad", "swings"))
+    if motion.swings != int(motion.swings):
+        raise SettingError(
+            f"swings is {motion.swings:g}, expected a whole number: the elbow ends "
+            "where it began"
+        )
+    robot = arm.robot if robot is None else robot
+    controller = Controller(robot, limits)
+    guarded = GuardedMotion(arm, controller, motion.duration_s + 2.0 * REST_S)
     tare = TareRun()
     session.start_tare_recording()
+    stroke: _Stroke | None = None
     for sample in arm:
         estimate = session.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
         )
         tare.after(session, estimate)
-        command = stroke.update(sample)
-        is_accepted = arm.send(command.dq_rad_s)
-        stroke.note_sent(command, is_accepted=is_accepted)
+        tasks: list[Task] = []
+        if guarded.has_begun and not guarded.is_over:
+            stroke = stroke or _Stroke(controller.tool, robot, motion)
+            tasks = stroke.tasks_at(guarded.time_s - REST_S)
+            guarded.reason = stroke.reason
+        guarded.send(sample, tasks)
         if watch is not None:
             watch(estimate)
         if session.tared:
             return
-        if not stroke.is_over or command.dq_rad_s.any() or tare.is_running:
+        if not guarded.is_at_rest:
             continue
-        if stroke.state is StrokeState.FAILED:
-            raise ControlError(
-                f"no tare: {stroke.reason}",
-                "Let the arm take commands, in free air, with room for a stroke "
-                "and a swivel.",
-            )
-        if tare.refusal is None:
-            tare.start(session)
-        if tare.refusal is not None:
-            raise tare.refusal
+        if guarded.reason:
+            break
+        _go_on_with(tare, session)
     raise ControlError(
-        f"no tare: the arm's samples ended while the motion was {stroke.state}",
+        f"no tare: {guarded.reason or 'the samples of the arm have ended'}",
         "Let the arm take commands, in free air, with room for a stroke and a swivel.",
     )
+
+
+def _go_on_with(tare: TareRun, session: "InsertionSession") -> None:
+    """Start a tare unless one is under way; raise `TareError` if it was refused."""
+    if not tare.is_running and tare.refusal is None:
+        tare.start(session)
+    if tare.refusal is not None:
+        raise tare.refusal

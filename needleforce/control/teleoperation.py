@@ -5,7 +5,7 @@ Motion goes one way, scaled; force comes back, scaled and kept passive at both e
 `passivity`.
 
     tele = Teleoperation(motion_scale=0.4, shown="tip")
-    move = tele.update(device.read(), session_estimate, dt_s)
+    move = tele.update(tick.check_handle(device.read()), session_estimate, dt_s)
     device.render(move.force_N)
     stack = [fixture, AxialSpeed(move.speed_m_s)]               # for the arm
 """
@@ -18,9 +18,8 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from needleforce.control.errors import SettingError
-from needleforce.control.handle_watch import HandleReport, HandleWatch
+from needleforce.control.handle_watch import HandleReport
 from needleforce.control.passivity import MAX_FORCE_N
-from needleforce.control.ports import MasterSample
 from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.teleoperation_sides import (
     DeviceSide,
@@ -189,7 +188,6 @@ class Teleoperation:
         )
         self.needle = NeedleSide(motion_scale, force_scale, speed_limit_m_s)
         self._from_needle: NeedlePacket | None = None
-        self._watch = HandleWatch()
         self._doubt = ""  # why the needle stands until the clutch has been opened
         self.shown_N = 0.0
         self._rupture_left_s = 0.0  # time for which a rupture is still shown at once
@@ -202,11 +200,10 @@ class Teleoperation:
         """
         self.device.release()
         self.needle.start_m = None
-        self._watch = HandleWatch()
         self._doubt = ""
 
     def update(
-        self, sample: MasterSample | None, estimate: "SessionEstimate", dt_s: float
+        self, report: HandleReport, estimate: "SessionEstimate", dt_s: float
     ) -> TeleopCommand:
         """Return what to do until the next tick; never raise.
 
@@ -214,8 +211,7 @@ class Teleoperation:
         the needle stand until the clutch has been opened, or `reset`.
 
         Args:
-            sample: Of the haptic device, or None; one that no handle can have counts as
-                none, and so does one that is repeated for 30 ms.
+            report: What a sample of the haptic device is good for, by `HandleWatch`.
             estimate: Of the session: force and depth.
             dt_s: Since the last call; if it does not advance, the needle stands, the
                 force stays.
@@ -228,7 +224,6 @@ class Teleoperation:
         if not math.isfinite(shown_N):
             shown_N = FADING_s / (FADING_s + dt_s) * self.shown_N
         self.shown_N = shown_N
-        report = self._watch.update(sample, dt_s)
         handle = self._take_handle(report)
         hand_packet = self.device.update(handle, self._from_needle, dt_s)
         news = hand_packet

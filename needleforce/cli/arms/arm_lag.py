@@ -1,30 +1,16 @@
 """The delay of an arm, measured by moving it: `needleforce lag`."""
 
 import json
-from typing import Any
 
 from foundation.jit import compile_waiting
 from needleforce.cli.arms.arm_connection import ask_to_move, limits_of, open_arm
 from needleforce.cli.shared_options import RobotOptions
-from needleforce.cli.terminal import (
-    CHECK_ARM,
-    CommandError,
-    write_out,
-)
-from needleforce.control.lag import (
-    Delay,
-    LagProbe,
-    ProbeState,
-    SafeGain,
-    find_safe_gain,
-)
+from needleforce.cli.terminal import write_out
+from needleforce.control.lag import Delay, SafeGain, find_safe_gain, measure_lag
 from needleforce.control.tasks import GAIN_PER_S
 from urdf import Robot
 
 S_TO_MS = 1e3
-
-MAX_WAIT_S = 30.0
-"""So long the arm may take to accept commands."""
 
 
 def measure_arm(
@@ -42,7 +28,7 @@ def measure_arm(
         The exit code.
 
     Raises:
-        CommandError: The user says no, or the arm takes no commands.
+        CommandError: The user says no.
         ControlError: It cannot be measured: see the message.
     """
     if not is_confirmed:
@@ -54,34 +40,12 @@ def measure_arm(
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
     with open_arm(arm_name, options, takes_commands=True) as connected:
         arm, robot = connected
-        probe = LagProbe(robot, limits_of(connected))
-        _move(arm, arm_name, probe)
-        delays = probe.measure()
-    slowest = max(delays, key=lambda delay: delay.delay_s + delay.std_s)
-    gain = find_safe_gain(slowest, probe.cycle_s)
+        lag = measure_lag(arm, robot, limits_of(connected))
+    slowest = max(lag.delays, key=lambda delay: delay.delay_s + delay.std_s)
+    gain = find_safe_gain(slowest, lag.cycle_s)
     describe = _as_json if as_json else _as_text
-    write_out(describe(robot, delays, gain, probe.cycle_s) + "\n")
+    write_out(describe(robot, lag.delays, gain, lag.cycle_s) + "\n")
     return 0
-
-
-def _move(arm: Any, arm_name: str, probe: LagProbe) -> None:
-    """Move the arm by the chirp, and bring it to rest."""
-    waited_s = 0.0
-    for sample in arm:
-        command = probe.update(sample)
-        is_accepted = arm.send(command.dq_rad_s)
-        probe.note_sent(command, is_accepted=is_accepted)
-        if probe.state is ProbeState.WAITING:
-            waited_s += sample.dt_s
-            if waited_s > MAX_WAIT_S:
-                raise CommandError(
-                    f"{arm_name} took no command in {MAX_WAIT_S:g} s: let it take "
-                    "commands at its own panel",
-                    CHECK_ARM,
-                )
-        is_over = probe.state in (ProbeState.DONE, ProbeState.FAILED)
-        if is_over and not command.dq_rad_s.any():
-            return
 
 
 def _as_json(robot: Robot, delays: list[Delay], gain: SafeGain, cycle_s: float) -> str:

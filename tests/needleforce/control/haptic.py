@@ -4,6 +4,7 @@ from types import SimpleNamespace
 
 import numpy as np
 
+from needleforce.control import HandleWatch, Teleoperation
 from residual import Status
 
 DT = 1e-3
@@ -45,9 +46,16 @@ def handle(z_m=0.0, speed_m_s=0.0, clutch=True, **changes):
     return SimpleNamespace(**sample | changes)
 
 
+def teleoperate(**settings):
+    """Return a teleoperation with a watch of its handle."""
+    tele = Teleoperation(**settings)
+    tele.watch = HandleWatch()
+    return tele
+
+
 def answer(tele, sample, session_estimate, dt_s=DT):
     """Return the teleoperation's command for a sample of the handle."""
-    return tele.update(sample, session_estimate, dt_s)
+    return tele.update(tele.watch.update(sample, dt_s), session_estimate, dt_s)
 
 
 class Needle:

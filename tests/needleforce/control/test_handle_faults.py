@@ -7,8 +7,15 @@ import numpy as np
 import pytest
 
 from groundtruth.rig_operator import HapticMaster, Operator
-from needleforce.control import Beside, State, Teleoperation
-from tests.needleforce.control.haptic import DT, Needle, answer, estimate, handle
+from needleforce.control import Beside, HandleWatch, State
+from tests.needleforce.control.haptic import (
+    DT,
+    Needle,
+    answer,
+    estimate,
+    handle,
+    teleoperate,
+)
 from tests.needleforce.control.managed_session import inserting, run
 
 FAULT_S = 1.0
@@ -77,7 +84,7 @@ def drive(fault, hand_m_s, *, stiffness=500.0, **tele_settings):
     reasons for which the needle stands.
     """
     device = HapticMaster(Operator(wish_m=lambda t_s: (0.0, 0.0, hand_m_s * t_s)))
-    tele = Teleoperation(**tele_settings)
+    tele = teleoperate(**tele_settings)
     needle = Needle()
     rows = []
     reasons = []
@@ -113,9 +120,10 @@ def test_the_manager_stops_without_a_usable_handle(name):
     manager.request("arrived")
     device = HapticMaster(Operator(wish_m=lambda t_s: (0.0, 0.0, 0.02 * t_s)))
     fault, reason = FAULTS[name]
+    watch = HandleWatch()
     for k in range(round(FAULT_S / DT) + 50):
         sample = fault(k * DT, stamped(device.read()))
-        situation = run(manager, DT, Beside(handle=sample))
+        situation = run(manager, DT, Beside(handle=watch.update(sample, DT)))
         if k == 10:
             assert manager.request("teleoperate") == ""
         if 10 < k < FAULT_S / DT:
@@ -189,7 +197,7 @@ def test_an_impossible_handle_sample_counts_as_none(sample):
     """A sample that no handle can have given counts as none."""
     forces_N = []
     for wrong in (sample, None):
-        tele = Teleoperation()
+        tele = teleoperate()
         for k in range(100):
             good = handle(2e-5 * k, 0.02)
             command = answer(tele, wrong if k == 50 else good, estimate(1.0))
@@ -201,7 +209,7 @@ def test_an_impossible_handle_sample_counts_as_none(sample):
 
 def reasons_of(samples):
     """Return why the needle stands, of every sample; None is one that was not sent."""
-    tele = Teleoperation()
+    tele = teleoperate()
     return [answer(tele, sample, estimate(0.0)).reason for sample in samples]
 
 

@@ -134,7 +134,7 @@ def test_an_arm_that_is_held_or_refuses_is_a_fault(refused):
         if tick.situation.state == "faulted":
             break
 
-    assert 300 < number < 520
+    assert 300 < number < 600
     assert ("refused" if refused else "not commanded") in tick.situation.reason or (
         "follow" in tick.situation.reason
     )
@@ -145,12 +145,19 @@ def test_what_a_haptic_device_sends_reaches_the_manager():
     manager, sensor = new_manager(SafetyLimits(axial_N=2.0))
     sensor.tared = True
     refused = []
+    reports = {}
     for number, tick in enumerate(arm.run(manager)):
         if number > 100:
-            tick.handle = MasterReading(1e-3 * number, np.zeros(3), np.zeros(3), True)
+            place_m = np.full(3, 0.1 * (number > 250) + 0.1 * (number >= 400))
+            sample = MasterReading(1e-3 * number, place_m, np.zeros(3), True)
+            if not 250 <= number <= 300:
+                reports[number] = tick.check_handle(sample)
         if number in (100, 200):
             refused.append(manager.request("teleoperate"))
 
+    assert reports[200].reading is not None
+    assert reports[301].doubt == ""  # where it went while nobody asked is no jump
+    assert "jumped" in reports[400].doubt
     assert "no haptic device" in refused[0]
     assert refused[1] == ""
 

@@ -9,16 +9,14 @@ import pytest
 
 from needleforce.cli import main
 from needleforce.cli.arms import arm_lag
-from needleforce.control.lag import ChirpSettings, LagProbe
+from needleforce.control.lag import measure_lag
 from needleforce.devices.emulators import Emulator, FriSettings, emulate_fri
-
-QUICK = ChirpSettings(duration_s=1.5, rest_s=0.2)
 
 
 @pytest.fixture
 def _quick(monkeypatch):
     """Half of the usual motion."""
-    monkeypatch.setattr(arm_lag, "LagProbe", partial(LagProbe, chirp=QUICK))
+    monkeypatch.setattr(arm_lag, "measure_lag", partial(measure_lag, duration_s=1.5))
 
 
 @pytest.mark.usefixtures("_quick")
