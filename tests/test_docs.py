@@ -1,27 +1,21 @@
 """README and docs say what there is: examples run, commands exist, links lead
 somewhere."""
 
-import inspect
 import io
 import re
 import runpy
 from contextlib import redirect_stdout
 from dataclasses import replace
-from importlib import import_module
 from pathlib import Path
-from types import ModuleType
 
 import matplotlib.pyplot as plt
 import numpy as np
-import pinocchio as pin
 import pytest
 
-import urdf
 from groundtruth import simulate
 from needleforce import InsertionSession
-from residual import Status, TareError
+from residual import Status
 from tests.insertion_run import cut, simulated
-from tests.residual.residual_signals import pose_of
 from tests.source_files import project_files
 from urdf import MissingPackageError, example_robot_path
 
@@ -78,7 +72,6 @@ PAGES = [
 GENERATED = re.compile(r"(^|/)(api|gallery)/|(^|/)(command-line|benchmarks|codes)\.md$")
 """Pages that exist once the site is built, which checks links to them and anchors."""
 README = (ROOT / "README.md").read_text(encoding="utf-8")
-CONTRIBUTING = (ROOT / "CONTRIBUTING.md").read_text(encoding="utf-8")
 LOOP = (ROOT / "docs" / "how-to" / "loop.md").read_text(encoding="utf-8")
 SNAPSHOTS = (ROOT / "docs" / "how-to" / "stop-and-resume.md").read_text(
     encoding="utf-8"
@@ -127,32 +120,13 @@ def test_the_readmes_loop_runs_with_an_arm_that_sends_no_velocities(monkeypatch)
     assert names["estimate"].status is Status.NOT_TARED
 
 
-def run_explanation(page):
-    """Names and printed text of the example on a page of explanation."""
-    text = (DOCS / "explanation" / page).read_text(encoding="utf-8")
-    (code,) = examples(text)
-    return text, *run_example(code)
+@pytest.mark.parametrize("page", ["control", "identification", "registration"])
+def test_the_example_of_an_explanation_runs_and_prints_what_its_page_says(page):
+    text = (DOCS / "explanation" / f"{page}.md").read_text(encoding="utf-8")
+    for code in examples(text):
+        _, said = run_example(code)
 
-
-def test_the_example_of_control_sets_the_entry_on_the_needle():
-    _, names, _ = run_explanation("control.md")
-    tool = names["control"].tool
-    behind_m = tool.tip_m - names["entry_m"]
-
-    assert behind_m == pytest.approx(0.08 * tool.axis)
-    assert [type(task).__name__ for task in names["tasks"]] == [
-        "RemoteCentre",
-        "TipVelocity",
-        "Posture",
-    ]
-
-
-def test_the_example_of_matching_prints_what_its_page_says():
-    text, _, said = run_explanation("registration.md")
-    lines = said.splitlines()
-
-    assert len(lines) == 2
-    assert [line for line in lines if f"`{line}`" not in text] == []
+        assert [line for line in said.splitlines() if f"`{line}`" not in text] == []
 
 
 @pytest.mark.slow
@@ -192,21 +166,6 @@ def test_every_link_leads_to_a_file(page):
     assert [name for name in files if not (ROOT / name).is_file()] == []
 
 
-def test_the_names_that_contributing_gives_stand_in_the_files_it_names():
-    paths = project_files()
-    missing = []
-    for item in re.split(r"\n(?=\d+\. |- |\| |\n)", CONTRIBUTING):
-        words = re.findall(r"`([^`\s]+)`", item)
-        names = re.findall(r"`([\w.]*(?:_\w+|[A-Z]{3,}))`", item)
-        ends = tuple(f"/{word}" for word in words if word.endswith(".py"))
-        files = [path for path in paths if ends and path.as_posix().endswith(ends)]
-        text = " ".join(path.read_text(encoding="utf-8") for path in files)
-        parts = {part for name in names for part in name.split(".")}
-        missing += sorted(parts - set(re.findall(r"\w+", text))) if ends else []
-
-    assert missing == []
-
-
 @pytest.mark.parametrize(
     "page", ["loop", "noise-and-rate", "stop-and-resume", "tool-and-payload"]
 )
@@ -240,31 +199,6 @@ def names():
     return names
 
 
-def test_the_arms_are_what_the_page_says(names):
-    arm = names["arm"]
-    bent = names["bent"]
-
-    assert (arm.flange_frame, arm.tool_frame) == ("panda_link8", "needle_tip")
-
-    bare = urdf.load_example("panda", without=["panda_hand"])
-    added = pin.computeTotalMass(arm.model) - pin.computeTotalMass(bare.model)
-
-    assert added == pytest.approx(0.040)
-
-    flange = bent.model.frames[bent.frame_id("panda_link8")].placement
-    tip = flange.actInv(bent.model.frames[bent.tool_frame_id].placement)
-
-    assert tip.translation == pytest.approx([0.150, 0, 0.05])
-    assert tip.rotation @ [0, 0, 1] == pytest.approx([1, 0, 0])
-    assert pose_of(arm, names["READY"]).rotation[2, 2] == pytest.approx(-1.0, abs=0.01)
-
-
-def test_torque_at_rest_is_gravity(names):
-    assert names["tau"] == pytest.approx(
-        names["gravity"](names["arm"], names["q"]), abs=0.2
-    )
-
-
 @pytest.mark.parametrize(
     ("force", "weight_N", "tolerance_N"),
     [
@@ -277,39 +211,3 @@ def test_a_hung_weight_reads_as_its_weight(names, force, weight_N, tolerance_N):
     assert names[force] == pytest.approx(
         np.array([0.0, 0.0, -weight_N]), abs=tolerance_N
     )
-
-
-@pytest.mark.slow
-def test_a_stream_without_gravity_needs_the_option(names):
-    with pytest.raises(TareError, match="torque_is_gravity_compensated=True"):
-        names["weigh"](names["arm"], names["compensated"], names["three"])
-
-
-NOTATION = (ROOT / "docs" / "reference" / "notation.md").read_text(encoding="utf-8")
-PACKAGES = ("urdf", "residual", "identification", "groundtruth")
-NAMES = sorted(
-    set(re.findall(rf"`((?:{'|'.join(PACKAGES)})\.[\w.]+(?:\(\w+\))?)`", NOTATION))
-)
-COLUMNS = ["symbol", "name in the code", "unit", "shape", "equation"]
-
-
-def resolve(path):
-    """The object at a dotted path: modules first, then attributes."""
-    parts = path.split(".")
-    value = import_module(parts[0])
-    for depth, name in enumerate(parts[1:], 2):
-        if not hasattr(value, name) and isinstance(value, ModuleType):
-            import_module(".".join(parts[:depth]))
-        value = getattr(value, name)
-    return value
-
-
-@pytest.mark.parametrize("name", NAMES)
-def test_every_name_exists(name):
-    path, _, argument = name.partition("(")
-    value = resolve(path)
-
-    assert value is not None
-
-    if argument:
-        assert argument.rstrip(")") in inspect.signature(value).parameters

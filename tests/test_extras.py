@@ -1,15 +1,13 @@
 """The core is light: what some users need comes with an extra named for its use."""
 
 import ast
-import re
 import subprocess
 import sys
 import tomllib
 
 import pytest
 
-from foundation.extras import EXTRA_OF_MODULE, EXTRAS, extra_of, install_command
-from needleforce.cli.terminal import FAILED, run_command
+from foundation.extras import EXTRA_OF_MODULE, EXTRAS
 from tests.source_files import INSTALLED, ROOT
 
 PROJECT = tomllib.loads((ROOT / "pyproject.toml").read_text(encoding="utf-8"))
@@ -65,16 +63,6 @@ def test_every_extra_of_a_user_is_described():
     assert all(EXTRAS.values())
 
 
-def test_the_page_on_installing_lists_every_extra():
-    page = (ROOT / "docs" / "how-to" / "install.md").read_text(encoding="utf-8")
-    rows = re.findall(r"^\| `(\w+)` \| ([^|]+) \| +([\d.]+) \|$", page, re.MULTILINE)
-
-    assert [name for name, _, _ in rows] == list(EXTRAS)
-
-    for name, adds, _ in rows:
-        assert adds.startswith(EXTRAS[name])
-
-
 @pytest.mark.slow
 def test_each_module_that_the_product_imports_is_of_the_core_or_of_an_extra():
     known = CORE_MODULES | BROUGHT_BY_CYCLOPTS | set(EXTRA_OF_MODULE)
@@ -113,28 +101,3 @@ def test_the_core_loads_none_of_the_heavy_packages(tmp_path):
     )
 
     assert done.stdout.strip() == ""
-
-
-@pytest.mark.parametrize(
-    ("module", "extra"),
-    [
-        ("mujoco", "demo"),
-        ("trimesh.remesh", "patient"),
-        ("telnetlib", None),
-        ("", None),
-    ],
-)
-def test_a_module_has_the_extra_that_brings_it(module, extra):
-    assert extra_of(module) == extra
-    assert extra_of(None) is None
-
-
-def test_a_missing_module_is_one_line_with_the_command(capsys):
-    def work():
-        raise ModuleNotFoundError("No module named 'trimesh'", name="trimesh.remesh")
-
-    assert run_command(work) == FAILED
-    assert capsys.readouterr().err == (
-        "error: trimesh.remesh is not installed. Install it: "
-        f"{install_command('patient')}\n"
-    )

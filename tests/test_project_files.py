@@ -19,22 +19,11 @@ def read_yaml(path):
     return YAML(typ="safe").load(path.read_text(encoding="utf-8"))
 
 
-def test_the_citation_names_this_version_and_the_paper():
+def test_the_citation_names_this_version():
     citation = read_yaml(ROOT / "CITATION.cff")
 
-    assert citation["cff-version"] == "1.2.0"
     assert citation["version"] == PROJECT["version"]
     assert citation["license"] == PROJECT["license"]
-
-    (paper,) = citation["references"]
-
-    assert paper["title"].startswith("Online needle-tissue interaction model")
-    assert [author["family-names"] for author in paper["authors"]] == [
-        "Ferro",
-        "Gaz",
-        "Anzidei",
-        "Vendittelli",
-    ]
 
 
 def test_version_and_date_are_those_of_the_changelog():
@@ -55,15 +44,7 @@ def test_the_workflow_runs_the_checks_on_every_supported_python():
     classifiers = [item.rpartition(" :: ")[2] for item in PROJECT["classifiers"]]
 
     assert [item for item in classifiers if re.match(r"3\.\d", item)] == MINOR_VERSIONS
-    assert MINOR_VERSIONS == ["3.11", "3.12", "3.13"]
     assert PROJECT["requires-python"] == ">=3.11,<3.14"
-
-
-def test_a_bug_report_asks_for_the_doctors_findings():
-    template = (FORGE / "ISSUE_TEMPLATE" / "bug_report.md").read_text(encoding="utf-8")
-
-    assert "needleforce doctor --json" in template
-    assert "No data of patients" in template
 
 
 @pytest.mark.parametrize("package_name", PACKAGES)
@@ -102,7 +83,7 @@ PRIVATE = re.compile(
     r"(?<![\w.>])/(?:home|root|work|tmp|opt|mnt|srv|var|builds|Users)/"
     r"|\b[A-Z]:\\\w"
     r"|\b(?:pypi|pythonhosted|npmjs)[.]org\b|\blocalhos[t]\b"
-    r"|\b(?!127[.]|0[.]0[.]0)\d{1,3}(?:[.]\d{1,3}){3}\b"
+    r"|(?<![\d.])(?!127[.]|0[.]0[.]0)\d{1,3}(?:[.]\d{1,3}){3}(?![\d.])"
     r"|https?://(?:[\w.-]+[.])?(?:internal|local|corp|lan)\b"
 )
 

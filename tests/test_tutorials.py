@@ -12,7 +12,6 @@ from pathlib import Path
 import pytest
 
 from groundtruth import simulate
-from needleforce import InsertionSession, NeedleTool, load_lwr
 from needleforce.cli import main
 from needleforce.plan_file import read_plan
 from needleforce.recordings import write_table
@@ -116,46 +115,6 @@ def test_a_recording_of_the_live_arm_prints_what_is_shown(
             assert code == 0
 
             require_shown(answer, said)
-
-
-@pytest.mark.slow
-def test_a_session_finds_what_the_live_arm_is_shown_to_print():
-    signals = simulate("gel-25-constant", plant="clean").signals
-    shown = {
-        round(float(time_s) * 1e3): [float(text) for text in numbers]
-        for time_s, *numbers in re.findall(
-            r"^ +(\d+\.\d) s .* force +(\S+) ± (\S+) N  tip +(\S+) N  depth +(\S+) mm",
-            page("live-arm"),
-            re.MULTILINE,
-        )
-    }
-    session = InsertionSession(load_lwr(payload=NeedleTool()))
-    found = {}
-    ruptures = []
-    for tick in range(max(shown) + 1):
-        if tick == 13_001:
-            session.start_tare()
-        estimate = session.update(signals.q_rad[tick], None, signals.tau_Nm[tick], 1e-3)
-        if estimate.identification.rupture is not None:
-            ruptures.append(estimate.identification.rupture)
-        wrench = estimate.wrench
-        tip_N = estimate.identification.tip_force_N
-        if tick in shown:
-            found[tick] = [wrench.axial, wrench.axial_std, tip_N, estimate.depth_m]
-    (rupture,) = ruptures
-    (layer_mm,) = re.findall(r"^rupture of layer 1 at (\S+) mm", page("live-arm"), re.M)
-    contact_m = rupture.contact_depth_m
-
-    assert 1e3 * (rupture.depth_m - contact_m) == pytest.approx(
-        float(layer_mm), abs=0.1
-    )
-
-    for tick, (force_N, std_N, tip_N, depth_mm) in shown.items():
-        *forces_N, depth_m = found[tick]
-        zero_m = 0.0 if tick == 13_000 else contact_m
-
-        assert forces_N == pytest.approx([force_N, std_N, tip_N], abs=0.015)
-        assert 1e3 * (depth_m - zero_m) == pytest.approx(depth_mm, abs=0.2)
 
 
 @pytest.mark.slow

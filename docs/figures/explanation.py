@@ -8,20 +8,23 @@ Run it in the project's folder; it takes two minutes:
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
+import matplotlib.pyplot as plt
 import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
 
 from foundation.arrays import Array
 from groundtruth import Run, simulate
 from identification import Estimate
 from needleforce import InsertionSession
 from needleforce.plots import (
-    Chart,
-    Curve,
-    Instants,
-    LineStyle,
-    Panel,
+    STYLE,
+    add_legend,
+    draw_line,
+    make_panels,
+    mark_instants,
     palette,
     save_figure,
 )
@@ -37,6 +40,13 @@ AVERAGED = 100
 
 HEIGHT_IN = 2.7
 WIDTH_IN = 6.0
+
+READING = {"color": palette.GREEN, "lw": 2.6, "alpha": 0.45}
+OURS = {"color": palette.BLUE}
+PUBLISHED_STYLE = {"color": palette.VERMILION, "ls": "--"}
+PREDICTED = {"color": palette.ORANGE, "ls": "--"}
+TRUE = {"color": palette.BLACK, "ls": ":", "lw": 1.5}
+ALARM = {"color": palette.BLACK, "marker": "|", "ms": 13.0}
 
 
 class ArmSample(NamedTuple):
@@ -64,10 +74,9 @@ def samples_of(run: Run) -> Iterator[ArmSample]:
         yield ArmSample(signals.q_rad[k], dq, signals.tau_Nm[k], float(dt_s))
 
 
-def force_curve(x: Array, y: Array, style: LineStyle, label: str) -> Curve:
-    """Return a curve of every `DRAWN_STEP`-th sample."""
-    step = slice(None, None, DRAWN_STEP)
-    return Curve(style=style, x=x[step], y=y[step], label=label)
+def draw_force(axes: Axes, x: Array, y: Array, label: str, **style: Any) -> None:
+    """Draw every `DRAWN_STEP`-th sample."""
+    draw_line(axes, x[::DRAWN_STEP], y[::DRAWN_STEP], label=label, **style)
 
 
 def averaged(values: Array) -> Array:
@@ -76,17 +85,19 @@ def averaged(values: Array) -> Array:
     return values[: count * AVERAGED].reshape(count, AVERAGED).mean(axis=1)
 
 
-def error_curve(
-    x: Array, y: Array, style: LineStyle, label: str, std: Array | None = None
-) -> Curve:
-    """Return a curve of means, with a band of two standard deviations if given."""
-    return Curve(
-        style=style,
-        x=averaged(x),
-        y=averaged(y),
-        label=label,
-        std=None if std is None else averaged(std),
-    )
+def draw_error(
+    axes: Axes, x: Array, y: Array, label: str, std: Array | None = None, **style: Any
+) -> None:
+    """Draw means, with a band of two standard deviations if given."""
+    mean_std = None if std is None else averaged(std)
+    draw_line(axes, averaged(x), averaged(y), mean_std, label=label, **style)
+
+
+def save(figure: Figure, x_label: str, name: str) -> None:
+    """Write a figure with its legend."""
+    figure.axes[-1].set_xlabel(x_label)
+    add_legend(figure)
+    save_figure(figure, FOLDER / name)
 
 
 def residual_of(run: Run, gain_per_s: float) -> Array:
@@ -107,36 +118,17 @@ def draw_observer() -> None:
     truth_Nm = run.truth.external_torque_Nm
     joint = int(np.argmax(np.abs(truth_Nm).max(axis=0)))
     is_shown = (time_s > -0.1) & (time_s < 0.5)
-    curves = [
-        Curve(
-            style=style,
-            x=time_s[is_shown],
-            y=torque_Nm[is_shown, joint],
-            label=label,
-        )
-        for style, torque_Nm, label in (
-            (palette.READING, truth_Nm, "true external torque"),
-            (palette.OURS, residual_of(run, 70.0), "residual, K = 70/s"),
-            (palette.PUBLISHED, residual_of(run, 5.0), "residual, K = 5/s"),
-        )
-    ]
-    low = min(float(curve.y.min()) for curve in curves)
-    high = max(float(curve.y.max()) for curve in curves)
-    margin = 0.05 * (high - low)
-    panel = Panel(
-        y_label=f"torque on joint {joint + 1} [Nm]",
-        curves=tuple(curves),
-        limits=(low - margin, high + margin),
-    )
-    chart = Chart(
-        title="Momentum residual around a rupture\ngel-70-constant, plant ideal",
-        x_label="time since the rupture [s]",
-        panels=(panel,),
-        x_limits=(-0.1, 0.5),
-        width_in=WIDTH_IN,
-        height_in=HEIGHT_IN,
-    )
-    save_figure(chart, FOLDER / "observer.svg")
+    title = "Momentum residual around a rupture\ngel-70-constant, plant ideal"
+    figure, (axes,) = make_panels(1, WIDTH_IN, HEIGHT_IN, title)
+    for style, torque_Nm, label in (
+        (READING, truth_Nm, "true external torque"),
+        (OURS, residual_of(run, 70.0), "residual, K = 70/s"),
+        (PUBLISHED_STYLE, residual_of(run, 5.0), "residual, K = 5/s"),
+    ):
+        shown_Nm = torque_Nm[is_shown, joint]
+        draw_line(axes, time_s[is_shown], shown_Nm, label=label, **style)
+    axes.set(ylabel=f"torque on joint {joint + 1} [Nm]", xlim=(-0.1, 0.5))
+    save(figure, "time since the rupture [s]", "observer.svg")
 
 
 def axial_of(run: Run, sensor: VirtualForceSensor) -> tuple[Array, Array]:
@@ -162,35 +154,20 @@ def draw_forces() -> None:
     true_N = run.truth.axial_N
     ours_N, std_N = axial_of(run, VirtualForceSensor(run.robot))
     published_N, _ = axial_of(run, VirtualForceSensor(run.robot, PUBLISHED))
-    force = Panel(
-        y_label=palette.FORCE,
-        curves=(
-            force_curve(time_s, published_N, palette.PUBLISHED, "as published"),
-            force_curve(time_s, ours_N, palette.OURS, "virtual sensor"),
-            force_curve(time_s, true_N, palette.TRUE_PART, "true"),
-        ),
-        height=1.6,
+    title = (
+        "Axial force, and its error with two standard deviations\n"
+        "gel-70-constant, plant fri; errors are means over 0.1 s"
     )
-    error = Panel(
-        y_label=palette.FORCE_ERROR,
-        curves=(
-            error_curve(
-                time_s, published_N - true_N, palette.PUBLISHED, "as published"
-            ),
-            error_curve(
-                time_s, ours_N - true_N, palette.OURS, "virtual sensor", std=std_N
-            ),
-        ),
-    )
-    chart = Chart(
-        title="Axial force, and its error with two standard deviations\n"
-        "gel-70-constant, plant fri; errors are means over 0.1 s",
-        x_label="time since the tare [s]",
-        panels=(force, error),
-        width_in=WIDTH_IN,
-        height_in=1.5 * HEIGHT_IN,
-    )
-    save_figure(chart.within(0.0, float(time_s[-1])), FOLDER / "virtual-sensor.svg")
+    figure, (force, error) = make_panels(2, WIDTH_IN, 1.5 * HEIGHT_IN, title)
+    draw_force(force, time_s, published_N, "as published", **PUBLISHED_STYLE)
+    draw_force(force, time_s, ours_N, "virtual sensor", **OURS)
+    draw_force(force, time_s, true_N, "true", **TRUE)
+    published_error_N = published_N - true_N
+    draw_error(error, time_s, published_error_N, "as published", **PUBLISHED_STYLE)
+    draw_error(error, time_s, ours_N - true_N, "virtual sensor", std_N, **OURS)
+    force.set(ylabel=palette.FORCE, xlim=(0.0, time_s[-1]))
+    error.set_ylabel(palette.FORCE_ERROR)
+    save(figure, "time since the tare [s]", "virtual-sensor.svg")
 
 
 def draw_tare() -> None:
@@ -201,30 +178,17 @@ def draw_tare() -> None:
     constant_N, _ = axial_of(run, VirtualForceSensor(run.robot, constant))
     modelled_N, std_N = axial_of(run, VirtualForceSensor(run.robot))
     true_N = run.truth.axial_N
-    panel = Panel(
-        y_label=palette.FORCE_ERROR,
-        curves=(
-            error_curve(
-                time_s, constant_N - true_N, palette.PUBLISHED, "constant bias"
-            ),
-            error_curve(
-                time_s,
-                modelled_N - true_N,
-                palette.OURS,
-                "modelled bias, two standard deviations",
-                std=std_N,
-            ),
-        ),
+    title = (
+        "Error of the axial force after a tare\n"
+        "stack-constant, insertion and withdrawal, plant clean; means over 0.1 s"
     )
-    chart = Chart(
-        title="Error of the axial force after a tare\n"
-        "stack-constant, insertion and withdrawal, plant clean; means over 0.1 s",
-        x_label="time since the tare [s]",
-        panels=(panel,),
-        width_in=WIDTH_IN,
-        height_in=HEIGHT_IN,
-    )
-    save_figure(chart, FOLDER / "tare.svg")
+    figure, (axes,) = make_panels(1, WIDTH_IN, HEIGHT_IN, title)
+    constant_error_N = constant_N - true_N
+    draw_error(axes, time_s, constant_error_N, "constant bias", **PUBLISHED_STYLE)
+    label = "modelled bias, two standard deviations"
+    draw_error(axes, time_s, modelled_N - true_N, label, std_N, **OURS)
+    axes.set_ylabel(palette.FORCE_ERROR)
+    save(figure, "time since the tare [s]", "tare.svg")
 
 
 def identified(run: Run) -> Iterator[Estimate]:
@@ -251,60 +215,43 @@ def draw_identification() -> None:
         for k, estimate in enumerate(estimates)
         if estimate.rupture is not None
     ]
-    force = Panel(
-        y_label="force [N]",
-        curves=(
-            force_curve(time_s, truth.axial_N, palette.READING, "axial force"),
-            force_curve(time_s, tip_N, palette.OURS, "tip force, estimated"),
-            force_curve(time_s, truth.tip_N, palette.TRUE_PART, "true"),
-        ),
+    title = (
+        "Tip force and shaft friction while the needle advances\n"
+        "stack-constant, virtual sensor, plant clean"
     )
-    friction = Panel(
-        y_label="shaft friction [N]",
-        curves=(
-            error_curve(
-                time_s,
-                shaft_N,
-                palette.PREDICTED,
-                "shaft friction, estimated, two standard deviations",
-                std=shaft_std_N,
-            ),
-            force_curve(time_s, truth.friction_N, palette.TRUE_PART, "true"),
-        ),
-    )
-    chart = Chart(
-        title="Tip force and shaft friction while the needle advances\n"
-        "stack-constant, virtual sensor, plant clean",
-        x_label="time since the tare [s]",
-        panels=(force, friction),
-        instants=(Instants("alarms", palette.RUPTURE, tuple(alarms_s)),),
-        width_in=WIDTH_IN,
-        height_in=1.5 * HEIGHT_IN,
-    )
-    save_figure(chart.within(0.0, float(end_s)), FOLDER / "identification.svg")
+    figure, (force, friction) = make_panels(2, WIDTH_IN, 1.5 * HEIGHT_IN, title)
+    draw_force(force, time_s, truth.axial_N, "axial force", **READING)
+    draw_force(force, time_s, tip_N, "tip force, estimated", **OURS)
+    draw_force(force, time_s, truth.tip_N, "true", **TRUE)
+    label = "shaft friction, estimated, two standard deviations"
+    draw_error(friction, time_s, shaft_N, label, shaft_std_N, **PREDICTED)
+    draw_force(friction, time_s, truth.friction_N, "true", **TRUE)
+    for axes in (force, friction):
+        mark_instants(axes, np.array(alarms_s), "alarms", **ALARM)
+    force.set(ylabel="force [N]", xlim=(0.0, end_s))
+    friction.set_ylabel("shaft friction [N]")
+    save(figure, "time since the tare [s]", "identification.svg")
 
 
 def draw_plants() -> None:
     """Draw the error of the published method on two plants."""
-    curves = []
-    for plant, style in (("clean", palette.OURS), ("fri", palette.PUBLISHED)):
+    title = (
+        "Error of the published force estimate on two plants\n"
+        "gel-70-constant, insertion and withdrawal; means over 0.1 s"
+    )
+    figure, (axes,) = make_panels(1, WIDTH_IN, HEIGHT_IN, title)
+    for plant, style in (("clean", OURS), ("fri", PUBLISHED_STYLE)):
         run = simulate("gel-70-constant", plant=plant, seed=SEED)
         time_s = run.signals.t_s - run.tare_end_s
         axial_N, _ = axial_of(run, VirtualForceSensor(run.robot, PUBLISHED))
-        curves.append(error_curve(time_s, axial_N - run.truth.axial_N, style, plant))
-    chart = Chart(
-        title="Error of the published force estimate on two plants\n"
-        "gel-70-constant, insertion and withdrawal; means over 0.1 s",
-        x_label="time since the tare [s]",
-        panels=(Panel(y_label=palette.FORCE_ERROR, curves=tuple(curves)),),
-        width_in=WIDTH_IN,
-        height_in=HEIGHT_IN,
-    )
-    save_figure(chart, FOLDER / "plants.svg")
+        draw_error(axes, time_s, axial_N - run.truth.axial_N, plant, **style)
+    axes.set_ylabel(palette.FORCE_ERROR)
+    save(figure, "time since the tare [s]", "plants.svg")
 
 
 def main() -> None:
     """Draw all figures."""
+    plt.style.use(STYLE)
     draw_observer()
     draw_forces()
     draw_tare()

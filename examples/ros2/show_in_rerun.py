@@ -23,8 +23,6 @@ def show(topic, kind, message):
         names = [item.child_frame_id for item in message.transforms]
         rr.log("arm/links", rr.LineStrips3D([points], radii=M_TO_RADIUS))
         rr.log("arm/frames", rr.Points3D(points, labels=names, radii=M_TO_RADIUS))
-    elif kind == "rcl_interfaces/msg/Log":
-        rr.log("events", rr.TextLog(message.msg, level=rr.TextLogLevel.INFO))
     elif kind == "std_msgs/msg/Float64":
         rr.log(topic, rr.Scalars(message.data))
     elif kind == "geometry_msgs/msg/WrenchStamped":

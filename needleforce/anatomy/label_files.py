@@ -103,7 +103,9 @@ def read_labels(
 
 def _read_structures(place: Path, max_bytes: int) -> Labels:
     """Read a segmentation from a file or a folder, with the names that it has."""
-    files = sorted(place.iterdir()) if place.is_dir() else [place]
+    files = [place]
+    if place.is_dir():
+        files = sorted(one for one in place.iterdir() if one.name[0] != ".")
     masks = [one for one in files if one.name.endswith(MASKS)] * place.is_dir()
     if masks:
         return _join_masks(masks, max_bytes)
@@ -135,7 +137,8 @@ def _as_labels(values: NDArray[Any]) -> NDArray[Any]:
     rounding = 1e-3  # programs that compute with labels leave 0.99999994
     whole = values if are_whole(values) else np.rint(values)
     off = np.abs(values - whole).max()
-    if whole.min() < 0 or whole.max() > np.iinfo(np.uint16).max or off > rounding:
+    is_label = whole.min() >= 0 and whole.max() <= np.iinfo(np.uint16).max
+    if not is_label or not off <= rounding:  # nan is none, either
         wrong = values.flat[int(np.abs(values - whole).argmax())]
         shown = wrong if off > rounding else (values.min(), values.max())
         raise VolumeError(f"it holds {shown}: expected whole labels from 0 to 65535")
@@ -184,9 +187,8 @@ def _is_segmentation(path: Path) -> bool:
     images = "1.2.840.10008.5.1.4.1.1"
     if not path.is_file() or not pydicom.misc.is_dicom(path):
         return False
-    sop_class = str(
-        pydicom.filereader.read_file_meta_info(path).MediaStorageSOPClassUID
-    )
+    meta = pydicom.filereader.read_file_meta_info(path)
+    sop_class = str(meta.get("MediaStorageSOPClassUID", ""))
     if sop_class == f"{images}.481.3":
         raise VolumeError(
             f"{path} is a structure set of radiotherapy (RTSTRUCT), whose contours are "

@@ -139,7 +139,9 @@ def _read_nifti(path: Path, max_bytes: int) -> Image:
             values = np.asanyarray(image.dataobj).reshape(shape)
             file.read()  # up to the check sum
         grid = _nifti_grid(header, shape)
-        return Image([values], grid, {}, _nifti_names(header))
+        parts = values.dtype.names or ()  # of colours
+        arrays = [values[part] for part in parts] or [values]
+        return Image(arrays, grid, {}, _nifti_names(header))
     except damage as error:
         raise VolumeError(f"cannot read {path}: {error}") from error
 
@@ -283,7 +285,9 @@ def _read_series(folder: Path) -> Any:
             f"{folder} holds {len(series)} DICOM series: expected one{''.join(places)}"
         )
     (files,) = series
-    slices = [pydicom.dcmread(name, stop_before_pixels=True) for name in files]
+    slices = [
+        pydicom.dcmread(name, stop_before_pixels=True, force=True) for name in files
+    ]
     _require_one_ct(folder, slices)
     reader.SetFileNames(files)
     return reader.Execute()

@@ -4,7 +4,6 @@ The force of a model has an offset that changes with the posture, so a contact i
 of the force over what was felt while the tip last moved.
 """
 
-from collections import deque
 from typing import NamedTuple
 
 import numpy as np
@@ -50,7 +49,7 @@ class TouchDetector:
         self._time_s = 0.0
         self._slot_end_s = SLOT_s
         # Ends of moments, mean places of the tip and mean forces.
-        self._slots: deque[Array] = deque(maxlen=int(60.0 / SLOT_s))
+        self._slots: Array = np.zeros((0, 7))
         self._last_m = np.full(3, np.inf)
 
     def update(self, dt_s: float, tip_m: Array, force_N: Array) -> TipTouch | None:
@@ -66,14 +65,15 @@ class TouchDetector:
         if self._time_s < self._slot_end_s:
             return None
         means = self._sums[1:] / self._sums[0]
-        self._slots.append(np.concatenate([[self._time_s], means]))
+        kept = self._slots[-round(60.0 / SLOT_s) :]
+        self._slots = np.vstack([kept, [self._time_s, *means]])
         self._sums[:] = 0.0
         self._slot_end_s = self._time_s + SLOT_s
         return self._find_touch()
 
     def take_now(self) -> TipTouch | None:
         """Return where the tip is now, as a touch; None before the first moment."""
-        if not self._slots:
+        if not len(self._slots):
             return None
         self._last_m = self._slots[-1][1:4]
         return TipTouch(self._last_m, 0.0)
@@ -81,7 +81,7 @@ class TouchDetector:
     def _find_touch(self) -> TipTouch | None:
         """Return the touch of the latest second, if it was one."""
         still_m = 0.7e-3  # in a ball of this radius it rests: a hand trembles by less
-        slots = np.array(self._slots)[::-1]  # the latest first
+        slots = self._slots[::-1]  # the latest first
         is_recent = slots[:, 0] >= self._time_s - DWELL_s
         recent = slots[is_recent]
         older = slots[~is_recent]

@@ -44,7 +44,6 @@ class RdtCommand(IntEnum):
     STOP = 0
     STREAM = 2
     BUFFERED = 3
-    SOFTWARE_BIAS = 0x42
 
 
 RECORD = np.dtype(
@@ -175,7 +174,6 @@ class NetFT(DatagramLink):
         port: Its port.
         scale: Its counts, or the page that says them; None: the sensor's own page.
         buffered: Forty records to a datagram: fewer interruptions, up to 6 ms later.
-        listen_on: Address of this machine; None: loopback for a sensor there, else any.
 
     Attributes:
         scale: Counts per newton and per newton metre.
@@ -196,7 +194,6 @@ class NetFT(DatagramLink):
         *,
         scale: Scale | str | None = None,
         buffered: bool = False,
-        listen_on: str | None = None,
     ) -> None:
         host = resolve_host(host)
         page = scale or f"http://{host}/netftcalapi.xml"
@@ -213,7 +210,7 @@ class NetFT(DatagramLink):
                 f"port {port} of the sensor: expected 1 to {MAX_PORT}"
             )
 
-        local = listen_on or (LOOPBACK if host.startswith("127.") else "0.0.0.0")
+        local = LOOPBACK if host.startswith("127.") else "0.0.0.0"
         # For the records of half a second, if net.core.rmem_max allows as much.
         buffer_bytes = 1 << 22
         super().__init__(local, 0, peer=host, buffer_bytes=buffer_bytes)
@@ -226,8 +223,6 @@ class NetFT(DatagramLink):
         self._stray_count = 0  # of the latest record that was no new one
         self._stray_in_row = 0  # such records that follow each other
         self._asked_s = monotonic()
-        self._zero = np.zeros(6)
-        self._newest = np.zeros(6)
         self._request(self._mode)
 
     def read(self) -> Array | None:
@@ -267,18 +262,6 @@ class NetFT(DatagramLink):
                 yield from self._wrenches(data)
             elif self._note_silence():
                 yield None
-
-    def bias(self) -> None:
-        """Take the latest reading for zero, here; the sensor's own zero stays."""
-        self._zero = self._newest.copy()
-
-    def unbias(self) -> None:
-        """Take the sensor's own zero again."""
-        self._zero = np.zeros(6)
-
-    def bias_sensor(self) -> None:
-        """Let the sensor itself take its load for zero, for all its users."""
-        self._request(RdtCommand.SOFTWARE_BIAS)
 
     def close(self) -> None:
         """Ask the sensor to stop, and free the port."""
@@ -346,5 +329,4 @@ class NetFT(DatagramLink):
 
         report.used += 1
         self._hear()
-        self._newest = record["counts"] / self._counts_per_unit
-        return self._newest - self._zero
+        return record["counts"] / self._counts_per_unit

@@ -1,23 +1,21 @@
-"""Charts and the self-contained page; knows neither robots nor needles.
+"""Figures in files, and the self-contained page; knows neither robots nor needles.
 
 matplotlib and jinja2 are imported only when something is drawn.
 
-Reading order: `chart` (charts as plain data), `palette` (colours, line styles, words of
-an axis), `drawing` (charts saved as PNG, SVG or PDF), `page` (one HTML file with
-figures, tables and text inside), `report_folder`, `errors`.
+Reading order: `palette` (colours, words of an axis), `drawing` (figures saved as PNG,
+SVG or PDF), `page` (one HTML file with figures, tables and text inside),
+`report_folder`, `plan_slices` (a CT along a path), `errors`.
 """
 
 from needleforce.plots import palette as palette
-from needleforce.plots.chart import (
-    Chart as Chart,
-    Curve as Curve,
-    Instants as Instants,
-    LineStyle as LineStyle,
-    Panel as Panel,
-    Shading as Shading,
-)
 from needleforce.plots.drawing import (
-    draw_svg as draw_svg,
+    STYLE as STYLE,
+    WIDE_IN as WIDE_IN,
+    WIDTH_IN as WIDTH_IN,
+    add_legend as add_legend,
+    draw_line as draw_line,
+    make_panels as make_panels,
+    mark_instants as mark_instants,
     require_matplotlib as require_matplotlib,
     save_figure as save_figure,
 )
@@ -32,7 +30,6 @@ from needleforce.plots.page import (
     PageFigure as PageFigure,
     PageTable as PageTable,
     Section as Section,
-    save_page_figure as save_page_figure,
     settings_table as settings_table,
     write_page as write_page,
 )

@@ -7,8 +7,8 @@ class FiguresError(NeedleforceError):
     """Base of every error of this package."""
 
     usual_advice = (
-        "Give a `Curve` one y per x, a `Chart` at least one panel, a `PageTable` "
-        "one cell per head."
+        "Give a figure a name that ends in .png, .svg or .pdf, a `PageTable` one cell "
+        "per head."
     )
 
 
@@ -19,7 +19,7 @@ class MissingExtraError(FiguresError, RuntimeError):
 
 
 class ChartError(FiguresError, ValueError):
-    """A chart or table that cannot be shown: ragged, empty, or of an unknown format."""
+    """A table that is ragged, or a figure of an unknown format."""
 
 
 class WriteError(FiguresError, OSError):

@@ -3,13 +3,12 @@
 import re
 from base64 import b64encode
 from collections.abc import Iterator
-from dataclasses import dataclass, fields, is_dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass
 from importlib.resources import files
 from pathlib import Path
 from typing import Any
 
-from needleforce.plots.chart import WIDE_IN, Chart
-from needleforce.plots.drawing import printable, save_figure, write_file
+from needleforce.plots.drawing import printable, write_file
 from needleforce.plots.errors import ChartError, WriteError
 
 PAGE = "index.html"
@@ -165,32 +164,6 @@ def write_page(path: str | Path, page: Page) -> Path:
         WriteError: The file cannot be written.
     """
     return write_file(path, page.html().encode())
-
-
-def save_page_figure(
-    chart: Chart,
-    path: Path,
-    *,
-    alt: str,
-    caption: str,
-    is_alone: bool = False,
-) -> PageFigure:
-    """Save a chart as a figure of a page.
-
-    Args:
-        chart: The chart.
-        path: Its file.
-        alt: What it shows, for those who cannot see it.
-        caption: Its caption.
-        is_alone: Whether it stands alone; then it is also saved as ``NAME-wide``.
-    """
-    wide = None
-    if is_alone:
-        place = path.with_stem(f"{path.stem}-wide")
-        wide = save_figure(replace(chart, width_in=WIDE_IN), place)
-    return PageFigure(
-        path=save_figure(chart, path), alt=alt, caption=caption, wide=wide
-    )
 
 
 def settings_table(settings: Any, caption: str) -> PageTable:

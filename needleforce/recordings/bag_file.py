@@ -4,7 +4,7 @@
 """
 
 import re
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from contextlib import contextmanager, suppress
 from dataclasses import fields, is_dataclass, replace
 from itertools import islice
@@ -17,7 +17,7 @@ import numpy as np
 
 from needleforce.recordings.bag_topics import standard_types
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channels import KNOWLEDGE, MessageLayout
+from needleforce.recordings.channels import KNOWLEDGE
 from needleforce.recordings.errors import (
     RECOVER,
     UNPACK,
@@ -29,12 +29,7 @@ from needleforce.recordings.errors import (
     require_size,
 )
 from needleforce.recordings.joint_names import order_joints
-from needleforce.recordings.table import (
-    MAX_LIST_NUMBERS,
-    Table,
-    ToolMass,
-    choose_tool_mass,
-)
+from needleforce.recordings.table import MAX_LIST_NUMBERS, Table
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
     first_valid_stamp,
@@ -45,10 +40,6 @@ from needleforce.recordings.time_stamps import (
 
 BAG_SUFFIXES = (".mcap", ".db3", ".bag")
 METADATA = "metadata.yaml"
-MCAP_MAGIC = b"\x89MCAP0\r\n"
-
-_VECTORS = (tuple("xyzw"), tuple("xyz"), tuple("xy"))
-_NAME_FIELDS = ("name", "names", "joint_names")
 
 
 def is_bag(path: Path) -> bool:
@@ -70,13 +61,14 @@ class Topic:
 
     Attributes:
         name: Such as /joint_states.
+        kind: The type of its messages.
         connections: Of the bag.
         count: Messages in the bag.
         columns: What gets the numbers of a column from a message, by its name.
+        widths: How many numbers a column has in a row; None for a single one.
         named: Columns whose numbers belong to joints.
         joints: Names of joints, in the order of their numbers.
         known: Columns that are channels by the type of the messages, by channel.
-        tool_mass: What the first message says hangs on the flange.
     """
 
     def __init__(self, reader: Any, connections: Sequence[Any]) -> None:
@@ -88,16 +80,15 @@ class Topic:
         self.widths: dict[str, int | None] = {}
         self.named: set[str] = set()
         self.joints: tuple[str, ...] = ()
-        self.layout = KNOWLEDGE.messages.get(self.kind, MessageLayout())
-        self.tool_mass: ToolMass | None = None
-        part = self.layout.channels.get("q", "").rpartition("/")[0]
-        self._name_path = f"{part}/name".strip("/") if part else ""
+        known_fields = KNOWLEDGE.messages.get(self.kind, {})
+        part = known_fields.get("q", "").rpartition("/")[0]
+        self._joint_names = attrgetter(".".join((*part.split("/"), "name")).strip("."))
         for _, _, data in islice(reader.messages(connections), 20):
-            self._learn(reader.deserialize(data, self.kind))
+            self._learn(reader.deserialize(data, self.kind), {*known_fields.values()})
 
         self.known = {
             channel: column
-            for channel, field in self.layout.channels.items()
+            for channel, field in known_fields.items()
             if (column := self._column(tuple(field.split("/")))) in self.columns
         }
 
@@ -106,7 +97,7 @@ class Topic:
         path = path[1:] or path if self.kind.endswith("Stamped") else path
         return self.name if path == ("data",) else "/".join((self.name, *path))
 
-    def _learn(self, message: Any) -> None:
+    def _learn(self, message: Any, known_fields: set[str]) -> None:
         """Find the numbers of a message, and the joints that it names."""
         names = self.names(message)
         self.joints += tuple(name for name in names if name not in self.joints)
@@ -117,31 +108,18 @@ class Topic:
             if not 0 < size <= MAX_LIST_NUMBERS or path[-2:-1] == ("stamp",):
                 continue
 
+            is_single = np.ndim(get(message)) == 0
             self.columns.setdefault(column, get)
-            is_single = len(paths) == 1 and np.ndim(get(message)) == 0
             self.widths.setdefault(column, None if is_single else size)
-            beside = (
-                self.layout.channels and "/".join(path) in self.layout.channels.values()
-            )
-            if names and size == len(names) and (len(path) == 1 or beside):
+            is_of_joints = len(path) == 1 or "/".join(path) in known_fields
+            if names and size == len(names) and is_of_joints:
                 self.named.add(column)
-
-        masses = [
-            ToolMass(float(self.columns[c](message)), c) if c in self.columns else None
-            for c in (self._column(tuple(f.split("/"))) for f in self.layout.masses)
-        ]
-        parts = [mass for mass in masses[1:] if mass is not None]
-        first = masses[0] if masses else None
-        self.tool_mass = self.tool_mass or choose_tool_mass(first, parts)
 
     def names(self, message: Any) -> tuple[str, ...]:
         """Return the joints that a message names; none if they are not unique."""
-        if self._name_path:
-            names = attrgetter(self._name_path.replace("/", "."))(message)
-        else:
-            names = next(
-                (getattr(message, f) for f in _NAME_FIELDS if hasattr(message, f)), ()
-            )
+        names: Any = ()
+        with suppress(AttributeError):
+            names = self._joint_names(message)
 
         names = tuple(names) if isinstance(names, list) else ()
         return names if all(names) and len({*names}) == len(names) else ()
@@ -158,24 +136,19 @@ class Topic:
             if names and joints and not {*names} & {*joints}:
                 continue
 
-            header = getattr(message, "header", None)
-            stamp = getattr(header, "stamp", None)
+            stamp = getattr(getattr(message, "header", None), "stamp", None)
             stamp_ns = stamp.sec * NS_PER_S + stamp.nanosec if stamp else 0
             stamps.append((stamp_ns, log_ns))
             for name, values in rows.items():
+                width = self.widths[name] or 1
                 numbers = np.atleast_1d(self.columns[name](message))
-                if name in self.named and names:
+                if name in self.named:
+                    width = len(joints)
                     by_joint = dict(zip(names, numbers, strict=False))
-                    numbers = [by_joint.get(joint, np.nan) for joint in joints or names]
+                    numbers = [by_joint.get(joint, np.nan) for joint in joints]
 
-                width = (
-                    len(joints)
-                    if name in self.named and joints
-                    else self.widths[name] or 1
-                )
-                values.append(
-                    numbers if len(numbers) == width else np.full(width, np.nan)
-                )
+                fits = len(numbers) == width
+                values.append(numbers if fits else np.full(width, np.nan))
 
         columns = {name: np.array(values, np.float64) for name, values in rows.items()}
         stamps_ns, logs_ns = np.array(stamps, np.int64).reshape(-1, 2).T
@@ -187,33 +160,18 @@ def _numbers_in(
 ) -> Iterator[tuple[tuple[str, ...], list[tuple[str, ...]]]]:
     """Yield the fields that lead to numbers: single ones, vectors and arrays."""
     names = tuple(f.name for f in fields(message) if not f.name.startswith("__"))
-    if names in _VECTORS and isinstance(getattr(message, names[0]), float):
-        yield (
-            (*path[:-1], "_".join((*path[-1:], "".join(names)))),
-            [(*path, n) for n in names],
-        )
+    axes = "".join(names)
+    if axes in ("xyzw", "xyz", "xy") and isinstance(getattr(message, names[0]), float):
+        vector = "_".join((*path[-1:], axes))
+        yield (*path[:-1], vector), [(*path, name) for name in names]
         return
 
     for name in names:
         value = getattr(message, name)
         if is_dataclass(value):
             yield from _numbers_in(value, (*path, name))
-        elif isinstance(value, int | float | np.ndarray) and (*path, name) != (
-            "header",
-            "seq",
-        ):
+        elif isinstance(value, int | float | np.ndarray) and name != "seq":
             yield (*path, name), [(*path, name)]
-
-
-def _is_cut(path: Path) -> bool:
-    """Return whether a file is an MCAP of which the end is missing."""
-    if path.suffix.lower() != ".mcap":
-        return False
-
-    with path.open("rb") as stream:
-        is_mcap = stream.read(len(MCAP_MAGIC)) == MCAP_MAGIC
-        stream.seek(max(stream.tell(), path.stat().st_size - len(MCAP_MAGIC)))
-        return is_mcap and stream.read() != MCAP_MAGIC
 
 
 def _recover(path: Path, target: Path) -> None:
@@ -253,16 +211,22 @@ def _files_to_read(path: Path, folder: Path) -> tuple[list[Path], list[str]]:
         path: Of the bag.
         folder: Gets what is left of those that were cut short.
     """
-    files = _files_in(path) if path.is_dir() else [path]
-    cut = [each for each in files if _is_cut(each)]
-    if not cut and (path / METADATA).exists():
-        return [path], []
+    magic = b"\x89MCAP0\r\n"
+    files: list[Path] = []
+    notes: list[str] = []
+    for number, file in enumerate(_files_in(path) if path.is_dir() else [path]):
+        with file.open("rb") as stream:
+            is_mcap = stream.read(len(magic)) == magic
+            stream.seek(-len(magic), 2) if is_mcap else None
+            is_cut = is_mcap and stream.read() != magic
 
-    for number, each in enumerate(cut):
-        target = folder / f"{number}.mcap"
-        _recover(each, target)
-        files[files.index(each)] = target
-    return files, [f"{each.name} is cut short; it was read up to there" for each in cut]
+        files.append(folder / f"{number}.mcap" if is_cut else file)
+        if is_cut:
+            _recover(file, files[-1])
+            notes.append(f"{file.name} is cut short; it was read up to there")
+
+    is_whole_folder = not notes and (path / METADATA).exists()
+    return [path] if is_whole_folder else files, notes
 
 
 @contextmanager
@@ -301,55 +265,33 @@ def _open_bag(path: Path) -> Iterator[tuple[Any, list[Topic], list[str]]]:
 def _head(topics: Sequence[Topic]) -> Table:
     """Return all columns of a bag without rows, to look columns up by name."""
     known: dict[str, tuple[str, ...]] = {}
+    columns = {"t_s": np.empty(0)}
     for topic in topics:
+        for name, width in topic.widths.items():
+            columns[name] = np.empty(0 if width is None else (0, width))
         for channel, column in topic.known.items():
             known[channel] = (*known.get(channel, ()), column)
 
     return Table(
-        columns={
-            name: np.empty((0,) if width is None else (0, width))
-            for topic in topics
-            for name, width in topic.widths.items()
-        },
+        columns=columns,
         joint_names={name: topic.joints for topic in topics for name in topic.named},
+        seconds=frozenset({"t_s"}),
         known=known,
-        tool_mass=next((each.tool_mass for each in topics if each.tool_mass), None),
     )
 
 
-def bag_head(path: Path) -> tuple[Table, dict[str, int]]:
-    """Return the columns of a bag without rows, and how many messages a topic has."""
+def bag_head(path: Path) -> Table:
+    """Return the columns of a bag without rows."""
     with _open_bag(path) as (_, topics, _):
-        return _head(topics), {topic.name: topic.count for topic in topics}
+        return _head(topics)
 
 
-def _find_reference(request: ChannelRequest, topics: Sequence[Topic]) -> str:
-    """Return the topic whose messages are the rows: the mapping's, or the fullest.
-
-    Raises:
-        ColumnError: That of the mapping is not read.
-    """
-    reference = request.mapping.reference_topic
-    if reference is None:
-        most = max(topic.count for topic in topics)
-        return next(topic.name for topic in topics if topic.count >= 0.9 * most)
-
-    names = [topic.name for topic in topics]
-    if reference not in names:
-        raise ColumnError(
-            f"reference_topic = {reference!r} is no topic that is read; topics "
-            f"are: {', '.join(names)}"
-        )
-
-    return reference
-
-
-def read_bag(path: Path, request: ChannelRequest | None, max_bytes: int) -> Table:
+def read_bag(path: Path, request: ChannelRequest, max_bytes: int) -> Table:
     """Read a ROS bag as a table with a column `t_s`.
 
     Args:
         path: Of the bag, a file or a folder.
-        request: Which channels are read; None for all columns.
+        request: Which channels are read; none for all columns.
         max_bytes: The most memory that the messages may take.
 
     Raises:
@@ -357,88 +299,77 @@ def read_bag(path: Path, request: ChannelRequest | None, max_bytes: int) -> Tabl
     """
     with _open_bag(path) as (reader, topics, notes):
         head = _head(topics)
-        needed = None if request is None else request.columns(head)
-        if request is not None and not needed:
+        is_whole = request == ChannelRequest()
+        needed = frozenset(head.columns) if is_whole else request.columns(head)
+        if not needed:
             return head
 
-        request = request or ChannelRequest()
-
-        chosen = {
-            topic.name: (
-                topic,
-                [c for c in topic.columns if needed is None or c in needed],
-            )
-            for topic in topics
-        }
-        chosen = {name: pair for name, pair in chosen.items() if pair[1]}
-        reference = _find_reference(request, [topic for topic, _ in chosen.values()])
+        chosen = [topic for topic in topics if not needed.isdisjoint(topic.columns)]
+        reference = _find_reference(request.mapping.reference_topic, chosen)
+        chosen.sort(key=lambda topic: topic is not reference)
         columns: dict[str, np.ndarray] = {}
         joint_names: dict[str, tuple[str, ...]] = {}
         at_ns = np.zeros(0, np.int64)
         offset_ns = 0  # of the clock of the reference from the recorder's
-        for name in (reference, *(each for each in chosen if each != reference)):
-            topic, names = chosen[name]
+        for topic in chosen:
+            names = [name for name in topic.columns if name in needed]
             order, noted = order_joints(
-                name, topic.joints, request.mapping, request.joints
+                topic.name, topic.joints, request.mapping, request.joints
             )
-            notes += noted
             stamps_ns, logs_ns, values = topic.read(reader, names, order)
-            if name == reference and stamps_ns.any():
-                offset_ns = int(np.median((stamps_ns - logs_ns)[stamps_ns != 0]))
+            require_size(sum(v.nbytes for v in values.values()), max_bytes, topic.name)
+            is_set = stamps_ns != 0
+            if topic is reference and is_set.any():
+                offset_ns = int(np.median((stamps_ns - logs_ns)[is_set]))
 
             # A simulated clock may begin at zero; on any other that is no stamp.
             is_simulated = 0 < stamps_ns.max(initial=0) < 86_400 * NS_PER_S
-            if not is_simulated:
-                stamps_ns = np.where(stamps_ns == 0, logs_ns + offset_ns, stamps_ns)
-
-            require_size(sum(v.nbytes for v in values.values()), max_bytes, name)
-            notes += _current_notes(topic, request.mapping.channels)
-            if name == reference:
+            stamps_ns = np.where(is_set | is_simulated, stamps_ns, logs_ns + offset_ns)
+            if topic is reference:
                 at_ns = stamps_ns
             else:
-                span_s = np.ptp(stamps_ns) / NS_PER_S if stamps_ns.size else 0.0
-                limit_ns = NS_PER_S * max(
-                    0.1, 5.0 * span_s / max(len(stamps_ns) - 1, 1)
-                )
-                values = {
-                    n: interpolate(at_ns, stamps_ns, v, limit_ns)
-                    for n, v in values.items()
-                }
+                values = interpolate(at_ns, stamps_ns, values)
                 if abs(len(stamps_ns) - len(at_ns)) > 1:
-                    notes.append(
-                        f"{name} was interpolated to the stamps of {reference}"
+                    noted.append(
+                        f"{topic.name} was interpolated to the stamps of "
+                        f"{reference.name}"
                     )
 
+            notes += noted
             joint_names |= dict.fromkeys(topic.named & {*names}, order)
             columns |= {
-                n: v[:, 0] if topic.widths[n] is None else v for n, v in values.items()
+                name: array[:, 0] if topic.widths[name] is None else array
+                for name, array in values.items()
             }
 
+        known = {
+            channel: kept
+            for channel, names in head.known.items()
+            if (kept := tuple(name for name in names if name in columns))
+        }
         start_ns = start_of_clock(first_valid_stamp(at_ns))
         return replace(
             head,
             columns={"t_s": to_seconds(at_ns, start_ns), **columns},
             joint_names=joint_names,
             start_ns=start_ns,
-            known={
-                c: k
-                for c, names in head.known.items()
-                if (k := tuple(n for n in names if n in columns))
-            },
+            known=known,
             warnings=tuple(notes),
         )
 
 
-def _current_notes(topic: Topic, channels: Mapping[str, Any]) -> list[str]:
-    """Return a note where efforts are those of a driver that sends motor currents."""
-    joints = ("shoulder_pan_joint", "elbow_joint", "wrist_3_joint")
-    is_ur = all(any(each.endswith(joint) for each in topic.joints) for joint in joints)
-    spec = channels.get("tau")
-    if not is_ur or (spec is not None and spec.scale != 1.0):
-        return []
+def _find_reference(name: str | None, topics: Sequence[Topic]) -> Topic:
+    """Return the topic whose messages are the rows: the mapping's, or the fullest.
 
-    return [
-        f"{topic.name}: the driver of Universal Robots sends motor currents in A as "
-        "effort, unless it was set to send torques; give the torque constants of the "
-        "joints in Nm/A as `scale` of `tau`"
-    ]
+    Raises:
+        ColumnError: That of the mapping is not read.
+    """
+    most = max(topic.count for topic in topics)
+    for topic in topics:
+        if topic.name == name or (name is None and topic.count >= 0.9 * most):
+            return topic
+
+    raise ColumnError(
+        f"reference_topic = {name!r} is no topic that is read; topics are: "
+        f"{', '.join(topic.name for topic in topics)}"
+    )

@@ -1,33 +1,15 @@
 """Rows of a table as messages of ROS 2, to be written to a bag."""
 
 import re
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from functools import cache
 from typing import Any, NamedTuple
 
 import numpy as np
 
 from needleforce.recordings.errors import optional_library
-from needleforce.recordings.table import (
-    LinkPoses,
-    TableColumns,
-    TableLabels,
-    flat_columns,
-)
+from needleforce.recordings.table import TableColumns, TableLabels, flat_columns
 from needleforce.recordings.time_stamps import NS_PER_S
-
-JOINT_SIGNALS = ("q_rad", "dq_rad_s", "tau_Nm")
-"""Position, velocity and effort of a `JointState`."""
-
-TF_MESSAGE = "tf2_msgs/msg/TFMessage"
-LOG = "rcl_interfaces/msg/Log"
-
-EVENT_TEXTS = {
-    "rupture": "rupture of layer {}",
-    "retracted": "no rupture of layer {} after all: the force came back",
-    "identified_layer": "layer {} identified",
-}
-"""Columns that hold the number of a layer on the row of an event, and 0 elsewhere."""
 
 
 @cache
@@ -72,41 +54,37 @@ def bag_topics(
     remaining = {
         name: np.array(values, dtype=np.float64, order="C")
         for name, values in columns.items()
+        if name != "t_s"
     }
-    remaining.pop("t_s", None)
-    events = {name: remaining[name] for name in EVENT_TEXTS if name in remaining}
-    signals = _pop_joint_signals(remaining)
-    if signals:
-        yield _joint_states(signals, labels, stamps_ns)
-    if "q_rad" in signals and labels.link_poses is not None:
-        poses = _link_poses(signals["q_rad"], labels.link_poses, stamps_ns)
-        yield WrittenTopic("/tf", TF_MESSAGE, poses)
-    if events:
-        logs = _event_logs(events, labels.prefix, stamps_ns)
-        yield WrittenTopic(f"{labels.prefix}/events", LOG, logs)
+    signals = {
+        name: remaining[name]
+        for name in ("q_rad", "dq_rad_s", "tau_Nm")  # of position, velocity, effort
+        if name in remaining and remaining[name].ndim == 2
+    }
+    widths = {values.shape[1] for values in signals.values()}
+    if len(widths) == 1:
+        for name in signals:
+            del remaining[name]
 
-    has_sensor = all(
-        name in remaining and remaining[name].shape[1:] == (3,)
-        for name in ("ft_force_N", "ft_torque_Nm")
-    )
-    if has_sensor:
-        yield _wrenches(
-            "/ft_sensor/wrench",
-            remaining.pop("ft_force_N"),
-            remaining.pop("ft_torque_Nm"),
-            _headers(stamps_ns, "ft_sensor"),
-        )
+        messages = _joint_states(signals, labels.joint_names, stamps_ns)
+        yield WrittenTopic("/joint_states", "sensor_msgs/msg/JointState", messages)
+    if "q_rad" in signals and labels.link_poses is not None:
+        poses = _link_poses(signals["q_rad"], labels, stamps_ns)
+        yield WrittenTopic("/tf", "tf2_msgs/msg/TFMessage", poses)
+
+    sensor = [remaining.get(name) for name in ("ft_force_N", "ft_torque_Nm")]
+    if all(vectors is not None and vectors.shape[1:] == (3,) for vectors in sensor):
+        del remaining["ft_force_N"], remaining["ft_torque_Nm"]
+        headers = _headers(stamps_ns, "ft_sensor")
+        yield _wrenches("/ft_sensor/wrench", *sensor, headers)
 
     force = _pop_vector(remaining, "force")
     torque = _pop_vector(remaining, "torque")
     if force is not None:
         # A force at the tip has no torque.
-        yield _wrenches(
-            f"{labels.prefix}/wrench",
-            force,
-            np.zeros_like(force) if torque is None else torque,
-            _headers(stamps_ns, labels.frame),
-        )
+        torque = np.zeros_like(force) if torque is None else torque
+        headers = _headers(stamps_ns, labels.frame)
+        yield _wrenches(f"{labels.prefix}/wrench", force, torque, headers)
 
     # Without a header: the time stamp is the one of the record.
     kind = "std_msgs/msg/Float64"
@@ -116,111 +94,68 @@ def bag_topics(
         yield WrittenTopic(topic_name, kind, map(make_number, values.tolist()))
 
 
-def _pop_joint_signals(columns: dict[str, np.ndarray]) -> dict[str, np.ndarray]:
-    """Remove and return the joint signals that have as many joints as the first."""
-    names = [
-        name for name in JOINT_SIGNALS if name in columns and columns[name].ndim == 2
-    ]
-    if not names:
-        return {}
-
-    width = columns[names[0]].shape[1]
-    fitting = [name for name in names if columns[name].shape[1] == width]
-    return {name: columns.pop(name) for name in fitting}
+def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
+    """Yield the headers of messages with these time stamps, in a frame."""
+    types = standard_types().types
+    make_time = types["builtin_interfaces/msg/Time"]
+    make_header = types["std_msgs/msg/Header"]
+    for stamp_ns in stamps_ns:
+        yield make_header(make_time(*divmod(stamp_ns, NS_PER_S)), frame)
 
 
 def _joint_states(
-    signals: dict[str, np.ndarray], labels: TableLabels, stamps_ns: Sequence[int]
-) -> WrittenTopic:
-    """Return joint signals, shape (n, joints), as a topic of `JointState`."""
+    signals: TableColumns, names: Sequence[str], stamps_ns: Sequence[int]
+) -> Iterator[Any]:
+    """Yield joint signals, shape (n, joints) each, as a `JointState` for each row."""
+    make_state = standard_types().types["sensor_msgs/msg/JointState"]
     width = next(iter(signals.values())).shape[1]
-    joint_names = list(labels.joint_names)
-    if len(joint_names) != width:
-        joint_names = [f"joint_{i + 1}" for i in range(width)]
+    joint_names = list(names)
+    if len(names) != width:
+        joint_names = [f"joint_{number + 1}" for number in range(width)]
 
     nothing = np.empty((len(stamps_ns), 0))
-    numbers = (signals.get(name, nothing) for name in JOINT_SIGNALS)
-    rows = zip(_headers(stamps_ns, ""), *numbers, strict=True)
-    kind = "sensor_msgs/msg/JointState"
-    make_state = standard_types().types[kind]
-    messages = (make_state(header, joint_names, *row) for header, *row in rows)
-    return WrittenTopic("/joint_states", kind, messages)
+    numbers = [signals.get(name, nothing) for name in ("q_rad", "dq_rad_s", "tau_Nm")]
+    for header, *row in zip(_headers(stamps_ns, ""), *numbers, strict=True):
+        yield make_state(header, joint_names, *row)
 
 
 def _link_poses(
-    q_rad: np.ndarray, poses: LinkPoses, stamps_ns: Sequence[int]
+    q_rad: np.ndarray, labels: TableLabels, stamps_ns: Sequence[int]
 ) -> Iterator[Any]:
     """Yield a `TFMessage` 30 times a second, as a screen shows; None for other rows.
 
     Args:
         q_rad: Joint positions, shape (n, joints).
-        poses: Where the links are.
+        labels: With the function that says where the links are.
         stamps_ns: Time stamps of the rows.
     """
     types = standard_types().types
-    make_vector = types["geometry_msgs/msg/Vector3"]
-    make_rotation = types["geometry_msgs/msg/Quaternion"]
-    make_transform = types["geometry_msgs/msg/Transform"]
-    make_stamped = types["geometry_msgs/msg/TransformStamped"]
     latest: int | None = None
     for position_rad, stamp_ns in zip(q_rad, stamps_ns, strict=True):
         picture = int(stamp_ns * 30.0 / NS_PER_S)
-        if picture == latest or not np.isfinite(position_rad).all():
+        if (
+            labels.link_poses is None
+            or picture == latest
+            or np.isnan(position_rad).any()
+        ):
             yield None
             continue
 
         latest = picture
-        links = poses(position_rad)
+        links = labels.link_poses(position_rad)
         headers = _headers([stamp_ns] * len(links.children), links.parent)
-        transforms = [
-            make_stamped(
-                header,
-                child,
-                make_transform(make_vector(*origin), make_rotation(*rotation)),
-            )
-            for header, child, origin, rotation in zip(
-                headers,
-                links.children,
-                links.translation_m.tolist(),
-                links.rotation_xyzw.tolist(),
-                strict=True,
-            )
-        ]
-        yield types[TF_MESSAGE](transforms)
+        poses = zip(links.translation_m, links.rotation_xyzw, strict=True)
+        transforms = []
+        for header, child, (origin, turn) in zip(
+            headers, links.children, poses, strict=True
+        ):
+            vector = types["geometry_msgs/msg/Vector3"](*origin.tolist())
+            rotation = types["geometry_msgs/msg/Quaternion"](*turn.tolist())
+            pose = types["geometry_msgs/msg/Transform"](vector, rotation)
+            make_stamped = types["geometry_msgs/msg/TransformStamped"]
+            transforms.append(make_stamped(header, child, pose))
 
-
-def _event_logs(
-    events: Mapping[str, np.ndarray], name: str, stamps_ns: Sequence[int]
-) -> Iterator[Any]:
-    """Yield a `Log` for rows on which something happened, None for the others.
-
-    Args:
-        events: Columns of `EVENT_TEXTS`, shape (n,).
-        name: Of who reports them.
-        stamps_ns: Time stamps of the rows.
-    """
-    types = standard_types().types
-    make_time = types["builtin_interfaces/msg/Time"]
-    make_log = types[LOG]
-    for index, stamp_ns in enumerate(stamps_ns):
-        texts = [
-            EVENT_TEXTS[kind].format(int(layers[index]))
-            for kind, layers in events.items()
-            if layers[index] > 0
-        ]
-        if not texts:
-            yield None
-            continue
-
-        yield make_log(
-            stamp=make_time(*divmod(stamp_ns, NS_PER_S)),
-            level=20,  # of what is usual
-            name=name.strip("/"),
-            msg="; ".join(texts),
-            file="",
-            function="",
-            line=0,
-        )
+        yield types["tf2_msgs/msg/TFMessage"](transforms)
 
 
 def _pop_vector(columns: dict[str, np.ndarray], quantity: str) -> np.ndarray | None:
@@ -233,27 +168,13 @@ def _pop_vector(columns: dict[str, np.ndarray], quantity: str) -> np.ndarray | N
     Returns:
         The vectors; None if an axis is missing, and nothing is removed.
     """
-    names: dict[str, str] = {}
-    for name, values in columns.items():
-        match = re.fullmatch(rf"{quantity}_([xyz])_in_\w+", name)
-        if match and values.ndim == 1:
-            names.setdefault(match[1], name)
-
+    pattern = re.compile(rf"{quantity}_([xyz])_in_\w+")
+    matches = filter(None, map(pattern.fullmatch, columns))
+    names = {match[1]: match[0] for match in matches}
     if len(names) < len("xyz"):
         return None
 
     return np.column_stack([columns.pop(names[axis]) for axis in "xyz"])
-
-
-def _headers(stamps_ns: Sequence[int], frame: str) -> Iterator[Any]:
-    """Return the headers of messages with these time stamps, in a frame."""
-    types = standard_types().types
-    make_time = types["builtin_interfaces/msg/Time"]
-    make_header = types["std_msgs/msg/Header"]
-    return (
-        make_header(make_time(*divmod(stamp_ns, NS_PER_S)), frame)
-        for stamp_ns in stamps_ns
-    )
 
 
 def _wrenches(
@@ -264,12 +185,9 @@ def _wrenches(
     make_vector = types["geometry_msgs/msg/Vector3"]
     make_wrench = types["geometry_msgs/msg/Wrench"]
     kind = "geometry_msgs/msg/WrenchStamped"
-    make_message = types[kind]
-    forces = [make_vector(*row) for row in force.tolist()]
-    torques = [make_vector(*row) for row in torque.tolist()]
-    wrenches = map(make_wrench, forces, torques)
+    rows = zip(headers, force.tolist(), torque.tolist(), strict=True)
     messages = (
-        make_message(header, wrench)
-        for header, wrench in zip(headers, wrenches, strict=True)
+        types[kind](header, make_wrench(make_vector(*force_N), make_vector(*torque_Nm)))
+        for header, force_N, torque_Nm in rows
     )
     return WrittenTopic(name, kind, messages)

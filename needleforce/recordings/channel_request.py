@@ -4,8 +4,6 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from dataclasses import dataclass, field, replace
 
-import numpy as np
-
 from needleforce.recordings.channels import Channel, Layout
 from needleforce.recordings.column_names import (
     detect_columns,
@@ -22,6 +20,7 @@ from needleforce.recordings.joint_names import (
 from needleforce.recordings.mapping import (
     LEFT_OUT,
     ColumnMapping,
+    known_channel,
     mapping_of_layout,
 )
 from needleforce.recordings.table import Table
@@ -59,23 +58,17 @@ class ChannelRequest:
             MappingError: One does not exist, or the mapping leaves out one that is
                 required.
         """
-        known = tuple(name for name in self.channels if name != "time")
         named = (*self.required, *self.optional)
         for name in named:
-            if name not in known:
-                raise MappingError(
-                    f"unknown channel {name!r}; channels are: {', '.join(known)}"
-                )
+            known_channel(name, self.mapping.knowledge)
+        if forgone := self.mapping.left_out & {*self.required}:
+            raise MappingError(
+                f"{', '.join(forgone)} = {LEFT_OUT!r} leaves out a channel that is "
+                "needed; only others can be left out, such as dq"
+            )
 
-        left_out = self.mapping.left_out
-        for name in self.required:
-            if name in left_out:
-                raise MappingError(
-                    f"{name} = {LEFT_OUT!r} leaves out a channel that is needed; only "
-                    "others can be left out, such as dq"
-                )
-
-        return tuple(name for name in named or known if name not in left_out)
+        names = named or tuple(name for name in self.channels if name != "time")
+        return tuple(name for name in names if name not in self.mapping.left_out)
 
     def columns(self, table: Table) -> frozenset[str] | None:
         """Return the names of the columns that the channels need.
@@ -89,17 +82,11 @@ class ChannelRequest:
             ColumnError: A mapped channel was not found, or is ambiguous.
         """
         request = self.with_layout(table)
-        if request is not self:
-            return request.columns(table)
-
-        requested = self.requested
-        # Mapped channels first: the topics they choose decide where others would be
-        # ambiguous.
-        names = [name for name in (*requested, "time") if name in self.mapping.channels]
+        names = ("time",) if "time" in request.mapping.channels else ()
         needed: set[str] = set()
-        for name in dict.fromkeys((*names, *requested)):
-            columns = self._find_nearby(table, self.channels[name], needed)
-            if not columns and name in self.required:
+        for name in (*names, *request.requested):
+            columns = request.find(table, request.channels[name])
+            if not columns and name in request.required:
                 return None
 
             needed |= {
@@ -119,12 +106,10 @@ class ChannelRequest:
         """
         spec = self.mapping.channels.get(channel.name)
         if spec is not None:
-            return [
-                name
-                for pattern in spec.patterns
-                for name in find_columns(table, pattern)
-            ]
+            patterns = spec.patterns
+            return [name for each in patterns for name in find_columns(table, each)]
 
+        table = self._table_of_robot(table)
         known = table.known.get(channel.name, ())
         if len(known) > 1:
             raise several_fit(channel, known)
@@ -134,6 +119,25 @@ class ChannelRequest:
             or self.find_by_joints(table, channel)
             or detect_columns(table, channel)
         )
+
+    def _table_of_robot(self, table: Table) -> Table:
+        """Return a table without the joints of others, if it has all of the robot's."""
+        joints = self.mapping.joint_order or self.joints
+        has_robot = {
+            name: bool(match_joints(each, joints))
+            for name, each in table.joint_names.items()
+        }
+        others = {name for name, has_joints in has_robot.items() if not has_joints}
+        if not others or not any(has_robot.values()):
+            return table
+
+        columns = {n: v for n, v in table.columns.items() if n not in others}
+        known = {
+            channel: kept
+            for channel, names in table.known.items()
+            if (kept := tuple(name for name in names if name not in others))
+        }
+        return replace(table, columns=columns, known=known)
 
     def find_by_joints(self, table: Table, channel: Channel) -> list[str]:
         """Return columns that are named after the robot's joints and a channel.
@@ -158,57 +162,17 @@ class ChannelRequest:
             for name, values in table.columns.items()
             if values.ndim == 1
         }
-        rules = self.mapping.knowledge.joints
-        matches = [
-            match
-            for match in match_joints(by_stem, joints)
-            if names_channel(match, channel, rules)
-        ]
-        chosen = choose_match(matches, self.mapping.joint_pattern, channel.name)
+        matches = match_joints(by_stem, joints)
+        named = [match for match in matches if names_channel(match, channel)]
+        chosen = choose_match(named, self.mapping.joint_pattern, channel.name)
         return [by_stem[stem] for stem in chosen.names] if chosen else []
-
-    def _find_nearby(
-        self, table: Table, channel: Channel, chosen: set[str]
-    ) -> list[str]:
-        """Find a channel; of several that would fit, one beside columns chosen before.
-
-        Else it is the one whose elements are the robot's joints.
-        """
-        try:
-            return self.find(table, channel)
-        except ColumnError:
-            nearby = self._columns_nearby(table, chosen)
-            is_mapped = channel.name in self.mapping.channels
-            if nearby and not is_mapped:
-                columns = detect_columns(Table(columns=nearby), channel)
-                if columns:
-                    return columns
-
-            raise
-
-    def _columns_nearby(self, table: Table, chosen: set[str]) -> dict[str, np.ndarray]:
-        """Return columns of the topics of chosen ones, else of the robot's joints."""
-        topics = {column.rpartition("/")[0] for column in chosen}
-        joints = self.mapping.joint_order or self.joints
-        beside = {
-            name for name in table.columns if name.rpartition("/")[0] in topics
-        } or {
-            name
-            for name, joint_names in table.joint_names.items()
-            if match_joints(joint_names, joints)
-        }
-        return {
-            name: values for name, values in table.columns.items() if name in beside
-        }
 
     def find_layout(self, table: Table) -> Layout | None:
         """Return the first layout that a table has; None if none is known."""
-        for layout in self.mapping.knowledge.layouts:
-            is_named = bool(table.layout) and layout.name == table.layout
-            if is_named or (layout.columns and _has_columns(table, layout.columns)):
-                return layout
-
-        return None
+        layouts = self.mapping.knowledge.layouts
+        return next(
+            (each for each in layouts if _has_columns(table, each.columns)), None
+        )
 
     def with_layout(self, table: Table) -> "ChannelRequest":
         """Return the request with what the layout of a table says; the mapping wins.
@@ -232,13 +196,11 @@ class ChannelRequest:
         elif "time" not in self.mapping.channels:
             rate_hz = known.rate_hz
 
+        joints = self.mapping.joints or known.joints
         mapping = replace(
-            self.mapping,
-            channels=channels,
-            rate_hz=rate_hz,
-            joints=self.mapping.joints or known.joints,
+            self.mapping, channels=channels, rate_hz=rate_hz, joints=joints
         )
-        return self if mapping == self.mapping else replace(self, mapping=mapping)
+        return replace(self, mapping=mapping)
 
 
 def _has_columns(table: Table, patterns: Iterable[str]) -> bool:

@@ -6,10 +6,10 @@ It stands in `layouts.toml`; files of the same form add to it, see `load_knowled
 import re
 import tomllib
 import unicodedata
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from math import inf
 from pathlib import Path
-from typing import Any
+from typing import Annotated, Any
 
 import msgspec
 
@@ -36,19 +36,12 @@ WORTHLESS = {
 """Bits of the column `force_warnings` that make a force worthless to an identifier."""
 
 
-_CHARACTERS = str.maketrans(
-    {"µ": "u", "μ": "u", "°": "deg", "º": "deg", "_": "/", '"': "in", "″": "in"}
-)
-"""Micro sign and Greek letter; degree sign and the ordinal that is taken for it."""
-
-
 class Units(dict[str, float]):
     """The units of a quantity, each with its factor to SI; the first is SI.
 
     Args:
         entries: Of each unit its factor, then other ways to write it.
-        case_matters: Spellings in lower case that are not guessed, since capitals make
-            other units of them.
+        case_matters: Spellings in lower case whose capitals make other units.
         words: Spellings of all quantities, in lower case, with what they mean: they may
             be parts of a quotient.
 
@@ -62,21 +55,18 @@ class Units(dict[str, float]):
         case_matters: Sequence[str],
         words: Mapping[str, str],
     ) -> None:
-        for name, entry in entries.items():
-            factor = entry[0] if entry else ""
-            are_texts = all(isinstance(text, str) for text in entry[1:])
-            if isinstance(factor, str) or factor <= 0.0 or not are_texts:
-                raise ValueError(
-                    f"{name} = {entry!r:.60}: expected the factor to SI, then other "
-                    "spellings"
-                )
-
-        super().__init__({name: float(entry[0]) for name, entry in entries.items()})
-        self._case_matters = frozenset(case_matters)
+        super().__init__()
+        self._case_matters = case_matters
         self._words = words
-        self._by_spelling = {_without_signs(name): name for name in entries}
-        for name, (_, *others) in entries.items():
-            self._by_spelling |= {_without_signs(str(text)): name for text in others}
+        self._by_spelling: dict[str, str] = {}
+        for name, entry in entries.items():
+            factor, *others = entry or ("",)
+            if isinstance(factor, str) or factor <= 0.0:
+                raise ValueError(f"{name} = {entry!r:.60}: expected a factor to SI")
+
+            self[name] = float(factor)
+            spellings = (name, *map(str, others))
+            self._by_spelling |= {_without_signs(text): name for text in spellings}
 
         self._by_lower_case = {
             spelling.lower(): name for spelling, name in self._by_spelling.items()
@@ -90,44 +80,21 @@ class Units(dict[str, float]):
     def find(self, text: str) -> str | None:
         """Return the unit that a text such as `mm/s`, `mm_s` or `µs` spells, if any."""
         written = _without_signs(text)
-        if written in self._by_spelling:
-            return self._by_spelling[written]
-
         lower = written.lower()
-        if lower in self._case_matters:
-            return None
-        if lower in self._by_lower_case:
-            return self._by_lower_case[lower]
+        if written in self._by_spelling or lower in self._case_matters:
+            return self._by_spelling.get(written)
 
         parts = (self._words.get(part, part) for part in lower.split("/"))
-        return self._by_lower_case.get("/".join(parts).lower())
+        quotient = self._by_lower_case.get("/".join(parts).lower())
+        return self._by_lower_case.get(lower, quotient)
 
 
 def _without_signs(text: str) -> str:
     """Return a unit without the signs of a product, with `/` for that of a quotient."""
-    written = text.strip().translate(_CHARACTERS)
+    signs = {"µ": "u", "μ": "u", "°": "deg", "º": "deg", "_": "/", '"': "in"}
+    written = text.strip().translate(str.maketrans(signs))
     written = written.replace("/per/", "/").replace(" per ", "/")
     return re.sub(r"[·∙⋅•.*\-\s]", "", written)
-
-
-def unit_in_brackets(text: str) -> str | None:
-    """Return what stands in brackets, if that is all of the text."""
-    match = re.match(r"^[(\[{<]\s*([^()\[\]{}<>]*?)\s*[)\]}>]$", text.strip())
-    return match[1] if match else None
-
-
-class PlausibleSize(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """The largest value of a channel that is plausible for a robot or a needle.
-
-    Attributes:
-        value: In SI units; of time the largest median step.
-        unit: In which a file is likely to be whose values are larger.
-        reason: Why larger values are not plausible.
-    """
-
-    value: float
-    unit: str
-    reason: str
 
 
 class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
@@ -144,8 +111,7 @@ class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         words_with_unit: Names that say it only beside one of its units, as
             `Position (mm)` does; these count last.
         preferred: Names that come before the others where a file has several.
-        at_most: What is plausible; by default anything.
-        usual_unit: The unit that an example in an advice has.
+        at_most: The largest plausible value, in SI units; of time the median step.
         name: How mappings and options call it, such as `q`.
     """
 
@@ -157,8 +123,7 @@ class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     machine_words: tuple[str, ...] = msgspec.field(name="words", default=())
     words_with_unit: tuple[str, ...] = msgspec.field(name="with_unit", default=())
     preferred: tuple[str, ...] = msgspec.field(name="prefer", default=())
-    at_most: PlausibleSize = PlausibleSize(value=inf, unit="", reason="")
-    usual_unit: str = ""
+    at_most: float = inf
     name: str = ""
 
     def __post_init__(self) -> None:
@@ -166,19 +131,6 @@ class Channel(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         for field in ("spellings", "machine_words", "words_with_unit", "preferred"):
             names = tuple(map(normalised_name, getattr(self, field)))
             msgspec.structs.force_setattr(self, field, names)
-
-        if not self.usual_unit:
-            msgspec.structs.force_setattr(self, "usual_unit", self.si_unit)
-
-    @property
-    def option(self) -> str:
-        """Option of the commands that names its columns.
-
-        What only this package writes has none of its own, only an entry in the file of
-        ``--mapping``.
-        """
-        has_option = not self.name.startswith("force_")
-        return f"--{self.name.replace('_', '-') if has_option else 'mapping'}"
 
     @property
     def si_unit(self) -> str:
@@ -192,134 +144,48 @@ class Layout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     Attributes:
         name: For messages.
         columns: Names and patterns that must all be there.
-        first_line: Pattern that the first line of the text fits.
         channels: Columns by channel, as in a mapping.
         rate_hz: Samples/s of files without time stamps.
         joints: Names of the robot's joints, as in a mapping.
         note: What else a user should hear.
-        table_after: Pattern of the last line above the table.
-        units_line: Pattern of the line above the header that has the columns' units.
-        step_line: Pattern of the line that has the time from row to row.
-        first_unit: Unit of the first column.
     """
 
     name: str
-    columns: tuple[str, ...] = ()
-    first_line: str = ""
+    columns: Annotated[tuple[str, ...], msgspec.Meta(min_length=1)]
     channels: dict[str, Any] = {}
     rate_hz: float | None = None
     joints: str | tuple[str, ...] = ()
     note: str = ""
-    table_after: str = ""
-    units_line: str = ""
-    step_line: str = ""
-    first_unit: str = ""
-
-    def __post_init__(self) -> None:
-        """Raise `ValueError` if there is no condition, or a pattern is none."""
-        if not (self.columns or self.first_line):
-            raise ValueError(f"layout {self.name!r} needs columns or a first_line")
-        for pattern in (self.first_line, self.table_after, self.units_line):
-            try:
-                re.compile(pattern + self.step_line)
-            except re.error as error:
-                raise ValueError(f"{pattern!r} is no pattern: {error}") from error
-
-
-class JointRules(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """How text names joints: patterns of columns, fields, and what is not measured."""
-
-    by_path: str
-    by_number: str
-    by_list: str
-    fields: tuple[str, ...]
-    not_measured: tuple[str, ...]
-
-
-class MessageLayout(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """What the fields of a type of messages are; `/` leads to fields of fields.
-
-    Attributes:
-        channels: Fields by channel.
-        masses: Fields of the mass on the flange: of all, then of its parts.
-    """
-
-    channels: dict[str, str] = {}
-    masses: tuple[str, ...] = ()
-
-
-class _OtherUnits(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
-    """Units of which no channel is made."""
-
-    case_matters: tuple[str, ...]
-    words: tuple[str, ...]
-    letters: tuple[str, ...]
 
 
 class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     """The content of `layouts.toml`, with that of a user's files.
 
     Attributes:
-        encodings: Tried where a text is not UTF.
-        delimiters: Between cells.
         quantities: The units of each.
+        case_matters: Spellings of units whose capitals make another unit of them.
         other_units: Units of which no channel is made.
         channels: By the name that mappings use.
-        joints: How text names joints.
-        messages: By their type, those of bags whose fields are channels.
+        messages: Fields by channel, by the type of the messages of a bag.
         conversions: By suffix: what makes a readable file of one that is not read.
         layouts: The first that fits is taken.
     """
 
-    encodings: tuple[str, ...]
-    delimiters: tuple[str, ...]
     quantities: dict[str, Units] = msgspec.field(name="units")
-    other_units: _OtherUnits
+    case_matters: tuple[str, ...]
+    other_units: tuple[str, ...]
     channels: dict[str, Channel]
-    joints: JointRules
-    messages: dict[str, MessageLayout]
+    messages: dict[str, dict[str, str]]
     conversions: dict[str, str]
     layouts: tuple[Layout, ...]
 
     def is_unit(self, text: str) -> bool:
         """Return whether a text is a unit, of a channel or of anything else."""
-        unit = text.strip()
-        others = self.other_units
-        is_other = unit in others.letters or unit.lower() in others.words
+        is_other = text in self.other_units or text.lower() in self.other_units
         quantities = self.quantities.items()
         return is_other or any(
             units.find(text) for name, units in quantities if name != "code"
         )
-
-    def is_row_of_units(self, cells: Iterable[str]) -> bool:
-        """Return whether a row holds units: `(s),(mm),(kN)` or `s;mm;kN`.
-
-        Every cell is empty, in brackets or a unit, and at least one is a known unit.
-        """
-        filled = [cell.strip() for cell in cells if cell.strip()]
-        bracketed = [unit_in_brackets(cell) for cell in filled]
-        are_known = [
-            self.is_unit(unit or cell)
-            for cell, unit in zip(filled, bracketed, strict=True)
-        ]
-        are_units = (
-            is_known or unit is not None
-            for is_known, unit in zip(are_known, bracketed, strict=True)
-        )
-        return any(are_known) and all(are_units)
-
-    def conversion_of(self, path: Path) -> str:
-        """Return what makes a readable file of another; empty if nothing is known."""
-        suffix = path.suffix.lower()
-        if suffix == ".mat" and path.is_file():
-            with path.open("rb") as file:
-                suffix += file.read(10).decode("ascii", "replace")[6:]
-
-        usual = self.conversions.get(suffix.partition(" ")[0], "")
-        line = self.conversions.get(suffix, usual)
-        command = line.format(name=path.name, stem=path.stem)
-        is_program = command.startswith("python ")
-        return f"run in its folder: {command}" if is_program else command
 
 
 def normalised_name(name: str) -> str:
@@ -376,15 +242,13 @@ def load_knowledge(*paths: str | Path) -> Knowledge:
         FileAccessError: One cannot be read.
         MappingError: One is not TOML, or has an entry that is not valid.
     """
-    content = tomllib.loads(_OWN_FILE.read_text("utf-8"))
+    content = tomllib.loads(Path(__file__).with_name("layouts.toml").read_text("utf-8"))
     knowledge = _convert(content)
     for path in paths:
         try:
             content = _merged(content, read_toml(path, "layout"))
             knowledge = _convert(content)
-        except FormatError as error:
-            raise MappingError(str(error)) from error
-        except msgspec.ValidationError as error:
+        except (FormatError, msgspec.ValidationError) as error:
             raise MappingError(f"{path}: {error}") from error
 
     return knowledge
@@ -399,16 +263,13 @@ def _convert(content: Mapping[str, Any]) -> Knowledge:
         for name, entry in units.items()
         for spelling in entry[1:]
     }
-    case_matters = content["other_units"]["case_matters"]
 
     def units_of(kind: type, entry: Any) -> Any:
-        if not isinstance(entry, str):
-            return Units(entry, case_matters, words)
-        if entry not in entries:
-            listed = ", ".join(entries)
-            raise ValueError(f"quantity {entry!r} is none of {listed}")
+        if isinstance(entry, str) and entry not in entries:
+            raise ValueError(f"quantity {entry!r} is none of {', '.join(entries)}")
 
-        return Units(entries[entry], case_matters, words)
+        spelled = entries[entry] if isinstance(entry, str) else entry
+        return Units(spelled, content["case_matters"], words)
 
     channels = content["channels"].items()
     named = {name: {**channel, "name": name} for name, channel in channels}
@@ -427,8 +288,6 @@ def _merged(old: Any, new: Any) -> Any:
 
     return new
 
-
-_OWN_FILE = Path(__file__).with_name("layouts.toml")
 
 KNOWLEDGE = load_knowledge()
 """What is known without a user's files."""

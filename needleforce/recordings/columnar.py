@@ -1,5 +1,6 @@
 """npz, Parquet and Feather: files that hold one column after the other."""
 
+import zipfile
 from pathlib import Path
 from typing import Any
 
@@ -8,7 +9,6 @@ import numpy as np
 from needleforce.recordings.errors import (
     RECOVER,
     FormatError,
-    file_errors,
     optional_library,
     require_size,
 )
@@ -29,47 +29,46 @@ def read_npz(path: Path, max_bytes: int) -> Table:
     Raises:
         FormatError: It is no such archive, or holds no array of numbers.
     """
-    with file_errors(path):
-        try:
-            archive = np.load(path, allow_pickle=False)
-            table = _table_of(archive)
-        except OSError:
-            raise
-        except Exception as error:  # whatever numpy and zipfile run into
-            raise FormatError(
-                f"{path} is not an npz archive of numbers, or damaged ({error})",
-                RECOVER,
-            ) from error
-
-    size = sum(values.nbytes for values in table.columns.values())
-    require_size(size, max_bytes, f"{path}: its arrays")
-    if not table.columns:
-        notes = "; ".join(["", *table.warnings])
-        raise FormatError(f"{path} holds no array of numbers{notes}")
-
-    return table
-
-
-def _table_of(archive: Any) -> Table:
-    """Return the arrays of numbers in an npz archive, and notes on the others."""
-    columns: dict[str, np.ndarray] = {}
     notes: list[str] = []
-    start_ns = 0
-    for name in archive.files:
-        try:
-            values = archive[name]
-        except ValueError as error:  # objects, or a damaged header
-            notes.append(f"column {name!r} cannot be read ({error}), left out")
-            continue
+    try:
+        with zipfile.ZipFile(path) as members:
+            size = sum(member.file_size for member in members.infolist())
 
-        if name == START_KEY and not values.ndim:
-            start_ns = int(values)
-        elif values.ndim in (1, 2) and values.size and values.dtype.kind in "fiub":
+        require_size(size, max_bytes, f"{path}: its arrays")
+        with np.load(path, allow_pickle=False) as archive:
+            arrays = _load_arrays(archive, notes)
+    except (OSError, FormatError):
+        raise
+    except Exception as error:  # whatever numpy and zipfile run into
+        raise FormatError(
+            f"{path} is not an npz archive of numbers, or damaged ({error})", RECOVER
+        ) from error
+
+    start = arrays.get(START_KEY, np.zeros(1))
+    columns: dict[str, np.ndarray] = {}
+    for name, values in arrays.items():
+        if values.ndim in (1, 2) and values.size and values.dtype.kind in "fiub":
             columns[name] = values
         elif values.ndim:
-            notes.append(f"column {name!r}: {values.dtype} {values.shape}, left out")
+            notes.append(f"column {name!r} was left out: {values.dtype} {values.shape}")
 
+    if not columns:
+        raise FormatError(f"{path} holds no array of numbers {'; '.join(notes)}")
+
+    start_ns = int(start) if start.ndim == 0 else 0
     return Table(columns=columns, warnings=tuple(notes), start_ns=start_ns)
+
+
+def _load_arrays(archive: Any, notes: list[str]) -> dict[str, np.ndarray]:
+    """Return the arrays of an archive but objects, which are added to the notes."""
+    arrays: dict[str, np.ndarray] = {}
+    for name in archive.files:
+        try:
+            arrays[name] = archive[name]
+        except ValueError as error:
+            notes.append(f"column {name!r} was left out: {error}")
+
+    return arrays
 
 
 def read_arrow(path: Path, max_bytes: int) -> Table:
@@ -78,17 +77,21 @@ def read_arrow(path: Path, max_bytes: int) -> Table:
     Raises:
         FormatError: It is no such file, or holds no numbers.
     """
-    is_parquet = path.suffix.lower() == ".parquet"
+    kind = "parquet" if path.suffix.lower() == ".parquet" else "feather"
     arrow = optional_library("pyarrow", "Parquet and Feather files")
-    module = "pyarrow.parquet" if is_parquet else "pyarrow.feather"
-    with file_errors(path):
-        try:
-            reader = optional_library(module, "Parquet and Feather files")
-            content = reader.read_table(path, use_threads=False)
-        except arrow.ArrowException as error:
-            raise FormatError(
-                f"{path} is damaged, cut short or of another kind ({error})", RECOVER
-            ) from error
+    reader = optional_library(f"pyarrow.{kind}", "Parquet and Feather files")
+    try:
+        if kind == "parquet":
+            content = reader.ParquetFile(path).metadata
+            groups = map(content.row_group, range(content.num_row_groups))
+            size = sum(group.total_byte_size for group in groups)
+            require_size(size, max_bytes, f"{path}: what it holds")
+
+        content = reader.read_table(path, use_threads=False)
+    except (arrow.ArrowException, UnicodeDecodeError) as error:
+        raise FormatError(
+            f"{path} is damaged, cut short or of another kind ({error})", RECOVER
+        ) from error
 
     require_size(content.nbytes, max_bytes, f"{path}: what it holds")
     columns: dict[str, np.ndarray] = {}
@@ -98,20 +101,20 @@ def read_arrow(path: Path, max_bytes: int) -> Table:
     for name, cells in zip(content.column_names, content.columns, strict=True):
         try:
             values = _values_of(cells, arrow)
-            if name in seconds:
-                known = values[values > np.iinfo(np.int64).min]
-                start_ns = start_ns or start_of_clock(first_valid_stamp(known))
-                values = np.where(
-                    values == np.iinfo(np.int64).min,
-                    np.nan,
-                    to_seconds(values, start_ns),
-                )
-
-            columns[name] = values
         except (arrow.ArrowException, TypeError, ValueError):
             notes.append(
                 f"column {name!r} holds {cells.type}, no numbers, and was left out"
             )
+            continue
+
+        if name in seconds:
+            is_missing = values == np.iinfo(np.int64).min
+            start_ns = start_ns or start_of_clock(
+                first_valid_stamp(values[~is_missing])
+            )
+            values = np.where(is_missing, np.nan, to_seconds(values, start_ns))
+
+        columns[name] = values
 
     if not columns or not content.num_rows:
         raise FormatError(f"{path} holds no rows of numbers ({'; '.join(notes)})")
@@ -129,22 +132,14 @@ def _values_of(cells: Any, arrow: Any) -> np.ndarray:
     if arrow.types.is_timestamp(cells.type):
         return cells.to_numpy().astype("datetime64[ns]").astype(np.int64)
     if arrow.types.is_nested(cells.type):
-        rows = [np.atleast_1d(row) for row in cells.to_pylist() if row]
-        width = int(np.bincount([len(row) for row in rows]).argmax())
+        rows = cells.to_pylist()
+        width = max(len(row) for row in rows if row)
         if width > MAX_LIST_NUMBERS:
             raise TypeError("no signal")
 
-        values = np.full((len(cells), width), np.nan)
-        for index, row in enumerate(cells.to_pylist()):
-            if row and len(row) == width:
-                values[index] = row
-
-        return values
-
-    is_text = arrow.types.is_string(cells.type) or arrow.types.is_large_string(
-        cells.type
-    )
-    if cells.null_count and not is_text:
+        empty = [None] * width
+        return np.array([row if row else empty for row in rows], dtype=np.float64)
+    if cells.null_count:
         cells = cells.cast(arrow.float64(), safe=False)
 
     values = cells.to_numpy()

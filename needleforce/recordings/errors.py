@@ -16,7 +16,6 @@ KNOWN_SUFFIX = (
     "Name it .csv, .csv.gz, .npz, .parquet or .mcap; a bag may also be .db3, "
     ".bag or a folder."
 )
-START_AGAIN = "Start again."
 OWN_PLACES = "Give each output a place of its own, in a folder that exists."
 RECOVER = (
     "Copy it again; messages of an SQLite bag may be recovered with: sqlite3 "
@@ -82,32 +81,6 @@ class LogError(RecordingError, ValueError):
     usual_advice = (
         "Give columns of numbers with one value, or one row, for each time stamp."
     )
-
-
-class FaultCounts(dict[str, tuple[int, str]]):
-    """What is wrong with a recording: kinds of faults in words, how often, where first.
-
-    The place is empty where it says nothing.
-    """
-
-    def note(self, fault: str, where: str = "", count: int = 1) -> None:
-        """Count a fault.
-
-        Args:
-            fault: Its kind, in words.
-            where: Its place in the file; the first place of each kind is reported.
-            count: How often it occurred.
-        """
-        known_count, first = self.get(fault, (0, ""))
-        self[fault] = (known_count + count, first or where)
-
-    def lines(self) -> tuple[str, ...]:
-        """Return one line for each kind of fault that occurred."""
-        return tuple(
-            f"{fault}: {count} (first: {first})" if first else fault
-            for fault, (count, first) in self.items()
-            if count
-        )
 
 
 def require_size(size: int, limit: int, subject: str) -> None:

@@ -1,30 +1,33 @@
 """A log: channels in SI units, with one time stamp per row."""
 
 import re
-import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from types import MappingProxyType
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import ChannelUnit, advise_unit
+from needleforce.recordings.channel_units import (
+    ASSUMED,
+    ChannelUnit,
+    advise_unit,
+    describe_columns,
+    unit_of_column,
+)
 from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import advise_column, columns_in_other_units
+from needleforce.recordings.column_names import advise_column
 from needleforce.recordings.errors import (
     ColumnError,
     LogError,
+    MappingError,
     RecordingError,
     UnitError,
 )
-from needleforce.recordings.log_signal import (
-    Signal,
-    require_equal_sizes,
-    velocity_warnings,
-)
-from needleforce.recordings.table import Table, ToolMass, read_only, tool_mass_in
+from needleforce.recordings.mapping import ColumnSpec
+from needleforce.recordings.table import Table, read_only
 from needleforce.recordings.time_stamps import (
     NS_PER_S,
     first_valid_stamp,
@@ -53,7 +56,6 @@ class Log:
         start_ns: The instant of t_s = 0, see `Table`.
         units: In which unit of the file each channel was read, and whence that is
             known.
-        tool_mass: What the recording says hangs on the flange; None if it does not.
         left_out: Rows without a usable time stamp.
     """
 
@@ -62,7 +64,6 @@ class Log:
     warnings: tuple[str, ...] = ()
     start_ns: int = 0
     units: tuple[ChannelUnit, ...] = ()
-    tool_mass: ToolMass | None = None
     left_out: int = 0
 
     def __post_init__(self) -> None:
@@ -150,101 +151,114 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
     layout = request.find_layout(table)
     note = f"{layout.name}: {layout.note}" if layout and layout.note else ""
     try:
-        signals, warnings = _find_channels(table, request)
+        found, notes = _find_channels(table, request)
     except RecordingError as error:  # the note may say why
         raise (error.reworded(f"{error}. {note}") if note else error) from error
 
-    rate_hz = request.mapping.rate_hz
-    time = None if rate_hz is not None else _find_time(table, request)
-    measured = {"t_s": time, **signals} if time is not None else signals
-    require_equal_sizes(table, measured)
-    values = {key: signal.read(table) for key, signal in signals.items()}
-    row_count = len(next(iter(values.values())))
+    units: dict[str, ChannelUnit] = {}
+    measured: dict[str, Array] = {}
     start_ns = table.start_ns
-    if time is None:
-        rows = np.arange(row_count)
-        t_s = rows / rate_hz
-        notes: list[str] = []
+    if request.mapping.rate_hz is None:
+        columns = _find_time(table, request)
+        units["time"] = _units_of(table, request, "time", columns)
+        measured["t_s"], start_ns = _time_s(table, request, units["time"])
+
+    for name, columns in found.items():
+        channel = request.channels[name]
+        units[name] = _units_of(table, request, name, columns)
+        values = _values_of(table, channel, units[name])
+        if _is_used(channel, values, request):
+            measured[channel.key] = values
+        else:
+            del units[name]
+            notes.append(f"{name}: its columns hold no finite value and were left out")
+
+    _require_equal_sizes(measured)
+    t_s = measured.pop("t_s", None)
+    first = next(iter(measured.values()))
+    rows = np.arange(len(first))
+    if t_s is None:
+        t_s = rows / (request.mapping.rate_hz or 1.0)
     else:
-        stamps_s, start_ns = _time_s(table, time)
         within_s = request.mapping.sort_within_s
-        rows, t_s, notes = rows_in_order(
-            stamps_s,
-            next(iter(values.values())),
-            SORTED_WITHIN_S if within_s is None else within_s,
+        within_s = SORTED_WITHIN_S if within_s is None else within_s
+        rows, t_s, time_notes = rows_in_order(t_s, first, within_s)
+        notes += time_notes
+
+    channels = {key: values[rows] for key, values in measured.items()}
+    for name, unit in units.items():
+        channel = request.channels[name]
+        is_time = name == "time"
+        sizes = (
+            np.median(np.diff(t_s), keepdims=True) if is_time else channels[channel.key]
         )
-        time.watch_step(t_s)
+        notes += _check_sizes(channel, unit, np.abs(sizes))
 
-    channels = {key: array[rows] for key, array in values.items()}
-    for key, signal in measured.items():
-        if key != "t_s":
-            signal.watch(channels[key], rows + 1)
-
-        signal.require_plausible()
+    for key, values in channels.items():
+        notes += _report_invalid(key, values, rows)
 
     return Log(
         t_s=t_s,
         channels=channels,
         start_ns=start_ns,
-        units=tuple(signal.source for signal in measured.values()),
-        tool_mass=table.tool_mass or tool_mass_in(table),
-        left_out=row_count - len(rows),
+        units=tuple(units.values()),
+        left_out=len(first) - len(rows),
         warnings=tuple(
-            dict.fromkeys(
-                (
-                    *table.warnings,
-                    *([note] if note else []),
-                    *warnings,
-                    *notes,
-                    *(
-                        w
-                        for each in measured.values()
-                        for w in each.report_implausible()
-                    ),
-                    *velocity_warnings(channels),
-                    *(w for each in signals.values() for w in each.report_not_finite()),
-                )
-            )
+            dict.fromkeys((*table.warnings, *([note] * bool(note)), *notes))
         ),
     )
 
 
-def _find_time(table: Table, request: ChannelRequest) -> Signal:
-    """Find the column of time stamps; `ColumnError` if there is none."""
-    time = request.channels["time"]
-    columns = request.find(table, time)
-    _require_whole_stamp(table, columns)
-    if columns:
-        return Signal(table, time, columns, request.mapping.channels.get("time"))
-    if not table.has_header:
-        raise _no_header([time], table, request)
+def _find_channels(
+    table: Table, request: ChannelRequest
+) -> tuple[dict[str, list[str]], list[str]]:
+    """Return columns by channel, and what was assumed of them."""
+    found: dict[str, list[str]] = {}
+    by_joint: list[str] = []
+    for name in request.requested:
+        channel = request.channels[name]
+        if columns := request.find(table, channel):
+            found[name] = columns
+            if columns == request.find_by_joints(table, channel):
+                by_joint.append(f"{name}: {columns[0]}, ...")
 
-    raise ColumnError(
-        f"no time column found. Columns are: {table.describe()}{table.left_out()}",
-        "Name it under `time` in the `mapping`, or give `rate_hz`.",
+    pattern = request.mapping.joint_pattern
+    if pattern and not by_joint and not table.joint_names:
+        raise ColumnError(
+            f"joints = {pattern!r} chooses joints by name, and neither columns nor "
+            "messages of the recording have names of joints; leave it out"
+        )
+
+    missing = [request.channels[name] for name in request.required if name not in found]
+    if not found and not missing:
+        raise ColumnError(f"no channel was recognised. Columns are: {table.describe()}")
+    for channel in missing:
+        names = ", ".join(f"{each.name} ({each.meaning})" for each in missing)
+        raise ColumnError(
+            f"no column found for {names}; usual names of {channel.name} are "
+            f"{', '.join(channel.spellings)}. Columns are: {table.describe()}"
+            f"{table.left_out()}",
+            advise_column(channel),
+        )
+
+    listed = "; ".join(by_joint)
+    return found, [f"columns found by the names of the joints: {listed}"] * bool(
+        by_joint
     )
 
 
-def _require_whole_stamp(table: Table, chosen: Sequence[str]) -> None:
-    """Refuse stamps of which seconds and their fraction stand in two columns.
-
-    Args:
-        table: Of the log.
-        chosen: Columns of time that were found; none if there are none.
+def _find_time(table: Table, request: ChannelRequest) -> list[str]:
+    """Return the column of time stamps.
 
     Raises:
-        ColumnError: Such a pair, and no other column of time.
+        ColumnError: There is none, or seconds and their fraction stand in two.
     """
+    columns = request.find(table, request.channels["time"])
     for fraction in table.columns:
         match = re.fullmatch(r"(?i)(.*?)(n|nano|u|micro)s(ec(ond)?s?)?", fraction)
-        if match is None:
-            continue
-
-        whole = rf"(?i){re.escape(match[1])}s(ec(ond)?s?)?"
-        seconds = next(
-            (name for name in table.columns if re.fullmatch(whole, name)), ""
-        )
-        if seconds and (not chosen or {seconds, fraction} & {*chosen}):
+        whole = rf"(?i){re.escape(match[1])}s(ec(ond)?s?)?" if match else "(?!)"
+        seconds = next(filter(re.compile(whole).fullmatch, table.columns), "")
+        if match and seconds and (not columns or {seconds, fraction} & {*columns}):
             factor = 1e-9 if match[2].lower().startswith("n") else 1e-6
             raise ColumnError(
                 f"time: the stamp stands in two columns, {seconds!r} and "
@@ -253,151 +267,164 @@ def _require_whole_stamp(table: Table, chosen: Sequence[str]) -> None:
                 "and name it as time.",
             )
 
+    if not columns:
+        raise ColumnError(
+            f"no time column found. Columns are: {table.describe()}{table.left_out()}",
+            "Name it under `time` in the `mapping`, or give `rate_hz`.",
+        )
 
-def _find_channels(
-    table: Table, request: ChannelRequest
-) -> tuple[dict[str, Signal], list[str]]:
-    """Return the signals by their key, and what was assumed of them."""
-    signals: dict[str, Signal] = {}
-    warnings: list[str] = []
-    missing: list[Channel] = []
-    by_joint: list[str] = []
-    for name in request.requested:
-        channel = request.channels[name]
-        columns = request.find(table, channel)
-        if columns and columns == request.find_by_joints(table, channel):
-            by_joint.append(f"{name}: {columns[0]}, ...")
-        if not columns:
-            missing += [channel] if name in request.required else []
-            continue
-
-        spec = request.mapping.channels.get(name)
-        signal = Signal(table, channel, columns, spec)
-        head = signal.read(table)[:200]
-        is_required = name in request.required
-        if not is_required and len(head):
-            _require_all_joints(channel, head)
-        if is_required or spec is not None or np.isfinite(head).any():
-            signals[channel.key] = signal
-        else:
-            warnings.append(
-                f"{name}: its columns hold no finite value in the first rows and were "
-                "left out"
-            )
-
-    _require_names(request.mapping.joint_pattern, table, by_joint)
-    if missing or not signals:
-        raise _not_found(missing, table, request)
-
-    if by_joint:
-        listed = "; ".join(by_joint)
-        warnings.append(f"columns found by the names of the joints: {listed}")
-    return signals, warnings
+    return columns
 
 
-def _time_s(table: Table, time: Signal) -> tuple[Array, int]:
+def _units_of(
+    table: Table, request: ChannelRequest, name: str, columns: Sequence[str]
+) -> ChannelUnit:
+    """Return in which unit each column of a channel is read; raises `UnitError`."""
+    spec = request.mapping.channels.get(name) or ColumnSpec(columns=tuple(columns))
+    channel = request.channels[name]
+    found = [unit_of_column(table, channel, each, spec) for each in columns]
+    units, origins = zip(*found, strict=True)
+    return ChannelUnit(name, tuple(columns), units, origins, spec.scale)
+
+
+def _values_of(table: Table, channel: Channel, unit: ChannelUnit) -> Array:
+    """Return a channel in SI units, shape (n,) or (n, joints).
+
+    Raises:
+        ColumnError: There are too many columns.
+        LogError: They differ in length.
+        MappingError: There are more or fewer scale factors than columns.
+    """
+    listed = ", ".join(unit.columns)
+    columns = [table.values(name) for name in unit.columns]
+    widths = [table.width(name) for name in unit.columns]
+    if len({len(values) for values in columns}) > 1:
+        raise LogError(f"{channel.name}: the columns {listed} differ in length")
+    if sum(widths) != 1 and not channel.per_joint:
+        raise ColumnError(
+            f"{channel.name} is one column, but {listed} are {sum(widths)}"
+        )
+
+    scales = np.atleast_1d(np.array(unit.scale, dtype=np.float64))
+    if scales.size not in (1, sum(widths)):
+        raise MappingError(
+            f"{channel.name}: {scales.size} scale factors for {sum(widths)} columns, "
+            "expected one for all or one for each"
+        )
+
+    to_si = [channel.units[each] for each in unit.units]
+    values = np.column_stack(columns) * (np.repeat(to_si, widths) * scales)
+    return values if channel.per_joint else values[:, 0]
+
+
+def _time_s(
+    table: Table, request: ChannelRequest, unit: ChannelUnit
+) -> tuple[Array, int]:
     """Return time stamps in s, shape (n,), and the instant in ns that they count from.
 
     Whole nanoseconds too large for float64 are counted from the first.
     """
-    stamps = table.values(time.source.columns[0])
-    if stamps.dtype.kind != "i" or table.start_ns or time.factors[0] * NS_PER_S != 1.0:
-        return time.read(table), table.start_ns
+    channel = request.channels["time"]
+    stamps = table.values(unit.columns[0])
+    is_ns = channel.units[unit.units[0]] * NS_PER_S == 1.0 and unit.scale == 1.0
+    if stamps.dtype.kind != "i" or table.start_ns or not is_ns:
+        return _values_of(table, channel, unit), table.start_ns
 
     start_ns = start_of_clock(first_valid_stamp(stamps))
     return to_seconds(stamps, start_ns), start_ns
 
 
-def _require_names(pattern: str, table: Table, by_joint: Sequence[str]) -> None:
-    """Refuse a pattern that chooses joints in a log that names none.
-
-    Args:
-        pattern: Empty where none was given.
-        table: Of the log.
-        by_joint: Columns that were found by the names of joints.
+def _is_used(channel: Channel, values: Array, request: ChannelRequest) -> bool:
+    """Return whether a channel is required, mapped, or holds values.
 
     Raises:
-        ColumnError: Neither columns nor messages have names of joints.
+        ColumnError: Some joints of a channel that is not required have no value: every
+            row would be rejected.
+        LogError: A required or mapped channel has no finite value.
     """
-    if pattern and not by_joint and not table.joint_names:
-        raise ColumnError(
-            f"joints = {pattern!r} chooses joints by name, and neither columns nor "
-            "messages of the recording have names of joints; leave it out"
-        )
-
-
-def _require_all_joints(channel: Channel, head: Array) -> None:
-    """Refuse a channel that may be left out if some joints, not all, have no value.
-
-    Args:
-        channel: The channel.
-        head: Its first values, shape (n,) or (n, joints).
-
-    Raises:
-        ColumnError: Such joints; every row would be rejected.
-    """
-    is_known = np.isfinite(head).any(axis=0)
-    if channel.per_joint and is_known.any() and not is_known.all():
+    is_known = np.isfinite(values).any(axis=0)
+    is_needed = channel.name in (*request.required, *request.mapping.channels)
+    if is_needed and len(values) and not is_known.any():
+        raise LogError(f"{channel.key} has no finite value in {len(values)} rows")
+    if channel.name not in request.required and is_known.any() and not is_known.all():
         numbers = ", ".join(str(i + 1) for i in np.flatnonzero(~is_known).tolist())
         raise ColumnError(
-            f"{channel.name} has no finite value at joint {numbers} in the first "
-            f"{len(head)} rows",
+            f"{channel.name} has no finite value at joint {numbers}",
             "Leave it out with `ColumnSpec(columns=LEFT_OUT)` under "
             f"`{channel.name}` in the `mapping`, or name its columns there.",
         )
 
+    return is_needed or bool(is_known.any())
 
-def _not_found(
-    missing: list[Channel], table: Table, request: ChannelRequest
-) -> RecordingError:
-    """Return the error for required channels that no column is, or for no channel."""
-    if not missing:
-        return ColumnError(
-            f"no channel was recognised. Columns are: {table.describe()}"
+
+def _require_equal_sizes(measured: Mapping[str, Array]) -> None:
+    """Raise `LogError` if channels differ in length, or in the number of joints."""
+    shapes = {key: values.shape for key, values in measured.items()}
+    lengths = {shape[0] for shape in shapes.values()}
+    joint_counts = {shape[1] for shape in shapes.values() if len(shape) == 2}
+    if len(lengths) > 1 or len(joint_counts) > 1:
+        listed = ", ".join(f"{key} {shape}" for key, shape in shapes.items())
+        raise LogError(
+            f"channels differ in their numbers of rows or joints: {listed}",
+            "Name the columns of all joints under each channel of the `mapping`.",
         )
 
-    channel, *others = missing
-    for name, unit in columns_in_other_units(table, channel).items():
-        return UnitError(
-            f"{channel.name}: column {name!r} is in {unit!r}, which is no known unit "
-            f"of {channel.name}; expected one of {', '.join(channel.units)}",
-            advise_unit(channel, [name], f"{channel.si_unit}:FACTOR"),
+
+def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]:
+    """Check that values can be in a unit that was assumed.
+
+    Args:
+        channel: The channel.
+        unit: In which it was read.
+        sizes: Of the values, shape (n,) or (n, joints); of time the median step.
+
+    Returns:
+        A note on values that are too large and few enough to be spikes, or too small.
+
+    Raises:
+        UnitError: More rows than spikes would be are too large for the unit.
+    """
+    max_fraction = 0.05  # fewer may be spikes
+    if ASSUMED not in unit.origins:
+        return []
+
+    largest = np.nan_to_num(sizes, posinf=0.0).reshape(len(sizes), -1).max(axis=1)
+    large_count = np.count_nonzero(largest > channel.at_most)
+    size = f"is up to {largest.max():.4g} {channel.si_unit}"
+    names = describe_columns(unit.columns)
+    # A needle that meets tissue feels more [N]; a file in kN holds such numbers.
+    if channel.key == "force_N" and 0.0 < largest.max() < 0.05:
+        return [f"force: {names} {size}; the file states no unit, and may be in kN"]
+    if not large_count:
+        return []
+
+    quantity = "median step" if channel.key == "t_s" else "size"
+    text = (
+        f"{channel.name}: the {quantity} of {names} {size}, expected at most "
+        f"{channel.at_most:.3g}"
+    )
+    if large_count > max_fraction * len(sizes):
+        listed = ", ".join(channel.units)
+        raise UnitError(
+            f"{text}. The file states no unit of {listed}",
+            advise_unit(channel, unit.columns),
         )
 
-    if not table.has_header:
-        return _no_header(missing, table, request)
-
-    also = ", ".join(f"{other.name} ({other.meaning})" for other in others)
-    return ColumnError(
-        f"no column found for {channel.name} ({channel.meaning}); usual names are "
-        f"{', '.join(channel.spellings)}. {f'Nor for {also}. ' if also else ''}"
-        f"Columns are: {table.describe()}{table.left_out()}",
-        advise_column(channel),
-    )
+    return [f"{text}; rows beyond it: {large_count}"]
 
 
-def _no_header(
-    missing: list[Channel], table: Table, request: ChannelRequest
-) -> ColumnError:
-    """Return the error for required channels of a file whose columns have no names."""
-    time = request.mapping.knowledge.channels["time"]
-    named = [time, *(channel for channel in missing if channel is not time)]
-    joint_count = max(len(request.mapping.joints or request.joints), 1)
-    options: list[str] = []
-    first = 1
-    for channel in named:
-        last = first + (joint_count if channel.per_joint else 1) - 1
-        columns = f"column_{first}"
-        if last > first:
-            columns = f"column_{{{first}..{last}}}"
+def _report_invalid(key: str, values: Array, rows: NDArray[np.intp]) -> list[str]:
+    """Return a note on rows that are not finite, or nothing.
 
-        value = shlex.quote(f"{columns}:{channel.usual_unit}")
-        options.append(f"{channel.option} {value}")
-        first = last + 1
+    Args:
+        key: Of the channel.
+        values: Of it, shape (n,) or (n, joints).
+        rows: Their numbers in the file, from 0, shape (n,).
+    """
+    is_finite = np.isfinite(values).reshape(len(rows), -1).all(axis=1)
+    if is_finite.all():
+        return []
 
-    return ColumnError(
-        f"no column is known to be {', '.join(each.name for each in missing)}: the "
-        f"file has no header. Columns are: {table.describe()}{table.left_out()}",
-        "Name columns by their number, with their units, in the `mapping`, or as in "
-        + " ".join(options),
-    )
+    first = rows[np.argmin(is_finite)] + 1
+    count = np.count_nonzero(~is_finite)
+    return [f"{key}: rows with NaN or infinity: {count} (first: row {first})"]

@@ -52,8 +52,7 @@ class ColumnSpec:
             raise MappingError(f"columns = {self.columns!r} names no column")
 
         scales = self.scale if isinstance(self.scale, tuple) else (self.scale,)
-        are_valid = (_is_finite(factor) and factor != 0.0 for factor in scales)
-        if not scales or not all(are_valid):
+        if not scales or not all(map(_is_factor, scales)):
             raise MappingError(
                 f"scale = {self.scale!r:.60} must be finite and not zero"
             )
@@ -64,39 +63,39 @@ class ColumnSpec:
         return (self.columns,) if isinstance(self.columns, str) else self.columns
 
 
+def _is_factor(value: float) -> bool:
+    """Return whether a number is finite and not zero; a whole one may exceed floats."""
+    return 0.0 < abs(value) <= sys.float_info.max
+
+
 def parse_column_spec(text: str, channel: Channel) -> ColumnSpec:
-    """Read the short form of the command line: `NAMES[:UNIT][:SCALE]`, as in `fz:N:-1`.
+    """Read the short form: `NAMES[:UNIT][:SCALE]`, as in `fz:N:-1`.
 
     `NAMES` is a name, a pattern or a list separated by commas, `SCALE` a number or one
-    for each column, likewise separated. What follows a colon
-    counts as scale or unit only if it is one, since column names may hold colons
-    themselves.
+    for each column, likewise separated. What follows a colon counts as scale or unit
+    only if it is one, since column names may hold colons themselves.
 
     Raises:
         MappingError: No column is named, or the scale is zero or not finite.
     """
-    spec = _split_suffix(text, channel)
-    columns = tuple(name.strip() for name in spec.patterns[0].split(","))
-    return replace(spec, columns=columns[0] if len(columns) == 1 else columns)
-
-
-def _split_suffix(text: str, channel: Channel) -> ColumnSpec:
-    """Return `NAMES[:UNIT][:SCALE]` in parts, with the names as they stand."""
-    names = text
     unit = None
-    scale: float | tuple[float, ...] = 1.0
-    head, colon, tail = names.rpartition(":")
+    scale: tuple[float, ...] = (1.0,)
+    head, colon, tail = text.rpartition(":")
     if colon:
         with suppress(ValueError):
-            scales = tuple(float(factor) for factor in tail.split(","))
-            scale = scales[0] if len(scales) == 1 else scales
-            names = head
+            scale = tuple(map(float, tail.split(",")))
+            text = head
 
-    head, colon, tail = names.rpartition(":")
+    head, colon, tail = text.rpartition(":")
     if colon and (unit := channel.units.find(tail)):
-        names = head
+        text = head
 
-    return ColumnSpec(columns=names, unit=unit, scale=scale)
+    columns = tuple(name.strip() for name in text.split(","))
+    return ColumnSpec(
+        columns=columns[0] if len(columns) == 1 else columns,
+        unit=unit,
+        scale=scale[0] if len(scale) == 1 else scale,
+    )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -123,6 +122,38 @@ class ColumnMapping:
     payload: Any = None
     knowledge: Knowledge = field(default=KNOWLEDGE, repr=False, compare=False)
 
+    def __post_init__(self) -> None:
+        """Check names, units and the rate, and write units as channels do.
+
+        Raises:
+            MappingError: One is not known, or they contradict each other.
+        """
+        if self.sort_within_s is not None and not self.sort_within_s >= 0.0:
+            raise MappingError(
+                f"sort_within_s = {self.sort_within_s!r:.60} must be a time in s"
+            )
+        if self.rate_hz is not None:
+            if not (_is_factor(self.rate_hz) and self.rate_hz > 0.0):
+                raise MappingError(
+                    f"rate_hz = {self.rate_hz!r:.60} must be a positive number of "
+                    "samples/s"
+                )
+            if "time" in self.channels:
+                raise MappingError(
+                    "both rate_hz and a time column are given, expected one of them"
+                )
+        if isinstance(self.joints, str):
+            names = tuple(name.strip() for name in self.joints.split(","))
+            object.__setattr__(self, "joints", names)
+        if len(set(self.joints)) < len(self.joints):
+            raise MappingError(f"joints = {list(self.joints)} names a joint twice")
+
+        channels = {
+            name: _with_known_unit(spec, known_channel(name, self.knowledge))
+            for name, spec in self.channels.items()
+        }
+        object.__setattr__(self, "channels", MappingProxyType(channels))
+
     @property
     def joint_pattern(self) -> str:
         """The pattern that the joints' names fit; empty without one."""
@@ -140,43 +171,8 @@ class ColumnMapping:
             name for name, spec in self.channels.items() if spec.columns == LEFT_OUT
         )
 
-    def __post_init__(self) -> None:
-        """Check names, units and the rate, and write units as channels do.
 
-        Raises:
-            MappingError: One is not known, or they contradict each other.
-        """
-        max_sort_within_s = 3600.0  # so many rows have to be held to be sorted
-        sort_within_s = self.sort_within_s
-        if sort_within_s is not None and not 0.0 <= sort_within_s <= max_sort_within_s:
-            raise MappingError(
-                f"sort_within_s = {sort_within_s!r:.60} must be a time in s from 0 to "
-                f"{max_sort_within_s:g}"
-            )
-
-        if isinstance(self.joints, str):
-            names = tuple(name.strip() for name in self.joints.split(","))
-            object.__setattr__(self, "joints", names)
-
-        channels = _with_known_units(self.channels, self.knowledge)
-        object.__setattr__(self, "channels", MappingProxyType(channels))
-        if len(set(self.joints)) < len(self.joints):
-            raise MappingError(f"joints = {list(self.joints)} names a joint twice")
-        if self.rate_hz is None:
-            return
-
-        if not (_is_finite(self.rate_hz) and self.rate_hz > 0.0):
-            raise MappingError(
-                f"rate_hz = {self.rate_hz!r:.60} must be a positive number of samples/s"
-            )
-
-        if "time" in channels:
-            raise MappingError(
-                "both rate_hz and a time column are given, expected one of them"
-            )
-
-
-def _known_channel(name: str, knowledge: Knowledge) -> Channel:
+def known_channel(name: str, knowledge: Knowledge) -> Channel:
     """Return the channel of a name; `MappingError` if there is none."""
     if name not in knowledge.channels:
         raise MappingError(
@@ -186,32 +182,16 @@ def _known_channel(name: str, knowledge: Knowledge) -> Channel:
     return knowledge.channels[name]
 
 
-def _with_known_units(
-    channels: Mapping[str, ColumnSpec], knowledge: Knowledge
-) -> dict[str, ColumnSpec]:
-    """Return columns by channel with units as the channels spell them.
+def _with_known_unit(spec: ColumnSpec, channel: Channel) -> ColumnSpec:
+    """Return columns with the unit as the channel spells it; `MappingError` if none."""
+    unit = None if spec.unit is None else channel.units.find(spec.unit)
+    if unit is None and spec.unit is not None:
+        raise MappingError(
+            f"unit {spec.unit!r} of channel {channel.name!r} is not known, expected: "
+            f"{', '.join(channel.units)}"
+        )
 
-    Raises:
-        MappingError: A channel or a unit is not known.
-    """
-    known: dict[str, ColumnSpec] = {}
-    for name, spec in channels.items():
-        units = _known_channel(name, knowledge).units
-        unit = None if spec.unit is None else units.find(spec.unit)
-        if unit != spec.unit and unit is None:
-            raise MappingError(
-                f"unit {spec.unit!r} of channel {name!r} is not known, expected: "
-                f"{', '.join(units)}"
-            )
-
-        known[name] = replace(spec, unit=unit)
-
-    return known
-
-
-def _is_finite(value: float) -> bool:
-    """Return whether a number is finite; a whole one may exceed any float."""
-    return abs(value) <= sys.float_info.max
+    return replace(spec, unit=unit)
 
 
 def load_mapping(path: str | Path, knowledge: Knowledge = KNOWLEDGE) -> ColumnMapping:
@@ -234,9 +214,7 @@ def load_mapping(path: str | Path, knowledge: Knowledge = KNOWLEDGE) -> ColumnMa
         mapping = _convert(top, ColumnMapping, "$")
         channels = _convert_channels(content, knowledge)
         return replace(mapping, channels=channels, knowledge=knowledge)
-    except FormatError as error:
-        raise MappingError(str(error)) from error
-    except MappingError as error:
+    except (FormatError, MappingError) as error:
         raise MappingError(f"{path}: {error}") from error
 
 
@@ -277,16 +255,16 @@ def _convert_channels(
     """
     channels: dict[str, ColumnSpec] = {}
     for name, entry in entries.items():
-        channel = _known_channel(name, knowledge)
+        channel = known_channel(name, knowledge)
         if isinstance(entry, str):
-            channels[name] = _split_suffix(entry, channel)
+            channels[name] = parse_column_spec(entry, channel)
             continue
 
         spec = entry if isinstance(entry, dict) else {"columns": entry}
         if unknown := spec.keys() - {"columns", "unit", "scale"}:
-            keys = ", ".join(map(repr, sorted(unknown)))
             raise MappingError(
-                f"[{name}] has {keys}, expected only columns, unit and scale"
+                f"[{name}] has {', '.join(sorted(unknown))}; expected columns, unit "
+                "and scale"
             )
 
         channels[name] = _convert(spec, ColumnSpec, f"$.{name}")
@@ -299,8 +277,4 @@ def _convert(content: Any, kind: type[_Kind], place: str) -> _Kind:
     try:
         return msgspec.convert(content, kind)
     except (msgspec.ValidationError, OverflowError) as error:
-        message = str(error).replace("`$", f"`{place}")
-        if f"`{place}" not in message:
-            message += f" - at `{place}`"
-
-        raise MappingError(message) from error
+        raise MappingError(f"{place}: {error}") from error

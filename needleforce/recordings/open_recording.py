@@ -1,6 +1,5 @@
 """Opening a recording, whatever its format: as a table or a log."""
 
-import os
 import sys
 from collections.abc import Iterable
 from dataclasses import replace
@@ -8,15 +7,12 @@ from pathlib import Path
 
 from needleforce.recordings.bag_file import BAG_SUFFIXES, bag_head, is_bag, read_bag
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channels import KNOWLEDGE
 from needleforce.recordings.columnar import ARROW_SUFFIXES, read_arrow, read_npz
 from needleforce.recordings.errors import (
-    KNOWN_SUFFIX,
     MAX_BYTES,
     FileAccessError,
     file_errors,
     readable_path,
-    require_size,
 )
 from needleforce.recordings.joint_names import order_joints
 from needleforce.recordings.log import Log, log_of_table
@@ -45,12 +41,11 @@ def read_table(
         FileAccessError: the file cannot be read, or its suffix is not known.
         FormatError: nothing usable is in it, or it is larger than `max_bytes`.
     """
-    knowledge = KNOWLEDGE if request is None else request.mapping.knowledge
+    request = request or ChannelRequest()
+    knowledge = request.mapping.knowledge
     if str(path) == STANDARD_STREAM:
         data = sys.stdin.buffer.read(max_bytes + 1)
-        return _in_order(
-            read_text(data, "standard input", knowledge, max_bytes), request
-        )
+        return _in_order(read_text(data, "stdin", knowledge, max_bytes), request)
 
     path = readable_path(path)
     name = path.name.lower()
@@ -58,42 +53,44 @@ def read_table(
         if is_bag(path):
             return read_bag(path, request, max_bytes)
         if path.is_fifo() or name.endswith(CSV_SUFFIXES):
-            if not path.is_fifo():
-                require_size(os.path.getsize(path), max_bytes, str(path))
+            with path.open("rb") as stream:
+                data = stream.read(max_bytes + 1)
 
-            text = read_text(path.read_bytes(), str(path), knowledge, max_bytes)
-            return _in_order(text, request)
+            return _in_order(read_text(data, str(path), knowledge, max_bytes), request)
+        if name.endswith(".npz"):
+            return read_npz(path, max_bytes)
+        if name.endswith(ARROW_SUFFIXES):
+            return read_arrow(path, max_bytes)
 
-        conversion = KNOWLEDGE.conversion_of(path)
+    suffixes = [path.suffix.lower(), *(each.suffix for each in _content(path))]
+    for suffix in suffixes:
+        if conversion := knowledge.conversions.get(suffix):
+            raise FileAccessError(
+                f"{path} is not read as it is", f"To read it, {conversion}."
+            )
 
-    if name.endswith(".npz"):
-        return read_npz(path, max_bytes)
-    if name.endswith(ARROW_SUFFIXES):
-        return read_arrow(path, max_bytes)
-    if conversion:
-        raise FileAccessError(
-            f"{path} is not read as it is", f"To convert it, {conversion}"
-        )
-
-    suffixes = (*CSV_SUFFIXES, ".npz", *ARROW_SUFFIXES, *BAG_SUFFIXES)
+    known = ", ".join((*CSV_SUFFIXES, ".npz", *ARROW_SUFFIXES, *BAG_SUFFIXES))
     raise FileAccessError(
-        f"{path} has no known suffix; known are: {', '.join(suffixes)}", KNOWN_SUFFIX
+        f"{path} has no known suffix; known are: {known}",
+        "Give one file: write signals of several files as columns of one table.",
     )
+
+
+def _content(path: Path) -> list[Path]:
+    """Return what a folder holds; nothing for a file."""
+    return sorted(path.iterdir()) if path.is_dir() else []
 
 
 def columns_of(path: str | Path, mapping: ColumnMapping) -> Table:
     """Return the columns of a recording, a bag's without rows; see `read_table`."""
     if str(path) != STANDARD_STREAM and is_bag(readable_path(path)):
-        return bag_head(Path(path))[0]
+        return bag_head(Path(path))
 
     return read_table(path, ChannelRequest(mapping))
 
 
-def _in_order(table: Table, request: ChannelRequest | None) -> Table:
+def _in_order(table: Table, request: ChannelRequest) -> Table:
     """Return a table whose columns of joints are in the order that is asked for."""
-    if request is None or not table.joint_names:
-        return table
-
     columns = dict(table.columns)
     joint_names = dict(table.joint_names)
     notes = list(table.warnings)

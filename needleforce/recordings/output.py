@@ -2,7 +2,7 @@
 
 import sys
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import ExitStack, contextmanager, nullcontext
+from contextlib import ExitStack, contextmanager, nullcontext, suppress
 from itertools import combinations
 from pathlib import Path
 
@@ -27,32 +27,22 @@ from needleforce.recordings.writers import WRITERS, Append, Writer, csv_writer
 def checked_columns(columns: Mapping[str, ArrayLike]) -> TableColumns:
     """Return columns as arrays; `LogError` if `write_table` cannot write them."""
     arrays: dict[str, np.ndarray] = {}
-    for name, values in columns.items():
-        try:
-            arrays[name] = np.asarray(values)
-        except ValueError as error:
-            raise LogError(
-                f"column {name!r} is not an array of numbers: {error}"
-            ) from error
+    with suppress(ValueError):  # of lists of different lengths
+        arrays = {name: np.asarray(values) for name, values in columns.items()}
 
-    if not arrays:
-        raise LogError("no columns to write", EQUAL_COLUMNS)
-
-    first = next(iter(arrays.values()))
-    row_count = len(first) if first.ndim else 0
+    row_counts = {values.shape[:1] for values in arrays.values()}
     for name, values in arrays.items():
-        if not name.strip() or name.startswith("#"):
-            raise LogError(
-                f"column name {name!r} is empty or starts with '#'", EQUAL_COLUMNS
-            )
+        are_numbers = values.dtype.kind in "fiub" and values.ndim in (1, 2)
+        if not are_numbers or not name.strip() or name.startswith("#"):
+            row_counts = set()
 
-        is_numeric = values.dtype.kind in "fiub"
-        if not is_numeric or values.ndim not in (1, 2) or len(values) != row_count:
-            raise LogError(
-                f"column {name!r} has shape {values.shape} and type {values.dtype}; "
-                f"expected numbers of shape ({row_count},) or ({row_count}, k)",
-                EQUAL_COLUMNS,
-            )
+    if len(row_counts) != 1:
+        shapes = {name: f"{a.dtype}{list(a.shape)}" for name, a in arrays.items()}
+        raise LogError(
+            f"expected columns with names and numbers of shape (n,) or (n, k), all of "
+            f"the same n, not {shapes or columns}",
+            EQUAL_COLUMNS,
+        )
 
     return arrays
 
@@ -77,21 +67,15 @@ class OpenTable:
         `BrokenPipeError` if the reader of standard output has gone.
         """
         arrays = checked_columns(columns)
-        kinds = [
-            f"{name} {values.dtype}{list(values.shape[1:])}"
-            for name, values in arrays.items()
-        ]
+        empty = {name: values[:0] for name, values in arrays.items()}
+        kinds = [f"{name} {a.dtype}{list(a.shape)}" for name, a in empty.items()]
         with file_errors(self._name, "write"):
             if self._write is None:
-                empty = {name: values[:0] for name, values in arrays.items()}
                 self._write = self._begin(empty)
                 self._kinds = kinds
 
             if kinds != self._kinds:
-                raise LogError(
-                    f"rows with the columns {kinds} do not fit those before: "
-                    f"{self._kinds}"
-                )
+                raise LogError(f"rows of other columns, {kinds}, after {self._kinds}")
 
             self._write(arrays)
 
@@ -151,14 +135,8 @@ def _find_writer(path: Path) -> Writer:
         if path.name.lower().endswith(suffix):
             return writer
 
-    if path.name.lower().endswith(".db3"):
-        raise FileAccessError(
-            f"cannot write {path}: bags are written as .mcap only", KNOWN_SUFFIX
-        )
-
     raise FileAccessError(
-        f"{path} has no known suffix; known are: {', '.join(WRITERS)}",
-        KNOWN_SUFFIX,
+        f"cannot write {path}: its suffix is none of {', '.join(WRITERS)}", KNOWN_SUFFIX
     )
 
 
@@ -249,39 +227,20 @@ def check_outputs(outputs: Mapping[str, Path], source: Path | None = None) -> No
     Raises:
         FileAccessError: One would.
     """
-    for (option, path), (other_option, other_path) in combinations(outputs.items(), 2):
-        with file_errors(path, "write"):
-            if _overlap(path, other_path):
-                raise FileAccessError(
-                    f"{option} and {other_option} both write to {path}",
-                    OWN_PLACES,
-                )
-
+    paths = dict(outputs)
     if source is not None and source.exists():
-        for path in outputs.values():
-            with file_errors(path, "write"):
-                _require_apart(path, source)
+        is_in_bag = is_bag(source) and (source.resolve().parent / METADATA).exists()
+        paths["the log"] = source.resolve().parent if is_in_bag else source
 
-
-def _require_apart(path: Path, source: Path) -> None:
-    """Raise `FileAccessError` if writing to a path would harm a recording."""
-    if path.exists() and path.samefile(source):
-        raise FileAccessError(f"cannot write {path}: it is the log itself", OWN_PLACES)
-
-    folder = source.resolve().parent
-    is_in_bag = source.is_file() and is_bag(source) and (folder / METADATA).exists()
-    if _overlap(path, folder if is_in_bag else source):
-        raise FileAccessError(
-            f"cannot write {path}: it and the log {source} lie one inside the other",
-            OWN_PLACES,
-        )
-
-
-def _overlap(path: Path, other: Path) -> bool:
-    """Return whether two paths are the same place, or one lies inside the other."""
-    if path.exists() and other.exists() and path.samefile(other):
-        return True
-
-    path = path.resolve()
-    other = other.resolve()
-    return path == other or path in other.parents or other in path.parents
+    for (option, path), (other_option, other) in combinations(paths.items(), 2):
+        with file_errors(path, "write"):
+            is_same_file = path.exists() and other.exists() and path.samefile(other)
+            place = path.resolve()
+            other_place = other.resolve()
+        is_inside = place.is_relative_to(other_place)
+        if is_same_file or is_inside or other_place.is_relative_to(place):
+            raise FileAccessError(
+                f"cannot write {option} {path}: {other_option} is there, or one lies "
+                "inside the other",
+                OWN_PLACES,
+            )

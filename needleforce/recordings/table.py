@@ -1,6 +1,7 @@
 """Named columns of numbers before anyone has said what they mean."""
 
-from collections.abc import Callable, Mapping, Sequence
+import re
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass, field
 from math import prod
 from types import MappingProxyType
@@ -10,7 +11,6 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from needleforce.recordings.errors import FormatError, LogError
-from needleforce.recordings.time_stamps import exceed_float64
 
 TableColumns = Mapping[str, np.ndarray]
 """Columns by name, shape (n,) or (n, k)."""
@@ -45,30 +45,6 @@ LinkPoses = Callable[[np.ndarray], LinkTransforms]
 """Returns where the links are for joint positions, shape (n,) [rad or m]."""
 
 
-class ToolMass(NamedTuple):
-    """The mass on the flange that a recording states.
-
-    Attributes:
-        mass_kg: Of hand, tool and load together.
-        source: Where it stands.
-    """
-
-    mass_kg: float
-    source: str
-
-
-class StatedUnit(NamedTuple):
-    """What a file says of the unit of a column, apart from the column's name.
-
-    Attributes:
-        text: As it is written, without brackets.
-        line_number: Where it stands in the file, from 1.
-    """
-
-    text: str
-    line_number: int
-
-
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class Table:
     """Named columns as read from a file, in the file's own units.
@@ -86,11 +62,7 @@ class Table:
         seconds: Names of the columns of time stamps; they are in seconds, whatever unit
             the name says.
         known: Columns that are channels by the type of their messages, by channel.
-        tool_mass: What the recording says hangs on the flange; None if it does not.
         units: By name of a column: what a row of units says of it.
-        has_header: Whether the columns have names in the file; without, they are called
-            `column_1`, `column_2`, ...
-        layout: Name of the layout that the text has, by its first line; empty for none.
     """
 
     columns: TableColumns
@@ -99,10 +71,7 @@ class Table:
     start_ns: int = 0
     seconds: frozenset[str] = frozenset()
     known: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
-    tool_mass: ToolMass | None = None
-    units: Mapping[str, StatedUnit] = field(default_factory=dict)
-    has_header: bool = True
-    layout: str = ""
+    units: Mapping[str, str] = field(default_factory=dict)
 
     def __post_init__(self) -> None:
         """Copy and freeze the columns.
@@ -152,46 +121,8 @@ class Table:
 
     def left_out(self, limit: int = 3) -> str:
         """Return in brackets which columns were left out or renamed, and why."""
-        odd = ("was left out", "twice", "Delta_X")
-        notes = [note for note in self.warnings if any(word in note for word in odd)]
-        more = f"; and {len(notes) - limit} more" if len(notes) > limit else ""
-        return f" ({'; '.join(notes[:limit])}{more})" if notes else ""
-
-
-def choose_tool_mass(
-    total: ToolMass | None, parts: Sequence[ToolMass]
-) -> ToolMass | None:
-    """Return the whole mass on the flange; where it is absent or zero, its parts' sum.
-
-    Args:
-        total: The whole mass, if the recording states it.
-        parts: Those of hand, tool and load that it states.
-    """
-    if total is not None and (total.mass_kg or not parts):
-        return total
-    if not parts:
-        return None
-    mass_kg = sum(part.mass_kg for part in parts)
-    return ToolMass(mass_kg, " and ".join(part.source for part in parts))
-
-
-def tool_mass_in(table: Table) -> ToolMass | None:
-    """Return the mass on the flange that columns state, as Franka calls them.
-
-    They are `m_total`, or `m_ee` and `m_load`, perhaps after the path of a topic.
-    """
-    masses: dict[str, ToolMass] = {}
-    for name, values in table.columns.items():
-        stem = name.replace(".", "/").rpartition("/")[2]
-        if stem not in ("m_total", "m_ee", "m_load") or values.ndim != 1:
-            continue
-
-        finite = values[np.isfinite(values)]
-        if finite.size:
-            masses[stem] = ToolMass(float(finite[0]), stem)
-
-    parts = [masses[name] for name in ("m_ee", "m_load") if name in masses]
-    return choose_tool_mass(masses.get("m_total"), parts)
+        odd = [note for note in self.warnings if re.search("left out|column_", note)]
+        return f" ({'; '.join(odd[:limit])})" if odd else ""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -232,16 +163,14 @@ def read_only(name: str, values: ArrayLike, *, is_exact: bool = False) -> np.nda
     """
     try:
         array = np.asarray(values)
-        owner = array if array.base is None else array.base
-        is_frozen = isinstance(owner, np.ndarray) and not (
-            owner.flags.writeable or array.flags.writeable
-        )
-        if is_frozen and array.dtype == np.float64 and array.flags.c_contiguous:
+        is_owned = array.base is None and not array.flags.writeable
+        if is_owned and array.dtype == np.float64 and array.flags.c_contiguous:
             return array
 
-        is_whole = array.dtype.kind in "iu" and array.ndim == 1
-        is_int64 = is_exact and is_whole and exceed_float64(array)
-        copy = np.array(array, dtype=np.int64 if is_int64 else np.float64, order="C")
+        # float64 holds every whole number up to the first, int64 none from the second.
+        is_whole = array.dtype.kind in "iu" and array.ndim == 1 and is_exact
+        is_large = is_whole and ((array > 1 << 53) & (array < 1 << 63)).any()
+        copy = np.array(array, dtype=np.int64 if is_large else np.float64, order="C")
     except (TypeError, ValueError) as error:
         raise LogError(f"{name} is not an array of numbers: {error}") from error
 

@@ -5,6 +5,7 @@ seconds in float64 such stamps would be rounded to 0.2 µs; then seconds are cou
 from the first stamp instead, see `start_of_clock`.
 """
 
+from collections.abc import Mapping
 from typing import NoReturn
 
 import numpy as np
@@ -56,57 +57,46 @@ def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
     return counted + np.int64(start_ns)
 
 
-def exceed_float64(values: np.ndarray) -> bool:
-    """Return whether float64 rounds one of some whole numbers, and int64 does not."""
-    # Not abs, which overflows for the least integer; a NaN is not larger than anything.
-    # float64 holds every whole number up to the first, int64 none from the second on.
-    max_exact = 1 << 53
-    int64_end = 1 << 63
-    is_large = (values > max_exact) & (values < int64_end)
-    return bool(is_large.any())
-
-
 def interpolate(
     at_ns: NDArray[np.int64],
     stamps_ns: NDArray[np.int64],
-    values: Array,
-    limit_ns: float,
-) -> Array:
-    """Interpolate values linearly; where stamps agree, they stay as they are.
+    columns: Mapping[str, Array],
+) -> dict[str, Array]:
+    """Interpolate columns linearly; where stamps agree, they stay as they are.
 
     Args:
         at_ns: Stamps at which values are asked for, shape (n,).
         stamps_ns: Stamps at which they are known, shape (m,), in any order.
-        values: The known values, shape (m, k).
-        limit_ns: Gaps between known stamps that are longer are not bridged.
+        columns: The known values, shape (m, k) each.
 
     Returns:
-        Values, shape (n, k); NaN within longer gaps and outside the known stamps.
+        Values, shape (n, k) each; NaN outside the known stamps and in gaps of more than
+        0.1 s and five periods.
     """
     if not stamps_ns.size:
-        return np.full((at_ns.size, values.shape[1]), np.nan)
+        return {
+            name: np.full((at_ns.size, v.shape[1]), np.nan)
+            for name, v in columns.items()
+        }
 
     order = np.argsort(stamps_ns, kind="stable")
-    stamps_ns = stamps_ns[order]
-    values = values[order]
-
-    below = np.clip(np.searchsorted(stamps_ns, at_ns, side="right") - 1, 0, None)
-    above = np.clip(below + 1, None, stamps_ns.size - 1)
-    is_gap = stamps_ns[above] - stamps_ns[below] > limit_ns
-    is_unknown = is_gap & (stamps_ns[below] != at_ns)
-
+    known_ns = stamps_ns[order]
+    limit_ns = max(0.1 * NS_PER_S, 5.0 * np.ptp(known_ns) / max(len(known_ns) - 1, 1))
+    below = np.clip(np.searchsorted(known_ns, at_ns, side="right") - 1, 0, None)
+    above = np.clip(below + 1, None, known_ns.size - 1)
+    is_gap = known_ns[above] - known_ns[below] > limit_ns
+    is_gap &= known_ns[below] != at_ns
     # float64 holds differences of stamps, not stamps.
-    elapsed_ns = at_ns - stamps_ns[0]
-    known_ns = stamps_ns - stamps_ns[0]
-    rows = np.stack(
-        [
-            np.interp(elapsed_ns, known_ns, column, left=np.nan, right=np.nan)
-            for column in values.T
-        ],
-        axis=1,
-    )
-    rows[is_unknown] = np.nan
-    return rows
+    elapsed_ns = np.where(is_gap, -1, at_ns - known_ns[0])
+    interpolated: dict[str, Array] = {}
+    for name, values in columns.items():
+        rows = [
+            np.interp(elapsed_ns, known_ns - known_ns[0], column, np.nan, np.nan)
+            for column in values[order].T
+        ]
+        interpolated[name] = np.stack(rows, axis=1)
+
+    return interpolated
 
 
 def rows_in_order(
@@ -217,7 +207,7 @@ def _refuse_bursts(stamps_s: Array) -> None:
     is_pause = steps_s > 5.0 * np.median(steps_s)
     starts = np.flatnonzero(is_pause) + 1
     is_mostly_paused = steps_s[is_pause].sum() > 0.5 * steps_s.sum()
-    if len(starts) > 2 and is_mostly_paused and np.median(np.diff(starts)) >= 2:
+    if len(starts) >= 10 and is_mostly_paused and np.median(np.diff(starts)) >= 2:
         _refuse_groups(stamps_s, starts, "stamps come in bursts")
 
 

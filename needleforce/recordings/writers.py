@@ -136,7 +136,11 @@ def mcap_writer(
         stamps_ns = _message_stamps_ns(columns, labels)
         nonlocal is_first
         if is_first and stamps_ns and labels.robot_description:
-            _write_description(bag, labels.robot_description, stamps_ns[0])
+            kind = "std_msgs/msg/String"
+            channel = _register(bag, "/robot_description", kind)
+            message = types.types[kind](labels.robot_description)
+            data = types.serialize_cdr(message, kind)
+            bag.add_message(channel, stamps_ns[0], data, stamps_ns[0])
 
         is_first = is_first and not stamps_ns
         topics = bag_topics(columns, labels, stamps_ns)
@@ -153,15 +157,6 @@ def mcap_writer(
     bag.finish()  # writes the index
 
 
-def _write_description(bag: Any, description: str, stamp_ns: int) -> None:
-    """Write the arm's description as a message of its topic."""
-    types = standard_types()
-    kind = "std_msgs/msg/String"
-    channel = _register(bag, "/robot_description", kind)
-    data = types.serialize_cdr(types.types[kind](description), kind)
-    bag.add_message(channel, stamp_ns, data, stamp_ns)
-
-
 def _register(bag: Any, name: str, kind: str) -> int:
     """Announce a topic, with its type, in a bag that is written; return its number."""
     definition, _ = standard_types().generate_msgdef(kind, ros_version=2)
@@ -176,22 +171,12 @@ def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:
         LogError: There are none, or one is not finite or before zero.
     """
     t_s = columns.get("t_s")
-    if t_s is None or t_s.ndim != 1:
-        raise LogError(
-            f"a bag needs time stamps: a column t_s; there is {list(columns)}",
-            EQUAL_COLUMNS,
-        )
-
-    if not np.isfinite(t_s).all():
-        raise LogError(
-            "a bag needs a time stamp in every row; one is not finite",
-            EQUAL_COLUMNS,
-        )
-
-    stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist()
+    is_valid = t_s is not None and t_s.ndim == 1 and bool(np.isfinite(t_s).all())
+    stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist() if is_valid else [-1]
     if min(stamps_ns, default=0) < 0:
         raise LogError(
-            f"a bag cannot hold time stamps before zero; t_s reaches {t_s.min()} s",
+            "a bag needs a column t_s with a finite time stamp from zero on in every "
+            f"row; there is {list(columns)}",
             EQUAL_COLUMNS,
         )
 

@@ -32,9 +32,6 @@ COVARIANCE_S = 0.25
 """Time after which the covariance is renewed: it changes with pose and age, both
 slowly."""
 
-MAX_SATURATED = 64
-"""Rejected samples of saturated torques that are kept, to say why they are so large."""
-
 SMOOTHING_S = 0.05
 """Lag of a low-pass for the acceleration, (velocity - lagged velocity) / lag: encoder
 noise in it stays below a tenth of the torque sensor's noise, and a motion of 2 Hz loses

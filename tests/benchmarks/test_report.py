@@ -2,9 +2,6 @@
 
 import re
 
-import pytest
-
-from benchmarks.cli import main
 from benchmarks.report import PUBLISHED, published_number, table_one, write_report
 from tests.benchmarks.benchmark_cases import make_results
 
@@ -43,19 +40,3 @@ def test_the_page_shows_what_was_drawn(tmp_path):
 
     assert re.findall(r"<h2>Figure (\w+)", page) == ["8", "10", "I"]
     assert "figure-8-a.svg" in page
-
-
-@pytest.mark.slow
-def test_a_run_draws_its_figures(tmp_path):
-    options = ["--plant", "needle", "--workers", "1", "--report", str(tmp_path)]
-
-    assert main(["run", "gel-70-constant", *options]) == 0
-
-    drawn = sorted(path.name for path in tmp_path.glob("*.svg"))
-
-    assert drawn == [
-        "figure-10-gel-25-constant-gels-0-friction.svg",
-        "figure-2-gel-70-constant-needle-0-offline.svg",
-        "figure-8-gel-70-constant-needle-0-ft.svg",
-    ]
-    assert all(path.stat().st_size > 10_000 for path in tmp_path.glob("*.svg"))

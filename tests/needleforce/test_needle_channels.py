@@ -26,7 +26,7 @@ from needleforce.needle_channels import (
 from needleforce.tip_travel import TipTravel, TravelZero, measure_line_offset
 from residual.tool_kinematics import ToolKinematics
 from tests.insertion_run import same
-from tests.needle_trips import DT_S, Trip
+from tests.needleforce.needle_trips import DT_S, Trip
 
 SPEED_M_S = 4e-3
 IN_AIR_M = 0.012

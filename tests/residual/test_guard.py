@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 import pytest
 
-from benchmarks.faults.false_alarms import KINDS, held_back, sensed
 from residual import DEFAULT, SensorWarning, Status, VirtualForceSensor
 from tests.residual.guarded_sensor import (
     NOISE,
@@ -23,6 +22,7 @@ from tests.residual.residual_signals import (
     pose_of,
     swing,
 )
+from tests.residual.valid_motions import KINDS, held_back, sensed
 
 WITH_OR_WITHOUT = pytest.mark.parametrize("with_velocity", [True, False])
 

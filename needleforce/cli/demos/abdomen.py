@@ -18,7 +18,7 @@ from needleforce.cli.terminal import (
     write_out,
 )
 from needleforce.plan_file import crop_scan, large_structures
-from needleforce.plots import Chart, Curve, Instants, Panel, palette
+from needleforce.plots import palette
 from needleforce.plots.plan_slices import draw_along
 from needleforce.simulation.planned_insertion import (
     LANDMARKS,
@@ -78,7 +78,7 @@ def run(
         if place is not None:
             _write_page(insertion, rows, place)
     if picture is not None:
-        plots.save_figure(_force_chart(insertion), picture)
+        _save_forces(insertion, picture)
     if folder is not None:
         pages = [folder / name for name in (plots.PAGE, SCENE)]
         write_out("".join(f"{page}\n" for page in pages if page.exists()))
@@ -98,9 +98,8 @@ def _write_page(
         ruptures_m=[one.depth_m - insertion.shift_m for one in followed.ruptures],
         tip_m=followed.stop_m - insertion.shift_m,
     )
-    force = plots.save_page_figure(
-        _force_chart(insertion),
-        folder / "force.svg",
+    force = plots.PageFigure(
+        path=_save_forces(insertion, folder / "force.svg"),
         alt=FORCE_CAPTION,
         caption=FORCE_CAPTION,
     )
@@ -213,27 +212,29 @@ def _describe_registration(
     return f"{error_mm:.1f} mm at the target, {std_mm:.1f} stated"
 
 
-def _force_chart(insertion: PlannedInsertion) -> Chart:
-    """Return the chart of force and tip force over depth."""
+def _save_forces(insertion: PlannedInsertion, path: Path) -> Path:
+    """Draw force and tip force over depth into a file; return its name."""
+    from matplotlib import rc_context
+
     followed = insertion.followed
     depth_mm = M_TO_MM * followed.depth_m
-    layers = insertion.path.layers
-    boundaries_mm = tuple(M_TO_MM * layer.exit_m for layer in layers[:-1])
-    ruptures_mm = tuple(M_TO_MM * rupture.depth_m for rupture in followed.ruptures)
-    force = Curve(
-        style=palette.READING,
-        x=depth_mm,
-        y=followed.force_N,
-        label="force, virtual sensor",
-    )
-    tip = Curve(style=palette.TIP, x=depth_mm, y=followed.tip_N, label="tip force")
-    return Chart(
-        title="Force and tip force over depth\n"
-        "boundaries as planned, ruptures as detected",
-        x_label="depth below the planned entry [mm]",
-        panels=(Panel(y_label=palette.FORCE, curves=(force, tip)),),
-        instants=(
-            Instants("planned boundary", palette.COMPENSATION, boundaries_mm),
-            Instants("detected rupture", palette.RUPTURE, ruptures_mm),
-        ),
-    )
+    exits_m = [layer.exit_m for layer in insertion.path.layers[:-1]]
+    ruptures_m = [rupture.depth_m for rupture in followed.ruptures]
+    with rc_context(fname=plots.STYLE):
+        figure, (axes,) = plots.make_panels(
+            1, plots.WIDTH_IN, 3.0, "Boundaries as planned, ruptures as detected"
+        )
+        plots.draw_line(
+            axes, depth_mm, followed.force_N, color=palette.GREEN, label="force"
+        )
+        tip = {"color": palette.PURPLE, "ls": "-."}
+        plots.draw_line(axes, depth_mm, followed.tip_N, label="tip force", **tip)
+        for label, places_m, marker in (
+            ("planned boundary", exits_m, "o"),
+            ("detected rupture", ruptures_m, "|"),
+        ):
+            places_mm = M_TO_MM * np.array(places_m)
+            plots.mark_instants(axes, places_mm, label, color="k", marker=marker)
+        axes.set(xlabel="depth below the planned entry [mm]", ylabel=palette.FORCE)
+        plots.add_legend(figure, columns=2)
+        return plots.save_figure(figure, path)

@@ -1,20 +1,18 @@
 """`needleforce demo`: an insertion through three gels, as tables and as a page."""
 
-from collections.abc import Sequence
+from collections.abc import Iterator
 from pathlib import Path
 from textwrap import fill
-from typing import NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
 import numpy as np
-import pinocchio as pin
+import pandas as pd
 
-from foundation.arrays import Array
 from groundtruth import Run, simulate
 from needleforce import plots
 from needleforce.cli.terminal import CommandError, aligned, staged_progress, write_out
 from needleforce.depth_zero import FIRST_CONTACT, DepthZero
-from needleforce.plots import Chart, Curve, Instants, Panel, Shading, palette
-from needleforce.plots.chart import WIDTH_IN
+from needleforce.plots import palette
 from needleforce.session import InsertionSession
 from needleforce.simulation.insertion import (
     FoundRupture,
@@ -24,6 +22,9 @@ from needleforce.simulation.insertion import (
     published_session,
     run_session,
 )
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 SCENARIO = "stack-glove-constant"
 """What is inserted into: see `needleforce simulate --list`."""
@@ -37,16 +38,16 @@ M_TO_MM = 1e3
 NOTHING = "–"
 
 LAYER_HEAD = (
-    "\nlayer",
-    "end [mm]\ntrue",
-    "\nestimated",
-    "friction [N]\ntrue",
-    "\nestimated",
-    "stiffness [N/m]\ntrue",
-    "\nestimated",
-    "alarm\nafter",
+    "layer",
+    "end [mm]",
+    "found",
+    "friction [N]",
+    "found",
+    "stiffness [N/m]",
+    "found",
+    "alarm",
 )
-"""Heads of the table of layers; the quantity above, what is known of it below."""
+"""Heads of the table of layers; what was found stands behind the truth."""
 
 METHOD_HEAD = ("", "needleforce", "published")
 
@@ -111,7 +112,10 @@ def run(folder: Path, seed: int, picture: Path | None) -> int:
         if place is not None:
             write_page(compared, place)
     if picture is not None:
-        plots.save_figure(force_chart(compared), picture)
+        from matplotlib import rc_context
+
+        with rc_context(fname=plots.STYLE):
+            plots.save_figure(draw_forces(compared, plots.WIDTH_IN), picture)
     write_out(f"\npicture: {folder / plots.PAGE}\n\n{next_text()}")
     return 0
 
@@ -148,19 +152,17 @@ def compare(seed: int) -> ComparedInsertion:
 
 def tables_text(compared: ComparedInsertion) -> str:
     """Return the tables of layers and of methods as lines of text."""
-    heads = zip(*(head.split("\n") for head in LAYER_HEAD), strict=True)
-    layers = [*heads, *layer_rows(compared)]
-    methods = [METHOD_HEAD, *method_rows(compared)]
+    layers = pd.DataFrame(layer_rows(compared), columns=LAYER_HEAD)
+    layers.iloc[:, 1:] = " " + layers.iloc[:, 1:]  # two spaces between columns
+    methods = pd.DataFrame(method_rows(compared), columns=METHOD_HEAD)
     notes = (layer_note(compared), friction_note(compared), METHOD_NOTE, NOT_MEDICAL)
-    return (
-        f"\n{_wrapped(answer(compared))}\n{_columns(layers)}\n{_columns(methods)}\n"
-        f"{''.join(map(_wrapped, notes))}"
-    )
-
-
-def _wrapped(text: str) -> str:
-    """Return text in lines that a terminal shows without breaking them."""
-    return f"{fill(text, 80)}\n"
+    parts = [
+        fill(answer(compared), 80),
+        layers.to_string(index=False),
+        methods.to_string(index=False),
+        "\n".join(fill(note, 80) for note in notes if note),
+    ]
+    return "\n" + "\n\n".join(parts) + "\n"
 
 
 def answer(compared: ComparedInsertion) -> str:
@@ -286,142 +288,76 @@ def method_rows(compared: ComparedInsertion) -> tuple[tuple[str, ...], ...]:
     )
 
 
-def _columns(rows: Sequence[Sequence[str]]) -> str:
-    """Return rows as lines of text, the first column on the left, others right."""
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines: list[str] = []
-    for first, *others in rows:
-        cells = [first.ljust(widths[0])]
-        cells += map(str.rjust, others, widths[1:])
-        lines.append("  ".join(cells).rstrip() + "\n")
-    return "".join(lines)
-
-
 def next_text() -> str:
     """Return the commands to try next, one a line."""
     lines = [(f"  {command}", f"# {purpose}") for command, purpose in NEXT]
     return "next:\n" + aligned(lines)
 
 
-def force_chart(compared: ComparedInsertion) -> Chart:
+def draw_forces(compared: ComparedInsertion, width_in: float) -> "Figure":
     """Return the forces on the needle and at its tip over the depth."""
     run = compared.run
+    truth = run.truth
     ours = compared.mixture.result
     published = compared.published.result
-    drawn = np.flatnonzero(is_insertion(run))[::20]
-    panels = (
-        _panel(
-            "force on the needle [N]",
-            M_TO_MM * run.truth.depth_m[drawn],
-            run.truth.axial_N[drawn],
-            (ours.force_N[drawn], ours.force_std_N[drawn]),
-            published.force_N[drawn],
-        ),
-        _panel(
-            "force at the tip [N]",
-            M_TO_MM * run.truth.depth_m[drawn],
-            run.truth.tip_N[drawn],
-            (ours.tip_N[drawn], ours.tip_std_N[drawn]),
-            published.tip_N[drawn],
-        ),
-    )
-    depth_mm = M_TO_MM * run.truth.depth_m
-    places = tuple(float(depth_mm[sample]) for sample in ours.alarm_samples.values())
-    alarms = Instants("rupture reported by needleforce", palette.RUPTURE, places)
-    return Chart(
-        title="A needle through three gels\n"
+    figure, panels = plots.make_panels(
+        2,
+        width_in,
+        4.6,
+        "A needle through three gels\n"
         f"simulated LWR 4+, plant model {run.plant}, seed {run.seed}",
-        x_label="depth of the tip below the surface [mm]",
-        panels=panels,
-        shadings=_layer_shadings(run),
-        instants=(alarms,),
-        height_in=4.6,
     )
-
-
-def _panel(
-    y_label: str,
-    depth_mm: Array,
-    true_N: Array,
-    ours_N: tuple[Array, Array],
-    published_N: Array,
-) -> Panel:
-    """Return one force of both methods, ours with its deviation, and the truth."""
-    published = Curve(
-        style=palette.PUBLISHED, x=depth_mm, y=published_N, label="published method"
+    drawn = np.flatnonzero(is_insertion(run))[::20]
+    depth_mm = M_TO_MM * truth.depth_m
+    forces = (
+        (truth.axial_N, ours.force_N, ours.force_std_N, published.force_N),
+        (truth.tip_N, ours.tip_N, ours.tip_std_N, published.tip_N),
     )
-    ours = Curve(
-        style=palette.OURS,
-        x=depth_mm,
-        y=ours_N[0],
-        std=ours_N[1],
-        label="needleforce",
-        band_label="± 2 std",
+    dashed = {"color": palette.VERMILION, "ls": "--"}
+    alarms = list(ours.alarm_samples.values())
+    for axes, (true_N, ours_N, std_N, published_N) in zip(panels, forces, strict=True):
+        for name, tint, start_mm, end_mm in _layers_of(run):
+            axes.axvspan(start_mm, end_mm, color=tint, label=name, zorder=0.4)
+        x = depth_mm[drawn]
+        plots.draw_line(axes, x, published_N[drawn], label="published method", **dashed)
+        plots.draw_line(
+            axes,
+            x,
+            ours_N[drawn],
+            std_N[drawn],
+            color=palette.BLUE,
+            label="needleforce ± 2 std",
+        )
+        plots.draw_line(
+            axes, x, true_N[drawn], color=palette.BLACK, lw=0.9, label="ground truth"
+        )
+        plots.mark_instants(
+            axes, depth_mm[alarms], "rupture reported", color="k", marker="|", ms=13
+        )
+        # The published method's false forces would flatten all others.
+        shown_N = np.concatenate([true_N[drawn], ours_N[drawn]])
+        axes.set_ylim(1.3 * min(shown_N.min(), -0.2), 1.3 * shown_N.max())
+    panels[0].set(ylabel="force on the needle [N]")
+    panels[1].set(
+        ylabel="force at the tip [N]", xlabel="depth of the tip below the surface [mm]"
     )
-    true = Curve(style=palette.TRUE, x=depth_mm, y=true_N, label="ground truth")
-    return Panel(y_label=y_label, curves=(published, ours, true))
+    plots.add_legend(figure)
+    return figure
 
 
 LAYER_TINTS = ("#f3f0e6", "#e3e9f2", "#eaf3e6")
-"""Colours of the layers behind the curves, and in the drawing of the arm."""
+"""Colours of the layers behind the curves."""
 
 
-def _layer_shadings(run: Run) -> tuple[Shading, ...]:
-    """Return where the tip is in each layer, by the true ruptures."""
-    ends_mm = [0.0]
-    shadings: list[Shading] = []
+def _layers_of(run: Run) -> Iterator[tuple[str, str, float, float]]:
+    """Yield name, tint, and where the tip enters and leaves each layer [mm]."""
+    start_mm = 0.0
     for rupture in run.truth.ruptures:
         if rupture.layer > 0:
-            ends_mm.append(M_TO_MM * rupture.onset_m)
+            end_mm = M_TO_MM * rupture.onset_m
             name = run.scenario.layers[rupture.layer - 1].name
-            tint = LAYER_TINTS[(rupture.layer - 1) % len(LAYER_TINTS)]
-            shadings.append(Shading(name, tint, ((ends_mm[-2], ends_mm[-1]),)))
-    return tuple(shadings)
-
-
-def draw_arm(run: Run, path: Path) -> Path:
-    """Draw arm, needle and gels to scale from the side, at the deepest point."""
-    import matplotlib.pyplot as plt
-    from matplotlib.patches import Rectangle
-
-    robot = run.robot
-    data = robot.create_data()
-    deepest = int(np.argmax(run.truth.depth_m))
-    pin.framesForwardKinematics(robot.model, data, run.signals.q_rad[deepest])
-    tool = data.oMf[robot.tool_frame_id]
-    joints_m = np.array([placement.translation for placement in data.oMi])
-    tip_m = tool.translation
-    surface_m = tip_m - run.truth.depth_m[deepest] * tool.rotation[:, 2]
-    # The side of the arm: its reach along the floor, and its height.
-    reach = np.array([tip_m[0], tip_m[1], 0.0])
-    reach /= np.linalg.norm(reach)
-    arm_m = joints_m @ np.stack((reach, [0.0, 0.0, 1.0]), axis=1)
-    needle_m = np.stack((joints_m[-1], tip_m)) @ np.stack((reach, [0, 0, 1]), axis=1)
-    figure, axes = plt.subplots(figsize=(WIDTH_IN, 3.6))
-    top_m = float(surface_m[2])
-    for number, layer in enumerate(run.scenario.layers):
-        tint = LAYER_TINTS[number % len(LAYER_TINTS)]
-        left_m = float(surface_m @ reach) - 0.1
-        axes.add_patch(
-            Rectangle(
-                (left_m, top_m - layer.thickness_m),
-                0.2,
-                layer.thickness_m,
-                facecolor=tint,
-                edgecolor=palette.GREY,
-            )
-        )
-        middle_m = top_m - layer.thickness_m / 2
-        axes.text(left_m - 0.01, middle_m, layer.name, ha="right", va="center")
-        top_m -= layer.thickness_m
-    axes.plot(*arm_m.T, "o-", color=palette.GREY, linewidth=9, solid_capstyle="round")
-    axes.plot(*needle_m.T, color=palette.BLUE, linewidth=1.6)
-    x_m, height_m = (needle_m[0] - (0.03, 0.04)).tolist()
-    axes.text(x_m, height_m, "needle", color=palette.BLUE, ha="right")
-    axes.set(aspect="equal", xlabel="reach [m]", ylabel="height above the base [m]")
-    figure.savefig(path, bbox_inches="tight")
-    plt.close(figure)
-    return path
+            yield name, LAYER_TINTS[(rupture.layer - 1) % 3], start_mm, end_mm
+            start_mm = end_mm
 
 
 def write_page(compared: ComparedInsertion, folder: Path) -> Path:
@@ -430,22 +366,17 @@ def write_page(compared: ComparedInsertion, folder: Path) -> Path:
     Returns:
         Its path.
     """
-    figure = plots.save_page_figure(
-        force_chart(compared),
-        folder / "insertion.svg",
-        alt="Forces on the needle and at its tip over depth, with the ground truth",
-        caption=CAPTION,
-        is_alone=True,
-    )
-    arm_caption = (
-        "Arm, needle and gels from the side, to scale, where the needle is deepest. "
-        "The robot has no force sensor at the needle: it knows its joints alone."
-    )
-    arm = plots.PageFigure(
-        path=draw_arm(compared.run, folder / "arm.svg"),
-        alt="The arm with its needle through three gels",
-        caption=arm_caption,
-    )
+    from matplotlib import rc_context
+
+    with rc_context(fname=plots.STYLE):
+        narrow = draw_forces(compared, plots.WIDTH_IN)
+        wide = draw_forces(compared, plots.WIDE_IN)
+        figure = plots.PageFigure(
+            path=plots.save_figure(narrow, folder / "insertion.svg"),
+            alt="Forces on the needle and at its tip over depth, with the truth",
+            caption=CAPTION,
+            wide=plots.save_figure(wide, folder / "insertion-wide.svg"),
+        )
     layers = plots.PageTable(
         caption="Layers: true and estimated",
         head=LAYER_HEAD,
@@ -472,7 +403,7 @@ def write_page(compared: ComparedInsertion, folder: Path) -> Path:
             plots.Section(
                 heading="The insertion",
                 anchor="insertion",
-                figures=(figure, arm),
+                figures=(figure,),
                 tables=(layers, methods),
             ),
             plots.Section(heading="Next", anchor="next", tables=(commands,)),

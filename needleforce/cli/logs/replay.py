@@ -13,7 +13,6 @@ from needleforce import plots, recordings
 from needleforce.cli.logs import figures, forces, layers
 from needleforce.cli.logs.columns import mapping_from_options
 from needleforce.cli.logs.result import Figure, Result, Table
-from needleforce.cli.logs.tool_mass import tool_mass_warnings
 from needleforce.cli.robot import payload_from_options, payload_lines
 from needleforce.cli.shared_options import (
     DepthColumns,
@@ -95,7 +94,7 @@ def run_forces(
         optional=("dq",),
         joints=model.joint_names,
     )
-    warnings = (*log.warnings, *tool_mass_warnings(log.tool_mass, model))
+    warnings = log.warnings
     warn(warnings)
     replay, model = forces.estimate_forces(log, model, sensor, _name_of(source))
     doubts = forces.find_doubts(replay)

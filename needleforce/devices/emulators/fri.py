@@ -11,7 +11,6 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.devices import fri
 from needleforce.devices.datagram_link import LOOPBACK, Endpoint
-from needleforce.devices.emulators.process import take_real_time
 from needleforce.devices.emulators.wire import FaultyWire, WireFaults, is_within
 
 
@@ -31,7 +30,6 @@ class FriSettings:
         extra_wait_s: So much longer a cycle lasts until it is answered; one of a real
             controller never does.
         command_from_s: When it goes from monitoring to commanding.
-        in_real_time: Whether it asks the system for real-time priority.
         delay_cycles: So many cycles after a command the reported position is there;
             None: positions are those of ``q_rad``.
         faults: What goes wrong on the wire.
@@ -44,7 +42,6 @@ class FriSettings:
     cycles: int | None = None
     extra_wait_s: float = 0.0
     command_from_s: float = float("inf")
-    in_real_time: bool = False
     delay_cycles: int | None = None
     faults: WireFaults = field(default_factory=WireFaults)
 
@@ -56,9 +53,6 @@ def emulate_fri(pipe: Connection, settings: FriSettings) -> dict[str, Any]:
         Counts of the cycles, of answers in the same cycle, of packets sent; and the
         position that was commanded at the end.
     """
-    if settings.in_real_time:
-        take_real_time()
-
     controller = _Controller(settings)
     pipe.send({"port": controller.wire.address.port})
     cycles_between_looks = max(1, round(0.1 / settings.period_s))

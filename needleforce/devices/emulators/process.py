@@ -1,7 +1,6 @@
-"""A process that emulates a device, in real time if asked to."""
+"""A process that emulates a device."""
 
 import multiprocessing
-import os
 from collections.abc import Callable, Sequence
 from contextlib import AbstractContextManager, suppress
 from multiprocessing.connection import Connection
@@ -11,18 +10,6 @@ from needleforce.devices.errors import LinkError
 
 START_S = 30.0
 """A process that imports numpy on a busy machine takes its time to start or end."""
-
-PRIORITY = 60
-"""Of an emulator in real time, among 1 to 99."""
-
-
-def take_real_time(priority: int = PRIORITY) -> bool:
-    """Ask for first-in-first-out scheduling; return whether the system grants it."""
-    with suppress(OSError, AttributeError):
-        os.sched_setscheduler(0, os.SCHED_FIFO, os.sched_param(priority))
-        return True
-
-    return False
 
 
 class Emulator(AbstractContextManager["Emulator"]):

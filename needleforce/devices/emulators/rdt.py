@@ -69,7 +69,6 @@ class _Box:
         self.record_count = 0
         counts_per_unit = np.repeat(settings.scale, 3)
         self._rows = np.round(settings.wrench * counts_per_unit).astype(">i4")
-        self._zero = np.zeros(6, dtype=">i4")
         self._records_per_datagram = 1
         self._begin_s = time.monotonic()
 
@@ -83,7 +82,7 @@ class _Box:
             records = np.zeros(size, rdt.RECORD)
             records["count"] = numbers % rdt.COUNTS
             records["ft_count"] = numbers % rdt.COUNTS
-            records["counts"] = self._rows[numbers % len(self._rows)] - self._zero
+            records["counts"] = self._rows[numbers % len(self._rows)]
             self.wire.put(records.tobytes(), self.record_count / rate_hz)
             self.record_count += size
 
@@ -96,9 +95,7 @@ class _Box:
         if mark != rdt.REQUEST_MARK:
             return
 
-        if command == rdt.RdtCommand.SOFTWARE_BIAS:
-            self._zero = self._rows[self.record_count % len(self._rows)].copy()
-        elif command == rdt.RdtCommand.STOP:
+        if command == rdt.RdtCommand.STOP:
             self.wire.peer = None
         elif self.wire.peer is None:
             is_buffered = command == rdt.RdtCommand.BUFFERED

@@ -3,17 +3,14 @@
 import numpy as np
 import pytest
 
-from benchmarks.campaign import run_job
 from benchmarks.insertion.perturbations import (
     ARM_ONLY,
-    FT_ONLY,
     GROUPS,
     MIXED,
     PERTURBATIONS,
     perturbed,
 )
-from benchmarks.insertion.robustness import SCENARIOS, perturbed_needle
-from benchmarks.jobs import Job
+from benchmarks.insertion.robustness import perturbed_needle
 from groundtruth import scenario
 from tests.benchmarks.benchmark_cases import gel_slice
 
@@ -58,14 +55,3 @@ def test_truth_is_relative_to_the_moving_tissue():
     assert np.allclose(still_signal.depth_m, moved_signal.depth_m, atol=1e-4)
     assert 0.5e-3 < difference_m.max() < 3e-3
     assert onset_m == pytest.approx(rupture.onset_m, abs=5e-5)
-
-
-@pytest.mark.slow
-def test_robustness_of_a_force_sensor_needs_no_arm():
-    job = Job(benchmark=f"robustness-{SCENARIOS[0]}", plant="force-noise", seed=1)
-    rows = run_job(job).rows
-
-    assert FT_ONLY.isdisjoint(ARM_ONLY)
-    assert set(rows["source"]) == {"ft"}
-    assert set(rows["method"]) == {"ours", "published-as-authors-ran"}
-    assert {"rupture_recall", "false_alarms"} <= set(rows["metric"])

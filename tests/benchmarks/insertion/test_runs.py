@@ -30,8 +30,8 @@ def values(figures):
 
 
 @pytest.mark.slow
-def test_a_needle_alone_is_identified_by_every_method():
-    job = Job(benchmark="short", plant="needle")
+def test_a_needle_alone_is_identified_by_every_method_and_drawn(tmp_path):
+    job = Job(benchmark="gel-70-constant", plant="needle", report=tmp_path)
     numbers = values(run_needle(job, gel_slice(), is_drawn=False))
     ml, kv = (
         numbers["ft", "ours", f"offline_rmse_{model}_N"] for model in ("ml", "kv")
@@ -47,6 +47,10 @@ def test_a_needle_alone_is_identified_by_every_method():
     assert numbers["ft", "ours", "friction_error_worst_pct"] < 10.0
     assert numbers["ft", "ours", "cumulative_friction_true_Ns_per_m"] > 0.0
     assert 0.0 < ml < kv
+    assert sorted(path.name for path in tmp_path.iterdir()) == [
+        "figure-2-gel-70-constant-needle-0-offline.svg",
+        "figure-8-gel-70-constant-needle-0-ft.svg",
+    ]
 
 
 @pytest.mark.slow

@@ -237,6 +237,7 @@ def test_missing_and_foreign_files_and_a_folder_without_slices_are_refused(tmp_p
         (np.zeros((4, 4, 4), np.uint8), 1.0, "no voxel"),
         (np.full((4, 4, 4), 0.5, np.float32), 2.0, "0.5"),
         (np.full((4, 4, 4), -3, np.int16), 1.0, "-3"),
+        (np.full((4, 4, 4), np.nan, np.float32), 2.0, "nan"),
         (np.full((4, 4, 4), 70_000, np.int32), 1.0, "70000"),
         (np.ones((4, 4, 4), np.uint8), 1e-3, "millimetres"),
         (np.ones((4, 4, 4), np.uint8), 2e3, "millimetres"),
@@ -454,6 +455,7 @@ def test_masks_of_totalsegmentator_bring_their_names(tmp_path):
     files = zip(("liver", "lesion", "rib_left_1"), bodies(), strict=False)
     for name, mask in files:
         made.write_image(tmp_path / f"{name}.nii.gz", mask)
+    (tmp_path / "._liver.nii.gz").write_bytes(b"of another system")
     made.write_image(tmp_path / "spleen.nii.gz", np.zeros_like(mask))
     voxels = {item.name: item.voxels for item in read_labels(tmp_path).structures}
 

@@ -145,10 +145,19 @@ def test_a_tare_is_named_on_the_logs_clock(run, lwr, start_s, window, shown):
     assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
+def test_what_came_before_the_tares_window_is_not_in_it(run, lwr):
+    columns = insertion(lwr)
+    columns["tau_Nm"][:900, 1:4] += 4.0
+    forces, *_ = run(columns, "--tare", "1.3:2.5")
+
+    assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
+
+
 def test_bad_rows_are_counted_and_harm_no_others(run, lwr):
     columns = insertion(lwr)
     columns["q_rad"][2000:2010, 2] = np.nan
     columns["tau_Nm"][3300] = np.inf
+    columns["t_s"][3600] = np.nan
     keep = np.r_[0:2600, 2750:4000]
     forces, summary, _ = run(
         {name: values[keep] for name, values in columns.items()}, *TARE
@@ -162,8 +171,9 @@ def test_bad_rows_are_counted_and_harm_no_others(run, lwr):
 
     assert np.isfinite(np.stack([forces[n][valid] for n in forces])).all()
     assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
-    assert summary["rejected"].startswith("11: 10 x q ")
-    assert "11 rejected" in summary["samples"]
+    assert summary["rejected"].startswith("12: 10 x q ")
+    assert "1 x bad time stamp" in summary["rejected"]
+    assert "12 rejected" in summary["samples"]
     assert summary["gaps"].startswith("1 longer than 0.1 s (longest 0.151 s)")
 
 
@@ -245,7 +255,7 @@ def test_a_tare_is_forced_in_spite_of_velocities_and_the_doubt_stays(run, lwr):
     forces, summary, _ = run(columns, *TARE, "--force-tare")
 
     assert "x velocity" in summary["warnings"]
-    assert "deg/s" in summary["signals"]
+    assert "rate of q" in summary["signals"]
     assert (forces["force_warnings"][-1000:].astype(int) & SensorWarning.VELOCITY).all()
 
 
@@ -372,6 +382,13 @@ def test_check_finds_nothing_doubtful_in_a_sound_log(lwr, tmp_path, capsys):
     ("channel", "change", "options", "fact", "word"),
     [
         ("tau_Nm", lambda tau: 1.15 * tau, TARE, "torque", "1.15 +/-"),
+        (
+            "tau_Nm",
+            lambda tau: tau + 80 * np.eye(4000, 7, -3500),
+            TARE,
+            "rejected",
+            "1 x",
+        ),
         ("dq_rad_s", np.zeros_like, ["--no-tare"], "signals", "stands still"),
         ("q_rad", lambda q: np.where(q == q[9], np.nan, q), TARE, "rejected", "1 x q"),
     ],

@@ -83,6 +83,13 @@ def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path
     assert pdf.read_bytes().startswith(b"%PDF")
 
 
+def test_depths_are_shown_below_first_contact(needle, identify):
+    _, (layer,), _ = identify(depth_m=needle["depth_m"] + 0.05)
+
+    assert float(layer["from mm"]) == pytest.approx(0.0, abs=0.1)
+    assert float(layer["to mm"].split("±")[0]) < 49.0
+
+
 @pytest.mark.parametrize(
     ("method", "start_s"),
     [("mixture", 1.7e9), ("published", 100.0), ("published-kv", 0.0)],

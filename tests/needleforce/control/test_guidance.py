@@ -6,9 +6,9 @@ from types import SimpleNamespace
 import numpy as np
 import pytest
 
-from benchmarks.control.guidance import GuidedArm
 from needleforce.control import Controller, Guidance, Limits, SettingError
 from needleforce.control.guidance import LWR_DAMPING_Nms, find_damping_of_arm
+from tests.needleforce.control.guided_arm import GuidedArm
 from tests.needleforce.control.late_arm import DT_s, LateArm
 from urdf import NeedleTool, load_example, load_lwr
 

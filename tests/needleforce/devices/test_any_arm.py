@@ -90,17 +90,14 @@ def test_every_program_that_moves_an_arm_limits_the_jerk():
         assert not re.findall(r"Controller\([\w.]+, (?:control\.)?Limits\(", text), path
 
 
-@pytest.mark.parametrize("name", sorted(KINDS))
+@pytest.mark.parametrize("name", sorted({*KINDS} - {"ur5e"}))  # of seven joints
 def test_an_arm_without_a_limit_of_the_jerk_is_refused(name):
     """Before anything has moved; by name it is allowed."""
     robot = load_lwr(payload=NeedleTool())
-    scripted = KINDS[name](place_rad=POSTURE[0][: KINDS[name].joints])
+    scripted = KINDS[name](place_rad=POSTURE[0])
     scripted.run_freely()
     reading = next(scripted.readings)
     scripted.close()
-    if name == "ur5e":
-        assert reading.is_real
-        return
     tasks = [Posture(reading.q_rad)]
     refused = Controller(robot, Limits(robot))
 

@@ -81,16 +81,6 @@ def test_a_record_is_asked_for_and_read_byte_for_byte(buffered, request_hex):
         box.send(GOLDEN_RECORD)
         assert box.read().tolist() == [1.0, -2.0, 3.0, 4.0, -5.0, 6.0]
 
-        box.link.bias()
-        box.send(record(8))
-        assert not box.read().any()
-        box.link.unbias()
-        box.send(record(9))
-        assert box.read()[0] == 1.0
-
-        box.link.bias_sensor()
-        assert box.socket.recv(64).hex() == "1234004200000000"
-
         box.link.close()
         assert box.socket.recv(64).hex() == "1234000000000000"
         assert box.link.read() is None

@@ -18,7 +18,7 @@ from needleforce.recordings import (
     write_log,
     write_table,
 )
-from needleforce.recordings.output import open_table
+from needleforce.recordings.output import check_outputs, check_writable, open_table
 from needleforce.recordings.table import TableLabels
 from tests.needleforce.recordings.bag_samples import START_NS
 
@@ -64,30 +64,27 @@ def test_csv_numbers_two_dimensional_columns_and_quotes_names(tmp_path):
 
 @pytest.mark.parametrize("old", [None, {"t_s": [1.0]}])
 @pytest.mark.parametrize(
-    ("suffix", "columns", "message"),
+    ("suffix", "columns"),
     [
-        ("csv", {}, "no columns"),
-        ("csv", {"#t": T_S}, "starts with '#'"),
-        (
-            "csv",
-            {"t": T_S, "f": T_S[:2]},
-            r"'f' has shape \(2,\).*numbers of shape \(3,\)",
-        ),
-        ("csv", {"t": ["a", "b"]}, "type <U1"),
-        ("csv", {"q": np.zeros((3, 2)), "q_1": T_S}, "'q_1' would stand twice"),
-        ("mcap", {"axial_N": [1.0]}, "a bag needs time stamps: a column t_s"),
-        ("mcap", {"t_s": [0.0, np.nan]}, "one is not finite"),
-        ("mcap", {"t_s": [-1.0, 0.0]}, "before zero; t_s reaches -1.0 s"),
+        ("csv", {}),
+        ("csv", {"#t": T_S}),
+        ("csv", {" ": T_S}),
+        ("csv", {"t": T_S, "f": T_S[:2]}),
+        ("csv", {"t": ["a", "b"]}),
+        ("csv", {"t": np.zeros((2, 2, 2))}),
+        ("csv", {"q": np.zeros((3, 2)), "q_1": T_S}),
+        ("mcap", {"axial_N": [1.0]}),
+        ("mcap", {"t_s": [0.0, np.nan]}),
+        ("mcap", {"t_s": [-1.0, 0.0]}),
     ],
 )
-def test_unwritable_tables_leave_old_files(tmp_path, old, suffix, columns, message):
+def test_unwritable_tables_leave_old_files(tmp_path, old, suffix, columns):
     path = tmp_path / f"t.{suffix}"
     if old:
         write_table(path, old)
 
     contents = {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()}
-
-    with pytest.raises(LogError, match=message):
+    with pytest.raises(LogError):
         write_table(path, columns)
 
     assert {entry.name: entry.read_bytes() for entry in tmp_path.iterdir()} == contents
@@ -102,7 +99,7 @@ def test_a_failing_write_leaves_the_old_file(tmp_path, monkeypatch):
 
     monkeypatch.setattr("os.replace", full)
 
-    with pytest.raises(FileAccessError, match=r"cannot write .*No space left"):
+    with pytest.raises(FileAccessError, match="space"):
         write_table(path, {"new": [2.0]})
 
     assert path.read_text() == "old\n1.0\n"
@@ -143,7 +140,7 @@ def test_rows_appended_are_rows_written_at_once(tmp_path, suffix):
 def test_rows_with_other_columns_are_refused(tmp_path, later):
     with open_table(tmp_path / "t.csv") as table:
         table.append({"t": T_S, "f": T_S})
-        with pytest.raises(LogError, match="do not fit those before"):
+        with pytest.raises(LogError, match="columns"):
             table.append(later)
 
     assert len(read_table(tmp_path / "t.csv").columns["t"]) == 3
@@ -237,3 +234,43 @@ def test_an_existing_bag_is_replaced_only_whole(path):
 
     assert read_table(path).columns["t_s"].size == 20
     assert [p.name for p in path.parent.iterdir()] == [path.name]
+
+
+@pytest.mark.parametrize("suffix", ["csv", "npz", "parquet", "mcap"])
+@pytest.mark.parametrize("is_live", [False, True])
+def test_a_file_that_is_there_is_replaced_only_if_asked(tmp_path, suffix, is_live):
+    path = tmp_path / f"x.{suffix}"
+    path.write_text("old")
+    with (
+        pytest.raises(FileAccessError, match="exists"),
+        open_table(path, is_live=is_live, overwrites=False) as table,
+    ):
+        table.append({"t_s": T_S})
+    with pytest.raises(FileAccessError, match="exists"):
+        check_writable(path, overwrites=False)
+
+    assert path.read_text() == "old"
+
+
+@pytest.mark.parametrize(
+    ("outputs", "source"),
+    [
+        (("x.csv", "x.csv"), "log.csv"),
+        (("link.csv", "x.csv"), "log.csv"),
+        (("log.csv",), "log.csv"),
+        (("bag/x.csv",), "bag"),
+        (("bag",), "bag/log.csv"),
+    ],
+)
+def test_outputs_never_replace_each_other_or_the_log(tmp_path, outputs, source):
+    (tmp_path / "bag").mkdir()
+    for name in ("log.csv", "x.csv", "bag/log.csv"):
+        (tmp_path / name).write_text("old")
+    (tmp_path / "link.csv").hardlink_to(tmp_path / "x.csv")
+    paths = {f"--{k}": tmp_path / name for k, name in enumerate(outputs)}
+
+    with pytest.raises(FileAccessError, match="--0"):
+        check_outputs(paths, tmp_path / source)
+    check_outputs(
+        {"-o": tmp_path / "new.csv", "-p": tmp_path / "n.csv"}, tmp_path / source
+    )

@@ -116,27 +116,27 @@ def test_the_first_card_names_the_tissue_at_the_tip_with_its_probability(
 @pytest.mark.parametrize(
     ("state", "aside_m", "place"),
     [
-        ({}, 2e-3, (2.0, 1.0)),
-        ({"tip_m": 0.05, "is_off_plan": True}, 0.05, (5.5, 1.0)),  # at the edge
+        ({}, [2e-3, 0.0, -0.04], (2.0, 0.0)),
+        ({}, [0.0, 2e-3, -0.04], (0.0, -2.0)),  # up, to the back
+        ({"tip_m": 0.05, "is_off_plan": True}, [0.05, 0.0, -0.04], (5.5, 0.0)),
     ],
 )
 def test_the_bullseye_shows_the_needle_where_it_passes_the_path(state, aside_m, place):
-    # The plan goes down, to the patient's feet; the tip is to his left.
+    # The plan goes down, to the patient's feet.
     needle = NeedlePose(
-        plan().path.entry_m + np.array([aside_m, 0.0, -0.04]),
-        np.array([0.02, 0.0, -1.0]),
+        plan().path.entry_m + np.array(aside_m), np.array([0.02, 0.0, -1.0])
     )
     html = card(state, needle=needle)
     circle = re.search(r'cx="(.*?)" cy="(.*?)" r="(.*?)"', html)
     x, y, radius = map(float, circle.groups())
     sides = dict(re.findall(r'data-side="(\w+)"[^>]*>(\w)<', html))
 
-    assert (x, y) == pytest.approx((place[0], 0.0), abs=0.01)
-    assert radius == pytest.approx(place[1])  # two standard deviations
+    assert (x, y) == pytest.approx(place, abs=0.01)
+    assert radius == pytest.approx(1.0)  # two standard deviations
     assert sides == {"left": "R", "right": "L", "up": "P"}
     assert "1.1 ± 0.3° turned" in html
-    line = re.search(r'<path d="M(.*?) .*?L', html[html.index("</text>") :])
-    assert abs(float(line[1])) == pytest.approx(1.2)  # as far aside at the entry
+    line = re.search(r'<path d="M(.*?) (.*?)L', html[html.index("</text>") :])
+    assert np.hypot(*map(float, line.groups())) == pytest.approx(1.2, abs=0.01)
 
 
 @pytest.mark.parametrize(

@@ -16,8 +16,6 @@ import qpsolvers  # pyright: ignore[reportMissingImports]
 from pink.tasks import Task as PinkTask  # pyright: ignore[reportMissingImports]
 from scipy.optimize import nnls
 
-from benchmarks.control.published import solve_published
-from benchmarks.jobs import Figure, Job, Method
 from foundation.arrays import Array
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
@@ -40,23 +38,7 @@ from needleforce.control.tasks import (
     TipVelocity,
     ToolState,
 )
-from urdf import NeedleTool, Robot, load_lwr
-
-CASES = ("leak", "cascade", "hostile")
-STACKS = 5_000
-CASCADES = 250
-TICKS = 50_000
-"""Of one seed: with 20 seeds 1e5 stacks and 1e6 ticks."""
-POSTURES = ("regular", "singular")
-"""Kinds of drawn postures, in this order; the second is within 0.01 rad of one."""
-
-
-def run(job: Job) -> Iterator[Figure]:
-    """Yield the numbers of one case and seed; no plant plays a part."""
-    rng = np.random.default_rng(job.seed)
-    robot = load_lwr(payload=NeedleTool())
-    measures = {"leak": leaks, "cascade": cascades, "hostile": hostile_ticks}
-    return measures[job.case](robot, rng)
+from urdf import Robot
 
 
 class RandomStacks:
@@ -132,24 +114,19 @@ def solved(
     return stack, solve(stack)[0]
 
 
-def leaks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
-    """Yield how far lower tasks move what higher ones get."""
-    solvers: dict[Method, Solver] = {"ours": hierarchical, "published": solve_published}
-    for method, solver in solvers.items():
-        stacks = RandomStacks(robot, np.random.default_rng(rng.integers(2**32)))
-        worst = [0.0, 0.0]
-        for index in range(STACKS):
-            is_singular = bool(index % 2)
-            tasks, last_rad_s = stacks.draw(is_singular)
-            _, full = solved(stacks, tasks, last_rad_s, solver)
-            for count in range(1, len(tasks)):
-                stack, alone = solved(stacks, tasks[:count], last_rad_s, solver)
-                leak = float(
-                    np.abs(stack.rows[: stack.rates.size] @ (full - alone)).max()
-                )
-                worst[is_singular] = max(worst[is_singular], leak)
-        for posture, leak in zip(POSTURES, worst, strict=True):
-            yield Figure(f"task_leak_{posture}_rad_per_s", leak, method=method)
+def leaks(robot: Robot, rng: np.random.Generator, count: int) -> list[float]:
+    """Return how far lower tasks move what higher ones get, by kind of posture."""
+    stacks = RandomStacks(robot, rng)
+    worst = [0.0, 0.0]
+    for index in range(count):
+        is_singular = bool(index % 2)
+        tasks, last_rad_s = stacks.draw(is_singular)
+        _, full = solved(stacks, tasks, last_rad_s)
+        for levels in range(1, len(tasks)):
+            stack, alone = solved(stacks, tasks[:levels], last_rad_s)
+            moved = stack.rows[: stack.rates.size] @ (full - alone)
+            worst[is_singular] = max(worst[is_singular], float(np.abs(moved).max()))
+    return worst
 
 
 class Rows(PinkTask):
@@ -173,8 +150,12 @@ class Rows(PinkTask):
         return self.jacobian
 
 
-def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
-    """Yield how much better each level could be within what is left to it.
+def cascades(
+    robot: Robot, rng: np.random.Generator, count: int
+) -> tuple[list[float], list[float]]:
+    """Return how much better each level could be within what is left to it.
+
+    By a QP of its own, and at most, by duality; for each kind of posture.
 
     Each is judged where it ends. The levels below keep what it has got, see `leaks`,
     but may pass a bound by 1e-8 rad/s; where a level would gain 1e6 times as much, a QP
@@ -183,8 +164,7 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     stacks = RandomStacks(robot, rng)
     gains = [0.0, 0.0]
     bounds = [0.0, 0.0]
-    unsolved = 0
-    for index in range(CASCADES):
+    for index in range(count):
         kind = index % 2
         tasks, last_rad_s = stacks.draw(bool(kind))
         stack, velocity = solved(stacks, tasks, last_rad_s)
@@ -192,15 +172,10 @@ def cascades(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
             robot.model, robot.create_data(), stacks.tool.q_rad
         )
         for by_qp, at_most in level_gains(stack, velocity, configuration):
-            if by_qp is None:
-                unsolved += 1
-            else:
+            if by_qp is not None:
                 gains[kind] = max(gains[kind], by_qp)
             bounds[kind] = max(bounds[kind], at_most)
-    for kind, posture in enumerate(POSTURES):
-        yield Figure(f"cascade_gain_{posture}_rad_per_s", gains[kind])
-        yield Figure(f"duality_gain_{posture}_rad_per_s", bounds[kind])
-    yield Figure("cascade_levels_unsolved", unsolved)
+    return gains, bounds
 
 
 def level_gains(
@@ -301,8 +276,13 @@ def _within(room: Array, way: Array) -> Array:
     return min(float(parts.min(initial=1.0)), 1.0) * way
 
 
-def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
-    """Yield how far commands pass a limit, and how many ticks have no answer."""
+def hostile_ticks(
+    robot: Robot, rng: np.random.Generator, count: int
+) -> tuple[Array, int]:
+    """Return how far commands pass limits, and how many ticks have no answer.
+
+    The limits are those of position, speed and change of speed.
+    """
     stacks = RandomStacks(robot, rng)
     control = Controller(robot, stacks.limits)
     q = np.array(LWR_POSTURE_rad)
@@ -311,7 +291,7 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
     over = np.full(3, -np.inf)
     silent = 0
     step_s = 1e-3
-    for tick in range(TICKS):
+    for tick in range(count):
         if tick % 200 == 0:
             stacks.tool.update(q)
             tasks = stacks.tasks()
@@ -331,10 +311,7 @@ def hostile_ticks(robot: Robot, rng: np.random.Generator) -> Iterator[Figure]:
         speed = np.abs(dq) - robot.velocity_limit_rad_s
         over = np.maximum(over, [beyond.max(), speed.max(), change.max()])
         last_rad_s = dq
-    yield Figure("hostile_position_excess_rad", over[0])
-    yield Figure("hostile_speed_excess_rad_per_s", over[1])
-    yield Figure("hostile_speed_change_excess_rad_per_s", over[2])
-    yield Figure("hostile_ticks_without_answer", silent)
+    return over, silent
 
 
 def hostile_sample(q: Array, rng: np.random.Generator) -> tuple[float, float, Array]:

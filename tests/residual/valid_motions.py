@@ -3,20 +3,19 @@
 ``python -m benchmarks run faults-guard --seeds 125`` counts a million samples each.
 """
 
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pinocchio as pin
 
 from benchmarks.insertion.signals import inverse_dynamics, tool_jacobians
-from benchmarks.jobs import Figure, Job
 from foundation.arrays import Array
 from groundtruth import PLANT_MODELS
 from groundtruth.motion import Stroke
 from groundtruth.sensors import measured_position, measured_velocity
 from residual import DEFAULT, SampleError
 from residual.sample_stream import SampleStream
-from urdf import NeedleTool, Robot, load_lwr
+from urdf import Robot
 
 Motion = tuple[Array, Array, Array]
 """Positions [rad], velocities [rad/s] and torques [Nm] of m samples at 1 kHz, each
@@ -120,7 +119,6 @@ KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = {
     "ruptures": ruptures,
 }
 """Valid signals, by name."""
-CASES = tuple(KINDS)
 
 
 def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
@@ -136,17 +134,3 @@ def held_back(robot: Robot, motion: Motion, *, has_velocity: bool) -> int:
             missed_s = missed_s + PERIOD_s
             count = count + 1
     return count
-
-
-def run(job: Job) -> Iterator[Figure]:
-    """Count the samples of a motion that are held back, with velocities and without."""
-    robot = load_lwr(payload=NeedleTool())
-    rng = np.random.default_rng(job.seed)
-    samples = 4000
-    motion = sensed(KINDS[job.case](robot, rng, samples), rng)
-    rejected = sum(
-        held_back(robot, motion, has_velocity=has_velocity)
-        for has_velocity in (True, False)
-    )
-    yield Figure("guard_samples", 2 * samples)
-    yield Figure("guard_held_back", rejected)
