@@ -129,6 +129,7 @@ class Viewer:
         self._tips_m: list[Array] = []
         self._lock = threading.Lock()
         self._shown_s: float | None = None
+        self._is_filmed = False
         self._cut_at: nodes.NeedlePose | None = None
         self._add_scene(robot, urdf_path)
         self._add_panels()
@@ -344,9 +345,11 @@ class Viewer:
             "image_alt": " ".join((*said, NOTE, *warnings)),
             "href": None,
         }
+        # A film has no title bar: what it said at the end would stand over all of it.
+        content = None if self._is_filmed else {"buttons": (), "image": image}
         # Without the button any browser could ask for a tunnel to the internet.
         self._server.gui.configure_theme(
-            titlebar_content={"buttons": (), "image": image},
+            titlebar_content=content,
             show_logo=False,
             show_share_button=False,
         )
@@ -464,6 +467,8 @@ class Viewer:
 
         deepest = self.find_deepest()
         needle = self._arm.find_needle(deepest.q_rad)
+        self._is_filmed = True
+        self._show_banner("")
         serializer = self._server.get_scene_serializer()
         start_s = self.moments[0].estimate.time_s
         end_s = max(self.moments[-1].estimate.time_s, start_s + 0.05)
@@ -472,6 +477,8 @@ class Viewer:
         for time_s, step_s in zip(shown_s, np.diff(shown_s, append=end_s), strict=True):
             self.show(float(time_s))
             serializer.insert_sleep(float(step_s))
+        self._is_filmed = False
+        self._show_banner(find_banner(self.moments[-1].estimate))
         pictures = ()
         if self._path is not None and self._plan.scan is not None:
             pictures = draw_slices(self._plan, self._path, needle)

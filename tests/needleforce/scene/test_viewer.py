@@ -206,6 +206,20 @@ def test_before_the_first_sample_the_plan_is_shown(open_page):
     assert words.endswith("Watched, no distance yet: rib, vein")
 
 
+def test_a_film_has_no_title_bar_whose_last_verdict_would_stay(open_page, tmp_path):
+    page = open_page()
+    page.append([moment(0.0), moment(1.0, deviation=deviation(is_past_target=True))])
+    page.show()
+    themes = []
+    page._server.gui.configure_theme = lambda **theme: themes.append(theme)
+    page.export(tmp_path / "scene.html", frames=2)
+    *filmed, last = (theme["titlebar_content"] for theme in themes)
+
+    assert filmed
+    assert not any(filmed)
+    assert last["image"]["image_alt"].startswith("PAST TARGET")
+
+
 def test_planned_boundaries_stand_where_a_layer_ends(open_page):
     page = open_page()
     nodes = page._server.scene._handle_from_node_name
