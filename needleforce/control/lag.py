@@ -21,6 +21,7 @@ from typing import NamedTuple
 
 import numpy as np
 from scipy import signal
+from scipy.signal.windows import tukey
 
 from foundation.arrays import Array
 from needleforce.control.controller import Controller
@@ -189,8 +190,8 @@ def measure_lag(arm: Arm, robot: Robot, limits: Limits, duration_s: float = 3.0)
     controller = Controller(robot, limits)
     motion = GuardedMotion(arm, controller, duration_s + 2.0 * REST_s)
     chirp_s = np.arange(0.0, duration_s, 1e-3)
-    path = signal.chirp(chirp_s, FIRST_Hz, duration_s, LAST_Hz, phi=-90.0)
-    path *= signal.windows.tukey(chirp_s.size, 0.4)
+    path = signal.chirp(chirp_s, FIRST_Hz, duration_s, LAST_Hz, phi=-90)
+    path *= tukey(chirp_s.size, 0.4)
     rates_per_s = np.gradient(path, chirp_s)
     rows = list[tuple[float, Array, Array]]()
     start_rad = np.zeros(0)

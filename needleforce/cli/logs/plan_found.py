@@ -21,7 +21,6 @@ from needleforce.needle_on_plan import (
     state_values,
 )
 from needleforce.plan_file import LoadedPlan
-from needleforce.plan_follower import PlanFollower
 from residual.tool_kinematics import ToolKinematics
 
 NOTE = (
@@ -174,15 +173,16 @@ def _compare_with_path(
     nearest: dict[str, NeedleClearance] = {}
     if plan.path is None:
         return below, nearest
-    follower = PlanFollower(None, plan.path, plan.surroundings)
+    around = plan.surroundings
     for q, travel in zip(q_rad, travel_m.tolist(), strict=True):
         tool.update(q)
-        follower.compare_with(tool)
-        deviation = follower.deviation
-        if deviation is None or deviation.depth_m <= 0.0:
+        tip_m = tool.pose[:3, 3]
+        axis = tool.axis_in_base
+        deviation = plan.path.deviation(tip_m, axis)
+        if deviation.depth_m <= 0.0:
             continue
         below.append((travel, deviation))
-        for one in follower.clearances:
+        for one in () if around is None else around.clearances(tip_m, axis):
             before = nearest.get(one.name, one)
             nearest[one.name] = min(before, one, key=lambda each: each.distance_m)
     return below, nearest

@@ -175,6 +175,18 @@ def test_energy_of_a_port_counts_both_ways_apart():
     assert passive_fraction(-1.0, -1.0) == 1.0
 
 
+@pytest.mark.parametrize(("travel_m", "given_m"), [(0.01, 0.0), (-0.01, 0.01)])
+def test_a_force_that_is_let_go_counts_what_it_gives_only(travel_m, given_m):
+    port = HandPort()
+    for k in range(100):
+        force_N = port.update(1.0, 1e-4 * k, 0.1, 1.0, dt_s=DT, ahead_s=DT)
+    before_J = port.net_J
+    port.release(travel_m)
+
+    assert force_N == pytest.approx(1.0)
+    assert before_J - port.net_J == pytest.approx(force_N * given_m)
+
+
 def test_unused_allowance_is_not_saved_up():
     port = Port(1e-3, 2e-3)
     for _ in range(60_000):
