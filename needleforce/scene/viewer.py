@@ -477,6 +477,7 @@ class Viewer:
         for time_s, step_s in zip(shown_s, np.diff(shown_s, append=end_s), strict=True):
             self.show(float(time_s))
             serializer.insert_sleep(float(step_s))
+        scene = serializer.as_html()  # before the title bar is back
         self._is_filmed = False
         self._show_banner(find_banner(self.moments[-1].estimate))
         pictures = ()
@@ -484,7 +485,7 @@ class Viewer:
             pictures = draw_slices(self._plan, self._path, needle)
         return write_insertion_page(
             Path(path),
-            serializer.as_html(),
+            scene,
             self._plan,
             self.moments,
             self.marks,
