@@ -121,8 +121,9 @@ def run_jobs(
     """
     if out is not None and not out.parent.is_dir():
         raise ResultsError(f"cannot write {out}: its folder does not exist")
-    is_resumed = resume and out is not None and out.exists()
-    frames = [read_results(out) if is_resumed else make_frame()]
+    frames = [make_frame()]
+    if resume and out is not None and out.exists():
+        frames = [read_results(out)]
     done = set(frames[0].groupby(["scenario", "plant", "seed"]).groups)
     remaining = [job for job in jobs if (job.scenario, job.plant, job.seed) not in done]
     failed: list[JobResult] = []

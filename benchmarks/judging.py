@@ -164,7 +164,7 @@ def select(
     if scenarios:
         patterns = expand_groups(scenarios)
         is_chosen &= frame["scenario"].map(
-            lambda name: any(fnmatchcase(name, pattern) for pattern in patterns)
+            lambda name: any(fnmatchcase(str(name), pattern) for pattern in patterns)
         )
     return frame[is_chosen]
 

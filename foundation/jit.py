@@ -166,8 +166,8 @@ def compile_waiting() -> None:
         waiting = [one for one in dispatchers if not one.overloads]
         for number, dispatcher in enumerate(waiting, 1):
             dispatcher.compile_once()
-            is_slow = not dispatcher.stats.cache_hits and sys.stderr is not None
-            if is_slow and number % 20 == 0:
+            is_slow = not dispatcher.stats.cache_hits
+            if sys.stderr is not None and is_slow and number % 20 == 0:
                 sys.stderr.write(
                     f"needleforce: compiling once, {number} of {len(waiting)}\n"
                 )

@@ -53,8 +53,8 @@ def joints_towards(
     joints = root.findall("joint")
     if frame is None:
         return _route_to(joints, last_link(root, str(path)))
-    links = {link.get("name"): link.get("name", "") for link in root.findall("link")}
-    children = {joint.get("name"): link_of(joint, "child") for joint in joints}
+    links = {name: name for link in root.findall("link") if (name := link.get("name"))}
+    children = {joint.get("name", ""): link_of(joint, "child") for joint in joints}
     link = (children | links).get(frame)
     if link is None:
         raise UnknownNameError(f"{path}: no frame {frame!r}; links: {', '.join(links)}")

@@ -32,7 +32,7 @@ def principal_moments(parameters: Array) -> Array:
     The ten parameters have the shape (10,).
     """
     body = pin.Inertia.FromDynamicParameters(parameters)
-    return np.linalg.eigvalsh(body.inertia)
+    return np.asarray(np.linalg.eigvalsh(body.inertia), dtype=np.float64)
 
 
 def impossible_moment(parameters: Array) -> float:

@@ -187,5 +187,5 @@ def _invert(regressor: Array, std: Array) -> tuple[Array, Array, Array]:
         projector on what the data determine.
     """
     matrix = (regressor / std[:, None]).reshape(-1, regressor.shape[2])
-    inverse = np.linalg.pinv(matrix, rcond=1e-8)
+    inverse = np.asarray(np.linalg.pinv(matrix, rcond=1e-8), dtype=np.float64)
     return matrix, inverse, inverse @ matrix

@@ -89,7 +89,8 @@ def _without_couch(body: NDArray[np.bool_], grid: Grid) -> NDArray[np.bool_]:
     backwards = -1 if grid.axes_m[1, back_axis] < 0.0 else 1
     # A view of the same voxels, left to right, front to back, along the body.
     ordered = body.transpose(left_axis, back_axis, head_axis)[:, ::backwards]
-    parts, count = ndimage.label(ordered.mean(axis=2) > least_common)
+    labelled: Any = ndimage.label(ordered.mean(axis=2) > least_common)
+    parts, count = labelled
     boxes = ndimage.find_objects(parts)
     sizes = np.bincount(parts.ravel())
     trunk_stop = boxes[sizes[1:].argmax()][1].stop if count else 0

@@ -47,15 +47,15 @@ def require_body_order(labels: "Labels", *, situs_inversus: bool = False) -> Non
     }
     pairs = set(_expected_pairs(places_m))
     if {"liver", "spleen"} <= places_m.keys():
-        order = ("liver", "spleen") if situs_inversus else ("spleen", "liver")
-        gap_m = places_m[order[0]][0] - places_m[order[1]][0]
+        left, right = ("liver", "spleen") if situs_inversus else ("spleen", "liver")
+        gap_m = places_m[left][0] - places_m[right][0]
         if gap_m < -min_distance_m:
             raise VolumeError(
-                f"{order[0]} does not lie left of {order[1]}: left and right are "
+                f"{left} does not lie left of {right}: left and right are "
                 "exchanged, or the situs inversus is not what was stated"
             )
         if gap_m > min_distance_m:
-            pairs.add((0, *order))
+            pairs.add((0, left, right))
     for axis, sides in enumerate(("left and right", "front and back", "head and feet")):
         gaps_m = [
             float(places_m[first][axis] - places_m[other][axis])

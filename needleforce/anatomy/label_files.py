@@ -182,12 +182,13 @@ def _join_masks(masks: Sequence[Path], max_bytes: int) -> Labels:
 
 def _is_segmentation(path: Path) -> bool:
     """Return whether a file is a DICOM segmentation; refuse contours."""
-    import pydicom
+    from pydicom.filereader import read_file_meta_info
+    from pydicom.misc import is_dicom
 
     images = "1.2.840.10008.5.1.4.1.1"
-    if not path.is_file() or not pydicom.misc.is_dicom(path):
+    if not path.is_file() or not is_dicom(path):
         return False
-    meta = pydicom.filereader.read_file_meta_info(path)
+    meta = read_file_meta_info(path)
     sop_class = str(meta.get("MediaStorageSOPClassUID", ""))
     if sop_class == f"{images}.481.3":
         raise VolumeError(

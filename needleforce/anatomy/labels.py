@@ -158,7 +158,8 @@ class Labels:
             if item.name not in TISSUES:
                 inside = self.volumes[item.volume][item.box] == item.value
                 is_dense[item.box] &= ~inside
-        pieces, _ = ndimage.label(is_dense, np.ones((3, 3, 3)))
+        labelled: Any = ndimage.label(is_dense, np.ones((3, 3, 3)))
+        pieces = labelled[0]
         is_large = np.bincount(pieces.ravel()) * self.grid.voxel_m3 >= min_dense_m3
         is_large[0] = False
         values = is_large[pieces].astype(np.uint8)

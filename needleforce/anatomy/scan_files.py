@@ -117,11 +117,13 @@ def require_size(shape: Sequence[int], voxel_bytes: int, max_bytes: int) -> None
 def _read_nifti(path: Path, max_bytes: int) -> Image:
     """Read a NIfTI file, of version 1 or 2."""
     import nibabel
+    from nibabel.filebasedimages import ImageFileError
+    from nibabel.spatialimages import HeaderDataError
 
     damage = (
         *(OSError, ValueError, EOFError, zlib.error, ElementTree.ParseError, KeyError),
-        nibabel.filebasedimages.ImageFileError,
-        nibabel.spatialimages.HeaderDataError,
+        ImageFileError,
+        HeaderDataError,
     )
     try:
         kind: Any = type(nibabel.load(path))

@@ -72,11 +72,12 @@ def bag_topics(
         poses = _link_poses(signals["q_rad"], labels, stamps_ns)
         yield WrittenTopic("/tf", "tf2_msgs/msg/TFMessage", poses)
 
-    sensor = [remaining.get(name) for name in ("ft_force_N", "ft_torque_Nm")]
-    if all(vectors is not None and vectors.shape[1:] == (3,) for vectors in sensor):
+    force = remaining.get("ft_force_N", np.empty(0))
+    torque = remaining.get("ft_torque_Nm", np.empty(0))
+    if force.shape[1:] == torque.shape[1:] == (3,):
         del remaining["ft_force_N"], remaining["ft_torque_Nm"]
         headers = _headers(stamps_ns, "ft_sensor")
-        yield _wrenches("/ft_sensor/wrench", *sensor, headers)
+        yield _wrenches("/ft_sensor/wrench", force, torque, headers)
 
     force = _pop_vector(remaining, "force")
     torque = _pop_vector(remaining, "torque")

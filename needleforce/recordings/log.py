@@ -121,7 +121,7 @@ class Log:
         """Time since the row before, infinite for the first, shape (n,)."""
         return np.diff(self.t_s, prepend=-np.inf)
 
-    def parts(self, row_count: int = 1 << 14) -> Iterator["Log"]:
+    def parts(self, row_count: int = 1 << 14) -> Iterator["LogRows"]:
         """Yield consecutive rows, so many at a time; each overlaps no other."""
         for start in range(0, len(self), row_count):
             rows = slice(start, start + row_count)

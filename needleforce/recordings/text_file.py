@@ -310,7 +310,7 @@ def _read_columns(
     seconds: list[str] = []
     texts: dict[str, str] = {}
     start_ns = 0
-    for name in frame:
+    for name in map(str, frame):
         column = frame[name]
         numbers = pd.to_numeric(column, errors="coerce")
         filled = column.notna()

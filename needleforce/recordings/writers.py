@@ -171,8 +171,9 @@ def _message_stamps_ns(columns: TableColumns, labels: TableLabels) -> list[int]:
         LogError: There are none, or one is not finite or before zero.
     """
     t_s = columns.get("t_s")
-    is_valid = t_s is not None and t_s.ndim == 1 and bool(np.isfinite(t_s).all())
-    stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist() if is_valid else [-1]
+    stamps_ns = [-1]
+    if t_s is not None and t_s.ndim == 1 and np.isfinite(t_s).all():
+        stamps_ns = to_nanoseconds(t_s, labels.start_ns).tolist()
     if min(stamps_ns, default=0) < 0:
         raise LogError(
             "a bag needs a column t_s with a finite time stamp from zero on in every "

@@ -11,7 +11,7 @@ from typing import Any, NamedTuple
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import ArrayLike
+from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from needleforce.scene.moment import SceneError
@@ -187,7 +187,9 @@ def _load_shapes(urdf_path: Path) -> tuple[Any, list[str]]:
     for link in plain.robot.links:
         for visual in list(link.visuals):
             mesh = visual.geometry and visual.geometry.mesh
-            path = find(fname=mesh.filename) if mesh else ""
+            if mesh is None:
+                continue
+            path = find(fname=mesh.filename)
             # yourdfpy leaves out what is not there.
             if not Path(path).is_file():
                 continue
@@ -195,7 +197,7 @@ def _load_shapes(urdf_path: Path) -> tuple[Any, list[str]]:
                 trimesh.load(path, force="scene")
             except Exception:  # whatever a reader of meshes raises
                 link.visuals.remove(visual)
-                unread.append(mesh.filename)
+                unread.append(str(mesh.filename))
     return yourdfpy.URDF(plain.robot, filename_handler=find), unread
 
 
@@ -228,7 +230,7 @@ def add_line(server: Any, name: str, points_m: Array, color: Color, px: float) -
     )
 
 
-def segments_of(points_m: Array) -> Array:
+def segments_of(points_m: Array) -> NDArray[np.float32]:
     """Return the pieces of a line through points, shape (n, 3), as (n - 1, 2, 3)."""
     return np.stack([points_m[:-1], points_m[1:]], axis=1).astype(np.float32)
 

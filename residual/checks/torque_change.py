@@ -4,6 +4,8 @@ A change is compared with the covariance of the changes before it. A force at th
 has its share: it is one more cause, of a given size.
 """
 
+from typing import Any
+
 import numpy as np
 
 from foundation.arrays import Array, Matrix, Vector
@@ -14,6 +16,9 @@ from foundation.linear_algebra import (
     multiply_transposed,
     multiply_vector,
 )
+
+invert: Any = np.linalg.inv
+"""The inverse, whose annotations do not say that it keeps the type of numbers."""
 
 USUAL_S = 8.0
 """Time constant of the covariance of usual changes."""
@@ -32,12 +37,12 @@ def invert_beside_force(rows: Matrix, covariance: Matrix, force_N: float) -> Arr
         force_N: Deviation of the force.
     """
     # Both are symmetric; turned, what LAPACK returns is contiguous in rows.
-    precision = np.linalg.inv(covariance).T
+    precision = invert(covariance).T
     weighted = multiply(rows, precision)
     information = multiply_transposed(weighted, rows)
     for i in range(len(rows)):
         information[i, i] += 1.0 / force_N**2
-    share = multiply(np.linalg.inv(information).T, weighted)
+    share = multiply(invert(information).T, weighted)
     joints = len(covariance)
     for i in range(joints):
         for j in range(joints):

@@ -227,7 +227,7 @@ def _save_forces(insertion: PlannedInsertion, path: Path) -> Path:
         plots.draw_line(
             axes, depth_mm, followed.force_N, color=palette.GREEN, label="force"
         )
-        tip = {"color": palette.PURPLE, "ls": "-."}
+        tip: dict[str, Any] = {"color": palette.PURPLE, "ls": "-."}
         plots.draw_line(axes, depth_mm, followed.tip_N, label="tip force", **tip)
         for label, places_m, marker in (
             ("planned boundary", exits_m, "o"),

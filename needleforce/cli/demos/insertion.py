@@ -313,7 +313,7 @@ def draw_forces(compared: ComparedInsertion, width_in: float) -> "Figure":
         (truth.axial_N, ours.force_N, ours.force_std_N, published.force_N),
         (truth.tip_N, ours.tip_N, ours.tip_std_N, published.tip_N),
     )
-    dashed = {"color": palette.VERMILION, "ls": "--"}
+    dashed: dict[str, Any] = {"color": palette.VERMILION, "ls": "--"}
     alarms = list(ours.alarm_samples.values())
     for axes, (true_N, ours_N, std_N, published_N) in zip(panels, forces, strict=True):
         for name, tint, start_mm, end_mm in _layers_of(run):
