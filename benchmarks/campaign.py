@@ -11,7 +11,7 @@ from contextlib import contextmanager
 from importlib import import_module
 from pathlib import Path
 from traceback import format_exc
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import pandas as pd
 from joblib import Parallel, delayed, parallel_config
@@ -130,7 +130,7 @@ def run_jobs(
     pause_s = 20.0  # between two writings
     written_s = time.monotonic()
     with open_workers(workers, cluster):
-        parallel = Parallel(return_as="generator_unordered")
+        parallel: Any = Parallel(return_as="generator_unordered")
         try:
             results = parallel(delayed(run_job)(job) for job in remaining)
             for result in track(results, f"{len(jobs)} jobs", len(remaining)):

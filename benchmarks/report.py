@@ -295,7 +295,9 @@ def write_report(folder: Path, results: pd.DataFrame) -> None:
     parts.append("<h2>Further runs</h2>")
     parts += [f"<img src='{escape(path.name)}'>" for path in folder.glob("figure--*")]
     numbers = results.groupby(["scenario", "plant", "source", "method", "metric"])
-    parts.append(numbers["value"].median().unstack().T.to_html(float_format="{:.4g}".format))
+    parts.append(
+        numbers["value"].median().unstack().T.to_html(float_format="{:.4g}".format)
+    )
     (folder / "index.html").write_text("\n".join(parts), encoding="utf-8")
 
 

@@ -134,7 +134,7 @@ class Ros2Arm(GuardedArm):
         )
 
     @property
-    def give_up_s(self) -> float:
+    def give_up_s(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
         """So long a silence is waited for [s]."""
         return MAX_SILENCE_S if self.report.used else MAX_START_S
 

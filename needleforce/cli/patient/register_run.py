@@ -209,7 +209,7 @@ def _fit_of_transform(
     motion = read_transform(str(options.transform), options.transform_from)
     ends_m = np.array([fields["entry_m"], fields["target_m"]]) @ motion.rotation.T
     ends_m = ends_m + motion.translation_m
-    path = PlannedPath.of_std(*ends_m, M_PER_MM * options.transform_std)
+    path = PlannedPath.of_std(ends_m[0], ends_m[1], M_PER_MM * options.transform_std)
     return Registration(
         rotation=motion.rotation,
         translation_m=motion.translation_m,
