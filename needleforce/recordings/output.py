@@ -213,7 +213,7 @@ def _require_new(path: Path) -> None:
     with file_errors(path, "write"):
         if path.is_file():
             raise FileAccessError(
-                f"{path} exists", "Give another name, or set `overwrites`."
+                f"{path} exists", "Give another name, or overwrite it (`--overwrite`)."
             )
 
 

@@ -219,7 +219,7 @@ def test_the_limits_are_those_of_the_model_or_of_an_arm_by_name(graph):
     with open_arm() as arm:
         assert arm.limits.joints.speed_rad_s.max() <= 0.5
     with open_arm(takes_commands=False, preset="fr3") as arm:
-        assert arm.limits.rates.cycle_s == 1e-3  # of an FR3
+        assert arm.limits.cycle_s == 1e-3  # of an FR3
     for preset, words in (("fr4", "expected one of fr3"), ("ur5e", "of 6 joints")):
         with pytest.raises(DeviceSettingError, match=words):
             open_arm(takes_commands=False, preset=preset)
