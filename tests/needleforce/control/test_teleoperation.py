@@ -469,6 +469,30 @@ def test_without_time_passing_the_needle_stands(dt_s):
     assert command.force_N == pytest.approx(last.force_N)
 
 
+class CutLine(DelayLine):
+    """A line that is cut: from a tick on it repeats what it brought last."""
+
+    def exchange(self, packet, dt_s):
+        if self._time_s > 0.3 - 0.5 * DT:
+            return self._newest
+        return super().exchange(packet, dt_s)
+
+
+def test_the_needle_stands_when_the_line_is_cut():
+    """It follows a hand of 10 mm/s for 0.3 s, and stands 0.1 s after the last news."""
+    tele = teleoperate(motion_scale=1.0, lines=[CutLine(), DelayLine()])
+    depth_m = 0.0
+    speeds_m_s = []
+    for k in range(1000):
+        command = answer(tele, handle(1e-5 * k, 0.01), estimate(depth_m=depth_m))
+        depth_m += DT * command.speed_m_s
+        speeds_m_s.append(command.speed_m_s)
+
+    assert speeds_m_s[299] == pytest.approx(0.01, rel=0.1)
+    assert speeds_m_s[380] > 1e-3
+    assert speeds_m_s[410:] == [0.0] * 590
+
+
 @pytest.mark.parametrize("frozen", [False, True])
 def test_the_needle_stands_when_the_device_is_silent(frozen):
     """The needle stands soon after the device is gone or repeats itself."""
