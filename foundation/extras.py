@@ -38,6 +38,7 @@ EXTRA_OF_MODULE = {
     "nibabel": "patient",
     "pydicom": "patient",
     "viser": "scene",
+    "PIL": "scene",
     "yourdfpy": "scene",
     "pyigtl": "slicer",
     "websockets": "devices",

@@ -89,6 +89,10 @@ class LearnedNoise:
     min_variance: float = 0.0
     has_value: bool = False
 
+    def find_damage(self) -> str:
+        """Return what is wrong with a restored noise, if anything."""
+        return "" if self.count >= 0.0 else f"{self.count} values, expected 0 or more"
+
 
 @dataclass(slots=True)
 class TravelState:

@@ -17,10 +17,20 @@ CORE_MODULES = {
     *("pinocchio", "coal", "numpy", "pandas", "scipy", "numba", "msgspec", "cyclopts"),
 }
 BROUGHT_BY_CYCLOPTS = {"rich"}
+OF_ROS = {
+    "rclpy",
+    "rcl_interfaces",
+    "diagnostic_msgs",
+    "geometry_msgs",
+    "sensor_msgs",
+    "std_msgs",
+    "std_srvs",
+}  # the node needs the user's own ROS 2
 DISTRIBUTIONS = {
     "example_robot_data": "example-robot-data",
     "markupsafe": "jinja2",
     "skimage": "scikit-image",
+    "PIL": "pillow",
     "igl": "libigl",
     "franky": "franky-control",
     "google": "protobuf",
@@ -65,7 +75,7 @@ def test_every_extra_of_a_user_is_described():
 
 @pytest.mark.slow
 def test_each_module_that_the_product_imports_is_of_the_core_or_of_an_extra():
-    known = CORE_MODULES | BROUGHT_BY_CYCLOPTS | set(EXTRA_OF_MODULE)
+    known = CORE_MODULES | BROUGHT_BY_CYCLOPTS | OF_ROS | set(EXTRA_OF_MODULE)
     unknown = {
         (name, path.name)
         for package in INSTALLED

@@ -400,7 +400,12 @@ def show(result: Result, output: Output, draw: figures.Draw) -> None:
 
 
 def write_rows(
-    rows: pd.DataFrame, output: Output, log: Log, *, frame: str = "", prefix: str = ""
+    rows: pd.DataFrame,
+    output: Output,
+    log: Log,
+    *,
+    frame: str = "",
+    prefix: str = "/needleforce",
 ) -> None:
     """Write the table of the estimates, if one is asked for, on the log's clock."""
     if output.output is not None:

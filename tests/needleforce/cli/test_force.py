@@ -389,7 +389,7 @@ def test_check_finds_nothing_doubtful_in_a_sound_log(lwr, tmp_path, capsys):
             "rejected",
             "1 x",
         ),
-        ("dq_rad_s", np.zeros_like, ["--no-tare"], "signals", "stands still"),
+        ("dq_rad_s", np.zeros_like, ["--no-tare"], "signals", "dq"),
         ("q_rad", lambda q: np.where(q == q[9], np.nan, q), TARE, "rejected", "1 x q"),
     ],
 )

@@ -136,7 +136,7 @@ def test_the_unit_of_a_force_is_named_or_refused(needle, tmp_path, capsys):
     columns = {name: needle[name] for name in ("t_s", "depth_m")}
     write_table(log, {**columns, "force": 1e3 * needle["force_N"]})
 
-    assert "force:mN" in refusal(["identify", str(log)], capsys)
+    assert "mN" in refusal(["identify", str(log)], capsys)
     assert main(["identify", str(log), "--force", "force:mN"]) == 0
     assert "force    force in mN (mapping)" in capsys.readouterr().out
 

@@ -44,8 +44,8 @@ def arms(monkeypatch):
     """The arms that commands open; they give up soon."""
     opened = []
 
-    def open_arm(**settings):
-        opened.append(FriArm(**settings, give_up_s=0.6))
+    def open_arm(*address, **settings):
+        opened.append(FriArm(*address, **settings, give_up_s=0.6))
         return opened[-1]
 
     monkeypatch.setattr("needleforce.devices.arm_names.FriArm", open_arm)
@@ -60,7 +60,10 @@ def controller(port, arms):
     with Emulator(emulate_fri, settings) as emulator:
 
         def stop():
-            while not arms or arms[0].report.used < 400:
+            deadline_s = time.monotonic() + 30.0
+            while time.monotonic() < deadline_s:
+                if arms and arms[0].report.used >= 400:
+                    break
                 time.sleep(0.01)
             emulator.stop()
 
@@ -121,7 +124,7 @@ def test_a_signal_ends_recording_also_in_silence(
 ):
     path = tmp_path / "x.mcap"
     arm = FriArm(port=0, give_up_s=PATIENCE_S)
-    monkeypatch.setattr("needleforce.devices.arm_names.FriArm", lambda **_: arm)
+    monkeypatch.setattr("needleforce.devices.arm_names.FriArm", lambda *_, **__: arm)
     is_over = threading.Event()
 
     def run():
