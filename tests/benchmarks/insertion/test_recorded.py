@@ -60,7 +60,7 @@ def test_friction_in_real_liver_is_near_the_pull_out_force(recordings_dir, monke
     monkeypatch.setattr("benchmarks.insertion.recorded.liver.NUMBERS", (18,))
     numbers = values("liver-real", recordings_dir)
 
-    assert 5.0 < numbers["ft", "rule-of-thumb", "pullout_error_median_pct"] < 30.0
+    assert 5.0 < numbers["ft", "rule-of-thumb", "pullout_error_median_pct"] < 35.0
     assert 5.0 < numbers["ft", "ours", "pullout_error_median_pct"] < 30.0
     assert numbers["ft", "ours", "drop_recall"] > 0.5
 
