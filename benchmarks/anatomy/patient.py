@@ -148,7 +148,8 @@ def _scanned_body(folder: Path) -> Body:
     """Return the body in the CT."""
     labels = read_labels(folder / "labels.nii.gz")
     skin = labels.with_body(read_volume(folder / "ct.nii.gz"), fat=True).skin()
-    low_m, high_m = skin.vertices_m.min(axis=0), skin.vertices_m.max(axis=0)
+    low_m = skin.vertices_m.min(axis=0)
+    high_m = skin.vertices_m.max(axis=0)
     # Fractions of half the width and height, as the torso has them.
     left = np.array([0.0, 0.0, -0.6, 0.55, -0.6, 0.6])
     up = np.array([0.6, -0.6, 0.4, 0.35, -0.6, -0.55])

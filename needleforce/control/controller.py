@@ -317,7 +317,8 @@ def _read_numbers(sample: ArmSample) -> tuple[Array, float]:
     Raises:
         SettingError: They are no numbers.
     """
-    position, step = sample.q_rad, sample.dt_s
+    position = sample.q_rad
+    step = sample.dt_s
     try:
         return np.ascontiguousarray(position, np.float64), float(step)
     except (TypeError, ValueError, OverflowError) as error:

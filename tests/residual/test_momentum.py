@@ -209,7 +209,8 @@ def test_a_ramp_has_exact_velocity_and_stated_delay(rate, bandwidth, steps_s):
 
 @given(q=st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=9))
 def test_steps_in_between_change_nothing_on_straight_lines(q):
-    once, twice = VelocityEstimator(1, 120.0), VelocityEstimator(1, 120.0)
+    once = VelocityEstimator(1, 120.0)
+    twice = VelocityEstimator(1, 120.0)
     twice.update(q[:1], q[:1], 0.01)
     once.update(q[:1], q[:1], 0.01)
     for before, after in pairwise(q):

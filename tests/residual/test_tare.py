@@ -376,7 +376,9 @@ def test_a_play_follows_within_its_width(state, change, width):
 
 def test_a_sliding_bearing_rubs_more_at_low_speed():
     states = np.zeros((7, 1))  # three loops, two elements, more at low speed, speed
-    lagged_q, plays, q = np.zeros(1), np.zeros((5, 1)), np.zeros(1)
+    lagged_q = np.zeros(1)
+    plays = np.zeros((5, 1))
+    q = np.zeros(1)
     kinds = {"loops": 3, "stribeck_rad_s": 0.02, "dt_s": 1e-3}
     widths = np.full((5, 1), 1e-3)
     for _ in range(2000):

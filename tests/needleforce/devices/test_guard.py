@@ -353,7 +353,8 @@ def model_of(name):
 def test_an_arm_stops_before_its_stops(name, speed_rad_s):
     """Every joint is driven towards its stop, from 0.4 rad before it."""
     robot = model_of(name)
-    lower_rad, upper_rad = robot.position_lower_rad, robot.position_upper_rad
+    lower_rad = robot.position_lower_rad
+    upper_rad = robot.position_upper_rad
     if name == "fr3":
         lower_rad, upper_rad = np.array(ARM_LIMITS["fr3"].stops)[:2]
     is_up = speed_rad_s > 0.0

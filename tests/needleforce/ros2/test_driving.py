@@ -252,7 +252,8 @@ def test_an_arm_without_a_model_is_not_driven(graph):
 def test_an_arm_that_falls_silent_is_lost_with_an_error(graph, monkeypatch):
     with open_arm(takes_commands=False) as arm:
         monkeypatch.setattr(sys.modules[type(arm).__module__], "MAX_SILENCE_S", 0.2)
-        first, later = joint_state(), joint_state()
+        first = joint_state()
+        later = joint_state()
         later.header.stamp.sec = first.header.stamp.sec + 1
         later.header.stamp.nanosec = first.header.stamp.nanosec
         graph.put("/joint_states", first, later)

@@ -17,7 +17,10 @@ from tests.needleforce.scene.insertions import (
     tick,
 )
 
-RED, GREEN, AMBER, GREY = "#b3261e", "#00695c", "#8a5a00", "#555"
+RED = "#b3261e"
+GREEN = "#00695c"
+AMBER = "#8a5a00"
+GREY = "#555"
 
 
 def card(state=None, scene=None, needle=None, **more):

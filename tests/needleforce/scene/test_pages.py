@@ -108,7 +108,8 @@ def is_written(picture, letter, x, y):
     """Whether a letter, and no other, stands at a place."""
     image = Image.new("RGB", (PIXELS, PIXELS))
     ImageDraw.Draw(image).text((x, y), letter, NEEDLE_COLOR, anchor="mm", font_size=16)
-    rows, columns = slice(max(y - 8, 0), y + 8), slice(max(x - 8, 0), x + 8)
+    rows = slice(max(y - 8, 0), y + 8)
+    columns = slice(max(x - 8, 0), x + 8)
     return np.array_equal(np.asarray(image)[rows, columns], picture[rows, columns])
 
 
