@@ -141,10 +141,20 @@ def public_names(package_name: str) -> list[PublicName]:
         offered = [name for name in modules if name in vars(package)]
     names = [(name, getattr(package, name)) for name in offered]
     return [
-        PublicName(name, package_name, getattr(value, "__module__", modules[name]))
+        PublicName(
+            name,
+            package_name,
+            value.__module__ if is_definition(value) else modules[name],
+        )
         for name, value in names
         if not isinstance(value, ModuleType)
     ]
+
+
+def is_definition(value: Any) -> bool:
+    """Return whether a value knows in which module it was defined."""
+    is_own = inspect.isclass(value) or callable(value)
+    return is_own and isinstance(getattr(value, "__module__", None), str)
 
 
 def defined_names(module_name: str) -> list[PublicName]:
