@@ -300,8 +300,8 @@ class NeedleNode(LifecycleNode):
         self._take_joint_state(message)
         max_taken = 50  # before services and timers have their turn
         for _ in range(max_taken):
-            with self._subscription.handle as handle:
-                taken = handle.take_message(JointState, False)
+            with self._subscription.handle:
+                taken = self._subscription.handle.take_message(JointState, False)
             if taken is None:
                 return
             self._take_joint_state(taken[0])

@@ -16,6 +16,13 @@ ReliabilityPolicy = Enum("ReliabilityPolicy", ["BEST_EFFORT", "RELIABLE"])
 DurabilityPolicy = Enum("DurabilityPolicy", ["TRANSIENT_LOCAL"])
 
 
+class NothingWaits(nullcontext):
+    """The handle of a subscription, entered as rclpy's: what it yields is None."""
+
+    def take_message(self, kind, raw):
+        return None
+
+
 class Message(SimpleNamespace):
     """A message: fields that were not set are messages, too."""
 
@@ -79,8 +86,7 @@ def node_class(graph):  # noqa: C901 (one class)
 
         def create_subscription(self, kind, topic, callback, quality):
             graph.callbacks["/" + topic.lstrip("/")].append(callback)
-            waiting = SimpleNamespace(take_message=lambda kind, raw: None)
-            return SimpleNamespace(handle=nullcontext(waiting))
+            return SimpleNamespace(handle=NothingWaits())
 
         def create_service(self, kind, name, callback, callback_group=None):
             graph.services[name] = callback
