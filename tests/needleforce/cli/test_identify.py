@@ -4,10 +4,10 @@ page."""
 import os
 import re
 import signal
-import threading
 
 import numpy as np
 import pytest
+from matplotlib.axes import Axes
 
 from groundtruth import insert_needle
 from identification import replay
@@ -165,13 +165,21 @@ def test_a_time_in_ms_or_us_is_not_taken_for_seconds(needle, tmp_path, capsys, f
     assert f"{factor / 250:.4g} s" in refusal(["identify", str(log)], capsys)
 
 
-def test_an_interrupted_report_leaves_the_page_that_was_there(needle, tmp_path):
+def test_an_interrupted_report_leaves_the_page_that_was_there(
+    needle, tmp_path, monkeypatch
+):
     log = tmp_path / "log.csv"
     write_table(log, needle)
     page = tmp_path / "page" / "index.html"
     page.parent.mkdir()
     page.write_text("of yesterday")
-    threading.Timer(0.2, os.kill, (os.getpid(), signal.SIGINT)).start()
+    draw = Axes.plot
+
+    def stop_and_draw(*args, **kwargs):
+        signal.raise_signal(signal.SIGINT)  # as Ctrl-C, while the page is made
+        return draw(*args, **kwargs)
+
+    monkeypatch.setattr(Axes, "plot", stop_and_draw)
 
     assert main(["report", str(log), str(page.parent)]) == INTERRUPTED
     assert page.read_text() == "of yesterday"

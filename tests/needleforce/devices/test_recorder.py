@@ -122,6 +122,8 @@ def test_an_arm_that_never_sends_is_an_error(command, tmp_path, capsys):
 def test_a_signal_ends_recording_also_in_silence(
     number, sends, tmp_path, monkeypatch, capsys
 ):
+    # A test run that `nohup` started has been told to ignore SIGHUP.
+    before = signal.signal(number, signal.default_int_handler)
     path = tmp_path / "x.mcap"
     arm = FriArm(port=0, give_up_s=PATIENCE_S)
     monkeypatch.setattr("needleforce.devices.arm_names.FriArm", lambda *_, **__: arm)
@@ -142,6 +144,7 @@ def test_a_signal_ends_recording_also_in_silence(
     code = main(["record", "fri:0", "-o", str(path)])
     is_over.set()
     thread.join()
+    signal.signal(number, before)
 
     assert code == (0 if sends else 2)
     assert (f" s in {path}" if sends else "no sample") in capsys.readouterr().err
