@@ -158,8 +158,10 @@ def test_landmarks_that_fix_no_pose_are_refused(model_m, word):
 
 def test_another_order_that_fits_less_well_is_no_doubt():
     """Landmarks 3 and 4 exchanged leave 10.9 variances: the limit is 10."""
-    places_mm = [[0, 0, 0], [120, 0, 0], [50, 40, 0], [52.8, -40, 0]]
-    fit_landmarks(1e-3 * np.array(places_mm), 1e-3 * np.array(places_mm), std_m=1e-3)
+    places_m = 1e-3 * np.array([[0, 0, 0], [120, 0, 0], [50, 40, 0], [52.8, -40, 0]])
+    fit = fit_landmarks(places_m, places_m, std_m=1e-3)
+
+    assert fit.to_robot(places_m) == pytest.approx(places_m, abs=1e-9)
 
 
 @pytest.mark.parametrize("std_m", [np.nan, np.inf, 0.0, -1e-3, 1.0])
