@@ -8,7 +8,7 @@ from typing import NamedTuple
 
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.column_names import parse_column_name, written_unit
-from needleforce.recordings.errors import UnitError
+from needleforce.recordings.errors import MappingError, UnitError
 from needleforce.recordings.mapping import ColumnSpec
 from needleforce.recordings.table import Table
 
@@ -48,62 +48,78 @@ class ChannelUnit(NamedTuple):
 
         return "; ".join(parts)
 
-    def record(self) -> dict[str, object]:
-        """Return the same as values that JSON can hold."""
-        return self._asdict()
 
-
-def unit_of_column(
-    table: Table, channel: Channel, name: str, spec: ColumnSpec
-) -> tuple[str, str]:
-    """Return the unit of one of a channel's columns, and whence it is known.
-
-    It is the specification's, else that in the row of units or in the name, else SI. A
-    factor other than 1 may stand for the conversion from a unit that no channel has,
-    such as a percentage.
+def read_units(
+    table: Table, channel: Channel, columns: Sequence[str], spec: ColumnSpec | None
+) -> ChannelUnit:
+    """Return in which unit each column of a channel is read.
 
     Args:
         table: With rows or without.
         channel: The channel.
-        name: Of the column.
-        spec: How it was chosen.
+        columns: Of the channel.
+        spec: What the mapping says of them; None if nothing.
 
     Raises:
-        UnitError: The file contradicts itself or the specification, or states a unit
-            that is none of the channel's.
+        MappingError: It has units for another number of columns.
+        UnitError: The file contradicts itself or the mapping, or states a unit that is
+            none of the channel's.
+    """
+    spec = spec or ColumnSpec(columns=tuple(columns))
+    asked = spec.unit if isinstance(spec.unit, tuple) else (spec.unit,) * len(columns)
+    if len(asked) != len(columns):
+        raise MappingError(
+            f"{channel.name}: {len(asked)} units for {len(columns)} columns, expected "
+            "one for all or one for each"
+        )
+
+    has_factor = spec.scale != 1.0
+    found = [
+        _unit_of_column(table, channel, name, unit, has_factor=has_factor)
+        for name, unit in zip(columns, asked, strict=True)
+    ]
+    units, origins = zip(*found, strict=True)
+    return ChannelUnit(channel.name, tuple(columns), units, origins, spec.scale)
+
+
+def _unit_of_column(
+    table: Table, channel: Channel, name: str, asked: str | None, *, has_factor: bool
+) -> tuple[str, str]:
+    """Return the unit of one of a channel's columns, and whence it is known.
+
+    It is the mapping's, else that in the row of units or in the name, else SI. A factor
+    may stand for the conversion from a unit that no channel has, such as a percentage.
     """
     # Messages of a bag define their unit: joint states, and forces and torques.
     is_vector = re.search(r"/(?:force|torque)_xyz(?:\[\d\])?$", name) is not None
     is_typed = is_vector or name in table.joint_names
-    if name in table.seconds or (is_typed and spec.unit is None):
-        return channel.si_unit, "format of the file"
+    if name in table.seconds or (is_typed and not asked):
+        return channel.units.si, "format of the file"
 
-    stated: dict[str, str] = {}
-    row = table.units.get(name)
-    if row is not None:
-        stated[channel.units.find(row) or row] = "row of units"
-    text = parse_column_name(name, channel.units).unit or written_unit(name)
-    if text is not None:
-        stated[text] = "header"
-
+    in_header = parse_column_name(name, channel.units).unit or written_unit(name)
+    texts = {"row of units": table.units.get(name), "header": in_header}
+    stated = {
+        channel.units.find(text) or text: origin
+        for origin, text in texts.items()
+        if text is not None
+    }
     are_known = stated.keys() <= channel.units.keys()
-    is_decided = len(stated) == 0 or spec.unit in stated
-    if spec.unit is None:
-        is_decided = len(stated) < 2
-    if not are_known and spec.scale != 1.0:
-        return spec.unit or channel.si_unit, "mapping"
-    if not are_known or not is_decided:
-        asked = {spec.unit: "mapping"} if spec.unit else {}
-        parts = [f"{unit!r} ({origin})" for unit, origin in (stated | asked).items()]
+    if not are_known and has_factor:
+        return asked or channel.units.si, "mapping"
+
+    is_contradicted = asked not in stated if asked else len(stated) > 1
+    if stated and (is_contradicted or not are_known):
+        wanted = {asked: "mapping"} if asked else {}
+        parts = [f"{unit!r} ({origin})" for unit, origin in (stated | wanted).items()]
         raise UnitError(
             f"{channel.name}: column {name!r} is in {' and '.join(parts)}; expected "
             f"one of {', '.join(channel.units)}",
             advise_unit(channel, [name]),
         )
-    if spec.unit is not None:
-        return spec.unit, "mapping"
+    if asked:
+        return asked, "mapping"
 
-    return next(iter(stated.items()), (channel.si_unit, ASSUMED))
+    return next(iter(stated.items()), (channel.units.si, ASSUMED))
 
 
 def advise_unit(channel: Channel, columns: Sequence[str]) -> str:

@@ -5,7 +5,7 @@ up to them would take all memory.
 """
 
 import re
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from itertools import pairwise, product
 from typing import NamedTuple
 
@@ -96,65 +96,45 @@ def written_unit(name: str) -> str | None:
 def find_columns(table: Table, pattern: str) -> list[str]:
     """Return the names of the columns that a name or pattern stands for.
 
-    In this order: a column of exactly that name; `q{1..7}`, the numbers from 1 to 7;
-    `q_*`, all columns with a number in that place; `wrench[2]`, one column (from 0) of
-    a two-dimensional one; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this
+    In this order: a column of exactly that name; `wrench[2]`, one column (from 0) of a
+    two-dimensional one; `q{1..7}`, the numbers from 1 to 7; `q_*`, all columns with a
+    number in that place; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this
     package writes it to CSV. Numbered ones come in the order of their numbers.
 
     Raises:
-        ColumnError: There is no such column, or a number is missing in a family.
+        ColumnError: There is no such column, two have one number, or one is missing.
     """
     if pattern in table.columns:
         return [pattern]
-    if span := re.search(r"\{(\d{1,9})\.\.(\d{1,9})\}", pattern):
-        first, last = span.groups()
-        width = len(first) if first.startswith("0") else 0
-        # One at a time: the first that is not there ends the search, however long the
-        # range is.
-        columns: list[str] = []
-        for number in range(int(first), int(last) + 1):
-            numbered = f"{number:0{width}d}".join(pattern.split(span[0], 1))
-            columns += find_columns(table, numbered)
-
-        return columns
 
     element = re.fullmatch(r"(.+)\[(\d{1,9})\]", pattern)
     array = table.columns.get(element[1]) if element else None
     if element and array is not None and array.shape[1:] > (int(element[2]),):
         return [pattern]
 
-    escaped = re.escape(pattern)
-    expression = rf"{escaped}[_. ]?\[?(\d{{1,9}})\]?"
-    if "*" in pattern:
-        expression = escaped.replace(r"\*", r"(\d{1,9})", 1)
+    place = re.search(r"\{(\d{1,9})\.\.(\d{1,9})\}|\*", pattern)
+    expression = rf"{re.escape(pattern)}[_. ]?\[?(\d{{1,9}})\]?"
+    if place:
+        head = re.escape(pattern[: place.start()])
+        expression = rf"{head}(\d{{1,9}}){re.escape(pattern[place.end() :])}"
 
-    return _find_numbered(table, pattern, expression)
-
-
-def _find_numbered(table: Table, pattern: str, expression: str) -> list[str]:
-    """Return columns whose names match an expression, by the number that it captures.
-
-    Raises:
-        ColumnError: There is none, two have the same number, or a number is missing.
-    """
+    span = range(int(place[1]), int(place[2]) + 1) if place and place[1] else None
     numbered: dict[int, str] = {}
     for name in table.columns:
         match = re.fullmatch(expression, name)
-        if match and (other := numbered.setdefault(int(match[1]), name)) != name:
+        if match is None or (span and int(match[1]) not in span):
+            continue
+        if (other := numbered.setdefault(int(match[1]), name)) != name:
             raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}")
 
-    if not numbered:
+    if not numbered or (span and {span[0], span[-1]} - numbered.keys()):
         raise ColumnError(f"no column {pattern!r}. Columns are: {table.describe()}")
 
     return _in_order(numbered, pattern)
 
 
 def _in_order(numbered: Mapping[int, str], pattern: str) -> list[str]:
-    """Return a family of columns in the order of their numbers.
-
-    Raises:
-        ColumnError: The numbers do not follow each other.
-    """
+    """Return a family of columns by their numbers; `ColumnError` if one is missing."""
     ordered = sorted(numbered)
     for number, following in pairwise(ordered):
         if following != number + 1:
@@ -170,7 +150,9 @@ def detect_columns(table: Table, channel: Channel) -> list[str]:
     """Return the columns whose names say that they are this channel, in joint order.
 
     Preferred names come before usual ones, these before the words of testing machines,
-    and last come names that say it only beside a unit.
+    and last come names that say it only beside a unit. Columns are one array, or a
+    family of numbered columns; for a channel of one value one without a number, if
+    there is one.
 
     Returns:
         Their names; none if no name says so.
@@ -183,38 +165,20 @@ def detect_columns(table: Table, channel: Channel) -> list[str]:
         text = re.sub(r"(?<=\S)\s*\([^()]*\)$", "", name.strip())
         names[name] = parse_column_name(text, channel.units)
 
-    with_unit = {
-        name: parts
-        for name, parts in names.items()
-        if parts.unit or name in table.units
-    }
-    for candidates, words in (
-        (names, channel.preferred),
-        (names, channel.spellings),
-        (names, channel.machine_words),
+    stems = {name: parts.stem for name, parts in names.items()}
+    with_unit = {n: s for n, s in stems.items() if names[n].unit or n in table.units}
+    tiers = (
+        (stems, channel.preferred),
+        (stems, channel.spellings),
+        (stems, channel.machine_words),
         (with_unit, channel.words_with_unit),
-    ):
-        parsed = {n: parts for n, parts in candidates.items() if parts.stem in words}
-        if parsed:
-            return _only_candidate(table, channel, parsed)
-
-    return []
-
-
-def _only_candidate(
-    table: Table, channel: Channel, parsed: Mapping[str, ColumnName]
-) -> list[str]:
-    """Return the columns of a channel among those whose names say that they are it.
-
-    They are one array, or a family of numbered columns; for a channel of one value one
-    without a number, if there is one.
-
-    Raises:
-        ColumnError: Several would fit, or a joint's column is missing.
-    """
+    )
+    fitting = ([n for n in stem_of if stem_of[n] in words] for stem_of, words in tiers)
+    found = next(filter(None, fitting), [])
     families: dict[str, dict[int, str]] = {}
     candidates: dict[str, list[str]] = {}
-    for name, parts in parsed.items():
+    for name in found:
+        parts = names[name]
         is_single = table.columns[name].ndim == 1
         if channel.per_joint and is_single and parts.number is not None:
             families.setdefault(parts.family, {})[parts.number] = name
@@ -223,8 +187,8 @@ def _only_candidate(
 
     candidates |= {name: _in_order(each, name) for name, each in families.items()}
     if not channel.per_joint:
-        plain = [name for name in candidates if parsed[name].number is None]
-        candidates = {name: [name] for name in plain} or candidates
+        plain = {n: [n] for n in candidates if names[n].number is None}
+        candidates = plain or candidates
     if len(candidates) > 1:
         raise several_fit(channel, candidates)
 
@@ -239,9 +203,7 @@ def advise_column(channel: Channel) -> str:
     )
 
 
-def several_fit(
-    channel: Channel, names: Sequence[str] | Mapping[str, object]
-) -> ColumnError:
+def several_fit(channel: Channel, names: Iterable[str]) -> ColumnError:
     """Return the error for a channel that several columns would fit."""
     return ColumnError(
         f"{channel.name}: several columns would fit ({', '.join(names)})",

@@ -5,10 +5,10 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import unit_of_column
+from needleforce.recordings.channel_units import read_units
 from needleforce.recordings.channels import Channel
 from needleforce.recordings.errors import ColumnError, UnitError
-from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping, ColumnSpec
+from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping
 from needleforce.recordings.open_recording import columns_of
 from needleforce.recordings.table import Table
 
@@ -39,17 +39,16 @@ def suggest_mapping(
     request = ChannelRequest(known, joints=tuple(joints)).with_layout(table)
     known = request.mapping
     names_robot = any({*joints} <= {*each} for each in table.joint_names.values())
-    order = known.joint_order or (joints if names_robot else ())
     top = {
         "rate_hz": known.rate_hz,
         "reference_topic": known.reference_topic,
-        "joints": list(order),
+        "joints": list(known.joint_order or (joints if names_robot else ())),
     }
     title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
     lines = [comment_line(title), ""]
     lines += [f"{key} = {json.dumps(value)}" for key, value in top.items() if value]
     lines += [*payload, ""]
-    is_timed = known.rate_hz is not None or "t_s" in table.seconds
+    is_timed = known.rate_hz is not None or table.clocks
     used: set[str] = set()
     for name in channels if is_timed else ("time", *channels):
         lines += [*_channel_lines(table, request, request.channels[name], used), ""]
@@ -84,21 +83,24 @@ def _channel_lines(
         return [head, f"columns = {json.dumps(LEFT_OUT)}"]
 
     try:
-        names = request.find(table, channel)
-        spec = spec or ColumnSpec(columns=tuple(names) or "unknown")
-        units = {unit_of_column(table, channel, name, spec)[0] for name in names}
+        columns = request.find(table, channel)
+        if not columns:
+            return [comment_line(f"{head}: not found")]
+
+        unit = read_units(table, channel, columns, spec)
     except (ColumnError, UnitError) as error:
-        if request.mapping.channels.get(channel.name):
+        if spec is not None:
             raise
 
         return [comment_line(f"{head}: {error}")]
-    if not names:
-        return [comment_line(f"{head}: not found")]
 
-    used |= set(names)
-    lines = [head, f"columns = {json.dumps(names[0] if len(names) == 1 else names)}"]
-    if len(units) == 1:  # else they are those of the names
+    used |= set(columns)
+    lines = [
+        head,
+        f"columns = {json.dumps(columns[0] if len(columns) == 1 else columns)}",
+    ]
+    if len({*unit.units}) == 1:  # else they are those of the names
         listed = ", ".join(channel.units)
-        lines.append(f"unit = {json.dumps(units.pop())}  # of {listed}")
+        lines.append(f"unit = {json.dumps(unit.units[0])}  # of {listed}")
 
-    return [*lines, f"scale = {json.dumps(spec.scale)}  # -1.0 turns the sign"]
+    return [*lines, f"scale = {json.dumps(unit.scale)}  # -1.0 turns the sign"]

@@ -11,10 +11,10 @@ from needleforce.recordings.columnar import ARROW_SUFFIXES, read_arrow, read_npz
 from needleforce.recordings.errors import (
     MAX_BYTES,
     FileAccessError,
+    FormatError,
     file_errors,
     readable_path,
 )
-from needleforce.recordings.joint_names import order_joints
 from needleforce.recordings.log import Log, log_of_table
 from needleforce.recordings.mapping import ColumnMapping, load_layouts
 from needleforce.recordings.table import STANDARD_STREAM, Table
@@ -42,28 +42,52 @@ def read_table(
         FormatError: nothing usable is in it, or it is larger than `max_bytes`.
     """
     request = request or ChannelRequest()
+    if str(path) != STANDARD_STREAM and is_bag(readable_path(path)):
+        return read_bag(Path(path), lambda head: _select(head, request), max_bytes)
+
+    table = _read_file(path, request, max_bytes)
+    if not table.columns:
+        raise FormatError(f"{path} holds no column of numbers{table.left_out()}")
+
+    return request.in_joint_order(table)
+
+
+def _select(head: Table, request: ChannelRequest) -> Table:
+    """Return the columns of a bag that are needed, joints in the order asked for."""
+    is_whole = request == ChannelRequest()
+    needed = head.columns.keys() if is_whole else request.columns(head) or ()
+    columns = {name: head.columns[name] for name in head.columns if name in needed}
+    known = {
+        channel: kept
+        for channel, names in head.known.items()
+        if (kept := tuple(name for name in names if name in needed))
+    }
+    return request.in_joint_order(replace(head, columns=columns, known=known))
+
+
+def _read_file(path: str | Path, request: ChannelRequest, max_bytes: int) -> Table:
+    """Return the table of a file that is no bag; raises as `read_table` does."""
     knowledge = request.mapping.knowledge
     if str(path) == STANDARD_STREAM:
         data = sys.stdin.buffer.read(max_bytes + 1)
-        return _in_order(read_text(data, "stdin", knowledge, max_bytes), request)
+        return read_text(data, "stdin", knowledge, max_bytes)
 
-    path = readable_path(path)
+    path = Path(path)
     name = path.name.lower()
     with file_errors(path):
-        if is_bag(path):
-            return read_bag(path, request, max_bytes)
         if path.is_fifo() or name.endswith(CSV_SUFFIXES):
             with path.open("rb") as stream:
                 data = stream.read(max_bytes + 1)
 
-            return _in_order(read_text(data, str(path), knowledge, max_bytes), request)
+            return read_text(data, str(path), knowledge, max_bytes)
         if name.endswith(".npz"):
             return read_npz(path, max_bytes)
         if name.endswith(ARROW_SUFFIXES):
             return read_arrow(path, max_bytes)
 
-    suffixes = [path.suffix.lower(), *(each.suffix for each in _content(path))]
-    for suffix in suffixes:
+        content = sorted(path.iterdir()) if path.is_dir() else []
+
+    for suffix in (path.suffix.lower(), *(each.suffix for each in content)):
         if conversion := knowledge.conversions.get(suffix):
             raise FileAccessError(
                 f"{path} is not read as it is", f"To read it, {conversion}."
@@ -76,33 +100,12 @@ def read_table(
     )
 
 
-def _content(path: Path) -> list[Path]:
-    """Return what a folder holds; nothing for a file."""
-    return sorted(path.iterdir()) if path.is_dir() else []
-
-
 def columns_of(path: str | Path, mapping: ColumnMapping) -> Table:
     """Return the columns of a recording, a bag's without rows; see `read_table`."""
     if str(path) != STANDARD_STREAM and is_bag(readable_path(path)):
         return bag_head(Path(path))
 
     return read_table(path, ChannelRequest(mapping))
-
-
-def _in_order(table: Table, request: ChannelRequest) -> Table:
-    """Return a table whose columns of joints are in the order that is asked for."""
-    columns = dict(table.columns)
-    joint_names = dict(table.joint_names)
-    notes = list(table.warnings)
-    for name, joints in table.joint_names.items():
-        order, noted = order_joints(name, joints, request.mapping, request.joints)
-        columns[name] = columns[name][:, [joints.index(joint) for joint in order]]
-        joint_names[name] = order
-        notes += noted
-
-    return replace(
-        table, columns=columns, joint_names=joint_names, warnings=tuple(notes)
-    )
 
 
 def read_log(
