@@ -208,7 +208,7 @@ class ChannelRequest:
         channels = {
             name: spec
             for name, spec in known.channels.items()
-            if spec.columns == LEFT_OUT or _has_columns(table, spec.patterns)
+            if spec.patterns == (LEFT_OUT,) or _has_columns(table, spec.patterns)
         }
         channels |= self.mapping.channels
         rate_hz = self.mapping.rate_hz

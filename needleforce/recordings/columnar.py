@@ -1,19 +1,28 @@
-"""npz, Parquet and Feather: files that hold one column after the other."""
+"""Tables of columns: npz, Parquet, Feather, and data frames of pandas."""
 
+import re
 import zipfile
+from collections.abc import Iterable, Mapping
 from dataclasses import replace
+from itertools import product
 from pathlib import Path
 
 import numpy as np
+import pandas as pd
 
-from needleforce.recordings.data_frame import table_of_frame
 from needleforce.recordings.errors import (
     RECOVER,
     FormatError,
     optional_library,
     require_size,
 )
-from needleforce.recordings.table import START_KEY, Table
+from needleforce.recordings.table import MAX_LIST_NUMBERS, START_KEY, Table
+from needleforce.recordings.time_stamps import (
+    NS_PER_S,
+    first_valid_stamp,
+    start_of_clock,
+    to_seconds,
+)
 
 ARROW_SUFFIXES = (".parquet", ".feather")
 """Of files that pyarrow reads."""
@@ -88,3 +97,126 @@ def read_arrow(path: Path, max_bytes: int) -> Table:
 
     own_start = (content.schema.metadata or {}).get(START_KEY.encode())
     return table if own_start is None else replace(table, start_ns=int(own_start))
+
+
+def table_of_frame(frame: pd.DataFrame) -> Table:
+    """Return the columns of numbers, lists and times; warnings name the others."""
+    columns: dict[str, np.ndarray] = {}
+    notes: list[str] = []
+    texts: dict[str, str] = {}
+    seconds: set[str] = set()
+    start_ns = 0
+    for name in map(str, frame):
+        cells = frame[name]
+        filled = cells.notna().to_numpy()
+        known = cells[filled]
+        if not len(known):
+            notes.append(f"column {name!r} is empty and was left out")
+        elif (numbers := _numbers_of(cells)) is not None:
+            columns[name] = numbers
+            odd = (
+                np.count_nonzero(filled & np.isnan(numbers)) if numbers.ndim < 2 else 0
+            )
+            notes += [f"column {name!r}: cells that are not numbers: {odd}"] * bool(odd)
+        elif (stamps_ns := _clock_ns(known)) is not None:
+            start_ns = start_ns or start_of_clock(first_valid_stamp(stamps_ns))
+            columns[name] = np.full(len(cells), np.nan)
+            columns[name][filled] = to_seconds(stamps_ns, start_ns)
+            seconds.add(name)
+        else:
+            texts[name] = str(known.iloc[0]).strip()
+
+    groups = find_joint_groups(columns, texts)
+    for name, text in texts.items():
+        advice = ": write its numbers as columns" if text.startswith("[") else ""
+        if not groups or "name" not in name:
+            notes.append(
+                f"column {name!r} holds text ({text[:40]!r}) and was left out{advice}"
+            )
+    for group, members in groups.items():
+        columns[group] = np.stack([columns.pop(e) for e in members.values()], axis=1)
+
+    return Table(
+        columns=columns,
+        joint_names={group: tuple(members) for group, members in groups.items()},
+        start_ns=start_ns,
+        seconds=frozenset(seconds),
+        warnings=tuple(notes),
+    )
+
+
+def _numbers_of(cells: pd.Series) -> np.ndarray | None:
+    """Return cells as numbers, NaN for those that are none; None if most are none.
+
+    Returns:
+        Shape (n,); of lists of one length, which are signals of joints, (n, k).
+    """
+    if cells.dtype.kind in "iub":
+        return cells.to_numpy()
+    if cells.dtype.kind == "M":
+        return None
+
+    lengths = {len(cell) for cell in cells if isinstance(cell, list | np.ndarray)}
+    if lengths:
+        width = max(lengths)
+        missing = [np.nan] * width
+        rows = [missing if cell is None else cell for cell in cells]
+        is_signal = len(lengths) == 1 and width <= MAX_LIST_NUMBERS
+        return np.array(rows, dtype=np.float64) if is_signal else None
+
+    numbers = pd.to_numeric(cells.replace({True: 1, False: 0}), errors="coerce")
+    are_most = 2 * numbers.count() >= cells.count()
+    return numbers.to_numpy(np.float64) if are_most else None
+
+
+def _clock_ns(cells: pd.Series) -> np.ndarray | None:
+    """Return dates with times, or times that go on over midnight, in ns; or None."""
+    try:
+        if re.match(r"\s*\d+:\d+:\d", str(cells.iloc[0])):
+            day_ns = 86_400 * NS_PER_S
+            clock_ns = pd.to_timedelta(cells).to_numpy("m8[ns]").astype(np.int64)
+            steps_ns = np.diff(clock_ns, prepend=clock_ns[:1])
+            days = np.cumsum(np.round(-steps_ns / day_ns)).astype(np.int64)
+            return clock_ns + days * day_ns
+
+        dates = pd.to_datetime(cells, utc=True, format="ISO8601")
+        return dates.dt.tz_localize(None).to_numpy("M8[ns]").astype(np.int64)
+    except (ValueError, OverflowError):
+        return None
+
+
+def find_joint_groups(
+    names: Iterable[str], texts: Mapping[str, str]
+) -> dict[str, dict[str, str]]:
+    """Find the joints that text exported from ROS topics names.
+
+    `field.name0` holds the name of `field.position0`, or `name` the list of the names
+    of `position_0`, `position_1`, ...; these columns become one of two dimensions.
+
+    Args:
+        names: Of all columns of numbers.
+        texts: Of each column of text, what its first row holds.
+
+    Returns:
+        By name of the column that they become: the columns by joint.
+    """
+    joints: dict[str, dict[str, str]] = {}  # by number, by what is before `name`
+    for name, text in texts.items():
+        if match := re.fullmatch(r"((?:.*[./])?)name_?\[?(\d{0,3})\]?", name):
+            listed = re.findall(r"['\"]([^'\"]+)['\"]", text)
+            numbered = {str(number): each for number, each in enumerate(listed)}
+            joints.setdefault(match[1], {}).update(
+                {match[2]: text} if match[2] else numbered
+            )
+
+    groups: dict[str, dict[str, str]] = {}
+    fields = ("position", "velocity", "effort")
+    for (head, joint_of), field in product(joints.items(), fields):
+        expression = re.compile(rf"{re.escape(head + field)}_?\[?(\d{{1,3}})\]?")
+        matches = filter(None, map(expression.fullmatch, names))
+        column_of = {match[1]: match[0] for match in matches}
+        if joint_of and column_of.keys() == joint_of.keys():
+            members = {joint: column_of[number] for number, joint in joint_of.items()}
+            groups[head.replace(".", "/") + field] = members
+
+    return groups

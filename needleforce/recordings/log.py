@@ -11,15 +11,15 @@ from numpy.typing import ArrayLike, NDArray
 
 from foundation.arrays import Array
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import (
+from needleforce.recordings.channels import Channel
+from needleforce.recordings.column_names import (
     ASSUMED,
     ChannelUnit,
+    advise_column,
     advise_unit,
     describe_columns,
     read_units,
 )
-from needleforce.recordings.channels import Channel
-from needleforce.recordings.column_names import advise_column
 from needleforce.recordings.errors import (
     ColumnError,
     LogError,

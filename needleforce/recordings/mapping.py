@@ -170,7 +170,7 @@ class ColumnMapping:
     def left_out(self) -> frozenset[str]:
         """The channels that are not to be read, although the file may have them."""
         return frozenset(
-            name for name, spec in self.channels.items() if spec.columns == LEFT_OUT
+            name for name, spec in self.channels.items() if spec.patterns == (LEFT_OUT,)
         )
 
 

@@ -5,8 +5,8 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.channel_units import read_units
 from needleforce.recordings.channels import Channel
+from needleforce.recordings.column_names import ChannelUnit, read_units
 from needleforce.recordings.errors import ColumnError, UnitError
 from needleforce.recordings.mapping import LEFT_OUT, ColumnMapping
 from needleforce.recordings.open_recording import columns_of
@@ -47,18 +47,44 @@ def suggest_mapping(
     title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"
     lines = [comment_line(title), ""]
     lines += [f"{key} = {json.dumps(value)}" for key, value in top.items() if value]
-    lines += [*payload, ""]
     is_timed = known.rate_hz is not None or table.clocks
     used: set[str] = set()
     for name in channels if is_timed else ("time", *channels):
-        lines += [*_channel_lines(table, request, request.channels[name], used), ""]
+        channel = request.channels[name]
+        try:
+            unit = _find_unit(table, request, channel)
+        except (ColumnError, UnitError) as error:
+            if name in known.channels:
+                raise
 
-    lines.append("# Columns that are not used:")
+            lines.append(comment_line(f"{name}: {error}"))
+            continue
+
+        used |= {*unit.columns}
+        columns = unit.columns[0] if len(unit.columns) == 1 else unit.columns
+        value = f"columns = {json.dumps(columns)}"
+        if columns != LEFT_OUT:
+            units = unit.units[0] if len({*unit.units}) == 1 else unit.units
+            value += f", unit = {json.dumps(units)}, scale = {json.dumps(unit.scale)}"
+        lines.append(f"{name} = {{ {value} }}  # {channel.meaning}")
+
+    lines += ["", *payload, "", "# Columns that are not used:"]
     for name, values in table.columns.items():
         if name not in used:
             lines.append(comment_line(f"  {name} {list(values.shape[1:]) or ''}"))
 
     return "\n".join([*lines, ""])
+
+
+def _find_unit(table: Table, request: ChannelRequest, channel: Channel) -> ChannelUnit:
+    """Return a channel's columns and units; raises if they are not known."""
+    spec = request.mapping.channels.get(channel.name)
+    if spec is not None and spec.patterns == (LEFT_OUT,):
+        return ChannelUnit(channel.name, (LEFT_OUT,), (), ())
+    if columns := request.find(table, channel):
+        return read_units(table, channel, columns, spec)
+
+    raise ColumnError("not found")
 
 
 def comment_line(text: str) -> str:
@@ -67,40 +93,3 @@ def comment_line(text: str) -> str:
     Names in it come from files and must not end its line.
     """
     return "# " + "".join(c if c.isprintable() else repr(c)[1:-1] for c in text)
-
-
-def _channel_lines(
-    table: Table, request: ChannelRequest, channel: Channel, used: set[str]
-) -> list[str]:
-    """Return a channel as a table of TOML, and add its columns to the used ones.
-
-    Where it is not known which columns it is, or in which unit, the reason stands in a
-    comment.
-    """
-    spec = request.mapping.channels.get(channel.name)
-    head = f"[{channel.name}]  # {channel.meaning}"
-    if spec is not None and spec.columns == LEFT_OUT:
-        return [head, f"columns = {json.dumps(LEFT_OUT)}"]
-
-    try:
-        columns = request.find(table, channel)
-        if not columns:
-            return [comment_line(f"{head}: not found")]
-
-        unit = read_units(table, channel, columns, spec)
-    except (ColumnError, UnitError) as error:
-        if spec is not None:
-            raise
-
-        return [comment_line(f"{head}: {error}")]
-
-    used |= set(columns)
-    lines = [
-        head,
-        f"columns = {json.dumps(columns[0] if len(columns) == 1 else columns)}",
-    ]
-    if len({*unit.units}) == 1:  # else they are those of the names
-        listed = ", ".join(channel.units)
-        lines.append(f"unit = {json.dumps(unit.units[0])}  # of {listed}")
-
-    return [*lines, f"scale = {json.dumps(unit.scale)}  # -1.0 turns the sign"]

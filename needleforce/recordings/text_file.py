@@ -15,7 +15,7 @@ import pandas as pd
 
 from needleforce.recordings.channels import Knowledge
 from needleforce.recordings.column_names import parse_column_name
-from needleforce.recordings.data_frame import table_of_frame
+from needleforce.recordings.columnar import table_of_frame
 from needleforce.recordings.errors import FormatError, require_size
 from needleforce.recordings.table import START_KEY, Table
 

@@ -206,8 +206,9 @@ def _refuse_shared_stamps(stamps_s: Array, values: Array) -> None:
         values: A channel, shape (m,) or (m, k).
     """
     is_new = np.diff(stamps_s) > 0.0
-    is_changed = (values[1:] != values[:-1]).reshape(len(is_new), -1).any(axis=1)
-    if np.count_nonzero(~is_new & is_changed) > len(stamps_s) / 3:
+    is_changed = values[1:] != values[:-1]
+    is_sample = is_changed.any(axis=tuple(range(1, values.ndim)))
+    if np.count_nonzero(~is_new & is_sample) > len(stamps_s) / 3:
         _refuse_groups(stamps_s, np.flatnonzero(is_new) + 1, "samples share stamps")
 
 

@@ -106,10 +106,10 @@ def test_a_topic_is_read_by_its_own_definition(tmp_path):
     torques = np.array([1.0, 2.0, 3.0])
     state = message("arm_msgs/msg/State", header(5, "base"), torques, tip, -7)
     folder = write_bag(tmp_path / "bag", [("/arm", 9, state)], storage="sqlite3")
-    columns = read_table(folder).columns
+    table = read_table(folder)
 
-    assert {name: values.tolist() for name, values in columns.items()} == {
-        "t_s": [5e-9],
+    assert table.stamps_ns["/arm"].tolist() == [5]
+    assert {name: values.tolist() for name, values in table.columns.items()} == {
         "/arm/tau_j": [[1.0, 2.0, 3.0]],
         "/arm/tip_xyz": [[4.0, 5.0, 6.0]],
         "/arm/mode": [-7.0],

@@ -6,12 +6,18 @@ import numpy as np
 import pytest
 
 from needleforce.recordings import (
-    ColumnError,
+    CHANNELS,
+    ChannelRequest,
     ColumnMapping,
+    ColumnSpec,
     LogError,
+    MappingError,
+    Table,
     read_log,
     write_table,
 )
+from needleforce.recordings.log import log_of_table
+from needleforce.recordings.mapping import parse_column_spec
 from tests.needleforce.recordings.bag_samples import mapped
 
 ROWS = 400
@@ -107,23 +113,35 @@ def test_samples_that_repeat_a_value_under_one_stamp_are_one(tmp_path):
 
 
 @pytest.mark.parametrize(
-    ("whole", "fraction"),
+    ("whole", "fraction", "factor", "time"),
     [
-        ("header.stamp.sec", "header.stamp.nanosec"),
-        ("timestamp_sec", "timestamp_nanosec"),
-        ("secs", "nsecs"),
+        ("header.stamp.sec", "header.stamp.nanosec", 1e9, None),
+        ("timestamp_sec", "timestamp_nanosec", 1e9, None),
+        ("secs", "nsecs", 1e9, None),
+        ("t.sec", "t.usec", 1e6, None),
+        ("a", "b", 1e3, "a:s+b:ms"),
     ],
 )
-def test_a_stamp_in_two_columns_is_refused(tmp_path, whole, fraction):
+def test_a_stamp_in_two_columns_is_their_sum(tmp_path, whole, fraction, factor, time):
     path = tmp_path / "log.csv"
-    columns = {whole: np.floor(T_S), fraction: T_S % 1.0, "force_N": FORCE_N}
+    fractions = np.round(factor * (T_S % 1.0))
+    columns = {whole: 1.7e9 + np.floor(T_S), fraction: fractions, "force_N": FORCE_N}
     write_table(path, columns)
-    for mapping in (None, mapped(time=whole)):
-        with pytest.raises(ColumnError, match=fraction):
-            read_log(path, mapping, required=["force"])
+    spec = parse_column_spec(time, CHANNELS["time"]) if time else None
+    log = read_log(path, mapped(time=spec) if spec else None, required=["force"])
 
-    log = read_log(path, ColumnMapping(rate_hz=100.0), required=["force"])
-    np.testing.assert_allclose(log.t_s, T_S)
+    assert log.start_ns == 1_700_000_000_000_000_000
+    np.testing.assert_allclose(log.t_s, T_S, atol=1e-12)
+    np.testing.assert_array_equal(log["force_N"], FORCE_N)
+
+
+def test_a_sum_has_a_unit_for_each_column():
+    spec = ColumnSpec(columns=("a", "b"), unit=("s",))
+    with pytest.raises(MappingError, match="time"):
+        log_of_table(
+            Table(columns={"a": T_S, "b": T_S, "f": T_S}),
+            ChannelRequest(mapped(time=spec)),
+        )
 
 
 def test_a_whole_stamp_beside_its_parts_is_taken(tmp_path):
