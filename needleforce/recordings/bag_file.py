@@ -30,7 +30,7 @@ from needleforce.recordings.errors import (
 from needleforce.recordings.table import MAX_LIST_NUMBERS, Table
 from needleforce.recordings.time_stamps import NS_PER_S
 
-BAG_SUFFIXES = (".mcap", ".db3", ".bag")
+BAG_SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".bag")
 METADATA = "metadata.yaml"
 
 

@@ -3,7 +3,7 @@
 import fnmatch
 import re
 from collections.abc import Iterator, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from types import MappingProxyType
 
 import numpy as np
@@ -19,6 +19,7 @@ from needleforce.recordings.column_names import (
     advise_unit,
     describe_columns,
     read_units,
+    several_fit,
 )
 from needleforce.recordings.errors import (
     ColumnError,
@@ -35,6 +36,7 @@ from needleforce.recordings.time_stamps import (
     rows_in_order,
     start_of_clock,
     to_seconds,
+    with_own_clocks,
 )
 
 SORTED_WITHIN_S = 1.0
@@ -161,28 +163,25 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
     except RecordingError as error:  # the note may say why
         raise (error.reworded(f"{error}. {note}") if note else error) from error
 
-    if table.clocks:
-        table = aligned(table, _find_reference(table, request, found))
-
-    start_ns = table.start_ns
-    measured: dict[str, Array] = {}
     units: list[ChannelUnit] = []
+    table = _with_time(table, request, found, units)
     notes = [*table.warnings, *([note] if note else [])]
-    if request.mapping.rate_hz is None:
-        units.append(_time_unit(table, request))
-        measured["t_s"], start_ns = _time_s(table, request.channels["time"], units[0])
+    measured = _read_channels(table, request, found, units, notes)
+    joint_counts = {key: v.shape[1] for key, v in measured.items() if v.ndim == 2}
+    if len({*joint_counts.values()}) > 1:
+        raise LogError(
+            f"channels differ in their numbers of joints: {joint_counts}",
+            "Name the columns of all joints under each channel of the `mapping`.",
+        )
 
-    measured |= _read_channels(table, request, found, units, notes)
-    _require_equal_sizes(measured)
-    t_s = measured.pop("t_s", None)
     first = next(iter(measured.values()))
-    rows = np.arange(len(first))
-    if t_s is None:
-        t_s = rows / (request.mapping.rate_hz or 1.0)
+    if request.mapping.rate_hz is not None:
+        rows = np.arange(len(first))
+        t_s = rows / request.mapping.rate_hz
     else:
         within_s = request.mapping.sort_within_s
         within_s = SORTED_WITHIN_S if within_s is None else within_s
-        rows, t_s, time_notes = rows_in_order(t_s, first, within_s)
+        rows, t_s, time_notes = rows_in_order(table.columns["t_s"], first, within_s)
         notes += time_notes
 
     channels = {key: values[rows] for key, values in measured.items()}
@@ -194,11 +193,48 @@ def log_of_table(table: Table, request: ChannelRequest) -> Log:
     return Log(
         t_s=t_s,
         channels=channels,
-        start_ns=start_ns,
+        start_ns=table.start_ns,
         units=tuple(units),
         left_out=len(first) - len(rows),
         warnings=tuple(dict.fromkeys([*notes, *_report_invalid(channels, rows)])),
     )
+
+
+def _with_time(
+    table: Table,
+    request: ChannelRequest,
+    found: Mapping[str, Sequence[str]],
+    units: list[ChannelUnit],
+) -> Table:
+    """Return a table with one row for each time stamp, and these in s as `t_s`.
+
+    There are none where the mapping gives a rate; the unit of others is added.
+
+    Raises:
+        ColumnError: There is no time stamp, or not the clock that the mapping names.
+        LogError: Columns differ in length.
+    """
+    has_clocks = bool(table.clocks)
+    if has_clocks:
+        table = aligned(table, _find_reference(table, request, found))
+
+    if request.mapping.rate_hz is None:
+        units.append(time_unit(table, request))
+
+    used = [*found.values(), *(unit.columns for unit in units)]
+    lengths = {name: len(table.values(name)) for names in used for name in names}
+    if len({*lengths.values()}) > 1:
+        raise LogError(f"columns differ in their numbers of rows: {lengths}")
+    if not units:
+        return table
+
+    t_s, start_ns = read_times(table, request.channels["time"], units[0])
+    table = replace(table, start_ns=start_ns)
+    parted = table if has_clocks else with_own_clocks(table, found, t_s)
+    if parted.clocks:
+        return aligned(parted, _find_reference(parted, request, found))
+
+    return replace(table, columns={**table.columns, "t_s": t_s})
 
 
 def _read_channels(
@@ -315,7 +351,7 @@ def _find_reference(
     return chosen or next(iter([*references, *clocks.values()]))
 
 
-def _time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
+def time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
     """Return the column of time stamps, or those whose sum they are, and their units.
 
     Raises:
@@ -334,6 +370,8 @@ def _time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
                 "time", (seconds, fraction), ("s", unit), ("header", "header")
             )
 
+    if spec is not None and len(columns) > len(spec.patterns):
+        raise several_fit(channel, columns)
     if not columns:
         raise ColumnError(
             f"no time column found. Columns are: {table.describe()}{table.left_out()}",
@@ -354,8 +392,6 @@ def _values_of(table: Table, channel: Channel, unit: ChannelUnit) -> Array:
     listed = ", ".join(unit.columns)
     columns = [table.values(name) for name in unit.columns]
     widths = [table.width(name) for name in unit.columns]
-    if len({len(values) for values in columns}) > 1:
-        raise LogError(f"{channel.name}: the columns {listed} differ in length")
     if sum(widths) != 1 and not channel.per_joint:
         raise ColumnError(
             f"{channel.name} is one column, but {listed} are {sum(widths)}"
@@ -373,7 +409,7 @@ def _values_of(table: Table, channel: Channel, unit: ChannelUnit) -> Array:
     return values if channel.per_joint else values[:, 0]
 
 
-def _time_s(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, int]:
+def read_times(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, int]:
     """Return time stamps in s, shape (n,), and the instant in ns that they count from.
 
     Whole nanoseconds too large for float64, and sums of columns, are counted from the
@@ -384,11 +420,9 @@ def _time_s(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, i
     if len(unit.columns) > 1:
         factors = [channel.units[each] * NS_PER_S for each in unit.units]
         terms = zip(unit.columns, factors, strict=True)
-        parts_ns = [table.values(name) * factor for name, factor in terms]
+        parts_ns = np.array([table.values(name) * factor for name, factor in terms])
         known = np.isfinite(parts_ns).all(axis=0)
-        stamps_ns = sum(
-            np.rint(part_ns[known]).astype(np.int64) for part_ns in parts_ns
-        )
+        stamps_ns = np.rint(parts_ns[:, known]).astype(np.int64).sum(axis=0)
     elif stamps.dtype.kind in "iu" and not table.start_ns and is_ns:
         known = np.full(len(stamps), fill_value=True)
         stamps_ns = stamps.astype(np.int64)
@@ -399,19 +433,6 @@ def _time_s(table: Table, channel: Channel, unit: ChannelUnit) -> tuple[Array, i
     t_s = np.full(len(stamps), np.nan)
     t_s[known] = to_seconds(stamps_ns, start_ns)
     return t_s, start_ns
-
-
-def _require_equal_sizes(measured: Mapping[str, Array]) -> None:
-    """Raise `LogError` if channels differ in length, or in the number of joints."""
-    shapes = {key: values.shape for key, values in measured.items()}
-    lengths = {shape[0] for shape in shapes.values()}
-    joint_counts = {shape[1] for shape in shapes.values() if len(shape) == 2}
-    if len(lengths) > 1 or len(joint_counts) > 1:
-        listed = ", ".join(f"{key} {shape}" for key, shape in shapes.items())
-        raise LogError(
-            f"channels differ in their numbers of rows or joints: {listed}",
-            "Name the columns of all joints under each channel of the `mapping`.",
-        )
 
 
 def _check_sizes(channel: Channel, unit: ChannelUnit, sizes: Array) -> list[str]:

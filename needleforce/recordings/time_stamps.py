@@ -5,6 +5,7 @@ seconds in float64 such stamps would be rounded to 0.2 µs; then seconds are cou
 from the first stamp instead, see `start_of_clock`.
 """
 
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 from typing import NoReturn
 
@@ -56,6 +57,49 @@ def to_nanoseconds(t_s: ArrayLike, start_ns: int) -> NDArray[np.int64]:
     """Return finite seconds since `start_ns` as stamps, to the nearest nanosecond."""
     counted = np.rint(np.asarray(t_s, dtype=np.float64) * NS_PER_S).astype(np.int64)
     return counted + np.int64(start_ns)
+
+
+def with_own_clocks(
+    table: Table, found: Mapping[str, Sequence[str]], t_s: Array
+) -> Table:
+    """Return a table whose channels have clocks, where rows hold one or the other.
+
+    Rows may have a stamp and either a force or a pose. Then a row without a value is no
+    sample of a channel, rather than one that is missing.
+
+    Args:
+        table: With one time stamp a row.
+        found: Columns by channel.
+        t_s: Time stamps of the rows, shape (n,).
+
+    Returns:
+        The table itself unless two channels share less than half of their samples.
+    """
+    samples = {
+        name: np.isfinite(
+            np.column_stack([t_s, *map(table.values, columns)]).min(axis=1)
+        )
+        for name, columns in found.items()
+    }
+    shared = np.logical_and.reduce([*samples.values()])
+    fewest = min(map(np.count_nonzero, samples.values()))
+    if 2 * np.count_nonzero(shared) >= fewest:
+        return table
+
+    columns = {
+        name: (channel, table.values(name)[samples[channel]])
+        for channel, names in found.items()
+        for name in names
+    }
+    return replace(
+        table,
+        columns={name: values for name, (_, values) in columns.items()},
+        clocks={name: channel for name, (channel, _) in columns.items()},
+        stamps_ns={
+            channel: to_nanoseconds(t_s[rows], table.start_ns)
+            for channel, rows in samples.items()
+        },
+    )
 
 
 def aligned(table: Table, reference: str) -> Table:

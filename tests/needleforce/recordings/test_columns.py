@@ -223,7 +223,7 @@ def test_patterns_that_fit_nothing_or_not_only_one_are_refused(pattern):
         (None, ("torque",), MappingError, "torque"),
         (mapped(force="pair"), (), ColumnError, "pair"),
         (mapped(q=("a", "short")), (), LogError, "short"),
-        (mapped(depth="short"), (), LogError, "depth_m"),
+        (mapped(depth="short"), (), LogError, "short"),
         (mapped(q="pair", tau="a"), (), LogError, "tau_Nm"),
         (mapped(depth="empty"), ("depth",), LogError, "depth_m"),
         (

@@ -190,23 +190,18 @@ def test_a_device_is_no_file(tmp_path, name):
 @pytest.mark.parametrize(
     ("name", "advice"),
     [
-        *(
-            ("x.h5", "h5py"),
-            ("x.mat", "scipy"),
-            ("x.xlsx", "CSV"),
-            ("x.tdms", "npTDMS"),
-        ),
-        *(("bag/x.db3.zstd", "zstd"), ("run/x.dat", "one table"), ("x", "one table")),
+        ("x.xlsx", "CSV"),
+        ("x.csv.zst", "zstd"),
+        ("x", ".parquet"),
     ],
 )
 def test_what_is_not_read_is_refused_with_what_makes_it_readable(
     tmp_path, name, advice
 ):
     path = tmp_path / name
-    path.parent.mkdir(exist_ok=True)
     path.write_bytes(b"PK")
     with pytest.raises(FileAccessError) as refused:
-        read_table(path if path.parent == tmp_path else path.parent)
+        read_table(path)
     assert advice in refused.value.advice
 
 
