@@ -16,8 +16,6 @@ from typing import Any, NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from needleforce.recordings.bag_topics import standard_types
-from needleforce.recordings.channels import KNOWLEDGE
 from needleforce.recordings.errors import (
     RECOVER,
     UNPACK,
@@ -29,6 +27,7 @@ from needleforce.recordings.errors import (
 )
 from needleforce.recordings.table import MAX_LIST_NUMBERS, Table
 from needleforce.recordings.time_stamps import NS_PER_S
+from needleforce.recordings.writers import standard_types
 
 BAG_SUFFIXES = (".mcap", ".db3", ".db3.zstd", ".bag")
 METADATA = "metadata.yaml"
@@ -213,19 +212,13 @@ def _head(bag: _Bag, path: Path) -> Table:
     columns: dict[str, np.ndarray] = {}
     clocks: dict[str, str] = {}
     joint_names: dict[str, tuple[str, ...]] = {}
-    known: dict[str, tuple[str, ...]] = {}
-    for topic, connections in bag.topics.items():
+    for topic in bag.topics:
         for column, signal in _first_signals(bag, topic).items():
             columns[column] = np.empty((0, *np.shape(signal.values)))
             clocks[column] = topic
             if signal.joints:
                 joint_names[column] = signal.joints
                 columns[column] = np.empty((0, len(signal.joints)))
-
-        known_fields = KNOWLEDGE.messages.get(connections[0].msgtype, {})
-        for channel, field in known_fields.items():
-            if (column := f"{topic}/{field}") in columns:
-                known[channel] = (*known.get(channel, ()), column)
 
     if not columns:
         raise FormatError(
@@ -235,7 +228,6 @@ def _head(bag: _Bag, path: Path) -> Table:
     return Table(
         columns=columns,
         joint_names=joint_names,
-        known=known,
         clocks=clocks,
         warnings=bag.notes,
     )

@@ -7,7 +7,6 @@ from needleforce.recordings.channels import Channel, Layout
 from needleforce.recordings.column_names import (
     detect_columns,
     find_columns,
-    several_fit,
     split_unit,
 )
 from needleforce.recordings.errors import ColumnError, MappingError
@@ -15,7 +14,6 @@ from needleforce.recordings.joint_names import (
     choose_match,
     match_joints,
     names_channel,
-    order_joints,
 )
 from needleforce.recordings.mapping import (
     LEFT_OUT,
@@ -114,11 +112,8 @@ class ChannelRequest:
             return [name for each in patterns for name in find_columns(table, each)]
 
         table = self._table_of_robot(table)
-        known = table.known.get(channel.name, ())
-        if len(known) > 1:
-            raise several_fit(channel, known)
         try:
-            columns = list(known) or detect_columns(table, channel)
+            columns = detect_columns(table, channel)
         except ColumnError:  # several would fit, one for each joint perhaps
             columns = self._find_by_joints(table, channel)
             if not columns:
@@ -138,11 +133,7 @@ class ChannelRequest:
             return table
 
         columns = {n: v for n, v in table.columns.items() if n not in others}
-        known = {
-            channel: tuple(name for name in names if name not in others)
-            for channel, names in table.known.items()
-        }
-        return replace(table, columns=columns, known=known)
+        return replace(table, columns=columns)
 
     def _find_by_joints(self, table: Table, channel: Channel) -> list[str]:
         """Return columns that are named after the robot's joints and a channel.
@@ -168,20 +159,47 @@ class ChannelRequest:
         return [by_stem[stem] for stem in chosen.names] if chosen else []
 
     def in_joint_order(self, table: Table) -> Table:
-        """Return a table whose columns of joints are in the order that is asked for."""
+        """Return a table whose columns of joints are in the order that is asked for.
+
+        Raises:
+            ColumnError: None of them has all of the robot's joints, or several arms
+                would fit.
+        """
+        robot = self.mapping.joint_order or self.joints
+        groups = {
+            n: each for n, each in table.joint_names.items() if n in table.columns
+        }
+        if not groups or not robot:
+            return table
+
         columns = dict(table.columns)
-        joint_names: dict[str, tuple[str, ...]] = {}
+        joint_names = dict(table.joint_names)
         notes: dict[str, None] = {}
-        for name, joints in table.joint_names.items():
-            if name not in columns:
+        for name, joints in groups.items():
+            where = table.clocks.get(name, name)
+            matches = match_joints(joints, robot)
+            chosen = choose_match(matches, self.mapping.joint_pattern, where)
+            if chosen is None:
                 continue
 
-            order, noted = order_joints(
-                table.clocks.get(name, name), joints, self.mapping, self.joints
+            columns[name] = columns[name][
+                :, [joints.index(each) for each in chosen.names]
+            ]
+            joint_names[name] = chosen.names
+            if chosen.names != robot:
+                taken = f"{chosen.names[0]}, ... ({chosen.pattern})"
+                notes[
+                    f"{where}: {taken} were taken for the robot's {robot[0]}, ..."
+                ] = None
+
+        if not any(match_joints(joints, robot) for joints in groups.values()):
+            name, joints = next(iter(groups.items()))
+            raise ColumnError(
+                f"{name} has the joints {', '.join(joints)}; expected "
+                f"{', '.join(robot)}",
+                "Name them in the robot's order, with `joints` in the `mapping` or "
+                f"`--joints {','.join(joints)}`.",
             )
-            columns[name] = columns[name][:, [joints.index(joint) for joint in order]]
-            joint_names[name] = order
-            notes |= dict.fromkeys(noted)
 
         warnings = (*table.warnings, *notes)
         return replace(

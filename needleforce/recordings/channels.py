@@ -158,8 +158,8 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
         quantities: The units of each.
         case_matters: Spellings of units whose capitals make another unit of them.
         other_units: Units of which no channel is made.
+        missing_values: Numbers that stand for no value, in the file's unit.
         channels: By the name that mappings use.
-        messages: Fields by channel, by the type of the messages of a bag.
         conversions: By suffix: what makes a readable file of one that is not read.
         layouts: The first that fits is taken.
     """
@@ -167,8 +167,8 @@ class Knowledge(msgspec.Struct, frozen=True, forbid_unknown_fields=True):
     quantities: dict[str, Units] = msgspec.field(name="units")
     case_matters: tuple[str, ...]
     other_units: tuple[str, ...]
+    missing_values: tuple[float, ...]
     channels: dict[str, Channel]
-    messages: dict[str, dict[str, str]]
     conversions: dict[str, str]
     layouts: tuple[Layout, ...]
 

@@ -100,24 +100,34 @@ def written_unit(name: str) -> str | None:
     return None if match is None or match["unit"].isdigit() else match["unit"].strip()
 
 
+def is_column(table: Table, name: str) -> bool:
+    """Return whether a table has a column, or an element of one such as `wrench[2]`."""
+    element = re.fullmatch(r"(.+)\[(\d{1,9})\]", name)
+    array = table.columns.get(element[1]) if element else None
+    is_element = array is not None and array.shape[1:] > (int(element[2]),)
+    return name in table.columns or is_element
+
+
 def find_columns(table: Table, pattern: str) -> list[str]:
     """Return the names of the columns that a name or pattern stands for.
 
     In this order: a column of exactly that name; `wrench[2]`, one column (from 0) of a
-    two-dimensional one; `q{1..7}`, the numbers from 1 to 7; `q_*`, all columns with a
-    number in that place; and `q_rad` for a family `q_rad_1`, `q_rad_2`, ... as this
-    package writes it to CSV. Numbered ones come in the order of their numbers.
+    two-dimensional one; `*/q`, the one of that name behind any path; `q{1..7}`, the
+    numbers from 1 to 7; `q_*`, all columns with a number in that place; and `q_rad` for
+    a family `q_rad_1`, `q_rad_2`, ... as this package writes it to CSV. Numbered ones
+    come in the order of their numbers.
 
     Raises:
         ColumnError: There is no such column, two have one number, or one is missing.
     """
-    if pattern in table.columns:
+    if is_column(table, pattern):
         return [pattern]
+    if pattern.startswith("*/"):
+        fitting = [name for name in table.columns if name.endswith(pattern[1:])]
+        if len(fitting) != 1:
+            raise ColumnError(f"{pattern!r} fits {fitting}, expected one column")
 
-    element = re.fullmatch(r"(.+)\[(\d{1,9})\]", pattern)
-    array = table.columns.get(element[1]) if element else None
-    if element and array is not None and array.shape[1:] > (int(element[2]),):
-        return [pattern]
+        return fitting
 
     place = re.search(r"\{(\d{1,9})\.\.(\d{1,9})\}|\*", pattern)
     expression = rf"{re.escape(pattern)}[_. ]?\[?(\d{{1,9}})\]?"
@@ -126,18 +136,24 @@ def find_columns(table: Table, pattern: str) -> list[str]:
         expression = rf"{head}(\d{{1,9}}){re.escape(pattern[place.end() :])}"
 
     span = range(int(place[1]), int(place[2]) + 1) if place and place[1] else None
-    numbered: dict[int, str] = {}
-    for name in table.columns:
-        match = re.fullmatch(expression, name)
-        if match is None or (span and int(match[1]) not in span):
-            continue
-        if (other := numbered.setdefault(int(match[1]), name)) != name:
-            raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}")
-
+    numbered = _by_number(table, expression, pattern)
+    if span:
+        numbered = {each: name for each, name in numbered.items() if each in span}
     if not numbered or (span and {span[0], span[-1]} - numbered.keys()):
         raise ColumnError(f"no column {pattern!r}. Columns are: {table.describe()}")
 
     return _in_order(numbered, pattern)
+
+
+def _by_number(table: Table, expression: str, pattern: str) -> dict[int, str]:
+    """Return columns by the number in their names; `ColumnError` if two have one."""
+    numbered: dict[int, str] = {}
+    for name in table.columns:
+        match = re.fullmatch(expression, name)
+        if match and (other := numbered.setdefault(int(match[1]), name)) != name:
+            raise ColumnError(f"{pattern!r} fits both {other!r} and {name!r}")
+
+    return numbered
 
 
 def _in_order(numbered: Mapping[int, str], pattern: str) -> list[str]:

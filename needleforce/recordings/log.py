@@ -211,12 +211,12 @@ def _with_time(
     There are none where the mapping gives a rate; the unit of others is added.
 
     Raises:
-        ColumnError: There is no time stamp, or not the clock that the mapping names.
+        ColumnError: There is no time stamp.
         LogError: Columns differ in length.
     """
     has_clocks = bool(table.clocks)
     if has_clocks:
-        table = aligned(table, _find_reference(table, request, found))
+        table = aligned(table, _find_reference(table, found))
 
     if request.mapping.rate_hz is None:
         units.append(time_unit(table, request))
@@ -232,7 +232,7 @@ def _with_time(
     table = replace(table, start_ns=start_ns)
     parted = table if has_clocks else with_own_clocks(table, found, t_s)
     if parted.clocks:
-        return aligned(parted, _find_reference(parted, request, found))
+        return aligned(parted, _find_reference(parted, found))
 
     return replace(table, columns={**table.columns, "t_s": t_s})
 
@@ -253,7 +253,8 @@ def _read_channels(
     for name, columns in found.items():
         channel = request.channels[name]
         unit = read_units(table, channel, columns, request.mapping.channels.get(name))
-        values = _values_of(table, channel, unit)
+        missing = request.mapping.knowledge.missing_values
+        values = _values_of(table, channel, unit, missing)
         is_known = np.isfinite(values).any(axis=0)
         if is_known.all() or not len(values):
             units.append(unit)
@@ -323,32 +324,11 @@ def _find_channels(table: Table, request: ChannelRequest) -> dict[str, list[str]
     return found
 
 
-def _find_reference(
-    table: Table, request: ChannelRequest, found: Mapping[str, Sequence[str]]
-) -> str:
-    """Return the clock whose stamps are the rows: the mapping's, or that of the force.
-
-    The force is what the joints' torques, or a force sensor, measure.
-
-    Raises:
-        ColumnError: That of the mapping is not read.
-    """
-    clocks: dict[str, str] = {}
-    for name, (column, *_) in found.items():
-        whole = column if column in table.clocks else column.rpartition("[")[0]
-        clocks[name] = table.clocks[whole]
-
-    chosen = request.mapping.reference_topic
-    if chosen is not None and chosen not in clocks.values():
-        raise ColumnError(
-            f"reference_topic = {chosen!r} is no topic that is read; topics are: "
-            f"{', '.join(dict.fromkeys(clocks.values()))}"
-        )
-
-    references = [
-        clocks[name] for name in ("tau", "tau_ext", "force") if name in clocks
-    ]
-    return chosen or next(iter([*references, *clocks.values()]))
+def _find_reference(table: Table, found: Mapping[str, Sequence[str]]) -> str:
+    """Return the clock whose stamps are the rows: that of the torques or the force."""
+    usual = [found[name] for name in ("tau", "tau_ext", "force") if name in found]
+    column, *_ = next(iter([*usual, *found.values()]))
+    return table.clocks.get(column) or table.clocks[column.rpartition("[")[0]]
 
 
 def time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
@@ -381,31 +361,37 @@ def time_unit(table: Table, request: ChannelRequest) -> ChannelUnit:
     return read_units(table, channel, columns, spec)
 
 
-def _values_of(table: Table, channel: Channel, unit: ChannelUnit) -> Array:
+def _values_of(
+    table: Table, channel: Channel, unit: ChannelUnit, missing: Sequence[float] = ()
+) -> Array:
     """Return a channel in SI units, shape (n,) or (n, joints).
+
+    Args:
+        table: With the columns.
+        channel: The channel.
+        unit: Its columns and their units.
+        missing: Numbers in the file that stand for no value.
 
     Raises:
         ColumnError: There are too many columns.
-        LogError: They differ in length.
         MappingError: There are more or fewer scale factors than columns.
     """
-    listed = ", ".join(unit.columns)
-    columns = [table.values(name) for name in unit.columns]
-    widths = [table.width(name) for name in unit.columns]
-    if sum(widths) != 1 and not channel.per_joint:
-        raise ColumnError(
-            f"{channel.name} is one column, but {listed} are {sum(widths)}"
-        )
+    values = np.column_stack([table.values(name) for name in unit.columns])
+    width = values.shape[1]
+    if width != 1 and not channel.per_joint:
+        listed = ", ".join(unit.columns)
+        raise ColumnError(f"{channel.name} is one column, but {listed} are {width}")
 
     scales = np.atleast_1d(np.array(unit.scale, dtype=np.float64))
-    if scales.size not in (1, sum(widths)):
+    if scales.size not in (1, width):
         raise MappingError(
-            f"{channel.name}: {scales.size} scale factors for {sum(widths)} columns, "
+            f"{channel.name}: {scales.size} scale factors for {width} columns, "
             "expected one for all or one for each"
         )
 
-    to_si = [channel.units[each] for each in unit.units]
-    values = np.column_stack(columns) * (np.repeat(to_si, widths) * scales)
+    widths = [table.width(name) for name in unit.columns]
+    to_si = np.repeat([channel.units[each] for each in unit.units], widths)
+    values = np.where(np.isin(values, missing), np.nan, values * (to_si * scales))
     return values if channel.per_joint else values[:, 0]
 
 

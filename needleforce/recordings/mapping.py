@@ -105,7 +105,6 @@ class ColumnMapping:
         rate_hz: Samples/s of a file without time stamps; it replaces a time column.
         joints: Names of the robot's joints in the recording, in its order, by which
             signals are found and put in order; or one pattern that they fit, `left_*`.
-        reference_topic: Topic of a bag whose messages are the rows of the log.
         sort_within_s: Rows are sorted that come no later than this after newer ones.
         knowledge: Channels, units and layouts that are known.
     """
@@ -113,7 +112,6 @@ class ColumnMapping:
     channels: Mapping[str, ColumnSpec] = field(default_factory=dict)
     rate_hz: float | None = None
     joints: str | tuple[str, ...] = ()
-    reference_topic: str | None = None
     sort_within_s: float | None = None
     knowledge: Knowledge = field(default=KNOWLEDGE, repr=False, compare=False)
 
@@ -189,8 +187,8 @@ def load_mapping(path: str | Path, knowledge: Knowledge = KNOWLEDGE) -> ColumnMa
 
     Each channel is a table with `columns` and, if needed, `unit` and `scale`, or only
     the columns (`depth = "z"`, also `depth = "z:mm:-1"`). At the top may stand
-    `rate_hz`, `joints`, `reference_topic` and `sort_within_s`, see `ColumnMapping`, and
-    `payload`, which is for commands.
+    `rate_hz`, `joints` and `sort_within_s`, see `ColumnMapping`, and `payload`, which
+    is for commands.
 
     Raises:
         FileAccessError: the file cannot be read.
@@ -232,7 +230,7 @@ def mapping_of_layout(layout: Layout, knowledge: Knowledge) -> ColumnMapping:
 
 def _mapping_of(content: Mapping[str, Any], knowledge: Knowledge) -> ColumnMapping:
     """Return a mapping from content of TOML; `MappingError` if that is not valid."""
-    top_keys = {"rate_hz", "joints", "reference_topic", "sort_within_s"}
+    top_keys = {"rate_hz", "joints", "sort_within_s"}
     channels: dict[str, ColumnSpec] = {}
     name = "$"
     try:

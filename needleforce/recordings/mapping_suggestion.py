@@ -41,7 +41,6 @@ def suggest_mapping(
     names_robot = any({*joints} <= {*each} for each in table.joint_names.values())
     top = {
         "rate_hz": known.rate_hz,
-        "reference_topic": known.reference_topic,
         "joints": list(known.joint_order or (joints if names_robot else ())),
     }
     title = f"Mapping of {Path(source).name}; edit it, then: --mapping FILE"

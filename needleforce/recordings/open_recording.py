@@ -11,8 +11,13 @@ import numpy as np
 
 from needleforce.recordings.bag_file import BAG_SUFFIXES, bag_head, is_bag, read_bag
 from needleforce.recordings.channel_request import ChannelRequest
-from needleforce.recordings.columnar import ARROW_SUFFIXES, read_arrow, read_npz
-from needleforce.recordings.containers import CONTAINER_SUFFIXES, read_container
+from needleforce.recordings.columnar import (
+    ARROW_SUFFIXES,
+    CONTAINER_SUFFIXES,
+    read_arrow,
+    read_container,
+    read_npz,
+)
 from needleforce.recordings.errors import (
     KNOWN_SUFFIX,
     MAX_BYTES,
@@ -77,12 +82,7 @@ def _select(head: Table, request: ChannelRequest) -> Table:
     is_whole = request == ChannelRequest()
     needed = head.columns.keys() if is_whole else request.columns(head) or ()
     columns = {name: head.columns[name] for name in head.columns if name in needed}
-    known = {
-        channel: kept
-        for channel, names in head.known.items()
-        if (kept := tuple(name for name in names if name in needed))
-    }
-    return request.in_joint_order(replace(head, columns=columns, known=known))
+    return request.in_joint_order(replace(head, columns=columns))
 
 
 def _read_file(path: str | Path, request: ChannelRequest, max_bytes: int) -> Table:

@@ -59,7 +59,6 @@ class Table:
             unless stamps are too large for seconds in float64 to resolve nanoseconds.
         seconds: Names of the columns of time stamps; they are in seconds, whatever unit
             the name says.
-        known: Columns that are channels by the type of their messages, by channel.
         units: By name of a column: what a row of units says of it.
         clocks: By name of a column: what stamped its rows, a topic or a file; none
             where one column holds the time stamps of all.
@@ -71,7 +70,6 @@ class Table:
     joint_names: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     start_ns: int = 0
     seconds: frozenset[str] = frozenset()
-    known: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
     units: Mapping[str, str] = field(default_factory=dict)
     clocks: Mapping[str, str] = field(default_factory=dict)
     stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
