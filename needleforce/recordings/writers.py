@@ -69,14 +69,9 @@ def npz_writer(
 
     It cannot be appended to.
     """
-    chunks: dict[str, list[np.ndarray]] = {name: [] for name in empty}
-
-    def append(columns: TableColumns) -> None:
-        for name, values in columns.items():
-            chunks[name].append(np.array(values))
-
-    yield append
-    arrays = {name: np.concatenate(values) for name, values in chunks.items()}
+    chunks = [empty]
+    yield lambda rows: chunks.append({name: v.copy() for name, v in rows.items()})
+    arrays = {name: np.concatenate([rows[name] for rows in chunks]) for name in empty}
     if labels.start_ns:
         arrays[START_KEY] = np.array(labels.start_ns, dtype=np.int64)
 
@@ -99,16 +94,9 @@ def parquet_writer(
     parquet = optional_library("pyarrow.parquet", "Parquet files")
     metadata = {START_KEY: str(labels.start_ns)} if labels.start_ns else {}
     schema = arrow.table(flat_columns(empty), metadata=metadata).schema
-    writer = parquet.ParquetWriter(stream, schema, write_page_checksum=True)
-
-    def append(columns: TableColumns) -> None:
-        table = arrow.table(flat_columns(columns))
-        if table.num_rows:
-            writer.write_table(table)
-
-    yield append
-    # Writes the table of contents, without which the file cannot be read.
-    writer.close()
+    # Closing writes the table of contents, without which the file cannot be read.
+    with parquet.ParquetWriter(stream, schema, write_page_checksum=True) as writer:
+        yield lambda rows: writer.write_table(arrow.table(flat_columns(rows)))
 
 
 @cache
