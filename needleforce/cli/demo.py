@@ -1,6 +1,5 @@
 """The command `needleforce demo`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated, Literal
 
@@ -8,27 +7,6 @@ from cyclopts import Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, LOG, MACHINE, app
 from needleforce.cli.terminal import CommandError, require_modules, say
-
-
-@Parameter(name="*", group=LIVE_OUTPUT)
-@dataclass(frozen=True, kw_only=True)
-class DemoOptions:
-    """Where a demonstration goes, and what it begins with.
-
-    Attributes:
-        report: Folder for a page (insertion: demo; abdomen: no page).
-        figure: The chart of the forces alone: .png, .svg or .pdf.
-        data: For abdomen: folder with ct.nii.gz and labels.nii.gz; else an analytic
-            torso.
-        seed: Of everything that is drawn at random (default: 0).
-    """
-
-    report: Annotated[Path | None, Parameter(metavar="DIR")] = None
-    figure: Annotated[
-        Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")
-    ] = None
-    data: Annotated[Path | None, Parameter(metavar="DIR", group=LOG)] = None
-    seed: Annotated[int, Parameter(metavar="N", group=LOG)] = 0
 
 
 @app.command(name="demo", group=MACHINE)
@@ -39,7 +17,31 @@ def demo_command(
     ] = "insertion",
     /,
     *,
-    options: DemoOptions = DemoOptions(),
+    report: Annotated[
+        Path | None,
+        Parameter(
+            metavar="DIR",
+            group=LIVE_OUTPUT,
+            help="Folder for a page (insertion: demo; abdomen: no page).",
+        ),
+    ] = None,
+    data: Annotated[
+        Path | None,
+        Parameter(
+            metavar="DIR",
+            group=LOG,
+            help="For abdomen: folder with ct.nii.gz and labels.nii.gz; else an "
+            "analytic torso.",
+        ),
+    ] = None,
+    seed: Annotated[
+        int,
+        Parameter(
+            metavar="N",
+            group=LOG,
+            help="Of everything that is drawn at random (default: 0).",
+        ),
+    ] = 0,
 ) -> int:
     """Show what the toolkit does, on a simulated arm; with no name: an insertion.
 
@@ -55,12 +57,10 @@ def demo_command(
     if kind == "abdomen":
         from needleforce.cli.demos import abdomen
 
-        return abdomen.run(
-            options.data, options.seed, folder=options.report, picture=options.figure
-        )
-    if options.data is not None:
+        return abdomen.run(data, seed, report)
+    if data is not None:
         raise CommandError(
-            f"--data {options.data}: only the abdomen is read from files, expected "
+            f"--data {data}: only the abdomen is read from files, expected "
             "needleforce demo abdomen"
         )
     require_modules("demo", ("mujoco", "matplotlib", "jinja2"))
@@ -71,6 +71,4 @@ def demo_command(
     )
     from needleforce.cli.demos import insertion
 
-    return insertion.run(
-        options.report or Path("demo"), options.seed, picture=options.figure
-    )
+    return insertion.run(report or Path("demo"), seed)

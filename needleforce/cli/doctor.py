@@ -5,7 +5,7 @@ from typing import Annotated
 from cyclopts import Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, MACHINE, app
-from needleforce.cli.terminal import write_out
+from needleforce.cli.terminal import aligned, json_text, write_out
 
 
 @app.command(name="doctor", group=MACHINE)
@@ -26,13 +26,10 @@ def doctor_command(
 
     needleforce doctor --json
     """
-    import msgspec
-
-    from needleforce.cli.checkup import compile_everything, describe, examine
+    from needleforce.cli.checkup import compile_everything, examine
 
     if compile:
         compile_everything()
     found = examine()
-    as_json = msgspec.json.format(msgspec.json.encode(found)).decode() + "\n"
-    write_out(as_json if json else describe(found))
+    write_out(json_text(found) if json else aligned(found.items()))
     return 0

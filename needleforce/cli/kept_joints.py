@@ -1,9 +1,8 @@
 """Which joints of a URDF move: those of the log; ``--lock-others`` locks the rest."""
 
-from collections.abc import Collection, Mapping
+from collections.abc import Collection, Mapping, Sequence
 from contextlib import suppress
 from pathlib import Path
-from typing import NamedTuple
 
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import OTHER_ROBOT, CommandError
@@ -11,20 +10,8 @@ from urdf import UnknownNameError
 from urdf.joint_choice import joints_towards, movable_joints
 
 
-class LogJoints(NamedTuple):
-    """What a log says about its joints.
-
-    Attributes:
-        names: Their names; empty if it names none.
-        number: How many there are; None if that is not known.
-    """
-
-    names: tuple[str, ...] = ()
-    number: int | None = None
-
-
 def joints_to_keep(
-    options: RobotOptions, locked: Mapping[str, float], joints: LogJoints
+    options: RobotOptions, locked: Mapping[str, float], joints: Sequence[str | None]
 ) -> tuple[str, ...]:
     """Return the joints that ``--lock-others`` leaves.
 
@@ -34,7 +21,7 @@ def joints_to_keep(
     Args:
         options: Options of the command, with ``--urdf``.
         locked: Positions of the joints of ``--lock``.
-        joints: What the log says about its joints.
+        joints: Joints of the log, None for one without a name; empty if not known.
 
     Raises:
         CommandError: The joints of the log are none of the robot's.
@@ -43,33 +30,23 @@ def joints_to_keep(
     movable = [
         name for name in movable_joints(path, options.without) if name not in locked
     ]
-    if joints.names:
-        kept = tuple(name for name in movable if name in joints.names)
-        if kept:
-            return kept
-        raise CommandError(
-            f"--lock-others: the log has the joints {', '.join(joints.names)}, the "
-            f"robot {', '.join(movable)}: none of one name; name the robot's in the "
-            "order of the log with joints = [...] in the file of --mapping",
-            OTHER_ROBOT,
-        )
-    if joints.number == len(movable):
-        return tuple(movable)
-    route = tuple(
-        name
-        for name in joints_towards(path, options.tool_frame, options.without)
-        if name not in locked
+    kept = tuple(name for name in movable if name in joints)
+    if kept:
+        return kept
+    if not any(joints):
+        if len(joints) == len(movable):
+            return tuple(movable)
+        towards = joints_towards(path, options.tool_frame, options.without)
+        route = tuple(name for name in towards if name not in locked)
+        if len(joints) <= len(route):
+            return route[-len(joints) :]
+    named = ", ".join(map(str, filter(None, joints))) or f"{len(joints)} columns each"
+    raise CommandError(
+        f"--lock-others: the log has the joints {named}, the robot "
+        f"{', '.join(movable)}: they do not fit; name the robot's in the order of the "
+        "log with joints = [...] in the file of --mapping",
+        OTHER_ROBOT,
     )
-    if joints.number is None:
-        return route
-    if joints.number > len(route):
-        raise CommandError(
-            f"--lock-others: the log has {joints.number} columns per joint signal and "
-            f"names no joints, on the way to the tool move {len(route)}: "
-            f"{', '.join(route)}",
-            OTHER_ROBOT,
-        )
-    return route[len(route) - joints.number :]
 
 
 def assumed_positions(

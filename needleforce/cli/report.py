@@ -13,7 +13,6 @@ from needleforce.cli.shared_options import (
     SensorOptions,
     Source,
 )
-from needleforce.cli.terminal import CommandError
 
 
 @app.command(name="report", group=LOGS)
@@ -46,19 +45,6 @@ def report_command(
 
     needleforce report insertion.csv report
     """
-    from needleforce.cli.logs import replay
-    from needleforce.cli.logs.columns import has_channels
-    from needleforce.cli.plan_option import load_plan
+    from needleforce.cli.logs.replay import report
 
-    torque = "tau_ext" if sensor.external_torque else "tau"
-    if has_channels(log, columns, ("q", torque)):
-        loaded = load_plan(plan, is_past=True)
-        return replay.report_forces(
-            log, folder, robot, sensor, columns, options, loaded
-        )
-    if plan is not None:
-        raise CommandError(
-            f"--plan {plan}: {log} has no joint positions and torques, so that it is "
-            "not known where its needle was; give the log of the arm"
-        )
-    return replay.report_layers(log, folder, options, columns)
+    return report(log, folder, robot, sensor, columns, options, plan)

@@ -1,4 +1,4 @@
-"""Options that several commands take.
+"""Options that several commands take, or that what they call takes whole.
 
 Frozen dataclasses from which cyclopts builds the parser; the text of a field in its
 class's `Attributes:` is its help.
@@ -10,7 +10,15 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import COLUMNS, LOG, OUTPUT, ROBOT, SENSOR, TARE
+from needleforce.cli.application import (
+    COLUMNS,
+    LIVE_OUTPUT,
+    LOG,
+    OUTPUT,
+    ROBOT,
+    SENSOR,
+    TARE,
+)
 
 Source = Annotated[
     str,
@@ -35,8 +43,6 @@ class Columns:
     Attributes:
         time: Time stamp (s, ms, us, ns, min).
         rate: Sample rate, when there is no time.
-        sort_within: Sort rows that come so much later than newer ones (default: 1 s for
-            a file, 0 for rows used as they come).
         mapping: TOML file that says all this.
         layout: TOML file with names of columns, units and layouts to know beside ours;
             several, by giving it again.
@@ -45,7 +51,6 @@ class Columns:
 
     time: Annotated[str | None, _COLUMN] = None
     rate: Annotated[float | None, Parameter(metavar="HZ")] = None
-    sort_within: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
     layout: Annotated[tuple[str, ...], Parameter(metavar="FILE")] = ()
     print_config: bool = False
@@ -109,9 +114,6 @@ class Output:
             bag), or - for CSV on standard output.
         figure: Figure: .png, .svg or .pdf.
         over: Draw the figure over time (default), or over the depth of the needle.
-        start: Start of the figure on its own axis, in seconds or, with --over depth,
-            millimetres.
-        end: End of the figure, likewise.
     """
 
     output: Annotated[
@@ -122,8 +124,6 @@ class Output:
         Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")
     ] = None
     over: Over = "time"
-    start: Annotated[float | None, Parameter(name="--from", metavar="X")] = None
-    end: Annotated[float | None, Parameter(name="--to", metavar="X")] = None
 
 
 Direction = tuple[float, float, float]
@@ -155,8 +155,7 @@ class RobotOptions:
         gravity: Gravity in the axes of the robot's base [m/s^2] (default: 0 0 -9.80665,
             a base that stands upright).
         mount: How the base is mounted, instead of --gravity: wall (its x axis points
-            down), ceiling, or tilt DEG (turned so far about its y axis from upright, x
-            axis down).
+            down) or ceiling.
         payload: What is on the flange: a TOML file; the published 304 g force sensor
             and needle (default of the LWR); or nothing (default of other robots). It
             overrides the mapping.
@@ -175,14 +174,7 @@ class RobotOptions:
     lock_others: Annotated[bool, Parameter(negative="")] = False
     accept_inertia: Annotated[bool, Parameter(negative="")] = False
     gravity: Annotated[Direction | None, Parameter(metavar="X Y Z")] = None
-    mount: Annotated[
-        tuple[str, ...],
-        Parameter(
-            metavar="wall|ceiling|tilt DEG",
-            consume_multiple=True,
-            allow_leading_hyphen=False,
-        ),
-    ] = ()
+    mount: Literal["wall", "ceiling"] | None = None
     payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
 
     def __post_init__(self) -> None:
@@ -232,6 +224,11 @@ class SensorOptions:
     ] = None
     no_tare: Annotated[bool, Parameter(group=TARE)] = False
     force_tare: Annotated[bool, Parameter(group=TARE)] = False
+
+    @property
+    def torque_channel(self) -> str:
+        """The channel of the torques that the sensor takes."""
+        return "tau_ext" if self.external_torque else "tau"
 
 
 Method = Literal["mixture", "published", "published-kv"]
@@ -306,3 +303,32 @@ class ArmOptions:
     motor_constants: Annotated[
         MotorConstants | None, Parameter(metavar="K1 ... K6")
     ] = None
+
+
+@Parameter(name="*", group=LOG)
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions:
+    """What is shown beside a recording, and where.
+
+    Attributes:
+        anatomy: Plan (plan.json, or its folder) with labels.nii.gz (or .nrrd,
+            .seg.nrrd): see docs/how-to/scene.md.
+        situs_inversus: Liver and spleen of this patient are exchanged.
+        mapping: TOML file that says which columns are which, as `needleforce force
+            --print-config` writes.
+        tare: Tare after so many seconds of motion without contact (default: 4); if it
+            is refused, again after as many.
+        export: Write the scene as one page (.html) with the insertion as a film, and
+            end.
+        port: Port of the page, on this machine alone (default: 8080); another is used
+            if it is busy.
+    """
+
+    anatomy: Annotated[
+        Path | None, Parameter(name=("--anatomy", "--plan"), metavar="DIR|FILE")
+    ] = None
+    situs_inversus: Annotated[bool, Parameter(negative="")] = False
+    mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
+    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
+    export: Annotated[Path | None, Parameter(metavar="FILE", group=LIVE_OUTPUT)] = None
+    port: Annotated[int, Parameter(metavar="N", group=LIVE_OUTPUT)] = 8080

@@ -1,33 +1,13 @@
 """The command `needleforce touch`."""
 
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Annotated
 
-from cyclopts import Group, Parameter
+from cyclopts import Parameter
 
 from needleforce.cli.application import LIVE_OUTPUT, PATIENT, app
+from needleforce.cli.patient.options import TouchOptions
 from needleforce.cli.shared_options import ArmName, ArmOptions, RobotOptions
-
-TOUCHES = Group("Touches", sort_key=2)
-
-
-@Parameter(name="*", group=TOUCHES)
-@dataclass(frozen=True, kw_only=True)
-class TouchOptions:
-    """What is touched.
-
-    Attributes:
-        landmarks: Points of the CT (.mrk.json): they are touched first, in the file's
-            order; what is touched after them counts as skin.
-        count: End after so many touches of the skin (default: 40).
-        contact: Least force of a contact, in newtons, over that of the free needle
-            (default: 0.5).
-    """
-
-    landmarks: Annotated[Path | None, Parameter(metavar="FILE")] = None
-    count: Annotated[int, Parameter(metavar="N")] = 40
-    contact: Annotated[float, Parameter(metavar="N")] = 0.5
 
 
 @app.command(name="touch", group=PATIENT)
@@ -57,12 +37,4 @@ def touch_command(
     """
     from needleforce.cli.patient.touch_run import record_touches
 
-    return record_touches(
-        arm,
-        output,
-        options,
-        robot,
-        landmarks=touch.landmarks,
-        count=touch.count,
-        contact_N=touch.contact,
-    )
+    return record_touches(arm, output, touch, options, robot)

@@ -1,10 +1,8 @@
 """A plan against what was found in a log: the needle's path, and its ruptures."""
 
 from collections.abc import Sequence
-from operator import itemgetter
 from typing import NamedTuple
 
-import msgspec
 import numpy as np
 import pandas as pd
 
@@ -12,6 +10,8 @@ from foundation.arrays import Array
 from identification import LayerEstimate
 from needleforce.anatomy import NeedleClearance, PlanError, PlanState
 from needleforce.anatomy.needle_surroundings import sort_clearances
+from needleforce.cli.logs.result import Result
+from needleforce.cli.terminal import json_text
 from needleforce.depth_zero import PLANNED_ENTRY, DepthZero
 from needleforce.needle_on_plan import (
     PlanDeviation,
@@ -28,15 +28,12 @@ NOTE = (
     "layer. Deeper: by how much it lies deeper than planned."
 )
 
-HEADER = ("rupture", "at mm", "into", "probability", "planned mm", "deeper mm")
-
 
 class PlanFound(NamedTuple):
     """A plan against what was found.
 
     Attributes:
-        ruptures: A line of text per rupture, see `HEADER`; empty where no layer can be
-            named.
+        ruptures: A line of text per rupture; empty where no layer can be named.
         last: Plan and all ruptures with the needle at its deepest; None where they
             cannot be matched.
         deepest: The needle against the planned path where it was deepest; None without
@@ -100,7 +97,20 @@ class PlanFound(NamedTuple):
             {} if self.deepest is None else state_values(self.deepest, self.nearest)
         )
         values["off_plan_fraction"] = self.off_fraction
-        return msgspec.json.format(msgspec.json.encode(values)) + b"\n"
+        return json_text(values).encode()
+
+    def result(self, log: str) -> Result:
+        """Return it as part of the result of a log."""
+        caption = "Plan against found"
+        return Result(
+            log=log,
+            title="Plan",
+            sentences=tuple(self.sentences()),
+            warnings=tuple(self.doubts()),
+            tables={caption: self.ruptures} if len(self.ruptures) else {},
+            notes={caption: NOTE},
+            files={"needle_on_plan.json": self.state_json()},
+        )
 
 
 def compare_with_plan(
@@ -127,15 +137,16 @@ def compare_with_plan(
         way_m = plan.entry_in_base_m - tool.pose[:3, 3]
         zero = DepthZero(float(tool.axis_in_base.dot(way_m)), PLANNED_ENTRY)
     compared = rows[::10]
-    below, nearest = _compare_with_path(plan, tool, q_rad[compared], travel_m[compared])
+    below, nearest = _compare_with_path(plan, tool, q_rad, compared.tolist())
     if plan.path is not None and not below:
         warnings.append("the needle never came below the planned entry")
-    rows_off = sum(deviation.is_off_plan for _, deviation in below)
+    rows_off = sum(deviation.is_off_plan for deviation in below.values())
+    deepest = max(below, key=lambda row: travel_m[row], default=None)
 
     entry_m = 0.0 if zero is None else zero.depth_m
     ruptures_m = [layer.rupture.depth_m - entry_m for layer in layers]
     contact_m = layers[0].start_depth_m - entry_m if layers else None
-    lines: list[tuple[str, ...]] = []
+    lines: list[dict[str, str]] = []
     last: PlanState | None = None
     try:
         for number, depth_m in enumerate(ruptures_m, 1):
@@ -146,11 +157,10 @@ def compare_with_plan(
             last = plan.match.state(deepest_m, ruptures_m, contact_m=contact_m)
     except PlanError as error:
         warnings.append(f"ruptures not matched with the plan: {error}")
-    is_named = last is not None and not rows_off
     return PlanFound(
-        ruptures=pd.DataFrame(lines if is_named else [], columns=HEADER),
+        ruptures=pd.DataFrame([] if rows_off or last is None else lines),
         last=last,
-        deepest=max(below, key=itemgetter(0))[1] if below else None,
+        deepest=None if deepest is None else below[deepest],
         nearest=sort_clearances(nearest.values()),
         off_fraction=rows_off / max(len(below), 1),
         warnings=tuple(warnings),
@@ -159,29 +169,29 @@ def compare_with_plan(
 
 
 def _compare_with_path(
-    plan: LoadedPlan, tool: ToolKinematics, q_rad: Array, travel_m: Array
-) -> tuple[list[tuple[float, PlanDeviation]], dict[str, NeedleClearance]]:
-    """Return travel and deviation below the entry, and the nearest of each structure.
+    plan: LoadedPlan, tool: ToolKinematics, q_rad: Array, rows: Sequence[int]
+) -> tuple[dict[int, PlanDeviation], dict[str, NeedleClearance]]:
+    """Return the deviations of rows below the entry, and the nearest of each structure.
 
     Args:
         plan: The plan; without a path both are empty.
         tool: Kinematics of the needle, which are updated.
-        q_rad: Joint positions, shape (k, n).
-        travel_m: Travel of the needle, shape (k,).
+        q_rad: Joint positions, shape (m, n).
+        rows: Which of them are compared.
     """
-    below: list[tuple[float, PlanDeviation]] = []
+    below: dict[int, PlanDeviation] = {}
     nearest: dict[str, NeedleClearance] = {}
     if plan.path is None:
         return below, nearest
     around = plan.surroundings
-    for q, travel in zip(q_rad, travel_m.tolist(), strict=True):
-        tool.update(q)
+    for row in rows:
+        tool.update(q_rad[row])
         tip_m = tool.pose[:3, 3]
         axis = tool.axis_in_base
         deviation = plan.path.deviation(tip_m, axis)
         if deviation.depth_m <= 0.0:
             continue
-        below.append((travel, deviation))
+        below[row] = deviation
         for one in () if around is None else around.clearances(tip_m, axis):
             before = nearest.get(one.name, one)
             nearest[one.name] = min(before, one, key=lambda each: each.distance_m)
@@ -190,18 +200,19 @@ def _compare_with_path(
 
 def _rupture_cells(
     number: int, depth_m: float, state: PlanState, plan: LoadedPlan
-) -> tuple[str, ...]:
-    """Return the line of a rupture."""
-    planned = deeper = ""
+) -> dict[str, str]:
+    """Return the line of a rupture, by the heads of the columns."""
+    planned_mm = ""
+    deeper_mm = ""
     if state.matched >= 0:
         planned_m = plan.match.layers[state.matched].entry_m
-        planned = f"{1e3 * planned_m:.1f}"
-        deeper = f"{1e3 * (depth_m - planned_m):+.1f}"
-    return (
-        str(number),
-        f"{1e3 * depth_m:.1f}",
-        state.matched_name,
-        f"{100.0 * state.matched_probability:.0f} %",
-        planned,
-        deeper,
-    )
+        planned_mm = f"{1e3 * planned_m:.1f}"
+        deeper_mm = f"{1e3 * (depth_m - planned_m):+.1f}"
+    return {
+        "rupture": str(number),
+        "at mm": f"{1e3 * depth_m:.1f}",
+        "into": state.matched_name,
+        "probability": f"{100.0 * state.matched_probability:.0f} %",
+        "planned mm": planned_mm,
+        "deeper mm": deeper_mm,
+    }

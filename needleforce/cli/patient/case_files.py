@@ -6,11 +6,15 @@ from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import msgspec
-import numpy as np
 
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
 from needleforce.cli.patient.structure_names import StructureNames
-from needleforce.cli.terminal import OTHER_PLACE, CommandError, staged_progress
+from needleforce.cli.terminal import (
+    OTHER_PLACE,
+    CommandError,
+    json_text,
+    progress_bar,
+)
 from needleforce.files import whole_file
 from needleforce.plan_file import GIVE_PLAN, PLAN, PLAN_VERSION
 
@@ -20,35 +24,16 @@ MODULES = ("SimpleITK", "nibabel", "skimage", "manifold3d", "trimesh", "igl")
 NOT_MEDICAL = "Research only: not a medical device."
 
 
-class CaseFiles(NamedTuple):
-    """Where the data of a patient lie.
-
-    Attributes:
-        ct: CT: a folder with a DICOM series, or a file.
-        labels: Segmentation.
-        structures: Names of structures, or a file with them, where the segmentation
-            has none.
-        situs_inversus: Liver and spleen are exchanged.
-    """
-
-    ct: Path
-    labels: Path
-    structures: StructureNames = None
-    situs_inversus: bool = False
-
-
 class PatientCase(NamedTuple):
     """CT and labels of a patient.
 
     Attributes:
-        files: Where they come from.
         scan: The CT.
         labels: The segmentation with ``fat`` and ``lean`` of the body around it, and
             with what is dense as bone and not labelled.
         file_labels: The segmentation as in its file.
     """
 
-    files: CaseFiles
     scan: Volume
     labels: Labels
     file_labels: Labels
@@ -80,21 +65,26 @@ class TouchFile(msgspec.Struct, forbid_unknown_fields=True):
     touches_m: tuple[tuple[float, float, float], ...] = ()
 
 
-def read_case(files: CaseFiles) -> PatientCase:
+def read_case(
+    ct: Path, labels: Path, structures: StructureNames, *, situs_inversus: bool
+) -> PatientCase:
     """Read CT and labels, and find the body in the CT.
+
+    Args:
+        ct: A folder with a DICOM series, or a file.
+        labels: Segmentation.
+        structures: Names of structures, or a file with them, where the segmentation
+            has none.
+        situs_inversus: Liver and spleen are exchanged.
 
     Raises:
         needleforce.anatomy.VolumeError: They cannot be read, or do not belong together.
     """
-    with staged_progress("reading the CT"):
-        scan = read_volume(files.ct)
-    with staged_progress("reading the labels"):
-        file_labels = read_labels(
-            files.labels, files.structures, situs_inversus=files.situs_inversus
-        )
-    with staged_progress("finding body, fat and lean tissue") as progress:
-        labels = file_labels.with_body(scan, fat=True, progress=progress)
-    return PatientCase(files, scan, labels.with_dense(scan), file_labels)
+    with progress_bar("reading the CT, finding body, fat and lean tissue") as progress:
+        scan = read_volume(ct)
+        file_labels = read_labels(labels, structures, situs_inversus=situs_inversus)
+        with_body = file_labels.with_body(scan, fat=True, progress=progress)
+    return PatientCase(scan, with_body.with_dense(scan), file_labels)
 
 
 def read_touches(path: Path) -> TouchFile:
@@ -142,12 +132,10 @@ def case_of_plan(place: Path) -> PatientCase:
     folder = place if place.is_dir() else place.parent
     structures = fields.get("structures") or None
     return read_case(
-        CaseFiles(
-            folder / fields["ct"],
-            folder / fields["labels"],
-            folder / structures if isinstance(structures, str) else structures,
-            bool(fields.get("situs_inversus", False)),
-        )
+        folder / fields["ct"],
+        folder / fields["labels"],
+        folder / structures if isinstance(structures, str) else structures,
+        situs_inversus=bool(fields.get("situs_inversus", False)),
     )
 
 
@@ -157,10 +145,9 @@ def write_plan_fields(path: Path, fields: Mapping[str, Any]) -> None:
     Raises:
         CommandError: The file cannot be written.
     """
-    content = msgspec.json.encode(fields, enc_hook=_as_list)
     try:
         with whole_file(path) as file:
-            file.write(msgspec.json.format(content, indent=1) + b"\n")
+            file.write(json_text(fields).encode())
     except OSError as error:
         raise CommandError(
             f"cannot write {path}: {error.strerror}", OTHER_PLACE
@@ -170,8 +157,3 @@ def write_plan_fields(path: Path, fields: Mapping[str, Any]) -> None:
 def relative_path(path: Path, folder: Path) -> str:
     """Return how a file is found from a folder, with / between its parts."""
     return Path(os.path.relpath(path, folder)).as_posix()
-
-
-def _as_list(value: Any) -> Any:
-    """Return an array, or a number of one, as what JSON has."""
-    return np.asarray(value).tolist()

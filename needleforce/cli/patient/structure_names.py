@@ -54,18 +54,20 @@ def require_known_names(
     Raises:
         CommandError: There are such names; it lists them.
     """
-    told = [item for item in labels.structures if item.is_obstacle or item.is_risk]
+    is_warned = {
+        each.name: each.is_obstacle or each.is_risk for each in labels.structures
+    }
     unknown = [
         item.name
         for item in labels.structures
-        if item not in told
-        and not is_known(item.anatomy)
+        if not (is_warned[item.name] or is_known(item.anatomy))
         and item.name not in confirmed
     ]
-    if unknown or not (told or has_asked):
-        names = unknown or [item.name for item in labels.structures]
+    if not (any(is_warned.values()) or has_asked):
+        unknown = unknown or list(is_warned)
+    if unknown:
         raise CommandError(
-            f"names that do not say what they are: {', '.join(names)}; expected for "
+            f"names that do not say what they are: {', '.join(unknown)}; expected for "
             "each --avoid NAME (must stay clear), --passable NAME (the needle may pass "
-            f"it) or --structures {names[0]}=KIND, of {KINDS}"
+            f"it) or --structures {unknown[0]}=KIND, of {KINDS}"
         )

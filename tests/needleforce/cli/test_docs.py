@@ -30,7 +30,6 @@ FORCE = "\n".join(
     for name in TASKS
 )
 FORCE = re.sub(r"(:\+?)13\b", r"\g<1>2.5", FORCE)  # the log of these tests lasts 4 s
-FORCE = FORCE.replace("--from 15 --to 40", "--from 1 --to 3")
 FILES = dict(
     re.findall(r"^```toml\n# (\S+)\n(.*?)^```$", FORCE, re.DOTALL | re.MULTILINE)
 )

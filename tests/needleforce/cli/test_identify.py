@@ -78,7 +78,7 @@ def test_layers_are_printed_table_and_figures_written(needle, identify, tmp_path
     assert png.read_bytes()[:4] == b"\x89PNG"
 
     pdf = tmp_path / "depth.pdf"
-    identify("--figure", str(pdf), "--over", "depth", "--to", "20")
+    identify("--figure", str(pdf), "--over", "depth")
 
     assert pdf.read_bytes().startswith(b"%PDF")
 
@@ -248,7 +248,7 @@ def test_a_page_begins_with_what_was_found_and_ends_with_the_settings(pages):
     assert re.search(r"rupture.* detected, [\d.]+ mm below first contact", lead)
     assert "Warning: rows whose status" in lead
     assert "not a medical device" in lead
-    sections = "figures summary channels sensor identification"
+    sections = "figures summary channels identification sensor"
     assert re.findall('<section id="([^"]+)"', page) == sections.split()
     sections = "figures channels identification"
     assert re.findall('<section id="([^"]+)"', alone) == sections.split()
