@@ -116,7 +116,7 @@ def test_help_answers_without_the_estimators():
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("package", ["residual", "identification", "groundtruth"])
+@pytest.mark.parametrize("package", ["residual", "identification"])
 def test_packages_forward_to_the_command(package):
     argv = [sys.executable, "-m", package, "--help"]
     process = subprocess.run(argv, capture_output=True, text=True, check=True)
