@@ -1,7 +1,6 @@
 """The links of an arm, and its description, for bags that show it."""
 
 from dataclasses import dataclass
-from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
@@ -55,8 +54,7 @@ def read_description(options: RobotOptions) -> str:
     Args:
         options: Options that describe the robot.
     """
-    path: Path | None = urdf_with_shapes(options)
     try:
-        return "" if path is None else path.read_text(encoding="utf-8")
+        return urdf_with_shapes(options).read_text(encoding="utf-8")
     except (OSError, UnicodeDecodeError):
         return ""

@@ -267,3 +267,13 @@ def _close_output() -> None:
     """Let what is still buffered go nowhere, or Python would complain at its end."""
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+def limit_library_threads() -> None:
+    """Let linear algebra compute in one thread, unless the user has said otherwise.
+
+    Threads that wait for each other on busy cores take seconds for what one does in
+    milliseconds, and the arm is not answered meanwhile. Call it before numpy is loaded.
+    """
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")

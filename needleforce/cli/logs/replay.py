@@ -203,7 +203,7 @@ def report(
         )
     loaded = None
     if plan is not None:
-        from needleforce.cli.plan_option import load_plan
+        from needleforce.cli.session_parts import load_plan
 
         loaded = load_plan(plan, is_past=True)
     _refuse_harm(source, {f"DIR ({plots.PAGE})": folder / plots.PAGE})

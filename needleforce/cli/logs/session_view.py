@@ -6,10 +6,9 @@ from time import sleep
 
 import numpy as np
 
-from needleforce.cli.auto_tare import auto_tare
 from needleforce.cli.logs.columns import robot_of_log
-from needleforce.cli.plan_option import load_plan
 from needleforce.cli.robot import urdf_with_shapes
+from needleforce.cli.session_parts import auto_tare, load_plan
 from needleforce.cli.shared_options import RobotOptions, ViewOptions
 from needleforce.cli.terminal import (
     CommandError,

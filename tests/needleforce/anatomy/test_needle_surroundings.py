@@ -6,7 +6,7 @@ import numpy as np
 import pandas as pd
 import pytest
 
-from needleforce.cli.arms.arm_watch import Display
+from needleforce.cli.arms.arm_watch import describe_values
 from needleforce.cli.logs.plan_found import PlanFound
 from needleforce.control.monitors import Monitors, SafetyLimits
 from needleforce.control.state_machine import State
@@ -122,7 +122,7 @@ def test_live_scene_report_json_and_ros_say_the_same(
     assert json["verdict"] == verdict
     assert set(json["clearances"]) == {"portal_vein", "rib_left_7"}
 
-    live = " ".join(Display(None, None, None)._describe_values(estimate))
+    live = " ".join(describe_values(estimate, None))
     assert describe_deviation(deviation) in live
     assert describe_clearances(clearances) in live
     assert too_near in live
