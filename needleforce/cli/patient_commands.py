@@ -92,10 +92,6 @@ def register_command(
         ),
     ],
     options: RegisterOptions = RegisterOptions(),
-    report: Annotated[
-        Path | None,
-        Parameter(metavar="DIR", group=LIVE_OUTPUT, help="Folder for a page."),
-    ] = None,
 ) -> int:
     """Find where the patient of a plan lies in the robot's base.
 
@@ -107,4 +103,4 @@ def register_command(
     """
     from needleforce.cli.patient.register_run import register_plan
 
-    return register_plan(plan, options, output, report)
+    return register_plan(plan, options, output)

@@ -371,3 +371,29 @@ class WatchOptions:
     tare_stroke: Annotated[float | None, Parameter(metavar="MM", group=TARE)] = None
     tare_swivel: Annotated[float, Parameter(metavar="DEGREES", group=TARE)] = 0.0
     yes: Annotated[bool, Parameter(negative="", group=TARE)] = False
+
+
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class SimulationOptions:
+    """What is simulated, and where it goes.
+
+    Attributes:
+        output: Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag.
+        truth: Ground truth, which the robot does not know: forces, depth, layers,
+            ruptures.
+        plant: Plant model: how good arm and sensors are (default: clean); or needle, a
+            needle on a linear stage with its force sensor, without an arm.
+        seed: Seed of everything that is drawn at random (default: 0).
+        overwrite: Replace files that are there.
+        list: Print the scenarios and stop.
+    """
+
+    output: Annotated[
+        Path | None, Parameter(name=("--output", "-o"), metavar="FILE")
+    ] = None
+    truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    plant: Literal["ideal", "clean", "fri", "degraded", "needle"] = "clean"
+    seed: Annotated[int, Parameter(metavar="N")] = 0
+    overwrite: Annotated[bool, Parameter(negative="")] = False
+    list: bool = False

@@ -26,7 +26,7 @@ a line that `is_beside` the others does not stretch the scale of its panel."""
 def draw_forces(
     replay: SensorReplay, title: str, over: Over, width_in: float
 ) -> "Figure":
-    """Return the force along the needle, and the vectors of the mode.
+    """Return the force along the needle.
 
     What was not tared is grey. A rejected row leaves no hole, a gap in time does.
 
@@ -43,41 +43,26 @@ def draw_forces(
     if over == "depth":
         x = 1e3 * rows["travel_m"]
         x_label = "travel from the first row [mm]"
+    y = rows["axial_N"].where(~rows["after_gap"])
     is_tared = rows["force_status"] == STATUS_CODES[Status.OK]
-    grey = {"color": palette.GREY} if is_tared.any() else {}
-
-    def lines_of(name: str, value: str, std: str, style: Line) -> list[Line]:
-        y = rows[value].where(~rows["after_gap"])
-        untared = {"y": y.where(~is_tared), "label": "not tared", **style, **grey}
-        tared = {"y": y.where(is_tared), "std": rows[std], "label": name, **style}
-        return [untared | {"is_beside": bool(grey)}, tared]
-
-    blue = {"color": palette.BLUE}
-    panels = {palette.FORCE: lines_of("axial force", "axial_N", "axial_std_N", blue)}
-    components = {
-        "x": {"color": palette.VERMILION},
-        "y": {"color": palette.GREEN, "ls": "--"},
-        "z": {"color": palette.PURPLE, "ls": "-."},
+    untared: Line = {
+        "y": y.where(~is_tared),
+        "label": "not tared",
+        "color": palette.GREY,
+        "is_beside": bool(is_tared.any()),
     }
-    axes_name = replay.config.axes
-    for vector, unit in (("force", "N"), ("torque", "Nm")):
-        end = f"_in_{axes_name}_{unit}"
-        if f"{vector}_std_x{end}" in rows:
-            panels[f"{vector},\n{axes_name} axes [{unit}]"] = [
-                line
-                for axis, style in components.items()
-                for line in lines_of(
-                    f"{vector} {axis}",
-                    f"{vector}_{axis}{end}",
-                    f"{vector}_std_{axis}{end}",
-                    style,
-                )
-            ]
-    figure = _draw_panels(panels, x, title, x_label, width_in)
+    tared: Line = {
+        "y": y.where(is_tared),
+        "std": rows["axial_std_N"],
+        "label": "axial force",
+        "color": palette.BLUE,
+    }
+    figure = _draw_panels(
+        {palette.FORCE: [untared, tared]}, x, title, x_label, width_in
+    )
     if replay.window is not None and over == "time":
         start, end = np.subtract(replay.window, start_s)
-        for axes in figure.axes:
-            axes.axvspan(start, end, color=palette.TARE, label="tare")
+        figure.axes[0].axvspan(start, end, color=palette.TARE, label="tare")
     plots.add_legend(figure, 2 if width_in < plots.WIDE_IN else 4)
     return figure
 

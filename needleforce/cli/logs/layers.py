@@ -260,20 +260,12 @@ def describe_zero(zero: DepthZero) -> str:
 
 
 def describe_layers(found: LayerReplay) -> str:
-    """Return the ruptures found and the friction of their layers, in sentences."""
+    """Return the ruptures found in a sentence."""
     if not found.layers:
         return "No rupture was detected."
     depths = _shown(found, [layer.rupture.depth_m for layer in found.layers])
     plural = "s" if len(found.layers) > 1 else ""
-    text = f"{len(found.layers)} rupture{plural} detected, {depths}."
-    frictions = _join(
-        f"{layer.friction_N:.2f} N (layer {layer.layer})"
-        for layer in found.layers
-        if layer.friction_identified
-    )
-    if frictions:
-        text += f" Friction of the layers traversed: {frictions}."
-    return text
+    return f"{len(found.layers)} rupture{plural} detected, {depths}."
 
 
 def find_tissue_doubts(found: LayerReplay) -> list[str]:
@@ -292,10 +284,5 @@ def find_tissue_doubts(found: LayerReplay) -> list[str]:
 
 def _shown(found: LayerReplay, depths_m: Iterable[float]) -> str:
     """Return depths in words, with where they count from."""
-    depths = _join(f"{found.zero.shown_mm(depth_m):.1f} mm" for depth_m in depths_m)
-    return f"{depths} {found.zero.name}"
-
-
-def _join(texts: Iterable[str]) -> str:
-    """Return texts as a list in a sentence."""
-    return " and ".join(", ".join(texts).rsplit(", ", 1))
+    depths = [f"{found.zero.shown_mm(depth_m):.1f} mm" for depth_m in depths_m]
+    return f"{', '.join(depths)} {found.zero.name}"

@@ -239,12 +239,12 @@ def forces_with_layers(
         config = run.replay.config
         tool = ToolKinematics(run.robot, config.frame, config.insertion_axis)
         travel_m = run.replay.rows["travel_m"].to_numpy()
-        compared = compare_with_plan(
-            plan, tool, run.log["q_rad"], travel_m, found.layers
+        compared, zero = compare_with_plan(
+            run.name, plan, tool, run.log["q_rad"], travel_m, found.layers
         )
-        warn(compared.doubts())
-        found = replace(found, zero=compared.zero or found.zero)
-        parts.append(compared.result(run.name))
+        warn(compared.warnings)
+        found = replace(found, zero=zero or found.zero)
+        parts.append(compared)
     parts += [layer_result(run.name, found), force_result(run)]
     return replace(reduce(Result.joined, parts), title="Forces and layers"), found
 

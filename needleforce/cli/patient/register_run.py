@@ -51,7 +51,6 @@ from needleforce.cli.terminal import (
     write_out,
 )
 from needleforce.needle_on_plan import PlannedPath
-from needleforce.plots import PAGE, Page, PageTable, Section, whole_folder, write_page
 
 M_PER_MM = 1e-3
 
@@ -59,16 +58,13 @@ MAX_STD_mm = 50.0
 """Larger ones are not in millimetres."""
 
 
-def register_plan(
-    place: Path, options: RegisterOptions, output: Path, report: Path | None
-) -> int:
+def register_plan(place: Path, options: RegisterOptions, output: Path) -> int:
     """Register the patient of a plan by landmarks and touches, or by a transform.
 
     Args:
         place: The plan.
         options: What the registration rests on.
         output: The plan with its registration.
-        report: Folder for a page, if any.
 
     Returns:
         The exit code.
@@ -134,11 +130,6 @@ def register_plan(
     }
     write_plan_fields(output, {**fields, **added, **moved})
     write_out(f"{output}\n")
-    with whole_folder(report) as draft:
-        if draft is not None:
-            _write_page(rows, distances_m, draft)
-    if report is not None:
-        write_out(f"{report / PAGE}\n")
     say(f"next: needleforce live ARM --plan {output} --view")
     return 0
 
@@ -360,24 +351,3 @@ def _require_clear_path(
             "touch more around the entry, landmarks further apart, or plan a path with "
             "more space (--margin, --choose)"
         ) from error
-
-
-def _write_page(rows: Mapping[str, str], distances_m: Array, folder: Path) -> None:
-    """Write the page of a registration into a folder."""
-    touches = {
-        str(number): f"{distance_m / M_PER_MM:+.2f}"
-        for number, distance_m in enumerate(distances_m.tolist(), 1)
-    }
-    tables = (
-        PageTable(
-            caption="Registration", head=("what", "value"), rows=tuple(rows.items())
-        ),
-        PageTable(
-            caption="Touches of the skin",
-            head=("touch", "distance from the skin [mm], positive outside"),
-            rows=tuple(touches.items()),
-        ),
-    )
-    section = Section(heading="Registration", anchor="registration", tables=tables)
-    page = Page(title="Registration", lead=(NOT_MEDICAL,), sections=(section,))
-    write_page(folder / PAGE, page)

@@ -5,7 +5,7 @@ from dataclasses import fields, is_dataclass
 
 import pytest
 
-from needleforce.cli import machine_commands, main, shared_options
+from needleforce.cli import main, shared_options
 from needleforce.cli.patient import options
 from needleforce.devices.arm_names import CALLED_KINDS, LISTENING_KINDS
 from needleforce.recordings.channels import CHANNELS
@@ -13,7 +13,7 @@ from needleforce.sensor_replay import AUTOMATIC_TARE_S
 from residual import DEFAULT
 from urdf import load_example
 
-FILES = (shared_options, options, machine_commands)
+FILES = (shared_options, options)
 OPTIONS = {
     kind.__name__: kind
     for file in FILES
