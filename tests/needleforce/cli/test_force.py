@@ -76,13 +76,6 @@ def test_axial_force_matches_truth_within_its_std(log, run, options):
     assert np.abs(columns["axial_N"][free]).max() < 0.1
 
 
-def test_the_published_settings_find_the_force(log, run):
-    columns, summary, _ = run(log, *TARE, "--published")
-
-    assert columns["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
-    assert "K = 5 1/s" in summary["sensor"]
-
-
 @pytest.mark.parametrize(
     ("mode", "components"), [("axial", 3), ("point", 6), ("full", 12)]
 )
@@ -187,14 +180,6 @@ def test_gaps_are_not_decided_by_rounding(run, lwr, step_s, gaps):
 
     assert summary["gaps"].split()[0] == gaps
     assert summary["samples"].startswith(f"400 in {399 * step_s:.4g} s at ")
-
-
-def test_uneven_steps_are_said(run, lwr):
-    columns = insertion(lwr)
-    columns["t_s"] = columns["t_s"] + 4e-4 * (np.arange(4000) % 20 == 0)
-    _, summary, _ = run(columns, *TARE)
-
-    assert "(1 of 100 steps is longer than 1.4 ms)" in summary["samples"]
 
 
 def test_warnings_beyond_the_std_are_reported(run, lwr):
