@@ -2,13 +2,13 @@
 
 from pathlib import Path
 
-from needleforce.cli.arm_frames import ArmFrames, read_description
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
     described_robot,
     open_arm,
     samples_until_stopped,
 )
+from needleforce.cli.robot import ArmFrames, read_description
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import say
 from needleforce.devices import LinkError

@@ -1,6 +1,5 @@
 """`needleforce view`: a session over a recording, in the scene."""
 
-from collections import Counter
 from pathlib import Path
 from time import sleep
 
@@ -21,10 +20,9 @@ from needleforce.recordings import ColumnMapping, Log, load_mapping, read_log
 from needleforce.recordings.output import check_outputs, require_place
 from needleforce.scene import Moment, Viewer, is_kept
 from needleforce.scene.nodes import EMPTY
-from needleforce.sensor_replay import describe_rejections, require_joints
+from needleforce.sensor_replay import require_joints
 from needleforce.session import InsertionSession
 from needleforce.session_replay import replay_session
-from residual import Status
 
 
 def view_recording(recording: Path, options: ViewOptions, robot: RobotOptions) -> int:
@@ -98,19 +96,16 @@ def scene_moments(session: InsertionSession, log: Log, tare_s: float) -> list[Mo
     """
     progress_ticks = 1000  # samples between two updates of the progress bar
     moments: list[Moment] = []
-    rejected = Counter[str]()
     with progress_bar("estimating") as progress:
         replayed = replay_session(session, log, auto_tare(tare_s, at_once=True))
         for tick, (q_rad, estimate) in enumerate(replayed):
-            if estimate.status is Status.REJECTED:
-                rejected[estimate.wrench.message.split(";")[0]] += 1
             latest_s = moments[-1].estimate.time_s if moments else -np.inf
             if is_kept(estimate, latest_s):
                 moments.append(Moment(q_rad, estimate))
             if tick % progress_ticks == 0:
                 progress(tick / len(log))
-    if rejected:
-        warn([f"samples rejected, {describe_rejections(rejected)}"])
+    if session.rejected:
+        warn([f"samples rejected by the session: {session.rejected}"])
     if not session.tared:
         text = (
             f"no tare (--tare {tare_s:g} asks for so many seconds of motion without "

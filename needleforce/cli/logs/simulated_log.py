@@ -6,8 +6,8 @@ from pathlib import Path
 from groundtruth import SCENARIOS, NeedleRun, Run, insert_needle, simulate
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from groundtruth.scenarios import scenario as scenario_named
-from needleforce.cli.arm_frames import ArmFrames, read_description
 from needleforce.cli.patient.case_files import read_plan_fields
+from needleforce.cli.robot import ArmFrames, read_description
 from needleforce.cli.shared_options import RobotOptions, SimulationOptions
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table

@@ -28,16 +28,14 @@ from needleforce.cli.patient.case_files import (
     NOT_MEDICAL,
     PLAN_VERSION,
     PatientCase,
+    StructureNames,
+    parse_structures,
     read_case,
     relative_path,
+    require_known_names,
     write_plan_fields,
 )
 from needleforce.cli.patient.options import CaseOptions, LimitOptions
-from needleforce.cli.patient.structure_names import (
-    StructureNames,
-    parse_structures,
-    require_known_names,
-)
 from needleforce.cli.terminal import (
     CommandError,
     progress_bar,
