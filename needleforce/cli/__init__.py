@@ -6,7 +6,8 @@ run, so that `--help` answers at once.
 
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
 `log_commands`, `arm_commands`, `patient_commands`, `machine_commands`, `robot` (the
-robot from options and TOML files), `logs`, `session_parts`, `arms`, `patient`, `demos`, `checkup`.
+robot from options and TOML files), `logs`, `session_parts`, `arms`, `patient`, `demos`,
+`checkup`.
 """
 
 import re
