@@ -71,7 +71,8 @@ def run_forces(
         source,
         mapping,
         required=("q", sensor.torque_channel),
-        optional=("dq",),
+        # One file of a folder may be that of a force sensor.
+        optional=("dq", "force") if Path(source).is_dir() else ("dq",),
         joints=model.joint_names,
     )
     warn(log.warnings)
@@ -144,10 +145,24 @@ def describe_forces(run: ForceRun) -> dict[str, str]:
             replay.sensor.diagnosis, is_external="tau_ext_Nm" in run.log
         ),
         "axial force": _describe_axial_force(replay),
+        "force sensor": _compare_with_sensor(replay, run.log),
         "travel": f"counts {FIRST_ROW}; identify and report count below first contact",
         "lag": lag,
     }
     return {label: text for label, text in facts.items() if text}
+
+
+def _compare_with_sensor(replay: SensorReplay, log: Log) -> str:
+    """Return how far the axial force is from a force sensor's, if the log has one."""
+    if "force_N" not in log or replay.window is None:
+        return ""
+    window = replay.window
+    is_tare = (log.t_s >= window.start_s) & (log.t_s <= window.end_s)
+    measured_N = log["force_N"] - np.nanmean(log["force_N"][is_tare])
+    difference_N = replay.rows["axial_unsmoothed_N"] - measured_N
+    is_used = (replay.rows["force_status"] == STATUS_CODES[Status.OK]) & ~is_tare
+    rms_N = np.sqrt(np.mean(np.square(difference_N[is_used])))
+    return f"differs by {rms_N:.2g} N rms after the tare, its mean there taken as zero"
 
 
 def _describe_robot(robot: Robot) -> str:

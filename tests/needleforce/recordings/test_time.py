@@ -197,7 +197,7 @@ def test_a_folder_with_one_file_for_each_signal_is_one_log(tmp_path):
     inner = slice(0, -10)
     expected = np.column_stack([shifted_s, 2.0 * shifted_s])
     np.testing.assert_allclose(log["q_rad"][inner], expected[inner], atol=1e-9)
-    np.testing.assert_allclose(log["force_N"][inner], shifted_s[inner], atol=1e-9)
+    np.testing.assert_allclose(-log["force_N"][inner], shifted_s[inner], atol=1e-9)
     assert np.isnan(log["force_N"][-9:]).all()
 
     (folder / "gel_7_Joint_Torques.dat").write_text("0,1,2\n0,1,2\n0,1,2\n")
