@@ -6,10 +6,10 @@
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
 Reading order: `ports` (what lies outside), `tasks`, `joint_limits`,
-`controller` (one tick), `delay_prediction`, `lag` (its delay and gain),
-`priority_solver`, `state_machine`, `monitors`, `manager`, `run`, `event_log`,
-`rupture_counter`, `insertion_profile`, `guarded_motion`, `tare_stroke`, `guidance`,
-`handle_watch`, `passivity`, `teleoperation_sides`, `teleoperation`.
+`controller` (one tick), `delay_prediction`, `priority_solver`, `state_machine`,
+`command_tracking`, `handle_watch`, `monitors`, `event_log`, `manager`, `run`,
+`guarded_motion`, `lag` (delay and gain), `tare_stroke`, `rupture_counter`,
+`insertion_profile`, `guidance`, `passivity`, `teleoperation_sides`, `teleoperation`.
 """
 
 from needleforce.control.controller import Controller as Controller
@@ -25,7 +25,6 @@ from needleforce.control.handle_watch import (
 from needleforce.control.insertion_profile import (
     InsertionPlan as InsertionPlan,
     InsertionProfile as InsertionProfile,
-    depth_of as depth_of,
 )
 from needleforce.control.joint_limits import Limits as Limits
 from needleforce.control.manager import Manager as Manager, Situation as Situation

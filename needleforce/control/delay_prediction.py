@@ -8,7 +8,6 @@ error of T adds an error of at most that time times the speed of a joint.
 
 import math
 from collections import deque
-from typing import NamedTuple
 
 import numpy as np
 
@@ -20,24 +19,16 @@ MAX_DELAY_s = 0.3
 """No loop of control lives with longer delays."""
 
 
-class _Mark(NamedTuple):
-    """What had been commanded at a time.
-
-    Attributes:
-        time_s: Since the start.
-        commanded_rad: Motion commanded until then, shape (n,).
-    """
-
-    time_s: float
-    commanded_rad: Array
-
-
 class DelayPrediction:
     """Remembers commands until the measured positions show them.
 
     Args:
         joints: Number n of joints.
         delay_s: The delay T, as `needleforce lag` measures it; 0 for no prediction.
+
+    Attributes:
+        motion_ahead_rad: How far the joints will move beyond what is measured now,
+            shape (n,).
 
     Raises:
         SettingError: The delay is negative, not finite or above `MAX_DELAY_s`.
@@ -50,14 +41,15 @@ class DelayPrediction:
                 f"delay_s is {delay_s:g}, expected at most {MAX_DELAY_s:g} seconds",
             )
         self._delay_s = float(delay_s)
-        self._rest = _Mark(0.0, np.zeros(joints))
-        self._marks = deque[_Mark]()
+        self._joints = joints
+        self._commands = deque[tuple[float, Array]]()  # a time, and the velocity in it
         self.reset()
 
     def reset(self) -> None:
         """Forget what was commanded, for an arm that has not followed it."""
-        self._marks.clear()
-        self._marks.append(self._rest)
+        self._commands.clear()
+        self._commands_s = 0.0
+        self.motion_ahead_rad = np.zeros(self._joints)
 
     def note_command(self, dq_rad_s: Array, dt_s: float) -> None:
         """Remember a velocity, shape (n,), that was commanded for a time until now.
@@ -65,30 +57,16 @@ class DelayPrediction:
         Of a time beyond the delay only the end counts; what is no positive number is
         left out.
         """
-        if self._delay_s > 0.0 and 0.0 < dt_s < math.inf:
-            dt_s = min(dt_s, self._delay_s)
-            time_s, commanded_rad = self._marks[-1]
-            mark = _Mark(time_s + dt_s, commanded_rad + dt_s * dq_rad_s)
-            self._marks.append(mark)
-            self._forget_before(mark.time_s - self._delay_s)
-
-    def find_motion_ahead(self) -> Array:
-        """Return how far joints will move beyond what is measured now, shape (n,)."""
-        newest = self._marks[-1]
-        if len(self._marks) < 2:
-            return self._rest.commanded_rad
-        acted_rad = self._commanded_until(newest.time_s - self._delay_s)
-        return newest.commanded_rad - acted_rad
-
-    def _forget_before(self, time_s: float) -> None:
-        """Forget marks that lie before the last one at a time, or before it."""
-        while self._marks[1].time_s <= time_s and len(self._marks) > 2:
-            self._marks.popleft()
-
-    def _commanded_until(self, time_s: float) -> Array:
-        """Return the motion commanded until a time between the two oldest marks."""
-        before = self._marks[0]
-        after = self._marks[1]
-        part = (time_s - before.time_s) / (after.time_s - before.time_s)
-        change_rad = after.commanded_rad - before.commanded_rad
-        return before.commanded_rad + min(max(part, 0.0), 1.0) * change_rad
+        if self._delay_s == 0.0 or not 0.0 < dt_s < math.inf:
+            return
+        dt_s = min(dt_s, self._delay_s)
+        self._commands.append((dt_s, dq_rad_s))
+        self._commands_s += dt_s
+        self.motion_ahead_rad = self.motion_ahead_rad + dt_s * dq_rad_s
+        while (shown_s := self._commands_s - self._delay_s) > 0.0:
+            oldest_s, oldest_rad_s = self._commands.popleft()
+            if shown_s < oldest_s:
+                self._commands.appendleft((oldest_s - shown_s, oldest_rad_s))
+            shown_s = min(shown_s, oldest_s)
+            self._commands_s -= shown_s
+            self.motion_ahead_rad = self.motion_ahead_rad - shown_s * oldest_rad_s

@@ -56,11 +56,15 @@ class EventLog:
         self._path = path
         self._written = 0
 
-    def append(self, event: LoggedEvent) -> None:
-        """Keep an event in memory; `write` puts it into the file.
+    def append(self, event: LoggedEvent) -> str:
+        """Keep an event, and append it to the file, so that a crash loses none.
+
+        Returns:
+            Why it could not be written, so that a full disk stops no monitor; empty if
+            it was. It is written with the next event.
 
         Raises:
-            SettingError: Its data cannot be written as JSON.
+            SettingError: Its data cannot be written as JSON; it is not kept.
         """
         try:
             _ENCODER.encode(event)
@@ -69,14 +73,6 @@ class EventLog:
                 f"data of {event.event} cannot be written as JSON: {error}"
             ) from error
         self.events.append(event)
-
-    def write(self) -> str:
-        """Append new events to the file, so that a crash loses none.
-
-        Returns:
-            Why they could not be written, so that a full disk stops no monitor; empty
-            if they were. They are written with the next event.
-        """
         if self._path is None:
             return ""
         size = None
@@ -84,10 +80,10 @@ class EventLog:
             with Path(self._path).open("ab") as file:
                 size = file.tell()
                 file.write(_ENCODER.encode_lines(self.events[self._written :]))
-            self._written = len(self.events)
         except OSError as error:
             if size is not None:
                 with suppress(OSError):  # half a line would spoil the next one
                     os.truncate(self._path, size)
             return f"the log cannot be written: {error}"
+        self._written = len(self.events)
         return ""

@@ -22,6 +22,7 @@ from needleforce.control.state_machine import (
 )
 from residual import SensorConfig, Status
 from tests.needleforce.control.managed_session import (
+    DEVICE,
     ROBOT,
     Sensor,
     go_to,
@@ -112,7 +113,7 @@ def act(manager, sensor, action):
     run(
         manager,
         0.03,
-        Beside(has_device=action == "device"),
+        DEVICE if action == "device" else Beside(),
         0.05 if action == "late" else 1e-3,
         is_alive=action != "silent",
     )
@@ -369,15 +370,15 @@ def test_teleoperation_needs_its_device_and_stops_without():
     assert manager.request("arrived") == ""
     assert "no haptic device" in manager.request("teleoperate")
 
-    run(manager, 0.01, Beside(has_device=True))
+    run(manager, 0.01, DEVICE)
 
     assert manager.request("teleoperate") == ""
-    assert run(manager, 0.03).state is State.TELEOP
+    assert run(manager, 0.03, DEVICE).state is State.TELEOP
 
-    situation = run(manager, 0.02)
+    situation = run(manager)
 
     assert situation.state is State.STOPPED
-    assert "silent" in situation.reason
+    assert "haptic device" in situation.reason
 
 
 @pytest.mark.parametrize("arrives", [False, True])
@@ -421,12 +422,6 @@ def test_a_foreign_needle_axis_is_refused(config):
     sensor.sensor_config = SensorConfig(**config)
     with pytest.raises(SettingError, match="tool frame"):
         Manager(sensor)
-
-
-@pytest.mark.parametrize("arguments", [(None,), (Sensor(), 5.0)])
-def test_a_manager_needs_a_session_and_limits(arguments):
-    with pytest.raises(SettingError, match="SafetyLimits"):
-        Manager(*arguments)
 
 
 def test_a_stand_in_has_what_a_session_has():

@@ -7,7 +7,12 @@ import pytest
 from identification import HardContact, SampleStatus
 from needleforce.control import Beside, SafetyLimits, SettingError, State
 from residual import SensorWarning, Status
-from tests.needleforce.control.managed_session import inserting, new_manager, run
+from tests.needleforce.control.managed_session import (
+    DEVICE,
+    inserting,
+    new_manager,
+    run,
+)
 
 BONE = HardContact(alarm_s=4.0, depth_m=32.1e-3, force_N=1.2, growth_N_per_m=9000.0)
 ONE_JOINT = np.eye(7)[0]
@@ -154,7 +159,7 @@ def test_a_rising_force_stops_before_it_is_there():
 )
 def test_only_force_against_the_motion_stops_it(state, axial, after):
     manager, sensor = inserting()
-    device = Beside(has_device=True)
+    device = DEVICE
     manager.request("arrived")
     run(manager, 0.01, device)
 

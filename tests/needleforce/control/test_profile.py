@@ -12,7 +12,6 @@ from needleforce.control import (
     InsertionProfile,
     SettingError,
     State,
-    depth_of,
 )
 from needleforce.control.rupture_counter import RuptureCounter
 from needleforce.control.state_machine import MOVING
@@ -345,16 +344,3 @@ def test_after_a_rupture_the_tip_is_held():
     assert (
         profile.update(make_situation(State.STOPPED, tip_m, 1201, 0.0)).speed_m_s == 0.0
     )
-
-
-def test_targets_on_the_needle_line_have_depths():
-    """A target on the needle's line becomes a depth, another one is refused."""
-    axis = np.array((0.0, 0.0, -1.0))
-
-    with pytest.raises(SettingError, match="expected a direction"):
-        depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), np.zeros(3))
-    assert depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), axis) == pytest.approx(0.05)
-
-    for target in ((0.1, 0.0, 0.3), (0.1, 0.01, 0.2)):
-        with pytest.raises(SettingError, match="Align the needle"):
-            depth_of(target, (0.1, 0.0, 0.25), axis)
