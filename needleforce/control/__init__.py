@@ -37,7 +37,6 @@ from needleforce.control.tare_stroke import (
 )
 from needleforce.control.tasks import (
     AxialSpeed as AxialSpeed,
-    DecoupledMotion as DecoupledMotion,
     Fixture as Fixture,
     Posture as Posture,
     RemoteCentre as RemoteCentre,

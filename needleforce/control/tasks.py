@@ -239,52 +239,6 @@ class TipVelocity(TipTask):
             self.goal_m = as_vector(goal_m, 3, "goal_m")
 
 
-class DecoupledMotion(TipTask):
-    """Linear and angular velocity, neither of which disturbs the other; six rows.
-
-    Feedback holds the position and the orientation that the velocities of `move` add up
-    to.
-
-    Args:
-        tool: Where to begin.
-        gain_per_s: K of both.
-    """
-
-    MAX_LAG_m = 5e-3
-    """Limits may hold the tip back; the goal moves on once it is nearer than this."""
-
-    MAX_LAG_rad = 0.05
-    """The same for the orientation."""
-
-    def __init__(self, tool: ToolState, gain_per_s: float = GAIN_PER_S) -> None:
-        super().__init__(np.eye(6), gain_per_s)
-        self.goal_m = tool.tip_m
-        self.rotation = tool.rotation
-
-    def move(
-        self,
-        tool: ToolState,
-        linear_m_s: ArrayLike,
-        angular_rad_s: ArrayLike,
-        dt_s: float,
-    ) -> None:
-        """Ask for velocities in base axes, shape (3,) each, in the coming tick.
-
-        A longer time than `MAX_STEP_s` counts as that, one that is no positive number
-        as none.
-        """
-        lag_m = np.linalg.norm(self.goal_m - tool.tip_m)
-        lag_rad = np.linalg.norm(tool.rotation_to(self.rotation))
-        linear = as_vector(linear_m_s, 3, "linear_m_s") * (lag_m < self.MAX_LAG_m)
-        angular = as_vector(angular_rad_s, 3, "angular_rad_s") * (
-            lag_rad < self.MAX_LAG_rad
-        )
-        self.rate = np.concatenate((linear, angular))
-        dt_s = min(dt_s, MAX_STEP_s) if dt_s > 0.0 else 0.0
-        self.goal_m = self.goal_m + dt_s * linear
-        self.rotation = np.ascontiguousarray(pin.exp3(dt_s * angular) @ self.rotation)
-
-
 class RemoteCentre:
     """A fixed point, the entry, through which the needle's axis passes; two rows.
 

@@ -20,16 +20,14 @@ from foundation.arrays import Array
 from groundtruth.arm_motion import LWR_POSTURE_rad
 from groundtruth.rig_arm import ArmSample
 from needleforce.control.controller import Controller
-from needleforce.control.joint_limits import Limits, write_velocity_bounds
+from needleforce.control.joint_limits import Limits, SLACK_rad_s
 from needleforce.control.priority_solver import (
-    Solver,
     Stack,
     hierarchical,
     solve_level,
 )
 from needleforce.control.tasks import (
     AxialSpeed,
-    DecoupledMotion,
     Fixture,
     MAX_STEP_s,
     Posture,
@@ -38,6 +36,7 @@ from needleforce.control.tasks import (
     TipVelocity,
     ToolState,
 )
+from needleforce.devices.rate_limiter import write_velocity_bounds
 from urdf import Robot
 
 
@@ -67,13 +66,10 @@ class RandomStacks:
         tool = self.tool
         near = tool.tip_m + 1e-3 * rng.standard_normal(3)
         speed = 10.0 ** rng.uniform(-3.0, 0.0)
-        turn = DecoupledMotion(tool)
-        turn.move(tool, np.zeros(3), speed * rng.standard_normal(3), 1e-3)
         kinds: list[Task] = [
             RemoteCentre(near - rng.uniform(0.02, 0.2) * tool.axis),
             Fixture(near, tool.rotation),
             TipVelocity(speed * rng.standard_normal(3)),
-            turn,
             AxialSpeed(speed * rng.standard_normal()),
         ]
         chosen = rng.permutation(len(kinds))[: rng.integers(2, 5)]
@@ -97,21 +93,21 @@ def solved(
     stacks: RandomStacks,
     tasks: Sequence[Task],
     last: Array,
-    solve: Solver = hierarchical,
 ) -> tuple[Stack, Array]:
     """Return the first levels of a stack, and the velocity that serves them."""
     stack = Stack(tasks, last.size)
     stack.fill(tasks, stacks.tool)
+    joints = stacks.limits.joints
     write_velocity_bounds(
-        np.array(stacks.limits.joints),
+        np.array((*joints, joints.acceleration_rad_s2)),
         stacks.tool.q_rad,
         last,
         np.zeros_like(last),
         1e-3,
-        1e-3,
+        SLACK_rad_s,
         stack.bounds,
     )
-    return stack, solve(stack)[0]
+    return stack, hierarchical(stack)[0]
 
 
 def leaks(robot: Robot, rng: np.random.Generator, count: int) -> list[float]:

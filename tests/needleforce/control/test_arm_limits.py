@@ -1,7 +1,6 @@
 """Commands within the limits of real arms: noise, delay, lost cycles, faults, stops."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -102,23 +101,6 @@ def test_a_missed_second_does_not_step_the_command(name):
             arm.move(command.dq_rad_s)
 
     assert_within(np.array(commands_rad_s), name)
-
-
-def test_what_was_sent_counts():
-    """The next command starts from the velocity that was sent, and its change."""
-    control = Controller(LWR, Limits.of_arm(LWR, "lwr"))
-    sample = SimpleNamespace(q_rad=np.array(LWR_HOME_rad), dt_s=1e-3)
-    commands_rad_s = [np.zeros(7)] * 2
-    for k in range(300):
-        command = control.update(sample, [TipVelocity((0.1, 0.0, 0.1))])
-        commands_rad_s.append(command.dq_rad_s)
-        if k % 3 == 0:
-            commands_rad_s[-1] = commands_rad_s[-2]  # the arm was given that again
-            control.note_sent(commands_rad_s[-1])
-
-    assert_within(np.array(commands_rad_s), "lwr")
-    with pytest.raises(SettingError, match="7 finite"):
-        control.note_sent(np.zeros(6))
 
 
 def test_the_tip_keeps_its_limit_of_speed():

@@ -9,7 +9,6 @@ import pytest
 from needleforce.control import (
     AxialSpeed,
     Controller,
-    DecoupledMotion,
     Fixture,
     Limits,
     Posture,
@@ -42,18 +41,14 @@ def rows_of(task, tool):
 def tasks_near(tool):
     off = np.array([1e-3, -2e-3, 5e-4])
     turned = pin.exp3(np.array([0.02, -0.01, 0.03])) @ tool.rotation
-    turn = DecoupledMotion(tool, 1.0)
-    turn.goal_m = tool.tip_m + off
-    turn.rotation = turned
     return [
         RemoteCentre(tool.tip_m - 0.08 * tool.axis + off, 1.0),
         Fixture(tool.tip_m + off, turned, 1.0),
         TipVelocity(np.zeros(3), tool.tip_m + off, 1.0),
-        turn,
     ]
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", range(3))
 def test_rates_are_errors_at_gain_one(index):
     """v is the error at gain 1, and J its negative derivative over the joints."""
     tool = tool_at(Q)
@@ -134,41 +129,6 @@ def test_without_tasks_or_samples_it_brakes(has_jerk):
         assert fastest_rad_s[-1] == 0.0
 
 
-def test_decoupled_motion_turns_without_moving_the_tip():
-    control = Controller(ROBOT, Limits(ROBOT))
-    arm = LateArm(ROBOT, Q)
-    control.tool.update(Q)
-    start_m = arm.tool.tip_m
-    motion = DecoupledMotion(control.tool)
-    for _ in range(500):
-        motion.move(control.tool, np.zeros(3), (0.1, 0.0, 0.0), 1e-3)
-        arm.move(control.update(arm.sample(), [motion, Posture(Q)]).dq_rad_s)
-
-    turned_rad = pin.log3(arm.tool.rotation @ tool_at(Q).rotation.T)
-    assert turned_rad == pytest.approx([0.05, 0.0, 0.0], abs=5e-3)
-    assert np.linalg.norm(arm.tool.tip_m - start_m) < 1e-4
-
-
-def test_the_goal_of_a_decoupled_motion_stays_near():
-    """Neither a pause, nor an invalid time step, nor an arm that stands moves it."""
-    tool = tool_at(Q)
-    motion = DecoupledMotion(tool)
-    for dt_s, moved_m in (
-        (np.nan, 0.0),
-        (-1.0, 0.0),
-        (5.0, 0.03 * 0.02),
-        (1e-3, 3e-5),
-    ):
-        before_m = motion.goal_m
-        motion.move(tool, (0.0, 0.0, 0.03), np.zeros(3), dt_s)
-        assert motion.goal_m - before_m == pytest.approx([0.0, 0.0, moved_m])
-    for _ in range(100):
-        motion.move(tool, (0.0, 0.0, 0.03), (0.0, 0.07, 0.0), 0.02)
-
-    assert 5e-3 < np.linalg.norm(motion.goal_m - tool.tip_m) < 6e-3
-    assert 0.05 <= np.linalg.norm(tool.rotation_to(motion.rotation)) < 0.06
-
-
 def test_tasks_without_equality_are_served_too():
     class Push:
         size = 3
@@ -212,25 +172,12 @@ def test_a_status_says_whether_a_limit_is_in_the_way():
         lambda tool: Fixture(tool.tip_m, tool.rotation * [1.0, 1.0, -1.0]),  # of a left
         lambda tool: Fixture(tool.tip_m, 1.01 * tool.rotation),
         lambda tool: DecoupledMotion(tool).move(tool, [np.nan] * 3, [0.0] * 3, 1e-3),
-        lambda tool: Controller(ROBOT, Limits(ROBOT)).reset(np.full(7, np.nan)),
-        lambda tool: Controller(ROBOT, Limits(ROBOT)).reset(np.zeros((7, 7))),
     ],
 )
 def test_an_impossible_task_or_start_is_refused(make):
     """Tasks and start velocities with invalid numbers are refused."""
     with pytest.raises(SettingError):
         make(tool_at(Q))
-
-
-def test_a_start_is_within_the_limits_of_speed():
-    control = Controller(ROBOT, Limits(ROBOT))
-    control.reset(np.array([100.0, -100.0, 0.1, 0.0, 0.0, 0.0, 0.0]))
-
-    assert (np.abs(control.last_rad_s) <= ROBOT.velocity_limit_rad_s).all()
-    assert control.last_rad_s[:2] == pytest.approx(
-        [1.0, -1.0] * ROBOT.velocity_limit_rad_s[:2]
-    )
-    assert control.last_rad_s[2] == 0.1
 
 
 @pytest.mark.parametrize(
