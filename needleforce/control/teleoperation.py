@@ -115,7 +115,7 @@ class Teleoperation:
         shown: Force at the tip; ``enhanced``, less friction of layers traversed;
             ``raw``, measured.
         speed_limit_m_s: Largest speed of the needle. What a quicker hand is ahead by
-            more than the needle covers in 40 ms, or 2 mm, is dropped, and the hand is
+            more than the needle covers in 40 ms, or 1 mm, is dropped, and the hand is
             damped: the needle stands when the hand stands.
         force_lag_s: Lag of the session's observer, one over its gain; a later force is
             damped more.

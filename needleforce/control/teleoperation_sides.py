@@ -36,6 +36,10 @@ it."""
 SPEED_LAG_s = 0.01
 """Low-pass on the speed of the handle, which comes from its encoder's steps."""
 
+MAX_SPEED_ERROR_m_s = 0.01
+"""The needle is sent that speed, which is never further than this from the handle's: a
+needle at 100 mm/s would go on by a millimetre after a hand that stops dead."""
+
 SWING_MEMORY_s = 0.12
 """Time of the means that show a swing of 3 Hz or more, where damping grows up to the
 port's."""
@@ -67,7 +71,7 @@ MAX_BACKLOG_s = 0.04
 """Travel that the needle's largest speed does not make up for in so long is dropped:
 when the hand stands the needle has at most this left, 0.8 mm at 20 mm/s."""
 
-MAX_BACKLOG_m = 2e-3
+MAX_BACKLOG_m = 1e-3
 """The same, whatever the largest speed is."""
 
 NEEDLE_ALLOWANCE_J = 10e-3
@@ -211,9 +215,11 @@ class DeviceSide:
             is_coupled=handle.is_coupled,
         )
         scale = self._scale * handle.is_coupled
+        slowest_m_s = handle.speed_m_s - MAX_SPEED_ERROR_m_s
+        fastest_m_s = handle.speed_m_s + MAX_SPEED_ERROR_m_s
         self._packet = HandPacket(
             travel_m=self._packet.travel_m + scale * (handle.position_m - last_m),
-            speed_m_s=scale * self._speed_m_s,
+            speed_m_s=scale * min(max(self._speed_m_s, slowest_m_s), fastest_m_s),
             energy_J=self.port.in_J,
             is_coupled=handle.is_coupled,
         )

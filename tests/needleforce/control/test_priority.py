@@ -171,7 +171,6 @@ def test_a_status_says_whether_a_limit_is_in_the_way():
         lambda tool: Fixture([np.nan, 0.0, 0.0], tool.rotation),
         lambda tool: Fixture(tool.tip_m, tool.rotation * [1.0, 1.0, -1.0]),  # of a left
         lambda tool: Fixture(tool.tip_m, 1.01 * tool.rotation),
-        lambda tool: DecoupledMotion(tool).move(tool, [np.nan] * 3, [0.0] * 3, 1e-3),
     ],
 )
 def test_an_impossible_task_or_start_is_refused(make):

@@ -137,7 +137,7 @@ def test_the_limits_of_the_joints_hold():
 @pytest.mark.parametrize(
     ("how", "match"),
     [
-        ({"held_from": 600}, "follow"),
+        ({"held_from": 600}, "commanded"),
         ({"refuses_from": 600}, "refused"),
         ({"waits_until": 10**9}, "30 s"),
         ({"ends_at": 600}, "ended"),

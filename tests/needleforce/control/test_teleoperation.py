@@ -270,8 +270,7 @@ def hand_that_stops_dead(t_s, travel_m, seconds):
 def test_the_needle_stands_when_a_quick_hand_stands(
     travel_m, seconds, scale, speed_limit_m_s, stiffness_N_per_m, hand
 ):
-    """By itself it moves by 40 ms of its largest speed more, or 2 mm; an arm that is
-    5 ms late by half a millimetre beyond. At its usual largest speed that is 1 mm."""
+    """Within a millimetre, an arm that is 5 ms late."""
     tele = teleoperate(motion_scale=scale, speed_limit_m_s=speed_limit_m_s)
     commands_m_s = deque([0.0] * 5)
     depths_m = []
@@ -289,8 +288,7 @@ def test_the_needle_stands_when_a_quick_hand_stands(
     after_m = np.array(depths_m[round(seconds / DT) :])
     moving = np.flatnonzero(np.abs(np.diff(after_m)) > 2e-3 * DT)
 
-    most_m = 1e-3 if speed_limit_m_s <= 0.02 else 2.5e-3
-    assert np.abs(after_m - after_m[0]).max() <= most_m
+    assert np.abs(after_m - after_m[0]).max() <= 1e-3
     assert moving.size == 0 or DT * moving[-1] <= 0.15
     assert max(forces_N) <= 5.0
     assert np.diff(forces_N).max() <= 0.5 + 1e-9
@@ -520,7 +518,6 @@ def test_the_needle_stands_when_the_device_is_silent(frozen):
         {"axis": (0.0, 0.0, 0.0)},
         {"axis": "abc"},
         {"shown": "all"},
-        {"lines": (3, 4)},
         {"max_force_N": np.nan},
         {"speed_limit_m_s": 0.0},
     ],
