@@ -7,7 +7,7 @@ Not a medical device: nothing here is claimed beyond the simulation it is measur
 
 Reading order: `ports` (what lies outside), `tasks`, `joint_limits`,
 `controller` (one tick), `delay_prediction`, `priority_solver`, `state_machine`,
-`command_tracking`, `handle_watch`, `monitors`, `event_log`, `manager`, `run`,
+`command_tracking`, `handle_watch`, `monitors`, `manager` (with its log), `run`,
 `guarded_motion`, `lag` (delay and gain), `tare_stroke`, `rupture_counter`,
 `insertion_profile`, `guidance`, `passivity`, `teleoperation_sides`, `teleoperation`.
 """

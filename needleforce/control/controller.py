@@ -6,7 +6,6 @@ The tasks are served in strict priority within the limits of the joints, see
 
 import math
 from collections.abc import Sequence
-from enum import StrEnum
 from operator import is_
 from typing import NamedTuple
 
@@ -35,29 +34,18 @@ MAX_SURPRISE_rad = 0.01
 positions are used as they are."""
 
 
-class CommandStatus(StrEnum):
-    """How a command came about."""
-
-    OK = "ok"  # the tasks in order of priority, no limit in the way
-    SATURATED = "saturated"  # the same, with at least one joint at a limit
-    NEAR_SINGULAR = "near singular"  # the same, with a direction damped: it hardly acts
-    BRAKING = "braking"  # no task: as slow as the limits allow
-    SKIPPED = "skipped"  # sample or task invalid: braking without them
-
-
 class Command(NamedTuple):
     """Joint velocities for the coming cycle.
 
     Attributes:
         dq_rad_s: To be sent to the arm, shape (n,).
-        status: How they came about.
-        reason: Why the sample or a task was skipped; empty otherwise.
+        reason: Why the sample or a task was skipped, and the arm brakes as fast as the
+            limits allow; empty otherwise.
         is_limited: Whether tasks have at least one joint at a limit.
         is_damped: Whether tasks ask for a direction that joints hardly move.
     """
 
     dq_rad_s: Array
-    status: CommandStatus
     reason: str = ""
     is_limited: bool = False
     is_damped: bool = False
@@ -160,18 +148,14 @@ class Controller:
             numbers.fill(stack, self.tool)
             self._write_bounds(predicted_rad, numbers.bounds)
             if not stack:
-                slowest_rad_s = np.clip(0.0, *numbers.bounds)
-                return self._command(slowest_rad_s, CommandStatus.BRAKING)
+                return self._command(np.clip(0.0, *numbers.bounds))
             velocity_rad_s, is_limited = hierarchical(numbers)
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
         # Of values, a shape or a number; a program's own faults pass through.
         except (NeedleforceError, ValueError) as error:
             return self._brake(f"{type(error).__name__}: {error}")
-        status = CommandStatus.SATURATED if is_limited else CommandStatus.OK
-        if numbers.is_damped:
-            status = CommandStatus.NEAR_SINGULAR
         return self._command(
-            velocity_rad_s, status, is_limited=is_limited, is_damped=numbers.is_damped
+            velocity_rad_s, is_limited=is_limited, is_damped=numbers.is_damped
         )
 
     @property
@@ -245,12 +229,11 @@ class Controller:
         """Brake from the last command at the rate that limits allow."""
         bounds = np.zeros((2, self._joints))
         self._write_bounds(np.full(self._joints, np.nan), bounds)
-        return self._command(np.clip(0.0, *bounds), CommandStatus.SKIPPED, reason)
+        return self._command(np.clip(0.0, *bounds), reason)
 
     def _command(
         self,
         velocity_rad_s: Array,
-        status: CommandStatus,
         reason: str = "",
         is_limited: bool = False,
         is_damped: bool = False,
@@ -260,7 +243,7 @@ class Controller:
         change_rad_s = velocity_rad_s - self.last_rad_s
         self._acceleration_rad_s2 = change_rad_s / self._change_time_s
         self.last_rad_s = velocity_rad_s
-        return Command(velocity_rad_s, status, reason, is_limited, is_damped)
+        return Command(velocity_rad_s, reason, is_limited, is_damped)
 
 
 def _read_numbers(sample: ArmSample) -> tuple[Array, float]:

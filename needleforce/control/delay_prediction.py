@@ -12,8 +12,7 @@ from collections import deque
 import numpy as np
 
 from foundation.arrays import Array
-from needleforce.control.errors import SettingError
-from needleforce.control.setting_checks import require_positive
+from needleforce.control.errors import SettingError, require_positive
 
 MAX_DELAY_s = 0.3
 """No loop of control lives with longer delays."""

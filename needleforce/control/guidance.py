@@ -34,8 +34,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.control.errors import SettingError
-from needleforce.control.setting_checks import require_positive
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.tasks import JointVelocity
 from residual.checks.input import MAX_PLAUSIBLE, as_float, known_limits
 from residual.checks.outliers import UNKNOWN_EFFORT_NM

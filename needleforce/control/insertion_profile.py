@@ -13,10 +13,9 @@ from numbers import Integral
 from typing import NamedTuple
 
 from identification.estimate import Estimate
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.manager import Situation
 from needleforce.control.rupture_counter import RuptureCounter
-from needleforce.control.setting_checks import require_positive
 from needleforce.control.state_machine import State
 from needleforce.control.tare_stroke import find_stroke_speed
 

@@ -6,8 +6,7 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Vector
-from needleforce.control.errors import RIGHT_LIMITS, SettingError
-from needleforce.control.setting_checks import require_positive
+from needleforce.control.errors import RIGHT_LIMITS, SettingError, require_positive
 from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from urdf import Robot
 

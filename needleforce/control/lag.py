@@ -26,11 +26,10 @@ from scipy.signal.windows import tukey
 from foundation.arrays import Array
 from needleforce.control.controller import Controller
 from needleforce.control.delay_prediction import MAX_DELAY_s
-from needleforce.control.errors import ControlError, SettingError
+from needleforce.control.errors import ControlError, SettingError, require_positive
 from needleforce.control.guarded_motion import RIGHT_ARM, move_guarded
 from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import Arm
-from needleforce.control.setting_checks import require_positive
 from needleforce.control.tasks import JointVelocity
 from urdf import Robot
 

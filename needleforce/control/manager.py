@@ -5,11 +5,14 @@ It reads the arm's samples, runs the session and the monitors, applies the rules
 """
 
 import math
+import os
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import msgspec
+
 from needleforce.control.errors import SettingError
-from needleforce.control.event_log import EventLog, LoggedEvent
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
 from needleforce.control.state_machine import MOVING, State, transition
@@ -32,8 +35,86 @@ MAX_HEARTBEAT_GAP_s = 0.1
 FIRST_STEP_s = 1e-3
 """Time step of a first sample that has none: the usual cycle."""
 
+_ENCODER = msgspec.json.Encoder(enc_hook=str)
 _WITH_DEPTH = MOVING - {State.GUIDANCE}
 """States whose motions depend on the depth."""
+
+
+class LoggedEvent(
+    msgspec.Struct, frozen=True, rename={"origin": "from", "target": "to"}
+):
+    """One event, a refused one included.
+
+    Attributes:
+        seq: Counts from 0.
+        t_s: On the manager's clock.
+        origin: State before it; "from" in the file.
+        event: Its name, one of `EVENTS`.
+        target: State after it; "to" in the file.
+        refused: Why it was refused; empty if it was not.
+        data: What came with it, and the facts it met.
+    """
+
+    seq: int
+    t_s: float
+    origin: str
+    event: str
+    target: str
+    refused: str
+    data: dict[str, Any]
+
+
+class EventLog:
+    """Events of a session, kept in memory and appended to a file.
+
+    Args:
+        path: The file, one JSON object per line; None: memory only.
+
+    Attributes:
+        events: Events so far.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+
+    def __init__(self, path: str | Path | None) -> None:
+        if path is not None:
+            Path(path).open("ab").close()
+        self.events: list[LoggedEvent] = []
+        self._path = path
+        self._written = 0
+
+    def append(self, event: LoggedEvent) -> str:
+        """Keep an event, and append it to the file, so that a crash loses none.
+
+        Returns:
+            Why it could not be written, so that a full disk stops no monitor; empty if
+            it was. It is written with the next event.
+
+        Raises:
+            SettingError: Its data cannot be written as JSON; it is not kept.
+        """
+        try:
+            _ENCODER.encode(event)
+        except (ValueError, RecursionError) as error:
+            raise SettingError(
+                f"data of {event.event} cannot be written as JSON: {error}"
+            ) from error
+        self.events.append(event)
+        if self._path is None:
+            return ""
+        size = None
+        try:
+            with Path(self._path).open("ab") as file:
+                size = file.tell()
+                file.write(_ENCODER.encode_lines(self.events[self._written :]))
+        except OSError as error:
+            if size is not None:
+                with suppress(OSError):  # half a line would spoil the next one
+                    os.truncate(self._path, size)
+            return f"the log cannot be written: {error}"
+        self._written = len(self.events)
+        return ""
 
 
 class Situation(NamedTuple):
@@ -169,16 +250,13 @@ class Manager:
 
         It never raises for a bad sample.
         """
-        dt_s = getattr(sample, "dt_s", None)
+        dt_s: Any = getattr(sample, "dt_s", None)
         if 0.0 < as_float(dt_s) <= MAX_SAMPLE_STEP_s:
             self._step_s = as_float(dt_s)
         self._time_s += self._step_s
-        estimate = self.session.update(
-            getattr(sample, "q_rad", None),
-            getattr(sample, "dq_rad_s", None),
-            getattr(sample, "tau_Nm", None),
-            dt_s,
-        )
+        names = ("q_rad", "dq_rad_s", "tau_Nm")
+        signals: list[Any] = [getattr(sample, name, None) for name in names]
+        estimate = self.session.update(*signals, dt_s)
         self._entry.update(estimate, self.session.zero)
         has_ended = self._tare.after(self.session, estimate)
         if has_ended and self._state is State.TARE and not self._check_tare():

@@ -14,10 +14,9 @@ import numpy as np
 from foundation.arrays import Array
 from identification.estimate import SampleStatus
 from needleforce.control.command_tracking import CommandTracking
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, as_vector, require_positive
 from needleforce.control.handle_watch import HandleReport
 from needleforce.control.ports import ArmSample
-from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.state_machine import State
 from needleforce.insertion_events import describe_hard_contact
 from needleforce.needle_on_plan import describe_clearances, describe_deviation

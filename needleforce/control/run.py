@@ -7,7 +7,7 @@ with arm:
 However it ends, the arm comes to rest.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
 from dataclasses import dataclass, field
 
 from needleforce.control.controller import Command, Controller
@@ -57,7 +57,7 @@ def run(
     manager: Manager | None = None,
     *,
     without_force_limit: bool = False,
-) -> Iterator[Tick]:
+) -> Generator[Tick]:
     """Yield every cycle of an arm, and send the command for its tasks.
 
     The manager, which holds the force limit, gets the heartbeat and what the arm

@@ -24,11 +24,10 @@ import numpy as np
 
 from foundation.arrays import Array
 from needleforce.control.controller import Controller
-from needleforce.control.errors import ControlError, SettingError
+from needleforce.control.errors import ControlError, SettingError, require_positive
 from needleforce.control.guarded_motion import move_guarded
 from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import Arm
-from needleforce.control.setting_checks import require_positive
 from needleforce.control.tasks import AxialSpeed, Fixture, JointTask, ToolState
 from needleforce.tare_run import TareRun
 from urdf import Robot

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compiled
-from needleforce.control.errors import SettingError
-from needleforce.control.setting_checks import as_vector, require_positive
+from needleforce.control.errors import SettingError, as_vector, require_positive
 from urdf import Robot
 
 GAIN_PER_S = 30.0

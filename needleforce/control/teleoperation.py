@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, as_vector, require_positive
 from needleforce.control.handle_watch import HandleReport
 from needleforce.control.passivity import MAX_FORCE_N
-from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.teleoperation_sides import (
     DeviceSide,
     HandleSample,

@@ -191,11 +191,3 @@ def test_a_preset_moves_a_needle_slowly():
     assert joints.speed_rad_s == pytest.approx(0.5, abs=1e-6)
     assert joints.position_upper_rad == pytest.approx(LWR.position_upper_rad - 0.02)
     assert Limits.of_arm(LWR, "lwr").tip_m_s == 0.1
-
-
-def test_every_preset_says_where_it_comes_from():
-    for limits in ARM_LIMITS.values():
-        assert limits.source
-        joint_counts = {len(limits.speed_rad_s), len(limits.jerk_rad_s3)}
-
-        assert joint_counts == {len(limits.acceleration_rad_s2)}

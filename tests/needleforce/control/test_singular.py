@@ -38,12 +38,12 @@ def test_a_wrist_near_its_singularity_keeps_the_line_and_the_speed(wrist_rad):
     aside_m = []
     tip_m_s = []
     joint_rad_s = []
-    statuses = set()
+    damped = []
     for _ in range(2000):
         command = controller.update(arm.sample(), tasks)
         tip_m_s.append(np.linalg.norm(arm.tool.jacobian[:3] @ command.dq_rad_s))
         joint_rad_s.append(np.abs(command.dq_rad_s).max())
-        statuses.add(str(command.status))
+        damped.append(command.is_damped)
         arm.move(command.dq_rad_s)
         moved_m = line.rotation.T @ (arm.tool.tip_m - line.goal_m)
         aside_m.append(np.hypot(*moved_m[:2]))
@@ -51,7 +51,7 @@ def test_a_wrist_near_its_singularity_keeps_the_line_and_the_speed(wrist_rad):
     assert max(aside_m) < 0.1e-3
     assert max(tip_m_s) < 2.0 * SPEED_m_s
     assert max(joint_rad_s) < 0.5
-    assert ("near singular" in statuses) == (abs(wrist_rad) < 0.1)
+    assert any(damped) == (abs(wrist_rad) < 0.1)
     if abs(wrist_rad) > 0.1:
         assert tip_m_s[-1] == pytest.approx(SPEED_m_s, rel=1e-4)
 
@@ -127,7 +127,6 @@ def test_a_joint_at_a_limit_and_a_damped_direction_are_both_reported():
     entry = RemoteCentre(tool.tip_m - 0.01 * tool.axis)
     command = controller.update(sample, [entry, far])
 
-    assert command.status == "near singular"
     assert command.is_damped
     assert command.is_limited
 
