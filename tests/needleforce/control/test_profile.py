@@ -68,13 +68,7 @@ EXPECTED = {"state": RuptureState.EXPECTED}
     [
         (2.0, 1.0, 0.0, {}, 1),
         (2.0, 1.0, 0.0, {"steady": False}, 0),  # a needle that brakes
-        (
-            2.0,
-            1.0,
-            0.0,
-            {"steady": False, "alarms": {3030: identified(alarm_N=2.0)}},
-            1,
-        ),
+        (2.0, 1.0, 0.0, {"steady": False} | ALARM, 1),
         (2.0, 0.07, 0.0, {}, 0),
         (4.0, 0.10, 0.0, {}, 0),  # less than 3 % of the force
         (4.0, 0.17, 0.0, {}, 1),
