@@ -5,11 +5,10 @@
 
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
-Reading order: `ports` (what lies outside), `tasks`, `joint_limits`,
-`controller` (one tick), `delay_prediction`, `priority_solver`, `state_machine`,
-`command_tracking`, `handle_watch`, `monitors`, `manager` (with its log), `run`,
-`guarded_motion`, `lag` (delay and gain), `tare_stroke`, `rupture_counter`,
-`insertion_profile`, `guidance`, `passivity`, `teleoperation_sides`, `teleoperation`.
+Reading order: `ports` (what lies outside), `tasks`, `joint_limits`, `priority_solver`,
+`controller` (one tick), `state_machine`, `handle_watch`, `monitors`, `manager`, `run`,
+`lag` (delay and gain), `tare_stroke`, `rupture_counter`, `insertion_profile`,
+`guidance`, `passivity`, `teleoperation_sides`, `teleoperation`.
 """
 
 from needleforce.control.controller import Controller as Controller

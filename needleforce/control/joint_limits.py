@@ -91,7 +91,24 @@ class Limits:
             acceleration_rad_s2,
             np.inf if jerk_rad_s3 is None else jerk_rad_s3,
         )
-        _require_usable(limits, robot, margin_rad)
+        lower_rad, upper_rad, speed_rad_s, acceleration_rad_s2, jerk_rad_s3 = limits
+        ends = np.array((lower_rad, upper_rad, speed_rad_s, acceleration_rad_s2))
+        is_usable = (
+            np.isfinite(ends).all(axis=0)
+            & (lower_rad < upper_rad)
+            & (speed_rad_s > 0.0)
+            & (speed_rad_s <= robot.velocity_limit_rad_s)
+            & (acceleration_rad_s2 > 0.0)
+            & (jerk_rad_s3 > 0.0)
+        )
+        if not is_usable.all():
+            raise SettingError(
+                f"joints {', '.join(np.array(robot.joint_names)[~is_usable])}: "
+                f"expected room beyond a margin of {margin_rad:g} rad from their ends, "
+                "positive limits of speed, acceleration and jerk, and speeds not above "
+                f"the robot's own, {robot.velocity_limit_rad_s.tolist()} rad/s",
+                RIGHT_LIMITS,
+            )
         limits.speed_rad_s[:] -= SLACK_rad_s
         if self.cycle_s is not None:
             limits.jerk_rad_s3[:] *= RATE_HEADROOM
@@ -160,36 +177,3 @@ def _one_per_joint(joint_count: int, *limits: ArrayLike) -> JointLimits:
             RIGHT_LIMITS,
         ) from None
     return JointLimits(*np.array(rows))
-
-
-def _require_usable(limits: JointLimits, robot: Robot, margin_rad: float) -> None:
-    """Refuse limits that are missing, leave no room, or exceed the robot's."""
-    positions = np.array((limits.position_lower_rad, limits.position_upper_rad))
-    rates = np.array((limits.speed_rad_s, limits.acceleration_rad_s2))
-    robot_speed_rad_s = robot.velocity_limit_rad_s
-    complaints = (
-        (
-            ~np.isfinite(positions).all(axis=0),
-            "no position limits; name them in its model",
-        ),
-        (
-            ~(limits.position_lower_rad < limits.position_upper_rad),
-            f"no room within a margin of {margin_rad:g} rad",
-        ),
-        (
-            ~np.isfinite(rates).all(axis=0),
-            "no limit of speed or acceleration; give one",
-        ),
-        (
-            ~((rates > 0.0).all(axis=0) & (limits.jerk_rad_s3 > 0.0)),
-            "a speed, acceleration or jerk that is not positive",
-        ),
-        (
-            limits.speed_rad_s > robot_speed_rad_s,
-            f"a speed above the robot's own {robot_speed_rad_s.tolist()} rad/s",
-        ),
-    )
-    for is_wrong, complaint in complaints:
-        if is_wrong.any():
-            joints = ", ".join(np.array(robot.joint_names)[is_wrong])
-            raise SettingError(f"joints {joints}: {complaint}", RIGHT_LIMITS)

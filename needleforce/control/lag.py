@@ -24,12 +24,11 @@ from scipy import signal
 from scipy.signal.windows import tukey
 
 from foundation.arrays import Array
-from needleforce.control.controller import Controller
-from needleforce.control.delay_prediction import MAX_DELAY_s
-from needleforce.control.errors import ControlError, SettingError, require_positive
-from needleforce.control.guarded_motion import RIGHT_ARM, move_guarded
+from needleforce.control.controller import Controller, MAX_DELAY_s
+from needleforce.control.errors import ControlError, require_positive
 from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import Arm
+from needleforce.control.run import RIGHT_ARM, move_guarded
 from needleforce.control.tasks import JointVelocity
 from urdf import Robot
 
@@ -60,11 +59,13 @@ class Delay(NamedTuple):
         delay_s: T.
         std_s: Its standard deviation, by what the command does not explain.
         followed: The fraction of the command that the joint has followed.
+        cycle_s: h, the usual time between two samples.
     """
 
     delay_s: float
     std_s: float
     followed: float
+    cycle_s: float
 
 
 class SafeGain(NamedTuple):
@@ -73,33 +74,19 @@ class SafeGain(NamedTuple):
     Attributes:
         safe_per_s: The largest with the phase margin.
         unstable_per_s: From here on, at the measured delay, the loop diverges.
-        margin_deg: The phase margin phi.
     """
 
     safe_per_s: float
     unstable_per_s: float
-    margin_deg: float
 
 
-def find_safe_gain(
-    delay: Delay, cycle_s: float, margin_deg: float = PHASE_MARGIN_deg
-) -> SafeGain:
-    """Return the largest gain that a delay allows, see the module.
-
-    Raises:
-        SettingError: The cycle is not positive, or the margin not within 0 to 90.
-    """
-    require_positive({"cycle_s": cycle_s})
-    if not 0.0 < margin_deg < 90.0:
-        raise SettingError(
-            f"margin_deg is {margin_deg!r}, expected degrees between 0 and 90"
-        )
-    delay_s = max(delay.delay_s, 0.0) + 0.5 * cycle_s
+def find_safe_gain(delay: Delay) -> SafeGain:
+    """Return the largest gain that a delay allows, see the module."""
+    delay_s = max(delay.delay_s, 0.0) + 0.5 * delay.cycle_s
     late_s = delay_s + 2.0 * delay.std_s
     return SafeGain(
-        safe_per_s=(0.5 * math.pi - math.radians(margin_deg)) / late_s,
+        safe_per_s=(0.5 * math.pi - math.radians(PHASE_MARGIN_deg)) / late_s,
         unstable_per_s=0.5 * math.pi / delay_s,
-        margin_deg=margin_deg,
     )
 
 
@@ -141,22 +128,13 @@ def find_delay(
         )
     speed_rad_s = np.sqrt(np.mean(np.gradient(commanded_rad, step_s) ** 2))
     noise_s = left_rad.std() / (followed * speed_rad_s * math.sqrt(times_s.size))
-    return Delay(lag * step_s, float(noise_s), followed)
+    cycle_s = float(np.median(np.diff(times_s)))
+    return Delay(lag * step_s, float(noise_s), followed, cycle_s)
 
 
-class Lag(NamedTuple):
-    """What a measurement has found.
-
-    Attributes:
-        delays: Of every joint.
-        cycle_s: Usual time between two samples.
-    """
-
-    delays: list[Delay]
-    cycle_s: float
-
-
-def measure_lag(arm: Arm, robot: Robot, limits: Limits, duration_s: float = 3.0) -> Lag:
+def measure_lag(
+    arm: Arm, robot: Robot, limits: Limits, duration_s: float = 3.0
+) -> list[Delay]:
     """Move all joints by a small chirp, and measure the delay of each.
 
     The tip moves by 5 mm at most. However it ends, the arm is brought to rest.
@@ -182,8 +160,8 @@ def measure_lag(arm: Arm, robot: Robot, limits: Limits, duration_s: float = 3.0)
     positions_rad: list[Array] = []
     commands_rad_s: list[Array] = []
     excursion_rad = 0.0
-    for time_s, tick, is_at_rest in move_guarded(arm, controller, moved_s):
-        if is_at_rest:
+    for time_s, tick in move_guarded(arm, controller, moved_s):
+        if time_s > moved_s and not controller.last_rad_s.any():
             break
         if time_s == 0.0 or time_s > moved_s or tick.last is None:
             continue
@@ -198,11 +176,10 @@ def measure_lag(arm: Arm, robot: Robot, limits: Limits, duration_s: float = 3.0)
         tick.tasks = [JointVelocity(np.full(robot.nv, excursion_rad * rate_per_s))]
     sent_rad_s = np.array(commands_rad_s).T
     moved_rad = np.array(positions_rad).T
-    delays = [
+    return [
         find_delay(np.array(times_s), *signals)
         for signals in zip(sent_rad_s, moved_rad, robot.joint_names, strict=True)
     ]
-    return Lag(delays, float(np.median(np.diff(times_s))))
 
 
 def _find_excursion(controller: Controller, q_rad: Array, rates_per_s: Array) -> float:

@@ -25,9 +25,9 @@ import numpy as np
 from foundation.arrays import Array
 from needleforce.control.controller import Controller
 from needleforce.control.errors import ControlError, SettingError, require_positive
-from needleforce.control.guarded_motion import move_guarded
 from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import Arm
+from needleforce.control.run import move_guarded
 from needleforce.control.tasks import AxialSpeed, Fixture, JointTask, ToolState
 from needleforce.tare_run import TareRun
 from urdf import Robot
@@ -219,7 +219,7 @@ def tare_with_stroke(
     line: Fixture | None = None
     elbow: ElbowSwivel | None = None
     moved_s = motion.duration_s + 2.0 * REST_S
-    for time_s, tick, is_at_rest in move_guarded(arm, controller, moved_s):
+    for time_s, tick in move_guarded(arm, controller, moved_s):
         sample = tick.sample
         estimate = session.update(
             sample.q_rad, sample.dq_rad_s, sample.tau_Nm, sample.dt_s
@@ -227,12 +227,12 @@ def tare_with_stroke(
         tare.after(session, estimate)
         if session.tared:
             return
-        if is_at_rest:
-            if tare.refusal is None:
+        if time_s > moved_s:
+            if tare.refusal is None and not controller.last_rad_s.any():
                 tare.start(session)
             if tare.refusal is not None:
                 raise tare.refusal
-        elif 0.0 < time_s <= moved_s:
+        elif time_s > 0.0:
             line = line or Fixture.here(tool, LINE_GAIN_PER_S)
             elbow = elbow or ElbowSwivel(tool, robot, motion)
             elbow.time_s = time_s - REST_S

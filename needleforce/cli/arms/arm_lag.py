@@ -6,7 +6,13 @@ from foundation.jit import compile_waiting
 from needleforce.cli.arms.arm_connection import ask_to_move, limits_of, open_arm
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import write_out
-from needleforce.control.lag import Delay, SafeGain, find_safe_gain, measure_lag
+from needleforce.control.lag import (
+    Delay,
+    PHASE_MARGIN_deg,
+    SafeGain,
+    find_safe_gain,
+    measure_lag,
+)
 from needleforce.control.tasks import GAIN_PER_S
 from urdf import Robot
 
@@ -40,11 +46,11 @@ def measure_arm(
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
     with open_arm(arm_name, options, takes_commands=True) as connected:
         arm, robot = connected
-        lag = measure_lag(arm, robot, limits_of(connected))
-    slowest = max(lag.delays, key=lambda delay: delay.delay_s + delay.std_s)
-    gain = find_safe_gain(slowest, lag.cycle_s)
+        delays = measure_lag(arm, robot, limits_of(connected))
+    slowest = max(delays, key=lambda delay: delay.delay_s + delay.std_s)
+    gain = find_safe_gain(slowest)
     describe = _as_json if as_json else _as_text
-    write_out(describe(robot, lag.delays, gain, lag.cycle_s) + "\n")
+    write_out(describe(robot, delays, gain, slowest.cycle_s) + "\n")
     return 0
 
 
@@ -64,7 +70,7 @@ def _as_json(robot: Robot, delays: list[Delay], gain: SafeGain, cycle_s: float) 
         "cycle_ms": S_TO_MS * cycle_s,
         "safe_gain_per_s": gain.safe_per_s,
         "unstable_gain_per_s": gain.unstable_per_s,
-        "phase_margin_deg": gain.margin_deg,
+        "phase_margin_deg": PHASE_MARGIN_deg,
         "usual_gain_per_s": GAIN_PER_S,
     }
     return json.dumps(result, indent=2)
@@ -82,7 +88,7 @@ def _as_text(robot: Robot, delays: list[Delay], gain: SafeGain, cycle_s: float) 
     lines += [
         f"cycle {S_TO_MS * cycle_s:.2f} ms",
         f"largest safe gain {gain.safe_per_s:.1f} / s (phase margin "
-        f"{gain.margin_deg:.0f} degrees); unstable from {gain.unstable_per_s:.0f} / s",
+        f"{PHASE_MARGIN_deg:.0f} degrees); unstable from {gain.unstable_per_s:.0f} / s",
         f"the usual gain of {GAIN_PER_S:g} / s {usual}",
     ]
     return "\n".join(lines)

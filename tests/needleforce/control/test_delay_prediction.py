@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from needleforce.control import Controller, Limits, SettingError
-from needleforce.control.delay_prediction import DelayPrediction
+from needleforce.control.controller import DelayPrediction
 from tests.needleforce.control.late_arm import LateArm, turn_about_entry
 from urdf import NeedleTool, load_lwr
 
