@@ -16,7 +16,6 @@ from needleforce.control import (
     TipVelocity,
 )
 from needleforce.control.priority_solver import Stack, find_damping, hierarchical
-from needleforce.control.tasks import JointTask
 from tests.needleforce.control.late_arm import LateArm, smooth, turn_about_entry
 from urdf import NeedleTool, load_example
 
@@ -172,27 +171,6 @@ def test_without_other_joints_a_weak_one_moves():
     velocity, _ = hierarchical(stack_of((1.0, 0.05), 0.1, (1e-3, 2.0)))
 
     assert 0.1 < velocity[1] < 2.0
-
-
-def test_joint_velocities_may_be_a_column_of_a_table():
-    """Of levels solved one by one, too: the first row depends on the second."""
-
-    class FromTable(JointTask):
-        size = 3
-
-        def velocity_at(self, q_rad):
-            return np.full((3, 2), 0.1)[:, 0]
-
-    def write(tool, rows, rates):
-        rows[:] = ((1.0, 0.0, 0.0), (1.0, 0.01, 0.0))
-        rates[:] = 0.0
-
-    tasks = [SimpleNamespace(size=2, write=write), FromTable()]
-    stack = Stack(tasks, 3)
-    stack.bounds[:] = np.outer((-1.0, 1.0), np.ones(3))
-    stack.fill(tasks, SimpleNamespace(q_rad=np.zeros(3)))
-
-    assert hierarchical(stack)[0][2] == pytest.approx(0.1)
 
 
 def test_a_level_that_hardly_moves_goes_along_though_each_of_its_rows_is_new():

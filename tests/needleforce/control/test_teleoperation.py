@@ -164,19 +164,14 @@ def test_a_force_that_is_let_go_counts_what_it_gives_only(travel_m, given_m):
 
 def test_unused_allowance_is_not_saved_up():
     port = Port(1e-3, 2e-3)
-    for _ in range(60_000):
-        quiet = port.update_budget_J(0.0, DT)
 
-    assert quiet == 1e-3
+    assert [port.update_budget_J(0.0, DT) for _ in range(60_000)][-1] == 1e-3
 
     port.observe(-1.0, 1.5e-3)  # more than may leave has left
+    later_J = [port.update_budget_J(0.0, DT) for _ in range(2001)]
 
-    assert port.update_budget_J(0.0, DT) == pytest.approx(-0.5e-3 + 2e-6)
-
-    for _ in range(2000):
-        later = port.update_budget_J(0.0, DT)
-
-    assert later == pytest.approx(1e-3)
+    assert later_J[0] == pytest.approx(-0.5e-3 + 2e-6)
+    assert later_J[-1] == pytest.approx(1e-3)
     assert port.update_budget_J(0.1, DT) == pytest.approx(0.1 - 1.5e-3 + 1e-3)
 
 
@@ -299,32 +294,31 @@ def test_after_a_reset_the_needle_does_not_make_up_for_the_hand(is_reset):
     assert (move.speed_m_s == 0.0) == is_reset
 
 
+def shown_along(tele, ticks, axial_N, **how):
+    """Return what is shown over some ticks of the same estimate [N]."""
+    shown_N = []
+    for _ in range(ticks):
+        answer(tele, None, estimate(axial_N, **how))
+        shown_N.append(tele.shown_N)
+    return np.array(shown_N)
+
+
 def test_noise_is_hidden_ruptures_show_at_once():
     tele = teleoperate()
-    rng = np.random.default_rng(4)
-    shown = []
-    for noise_N in rng.normal(0.0, 0.1, 2000):
-        answer(tele, None, estimate(1.0 + noise_N))
-        shown.append(tele.shown_N)
+    noise_N = np.random.default_rng(4).normal(0.0, 0.1, 2000)
+    shown_N = np.concatenate([shown_along(tele, 1, 1.0 + n) for n in noise_N])
 
-    assert np.std(shown[1000:]) < 0.02
-    assert np.mean(shown[1000:]) == pytest.approx(1.0, abs=0.02)
+    assert np.std(shown_N[1000:]) < 0.02
+    assert np.mean(shown_N[1000:]) == pytest.approx(1.0, abs=0.02)
+    assert shown_along(tele, 1, 0.5) == pytest.approx(0.8)  # never further than 0.3 N
 
-    answer(tele, None, estimate(0.5))
+    shown_along(tele, 1, 0.5, rupture=object())
 
-    assert tele.shown_N == pytest.approx(0.8)  # never further than 0.3 N
+    assert shown_along(tele, 60, 0.5)[-1] == pytest.approx(0.5, abs=0.02)
 
-    answer(tele, None, estimate(0.5, rupture=object()))
-    for _ in range(60):
-        answer(tele, None, estimate(0.5))
+    shown_along(tele, 300, 0.5)  # the rupture is over
 
-    assert tele.shown_N == pytest.approx(0.5, abs=0.02)
-
-    for _ in range(300):  # the rupture is over
-        answer(tele, None, estimate(0.5))
-    answer(tele, None, estimate(0.6))
-
-    assert tele.shown_N < 0.51
+    assert shown_along(tele, 1, 0.6) < 0.51
 
 
 @pytest.mark.parametrize(
@@ -341,11 +335,9 @@ def test_known_stiffness_removes_the_lag_of_force(stiffness, late_N):
 
     assert tele.shown_N - force == pytest.approx(late_N, abs=0.01)
 
-    withdrawn = estimate(-1.0, 0.0, speed_m_s=-speed, stiffness=stiffness)
-    for _ in range(2000):
-        answer(tele, None, withdrawn)
-
-    assert tele.shown_N == pytest.approx(0.0, abs=0.01)  # nothing springs back
+    how = {"tip_N": 0.0, "speed_m_s": -speed, "stiffness": stiffness}
+    # Nothing springs back.
+    assert shown_along(tele, 2000, -1.0, **how)[-1] == pytest.approx(0.0, abs=0.01)
 
 
 def test_motion_and_force_end_without_signals():
@@ -471,16 +463,13 @@ def test_settings_that_cannot_work_are_refused(wrong):
 
 
 def test_line_keeps_the_order_and_the_newest_counts():
-    rng = np.random.default_rng(0)
-    late = DelayLine(0.02, 0.015, rng)
-    newest = -1
-    for sent in range(500):
-        received = late.exchange(sent, DT)
-        if received is not None:
-            assert received >= newest
-            newest = received
-            assert 4 <= sent - received <= 36
+    late = DelayLine(0.02, 0.015, np.random.default_rng(0))
+    received = [late.exchange(sent, DT) for sent in range(500)]
+    arrived = np.array(received[40:])
+    delays = np.arange(40, 500) - arrived
 
+    assert (np.diff(arrived) >= 0).all()
+    assert 4 <= delays.min() < delays.max() <= 36
     assert DelayLine().exchange("now", DT) == "now"
     for arguments in ((-0.1,), (0.1, 0.01)):  # a jitter needs a generator
         with pytest.raises(PlantError):
