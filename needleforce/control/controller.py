@@ -121,8 +121,6 @@ class Controller:
         delay_s: From command to measured motion, as `needleforce lag` prints it; None
             if it is not known. Tasks then act on where the arm will be when the command
             does.
-        allow_unlimited_jerk: Whether a real arm may be moved with limits that have none
-            of the jerk. It may then stop itself, a Franka with a reflex.
 
     Attributes:
         tool: Pose and Jacobian of the tip at the last valid sample, ahead of it by
@@ -139,7 +137,6 @@ class Controller:
         limits: Limits,
         *,
         delay_s: float | None = None,
-        allow_unlimited_jerk: bool = False,
     ) -> None:
         compile_waiting()
         if (joints := limits.joints.speed_rad_s.size) != robot.nv:
@@ -152,7 +149,6 @@ class Controller:
         self._cycle_s = limits.cycle_s
         self._tip_m_s = limits.tip_m_s
         self._joints = joints
-        self._needs_simulation = limits.cycle_s is None and not allow_unlimited_jerk
         self._prediction = DelayPrediction(joints, delay_s or 0.0)
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()
@@ -183,15 +179,14 @@ class Controller:
             stack: Tasks, the most important first; with none the arm brakes and rests.
 
         Raises:
-            SettingError: The sample is of a real arm, the limits have none of the jerk,
-                and that was not allowed: nothing has moved yet.
+            SettingError: The sample is of a real arm, and the limits have none of the
+                jerk: nothing has moved yet.
         """
-        if self._needs_simulation and getattr(sample, "is_real", False):
+        if self._cycle_s is None and getattr(sample, "is_real", False):
             raise SettingError(
                 "this arm is real and the controller's limits have none of the jerk: "
                 "expected Limits.of_arm(robot, arm.preset) or Limits(robot, "
-                "jerk_rad_s3=...); Controller(..., allow_unlimited_jerk=True) moves it "
-                "all the same",
+                "jerk_rad_s3=...)",
                 RIGHT_LIMITS,
             )
         try:

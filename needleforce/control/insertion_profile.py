@@ -66,8 +66,6 @@ class InsertionPlan:
         stroke_s: Time of the approach, and of the stroke each way.
         dwell_s: Time at the end of the insertion.
         acceleration_m_s2: Of starts and of planned ends.
-        stops_early: Whether a provisional alarm ends the insertion too. By default only
-            a confirmed one does, or a fall of the force that `RuptureCounter` counts.
 
     Raises:
         SettingError: A number that cannot be.
@@ -81,7 +79,6 @@ class InsertionPlan:
     stroke_s: float = 3.0
     dwell_s: float = 1.0
     acceleration_m_s2: float = 0.1
-    stops_early: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.layer, Integral | None):
@@ -89,7 +86,6 @@ class InsertionPlan:
                 f"layer is {self.layer!r}, expected a whole number or None"
             )
         numbers = asdict(self) | {"layer": 1 if self.layer is None else self.layer}
-        del numbers["stops_early"]
         require_positive(numbers, or_zero=("approach_m", "dwell_s"))
 
 
@@ -118,7 +114,7 @@ class InsertionProfile:
     """
 
     def __init__(self, plan: InsertionPlan) -> None:
-        self._ruptures = RuptureCounter(uses_provisional=plan.stops_early)
+        self._ruptures = RuptureCounter()
         self._plan = plan
         # Events that remain to be requested at idle.
         self._program = ["approach", "tare", "insert"][0 if plan.approach_m else 1 :]

@@ -68,7 +68,7 @@ def run(
     manager: Manager | None = None,
     *,
     without_force_limit: bool = False,
-) -> Generator[Tick]:
+) -> Generator[Tick, None, None]:
     """Yield every cycle of an arm, and send the command for its tasks.
 
     The manager, which holds the force limit, gets the heartbeat and what the arm

@@ -4,8 +4,7 @@ By itself the identification must wait whether a fall of the force is a needle t
 brakes. At a steady command it is none, but a beating heart, a jerky arm and slow noise
 make the force fall, too, again and again. So a fall counts if it is large, or likely a
 rupture, and several times the largest of the last seconds; with an alarm of the
-identification any larger one counts. Alarms are confirmed ones; a counter that is made
-with `uses_provisional` takes a provisional alarm as well, which may be retracted.
+identification, a confirmed one, any larger one counts.
 """
 
 import math
@@ -62,16 +61,11 @@ MIN_DISTANCE_m = 3e-3
 class RuptureCounter:
     """Counts the layers that a needle has left; see the module.
 
-    Args:
-        uses_provisional: Whether a provisional alarm counts like a confirmed one: some
-            milliseconds sooner. The count stays if it is retracted.
-
     Attributes:
         count: Ruptures so far.
     """
 
-    def __init__(self, *, uses_provisional: bool = False) -> None:
-        self._uses_provisional = uses_provisional
+    def __init__(self) -> None:
         self.count = 0
         self._rupture_m = -math.inf  # depth of the last rupture
         self._force_N = 0.0
@@ -110,8 +104,6 @@ class RuptureCounter:
         fall_N = self._peak_N - self._force_N
         self._note_fall(fall_N if in_contact else min(fall_N, LARGE_FALL_N), dt_s)
         alarm = identification.rupture
-        if alarm is None and self._uses_provisional:
-            alarm = identification.provisional
         if alarm:
             fall_N = max(self._peak_N, alarm.force_N) - self._force_N
         is_likely = is_steady and self._is_likely(identification, fall_N)

@@ -88,13 +88,6 @@ class ToolState:
         """Direction of insertion in base axes, of length one, shape (3,), a copy."""
         return self.pose[:3, 2].copy()
 
-    def rotation_to(self, rotation: Array) -> Array:
-        """Return the rotation vector [rad] from the tool's axes to others, shape (3,).
-
-        It is log(R_d R^T) in base axes, with R_d the others in columns, shape (3, 3).
-        """
-        return pin.log3(rotation @ self.pose[:3, :3].T)
-
 
 class Task(Protocol):
     """Rows J dq = v of equal priority; J in m or 1 per joint, v in m/s or rad/s.
@@ -139,7 +132,9 @@ class TipTask:
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """Write rows and rates, see `Task.write`."""
         rotation_rad = (
-            tool.rotation_to(self.rotation) if self._has_rotation else _NO_ROTATION
+            pin.log3(self.rotation @ tool.pose[:3, :3].T)
+            if self._has_rotation
+            else _NO_ROTATION
         )
         rates[:] = self.rate
         _write_tip_task(

@@ -135,25 +135,6 @@ def test_a_joint_stops_before_its_end(sign, has_jerk):
     assert arm.q_rad == pytest.approx(ends_rad - 0.02 * sign, abs=1e-3)
 
 
-@pytest.mark.parametrize("is_asked", [True, False])
-def test_without_a_limit_of_the_jerk_accelerations_are_kept(is_asked):
-    """Commands begin, turn round and are broken off."""
-    control = Controller(LWR, Limits(LWR, acceleration_rad_s2=5.0))
-    arm = LateArm(LWR, LWR_HOME_rad)
-    commands_rad_s = [np.zeros(7)]
-    for k in range(600):
-        sample = arm.sample()
-        if not is_asked and k > 250:
-            sample.q_rad = np.full(7, np.nan)
-        wish = TipVelocity((0.3 if k < 200 else -0.3, 0.0, 0.0))
-        commands_rad_s.append(control.update(sample, [wish]).dq_rad_s)
-        arm.move(commands_rad_s[-1])
-    changes_rad_s = np.abs(np.diff(commands_rad_s, axis=0))
-
-    assert 4.9e-3 < changes_rad_s.max() <= 5e-3
-    assert np.abs(commands_rad_s[-1]).any() == is_asked
-
-
 @pytest.mark.parametrize(
     "wrong",
     [

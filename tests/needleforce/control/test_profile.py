@@ -22,21 +22,12 @@ TARGETS = {"approach": State.APPROACH, "tare": State.TARE, "insert": State.INSER
 
 
 def identified(
-    in_contact=True,
-    state=RuptureState.NO_RUPTURE,
-    alarm_N=None,
-    alarm_m=1.0,
-    provisional_N=None,
+    in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None, alarm_m=1.0
 ):
-    rupture, provisional = (
-        None if force_N is None else SimpleNamespace(force_N=force_N, depth_m=alarm_m)
-        for force_N in (alarm_N, provisional_N)
-    )
     return SimpleNamespace(
         in_contact=in_contact,
         rupture_state=state,
-        rupture=rupture,
-        provisional=provisional,
+        rupture=alarm_N and SimpleNamespace(force_N=alarm_N, depth_m=alarm_m),
     )
 
 
@@ -45,7 +36,7 @@ def count_ruptures(force_at, ticks, *, steady=True, alarms=None, depth_at=None, 
 
     ``alarms`` are identifications at some ticks, the others as of ``how``.
     """
-    ruptures = RuptureCounter(uses_provisional=how.pop("uses_provisional", False))
+    ruptures = RuptureCounter()
     usual = identified(**how)
     for k in range(ticks):
         identification = (alarms or {}).get(k, usual)
@@ -102,23 +93,6 @@ def test_a_rupture_falls_twice_as_far_as_ordinary(times, count):
         return 2.0 - 0.1 * (times if k >= 3000 else 1.0) * fallen
 
     assert count_ruptures(force_at, 3100, **EXPECTED) == count
-
-
-@pytest.mark.parametrize(("uses_provisional", "count"), [(False, 0), (True, 1)])
-def test_provisional_alarms_count_where_the_caller_asks(uses_provisional, count):
-    """Without them only the confirmed alarm of a needle that may brake counts."""
-    how = {
-        "force_at": lambda k: 2.0 * ramp(k, 0, 3000) - ramp(k, 3000, 30),
-        "steady": False,
-        "uses_provisional": uses_provisional,
-    }
-    alarms = {3020: identified(provisional_N=2.0)}
-
-    assert count_ruptures(ticks=3031, alarms=alarms, **how) == count
-
-    alarms[3031] = identified(alarm_N=2.0, alarm_m=0.0152)
-
-    assert count_ruptures(ticks=3032, alarms=alarms, **how) == 1
 
 
 @pytest.mark.parametrize(("fall_N", "count"), [(0.10, 0), (0.19, 1)])

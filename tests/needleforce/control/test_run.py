@@ -92,9 +92,6 @@ def test_a_real_arm_without_a_limit_of_the_jerk_does_not_move():
     with pytest.raises(SettingError, match="jerk"):
         Controller(arm.robot, limits).update(sample, DOWN)
 
-    allowed = Controller(arm.robot, limits, allow_unlimited_jerk=True)
-    assert allowed.update(sample, DOWN).dq_rad_s.any()
-
 
 def test_an_arm_rests_in_states_that_do_not_move_and_at_the_force_limit():
     arm = PlainArm(is_real=True)
