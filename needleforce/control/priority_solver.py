@@ -254,8 +254,7 @@ def solve_within_bounds(
     start = 0
     asked = np.zeros(joints)
     # The start depends on no lower task, so that none can matter to a higher one.
-    for k in range(joints):
-        velocity[k] = min(max(0.0, bounds[0, k]), bounds[1, k])
+    velocity[:] = np.minimum(np.maximum(0.0, bounds[0]), bounds[1])
     for level_end in level_ends:
         end = int(level_end)
         if rank < joints:
@@ -272,14 +271,11 @@ def solve_within_bounds(
         velocity[:] = solve_bounded_level(
             np.eye(joints), joint_velocity, free, asked, bounds, velocity
         )
-    is_limited = False
-    for k in range(joints):
-        lowest = bounds[0, k] - SLACK_rad_s
-        highest = bounds[1, k] + SLACK_rad_s
-        velocity[k] = min(max(velocity[k], lowest), highest)
-        room = min(velocity[k] - bounds[0, k], bounds[1, k] - velocity[k])
-        is_limited = is_limited or room <= AT_LIMIT_rad_s
-    return is_limited
+    lowest = bounds[0] - SLACK_rad_s
+    highest = bounds[1] + SLACK_rad_s
+    velocity[:] = np.minimum(np.maximum(velocity, lowest), highest)
+    room = np.minimum(velocity - bounds[0], bounds[1] - velocity)
+    return bool((room <= AT_LIMIT_rad_s).any())
 
 
 @compiled_inside
@@ -383,8 +379,7 @@ def follow_where_free(
     """
     change = joint_velocity - velocity
     remove_parts(change, basis, rank)
-    for k in range(velocity.size):
-        velocity[k] += change[k]
+    velocity += change
 
 
 @compiled_inside
@@ -491,17 +486,13 @@ def solve_bounded_level(
         damped_rates = multiply_vector(damping_rows, unbounded)
         rates = np.concatenate((rates, damped_rates))
         velocity = solve_level(rows, rates, free, bounds, start)
-        is_settled = True
-        for k in range(start.size):
-            room = min(velocity[k] - bounds[0, k], bounds[1, k] - velocity[k])
-            # At the other bound it stands in for others.
-            is_asked = abs(velocity[k] - asked[k]) <= AT_LIMIT_rad_s
-            is_free = asked[k] == unbounded[k]
-            is_lost = room <= AT_LIMIT_rad_s and (is_asked or is_free)
-            is_settled = is_settled and is_lost == (lost[k] != 0.0)
-            lost[k] = 1.0 if is_lost else 0.0
-        if is_settled:
+        room = np.minimum(velocity - bounds[0], bounds[1] - velocity)
+        # At the other bound it stands in for others.
+        is_asked = np.abs(velocity - asked) <= AT_LIMIT_rad_s
+        is_lost = (room <= AT_LIMIT_rad_s) & (is_asked | (asked == unbounded))
+        if (is_lost == (lost != 0.0)).all():
             break
+        lost = np.where(is_lost, 1.0, 0.0)
     return velocity
 
 
