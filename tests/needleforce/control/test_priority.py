@@ -151,7 +151,8 @@ def test_lower_tasks_leave_higher_ones_what_they_get():
 def null_directions(rows):
     """Return orthonormal directions that no row sees, in columns."""
     _, sizes, turned = np.linalg.svd(rows)
-    return turned[np.count_nonzero(sizes > 1e-12 * sizes.max(initial=0.0)) :].T
+    rank = np.count_nonzero(sizes > 1e-12 * sizes.max(initial=0.0))
+    return np.ascontiguousarray(turned[rank:].T)
 
 
 def most_gain(rows, rates, velocity, free, bounds):
