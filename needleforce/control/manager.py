@@ -256,7 +256,8 @@ class Manager:
         self._time_s += self._step_s
         names = ("q_rad", "dq_rad_s", "tau_Nm")
         signals: list[Any] = [getattr(sample, name, None) for name in names]
-        estimate = self.session.update(*signals, dt_s)
+        q_rad, dq_rad_s, tau_Nm = signals
+        estimate = self.session.update(q_rad, dq_rad_s, tau_Nm, dt_s)
         self._entry.update(estimate, self.session.zero)
         has_ended = self._tare.after(self.session, estimate)
         if has_ended and self._state is State.TARE and not self._check_tare():
