@@ -17,8 +17,8 @@ from identification import (
     LayerEstimate,
     SampleStatus,
     TissueWarning,
+    replay,
 )
-from identification.log_replay import ReplayStream
 from needleforce.cli.shared_options import IdentificationOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.depth_zero import FIRST_CONTACT, LOG_ZERO, DepthZero
@@ -103,43 +103,36 @@ def identify_layers(
     Raises:
         CommandError: No row could be used, or rows lie too far apart in time.
     """
-    stream = ReplayStream(METHODS[options.method])
     ignored = Counter[str]()
-    statuses = Counter[SampleStatus]()
-    tables: list[pd.DataFrame] = []
-    done = 0
-    for part in log.parts():  # a million estimates at once would fill the memory
-        channels = part.channels
-        depth_m = channels["depth_m"]
-        force_N = channels["force_N"]
-        if not options.ignore_status:
-            force_N = usable_force(part.channels, ignored)
-        estimates = stream.run(
-            part.t_s,
-            part.dt_s,
-            depth_m,
-            force_N,
-            channels.get("speed_m_s"),
-            channels.get("force_std_N"),
-        )
-        statuses.update(estimate.status for estimate in estimates)
-        table = estimate_table(part.t_s, depth_m - stream.contact_depths_m, estimates)
-        tables.append(table.assign(depth_m=depth_m, force_N=force_N))
-        done += len(part.t_s)
-        progress(done / len(log))
+    force_N = log["force_N"]
+    if not options.ignore_status:
+        force_N = usable_force(log.channels, ignored)
+    found = replay(
+        log.t_s,
+        log["depth_m"],
+        force_N,
+        log.channels.get("speed_m_s"),
+        METHODS[options.method],
+        dt_s=log.dt_s,
+        force_std_N=log.channels.get("force_std_N"),
+        progress=progress,
+    )
+    statuses = Counter(estimate.status for estimate in found.estimates)
     _require_used_rows(statuses, ignored, log)
-    contact_m = stream.contact_depth_m
+    contact_m = float(found.contact_depths_m[-1])
     zero = DepthZero(0.0, LOG_ZERO)
-    if contact_m is not None:
+    if np.isfinite(contact_m):
         zero = DepthZero(contact_m, FIRST_CONTACT)
     counted = [
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
         for reason, count in (+ignored).items()
     ]
+    depth_in_tissue_m = log["depth_m"] - found.contact_depths_m
+    table = estimate_table(log.t_s, depth_in_tissue_m, found.estimates)
     return LayerReplay(
-        rows=pd.concat(tables, ignore_index=True),
-        layers=stream.layers,
-        warnings=(*counted, *(hint.text for hint in stream.hints)),
+        rows=table.assign(depth_m=log["depth_m"], force_N=force_N),
+        layers=found.layers,
+        warnings=(*counted, *(hint.text for hint in found.hints)),
         zero=zero,
         method=options.method,
     )
