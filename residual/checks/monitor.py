@@ -251,18 +251,6 @@ class ConsistencyMonitor:
         at_limit = self.state.at_limit
         return f"at a position limit: {named_joints(at_limit)}" if at_limit else ""
 
-    @property
-    def question(self) -> str:
-        """Whether q is in degrees, asked where positions are far beyond; else empty."""
-        if not self.state.at_limit:
-            return ""
-        # Two turns: a position beyond a limit and this is hardly in radians.
-        max_position_rad = 4.0 * math.pi
-        largest_rad = np.abs(self._wrench.gain.configuration_rad).max()
-        if largest_rad <= max_position_rad:
-            return ""
-        return f"{self.limit}: is q in degrees?"
-
     def reset(self) -> None:
         """Forget everything."""
         self.restore(MonitorState(TorqueDoubt.after_tare(self._joints)))
@@ -282,8 +270,7 @@ class ConsistencyMonitor:
         if self.velocity_fault:
             self.warnings |= SensorWarning.VELOCITY
         if self.warnings:
-            position = self.question or self.limit
-            texts = (self.velocity_fault, position, *_reasons(self.warnings))
+            texts = (self.velocity_fault, self.limit, *_reasons(self.warnings))
             self.message = "; ".join(filter(None, texts))
         self.assessment = Assessment(
             Status.OK, self.message, self.mismatch, self.warnings

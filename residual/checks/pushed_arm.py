@@ -31,13 +31,6 @@ class TorqueChange(NamedTuple):
     learned_s: float = 0.0
     pushed_s: float = 0.0
 
-    def find_damage(self) -> str:
-        """Return the shapes of the arrays if they do not fit each other, else ""."""
-        joints = self.present.shape
-        if self.reference.shape == joints and self.usual.shape == joints + joints:
-            return ""
-        return f"arrays have shapes {[array.shape for array in self[:3]]}"
-
     def has_begun(self, axial_row: Array) -> bool:
         """Return whether the torque changes as no force along the needle changes it.
 

@@ -182,21 +182,6 @@ class TorqueCourse(NamedTuple):
             has_jumped=False,
         )
 
-    def find_damage(self) -> str:
-        """Return which array has a wrong shape, "" if none has."""
-        joints = self.open_Nm.shape[0]
-        shapes = {
-            "blocks_Nm": (BLOCKS, joints),
-            "usual_Nm2": (joints, joints),
-            "before_Nm": (joints,),
-            "origin_Nm": (joints,),
-        }
-        for name, shape in shapes.items():
-            array = getattr(self, name)
-            if array.shape != shape:
-                return f"{name} has shape {array.shape}"
-        return ""
-
     def advanced(
         self, rows: Array, torque_Nm: Array, dt_s: float
     ) -> tuple["TorqueCourse", JumpFinding | None]:

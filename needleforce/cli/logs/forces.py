@@ -19,7 +19,7 @@ from needleforce.sensor_replay import (
     replay_sensor,
 )
 from residual import SensorWarning, Status, TareError
-from residual.bias.torque_diagnosis import TorqueDiagnosis
+from residual.bias.torque_scale import TorqueDiagnosis
 from urdf import Robot
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
@@ -134,7 +134,6 @@ def describe_forces(
         ("sensor", f"{estimated} at {frame}, {source}"),
         ("samples", _describe_samples(replay, log)),
         ("rejected", describe_rejections(replay.rejected) or "none"),
-        *(("corrected", text) for text in [replay.sensor.corrections] if text),
         ("gaps", _describe_gaps(replay)),
         ("warnings", describe_warnings(replay)),
         *(("signals", doubt) for doubt in replay.doubts),
@@ -241,12 +240,11 @@ def find_doubts(replay: SensorReplay) -> list[str]:
     doubts: list[str] = []
     diagnosis = replay.sensor.diagnosis
     if diagnosis is not None:
-        one_joint = diagnosis.describe_one_joint()
-        if diagnosis.scale_deviates or one_joint:
-            seen = one_joint or f"tau is {describe_scale(diagnosis)}"
+        # Several joints that deviate may have a common cause.
+        if diagnosis.scale_deviates or len(diagnosis.deviating_joints) == 1:
             doubts.append(
-                f"torque: {seen}: units, the sensors' scale, or masses of the model, "
-                "are off; the force's deviation has that in it"
+                f"torque: {diagnosis.describe()}: units, the sensors' scale, or masses "
+                "of the model, are off; the force's deviation has that in it"
             )
     codes = replay.rows["force_status"].to_numpy()
     tared = int(np.count_nonzero(codes == STATUS_CODES[Status.OK]))
