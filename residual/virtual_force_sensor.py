@@ -190,18 +190,20 @@ class VirtualForceSensor:
 
         By how much is then known 2 to 2.5 s later.
         """
-        course = self._monitor.state.course
-        return course is not None and course.measured_s > 0.0
+        torques = self._monitor.state.torques
+        return torques is not None and torques.is_measuring
 
     @property
     def jumps(self) -> int:
         """Number of jumps of torque sensors that were measured since the tare."""
-        return self._monitor.state.doubt.jumps
+        torques = self._monitor.state.torques
+        return 0 if torques is None else torques.jumps
 
     @property
     def jump_since_s(self) -> float:
         """Time since the latest jump can have begun, or since the tare [s]."""
-        return self._monitor.state.doubt.since_s
+        torques = self._monitor.state.torques
+        return 0.0 if torques is None else torques.since_s
 
     @property
     def jump_std_N(self) -> float:
@@ -375,7 +377,7 @@ class VirtualForceSensor:
             covariance_Nm2,
             tare.noise_Nm2,
             np.diag(smoothed_Nm2),
-            self._monitor.state.doubt.jump_Nm2,
+            self._monitor.jump_Nm2,
         )
 
     def start_tare_recording(self) -> None:
@@ -578,7 +580,7 @@ class VirtualForceSensor:
                 offset.tare_error_Nm2,
             )
             self._unchecked_s = 0.0
-        residual -= self._monitor.state.doubt.level_Nm
+        residual -= self._monitor.level_Nm
         smoothing_lag = 0.0
         observer_lag = 0.0
         if self._is_smoothing:

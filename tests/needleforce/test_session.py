@@ -1,7 +1,6 @@
 """The whole chain in one object: what it estimates, and what it uses for
 identification."""
 
-import math
 
 import numpy as np
 import pinocchio as pin
@@ -461,9 +460,6 @@ def test_a_session_restored_during_a_jump_knows_of_it():
 
     assert snapshot.jump_std_N > 0.05
     assert 1_500 < alarm < 3_500
-
-    with pytest.raises(InsertionError, match="snapshot"):
-        restored.restore(snapshot._replace(jump_std_N=math.nan))
 
 
 @pytest.mark.slow
