@@ -135,11 +135,6 @@ class WrenchEstimate(NamedTuple):
     model_mismatch: float = 0.0
     warnings: SensorWarning = SensorWarning.NONE
 
-    @property
-    def assessment(self) -> "Assessment":
-        """What it says of itself."""
-        return Assessment(self.status, self.message, self.model_mismatch, self.warnings)
-
     @classmethod
     def unknown(cls, joints: int, components: int) -> Self:
         """Return an estimate that knows nothing, for a first sample that is bad."""

@@ -190,20 +190,17 @@ class VirtualForceSensor:
 
         By how much is then known 2 to 2.5 s later.
         """
-        torques = self._monitor.state.torques
-        return torques is not None and torques.is_measuring
+        return self._monitor.torques.is_measuring
 
     @property
     def jumps(self) -> int:
         """Number of jumps of torque sensors that were measured since the tare."""
-        torques = self._monitor.state.torques
-        return 0 if torques is None else torques.jumps
+        return self._monitor.torques.jumps
 
     @property
     def jump_since_s(self) -> float:
         """Time since the latest jump can have begun, or since the tare [s]."""
-        torques = self._monitor.state.torques
-        return 0.0 if torques is None else torques.since_s
+        return self._monitor.torques.since_s
 
     @property
     def jump_std_N(self) -> float:

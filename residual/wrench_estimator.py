@@ -573,11 +573,6 @@ class WrenchEstimator:
         self._joints = robot.nv
         unknowns = COMPONENTS[config.mode]
         self.size = max(unknowns, 3)
-        # Components of force and torque, in the frame's axes, that each unknown stands
-        # for.
-        self._directions = np.eye(6)[:unknowns]
-        if unknowns == 1:
-            self._directions = force_direction(self.kinematics.axis_in_tool)
         self._is_weighted = config.weighting == "covariance"
         # Diagonal of the damping: inverse square of the largest wrench that is
         # expected.
@@ -618,15 +613,12 @@ class WrenchEstimator:
             ConfigurationError: If it has another shape or is not positive definite.
         """
         shape = self.torque_covariance.shape
-        if covariance_Nm2.shape != shape:
-            raise ConfigurationError(
-                f"covariance has shape {covariance_Nm2.shape}, expected {shape}"
-            )
         covariance = np.array(covariance_Nm2, order="C")
         inverse = inverse_of(covariance)
-        if inverse is None:
+        if covariance.shape != shape or inverse is None:
             raise ConfigurationError(
-                "covariance_Nm2 is not finite, symmetric, positive definite"
+                f"covariance_Nm2 has shape {covariance.shape}, expected {shape}, "
+                "finite, symmetric and positive definite"
             )
         self.torque_covariance = covariance
         self._inverse = inverse
@@ -733,7 +725,9 @@ class WrenchEstimator:
         covariance, conditioning, damping_fraction, _, _ = self.observability
         status, message, model_mismatch, warnings = assessment
         if self.scale_std:
-            covariance = self._with_scale_error(covariance, axial, wrench)
+            unknowns = wrench if len(covariance) > 1 else np.array([axial])
+            covariance = widen_by_scale(covariance, unknowns, self.scale_std)
+            covariance.setflags(write=False)
         has_torque = self.size > 3
         # All fields in order: by name it takes 0.5 us more in every tick.
         return WrenchEstimate(
@@ -754,20 +748,6 @@ class WrenchEstimator:
             warnings,
         )
 
-    def _with_scale_error(
-        self, covariance: Array, axial: float, wrench: Array
-    ) -> Array:
-        """Return the covariance with that of an unknown scale, shape (k, k)."""
-        unknowns = wrench if len(self._directions) > 1 else np.array([axial])
-        widened = widen_by_scale(covariance, unknowns, self.scale_std)
-        widened.setflags(write=False)
-        return widened
-
-    @property
-    def contact_jacobian(self) -> Array:
-        """Joint torque per unit of each unknown where the tool is, shape (k, n)."""
-        return self._directions.dot(self.kinematics.jacobian)
-
     def mismatch_squared(self, residual: Array) -> float:
         """Return the mean square of the joint torque that no wrench explains.
 
@@ -777,8 +757,3 @@ class WrenchEstimator:
         """
         form = self.observability.unexplained
         return max(float(residual.dot(form).dot(residual)), 0.0)
-
-
-def force_direction(direction: Array) -> Array:
-    """Return a force along a direction, shape (3,), as a wrench, shape (1, 6)."""
-    return np.concatenate((direction, _NOTHING))[None]

@@ -60,8 +60,9 @@ class ConsistencyMonitor:
 
     Attributes:
         state: Its state.
-        level_Nm: Torque that counts as the zero since jumps, shape (n,).
-        jump_Nm2: Covariance of the torques by jumps, shape (n, n).
+        torques: Changes of the torque; none before the tare.
+        level_Nm: Its field.
+        jump_Nm2: Its property.
         mismatch: Smoothed model mismatch, see `WrenchEstimate`.
         velocity_fault: Certain faults of measured velocities, in words; empty if there
             are none.
@@ -81,7 +82,8 @@ class ConsistencyMonitor:
         self._lower_rad = np.where(is_free, -np.inf, lower).tolist()
         self._upper_rad = np.where(is_free, np.inf, upper).tolist()
         self._wrench = wrench
-        self._joints = robot.nv
+        still = np.zeros(robot.nv)
+        self._idle = TorqueWatch.after_tare(still, still)
         self.restore(MonitorState())
 
     def check(
@@ -191,9 +193,8 @@ class ConsistencyMonitor:
         warnings = SensorWarning.NONE
         if self.state.widening * square > MAX_MISMATCH**2:
             warnings |= SensorWarning.MODEL_MISMATCH
-        torques = self.state.torques
         axial_row = self._wrench.kinematics.axial_jacobian[None]
-        if torques is not None and torques.has_begun(axial_row):
+        if self.torques.has_begun(axial_row):
             warnings |= SensorWarning.ARM_PUSHED
         message = "; ".join(filter(None, (estimate.message, *_reasons(warnings))))
         return estimate._replace(warnings=estimate.warnings | warnings, message=message)
@@ -216,18 +217,16 @@ class ConsistencyMonitor:
     def _report(self) -> None:
         """Set the attributes that report the result of a check."""
         state = self.state
-        self.level_Nm = np.zeros(self._joints)
-        self.jump_Nm2 = np.zeros((self._joints, self._joints))
+        self.torques = state.torques or self._idle
+        self.level_Nm = self.torques.level_Nm
+        self.jump_Nm2 = self.torques.jump_Nm2
         self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
         self.mismatch = math.sqrt(state.mismatch_squared)
         self.warnings = SensorWarning(state.warnings)
-        if state.torques is not None:
-            self.level_Nm = state.torques.level_Nm
-            self.jump_Nm2 = state.torques.jump_Nm2
-            if state.torques.is_pushed:
-                self.warnings |= SensorWarning.ARM_PUSHED
-            if state.torques.has_jumped:
-                self.warnings |= SensorWarning.TORQUE_JUMP
+        if self.torques.is_pushed:
+            self.warnings |= SensorWarning.ARM_PUSHED
+        if self.torques.has_jumped:
+            self.warnings |= SensorWarning.TORQUE_JUMP
         self.message = ""
         if self.velocity_fault:
             self.warnings |= SensorWarning.VELOCITY
