@@ -342,11 +342,6 @@ class MomentumObserver:
         """Latest residual [Nm], shape (n,), a copy; zeros before the first sample."""
         return self.memory.rows[RESIDUAL].copy()
 
-    @property
-    def gain_per_s(self) -> Array:
-        """K per joint [1/s], shape (n,), a copy."""
-        return np.full(self._joints, self._gains)
-
     def update(self, q: ArrayLike, dq: ArrayLike, tau: ArrayLike, dt_s: float) -> Array:
         """Take one sample and return the residual.
 

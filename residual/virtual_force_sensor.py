@@ -24,7 +24,6 @@ from residual.errors import (
     SampleError,
     SnapshotError,
     TareError,
-    VelocityError,
 )
 from residual.estimate import (
     INITIALIZING,
@@ -335,7 +334,12 @@ class VirtualForceSensor:
             Whether torques are the robot's own external ones.
         """
         if self._monitor.velocity_fault and not ignore_contact:
-            raise VelocityError(f"{self._monitor.velocity_fault}: no tare would hold")
+            raise TareError(
+                f"{self._monitor.velocity_fault}: no tare would hold",
+                "Correct the units, signs, order or delay of `dq`, or pass `dq=None` "
+                "in every sample, and move in free air anew; "
+                "`tare(ignore_contact=True)` tares as it is.",
+            )
         return self._stream is not None and self._stream.is_external
 
     def _continue_tare(self) -> None:

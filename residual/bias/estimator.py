@@ -469,7 +469,7 @@ class BiasEstimator:
         except StopIteration as end:
             self._take(request, *end.value)
             return True
-        except TareError:
+        except BaseException:  # Ctrl-C, too: what was begun cannot go on
             self.cancel_tare()
             raise
         return False

@@ -145,15 +145,6 @@ def test_garbage_is_not_held_back_for_ever(lwr):
     assert abs(found[-1].axial) < 0.1
 
 
-def test_a_torque_that_rises_to_its_limit_is_saturated(lwr):
-    sensor, rows = tared(lwr)
-    limit = np.where(at(3, True), LIMIT_NM, rows[50][2])
-    parts = iter(np.linspace(0.0, 1.0, 200))
-    rows = changed(rows[:250], 2, lambda x: x + next(parts) * (limit - x), 50)
-
-    assert SensorWarning.SATURATED in feed(sensor, rows)[-1].warnings
-
-
 # Signals that are stuck are told from valid ones that repeat.
 
 
@@ -355,29 +346,6 @@ def test_a_step_of_a_turn_is_no_motion(lwr, with_velocity, guard):
 
     assert {e.status for e in found} == {Status.OK}
     np.testing.assert_allclose([e.axial for e in found], clean_N, atol=1e-6)
-
-
-def test_a_turn_in_a_gap_of_time_begins_anew(lwr):
-    sensor, rows = tared(lwr)
-    wrapped = changed(rows, 0, lambda q: q - at(2, 2.0 * np.pi), 300)
-    feed(sensor, wrapped[:300])
-    found = [sensor.update(*wrapped[300], 5.0), *feed(sensor, wrapped[301:])]
-
-    assert abs(found[-1].axial) < 0.1
-
-
-@pytest.mark.slow
-def test_a_coarse_encoder_step_is_no_spike(lwr):
-    rng = np.random.default_rng(0)
-    step = 3.5e-4
-    q, _, tau = (values[0] for values in signals(lwr, 0.1))
-    # Near the edge of a step, which noise passes now and then only.
-    edge = np.round(q / step) * step + 0.5 * step - 4e-5
-    q = rounded(edge + 1.5e-5 * rng.normal(size=(8000, 7)), step)
-    rows = rows_of(q, None, tau + 0.03 * rng.normal(size=q.shape))
-
-    assert (np.count_nonzero(np.diff(q, axis=0), axis=0) > 10).all()
-    assert not rejected(feed(VirtualForceSensor(lwr), rows))
 
 
 # Where an estimate may be wrong.

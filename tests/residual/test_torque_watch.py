@@ -40,9 +40,9 @@ def test_a_jump_is_reported_within_half_a_second_and_in_the_deviation(
     assert len(flagged) == len(rows) - flagged[0]  # it stays
     assert np.mean([abs(e.axial) < 2.0 * e.axial_std for e in after]) > 0.95
     assert sensor.jumps == 1
-    # It can have begun 0.6 s before, or when torques changed like a push.
-    seen_s = 0.6 - 1e-3 * flagged[0] if first == 150 else 0.1 - 1e-3 * first
-    assert sensor.jump_since_s == pytest.approx(4.0 + seen_s, abs=0.025)
+    # It can have begun 0.6 s before, or 0.1 s where torques changed like a push.
+    begun_s = 4.0 - 1e-3 * first
+    assert begun_s <= sensor.jump_since_s <= begun_s + (0.6 if first == 150 else 0.1)
 
 
 @pytest.mark.parametrize(("joint", "step_Nm"), [(3, -3.0), (5, 1.0), (5, -3.0)])

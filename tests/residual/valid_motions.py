@@ -1,4 +1,4 @@
-"""Does the fault guard hold back valid samples? Arms at their limits, hands, ruptures.
+"""Does the fault guard hold back valid samples? Arms at their limits, hands.
 
 ``python -m benchmarks run faults-guard --seeds 125`` counts a million samples each.
 """
@@ -8,7 +8,7 @@ from collections.abc import Callable, Mapping
 import numpy as np
 import pinocchio as pin
 
-from benchmarks.insertion.signals import inverse_dynamics, tool_jacobians
+from benchmarks.insertion.signals import inverse_dynamics
 from foundation.arrays import Array
 from groundtruth import PLANT_MODELS
 from groundtruth.motion import Stroke
@@ -99,24 +99,9 @@ def hands(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
     return q, dq, tau
 
 
-def ruptures(robot: Robot, rng: np.random.Generator, count: int) -> Motion:
-    """Push a needle back with up to 5 N, which go within 1 to 30 ms."""
-    q, dq, tau = slow_motion(robot, rng, count)
-    force_N = np.zeros(count)
-    for onset in range(round((LEARNT_s + 0.1) / PERIOD_s), count - 40, 100):
-        peak = rng.uniform(0.5, 5.0)
-        fall = int(rng.integers(1, 31))
-        force_N[onset - 60 : onset] = peak * np.linspace(0.0, 1.0, 60)
-        force_N[onset : onset + fall] = peak * np.linspace(1.0, 0.0, fall + 1)[1:]
-    pressed = np.flatnonzero(force_N)
-    tau[pressed] += force_N[pressed, None] * tool_jacobians(robot, q[pressed])[:, 2]
-    return q, dq, tau
-
-
 KINDS: Mapping[str, Callable[[Robot, np.random.Generator, int], Motion]] = {
     "up to the velocity limits": fast_motion,
     "hands": hands,
-    "ruptures": ruptures,
 }
 """Valid signals, by name."""
 
