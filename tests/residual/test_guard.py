@@ -276,7 +276,7 @@ def test_a_long_rest_makes_no_gate_wide(lwr):
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_valid_sample_is_held_back(lwr, kind, with_velocity):
     rng = np.random.default_rng(1)
-    motion = sensed(KINDS[kind](lwr, rng, 2000), rng)
+    motion = sensed(KINDS[kind](lwr, rng), rng)
 
     assert held_back(lwr, motion, has_velocity=with_velocity) == 0
 
@@ -284,7 +284,7 @@ def test_no_valid_sample_is_held_back(lwr, kind, with_velocity):
 @pytest.mark.parametrize(("which", "size"), [(0, 0.05), (2, 20.0)])
 def test_a_spike_of_a_fast_arm_is_rejected(lwr, which, size):
     rng = np.random.default_rng(1)
-    motion = sensed(KINDS["up to the velocity limits"](lwr, rng, 2000), rng)
+    motion = sensed(KINDS["up to the velocity limits"](lwr, rng), rng)
     motion[which][1500 + 100 * np.arange(3), 2] += size
 
     assert held_back(lwr, motion, has_velocity=True) == 3
@@ -393,7 +393,7 @@ def test_acceleration_widens_the_deviation_of_each_joint(lwr):
     sensor, rows = tared(lwr)
     before = feed(sensor, rows[:100])[-1]
     at_rest = sensor.residual_std_Nm
-    fast = KINDS["up to the velocity limits"](lwr, np.random.default_rng(2), 2000)
+    fast = KINDS["up to the velocity limits"](lwr, np.random.default_rng(2))
     after = feed(sensor, rows_of(*fast))[-1]
 
     assert (sensor.residual_std_Nm[:4] > 3.0 * at_rest[:4]).all()
