@@ -115,8 +115,7 @@ class ConsistencyMonitor:
         # A newton then makes a twentieth of a newton metre in all joints together, as
         # much as the noise of one torque sample.
         min_singular_value_m = 0.05
-        observability = self._wrench.observability
-        if observability.smallest_singular_value_m < min_singular_value_m:
+        if self._wrench.gain.smallest_singular_value_m < min_singular_value_m:
             warnings |= SensorWarning.NEAR_SINGULAR
         square = 0.0  # before the tare the covariance is the prior's
         if tare_error_Nm2 is not None:
