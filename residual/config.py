@@ -6,7 +6,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from residual.bias.model import BiasPrior, TareKind
-from residual.checks.input import check_choice, check_positive, shown
+from residual.checks.input import check_choice, check_positive
 from residual.errors import FRICTION_OF_JOINTS, ConfigurationError
 from residual.joint_friction import FrictionModel
 from residual.momentum_observer import Alignment
@@ -98,9 +98,7 @@ class SensorConfig:
         for name in ("smooth_momentum", "guard", "torque_is_gravity_compensated"):
             value = getattr(self, name)
             if not isinstance(value, bool | np.bool_):
-                raise ConfigurationError(
-                    f"{name} is {shown(value)}, expected True or False"
-                )
+                raise ConfigurationError(f"{name} is {value!r}, expected True or False")
         check_choice("alignment", self.alignment, get_args(Alignment))
         check_choice("mode", self.mode, get_args(Mode))
         check_choice("weighting", self.weighting, get_args(Weighting))

@@ -178,7 +178,10 @@ class Assessment(NamedTuple):
 GOOD = Assessment()
 """Assessment of an estimate of which nothing is wrong."""
 
-INITIALIZING = "the filters have just started"
+INITIALIZING = (
+    "the filters have just started, as after a time step longer than max_gap_s (in "
+    "seconds, not milliseconds)"
+)
 """Message of the status of that name."""
 
 NOT_TARED = "tare() has not been called"

@@ -6,7 +6,6 @@ from dataclasses import replace
 import numpy as np
 
 from residual.config import SensorConfig
-from residual.momentum_observer import joint_axis
 from urdf import Robot
 
 
@@ -33,24 +32,7 @@ def robot_digest(robot: Robot) -> str:
     """Return a hash of everything about a robot that an estimate depends on.
 
     Joints with their axes and parents, links, payload, frames, limits and gravity: 64
-    hexadecimal digits, equal for robots that no estimator can distinguish.
+    hexadecimal digits.
     """
-    model = robot.model
-    names = (*robot.joint_names, robot.tool_frame, *robot.frame_names)
-    arrays = [
-        np.array(list(model.parents)),
-        np.array([frame.parentJoint for frame in model.frames]),
-        *(joint_axis(joint) for joint in list(model.joints)[1:]),
-        *(inertia.toDynamicParameters() for inertia in model.inertias),
-        *(placement.homogeneous for placement in model.jointPlacements),
-        *(frame.placement.homogeneous for frame in model.frames),
-        robot.gravity_m_s2,
-        robot.position_lower_rad,
-        robot.position_upper_rad,
-        robot.effort_limit_Nm,
-        model.armature,
-    ]
-    digest = hashlib.sha256("\n".join(names).encode())
-    for array in arrays:
-        digest.update(np.ascontiguousarray(array, dtype=np.float64).tobytes())
-    return digest.hexdigest()
+    text = f"{robot.tool_frame}\n{robot.model.saveToString()}"
+    return hashlib.sha256(text.encode()).hexdigest()

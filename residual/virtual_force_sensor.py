@@ -16,7 +16,7 @@ from foundation.state import SAME_KIND, SAME_SETTINGS
 from residual.bias.estimator import BiasEstimator, BiasState
 from residual.bias.model import Tare
 from residual.bias.torque_scale import TorqueDiagnosis
-from residual.checks.input import SampleClock, long_step_message
+from residual.checks.input import SampleClock
 from residual.checks.monitor import ConsistencyMonitor, MonitorState
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import (
@@ -613,8 +613,7 @@ class VirtualForceSensor:
             warnings |= SensorWarning.TARE_EXPIRED
         if not is_settled:
             status = Status.INITIALIZING
-            gap = long_step_message(self.elapsed_s, self._config.max_gap_s)
-            texts = (gap or INITIALIZING,)
+            texts = (INITIALIZING,)
         elif not offset.memory.tared:
             status = Status.NOT_TARED
             reason = monitor.velocity_fault or offset.warning or self._tare_state

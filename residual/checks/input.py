@@ -69,21 +69,11 @@ def check_interval(dt_s: Any) -> float:
     # A clock that was set, from boot time to date perhaps, steps by more than a day.
     if not MIN_STEP_S <= step_s <= MAX_STEP_S:
         raise SampleError(
-            f"dt_s is {shown(dt_s)} s, expected a positive time step as a clock makes "
-            "it, a day at most",
+            f"dt_s is {step_s:g} s, expected a positive time step as a clock makes it, "
+            "a day at most",
             NEXT_TIME_STEP,
         )
     return step_s
-
-
-def long_step_message(dt_s: float, max_gap_s: float) -> str:
-    """Return a message on a time step that is too long to be integrated, else ""."""
-    if dt_s <= max_gap_s + ROUNDING_S:
-        return ""
-    return (
-        f"dt_s = {dt_s:g} s is longer than max_gap_s = {max_gap_s:g} s, so the filters "
-        "start anew: it must be in seconds, not milliseconds"
-    )
 
 
 def as_float(value: Any) -> float:
@@ -100,18 +90,6 @@ def as_float(value: Any) -> float:
         return float(value)
     except OverflowError:
         return math.copysign(sys.float_info.max, 1 if value > 0 else -1)
-    except Exception:  # whatever a stranger's type makes of it
-        return math.nan
-
-
-def shown(value: object) -> str:
-    """Return a value as a message can show it, whatever its type makes of that."""
-    try:
-        text = repr(value)
-    # An integer of more digits than Python prints, or a stranger's type.
-    except Exception:
-        text = f"a {type(value).__name__} that cannot be shown"
-    return text[:200]
 
 
 def check_joint_vector(name: str, value: object, joints: int) -> Array:
@@ -202,9 +180,10 @@ def check_positive(
 
     The limits that are there by default keep its square from over- and underflow.
     """
-    if not minimum <= as_float(value) <= maximum:
+    number = as_float(value)
+    if not minimum <= number <= maximum:
         raise ConfigurationError(
-            f"{name} is {shown(value)}, expected a number > 0, between {minimum:g} and "
+            f"{name} is {number:g}, expected a number > 0, between {minimum:g} and "
             f"{maximum:g}"
         )
 
@@ -213,7 +192,7 @@ def check_choice(name: str, value: object, choices: tuple[str, ...]) -> None:
     """Refuse a setting that is none of the choices."""
     if not (isinstance(value, str) and value in choices):
         raise ConfigurationError(
-            f"{name} is {shown(value)}, expected one of {list(choices)}"
+            f"{name} is {value!r}, expected one of {list(choices)}"
         )
 
 
@@ -224,9 +203,7 @@ def vector_of_three(name: str, value: object) -> Array:
     except Exception:  # a stranger's type may raise anything
         vector = np.zeros(0)
     if vector.shape != (3,) or not np.isfinite(vector).all():
-        raise ConfigurationError(
-            f"{name} is {shown(value)}, expected three finite numbers"
-        )
+        raise ConfigurationError(f"{name} is {value!r}, expected three finite numbers")
     return vector
 
 

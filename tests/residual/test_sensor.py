@@ -417,7 +417,6 @@ STORIES = {
         ("start_tare", "update", 1500, 1e-3, Status.OK, NONE, ""),
     ],
     "milliseconds": [
-        ("", "update", 1, 1.0, Status.INITIALIZING, NONE, ""),
         *[("", "update", 1, 1.0, Status.INITIALIZING, NONE, "milliseconds")] * 9,
         (*REFUSED, "free motion"),
     ],
@@ -519,7 +518,7 @@ REFUSED_SETTINGS = {
     "alignment": ["x"],
     "weighting": ["x"],
     "tare": ["x"],
-    "insertion_axis": [(0, 0, 0), (0, 0, np.nan), (0, 1), "z", (0, True, Raises())],
+    "insertion_axis": [(0, 0, 0), (0, 0, np.nan), (0, 1), "z"],
     "tool_offset_m": [(0.0, 0.0), (0.0, 0.0, 150.0), (0.0, -150.0, 0.0)],
     "guard": ["no", 1],
     "smooth_momentum": [3, None],
