@@ -135,33 +135,21 @@ def _read_real(value: Any) -> Array:
     return np.asarray(array, dtype=np.float64)
 
 
-def all_fit(values: tuple[object, ...], joints: int) -> bool:
-    """Return whether all values are plain arrays of one float per joint."""
-    shape = (joints,)
-    for value in values:
-        if type(value) is not np.ndarray or value.shape != shape:
-            return False
-        # Arrays that were pickled bring a dtype of their own, equal and not the same.
-        if value.dtype is not FLOAT64 and value.dtype != FLOAT64:
-            return False
-    return True
-
-
-def read_rows(names: tuple[str, ...], values: tuple[object, ...], joints: int) -> Array:
+def read_rows(names: tuple[str, ...], values: tuple[Any, ...], joints: int) -> Array:
     """Read k named signals into a copy of shape (k, joints), of any numbers.
 
     Raises:
         SampleError: As of `check_joint_vector`, where numpy cannot read them so.
     """
-    if all_fit(values, joints):  # almost every sample
-        rows = np.empty((len(values), joints))
-        for k, value in enumerate(values):
-            rows[k] = value  # pyright: ignore
-    else:
-        vectors = zip(names, values, strict=True)
-        rows = np.stack(
-            [check_joint_vector(name, value, joints) for name, value in vectors]
-        )
+    shape = (joints,)
+    rows = np.empty((len(values), joints))
+    for k, value in enumerate(values):
+        is_plain = type(value) is np.ndarray and value.shape == shape
+        # Arrays that were pickled bring a dtype of their own, equal and not the same.
+        if is_plain and (value.dtype is FLOAT64 or value.dtype == FLOAT64):
+            rows[k] = value  # almost every sample
+        else:
+            rows[k] = check_joint_vector(names[k], value, joints)
     return rows
 
 
