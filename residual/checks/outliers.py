@@ -506,7 +506,7 @@ class FaultDetector:
         if found == INVALID:
             check_rows(self._names, rows)
         self._refuse(found, rows[-1])
-        return self._hold_jump(rows, dt_s)
+        return bool(found & JUMPED) and self._hold_jump(rows, dt_s)
 
     def _refuse(self, found: int, torque_Nm: Array) -> None:
         """Raise the error of bits of `judge_step` that no time makes good."""
