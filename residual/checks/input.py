@@ -79,7 +79,7 @@ def check_interval(dt_s: Any) -> float:
 def as_float(value: Any) -> float:
     """Return a real number of any type as a float; NaN for anything else.
 
-    A number beyond all floats becomes the largest one.
+    An integer beyond all floats, of either sign, becomes the largest one.
     """
     if type(value) is float:  # as nearly always
         return value
@@ -89,7 +89,7 @@ def as_float(value: Any) -> float:
     try:
         return float(value)
     except OverflowError:
-        return math.copysign(sys.float_info.max, 1 if value > 0 else -1)
+        return sys.float_info.max  # an integer of more digits than floats have
 
 
 def check_joint_vector(name: str, value: object, joints: int) -> Array:

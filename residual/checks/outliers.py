@@ -11,6 +11,7 @@ import math
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compiled, compiled_inside
@@ -578,7 +579,9 @@ class FaultDetector:
             SensorWarning.SPIKE,
         )
 
-    def _is_contact(self, has_jumped: Array, rows: Array, reference: Array) -> bool:
+    def _is_contact(
+        self, has_jumped: NDArray[np.bool_], rows: Array, reference: Array
+    ) -> bool:
         """Return whether only torques have jumped, and as by a force on the tool."""
         if has_jumped[:-1].any():
             return False

@@ -151,7 +151,9 @@ class TorqueWatch:
         blocks_Nm: Means over blocks of a tenth of a second, the latest last, shape (9,
             n).
         present_Nm: Torque of the present, smoothed, shape (n,).
-        usual_Nm2: Mean product of changes that are usual, shape (n, n).
+        usual_Nm2: Mean product of changes that are usual, the force at the tip left
+            out, shape (n, n).
+        with_force_Nm2: The same with it.
         before_Nm: Torque before the latest unusual change, shape (n,).
         origin_Nm: Torque before the first jump, shape (n,).
         step_Nm2: Variance of each torque by a jump that is being measured, shape (n,).
@@ -171,6 +173,7 @@ class TorqueWatch:
     blocks_Nm: Array
     present_Nm: Array
     usual_Nm2: Array
+    with_force_Nm2: Array
     before_Nm: Array
     origin_Nm: Array
     step_Nm2: Array
@@ -199,6 +202,7 @@ class TorqueWatch:
             blocks_Nm=np.tile(torque_Nm, (BLOCKS_BEFORE + BLOCKS_AFTER, 1)),
             present_Nm=torque_Nm.copy(),
             usual_Nm2=np.diag(2.0 * error_Nm2),
+            with_force_Nm2=np.diag(2.0 * error_Nm2),
             before_Nm=torque_Nm.copy(),
             origin_Nm=torque_Nm.copy(),
             step_Nm2=np.zeros(joints),
@@ -254,7 +258,8 @@ class TorqueWatch:
             self._follow(rows, dt_s)
             return
         self.before_Nm = self.blocks_Nm[:BLOCKS_BEFORE].mean(axis=0)
-        steps = self.fit(rows, self.present_Nm - self.before_Nm)
+        change_Nm = self.present_Nm - self.before_Nm
+        steps = self.fit(rows, change_Nm)
         is_known = self.learned_s >= min_learned_s
         self.is_pushed = is_known and steps.total > min_push * free
         if self.is_pushed or steps.is_jump:
@@ -265,8 +270,10 @@ class TorqueWatch:
         elif steps.total < max_usual * free:
             self.learned_s += dt_s
             weight = min(dt_s / min(self.learned_s + min_learned_s, usual_s), 1.0)
-            product_Nm2 = np.outer(steps.remaining_Nm, steps.remaining_Nm)
-            self.usual_Nm2 = self.usual_Nm2 + weight * (product_Nm2 - self.usual_Nm2)
+            self.usual_Nm2 = _follow_product(self.usual_Nm2, steps.remaining_Nm, weight)
+            self.with_force_Nm2 = _follow_product(
+                self.with_force_Nm2, change_Nm, weight
+            )
 
     def has_begun(self, axial_row: Array) -> bool:
         """Return whether torques change as no force along the needle changes them.
@@ -277,7 +284,8 @@ class TorqueWatch:
         limit = 4.0  # from here on a rupture is not reported
         if self.learned_s < 1.0 or len(self.present_Nm) < 2:
             return False
-        steps = self.fit(axial_row, self.present_Nm - self.before_Nm)
+        change_Nm = self.present_Nm - self.before_Nm
+        steps = fit_steps(axial_row, change_Nm, self.with_force_Nm2, ANY_FORCE_N)
         return steps.total > limit * (len(self.present_Nm) - 1)
 
     def fit(self, rows: Array, change_Nm: Array, force_N: float = ANY_FORCE_N) -> Any:
@@ -365,3 +373,8 @@ class TorqueWatch:
         self.open_Nm = np.zeros_like(self.open_Nm)
         self.open_count = 0
         self.open_s = 0.0
+
+
+def _follow_product(mean_Nm2: Array, torque_Nm: Array, weight: float) -> Array:
+    """Return a mean product of torques after another torque with a weight."""
+    return mean_Nm2 + weight * (np.outer(torque_Nm, torque_Nm) - mean_Nm2)
