@@ -1,7 +1,6 @@
 """The whole chain in one object: what it estimates, and what it uses for
 identification."""
 
-
 import numpy as np
 import pinocchio as pin
 import pytest
