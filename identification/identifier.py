@@ -11,7 +11,7 @@ from typing import Any, NamedTuple, Protocol
 
 from foundation.jit import compile_waiting
 from foundation.records import as_record, from_record, read_field
-from foundation.state import SAME_KIND, StateError, check_state
+from foundation.state import SAME_KIND
 from identification.config import MIXTURE, MixtureConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import (
@@ -268,8 +268,7 @@ class Identifier:
         """Resume where `snapshot` was taken, bit for bit.
 
         Raises:
-            InvalidSnapshotError: Not a snapshot, one of another configuration, or a
-                damaged one. Nothing has then changed.
+            InvalidSnapshotError: Not a snapshot, or one of another configuration.
         """
         if not isinstance(snapshot, Snapshot) or snapshot.config != self._config:
             raise InvalidSnapshotError(
@@ -277,14 +276,6 @@ class Identifier:
                 f"{type(snapshot).__name__}",
                 SAME_KIND,
             )
-        reference = Identifier(self._config).snapshot()
-        try:
-            check_state(snapshot.check, reference.check, "check")
-            check_state(snapshot.travel, reference.travel, "travel")
-            check_state(snapshot.state, reference.state)
-            check_state(snapshot.last, reference.last, "last")
-        except StateError as error:
-            raise InvalidSnapshotError(f"the snapshot is damaged: {error}") from error
         self.resume(snapshot)
 
     def resume(self, snapshot: Snapshot) -> None:

@@ -3,13 +3,7 @@
 from typing import TYPE_CHECKING, NamedTuple
 
 from foundation.errors import NeedleforceError
-from foundation.state import (
-    OWN_SNAPSHOT,
-    SAME_KIND,
-    SAME_SETTINGS,
-    StateError,
-    check_state,
-)
+from foundation.state import OWN_SNAPSHOT, SAME_KIND, SAME_SETTINGS
 from identification import (
     IdentificationError,
     Identifier,
@@ -117,7 +111,6 @@ def check_snapshot(
     _check_kind_and_settings(snapshot, here)
     try:
         _check_identifiers(snapshot, config)
-        _check_own_part(snapshot, here)
         return plan.evaluate(snapshot.plan)
     except IdentificationError:
         raise
@@ -172,23 +165,3 @@ def _check_identifiers(
     travel = snapshot.travel
     for _ in range(trial_updates):
         trial.update(travel.depth_m, travel.speed_m_s, 0.0, trial_step_s)
-
-
-def _check_own_part(snapshot: SessionSnapshot, here: SessionSnapshot) -> None:
-    """Refuse values that cannot be in what is the session's own."""
-    for name in (
-        "zero",
-        "travel",
-        "unused_s",
-        "jumps",
-        "jump_std_N",
-        "time_s",
-        "air",
-        "insertion",
-    ):
-        check_state(getattr(snapshot, name), getattr(here, name), name)
-    for channel in snapshot.channels:
-        check_state(channel, place="channel")
-        check_state(channel.entry, here.zero, "channel.entry")
-    if snapshot.time_s < 0.0:
-        raise StateError(f"time_s is {snapshot.time_s:g}, expected no less than 0")

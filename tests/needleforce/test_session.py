@@ -1,8 +1,6 @@
 """The whole chain in one object: what it estimates, and what it uses for
 identification."""
 
-import math
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -344,7 +342,7 @@ def test_no_alarm_of_a_push_is_reported_before_it_is_known(monkeypatch, kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (2.1, 2.4))]
+    ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (1.9, 2.4))]
 )
 def test_a_small_push_shows_in_torque_changes(count, seconds):
     session, rows = resumed_after(INSIDE, 5_000)
@@ -461,9 +459,6 @@ def test_a_session_restored_during_a_jump_knows_of_it():
 
     assert snapshot.jump_std_N > 0.05
     assert 1_500 < alarm < 3_500
-
-    with pytest.raises(InsertionError, match="snapshot"):
-        restored.restore(snapshot._replace(jump_std_N=math.nan))
 
 
 @pytest.mark.slow
