@@ -37,7 +37,7 @@ from foundation.errors import NeedleforceError
 STATE_FORMAT = "needleforce-state"
 """Name of the file format."""
 
-STATE_VERSION = 11
+STATE_VERSION = 12
 """Grows whenever a file of the version before cannot be read, or is misread."""
 
 MAX_NUMBER = 1e30

@@ -5,7 +5,6 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from needleforce import plots
 from needleforce.anatomy import Registration
@@ -21,9 +20,9 @@ from needleforce.cli.terminal import (
 from needleforce.plan_file import crop_scan, large_structures
 from needleforce.plots import palette
 from needleforce.plots.plan_slices import draw_along
+from needleforce.simulation.patient import TOUCHES
 from needleforce.simulation.planned_insertion import (
     LANDMARKS,
-    TOUCHES,
     PlannedInsertion,
     insert,
 )
@@ -90,14 +89,13 @@ def _write_page(
     insertion: PlannedInsertion, rows: dict[str, str], folder: Path
 ) -> None:
     """Write the page: CT and path first, then what the insertion made of the plan."""
-    followed = insertion.followed
     scan = draw_along(
         insertion.torso.scan,
         insertion.torso.labels,
         insertion.path,
         folder / "ct.png",
-        ruptures_m=[one.depth_m - insertion.shift_m for one in followed.ruptures],
-        tip_m=followed.stop_m - insertion.shift_m,
+        ruptures_m=[one.depth_m - insertion.shift_m for one in insertion.ruptures],
+        tip_m=insertion.stop_m - insertion.shift_m,
     )
     force = plots.PageFigure(
         path=_save_forces(insertion, folder / "force.svg"),
@@ -134,31 +132,23 @@ def _write_page(
 
 
 def write_scene(insertion: PlannedInsertion, path: Path) -> Path:
-    """Write the insertion as a film in the scene.
-
-    The patient lies where the needle meets the planned entry.
-    """
+    """Write the insertion as a film in the scene."""
     from needleforce.scene import PlanScene, Viewer
 
     planned = insertion.path
-    followed = insertion.followed
-    up = (0.0, 0.0, 1.0)  # to the head in the model, and up in the scene
-    rotation = Rotation.align_vectors(
-        [followed.axis, up], [planned.axis, up], weights=[np.inf, 1.0]
-    )[0]
     labels = insertion.torso.labels
     scene = PlanScene(
         surfaces=tuple(labels.surfaces(large_structures(labels)).values()),
         layers=planned.layers,
         entry_m=planned.entry_m,
         target_m=planned.target_m,
-        rotation=rotation.as_matrix(),
-        translation_m=followed.entry_in_base_m - rotation.apply(planned.entry_m),
+        rotation=insertion.placement.rotation,
+        translation_m=insertion.placement.translation_m,
         scan=crop_scan(insertion.torso.scan, planned.entry_m, planned.target_m),
     )
     shapes = urdf_with_shapes(RobotOptions())
     viewer = Viewer(insertion.robot, scene, urdf_path=shapes)
-    viewer.append(followed.moments)
+    viewer.append(insertion.moments)
     try:
         return viewer.export(path)
     finally:
@@ -175,20 +165,18 @@ def _rows_of(insertion: PlannedInsertion) -> dict[str, str]:
         for layer in insertion.path.layers
     )
     by_plan_mm, corrected_mm = (M_TO_MM * error_m for error_m in insertion.errors_m)
-    ruptures = insertion.followed.ruptures
-    rough, fine = insertion.registrations
-    by_touches = "refused: the skin slides or spins on itself"
-    if fine is not rough:
-        by_touches = _describe_registration(insertion, fine)
+    ruptures = insertion.ruptures
     rows = {
         CT_ROW: f"{torso.origin}: {voxels} voxels of {spacing_mm} mm",
         PATH_ROW: f"{path}; target in the {torso.target}",
         OFF_ROW: f"{by_plan_mm:.1f} -> {corrected_mm:.1f} mm after {len(ruptures)} "
         "ruptures (tip from target)",
         f"registration by {LANDMARKS} landmarks": _describe_registration(
-            insertion, rough
+            insertion, insertion.rough
         ),
-        f"and {TOUCHES} touches of the skin": by_touches,
+        f"and {TOUCHES} touches of the skin": _describe_registration(
+            insertion, insertion.fine
+        ),
     }
     for number, (depth_m, plan) in enumerate(ruptures, 1):
         place = f"{M_TO_MM * depth_m:.1f} mm below the planned entry"
@@ -217,19 +205,20 @@ def _save_forces(insertion: PlannedInsertion, path: Path) -> Path:
     """Draw force and tip force over depth into a file; return its name."""
     from matplotlib import rc_context
 
-    followed = insertion.followed
-    depth_mm = M_TO_MM * followed.depth_m
+    estimates = [moment.estimate for moment in insertion.moments]
+    depths_m = np.array([one.depth_in_tissue_m for one in estimates])
+    force_N = np.array([one.wrench.axial for one in estimates])
+    tip_N = np.array([one.identification.tip_force_N for one in estimates])
+    depth_mm = M_TO_MM * depths_m
     exits_m = [layer.exit_m for layer in insertion.path.layers[:-1]]
-    ruptures_m = [rupture.depth_m for rupture in followed.ruptures]
+    ruptures_m = [rupture.depth_m for rupture in insertion.ruptures]
     with rc_context(fname=plots.STYLE):
         figure, (axes,) = plots.make_panels(
             1, plots.WIDTH_IN, 3.0, "Boundaries as planned, ruptures as detected"
         )
-        plots.draw_line(
-            axes, depth_mm, followed.force_N, color=palette.GREEN, label="force"
-        )
+        plots.draw_line(axes, depth_mm, force_N, color=palette.GREEN, label="force")
         tip: dict[str, Any] = {"color": palette.PURPLE, "ls": "-."}
-        plots.draw_line(axes, depth_mm, followed.tip_N, label="tip force", **tip)
+        plots.draw_line(axes, depth_mm, tip_N, label="tip force", **tip)
         for label, places_m, marker in (
             ("planned boundary", exits_m, "o"),
             ("detected rupture", ruptures_m, "|"),

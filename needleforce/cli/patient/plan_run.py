@@ -40,13 +40,7 @@ from needleforce.cli.terminal import (
     staged_progress,
     write_out,
 )
-from needleforce.plan_binding import (
-    MadeOf,
-    path_sha256,
-    record_labels,
-    record_scan,
-)
-from needleforce.plan_file import PLAN, large_structures
+from needleforce.plan_file import PLAN, MadeOf, hash_sources, large_structures
 from needleforce.plots import (
     PAGE,
     Page,
@@ -263,14 +257,12 @@ def _plan_fields(
             for layer in path.layers
         ],
         "made_of": MadeOf(
-            ct=record_scan(case.scan),
-            labels=record_labels(case.file_labels),
-            path_sha256=path_sha256(
-                path.entry_m,
-                path.target_m,
-                [(layer.name, layer.exit_m) for layer in path.layers],
-                space.needle_radius_m,
-                space.margin_m,
+            sha256=hash_sources(
+                case.scan,
+                case.file_labels,
+                np.array([path.entry_m, path.target_m]),
+                path.layers,
+                space,
             ),
             avoided=tuple(avoid),
         ),
