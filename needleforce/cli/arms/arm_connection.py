@@ -88,33 +88,25 @@ def open_arm(
     if kind == "sim":
         yield _simulated_arm(name, place, options, takes_commands=takes_commands)
         return
+    if kind != "ros2":
+        try:
+            parse_arm_name(name)
+        except DeviceSettingError as error:
+            # Arms without a connection of their own, to be moved or listened to.
+            others = "sim" if takes_commands else "sim:SCENARIO"
+            raise CommandError(f"{error}, ros2:TOPIC or {others}") from error
+    robot = _robot_of(name, options)
+    settings: dict[str, Any] = {"takes_commands": takes_commands, "robot": robot}
     if kind == "ros2":
+        if not place:
+            raise CommandError(f"{name}: expected ros2:TOPIC, as ros2:/joint_states")
         from needleforce.ros2.arm import Ros2Arm
 
-        if not place:
-            raise CommandError(
-                f"{name}: expected ros2:TOPIC, such as ros2:/joint_states"
-            )
-        robot = _robot_of(name, kind, options)
-        with Ros2Arm(
-            place, robot.joint_names, takes_commands=takes_commands, robot=robot
-        ) as arm:
-            yield ConnectedArm(arm, robot)
-        return
-    try:
-        parse_arm_name(name)
-    except DeviceSettingError as error:
-        # Arms without a connection of their own, to be moved or listened to.
-        others = "sim" if takes_commands else "sim:SCENARIO"
-        raise CommandError(f"{error}, ros2:TOPIC or {others}") from error
-    robot = _robot_of(name, kind.partition("@")[0], options)
-    with connect_arm(
-        name,
-        takes_commands=takes_commands,
-        robot=robot,
-        torque_constant_Nm_A=constants_Nm_A,
-    ) as arm:
-        if arm.joints != robot.nv:
+        opened: Any = Ros2Arm(place, robot.joint_names, **settings)
+    else:
+        opened = connect_arm(name, torque_constant_Nm_A=constants_Nm_A, **settings)
+    with opened as arm:
+        if kind != "ros2" and arm.joints != robot.nv:
             raise CommandError(
                 f"{name} has {arm.joints} joints, the robot that describes it "
                 f"{robot.nv}",
@@ -151,11 +143,12 @@ def _simulated_arm(
     return ConnectedArm(arm, run.robot)
 
 
-def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
+def _robot_of(name: str, options: RobotOptions) -> Robot:
     """Return the robot that options describe, else the one that an arm is taken for."""
+    described = described_robot(name, options)
     if options.robot is not None or options.urdf is not None:
         return robot_from_options(options, None)
-    if kind == "fr3":
+    if name.startswith("fr3:"):
         with Fr3Arm(parse_arm_name(name).host) as arm:
             text = arm.client.model_urdf
         # Names of its flange in its own description.
@@ -167,15 +160,29 @@ def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
             "name others"
         )
         return robot_from_text(text, "fr3.urdf", replace(options, tool_frame=flange))
-    if kind not in ROBOTS:
+    if described.robot is None:
         raise CommandError(
             f"{name} does not say what arm it is, expected --urdf FILE",
             OTHER_ROBOT,
         )
     say(
-        f"{name} is taken for the arm {ROBOTS[kind]!r}; --robot or --urdf names another"
+        f"{name} is taken for the arm {described.robot!r}; --robot or --urdf names "
+        "another"
     )
-    return robot_from_options(replace(options, robot=ROBOTS[kind]), None)
+    return robot_from_options(described, None)
+
+
+def described_robot(name: str, options: RobotOptions) -> RobotOptions:
+    """Return options that name the robot that an arm is taken for, if they name none.
+
+    Args:
+        name: The arm as the command line names it.
+        options: Options that describe the robot.
+    """
+    if options.robot is not None or options.urdf is not None:
+        return options
+    kind = name.partition(":")[0].partition("@")[0]
+    return replace(options, robot=ROBOTS.get(kind))
 
 
 def ask_to_move(name: str, motion: str) -> None:

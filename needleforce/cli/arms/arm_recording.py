@@ -1,15 +1,14 @@
 """`needleforce record`: an arm's joint signals into a file."""
 
-from dataclasses import replace
 from pathlib import Path
 
-from needleforce.cli.arm_frames import ArmFrames, read_description
 from needleforce.cli.arms.arm_connection import (
     NO_TORQUES,
-    ROBOTS,
+    described_robot,
     open_arm,
     samples_until_stopped,
 )
+from needleforce.cli.robot import ArmFrames, read_description
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import say
 from needleforce.devices import LinkError
@@ -72,8 +71,5 @@ def record_signals(
 
 def _labels_of_arm(arm_name: str, model: Robot, options: RobotOptions) -> TableLabels:
     """Return what lets a bag show the arm."""
-    if options.robot is None and options.urdf is None:
-        options = replace(options, robot=ROBOTS.get(arm_name.partition(":")[0]))
-    return TableLabels(
-        robot_description=read_description(options), link_poses=ArmFrames(model)
-    )
+    description = read_description(described_robot(arm_name, options))
+    return TableLabels(robot_description=description, link_poses=ArmFrames(model))
