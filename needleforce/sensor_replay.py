@@ -88,7 +88,6 @@ class SensorReplay:
         rejected: How many samples were rejected, by reason.
         doubts: The latest message about velocities that are no rates, and the latest
             about signals that may be missing or in degrees, if there were any.
-        longest_gap_s: The longest time between two valid samples [s].
     """
 
     rows: pd.DataFrame
@@ -98,7 +97,6 @@ class SensorReplay:
     tare: Tare | None
     rejected: Counter[str]
     doubts: tuple[str, ...]
-    longest_gap_s: float
 
 
 class _LogTare:
@@ -203,7 +201,6 @@ def replay_sensor(
     after_gap = np.zeros(len(times_s), dtype=bool)
     rejected = Counter[str]()
     doubts: dict[str, str] = {}
-    longest_gap_s = 0.0
     for row, (time_s, step_s) in enumerate(
         zip(times_s, log.dt_s.tolist(), strict=True)
     ):
@@ -215,9 +212,7 @@ def replay_sensor(
             continue
         log_tare.after(time_s, estimate.status)
         doubts |= _doubt_of(estimate, sensor)
-        elapsed_s = sensor.elapsed_s
-        longest_gap_s = max(longest_gap_s, elapsed_s)
-        after_gap[row] = elapsed_s > config.max_gap_s + ROUNDING_S
+        after_gap[row] = sensor.elapsed_s > config.max_gap_s + ROUNDING_S
         numbers[row] = _numbers_of(estimate, sensor, config.mode)
         if row % progress_rows == 0:
             progress(row / len(times_s))
@@ -240,7 +235,6 @@ def replay_sensor(
         tare=log_tare.tare,
         rejected=rejected,
         doubts=tuple(doubts.values()),
-        longest_gap_s=longest_gap_s,
     )
 
 
