@@ -47,12 +47,17 @@ class Command(IntEnum):
 
 @dataclass(frozen=True, kw_only=True)
 class ArmSettings:
-    """What the emulated arm sends: rows over and over, at a rate."""
+    """What the emulated arm sends: rows over and over, at a rate.
+
+    Its watchdog bears `patience` times the silence that the client asks for: the
+    machine that runs the test pauses, too.
+    """
 
     q_rad: Array  # shape (m, 6)
     dq_rad_s: Array
     effort: Array  # currents [A]
     rate_hz: float = 500.0
+    patience: float = 30.0
 
 
 def kind_of(name: str) -> str:
@@ -68,6 +73,7 @@ class _Controller:
     Attributes:
         moved_rad: How far the arm has been moved from where its rows say it is.
         stops: How often the client has stopped a motion.
+        watchdog_Hz: How often the client has to be heard, as it says; 0 until then.
         is_running: Whether the client's program runs.
         watchdog_ended: Whether it was ended since the client was silent.
     """
@@ -76,7 +82,7 @@ class _Controller:
         self.settings = settings
         self._lock = threading.Lock()
         self._heard_s = time.monotonic()
-        self._silence_s = np.inf  # that the watchdog bears
+        self.watchdog_Hz = 0.0  # as the client asks for it
         self._wish_rad_s = np.zeros(6)
         self._max_step_rad_s = 0.0
         self._velocity_rad_s = np.zeros(6)
@@ -89,8 +95,9 @@ class _Controller:
     def run_cycle(self) -> None:
         """Move the arm for one period, and look after the watchdog."""
         with self._lock:
-            is_silent = time.monotonic() - self._heard_s > self._silence_s
-            if self.is_running and is_silent:
+            silent_s = time.monotonic() - self._heard_s
+            is_late = silent_s * self.watchdog_Hz > self.settings.patience
+            if self.is_running and is_late:
                 self.watchdog_ended = True
                 self.end_program()
             change = self._wish_rad_s - self._velocity_rad_s
@@ -117,7 +124,7 @@ class _Controller:
                 self.stops += 1
                 self._wish_rad_s = np.zeros(6)
             elif command == Command.WATCHDOG:
-                self._silence_s = 1.0 / values[1]
+                self.watchdog_Hz = values[1]
             elif command == Command.STOP_SCRIPT:
                 self.end_program()
             if command != Command.SPEED_J:  # others are over when the next may come
@@ -262,4 +269,5 @@ def emulate_ur(pipe: Connection, settings: ArmSettings) -> dict[str, Any]:
         "stops": controller.stops,
         "is_running": controller.is_running,
         "watchdog_ended": controller.watchdog_ended,
+        "watchdog_Hz": controller.watchdog_Hz,
     }
