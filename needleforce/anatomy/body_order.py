@@ -45,7 +45,7 @@ def require_body_order(labels: Segmentation, *, situs_inversus: bool = False) ->
     situs = ("liver", "spleen") if situs_inversus else ("spleen", "liver")
     pairs = set(_expected_pairs(places_m))
     if places_m.keys() >= {*situs}:
-        pairs.add((0, *situs))
+        pairs.add((0, situs[0], situs[1]))
     for axis, sides in enumerate(("left and right", "front and back", "head and feet")):
         gaps_m = {
             (first, other): float(places_m[first][axis] - places_m[other][axis])

@@ -244,23 +244,24 @@ def _with_crossing(
         ends_m = np.array([faces_m, [std_m, std_m]])
     begin_m, end_m = ends_m[0].tolist()
     is_between = (ends_m[0] > 0.0) & (ends_m[0] < path.length_m)
-    stds_m = np.where(is_between, np.minimum(ends_m[1], path.length_m), 0.0).tolist()
+    stds_m = np.where(is_between, np.minimum(ends_m[1], path.length_m), 0.0)
+    begin_std_m, end_std_m = stds_m.tolist()
     before = [
         layer
         if layer.exit_m <= begin_m
-        else replace(layer, exit_m=begin_m, exit_std_m=stds_m[0])
+        else replace(layer, exit_m=begin_m, exit_std_m=begin_std_m)
         for layer in layers
         if layer.entry_m < begin_m
     ]
     behind = [
         layer
         if layer.entry_m >= end_m
-        else replace(layer, entry_m=end_m, entry_std_m=stds_m[1])
+        else replace(layer, entry_m=end_m, entry_std_m=end_std_m)
         for layer in layers
         if layer.exit_m > end_m
     ]
-    between = Layer(item.name, begin_m, end_m, *stds_m, item.is_obstacle)
-    return [*before, between, *behind]
+    stds = (begin_std_m, end_std_m)
+    return [*before, Layer(item.name, begin_m, end_m, *stds, item.is_obstacle), *behind]
 
 
 def _ends_by_neighbours(

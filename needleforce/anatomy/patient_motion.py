@@ -143,7 +143,8 @@ def _fit_motions(
     prior = np.zeros((13, 13))
     prior[:7, :7] = problem.information
     prior[7:, 7:] = motion_information
-    for number in range(rounds + 1):
+    number = 0
+    while True:
         is_fine = number > rounds - fine_rounds
         touches = _measure(problem, poses, motions, is_moved, is_fine=is_fine)
         rows = np.dstack([touches.rows, touches.rows[..., :6] * is_moved[..., None]])
@@ -166,7 +167,8 @@ def _fit_motions(
         steps = steps / scales
         motions = motions + steps[:, 7:]
         poses = [*map(problem.move, poses, steps[:, :7])]
-        if number + 1 == far_rounds:
+        number += 1
+        if number == far_rounds:
             # What explains less than no motion does follows touches that slipped: it
             # begins again where there is none.
             for k in np.flatnonzero(misfits > misfits[-1]):

@@ -131,7 +131,7 @@ def _gain(kind: _Kind, points_m: Array, scan: Volume, shift_m: Array) -> float:
 def _some_points_m(labels: Segmentation) -> dict[_Kind, Array]:
     """Return centres (n, 3) of some voxels of each kind that has enough of them."""
     max_points = 4000  # voxels of a kind that are looked at
-    indices: dict[_Kind, list[Array]] = {}
+    indices: dict[_Kind, list[NDArray[np.integer]]] = {}
     for item in labels.structures:
         kind = _kind_of(item)
         if kind is not None:

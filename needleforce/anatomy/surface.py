@@ -7,7 +7,7 @@ All but the last line works in voxels, so that unequal spacings are smoothed ali
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -155,7 +155,8 @@ def join_voxels(
     """
     from skimage.measure import block_reduce
 
-    counts = block_reduce(mask, tuple(joined.tolist()), np.sum)
+    blocks: Any = tuple(joined.tolist())
+    counts = block_reduce(mask, blocks, np.sum)
     half = np.ceil(0.5 * joined.prod())
     return counts >= min(half, counts.max())
 

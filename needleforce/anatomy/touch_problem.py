@@ -169,7 +169,12 @@ class Problem:
         return fit
 
     def measure(
-        self, rotation: Array, place_m: Array, indentation_m: Array, *, is_fine: bool
+        self,
+        rotation: Array,
+        place_m: Array,
+        indentation_m: Array | float,
+        *,
+        is_fine: bool,
     ) -> Measured:
         """Return the touches beside the surface, for one pose or for many.
 

@@ -51,7 +51,7 @@ class Grid:
         ).T
 
     def nearest(
-        self, values: NDArray[Any], indices: Array, outside: float = 0
+        self, values: NDArray[Any], indices: NDArray[Any], outside: float = 0
     ) -> NDArray[Any]:
         """Return the values of the voxels nearest to indices (..., 3), shape (...).
 
