@@ -41,40 +41,42 @@ def touched(points_m, rng, std_m=0.5e-3):
 
 
 @pytest.mark.parametrize(
-    ("count", "std_mm", "is_known", "degrees", "stated"),
+    ("count", "chi_squared", "is_known", "degrees", "stated"),
     [
-        (3, 0.5, True, np.inf, None),
-        (4, 0.5, True, 6.5, 0.5),
-        (6, 0.5, False, 12.0, 0.0),
+        (3, 3.0, True, np.inf, None),
+        (4, 6.0, True, 6.5, 0.5),
+        (6, 12.0, False, 12.0, 0.0),
         # So much is left that one of them is taken to be off.
-        (3, 0.1, True, 3.0, 0.0),
-        (6, 0.25, True, 3.0, 0.0),
+        (3, 15.0, True, 3.0, 0.0),
+        (6, 30.0, True, 3.0, 0.0),
     ],
 )
-def test_the_stated_error_is_fitzpatricks(count, std_mm, is_known, degrees, stated):
-    """TRE^2 = 3 s^2 (1 / n + sum of (d_k / f_k)^2 / 3): distances of the target, and
+def test_the_stated_error_is_fitzpatricks(
+    count, chi_squared, is_known, degrees, stated
+):
+    """TRE^2 = 3 s^2 / n (1 + sum of (d_k / f_k)^2 / 3): distances of the target, and
     root mean square ones of the landmarks, from their principal axes (1998)."""
-    std_m = 1e-3 * std_mm
-    robot_m, _ = touched(FRONT_m[:count], np.random.default_rng(2))
-    fit = fit_landmarks(FRONT_m[:count], robot_m, std_m=std_m, is_std_known=is_known)
-    left = 3 * count - 6
-    squares_m2 = count * fit.residual_rms_m**2
+    model_m = FRONT_m[:count]
+    robot_m, _ = touched(model_m, np.random.default_rng(2))
+    squares_m2 = count * fit_landmarks(model_m, robot_m, std_m=2e-3).residual_rms_m ** 2
+    std_m = np.sqrt(squares_m2 / chi_squared)
+    fit = fit_landmarks(model_m, robot_m, std_m=std_m, is_std_known=is_known)
     variance_m2 = std_m**2
     if stated is not None:
-        variance_m2 = (squares_m2 + stated * std_m**2) / (left + stated)
-    centred_m = FRONT_m[:count] - FRONT_m[:count].mean(axis=0)
-    _, _, axes = np.linalg.svd(centred_m)
+        left = 3 * count - 6 + stated
+        variance_m2 = (squares_m2 + stated * std_m**2) / left
+    middle_m = model_m.mean(axis=0)
+    _, _, axes = np.linalg.svd(model_m - middle_m)
 
     def beside_m2(points_m):
         along_m = points_m @ axes.T
         return (points_m**2).sum(axis=-1, keepdims=True) - along_m**2
 
-    d2 = beside_m2(TARGET_m - FRONT_m[:count].mean(axis=0))
-    f2 = beside_m2(centred_m).mean(axis=0)
-    expected_m2 = 3.0 * variance_m2 * (1.0 / count + (d2 / f2).sum() / 3.0)
+    ratios = beside_m2(TARGET_m - middle_m) / beside_m2(model_m - middle_m).mean(axis=0)
+    expected_m2 = 3.0 * variance_m2 / count * (1.0 + ratios.sum() / 3.0)
 
     assert fit.degrees == degrees
-    assert fit.tre_m(TARGET_m) == pytest.approx(np.sqrt(expected_m2), rel=1e-2)
+    assert fit.tre_m(TARGET_m) == pytest.approx(np.sqrt(expected_m2), rel=1e-6)
 
 
 @pytest.mark.parametrize("degrees", [3.0, 6.5, np.inf])
