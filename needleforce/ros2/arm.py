@@ -70,21 +70,22 @@ class Ros2Arm(GuardedArm):
         robot: Robot | None = None,
         preset: str | ArmLimits | None = None,
     ) -> None:
-        super().__init__()
         if takes_commands and robot is None:
             raise DeviceSettingError(
                 "takes_commands without robot; expected the model, which has the "
                 "limits of the joints"
             )
-        self.robot = robot
-        self.joints = len(joint_names)
+        joints = len(joint_names)
         # Without a model it is only listened to.
-        speed_rad_s = robot.velocity_limit_rad_s if robot else np.zeros(self.joints)
+        speed_rad_s = robot.velocity_limit_rad_s if robot else np.zeros(joints)
         self.preset = preset or limits_with_our_rates(
             tuple(speed_rad_s), CYCLE_S, "of the model"
         )
         # Joint states may come at 100 Hz: a velocity holds for five of those.
-        self._guard = self._make_guard(CYCLE_S, hold_cycles=round(0.05 / CYCLE_S))
+        hold_cycles = round(0.05 / CYCLE_S)
+        super().__init__(
+            joints, robot, MAX_START_S, cycle_s=CYCLE_S, hold_cycles=hold_cycles
+        )
         self._topic = topic
         self._reader = JointReader(joint_names)
         self._readings: deque[ArmReading] = deque()
@@ -117,6 +118,7 @@ class Ros2Arm(GuardedArm):
         if sample is None or sample.dt_s < 0.0:
             return
         self.report.count_used(1, sample.dt_s)
+        self.give_up_s = MAX_SILENCE_S
         self._stated_s = monotonic()
         if self._controller is not None:
             self._controller.place_rad = sample.q_rad
@@ -132,11 +134,6 @@ class Ros2Arm(GuardedArm):
                 is_real=self._controller is not None,
             )
         )
-
-    @property
-    def give_up_s(self) -> float:  # pyright: ignore[reportIncompatibleVariableOverride]
-        """So long a silence is waited for [s]."""
-        return MAX_SILENCE_S if self.report.used else MAX_START_S
 
     def _read(self, wait_s: float) -> ArmReading | None:
         self._executor.spin_once(timeout_sec=wait_s)
