@@ -27,9 +27,6 @@ of a rupture move the tip by less than 0.1 mm, slow against the 1 kHz tick."""
 MASS_TICKS = 10
 """Ticks for which one mass matrix serves: the arm turns by 5 mrad at most meanwhile."""
 
-_REPORT_TICKS = 500  # Between reports of the progress
-_MAX_POSITION_ERROR_rad = 0.02
-
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
 class ArmTrace:
@@ -90,6 +87,9 @@ def drive(
     Raises:
         PlantError: The arm has lost the motion.
     """
+    # Between reports of the progress
+    report_ticks = 500
+    max_position_error_rad = 0.02
     feed_forward, mass = _dynamics_along(model, motion)
     ticks, joints = feed_forward.shape
     trace = _empty_trace(ticks, joints)
@@ -99,11 +99,11 @@ def drive(
         slip = motion.dq_rad_s[k] - plant.dq_rad_s
         acceleration = BANDWIDTH_rad_s**2 * error + 2.0 * BANDWIDTH_rad_s * slip
         torque = ahead + mass[k // MASS_TICKS] @ acceleration
-        if k % _REPORT_TICKS == 0:
-            if not (worst := np.abs(error).max()) < _MAX_POSITION_ERROR_rad:
+        if k % report_ticks == 0:
+            if not (worst := np.abs(error).max()) < max_position_error_rad:
                 raise PlantError(
                     f"a joint is {worst:.3g} rad off its motion at tick {k}, expected "
-                    f"less than {_MAX_POSITION_ERROR_rad}"
+                    f"less than {max_position_error_rad}"
                 )
             progress(k / ticks)
         trace.q_rad[k] = plant.q_rad

@@ -21,16 +21,11 @@ the Jacobian 8 to 10 over 0.24 m of travel, no joint within 25 degrees of a limi
 # Length of the joint motion after the tare stroke where there is no tissue.
 FREE_MOTION_s = 20.0
 
-_KNOT_SPACING_m = 5e-3
-_SPLINE_DEGREE = 5
-_MAX_CONDITION = 30.0  # Of the Jacobian
 
 # Slow sines of the free motion, with peak speeds near 0.5 rad/s.
 _AMPLITUDE_rad = np.array([0.55, 0.40, 0.50, 0.45, 0.50, 0.45, 0.40])
 # Incommensurate: no two periods have a small common multiple within a run.
 _FREQUENCY_Hz = np.array([0.11, 0.13, 0.12, 0.14, 0.15, 0.16, 0.18])
-_REST_s = 1.0  # At rest before and after the sines
-_FADE_s = 4.0  # Time in which they grow and fade
 
 
 class JointMotion(NamedTuple):
@@ -88,23 +83,25 @@ def insertion_path(
     redundancy is resolved by least motion. `MotionError` if the line leaves the
     workspace or the joint limits, or comes near a singularity.
     """
+    knot_spacing_m = 5e-3
+    spline_degree = 5
     data = robot.create_data()
     pin.framesForwardKinematics(robot.model, data, start_rad)
     start = data.oMf[robot.tool_frame_id].copy()
-    first_knot = int(np.floor(travel_m[0] / _KNOT_SPACING_m)) - 1
-    last_knot = int(np.ceil(travel_m[1] / _KNOT_SPACING_m)) + 1
-    last_knot = max(last_knot, _SPLINE_DEGREE)
+    first_knot = int(np.floor(travel_m[0] / knot_spacing_m)) - 1
+    last_knot = int(np.ceil(travel_m[1] / knot_spacing_m)) + 1
+    last_knot = max(last_knot, spline_degree)
     knots = {0: start_rad}
     for indices in (range(1, last_knot + 1), range(-1, first_knot - 1, -1)):
         posture = start_rad
         for index in indices:
-            offset = pin.SE3(np.eye(3), np.array([0.0, 0.0, index * _KNOT_SPACING_m]))
+            offset = pin.SE3(np.eye(3), np.array([0.0, 0.0, index * knot_spacing_m]))
             posture = knots[index] = reach_pose(robot, posture, start * offset)
     indices = sorted(knots)
     postures = np.array([knots[index] for index in indices])
     _check_postures(robot, data, postures)
-    travels_m = np.array(indices) * _KNOT_SPACING_m
-    spline = make_interp_spline(travels_m, postures, k=_SPLINE_DEGREE)
+    travels_m = np.array(indices) * knot_spacing_m
+    spline = make_interp_spline(travels_m, postures, k=spline_degree)
     return InsertionPath(spline, start)
 
 
@@ -149,6 +146,8 @@ def reach_pose(
 
 def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
     """Raise `MotionError` for a posture outside the limits or near a singularity."""
+    # Of the Jacobian
+    max_condition = 30.0
     outside = (postures < robot.position_lower_rad) | (
         postures > robot.position_upper_rad
     )
@@ -161,7 +160,7 @@ def _check_postures(robot: Robot, data: pin.Data, postures: Array) -> None:
         jacobian = pin.computeFrameJacobian(
             robot.model, data, posture, robot.tool_frame_id
         )
-        if np.linalg.cond(jacobian) > _MAX_CONDITION:
+        if np.linalg.cond(jacobian) > max_condition:
             raise MotionError(
                 f"the arm is nearly singular at {posture.round(2)} rad; start elsewhere"
             )
@@ -172,17 +171,21 @@ def joint_excitation(centre_rad: Array, duration_s: float) -> JointMotion:
 
     The first and the last second are at rest.
     """
+    # At rest before and after the sines
+    rest_s = 1.0
+    # Time in which they grow and fade
+    fade_s = 4.0
     time = np.arange(round(duration_s / TICK_s) + 1, dtype=np.float64) * TICK_s
-    moving_s = duration_s - 2.0 * _REST_s
-    moving = np.clip(time - _REST_s, 0.0, moving_s)
-    ramp = Stroke("quintic", 0.0, _FADE_s, 0.0, 1.0)
+    moving_s = duration_s - 2.0 * rest_s
+    moving = np.clip(time - rest_s, 0.0, moving_s)
+    ramp = Stroke("quintic", 0.0, fade_s, 0.0, 1.0)
     fade, fade_rate = ramp.evaluate(np.minimum(moving, moving_s - moving))
     fade_rate = np.where(moving < moving_s / 2.0, fade_rate, -fade_rate)
     angle = 2.0 * np.pi * _FREQUENCY_Hz
     sine = np.sin(moving[:, None] * angle)
     cosine = np.cos(moving[:, None] * angle)
     rate = fade_rate[:, None] * sine + fade[:, None] * angle * cosine
-    at_rest = (time <= _REST_s) | (time >= duration_s - _REST_s)
+    at_rest = (time <= rest_s) | (time >= duration_s - rest_s)
     rate[at_rest] = 0.0
     return JointMotion(
         q_rad=centre_rad + _AMPLITUDE_rad * fade[:, None] * sine,

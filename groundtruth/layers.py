@@ -19,11 +19,6 @@ CUTTING_ONSET_M = 1e-3
 KEPT_FADE_M = 5e-3
 """Travel over which the tip force kept after an internal rupture fades. Chosen: four
 diameters. In a thinner layer the rest goes with its own rupture."""
-SPEED_ROUNDING_M_S = 2e-5
-"""Speed below which a power law of speed is linear: no step follows an infinite
-slope."""
-TEXTURE_WAVES = 16
-"""Number of waves of a texture."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -43,14 +38,16 @@ class Texture:
     @classmethod
     def drawn(cls, std_N: float, length_m: float, rng: np.random.Generator) -> Self:
         """Draw a texture with correlation exp(-x² / 2 length²) over a distance x."""
+        # Number of waves of a texture.
+        texture_waves = 16
         require_positive(TissueError, std_N=std_N, length_m=length_m)
         # One wave in each quantile of that correlation's spectrum, a normal
         # distribution.
         quantile = (
-            np.arange(TEXTURE_WAVES) + rng.uniform(size=TEXTURE_WAVES)
-        ) / TEXTURE_WAVES
+            np.arange(texture_waves) + rng.uniform(size=texture_waves)
+        ) / texture_waves
         wave_number = ndtri(0.5 + 0.5 * quantile) / length_m
-        phase = rng.uniform(0.0, 2.0 * np.pi, TEXTURE_WAVES)
+        phase = rng.uniform(0.0, 2.0 * np.pi, texture_waves)
         return cls(
             std_N=std_N,
             waves=tuple(zip(wave_number.tolist(), phase.tolist(), strict=True)),
@@ -182,10 +179,13 @@ class ShaftFriction:
 
         It has the sign of the speed.
         """
+        # Speed below which a power law of speed is linear: no step follows an infinite
+        # slope.
+        speed_rounding_m_s = 2e-5
         viscous = self.viscous_Ns_per_m2 * speed_m_s
         if self.speed_exponent == 1.0:
             return viscous
-        ratio = max(abs(speed_m_s), SPEED_ROUNDING_M_S) / self.reference_speed_m_s
+        ratio = max(abs(speed_m_s), speed_rounding_m_s) / self.reference_speed_m_s
         return viscous * ratio ** (self.speed_exponent - 1.0)
 
     def gripped_m(self, embedded_m: float, thickness_m: float) -> float:

@@ -42,12 +42,10 @@ GEL_TIP_FORCE_N = {25: 0.30, 50: 0.75, 70: 1.40}
 GEL_COULOMB_FRACTION = 0.4
 # A fraction of a needle diameter: gel sticks little to a wet shaft.
 GEL_PRESLIDING_M = 0.2e-3
-GEL_RELEASE_M = 0.3e-3  # clean fracture of a brittle gel
 GEL_RELAXED_FRACTION = 0.2
 CUTTING_FRACTION = 0.1
 STIFFENING = 0.1
 
-LIVER_SPEED_M_S = 5e-3  # speed of the recordings the liver friction comes from
 # Median pull-out force per embedded length (de Jong 2017).
 LIVER_FRICTION_N_PER_M = 10.6
 # About that of the abdomen's sinusoid inside the tissue (4.6 to 7.2 mm/s).
@@ -55,7 +53,6 @@ ABDOMEN_SPEED_M_S = 6e-3
 TISSUE_COULOMB_FRACTION = 0.8
 TISSUE_PRESLIDING_M = 0.9e-3
 TISSUE_RELAXED_FRACTION = 0.55
-TISSUE_RELEASE_M = 0.5e-3  # fibrous tissue ruptures more gradually than gel
 
 
 def _layer(
@@ -66,7 +63,9 @@ def _layer(
     **others: Any,
 ) -> Layer:
     """Return a layer of organic tissue, but for what ``others`` change."""
-    others.setdefault("release_m", TISSUE_RELEASE_M)
+    # Fibrous tissue ruptures more gradually than gel
+    tissue_release_m = 0.5e-3
+    others.setdefault("release_m", tissue_release_m)
     others.setdefault("relaxed_fraction", TISSUE_RELAXED_FRACTION)
     return Layer(
         name=name,
@@ -84,6 +83,8 @@ def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
 
     `TissueError` for another percentage.
     """
+    # Clean fracture of a brittle gel
+    gel_release_m = 0.3e-3
     if percent not in GEL_THICKNESS_M:
         raise TissueError(
             f"no gel of {percent!r} %; the paper's gels are 25, 50 and 70 %"
@@ -102,7 +103,7 @@ def gel(percent: int, *, membrane: Membrane | None = None) -> Layer:
         thickness,
         GEL_TIP_FORCE_N[percent],
         friction,
-        release_m=GEL_RELEASE_M,
+        release_m=gel_release_m,
         relaxed_fraction=GEL_RELAXED_FRACTION,
         membrane=membrane,
     )
@@ -115,9 +116,11 @@ def soft_tissue_friction(
 
     At the nominal speed, the scenario's, the law of equation (3) shall agree.
     """
+    # Speed of the recordings the liver friction comes from
+    liver_speed_m_s = 5e-3
     measured = ShaftFriction.calibrated(
         force_N_per_m=force_N_per_m,
-        reference_speed_m_s=LIVER_SPEED_M_S,
+        reference_speed_m_s=liver_speed_m_s,
         coulomb_fraction=TISSUE_COULOMB_FRACTION,
         presliding_m=TISSUE_PRESLIDING_M,
     )

@@ -45,13 +45,10 @@ class StrokeMotion(NamedTuple):
     speed_m_s: Array
 
 
-FIRST_REST_S = 1.0
 TARE_STROKE_M = 100e-3
 """Length of the tare stroke in free air: about as long as the deepest insertion, since
 what is learnt on it is carried on along the insertion."""
 TARE_SPEED_M_S = 25e-3  # Mean, of the tare stroke: excites the arm and is safe in air
-TURNING_REST_S = 2.0
-LAST_REST_S = 0.5
 # Time in which a constant-speed stroke reaches its speed: under 1 mm of travel.
 RAMP_S = 0.5
 TREMOR_FADE_S = 1.0
@@ -325,18 +322,21 @@ def protocol(
         ramp_fraction: See `Stroke`.
         tare_stroke_m: Length of the tare stroke; 0 for none.
     """
+    first_rest_s = 1.0
+    turning_rest_s = 2.0
+    last_rest_s = 0.5
     tare_s = (tare_stroke_m or TARE_STROKE_M) / TARE_SPEED_M_S
     tare = [Move("quintic", tare_s, sign * tare_stroke_m) for sign in (1.0, -1.0, 1.0)]
     travel_m = sum(move.travel_m for move in insertion)
     final = insertion[-1]
     withdrawal_s = final.duration_s * travel_m / final.travel_m
     moves = [
-        Move("rest", FIRST_REST_S, 0.0),
+        Move("rest", first_rest_s, 0.0),
         *tare,
         *insertion,
-        Move("rest", TURNING_REST_S, 0.0),
+        Move("rest", turning_rest_s, 0.0),
         Move(final.profile, withdrawal_s, -travel_m),
-        Move("rest", LAST_REST_S, 0.0),
+        Move("rest", last_rest_s, 0.0),
     ]
     strokes = chain_strokes(
         -standoff_m - tare_stroke_m, moves, ramp_fraction=ramp_fraction

@@ -41,16 +41,6 @@ from urdf import NeedleTool, Robot
 
 Servo = Literal["stiff", "impedance"]
 
-JOINT_STIFFNESS_Nm = 2000.0
-"""Stiffness of the impedance servo, per rad: the most that the real arm's joint
-impedance mode takes."""
-COMMAND_HOLD_s = 5e-3
-"""Time for which the arm goes on at its last velocity when commands stay away; then it
-brakes. Chosen, nothing public says what an LWR does; a Panda stops after 20 missed
-cycles of 1 ms (Polymetis, troubleshooting: `communication_constraints_violation`)."""
-BRAKING_rad_s2 = 10.0
-"""Deceleration with which it then brakes. Chosen, too."""
-
 
 class ArmSample(NamedTuple):
     """Report of the arm in one cycle.
@@ -150,12 +140,15 @@ class _Servo:
 
     def _refresh(self, q_rad: Array) -> None:
         """Compute spring and damper for a posture."""
+        # Stiffness of the impedance servo, per rad: the most that the real arm's joint
+        # impedance mode takes.
+        joint_stiffness_Nm = 2000.0
         mass = pin.crba(self._model, self._data, q_rad).copy()
         if self._is_stiff:
             self._spring = BANDWIDTH_rad_s**2 * mass
             self._damper = 2.0 * BANDWIDTH_rad_s * mass
             return
-        square, modes = scipy.linalg.eigh(JOINT_STIFFNESS_Nm * np.eye(len(mass)), mass)
+        square, modes = scipy.linalg.eigh(joint_stiffness_Nm * np.eye(len(mass)), mass)
         capped = np.minimum(square, BANDWIDTH_rad_s**2)
         dual = mass @ modes
         self._spring = (dual * capped) @ dual.T
@@ -179,12 +172,19 @@ class _Commands:
 
     def next_rad_s(self) -> Array:
         """Return the velocity for the tick that begins."""
+        # Time for which the arm goes on at its last velocity when commands stay away;
+        # then it brakes. Chosen, nothing public says what an LWR does; a Panda stops
+        # after 20 missed cycles of 1 ms (Polymetis, troubleshooting:
+        # `communication_constraints_violation`).
+        command_hold_s = 5e-3
+        # Deceleration with which it then brakes. Chosen, too.
+        braking_rad_s2 = 10.0
         arrived = self._line.popleft()
         self._silent_ticks = 0 if arrived is not None else self._silent_ticks + 1
         if arrived is not None:
             self._velocity_rad_s = arrived
-        elif self._silent_ticks * TICK_s > COMMAND_HOLD_s:
-            step_rad_s = BRAKING_rad_s2 * TICK_s
+        elif self._silent_ticks * TICK_s > command_hold_s:
+            step_rad_s = braking_rad_s2 * TICK_s
             self._velocity_rad_s = self._velocity_rad_s - np.clip(
                 self._velocity_rad_s, -step_rad_s, step_rad_s
             )

@@ -152,8 +152,6 @@ class Scenario:
         )
 
 
-GLOVE_SPEED_M_S = 3e-3  # the paper's speed for the stack with the glove
-BEYOND_M = 12e-3  # how far a constant-speed insertion goes beyond the last layer
 CONSTANT_STANDOFF_M = 5e-3  # room to reach the constant speed before contact
 # With A = 70 mm the 70 % gel ruptures after 20.7 s; in the paper about 20.
 SINE_STANDOFF_M = 20e-3
@@ -174,7 +172,9 @@ def _insertions(
     stroke_m: float | None,
 ) -> Iterator[Scenario]:
     """Yield the insertion at constant speed, and at sinusoidal with a stroke."""
-    depth = sum(layer.thickness_m for layer in layers) + BEYOND_M
+    # How far a constant-speed insertion goes beyond the last layer
+    beyond_m = 12e-3
+    depth = sum(layer.thickness_m for layer in layers) + beyond_m
     even = constant_motion(
         speed_m_s=speed_m_s, depth_m=depth, standoff_m=CONSTANT_STANDOFF_M
     )
@@ -189,6 +189,8 @@ def _insertions(
 
 
 def _catalogue() -> Iterator[Scenario]:
+    # The paper's speed for the stack with the glove
+    glove_speed_m_s = 3e-3
     for percent in (25, 50, 70):
         name = f"gel-{percent}"
         title = f"one {percent} % isinglass gel"
@@ -203,7 +205,7 @@ def _catalogue() -> Iterator[Scenario]:
         "stack", "three gels", bare, TABLE_I_SPEED_M_S, STACK_STROKE_M
     )
     yield from _insertions(
-        "stack-glove", glove, gloved, GLOVE_SPEED_M_S, STACK_STROKE_M
+        "stack-glove", glove, gloved, glove_speed_m_s, STACK_STROKE_M
     )
     liver = "bovine liver, capsule first"
     yield from _insertions("liver", liver, (BOVINE_LIVER,), TABLE_I_SPEED_M_S, None)
@@ -268,29 +270,17 @@ def scenario(name: str, seed: int = 0) -> Scenario:
 LAYERS = (1, 4)
 # From muscle over a rib to a slice of liver; gels are 28-38 mm.
 THICKNESS_M = (10e-3, 40e-3)
-# With the stretch beyond and the standoff, still short of the 153 mm needle.
-MAX_TOTAL_M = 110e-3
 # At the nominal speed: phantom fat 4, gels 9-38, real liver 6.5-18.
 FRICTION_N_PER_M = (4.0, 40.0)
-COULOMB_FRACTION = (0.2, 0.8)  # gels 0.4, liver 0.8
-PRESLIDING_M = (0.1e-3, 0.9e-3)  # gels 0.2, liver 0.9 mm
-RELAXED_FRACTION = (0.1, 0.6)  # gels 0.2, liver 0.55
-EXIT_FORCE_N = (0.15, 2.0)
-"""Tip force at the end of a layer: gels 0.3-1.4 N; ruptures in real liver drop
-0.15-1.4 N."""
 CUTTING_FRACTION = (0.0, 0.2)
 STIFFENING = (0.0, 0.3)
 RELEASE_M = (0.1e-3, 0.5e-3)  # travel of a release in gels and most tissues
 MEMBRANE_CHANCE = 0.25
-PUNCTURE_N = (0.4, 2.0)  # phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
 # Of the thickness: the bovine capsule's is 11 mm on 32.
 INDENTATION_FRACTION = (0.1, 0.3)
 HARDENING = (0.3, 1.0)
 SPEED_M_S = (2e-3, 6e-3)  # constant speed: the paper 2.3 and 3 mm/s, real liver 5 mm/s
-PEAK_SPEED_M_S = (3e-3, 8e-3)  # of a sinusoid: gels 3.5, abdomen 7.2 mm/s
 RANDOM_BEYOND_M = (11e-3, 16e-3)
-# Of a sinusoid: deep enough in the stroke for contact at speed.
-RANDOM_STANDOFF_M = (12e-3, 22e-3)
 
 
 def random_stack(rng: np.random.Generator) -> Scenario:
@@ -298,18 +288,24 @@ def random_stack(rng: np.random.Generator) -> Scenario:
 
     A quarter of the layers have a membrane.
     """
+    # With the stretch beyond and the standoff, still short of the 153 mm needle.
+    max_total_m = 110e-3
+    # Of a sinusoid: gels 3.5, abdomen 7.2 mm/s
+    peak_speed_m_s = (3e-3, 8e-3)
+    # Of a sinusoid: deep enough in the stroke for contact at speed.
+    random_standoff_m = (12e-3, 22e-3)
     count = int(rng.integers(LAYERS[0], LAYERS[1] + 1))
     sine = bool(rng.random() < 0.5)
-    speed = rng.uniform(*(PEAK_SPEED_M_S if sine else SPEED_M_S))
+    speed = rng.uniform(*(peak_speed_m_s if sine else SPEED_M_S))
     thickness = rng.uniform(*THICKNESS_M, size=count)
-    thickness *= min(1.0, MAX_TOTAL_M / thickness.sum())
+    thickness *= min(1.0, max_total_m / thickness.sum())
     layers = tuple(
         _layer(rng, f"layer {i}", float(d), speed) for i, d in enumerate(thickness, 1)
     )
     kind = "sinusoidal" if sine else "constant"
     depth = float(thickness.sum()) + rng.uniform(*RANDOM_BEYOND_M)
     if sine:
-        standoff = rng.uniform(*RANDOM_STANDOFF_M)
+        standoff = rng.uniform(*random_standoff_m)
         stroke = depth + standoff
         motion = sinusoidal_motion(
             stroke_m=stroke, frequency_hz=speed / (np.pi * stroke), standoff_m=standoff
@@ -338,32 +334,43 @@ def _log_uniform(rng: np.random.Generator, limits: tuple[float, float]) -> float
 def _layer(
     rng: np.random.Generator, name: str, thickness_m: float, speed_m_s: float
 ) -> Layer:
+    # Gels 0.4, liver 0.8
+    coulomb_fraction = (0.2, 0.8)
+    # Gels 0.2, liver 0.9 mm
+    presliding_m = (0.1e-3, 0.9e-3)
+    # Gels 0.2, liver 0.55
+    relaxed_fraction = (0.1, 0.6)
+    # Tip force at the end of a layer: gels 0.3-1.4 N; ruptures in real liver drop
+    # 0.15-1.4 N.
+    exit_force_N = (0.15, 2.0)
     # Arguments are drawn in this order: another order gives other scenarios for the
     # same seed.
     friction = ShaftFriction.calibrated(
         force_N_per_m=_log_uniform(rng, FRICTION_N_PER_M),
         reference_speed_m_s=speed_m_s,
-        coulomb_fraction=rng.uniform(*COULOMB_FRACTION),
-        presliding_m=rng.uniform(*PRESLIDING_M),
+        coulomb_fraction=rng.uniform(*coulomb_fraction),
+        presliding_m=rng.uniform(*presliding_m),
     )
     return Layer(
-        exit_force_N=_log_uniform(rng, EXIT_FORCE_N),
+        exit_force_N=_log_uniform(rng, exit_force_N),
         name=name,
         thickness_m=thickness_m,
         cutting_fraction=rng.uniform(*CUTTING_FRACTION),
         stiffening=rng.uniform(*STIFFENING),
         release_m=rng.uniform(*RELEASE_M),
-        relaxed_fraction=rng.uniform(*RELAXED_FRACTION),
+        relaxed_fraction=rng.uniform(*relaxed_fraction),
         friction=friction,
         membrane=_membrane(rng, thickness_m),
     )
 
 
 def _membrane(rng: np.random.Generator, thickness_m: float) -> Membrane | None:
+    # Phantom skin 0.6, latex 1.0, bovine liver capsule 1.43 N
+    puncture_N = (0.4, 2.0)
     if rng.random() >= MEMBRANE_CHANCE:
         return None
     return Membrane(
-        puncture_N=_log_uniform(rng, PUNCTURE_N),
+        puncture_N=_log_uniform(rng, puncture_N),
         indentation_m=rng.uniform(*INDENTATION_FRACTION) * thickness_m,
         hardening=rng.uniform(*HARDENING),
         release_m=rng.uniform(*RELEASE_M),

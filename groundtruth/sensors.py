@@ -16,8 +16,6 @@ from groundtruth.plant_model import PlantModel, TICK_s, coloured, drawn_factors
 from urdf import LWR_GEAR_RATIO
 
 SECONDS_PER_MINUTE = 60.0
-MAX_JITTER_TICKS = 0.4
-"""Largest error of a time stamp; below one half stamps keep their order."""
 
 
 def measured_torque(
@@ -179,9 +177,11 @@ def time_stamps(
 
     They are the true instants but for the jitter of the clock.
     """
+    # Largest error of a time stamp; below one half stamps keep their order.
+    max_jitter_ticks = 0.4
     error = plant_model.clock_jitter_std_s * rng.standard_normal(true_s.shape)
     return true_s + np.clip(
-        error, -MAX_JITTER_TICKS * TICK_s, MAX_JITTER_TICKS * TICK_s
+        error, -max_jitter_ticks * TICK_s, max_jitter_ticks * TICK_s
     )
 
 

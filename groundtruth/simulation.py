@@ -6,7 +6,7 @@ from it, the truth.
 """
 
 from collections.abc import Callable
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, fields
 from typing import Any
 
 import numpy as np
@@ -120,8 +120,6 @@ def simulate(
     plant: PlantModel | str = "ideal",
     seed: int = 0,
     progress: Callable[[float], None] = lambda _: None,
-    *,
-    law: Tissue | None = None,
 ) -> Run:
     """Push the needle of a simulated LWR 4+ through a scenario's tissue and back out.
 
@@ -133,7 +131,6 @@ def simulate(
             ``degraded``.
         seed: Seed of everything drawn; equal arguments give equal runs.
         progress: Called now and then with the fraction done, 0 to 1.
-        law: Tissue that takes the place of the scenario's, as a `RecordedTissue`.
 
     Raises:
         ScenarioError: There is no scenario of that name.
@@ -149,8 +146,6 @@ def simulate(
     path = scenario_path(bodies.robot, chosen)
     # The zero of the scenario's motion is the surface.
     contact = tissue_before(path.start, -chosen.motion.start_m, chosen)
-    if law is not None:
-        contact = replace(contact, law=law)
     motion = scenario_motion(path, chosen)
     limit_Nm = bodies.robot.effort_limit_Nm
     friction = bearings(plant_model, limit_Nm, np.random.default_rng(friction_seed))

@@ -25,8 +25,6 @@ from groundtruth.layers import Layer, interfaces
 RELAXATION_S = 10.0
 """Time constant. Real liver (de Jong 2017, 19 holds of 60 s) loses 63 % of what it will
 lose in 8.5 s (median), the quick loss of viscous friction at the stop included."""
-RECOVERY_M = 0.3e-3
-"""Travel after which the tip meets fresh tissue: a fraction of its diameter."""
 UNLOADING_M = 0.5e-3
 """Backward travel over which the tip unloads: it leaves the channel's front."""
 
@@ -67,11 +65,13 @@ def relaxation_step(relaxed: float, speed_m_s: float, dt_s: float) -> float:
     It grows with time and fades with travel.
 
     Tissue slowly relaxes around a resting needle; an advancing tip meets fresh tissue.
-    Exact step of dr/dt = (1 - r) / RELAXATION_S - r |v| / RECOVERY_M for a held speed,
+    Exact step of dr/dt = (1 - r) / RELAXATION_S - r |v| / recovery_m for a held speed,
     so any step is stable. From 0 (fresh) to 1 (a long rest); in motion near zero (1.3 %
     at 2.3 mm/s).
     """
-    rate = 1.0 / RELAXATION_S + abs(speed_m_s) / RECOVERY_M
+    # Travel after which the tip meets fresh tissue: a fraction of its diameter.
+    recovery_m = 0.3e-3
+    rate = 1.0 / RELAXATION_S + abs(speed_m_s) / recovery_m
     settled = 1.0 / (RELAXATION_S * rate)
     return relaxed - (settled - relaxed) * math.expm1(-rate * dt_s)
 

@@ -35,11 +35,6 @@ class Ellipsoid:
     axes: Array
 
     @property
-    def volume_m3(self) -> float:
-        """Volume of the ellipsoid."""
-        return float(4.0 / 3.0 * np.pi * np.prod(self.radii_m))
-
-    @property
     def reach_m(self) -> Array:
         """Half the edges of the box around it along x, y, z, (3,)."""
         return np.linalg.norm(self.axes * self.radii_m, axis=1)

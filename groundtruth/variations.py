@@ -13,8 +13,6 @@ import numpy as np
 
 from groundtruth.layers import Layer, Texture
 
-TEXTURE_LENGTH_M = 0.5e-3  # over which a texture is correlated
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class TissueVariation:
@@ -48,6 +46,8 @@ class TissueVariation:
 
         `TissueError` if the layer is too thin.
         """
+        # Over which a texture is correlated
+        texture_length_m = 0.5e-3
         friction = layer.friction
         tip_N = layer.exit_force_N
         coulomb = friction.coulomb_N_per_m
@@ -73,7 +73,7 @@ class TissueVariation:
         )
         change: dict[str, Any] = {"tip_exponent": self.tip_exponent}
         if self.texture_N:
-            change["texture"] = Texture.drawn(self.texture_N, TEXTURE_LENGTH_M, rng)
+            change["texture"] = Texture.drawn(self.texture_N, texture_length_m, rng)
         if self.cutting_fraction is not None:
             change["cutting_fraction"] = self.cutting_fraction
         if self.release_m is not None:

@@ -1,14 +1,14 @@
 """The robot: an arm as a Pinocchio model, with a tool and a payload.
 
-The arm is the LWR 4+, any URDF, or one built from numbers.
+The arm is the LWR 4+, any URDF, or any Pinocchio model of one-number joints.
 
 Conventions: SI units; joint vectors in the order of ``Robot.joint_names``; a payload is
 given in the axes of the robot's flange frame, whose z points outward; gravity in base
 axes.
 
-Reading order: `robot` (what the estimators get), `loading` with `description`,
-`joint_choice` and `inertia_check` (from a file, or from numbers, to a robot), `payload`
-(with the ten numbers of a body), `payload_identification`.
+Reading order: `robot` (what the estimators get), `loading` with `description` and
+`joint_choice` (from a file to a robot), `payload` (with the ten numbers of a body),
+`payload_identification`.
 """
 
 from urdf.errors import (
@@ -22,8 +22,6 @@ from urdf.errors import (
 )
 from urdf.loading import (
     LWR_GEAR_RATIO,
-    SerialJoint,
-    build_serial_robot,
     example_robot_path,
     load_example,
     load_lwr,
@@ -31,7 +29,7 @@ from urdf.loading import (
 )
 from urdf.payload import NeedleTool, Payload
 from urdf.payload_identification import PayloadEstimate, identify_payload_static
-from urdf.robot import Robot
+from urdf.robot import Robot, build_robot
 
 __all__ = [
     "LWR_GEAR_RATIO",
@@ -42,12 +40,11 @@ __all__ = [
     "Payload",
     "PayloadEstimate",
     "Robot",
-    "SerialJoint",
     "UnknownNameError",
     "UnsupportedJointError",
     "UrdfError",
     "UrdfFileError",
-    "build_serial_robot",
+    "build_robot",
     "example_robot_path",
     "identify_payload_static",
     "load_example",

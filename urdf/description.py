@@ -8,7 +8,7 @@ declares, as in Fetch's old ``<sensor:camera>``, stops no file.
 """
 
 import re
-from collections.abc import Collection, Iterable
+from collections.abc import Iterable
 from pathlib import Path
 from xml.etree.ElementTree import Element, SubElement, TreeBuilder, tostring
 from xml.parsers import expat
@@ -16,7 +16,6 @@ from xml.parsers import expat
 import numpy as np
 import pinocchio as pin
 
-from foundation.arrays import Array
 from urdf.errors import (
     KEEP_JOINTS,
     PLAIN_URDF,
@@ -29,10 +28,6 @@ MAX_JOINTS = 499
 """Most joints of a robot, fixed ones included. urdfdom and Pinocchio recurse once per
 link of a chain and end the process when the stack is used up (between 3000 and 6000
 links at 8 MB). Assign a larger number to load a larger robot."""
-
-MAX_BYTES = 1 << 23
-"""Larger files are not read: the largest known description, with meshes' names and
-sensors of a humanoid, has 0.5 MB."""
 
 _KEPT = {
     "link": {"inertial"},
@@ -52,12 +47,11 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
             f"without is the string {without!r}, expected a list of link names"
         )
     file = _parse(_read_text(path), path)
-    tags = {element.tag for element in file.iter()}
-    is_unexpanded = tags & {"xacro:include", "xacro:macro", "xacro:property"}
-    if is_unexpanded or ("link" not in tags and any("xacro:" in tag for tag in tags)):
-        raise UrdfFileError(f"{path}: is a xacro file, expected a URDF", PLAIN_URDF)
-    if file.tag != "robot":
-        raise UrdfFileError(f"{path}: root element is <{file.tag}>, expected <robot>")
+    if file.tag != "robot" or any(part.tag.startswith("xacro:") for part in file):
+        raise UrdfFileError(
+            f"{path}: is <{file.tag}> or has xacro tags, expected <robot> with none",
+            PLAIN_URDF,
+        )
     root = Element("robot", name=file.get("name", path.stem))
     for element in file:
         if element.tag in _KEPT:
@@ -69,6 +63,7 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
             "expected the description of one robot",
             KEEP_JOINTS,
         )
+    _require_tree(root, str(path))
     _remove_links(root, set(without), str(path))
     return root
 
@@ -79,14 +74,14 @@ def _read_text(path: Path) -> str:
     Names in a URDF are ASCII; what is not UTF-8 are comments of an exporter, in the
     code page of its author's machine.
     """
+    # The largest known description, with meshes' names and sensors of a humanoid, has
+    # 0.5 MB.
+    max_bytes = 1 << 23
     try:
         # Not a pipe, device or folder: reading those may never end.
-        if not path.is_file():
-            raise UrdfFileError(f"{path}: there is no such file", PLAIN_URDF)
-        if path.stat().st_size > MAX_BYTES:
+        if not path.is_file() or path.stat().st_size > max_bytes:
             raise UrdfFileError(
-                f"{path}: is larger than any robot description ({MAX_BYTES} bytes)",
-                KEEP_JOINTS,
+                f"{path}: is no file, or larger than {max_bytes} bytes", PLAIN_URDF
             )
         data = path.read_bytes()
     except OSError as error:
@@ -109,71 +104,67 @@ def _parse(text: str, path: Path) -> Element:
     parser.EndElementHandler = builder.end
     parser.StartDoctypeDeclHandler = refuse
     try:
-        if text.rfind("<!--") > text.rfind("-->"):
-            raise UrdfFileError(f"{path}: is not well-formed XML: an open comment")
-        # Comments may hold "--" for urdfdom, and blanks may stand before the header.
-        plain = re.sub(r"<!--.*?-->", _line_ends_of, text, flags=re.DOTALL)
-        parser.Parse(re.sub(r"\A\s*<\?xml[^>]*\?>", _line_ends_of, plain), True)
-        return builder.close()
-    except (expat.ExpatError, AssertionError) as error:
+        parser.Parse(text, True)
+    except expat.ExpatError as error:
         raise UrdfFileError(f"{path}: is not well-formed XML: {error}") from error
+    return builder.close()
 
 
-def _line_ends_of(found: re.Match[str]) -> str:
-    """Return the line ends of a text, with which errors name the right line."""
-    return "\n" * found[0].count("\n")
+def _require_tree(root: Element, source: str) -> None:
+    """Refuse what is no tree of links; the URDF reader says so on stderr only."""
+    joints = root.findall("joint")
+    links = [link.get("name", "") for link in root.findall("link")]
+    children = [link_of(joint, "child") for joint in joints]
+    roots = sorted(set(links) - set(children))
+    faults: list[str] = []
+    for names in (links, [joint.get("name", "") for joint in joints], children):
+        faults += sorted({name for name in names if names.count(name) > 1})
+    ends = {link_of(joint, "parent") for joint in joints} | set(children)
+    faults += sorted(ends - set(links))
+    if faults or len(roots) != 1:
+        raise UrdfFileError(
+            f"{source}: is not a valid URDF: expected one tree, each name once and "
+            f"each link on one joint; stand twice or are not there: "
+            f"{', '.join(faults) or 'none'}; hang on nothing: {', '.join(roots)}"
+        )
 
 
-def read_bodies(root: Element, source: str) -> dict[str, Array]:
-    """Return the ten inertial parameters of every link that may matter, by its name.
-
-    A link fixed to the ground never moves, and mass 0 is no body: their ``<inertial>``
-    is removed from the tree. See `urdf.payload` for the order of the parameters, which
-    are about the centre of mass, in the axes of the inertial frame.
-
-    Raises:
-        UrdfFileError: A number of another link does not parse.
-    """
-    children = {link_of(joint, "child") for joint in root.findall("joint")}
-    roots = {link.get("name", "") for link in root.findall("link")} - children
-    grounded = links_behind(root, roots, kinds={"fixed"})
-    bodies: dict[str, Array] = {}
-    for link in root.findall("link"):
-        inertial = link.find("inertial")
-        if inertial is None:
-            continue
-        name = link.get("name", "")
-        owner = f"{source}: link {name!r}"
-        if name in grounded or read_numbers(inertial, "mass", "value", owner) == [0.0]:
-            link.remove(inertial)
-            continue
-        origin = inertial.find("origin")
-        keys = () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib)
-        for key in keys:  # only parsed: a body is possible wherever it is, in any axes
-            read_numbers(inertial, "origin", key, owner, count=3)
-        moments = ("ixx", "ixy", "iyy", "ixz", "iyz", "izz")  # in Pinocchio's order
-        numbers = [
-            *read_numbers(inertial, "mass", "value", owner),
-            *(0.0, 0.0, 0.0),
-            *(read_numbers(inertial, "inertia", key, owner)[0] for key in moments),
-        ]
-        bodies[name] = np.array(numbers)
-    return bodies
+def _remove_links(root: Element, without: set[str], source: str) -> None:
+    """Remove links, the joints they hang on and everything behind them."""
+    links = {link.get("name", ""): link for link in root.findall("link")}
+    if unknown := sorted(without - links.keys()):
+        raise UnknownNameError(
+            f"{source}: cannot leave out {unknown}, there is no such link; links: "
+            f"{', '.join(links)}"
+        )
+    waiting = list(without)
+    while waiting:
+        parent = waiting.pop()
+        for joint in root.findall("joint"):
+            child = link_of(joint, "child")
+            if child == parent:
+                root.remove(joint)
+            elif link_of(joint, "parent") == parent:
+                waiting.append(child)
+        if links[parent] in list(root):
+            root.remove(links[parent])
+    if root.find("link") is None:
+        raise InputError(f"{source}: cannot leave out {without}, the root of the robot")
 
 
 def build_model(root: Element, source: str) -> pin.Model:
-    """Return the Pinocchio model of a checked description.
+    """Return the Pinocchio model of a description, all of whose joints move.
 
     A continuous joint becomes a revolute one without limits: an angle, not a point on
     the circle. The URDF reader (urdfdom) may still refuse it: `UrdfFileError`.
     """
-    _require_tree(root, source)
-    unlimited: list[str] = []
-    for joint in root.findall("joint"):
-        for mimic in joint.findall("mimic"):
-            joint.remove(mimic)
-        if joint.get("type") != "fixed" and not _complete_limits(joint):
-            unlimited.append(joint.get("name", ""))
+    for link in root.findall("link"):
+        _check_inertial(link, source)
+    unlimited = [
+        joint.get("name", "")
+        for joint in root.findall("joint")
+        if joint.get("type") != "fixed" and not _complete_limits(joint)
+    ]
     try:
         model = pin.buildModelFromXML(tostring(root, encoding="unicode"))
     except (ValueError, RuntimeError) as error:
@@ -181,10 +172,10 @@ def build_model(root: Element, source: str) -> pin.Model:
             f"{source}: is not a valid URDF: {error} (its reader prints the reason on "
             "stderr)"
         ) from error
-    is_unlimited = np.isin(list(model.names)[1:], unlimited)
-    lower_rad = np.where(is_unlimited, -np.inf, model.lowerPositionLimit)
-    model.lowerPositionLimit = lower_rad
-    model.upperPositionLimit = np.where(is_unlimited, np.inf, model.upperPositionLimit)
+    for name in unlimited:
+        index = model.joints[model.getJointId(name)].idx_q
+        model.lowerPositionLimit[index] = -np.inf
+        model.upperPositionLimit[index] = np.inf
     masses = root.iterfind("link/inertial/mass[1]")
     written_kg = sum(float(mass.attrib["value"]) for mass in masses)
     loaded_kg = sum(inertia.mass for inertia in model.inertias)
@@ -201,27 +192,6 @@ def link_of(joint: Element, end: str) -> str:
     """Return the name of a joint's link at the end ``parent`` or ``child``."""
     element = joint.find(end)
     return "" if element is None else element.get("link", "")
-
-
-def links_behind(
-    root: Element, start: Iterable[str], kinds: Collection[str] | None = None
-) -> set[str]:
-    """Return some links and all that hang on them, by joints of any or some kinds."""
-    joints = [
-        joint
-        for joint in root.findall("joint")
-        if kinds is None or joint.get("type") in kinds
-    ]
-    reached = set(start)
-    waiting = list(reached)
-    while waiting:
-        parent = waiting.pop()
-        carried = {
-            link_of(j, "child") for j in joints if link_of(j, "parent") == parent
-        }
-        waiting += carried - reached
-        reached |= carried
-    return reached
 
 
 def read_numbers(
@@ -247,23 +217,25 @@ def read_numbers(
     return numbers
 
 
-def _require_tree(root: Element, source: str) -> None:
-    """Refuse what is no tree of links; the URDF reader says so on stderr only."""
-    joints = root.findall("joint")
-    links = [link.get("name", "") for link in root.findall("link")]
-    children = [link_of(joint, "child") for joint in joints]
-    roots = sorted(set(links) - set(children))
-    faults: list[str] = []
-    for names in (links, [joint.get("name", "") for joint in joints], children):
-        faults += sorted({name for name in names if names.count(name) > 1})
-    ends = {link_of(joint, "parent") for joint in joints} | set(children)
-    faults += sorted(ends - set(links))
-    if faults or len(roots) != 1:
-        raise UrdfFileError(
-            f"{source}: is not a valid URDF: expected one tree, each name once and "
-            f"each link on one joint; stand twice or are not there: "
-            f"{', '.join(faults) or 'none'}; hang on nothing: {', '.join(roots)}"
-        )
+def _check_inertial(link: Element, source: str) -> None:
+    """Parse all numbers of a link's inertial; remove it where the mass is 0: no body.
+
+    Raises:
+        UrdfFileError: One that urdfdom would not read.
+    """
+    inertial = link.find("inertial")
+    if inertial is None:
+        return
+    owner = f"{source}: link {link.get('name')!r}"
+    mass_kg = read_numbers(inertial, "mass", "value", owner)
+    for key in ("ixx", "ixy", "ixz", "iyy", "iyz", "izz"):
+        read_numbers(inertial, "inertia", key, owner)
+    origin = inertial.find("origin")
+    written = () if origin is None else {"xyz", "rpy"}.intersection(origin.attrib)
+    for key in written:
+        read_numbers(inertial, "origin", key, owner, count=3)
+    if mass_kg == [0.0]:
+        link.remove(inertial)
 
 
 def _complete_limits(joint: Element) -> bool:
@@ -292,22 +264,3 @@ def _complete_limits(joint: Element) -> bool:
         limit.set("lower", "-1e9")
         limit.set("upper", "1e9")
     return is_limited
-
-
-def _remove_links(root: Element, without: set[str], source: str) -> None:
-    """Remove links, the joints they hang on and everything behind them."""
-    joints = root.findall("joint")
-    links = {link.get("name", ""): link for link in root.findall("link")}
-    if unknown := sorted(without - links.keys()):
-        raise UnknownNameError(
-            f"{source}: cannot leave out {unknown}, there is no such link; links: "
-            f"{', '.join(links)}"
-        )
-    if roots := without - {link_of(joint, "child") for joint in joints}:
-        raise InputError(f"{source}: cannot leave out {roots}, the root of the robot")
-    gone = links_behind(root, without)
-    for joint in joints:
-        if link_of(joint, "child") in gone:
-            root.remove(joint)
-    for name in gone & links.keys():
-        root.remove(links[name])

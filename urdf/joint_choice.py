@@ -1,17 +1,13 @@
-"""Which joints of a description move: those of the log; all others are welded.
-
-A joint that is welded becomes a fixed one at a position, before there is a model. So
-its kind does not matter, nor a name that a link has too, nor how many there are.
-"""
+"""Which joints of a description move: those of the log; all others are locked."""
 
 from collections.abc import Iterable, Mapping
 from pathlib import Path
-from xml.etree.ElementTree import Element, SubElement
+from xml.etree.ElementTree import Element
 
 import numpy as np
 import pinocchio as pin
 
-from urdf.description import link_of, read_description, read_numbers
+from urdf.description import build_model, link_of, read_description, read_numbers
 from urdf.errors import (
     KEEP_JOINTS,
     InputError,
@@ -22,8 +18,6 @@ from urdf.errors import (
 MAX_MOVING_JOINTS = 200
 """Most joints that may move: the workspace that Pinocchio allocates grows with their
 third power, to 256 MB here."""
-
-_ONE_NUMBER_KINDS = ("revolute", "continuous", "prismatic")
 
 
 def movable_joints(path: Path, without: Iterable[str] = ()) -> tuple[str, ...]:
@@ -51,29 +45,40 @@ def joints_towards(
     """
     root = read_description(path, without)
     joints = root.findall("joint")
-    if frame is None:
-        return _route_to(joints, last_link(root, str(path)))
-    links = {name: name for link in root.findall("link") if (name := link.get("name"))}
     children = {joint.get("name", ""): link_of(joint, "child") for joint in joints}
-    link = (children | links).get(frame)
-    if link is None:
-        raise UnknownNameError(f"{path}: no frame {frame!r}; links: {', '.join(links)}")
-    return _route_to(joints, link)
+    links = {link.get("name", "") for link in root.findall("link")}
+    if frame is None:
+        frame = last_link(root, build_model(root, str(path)), str(path))
+    elif frame not in links | children.keys():
+        raise UnknownNameError(
+            f"{path}: no frame {frame!r}; links: {', '.join(sorted(links))}"
+        )
+    by_child = {link_of(joint, "child"): joint for joint in joints}
+    link = frame if frame in links else children[frame]
+    route: list[str] = []
+    while link in by_child:
+        joint = by_child[link]
+        if _is_movable(joint):
+            route.insert(0, joint.get("name", ""))
+        link = link_of(joint, "parent")
+    return tuple(route)
 
 
-def weld_joints(
+def lock_joints(
     root: Element,
+    model: pin.Model,
     source: str,
     *,
     locked: Mapping[str, float],
     kept: Iterable[str] | None,
-) -> None:
-    """Make joints fixed: the locked ones, and all that are not kept.
+) -> pin.Model:
+    """Return a model with joints locked: those asked for, and all that are not kept.
 
-    A joint that mimics a welded one is welded with it.
+    A joint that mimics a locked one is locked with it.
 
     Args:
-        root: The description, which is changed.
+        root: The description.
+        model: Its model, all of whose joints move.
         source: Name of the file, for messages.
         locked: Positions by joint [rad, m].
         kept: Joints that move; None for all that are not locked.
@@ -84,79 +89,91 @@ def weld_joints(
         UnsupportedJointError: Joints that are left do not have one number each, or are
             too many.
     """
-    joints = {joint.get("name", ""): joint for joint in root.findall("joint")}
     moving = {
-        name: joint for name, joint in joints.items() if joint.get("type") != "fixed"
+        joint.get("name", ""): joint
+        for joint in root.findall("joint")
+        if joint.get("type") != "fixed"
     }
-    kept = None if kept is None else tuple(kept)
-    chosen = {*locked, *(kept or ())}
-    # A fixed joint may be locked where it is.
-    unknown = chosen - moving.keys()
-    unknown -= {name for name in joints if locked.get(name) == 0.0}
-    if unknown:
-        wish = "lock" if unknown & locked.keys() else "keep"
+    kept = None if kept is None else set(kept)
+    chosen = locked.keys() | (kept or set())
+    both = locked.keys() & (kept or set())
+    if unknown := chosen - moving.keys():
         raise UnknownNameError(
-            f"{source}: cannot {wish} {', '.join(map(repr, sorted(unknown)))}, there "
-            f"is no such joint that moves; joints: {', '.join(moving)}"
+            f"{source}: cannot lock or keep {', '.join(map(repr, sorted(unknown)))}, "
+            f"there is no such joint that moves; joints: {', '.join(moving)}"
         )
-    if kept is not None and (both := set(kept) & locked.keys()):
+    if both:
         raise InputError(f"joints {sorted(both)} are to be locked and to be kept")
-    positions = {name: locked[name] for name in moving.keys() & locked.keys()}
-    if kept is not None:
-        positions = dict.fromkeys(moving.keys() - set(kept), 0.0) | positions
-    followers = {name: joint for name, joint in moving.items() if name not in chosen}
-    _lead_followers(followers, positions, source)
-    for name, position in positions.items():
-        _weld(moving.pop(name), position, source)
-    odd = [
-        f"joint {name!r} is of type {joint.get('type')!r}"
-        for name, joint in moving.items()
-        if not _is_movable(joint)
-    ]
-    if odd:
+    welded = locked.keys() if kept is None else moving.keys() - kept
+    positions = {name: locked.get(name, 0.0) for name in welded}
+    followers = {name: moving[name] for name in moving.keys() - chosen}
+    positions |= _follow(followers, positions, source)
+    left = moving.keys() - positions.keys()
+    if odd := sorted(name for name in left if not _is_movable(moving[name])):
         raise UnsupportedJointError(
-            f"{source}: {'; '.join(odd)}, or mimics another; expected joints of type "
-            f"{', '.join(_ONE_NUMBER_KINDS)} that move on their own, or fixed"
+            f"{source}: joints {', '.join(odd)} move in more than one number, or mimic "
+            "another; expected joints that turn or slide on their own, or fixed"
         )
-    if len(moving) > MAX_MOVING_JOINTS:
+    if len(left) > MAX_MOVING_JOINTS:
         raise UnsupportedJointError(
-            f"{source}: {len(moving)} joints move, expected {MAX_MOVING_JOINTS} at "
+            f"{source}: {len(left)} joints move, expected {MAX_MOVING_JOINTS} at "
             "most: those that the log has",
             KEEP_JOINTS,
         )
+    return _reduce(model, positions)
 
 
-def _is_movable(joint: Element) -> bool:
-    return joint.get("type") in _ONE_NUMBER_KINDS and joint.find("mimic") is None
+def _reduce(model: pin.Model, positions: Mapping[str, float]) -> pin.Model:
+    """Return a model whose joints with a position stand there."""
+    indices = [model.getJointId(name) for name in positions]
+    displacement = np.zeros(model.nv)
+    for index, position in zip(indices, positions.values(), strict=True):
+        displacement[model.joints[index].idx_v] = position
+    # Pinocchio finds no frame here whose name a joint and a link share. Both are the
+    # same frame; the link keeps the name.
+    links = {frame.name for frame in model.frames if frame.type == pin.FrameType.BODY}
+    for frame in model.frames:
+        if frame.type != pin.FrameType.BODY and frame.name in links:
+            frame.name += " (joint)"
+    locked_at = pin.integrate(model, pin.neutral(model), displacement)
+    return pin.buildReducedModel(model, indices, locked_at)
 
 
-def _route_to(joints: Iterable[Element], link: str) -> tuple[str, ...]:
-    """Return the movable joints from the root to a link."""
-    by_child = {link_of(joint, "child"): joint for joint in joints}
-    route: list[str] = []
-    while link in by_child:
-        joint = by_child.pop(link)  # so that a loop of links ends
-        if _is_movable(joint):
-            route.append(joint.get("name", ""))
-        link = link_of(joint, "parent")
-    return tuple(reversed(route))
+def _follow(
+    followers: Mapping[str, Element], positions: Mapping[str, float], source: str
+) -> dict[str, float]:
+    """Return the positions of those joints that mimic one with a position."""
+    followed: dict[str, float] = {}
+    for name, joint in followers.items():
+        mimic = joint.find("mimic")
+        leader = "" if mimic is None else mimic.get("joint", "")
+        if mimic is not None and leader in positions:
+            owner = f"{source}: joint {name!r}"
+            mimic.attrib.setdefault("multiplier", "1")
+            mimic.attrib.setdefault("offset", "0")
+            (factor,) = read_numbers(joint, "mimic", "multiplier", owner)
+            (offset,) = read_numbers(joint, "mimic", "offset", owner)
+            followed[name] = factor * positions[leader] + offset
+    return followed
 
 
-def last_link(root: Element, source: str) -> str:
-    """Return the only link that joints move and that carries no other.
+def last_link(root: Element, model: pin.Model, source: str) -> str:
+    """Return the only link that joints of a model move and that carries no other.
 
     Of several, the message lists those that about as many joints move as any: not the
     sensors of a base.
     """
-    joints = root.findall("joint")
-    parents = {link_of(joint, "parent") for joint in joints}
-    ends = {link.get("name", "") for link in root.findall("link")} - parents
-    counts = {link: len(_route_to(joints, link)) for link in sorted(ends)}
+    parents = {link_of(joint, "parent") for joint in root.findall("joint")}
+    counts = {
+        frame.name: len(model.supports[frame.parentJoint]) - 1
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY and frame.name not in parents
+    }
     moved = [link for link, count in counts.items() if count]
     if len(moved) == 1:
         return moved[0]
     limit = max(counts.values(), default=0) / 2.0
-    likely = [link for link in moved if counts[link] >= limit]
+    likely = sorted(link for link in moved if counts[link] >= limit)
     raise UnknownNameError(
         f"{source}: there is no single last link that could carry the tool; it ends "
         f"in: {', '.join(likely) or 'none'}",
@@ -164,48 +181,6 @@ def last_link(root: Element, source: str) -> str:
     )
 
 
-def _lead_followers(
-    followers: Mapping[str, Element], positions: dict[str, float], source: str
-) -> None:
-    """Add the positions of joints that mimic one of those with a position."""
-    for _ in followers:  # a follower may be followed
-        for name, joint in followers.items():
-            mimic = joint.find("mimic")
-            leader = "" if mimic is None else mimic.get("joint", "")
-            if mimic is None or leader not in positions:
-                continue
-            owner = f"{source}: joint {name!r}"
-            factors = {"multiplier": 1.0, "offset": 0.0}
-            for key in factors.keys() & mimic.attrib.keys():
-                factors[key] = read_numbers(joint, "mimic", key, owner)[0]
-            led = factors["multiplier"] * positions[leader]
-            positions[name] = led + factors["offset"]
-
-
-def _weld(joint: Element, position: float, source: str) -> None:
-    """Make a joint fixed at a position [rad, m]."""
-    kind = joint.get("type")
-    joint.set("type", "fixed")
-    if position == 0.0:
-        return
-    owner = f"{source}: joint {joint.get('name')!r}"
-    axis = np.array([1.0, 0.0, 0.0])
-    if kind in _ONE_NUMBER_KINDS and joint.find("axis") is not None:
-        axis = np.array(read_numbers(joint, "axis", "xyz", owner, count=3))
-        axis /= np.linalg.norm(axis) or 1.0
-    motion = pin.SE3(np.eye(3), position * axis)
-    if kind in ("revolute", "continuous"):
-        motion = pin.SE3(pin.exp3(position * axis), np.zeros(3))
-    origin = joint.find("origin")
-    if origin is None:
-        origin = SubElement(joint, "origin")
-    for key in {"xyz", "rpy"} - origin.attrib.keys():
-        origin.set(key, "0 0 0")
-    translation_m, angles_rad = (
-        read_numbers(joint, "origin", key, owner, count=3) for key in ("xyz", "rpy")
-    )
-    placement = pin.SE3(pin.rpy.rpyToMatrix(*angles_rad), np.array(translation_m))
-    placement = placement * motion
-    angles_rad = pin.rpy.matrixToRpy(placement.rotation)
-    for key, vector in (("xyz", placement.translation), ("rpy", angles_rad)):
-        origin.set(key, " ".join(map(repr, vector.tolist())))
+def _is_movable(joint: Element) -> bool:
+    is_simple = joint.get("type") in ("revolute", "continuous", "prismatic")
+    return is_simple and joint.find("mimic") is None

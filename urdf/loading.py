@@ -1,38 +1,26 @@
-"""Robots from files (any URDF, well-known arms by name) and from numbers."""
+"""Robots from files: any URDF, and well-known arms by name."""
 
 import sys
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from contextlib import suppress
-from dataclasses import dataclass, replace
 from importlib import metadata
 from importlib.resources import files
 from os import PathLike
 from pathlib import Path
 
-import numpy as np
 import pinocchio as pin
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array
-from urdf.description import build_model, read_bodies, read_description
+from urdf.description import build_model, read_description
 from urdf.errors import (
     InputError,
     MissingPackageError,
     UnknownNameError,
     finite_array,
 )
-from urdf.inertia_check import check_inertia
-from urdf.joint_choice import last_link, weld_joints
-from urdf.payload import NeedleTool, Payload, require_mass, require_physical
-from urdf.robot import (
-    STANDARD_GRAVITY_M_S2,
-    TOOL_FRAME,
-    Robot,
-    assemble_robot,
-    require_invertible,
-    require_simple_joints,
-    rigid_motion,
-)
+from urdf.joint_choice import last_link, lock_joints
+from urdf.payload import NeedleTool, Payload
+from urdf.robot import STANDARD_GRAVITY_M_S2, Robot, build_robot
 
 LWR_GEAR_RATIO = (160.0, 160.0, 160.0, 160.0, 100.0, 100.0, 100.0)
 """Harmonic drives of the LWR 4+, joints 1 to 7 (sources give 60 or 160 for joint 4);
@@ -73,8 +61,8 @@ def load_urdf(
             its joint, its inertia and all that it carries.
         gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
         payload: What hangs on the flange, in its frame.
-        check_inertias: False accepts links without inertia, and links no rigid body
-            could be, as identified models have, with a warning.
+        check_inertias: False accepts, with a warning, links without inertia or with one
+            that no rigid body can have, as identified models have.
 
     Raises:
         UrdfFileError: Missing, unreadable, malformed or too large a file.
@@ -86,33 +74,29 @@ def load_urdf(
         InputError: Gravity, payload, placement or locked positions of the wrong kind.
     """
     source = str(path)
-    if isinstance(locked_joints, str):
-        raise InputError(
-            f"locked_joints is the string {locked_joints!r}, expected a list of names"
-        )
+    for name, joints in {
+        "locked_joints": locked_joints,
+        "keep_joints": keep_joints,
+    }.items():
+        if isinstance(joints, str):
+            raise InputError(
+                f"{name} is the string {joints!r}, expected a list of names"
+            )
     if not isinstance(locked_joints, Mapping):
         locked_joints = dict.fromkeys(locked_joints, 0.0)
-    locked = {str(name): float(value) for name, value in locked_joints.items()}
-    for name, value in locked.items():
-        if not np.isfinite(value):
-            raise InputError(
-                f"locked_joints: position of {name!r} is {value}, expected a number"
-            )
-    if isinstance(keep_joints, str):
-        raise InputError(
-            f"keep_joints is the string {keep_joints!r}, expected a list of names"
-        )
+    for name, position in locked_joints.items():
+        finite_array(position, (), f"locked_joints: position of {name!r}")
     root = read_description(Path(path), without)
-    weld_joints(root, source, locked=locked, kept=keep_joints)
-    bodies = read_bodies(root, source)
     model = build_model(root, source)
-    require_simple_joints(model)
-    flange_frame = tool_frame if tool_frame is not None else last_link(root, source)
-    robot = assemble_robot(model, flange_frame, tool_placement, payload, gravity_m_s2)
-    warning = check_inertia(robot, bodies, source, accept=not check_inertias)
-    if check_inertias:
-        require_invertible(robot)
-    return replace(robot, warnings=(warning,)) if warning else robot
+    model = lock_joints(root, model, source, locked=locked_joints, kept=keep_joints)
+    return build_robot(
+        model,
+        flange_frame=tool_frame or last_link(root, model, source),
+        tool_placement=tool_placement,
+        gravity_m_s2=gravity_m_s2,
+        payload=payload,
+        check_inertias=check_inertias,
+    )
 
 
 def load_lwr(
@@ -221,103 +205,3 @@ def example_robot_path(name: str) -> Path:
     raise MissingPackageError(
         f"the description of {name!r} comes with {package}, which is not installed"
     )
-
-
-@dataclass(frozen=True, slots=True, kw_only=True, eq=False)
-class SerialJoint:
-    """One revolute joint and the link behind it.
-
-    A row (alpha, a, d) of a modified Denavit-Hartenberg table is the placement
-    Rx(alpha) Tx(a) Tz(d) with axis z; a URDF row (xyz, rpy, axis) is that placement and
-    axis. A placement is that of the joint's frame at zero in the previous one (the base
-    for the first); ``pin.SE3`` or a homogeneous matrix of shape (4, 4), m.
-
-    Attributes:
-        name: Name of the joint, and of the frame of the link behind it.
-        placement: Frame of the joint at zero in the frame of the joint before, or in
-            the base.
-        axis: Axis of rotation in the joint's frame, shape (3,); any length but zero.
-        inertia: The link's ten parameters, see `urdf.payload`, in the joint's frame.
-
-    Raises:
-        InputError: Wrong shape, not finite, no rigid motion, or an axis of length zero.
-        InertiaError: No mass, but moments.
-    """
-
-    name: str
-    placement: pin.SE3 | Array
-    axis: Array
-    inertia: Array
-
-    def __post_init__(self) -> None:
-        owner = f"joint {self.name!r}"
-        axis = finite_array(self.axis, (3,), f"{owner} axis")
-        length = float(np.linalg.norm(axis))
-        if length == 0.0:
-            raise InputError(f"{owner} axis is zero, expected a direction")
-        inertia = finite_array(self.inertia, (10,), f"{owner} inertia")
-        require_mass(inertia, owner)
-        object.__setattr__(
-            self, "placement", rigid_motion(self.placement, f"{owner} placement")
-        )
-        object.__setattr__(
-            self, "axis", finite_array(axis / length, (3,), f"{owner} axis")
-        )
-        object.__setattr__(self, "inertia", inertia)
-
-
-def build_serial_robot(
-    joints: Sequence[SerialJoint],
-    *,
-    name: str = "serial",
-    tool_placement: pin.SE3 | ArrayLike | None = None,
-    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
-    payload: Payload | NeedleTool | None = None,
-    check_inertias: bool = True,
-) -> Robot:
-    """Build a serial arm of revolute joints in memory, without limits.
-
-    Args:
-        joints: From base to tip, each name once and none of them ``tool``.
-        name: Name of the robot, for messages.
-        tool_placement: Frame ``tool`` (tool frame and flange) in the last joint's
-            frame; default: the same.
-        gravity_m_s2: See `urdf.load_urdf`, as for ``check_inertias`` and the errors.
-        payload: What hangs on the frame ``tool``.
-        check_inertias: False accepts links no rigid body could be, as identified models
-            have.
-    """
-    names = [joint.name for joint in joints]
-    if not names or len({*names, TOOL_FRAME}) != len(names) + 1:
-        raise InputError(
-            f"joints must have names, each once and none {TOOL_FRAME!r} or empty list: "
-            f"{names}"
-        )
-    model = pin.Model()
-    model.name = name
-    for joint in joints:
-        if check_inertias:
-            require_physical(joint.inertia, f"link behind joint {joint.name!r}")
-        _append_joint(model, joint)
-    placement = pin.SE3.Identity() if tool_placement is None else tool_placement
-    robot = assemble_robot(model, names[-1], placement, payload, gravity_m_s2)
-    if check_inertias:
-        require_invertible(robot)
-    return robot
-
-
-def _append_joint(model: pin.Model, joint: SerialJoint) -> None:
-    """Add a joint without limits, and its link, behind the last one of a model."""
-    # The joints along a coordinate axis are cheaper in every algorithm.
-    aligned = (pin.JointModelRX, pin.JointModelRY, pin.JointModelRZ)
-    along = np.flatnonzero(joint.axis == 1.0)
-    unaligned = pin.JointModelRevoluteUnaligned(joint.axis.copy())
-    kind = aligned[along[0]]() if along.size else unaligned
-    inf = np.array([np.inf])
-    limits = (inf, inf, -inf, inf)  # effort, velocity, lowest and highest position
-    index = model.addJoint(
-        model.njoints - 1, kind, joint.placement, joint.name, *limits
-    )
-    model.addJointFrame(index, -1)
-    if joint.inertia[0] != 0.0:
-        model.inertias[index] = pin.Inertia.FromDynamicParameters(joint.inertia.copy())

@@ -13,7 +13,7 @@ parameter identification", RA-L 2018).
 """
 
 from dataclasses import dataclass, fields
-from typing import Self
+from typing import Any, Self
 
 import numpy as np
 import pinocchio as pin
@@ -21,9 +21,6 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from urdf.errors import InertiaError, InputError, finite_array, read_only
-
-MAX_PARAMETER = 1e9
-"""In kg, kg m, kg m^2: beyond any link, and no product of them overflows."""
 
 
 def principal_moments(parameters: Array) -> Array:
@@ -43,7 +40,11 @@ def impossible_moment(parameters: Array) -> float:
     without a positive mass, and for absurd numbers. The ten parameters have the shape
     (10,).
     """
-    if not np.all(np.abs(parameters) <= MAX_PARAMETER) or parameters[0] <= 0.0:
+    # In kg, kg m, kg m^2: beyond any link, and no product of them overflows.
+    max_parameter = 1e9
+    min_mass_kg = 1e-12  # less leaves no digits for a centre of mass
+    is_sane = np.all(np.abs(parameters) <= max_parameter)
+    if not is_sane or parameters[0] < min_mass_kg:
         return np.inf
     least, middle, largest = principal_moments(parameters).tolist()
     moment = max(-least, largest - least - middle)
@@ -54,40 +55,46 @@ def impossible_moment(parameters: Array) -> float:
     return moment if moment > rounding else 0.0
 
 
-def require_mass(parameters: Array, owner: str) -> None:
-    """Raise `InertiaError` for absurd numbers, or moments without a mass.
-
-    Args:
-        parameters: The ten parameters of a body, shape (10,).
-        owner: Name of the body in the message.
-    """
-    if not np.all(np.abs(parameters) <= MAX_PARAMETER):
-        raise InertiaError(
-            f"{owner}: inertial parameters {parameters.tolist()} (mass, first moments, "
-            f"inertia) are not finite or above {MAX_PARAMETER:g} in SI units"
-        )
-    if parameters[0] == 0.0 and np.any(parameters):
-        raise InertiaError(
-            f"{owner}: mass is 0 kg but its moments are not; give it a mass"
-        )
-
-
 def require_physical(parameters: Array, owner: str) -> None:
     """Raise `InertiaError` for parameters that no rigid body can have.
 
-    The triangle inequality may be missed by the rounding of a written table.
+    The triangle inequality may be missed by the rounding of a written table. Ten zeros
+    are no body, and may be.
 
     Args:
         parameters: The ten parameters of a body, shape (10,).
         owner: Name of the body in the message.
     """
-    require_mass(parameters, owner)
-    if parameters[0] != 0.0 and impossible_moment(parameters) > 0.0:
+    if np.any(parameters) and impossible_moment(parameters) > 0.0:
         shown = ", ".join(f"{value:.6g}" for value in parameters)
         raise InertiaError(
             f"{owner}: no rigid body of positive mass has the parameters (mass, first "
             f"moments, inertia) {shown}"
         )
+
+
+def rigid_motion(placement: Any, name: str) -> pin.SE3:
+    """Return a placement as ``pin.SE3``.
+
+    Args:
+        placement: ``pin.SE3``, a homogeneous matrix, shape (4, 4), or a translation
+            alone, shape (3,), m.
+        name: Name in the message.
+
+    Raises:
+        InputError: Anything else.
+    """
+    if isinstance(placement, pin.SE3):
+        placement = placement.homogeneous
+    if np.shape(placement) == (3,):
+        return pin.SE3(np.eye(3), finite_array(placement, (3,), name).copy())
+    matrix = finite_array(placement, (4, 4), name)
+    rotation = matrix[:3, :3]
+    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
+    is_right_handed = np.linalg.det(rotation) > 0.0
+    if not (is_rotation and is_right_handed and np.all(matrix[3] == [0, 0, 0, 1])):
+        raise InputError(f"{name} is not a rigid motion: {matrix.tolist()}")
+    return pin.SE3(rotation.copy(), matrix[:3, 3].copy())
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -131,8 +138,8 @@ class Payload:
     def from_parameters(cls, parameters: ArrayLike) -> Self:
         """Build a payload from its ten parameters, shape (10,)."""
         phi = finite_array(parameters, (10,), "payload parameters")
-        require_mass(phi, "payload")
-        if phi[0] == 0.0:
+        require_physical(phi, "payload")
+        if not np.any(phi):
             return cls(mass_kg=0.0, com_m=np.zeros(3), inertia_kg_m2=np.zeros((3, 3)))
         body = pin.Inertia.FromDynamicParameters(phi)
         return cls(mass_kg=body.mass, com_m=body.lever, inertia_kg_m2=body.inertia)
@@ -151,20 +158,13 @@ class Payload:
         body.inertia = self.inertia_kg_m2.copy()
         return body
 
-    def moved(self, rotation: ArrayLike, translation_m: ArrayLike) -> "Payload":
-        """Describe the same body in another frame, where its points p are at R p + t.
+    def moved(self, placement: pin.SE3 | ArrayLike) -> "Payload":
+        """Describe the same body in another frame, in which this one is placed.
 
-        ``rotation`` R has shape (3, 3), ``translation_m`` t shape (3,), m; `InputError`
-        otherwise.
+        ``pin.SE3``, a homogeneous matrix, shape (4, 4), or a translation alone, shape
+        (3,), m; `InputError` for anything else.
         """
-        turn = finite_array(rotation, (3, 3), "rotation")
-        shift = finite_array(translation_m, (3,), "translation_m")
-        if (
-            not np.allclose(turn @ turn.T, np.eye(3), atol=1e-9)
-            or np.linalg.det(turn) < 0.0
-        ):
-            raise InputError(f"rotation is not a rotation matrix: {turn.tolist()}")
-        body = pin.SE3(turn.copy(), shift.copy()).act(self.spatial_inertia)
+        body = rigid_motion(placement, "placement").act(self.spatial_inertia)
         return Payload.from_parameters(body.toDynamicParameters())
 
     def __add__(self, other: "Payload") -> "Payload":
@@ -293,9 +293,7 @@ class NeedleTool:
     @property
     def payload(self) -> Payload:
         """The whole tool in the flange frame."""
-        return self.sensor + self.beyond_sensor.moved(
-            np.eye(3), [0.0, 0.0, self.sensor_height_m]
-        )
+        return self.sensor + self.beyond_sensor.moved([0.0, 0.0, self.sensor_height_m])
 
     @property
     def tip_in_flange_m(self) -> Array:

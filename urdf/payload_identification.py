@@ -38,22 +38,14 @@ class PayloadEstimate:
         payload: A point mass in the flange frame; none where the mass came out
             negative.
         parameters: The least-squares estimate, shape (4,).
-        covariance: Covariance of the parameters, shape (4, 4); infinite variance for
-            what the data do not determine.
-        rank: Number of parameter combinations that the data determine.
+        covariance: Covariance of the parameters, shape (4, 4).
         residual_rms_Nm: Unexplained torque per joint, root mean square, shape (nv,).
     """
 
     payload: Payload
     parameters: Array
     covariance: Array
-    rank: int
     residual_rms_Nm: Array
-
-    @property
-    def is_identified(self) -> bool:
-        """Whether the data determine mass and centre of mass."""
-        return self.rank == len(self.parameters)
 
     @property
     def mass_std_kg(self) -> float:
@@ -63,7 +55,7 @@ class PayloadEstimate:
     @property
     def com_std_m(self) -> Array:
         """Standard deviation of the centre of mass to first order, shape (3,), m."""
-        if self.payload.mass_kg == 0.0 or not np.isfinite(self.covariance).all():
+        if self.payload.mass_kg == 0.0:
             return np.full(3, np.inf)
         slope = np.column_stack([-self.payload.com_m, np.eye(3)]) / self.payload.mass_kg
         return np.sqrt(np.diag(slope @ self.covariance @ slope.T))
@@ -79,9 +71,7 @@ def identify_payload_static(
     """Identify mass and centre of mass of the payload from poses at rest.
 
     The whole payload is identified: one that ``robot`` carries already is left out of
-    its model. Install the answer with ``robot.with_payload(estimate.payload)``. Poses
-    must turn the flange about horizontal axes, or the centre of mass along the vertical
-    stays unknown.
+    its model. Install the answer with ``robot.with_payload(estimate.payload)``.
 
     Args:
         robot: The arm; its flange frame is the frame of the answer.
@@ -92,25 +82,31 @@ def identify_payload_static(
             default: from the residual.
 
     Raises:
-        InputError: Wrong shapes, differing lengths, NaN, or noise that is not positive.
+        InputError: Wrong shapes, differing lengths, NaN, noise that is not positive, or
+            poses that do not show all four parameters: those that leave the flange's
+            direction to the vertical as it is.
     """
     no_mass_kg = 1e-6
     q = finite_array(q_rad, (-1, robot.nv), "q_rad")
     tau = finite_array(tau_Nm, q.shape, "tau_Nm")
     regressor, unexplained = _payload_equation(robot, q, tau)
-    std = _joint_noise(regressor, unexplained, torque_noise_std_Nm)
-    matrix, inverse, determined = _invert(regressor, std)
-    solution = inverse @ (unexplained / std).ravel()
-    rank = round(np.trace(determined))
+    noise_Nm = np.ones(robot.nv)
+    if torque_noise_std_Nm is not None:
+        noise_Nm = finite_array(torque_noise_std_Nm, (robot.nv,), "torque_noise_std_Nm")
+    if not np.all(noise_Nm > 0.0):
+        raise InputError(f"torque_noise_std_Nm is not positive: {noise_Nm.tolist()}")
+    rank = int(np.linalg.matrix_rank(regressor.reshape(-1, 4), rtol=1e-8))
+    if rank < 4 or tau.size == 4:
+        raise InputError(
+            f"q_rad: {len(q)} poses determine {rank} of the four numbers mass and "
+            "centre of mass, expected poses that turn the flange about horizontal axes"
+        )
+    if torque_noise_std_Nm is None:
+        noise_Nm = _estimate_noise(regressor, unexplained)
+    solution, cofactors = _solve_weighted(regressor, unexplained, noise_Nm)
     remaining = unexplained - regressor @ solution
-    freedom = tau.size - rank
-    square = float(np.sum((matrix @ solution - (unexplained / std).ravel()) ** 2))
-    variance = max(square / freedom, 1e-300) if freedom > 0 else np.inf
-    covariance = inverse @ inverse.T * variance
-    # A parameter with a part outside of what the data determine is unknown.
-    unknown = 1.0 - determined.diagonal() > 1e-12
-    covariance[unknown, :] = covariance[:, unknown] = 0.0
-    covariance[unknown, unknown] = np.inf
+    freedom = tau.size - 4
+    variance = max(np.sum((remaining / noise_Nm) ** 2) / freedom, 1e-300)
     parameters = solution * _UNITS
     mass_kg = 0.0
     com_m = np.zeros(3)
@@ -120,8 +116,7 @@ def identify_payload_static(
     return PayloadEstimate(
         payload=Payload(mass_kg=mass_kg, com_m=com_m, inertia_kg_m2=np.zeros((3, 3))),
         parameters=read_only(parameters),
-        covariance=read_only(covariance * np.outer(_UNITS, _UNITS)),
-        rank=rank,
+        covariance=read_only(variance * cofactors * np.outer(_UNITS, _UNITS)),
         residual_rms_Nm=read_only(np.sqrt(np.mean(remaining**2, axis=0))),
     )
 
@@ -152,40 +147,28 @@ def _payload_equation(robot: Robot, q: Array, tau: Array) -> tuple[Array, Array]
     return regressor @ flange_to_joint * _UNITS, unexplained
 
 
-def _joint_noise(regressor: Array, target: Array, given: ArrayLike | None) -> Array:
-    """Return the torque noise of each joint, shape (nv,), Nm.
-
-    It is the given one, or else as large as the residual of a fit at that joint.
-    """
+def _estimate_noise(regressor: Array, target: Array) -> Array:
+    """Return the noise of each joint, as large as the residual of a fit [Nm], (nv,)."""
     reweightings = 3
-    std = np.ones(target.shape[1])
-    if given is not None:
-        std = finite_array(given, std.shape, "torque_noise_std_Nm")
-        if np.any(std <= 0.0):
-            raise InputError(
-                f"torque_noise_std_Nm must be positive at every joint: {std.tolist()}"
-            )
-        return std
+    noise_Nm = np.ones(target.shape[1])
     for _ in range(reweightings):
-        _, inverse, _ = _invert(regressor, std)
-        fit = regressor @ (inverse @ (target / std).ravel())
-        rms = np.sqrt(np.mean((target - fit) ** 2, axis=0))
+        solution, _ = _solve_weighted(regressor, target, noise_Nm)
+        rms_Nm = np.sqrt(np.mean((target - regressor @ solution) ** 2, axis=0))
         # A joint that fits to rounding must not outweigh the others without bound.
-        std = np.maximum(rms, max(1e-3 * rms.max(), 1e-12))
-    return std
+        noise_Nm = np.maximum(rms_Nm, max(1e-3 * rms_Nm.max(), 1e-12))
+    return noise_Nm
 
 
-def _invert(regressor: Array, std: Array) -> tuple[Array, Array, Array]:
-    """Return the weighted regressor W, shape (n nv, 4), and its pseudo-inverse.
+def _solve_weighted(
+    regressor: Array, target: Array, noise_Nm: Array
+) -> tuple[Array, Array]:
+    """Return the weighted least-squares solution, (4,), and its cofactors, (4, 4).
 
     Args:
         regressor: Shape (n, nv, 4).
-        std: Noise of each joint, shape (nv,).
-
-    Returns:
-        W, its pseudo-inverse, shape (4, n nv), and their product, shape (4, 4): the
-        projector on what the data determine.
+        target: Shape (n, nv).
+        noise_Nm: Noise of each joint, shape (nv,).
     """
-    matrix = (regressor / std[:, None]).reshape(-1, regressor.shape[2])
-    inverse = np.asarray(np.linalg.pinv(matrix, rcond=1e-8), dtype=np.float64)
-    return matrix, inverse, inverse @ matrix
+    matrix = (regressor / noise_Nm[:, None]).reshape(-1, 4)
+    inverse = np.linalg.pinv(matrix)
+    return inverse @ (target / noise_Nm).ravel(), inverse @ inverse.T

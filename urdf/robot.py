@@ -1,7 +1,7 @@
 """The robot every estimator works on: a Pinocchio model with a tool and a payload."""
 
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -17,7 +17,13 @@ from urdf.errors import (
     finite_array,
     read_only,
 )
-from urdf.payload import NeedleTool, Payload
+from urdf.payload import (
+    NeedleTool,
+    Payload,
+    impossible_moment,
+    principal_moments,
+    rigid_motion,
+)
 
 STANDARD_GRAVITY_M_S2 = (0.0, 0.0, -9.80665)
 """Straight down along the base's z axis."""
@@ -32,8 +38,9 @@ TOOL_FRAME = "tool"
 class Robot:
     """An arm of one-number joints, what it carries, and the frame forces are asked for.
 
-    Build one with a loader of `urdf` or with `urdf.build_serial_robot`. ``model`` has
-    the payload and is handed out directly for hot loops: read it, do not write it.
+    Build one with a loader of `urdf`, or from a Pinocchio model with
+    `urdf.build_robot`. ``model`` has the payload and is handed out directly for hot
+    loops: read it, do not write it.
 
     Attributes:
         bare_model: The arm without payload; copied on construction.
@@ -70,20 +77,18 @@ class Robot:
 
     def __post_init__(self) -> None:
         bare = pin.Model(self.bare_model)
-        require_simple_joints(bare)
+        _require_simple_joints(bare)
+        limits = {
+            "position_lower_rad": bare.lowerPositionLimit,
+            "position_upper_rad": bare.upperPositionLimit,
+            "velocity_limit_rad_s": bare.upperVelocityLimit,
+            "effort_limit_Nm": bare.upperEffortLimit,
+        }
         object.__setattr__(self, "bare_model", bare)
         object.__setattr__(self, "model", pin.Model(bare))
         object.__setattr__(self, "tool_frame_id", self.frame_id(self.tool_frame))
-        object.__setattr__(
-            self, "position_lower_rad", read_only(bare.lowerPositionLimit)
-        )
-        object.__setattr__(
-            self, "position_upper_rad", read_only(bare.upperPositionLimit)
-        )
-        object.__setattr__(
-            self, "velocity_limit_rad_s", read_only(bare.upperVelocityLimit)
-        )
-        object.__setattr__(self, "effort_limit_Nm", read_only(bare.upperEffortLimit))
+        for name, limit in limits.items():
+            object.__setattr__(self, name, read_only(limit))
         flange = bare.frames[self.frame_id(self.flange_frame)]
         if self.payload is not None and self.payload.mass_kg > 0.0:
             self.model.appendBodyToJoint(
@@ -161,11 +166,64 @@ class Robot:
         return replace(self, bare_model=bare)
 
 
-def require_simple_joints(model: pin.Model) -> None:
-    """Refuse joints of several positions or velocities, and robots without joints.
+def build_robot(
+    model: pin.Model,
+    *,
+    flange_frame: str,
+    tool_placement: pin.SE3 | ArrayLike | None = None,
+    gravity_m_s2: ArrayLike = STANDARD_GRAVITY_M_S2,
+    payload: Payload | NeedleTool | None = None,
+    check_inertias: bool = True,
+) -> Robot:
+    """Return a robot of a Pinocchio model, with gravity set and the tool mounted.
 
-    `UnsupportedJointError` names them.
+    Args:
+        model: The arm without tool; copied.
+        flange_frame: Frame that carries the tool.
+        tool_placement: See `urdf.load_urdf`, as for the other arguments and the errors.
+        gravity_m_s2: Gravity in base axes, shape (3,), m/s^2.
+        payload: What hangs on the flange, in its frame.
+        check_inertias: False accepts, with a warning, links without inertia or with one
+            that no rigid body can have, as identified models have.
     """
+    tip_frame = "needle_tip"  # frame that a needle tool adds at its tip
+    if payload is not None and not isinstance(payload, Payload | NeedleTool):
+        raise InputError(
+            f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"
+        )
+    model = pin.Model(model)
+    model.gravity = pin.Motion(
+        finite_array(gravity_m_s2, (3,), "gravity_m_s2").copy(), np.zeros(3)
+    )
+    # Refuses an unknown flange with a list of the frames there are.
+    Robot(bare_model=model, tool_frame=flange_frame, flange_frame=flange_frame)
+    if tool_placement is not None:
+        placement = rigid_motion(tool_placement, "tool_placement")
+        _add_frame(model, TOOL_FRAME, flange_frame, placement)
+        flange_frame = TOOL_FRAME
+    tool_frame = flange_frame
+    body = payload
+    if isinstance(body, NeedleTool):
+        heights = {SENSOR_FRAME: body.sensor_height_m} if body.has_sensor else {}
+        heights[tip_frame] = body.tip_in_flange_m[2]
+        for name, height_m in heights.items():
+            along_z = pin.SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
+            _add_frame(model, name, flange_frame, along_z)
+        tool_frame = tip_frame
+        body = body.payload
+    robot = Robot(
+        bare_model=model, tool_frame=tool_frame, flange_frame=flange_frame, payload=body
+    )
+    faults = _find_inertia_faults(robot)
+    has_inertia = any(inertia.mass != 0.0 for inertia in list(robot.model.inertias)[1:])
+    if faults and (check_inertias or not has_inertia):
+        raise InertiaError(f"{model.name}: {'; '.join(faults)}", GIVE_INERTIA)
+    warnings = tuple(f"{model.name}: accepted: {fault}" for fault in faults)
+    return replace(robot, warnings=warnings)
+
+
+def _require_simple_joints(model: pin.Model) -> None:
+    """Refuse joints of several positions or velocities, and robots without joints."""
     if model.nv == 0:
         raise UnsupportedJointError(f"robot {model.name!r} has no joint that moves")
     for name, joint in zip(list(model.names)[1:], list(model.joints)[1:], strict=True):
@@ -176,95 +234,11 @@ def require_simple_joints(model: pin.Model) -> None:
             )
 
 
-def rigid_motion(placement: Any, name: str) -> pin.SE3:
-    """Return a placement as ``pin.SE3``.
-
-    Args:
-        placement: ``pin.SE3``, a homogeneous matrix, shape (4, 4), or a translation
-            alone, shape (3,), m.
-        name: Name in the message.
-
-    Raises:
-        InputError: Anything else.
-    """
-    if isinstance(placement, pin.SE3):
-        placement = placement.homogeneous
-    if np.shape(placement) == (3,):
-        return pin.SE3(np.eye(3), finite_array(placement, (3,), name).copy())
-    matrix = finite_array(placement, (4, 4), name)
-    rotation = matrix[:3, :3]
-    is_rotation = np.allclose(rotation @ rotation.T, np.eye(3), atol=1e-6)
-    if (
-        not is_rotation
-        or np.linalg.det(rotation) < 0.0
-        or np.any(matrix[3] != [0, 0, 0, 1])
-    ):
-        raise InputError(f"{name} is not a rigid motion: {matrix.tolist()}")
-    return pin.SE3(rotation.copy(), matrix[:3, 3].copy())
-
-
-def assemble_robot(
-    model: pin.Model,
-    flange_frame: str,
-    tool_placement: pin.SE3 | ArrayLike | None,
-    payload: Payload | NeedleTool | None,
-    gravity_m_s2: ArrayLike,
-) -> Robot:
-    """Return a robot of a model, with gravity set and the tool mounted.
-
-    Arguments and errors are those of `urdf.load_urdf`.
-    """
-    tip_frame = "needle_tip"  # frame that a needle tool adds at its tip
-    if payload is not None and not isinstance(payload, Payload | NeedleTool):
-        raise InputError(
-            f"payload must be Payload, NeedleTool or None, got {type(payload).__name__}"
-        )
-    require_simple_joints(model)
-    model.gravity = pin.Motion(
-        finite_array(gravity_m_s2, (3,), "gravity_m_s2").copy(), np.zeros(3)
-    )
-    # Refuses an unknown flange with a list of the frames there are.
-    Robot(bare_model=model, tool_frame=flange_frame, flange_frame=flange_frame)
-    if tool_placement is not None:
-        placement = rigid_motion(tool_placement, "tool_placement")
-        _add_frame(model, TOOL_FRAME, flange_frame, placement, "tool_placement")
-        flange_frame = TOOL_FRAME
-    tool_frame = flange_frame
-    body = payload
-    if isinstance(body, NeedleTool):
-        heights = {SENSOR_FRAME: body.sensor_height_m} if body.has_sensor else {}
-        heights[tip_frame] = body.tip_in_flange_m[2]
-        for name, height_m in heights.items():
-            along_z = pin.SE3(np.eye(3), np.array([0.0, 0.0, height_m]))
-            _add_frame(model, name, flange_frame, along_z, "a NeedleTool")
-        tool_frame = tip_frame
-        body = body.payload
-    return Robot(
-        bare_model=model, tool_frame=tool_frame, flange_frame=flange_frame, payload=body
-    )
-
-
-def require_invertible(robot: Robot) -> None:
-    """Raise `InertiaError` for a mass matrix that cannot be inverted."""
-    mass_matrix = pin.crba(robot.model, robot.create_data(), pin.neutral(robot.model))
-    if np.linalg.eigvalsh(mass_matrix)[0] > 0.0:
-        return
-    is_massless = np.diag(mass_matrix) <= 0.0
-    massless = [robot.joint_names[k] for k in np.flatnonzero(is_massless)]
-    raise InertiaError(
-        f"the mass matrix of robot {robot.model.name!r} is not positive definite; "
-        f"joints that move no inertia: {', '.join(massless) or 'none alone'}",
-        GIVE_INERTIA,
-    )
-
-
-def _add_frame(
-    model: pin.Model, name: str, parent: str, placement: pin.SE3, adder: str
-) -> None:
+def _add_frame(model: pin.Model, name: str, parent: str, placement: pin.SE3) -> None:
     names = [frame.name for frame in model.frames]
     if name in names:
         raise UnknownNameError(
-            f"{adder} adds the frame {name!r}, but robot {model.name!r} has one of "
+            f"the tool adds the frame {name!r}, but robot {model.name!r} has one of "
             "that name; rename it, or attach the tool as a plain payload (tool.payload)"
         )
     index = names.index(parent)
@@ -273,3 +247,47 @@ def _add_frame(
     model.addFrame(
         pin.Frame(name, frame.parentJoint, index, placement, pin.FrameType.OP_FRAME)
     )
+
+
+def _find_inertia_faults(robot: Robot) -> Sequence[str]:
+    """Return what is wrong with the inertia of what a robot's joints move, in words.
+
+    Links that are fixed to each other move as one body, and only what they have
+    together enters a torque. Inertia that no body can have changes no torque at rest;
+    while joints accelerate it does, by the `impossible_moment` times the acceleration.
+    """
+    model = robot.model
+    mass_matrix = pin.crba(model, robot.create_data(), pin.neutral(model))
+    is_turning = [
+        joint.shortname().startswith("JointModelR") for joint in list(model.joints)[1:]
+    ]
+    turned_kg_m2 = np.diag(mass_matrix)[is_turning].max(initial=0.0)
+    faults: list[str] = []
+    for joint in range(1, model.njoints):
+        where = f"behind joint {model.names[joint]}"
+        body = robot.bare_model.inertias[joint]
+        if model.inertias[joint].mass == 0.0:
+            faults.append(f"{where} there is no mass, its weight would be in the force")
+        elif body.mass != 0.0 and _is_impossible(body, turned_kg_m2):
+            moments = principal_moments(body.toDynamicParameters()).round(9).tolist()
+            faults.append(
+                f"{where} no rigid body has the mass {body.mass:g} kg and principal "
+                f"moments {moments} kg m^2"
+            )
+    if not faults and np.linalg.eigvalsh(mass_matrix)[0] <= 0.0:
+        idle = np.flatnonzero(np.diag(mass_matrix) <= 0.0)
+        names = ", ".join(robot.joint_names[k] for k in idle)
+        faults.append(f"the mass matrix is singular; joints without inertia: {names}")
+    return faults
+
+
+def _is_impossible(body: pin.Inertia, turned_kg_m2: float) -> bool:
+    """Return whether no body has such inertia, by more than can be tolerated.
+
+    The largest moment that a joint turns is given: neither that nor the body's own is
+    known better than to 5 %.
+    """
+    parameters = body.toDynamicParameters()
+    # A milligram at a metre is the rounding of a written table.
+    tolerated_kg_m2 = max(1e-6, 0.05 * turned_kg_m2)
+    return impossible_moment(parameters) > tolerated_kg_m2

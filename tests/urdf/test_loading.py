@@ -104,8 +104,7 @@ def test_the_last_link_is_the_tool_frame_and_what_is_not_used_is_not_read(arm):
     ("before", "within"),
     [
         ("", '<gazebo><sensor:camera name="rgb" x:y="1"/></gazebo>'),
-        ("\n\n<?xml version='1.0'?>", ""),
-        ('<?xml version="1.0" encoding="gb2312"?><!-- a -- b --->', ""),
+        ('<?xml version="1.0" encoding="gb2312"?><!-- a -->', ""),
         ("\ufeff", '<gazebo><xacro:grey xmlns:z="z"/></gazebo>'),
     ],
 )
@@ -177,7 +176,7 @@ def test_joints_that_are_not_kept_are_locked_and_followers_follow(arm):
 
     assert robot.joint_names == arms[0].joint_names == ("j1", "j2")
     assert len({tuple(torque_at(one, [0.2, 0.3]).round(9)) for one in arms}) == 1
-    with pytest.raises(UnsupportedJointError, match=r"other_finger.*ball_joint"):
+    with pytest.raises(UnsupportedJointError, match=r"ball_joint.*other_finger"):
         load_urdf(path, tool_frame="hand")
 
 
@@ -189,7 +188,7 @@ def test_a_joint_and_a_link_may_share_a_name(arm):
     for kinds in (
         {"locked_joints": {"grip": 0.01}},
         {"keep_joints": ["j1"]},
-        {"locked_joints": ["hand", "grip"]},
+        {"locked_joints": ["grip"], "keep_joints": ["j1"]},
     ):
         assert load_urdf(path, tool_frame="tip", **kinds).joint_names == ("j1",)
 
@@ -304,70 +303,54 @@ def test_numbers_are_parsed_as_the_reader_does(arm, text):
 )
 def test_inertia_no_body_can_have_is_refused_and_may_be_accepted(arm, mass, moments):
     path = arm(body("a", mass, moments), ONE[1])
-    with pytest.raises(InertiaError, match="a "):
+    with pytest.raises(InertiaError, match="j1"):
         load_urdf(path)
 
-    assert "accepted" in load_urdf(path, check_inertias=False).warnings[0]
+    assert "j1" in load_urdf(path, check_inertias=False).warnings[0]
 
 
-def test_inertia_impossible_by_little_is_one_warning_with_its_effect(arm):
-    rounded = body("b", moments=(-3.5e-8, 3.5e-8, 9e-8))
-    broken = body("c", moments=(0.01, 0.01, 0.0206))
-    path = arm(*ONE, rounded, joint("j2", "a", "b"), broken, joint("j3", "b", "c"))
-    robot = load_urdf(path, payload=NeedleTool(sensor_height_m=0))
+@pytest.mark.parametrize(
+    ("moments", "is_refused"),
+    [((0.002, 0.002, 0.0284), False), ((0.002, 0.002, 0.0304), True)],
+)
+def test_a_large_arm_may_have_a_small_body_that_cannot_be(arm, moments, is_refused):
+    """5 % of what the first joint turns: 0.5 kg m^2 are tolerated by 0.025."""
+    upper = link("a", MASS, INERTIA.replace('iyy="0.01"', 'iyy="0.5"'))
+    upper = upper.replace('ixx="0.01"', 'ixx="0.5"')
+    lower = body("b", mass="1e-6", moments=moments).replace(ORIGIN, "")
+    path = arm(upper, ONE[1], lower, joint("j2", "a", "b"))
 
-    (warning,) = robot.warnings
-    assert all(text in warning for text in ("b, c", "0.0006 Nm"))
-    assert robot.with_payload(None).warnings == robot.warnings
-
-
-def test_a_large_arm_may_have_a_small_body_that_cannot_be(arm):
-    upper = body("a", mass="20", moments=(0.5, 0.5, 0.1))
-    far = joint("j2", "a", "b", extra='<origin xyz="0 0 0.5"/>')
-    path = arm(upper, ONE[1], body("b", moments=(0.001, 0.002, 0.016)), far)
-
-    assert "0.013 Nm" in load_urdf(path).warnings[0]
-
-
-def test_inertia_that_cannot_matter_is_not_looked_at(arm):
-    path = arm(
-        link("mast", '<mass value="?"/>'),
-        joint("mount", "base", "mast", kind="fixed"),
-        link("arm"),
-        joint("j1", "mast", "arm"),
-        body("flange", mass="0", moments=(0.1, 0.1, 0.1)),
-        joint("flange_joint", "arm", "flange", kind="fixed"),
-        link("loose", '<mass value="1 kg"/>'),
-        joint("neck", "mast", "loose"),
-        base=body("base", moments=(0.01, 0.01, 0.5)),
-    )
-    robot = load_urdf(path, tool_frame="flange", keep_joints=["j1"])
-    slider = joint("j1", "base", "a", kind="prismatic")
-
-    assert robot.warnings == ()
-    assert robot.bare_model.inertias[1].mass == 1.0
-    assert load_urdf(arm(body("a", moments=(0.01, 0.01, 0.5)), slider)).warnings == ()
+    if is_refused:
+        with pytest.raises(InertiaError, match="j2"):
+            load_urdf(path)
+    else:
+        assert load_urdf(path).warnings == ()
 
 
-def test_all_links_without_inertia_are_named_at_once_and_can_be_accepted(arm):
+def test_only_what_links_have_together_matters(arm):
+    impossible = body("flange", mass="0.1", moments=(1e-4, 1e-4, 1e-3))
+    fixed = joint("flange_joint", "a", "flange", kind="fixed")
+    ground = body("base", moments=(0.01, 0.01, 0.5))
+
+    assert load_urdf(arm(*ONE, impossible, fixed, base=ground)).warnings == ()
+
+
+def test_all_joints_that_move_no_mass_are_named_at_once_and_can_be_accepted(arm):
     path = arm(
         *ONE,
         *(f'<link name="{name}"/>' for name in "bde"),
-        *(link("c"), body("f", mass="-1")),
+        link("c"),
         joint("j2", "a", "b"),
         joint("j3", "b", "c"),
         joint("j4", "c", "d"),
         joint("j5", "d", "e", kind="fixed"),
-        joint("j6", "c", "f"),
     )
-    named = r"f .*b \(joint j2\), d \(joint j4\)"
-    with pytest.raises(InertiaError, match=named) as caught:
-        load_urdf(path, tool_frame="e")
+    with pytest.raises(InertiaError, match=r"j2.*j4"):
+        load_urdf(path)
+    robot = load_urdf(path, check_inertias=False)
 
-    assert "keep_joints" in caught.value.advice
-    robot = load_urdf(path, tool_frame="e", check_inertias=False)
-    assert robot.nv == 5
-    assert re.search(named, robot.warnings[0])
+    assert robot.nv == 4
+    assert len(robot.warnings) == 2
 
 
 def test_an_arm_without_any_inertia_is_refused_with_the_checks_off(arm):
@@ -442,7 +425,7 @@ ENTITIES = "".join(f'<!ENTITY e{k + 1} "{10 * f"&e{k};"}">' for k in range(9))
     [
         ("", "XML"),
         ("<robot name='toy'><link name='a'/>", "XML"),
-        ("<?xml\nversion='1.0'?>\n<!-- --\n-->\n<robot>\n</bot>", "line 6"),
+        ("<?xml\nversion='1.0'?>\n<!-- -\n-->\n<robot>\n</bot>", "line 6"),
         ("<sdf/>", "sdf"),
         (f'<robot name="x" xmlns:xacro="{XACRO}"><xacro:arm/></robot>', "xacro"),
         ('<robot><link name="a"/><xacro:include filename="b"/></robot>', "xacro"),
@@ -488,7 +471,7 @@ def test_what_is_no_tree_of_links_is_refused(arm, piece, word):
         ({"keep_joints": ["palm"]}, UnknownNameError, "palm"),
         ({"locked_joints": "j1"}, InputError, "list"),
         ({"keep_joints": "j1"}, InputError, "list"),
-        ({"locked_joints": {"j1": np.nan}}, InputError, "nan"),
+        ({"locked_joints": {"j1": np.nan}}, InputError, "j1"),
         ({"keep_joints": ["j1"], "locked_joints": ["j1"]}, InputError, "j1"),
         ({"keep_joints": ["other_finger"]}, UnsupportedJointError, "other_finger"),
         ({"keep_joints": []}, UnsupportedJointError, "no joint"),

@@ -13,8 +13,7 @@ from urdf import (
     InputError,
     NeedleTool,
     Payload,
-    SerialJoint,
-    build_serial_robot,
+    build_robot,
     identify_payload_static,
     load_lwr,
 )
@@ -41,10 +40,12 @@ def payloads(draw):
 @pytest.mark.slow
 @given(payloads(), payloads(), rotations, vectors)
 def test_bodies_add_and_moving_is_linear(one, other, rotation, shift):
-    def moved(body):
-        return body.moved(rotation, shift)
+    placement = pin.SE3(rotation, shift)
 
-    back = moved(one).moved(rotation.T, -rotation.T @ shift)
+    def moved(body):
+        return body.moved(placement)
+
+    back = moved(one).moved(placement.inverse())
     expected = one.parameters + other.parameters
     moved_sum = moved(one).parameters + moved(other).parameters
 
@@ -65,9 +66,9 @@ def test_degenerate_bodies_are_accepted_and_movable():
     assert (nothing + point).parameters == pytest.approx(point.parameters)
     for array in (point.com_m, point.inertia_kg_m2, NeedleTool().tip_in_flange_m):
         assert not array.flags.writeable
-    for rotation, shift in ((2 * np.eye(3), [0] * 3), (-np.eye(3), [0] * 3), (1, [0])):
+    for placement in (2 * np.eye(4), np.diag([-1, -1, -1, 1]), [0]):
         with pytest.raises(InputError):
-            point.moved(rotation * np.eye(3), shift)
+            point.moved(placement)
     with pytest.raises(TypeError):
         point + 1.0
 
@@ -84,8 +85,8 @@ def test_degenerate_bodies_are_accepted_and_movable():
         ({"mass_kg": 1j}, InputError, "mass_kg"),
         ({"com_m": np.zeros(2)}, InputError, "com_m"),
         ({"inertia_kg_m2": np.triu(np.full((3, 3), 0.01))}, InputError, "symmetric"),
-        ([0, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InertiaError, "0 kg"),
-        ([1e-320, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InputError, "NaN"),
+        ([0, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InertiaError, "0.1"),
+        ([1e-320, 0.1, 0, 0, 0, 0, 0, 0, 0, 0], InertiaError, "0.1"),
         (np.zeros(9), InputError, "10"),
     ],
 )
@@ -162,7 +163,6 @@ def test_poses_at_rest_give_mass_and_centre(lwr, posed):
     for robot in (lwr, lwr.with_payload(None), lwr.with_payload(other)):
         estimate = identify_payload_static(robot, *posed)
 
-        assert (estimate.rank, estimate.is_identified) == (4, True)
         assert estimate.parameters == pytest.approx(TRUE.parameters[:4], abs=1e-9)
         assert estimate.payload.com_m == pytest.approx(TRUE.com_m, abs=1e-9)
         assert np.all(estimate.residual_rms_Nm < 1e-9)
@@ -186,18 +186,12 @@ def test_standard_deviations_are_true(lwr, posed, count, options):
         assert 0.8 < np.sqrt(np.mean(np.square(errors_in_std))) < 1.25
 
 
-@pytest.mark.filterwarnings("ignore::RuntimeWarning")
-def test_what_the_data_do_not_determine_is_infinite(lwr, posed):
+def test_poses_that_do_not_turn_the_flange_are_refused(lwr, posed):
     q, tau = posed
     floating = load_lwr(gravity_m_s2=np.zeros(3))
-    few = identify_payload_static(lwr, q[:1], tau[:1])
-    none = identify_payload_static(floating, q, np.zeros((60, 7)))
-
-    assert few.rank < 4
-    assert not few.is_identified
-    assert np.all(np.isinf(few.com_std_m))
-    assert (none.rank, none.payload.mass_kg) == (0, 0.0)
-    assert np.isinf(none.mass_std_kg)
+    for robot, poses, torque in ((lwr, q[:1], tau[:1]), (floating, q, tau)):
+        with pytest.raises(InputError, match="q_rad"):
+            identify_payload_static(robot, poses, torque)
 
 
 def test_a_negative_mass_gives_no_payload(lwr, posed):
@@ -211,16 +205,17 @@ def test_a_negative_mass_gives_no_payload(lwr, posed):
 
 
 def test_the_flange_may_be_off_its_joint():
-    link = np.array([1, 0, 0, 0, 0.1, 0, 0.1, 0, 0, 0.1])
+    link = pin.Inertia(1.0, np.zeros(3), 0.1 * np.eye(3))
     place = pin.SE3(np.eye(3), np.array([0.1, 0.2, 0.3]))
-    joints = [
-        SerialJoint(name=f"j{k}", placement=place, axis=axis, inertia=link)
-        for k, axis in enumerate([(0, 1, 0), (1, 0, 0), (0, 1, 0)])
-    ]
+    model = pin.Model()
+    for kind in (pin.JointModelRY(), pin.JointModelRX(), pin.JointModelRY()):
+        number = model.addJoint(model.njoints - 1, kind, place, f"j{model.njoints}")
+        model.addJointFrame(number)
+        model.appendBodyToJoint(number, link, pin.SE3.Identity())
     flange = pin.SE3(pin.rpy.rpyToMatrix(0.3, 0.4, 0.5), np.array([0.05, 0.1, -0.2]))
     inertia = np.diag([0.01, 0.02, 0.02])
     tool = Payload(mass_kg=0.8, com_m=[0.1, 0, 0.2], inertia_kg_m2=inertia)
-    robot = build_serial_robot(joints, tool_placement=flange, payload=tool)
+    robot = build_robot(model, flange_frame="j3", tool_placement=flange, payload=tool)
     q = np.random.default_rng(0).uniform(-1, 1, (200, 3))
     estimate = identify_payload_static(robot, q, gravity_of(robot, q))
 

@@ -1,5 +1,5 @@
 """Robots: the shipped arms against published tables and another URDF reader; arms
-from numbers."""
+from models."""
 
 from importlib import metadata
 
@@ -17,9 +17,8 @@ from urdf import (
     NeedleTool,
     Payload,
     Robot,
-    SerialJoint,
     UnknownNameError,
-    build_serial_robot,
+    build_robot,
     example_robot_path,
     load_example,
     load_lwr,
@@ -310,100 +309,36 @@ def test_armature_is_added_to_the_mass_diagonal(lwr):
             lwr.with_armature(rotor)
 
 
-def a_joint(**change):
-    good = {
-        "name": "j1",
-        "placement": np.eye(4),
-        "axis": np.array([0, 1.0, 0]),
-        "inertia": POINT,
-    }
-    return SerialJoint(**(good | change))
-
-
-def test_the_lwr_from_numbers_equals_its_urdf(lwr):
-    axes = [
-        (0, 0, 1),
-        (0, -1, 0),
-        (0, 0, 1),
-        (0, 1, 0),
-        (0, 0, 1),
-        (0, -1, 0),
-        (0, 0, 2),
-    ]
-    heights = [0.110, 0.200, 0.200, 0.200, 0.200, 0.190, 0.078]
-    bodies = [body.toDynamicParameters() for body in load_lwr().model.inertias[1:]]
-    joints = []
-    for i, (axis, height, body) in enumerate(zip(axes, heights, bodies, strict=True)):
-        place = pin.SE3(np.eye(3), np.array([0, 0, height]))
-        joints.append(a_joint(name=f"j{i}", placement=place, axis=axis, inertia=body))
-    built = build_serial_robot(joints, payload=NeedleTool())
-    rng = np.random.default_rng(2)
-    for _ in range(5):
-        q, dq, ddq = rng.uniform(-1, 1, (3, 7))
-        torque = [pin.rnea(r.model, r.create_data(), q, dq, ddq) for r in (built, lwr)]
-        assert torque[0] == pytest.approx(torque[1], abs=1e-12)
-
-    assert (built.tool_frame, built.flange_frame) == ("needle_tip", "tool")
-    assert built.joint_names == tuple(f"j{i}" for i in range(7))
-
-
-def test_placement_rotor_inertia_and_dh_rows_enter_model(
-    recordings_dir,
-):
+def test_a_robot_of_a_model_has_its_limits_tool_and_payload(lwr, recordings_dir):
+    model = pin.Model(load_lwr().bare_model)
     offset = np.eye(4)
     offset[:3, 3] = [0.1, 0.2, 0.3]
-    robot = build_serial_robot([a_joint()], tool_placement=offset).with_armature([0.7])
-    frame = robot.model.frames[robot.tool_frame_id]
+    robot = build_robot(
+        model, flange_frame="flange", tool_placement=offset, payload=NeedleTool()
+    )
+    place = robot.model.frames[robot.frame_id("tool")].placement
+    flange = robot.model.frames[robot.frame_id("flange")].placement
 
-    assert frame.placement.translation == pytest.approx([0.1, 0.2, 0.3])
-
-    mass_matrix = pin.crba(robot.model, robot.create_data(), np.zeros(1))
-
-    assert mass_matrix[0, 0] == pytest.approx(0.02 + 0.7)
+    assert flange.actInv(place).translation == pytest.approx([0.1, 0.2, 0.3])
+    assert (robot.tool_frame, robot.flange_frame) == ("needle_tip", "tool")
+    assert np.array_equal(robot.effort_limit_Nm, lwr.effort_limit_Nm)
+    assert model.nframes == load_lwr().model.nframes, "a copy"
 
     # The Panda's published table puts the flange where the arm's data sheet does.
-    robot = read_panda(recordings_dir).robot
-    height = 0.333 + 0.316 + 0.384 - 0.107
+    panda = read_panda(recordings_dir).robot
+    height_m = 0.333 + 0.316 + 0.384 - 0.107
 
-    assert pose_of(robot, np.zeros(7), "tool").translation == pytest.approx(
-        [0.088, 0, height]
+    assert pose_of(panda, np.zeros(7), "tool").translation == pytest.approx(
+        [0.088, 0, height_m]
     )
 
 
-def test_unphysical_links_are_refused_unless_asked_for():
-    axis = np.array([0, 0, 3.0])
-    joint = a_joint(axis=axis)
-    axis[0] = 1.0
+def test_a_model_that_cannot_be_is_refused_unless_asked_for():
+    model = pin.Model(load_lwr().bare_model)
+    with pytest.raises(UnknownNameError, match="wrist"):
+        build_robot(model, flange_frame="wrist")
+    model.inertias[3] = pin.Inertia(1.0, np.zeros(3), np.diag([0.1, 0.1, 9.0]))
+    with pytest.raises(InertiaError, match="lwr_joint_3"):
+        build_robot(model, flange_frame="flange")
 
-    assert joint.axis == pytest.approx([0, 0, 1]), "a copy"
-    with pytest.raises(ValueError, match="read-only"):
-        joint.inertia[0] = 2.0
-
-    bad = POINT.copy()
-    bad[9] = 0.9
-    idle = [a_joint(), a_joint(name="j2", inertia=np.zeros(10))]
-    for joints, message in (
-        ([a_joint(inertia=bad)], "j1"),
-        (idle, "j2"),
-    ):
-        with pytest.raises(InertiaError, match=message):
-            build_serial_robot(joints)
-        assert build_serial_robot(joints, check_inertias=False).nv == len(joints)
-
-
-def test_malformed_joints_chains_and_options_are_refused():
-    for change, error, message in (
-        ({"axis": np.zeros(3)}, InputError, "axis is zero"),
-        ({"inertia": np.zeros(6)}, InputError, "inertia has shape"),
-        ({"inertia": np.eye(10)[1]}, InertiaError, "mass is 0 kg but"),
-        ({"placement": np.diag([1.0, 1, -1, 1])}, InputError, "not a rigid motion"),
-    ):
-        with pytest.raises(error, match=message):
-            a_joint(**change)
-    for names in ([], ["a", "a"], ["tool"]):
-        with pytest.raises(InputError, match="names"):
-            build_serial_robot([a_joint(name=name) for name in names])
-    options = {"tool_placement": np.eye(3), "gravity_m_s2": [1, 1]}
-    for name, value in options.items():
-        with pytest.raises(InputError, match=name):
-            build_serial_robot([a_joint()], **{name: value})
+    assert build_robot(model, flange_frame="flange", check_inertias=False).warnings

@@ -21,6 +21,7 @@ from benchmarks.insertion.methods import (
     run_session,
     wrench_metrics,
 )
+from benchmarks.insertion.recorded import add_link
 from benchmarks.insertion.recorded.liver import (
     OF_MANY,
     LiverInsertion,
@@ -37,7 +38,7 @@ from benchmarks.insertion.signals import ForceTruth, JointSignals, tool_jacobian
 from benchmarks.jobs import Figure, Job, Method, make_figures
 from foundation.arrays import Array
 from residual import SigmoidFriction
-from urdf import Robot, SerialJoint, build_serial_robot
+from urdf import Robot, build_robot
 
 FOLDER = "panda_gaz2019"
 
@@ -83,7 +84,8 @@ def read_panda(data: Path) -> Panda:
 
 def _robot(table: dict[str, Any]) -> Robot:
     """Return the arm of the recording's model."""
-    joints = []
+    model = pin.Model()
+    model.name = "panda"
     for k, (alpha, a, d) in enumerate(
         zip(table["alpha_rad"], table["a_m"], table["d_m"], strict=True)
     ):
@@ -92,24 +94,15 @@ def _robot(table: dict[str, Any]) -> Robot:
         xx, xy, xz, yy, yz, zz = table["inertia_kg_m2"][k]
         about_com = np.array([[xx, xy, xz], [xy, yy, yz], [xz, yz, zz]])
         link = pin.Inertia(table["mass_kg"][k], np.array(table["com_m"][k]), about_com)
-        joints.append(
-            SerialJoint(
-                name=f"joint_{k + 1}",
-                placement=placement,
-                axis=np.array([0.0, 0.0, 1.0]),
-                inertia=link.toDynamicParameters(),
-            )
-        )
+        add_link(model, f"joint_{k + 1}", placement, np.array([0.0, 0.0, 1.0]), link)
+    # Of Franka's documentation; the tare takes the range of the torque sensors from it.
+    model.upperEffortLimit = np.array((87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0))
     # From frame 7 to the flange, of Franka's documentation; the recording has no tool.
     flange = pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.107]))
     # Identified parameters predict torque; not every link is a possible body.
-    robot = build_serial_robot(
-        joints, name="panda", tool_placement=flange, check_inertias=False
+    return build_robot(
+        model, flange_frame="joint_7", tool_placement=flange, check_inertias=False
     )
-    limited = pin.Model(robot.bare_model)
-    # Of Franka's documentation; the tare takes the range of the torque sensors from it.
-    limited.upperEffortLimit = np.array((87.0, 87.0, 87.0, 87.0, 12.0, 12.0, 12.0))
-    return replace(robot, bare_model=limited)
 
 
 def run(job: Job) -> list[Figure]:

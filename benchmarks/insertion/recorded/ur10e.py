@@ -13,12 +13,13 @@ from numpy.typing import NDArray
 
 from benchmarks import DataError
 from benchmarks.insertion.methods import joint_residual
+from benchmarks.insertion.recorded import add_link
 from benchmarks.insertion.recorded.liver import read_arrays, read_table
 from benchmarks.insertion.signals import JointSignals, tool_jacobians
 from benchmarks.jobs import Figure, Job, make_figures
 from foundation.arrays import Array
 from residual import PUBLISHED, JointFriction, WrenchEstimator
-from urdf import Robot, SerialJoint, build_serial_robot, identify_payload_static
+from urdf import Robot, build_robot, identify_payload_static
 
 FOLDER = "ur10e_mamedov2020"
 
@@ -73,19 +74,17 @@ def _robot(table: dict[str, Any]) -> Robot:
     joints_count = 6
     pinocchio_order = (9, 6, 7, 8, 0, 1, 3, 2, 4, 5)  # of the ten inertial parameters
     inertias = np.array(table["inertial_parameters"]["rows"])[:, pinocchio_order]
-    joints = [
-        SerialJoint(
-            name=row["name"],
-            placement=_placement(row),
-            axis=np.array(row["axis"]),
-            inertia=inertia,
-        )
-        for row, inertia in zip(table["joints"][:joints_count], inertias, strict=True)
-    ]
+    model = pin.Model()
+    model.name = "ur10e"
+    for row, inertia in zip(table["joints"][:joints_count], inertias, strict=True):
+        link = pin.Inertia.FromDynamicParameters(inertia)
+        add_link(model, row["name"], _placement(row), np.array(row["axis"]), link)
     # Identified parameters predict torque; not every link is a possible body.
-    tool = _placement(table["joints"][joints_count])
-    arm = build_serial_robot(
-        joints, name="ur10e", tool_placement=tool, check_inertias=False
+    arm = build_robot(
+        model,
+        flange_frame=model.names[-1],
+        tool_placement=_placement(table["joints"][joints_count]),
+        check_inertias=False,
     )
     return arm.with_armature(table["rotor_inertia_kg_m2"])
 
