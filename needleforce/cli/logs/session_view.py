@@ -72,10 +72,8 @@ def view_recording(
     moments = scene_moments(recording, model, tare_s=tare_s, columns=columns, plan=plan)
     scene = EMPTY if plan is None else plan.scene
     viewer = Viewer(model, scene, urdf_path=urdf_with_shapes(robot), port=port)
-    warn(
-        f"the arm is shown without {name}, which cannot be read"
-        for name in viewer.unread_meshes
-    )
+    if viewer.unread_shapes:
+        warn([f"the arm is shown as a line: {viewer.unread_shapes}"])
     viewer.append(moments)
     viewer.open_recording()
     if export is not None:
