@@ -202,12 +202,13 @@ def test_after_a_long_pause_of_the_program_its_own_clock_counts(box):
         for count in range(6, 60):
             box.sendto(lwr_measurement(count), arm.address)
         time.sleep(1.1)
-        arm.on_silence = lambda _: box.sendto(lwr_measurement(40), arm.address)
-        step_s = next(readings).dt_s
+        now = lwr_measurement(40, joints={216: POSITION})
+        arm.on_silence = lambda _: box.sendto(now, arm.address)
+        reading = next(readings)
         passed_s = time.monotonic() - paused_s
 
-    assert 1.1 <= step_s <= passed_s + 0.1
-    assert arm.report.used == 2
+    assert 1.1 <= reading.dt_s <= passed_s + 0.1
+    assert reading.q_rad.tolist() == list(POSITION)
 
 
 def test_a_controller_that_counts_anew_is_heard_after_a_silence(box):
