@@ -63,7 +63,6 @@ def read_description(path: Path, without: Iterable[str] = ()) -> Element:
             "expected the description of one robot",
             KEEP_JOINTS,
         )
-    _require_tree(root, str(path))
     _remove_links(root, set(without), str(path))
     return root
 
@@ -110,25 +109,6 @@ def _parse(text: str, path: Path) -> Element:
     return builder.close()
 
 
-def _require_tree(root: Element, source: str) -> None:
-    """Refuse what is no tree of links; the URDF reader says so on stderr only."""
-    joints = root.findall("joint")
-    links = [link.get("name", "") for link in root.findall("link")]
-    children = [link_of(joint, "child") for joint in joints]
-    roots = sorted(set(links) - set(children))
-    faults: list[str] = []
-    for names in (links, [joint.get("name", "") for joint in joints], children):
-        faults += sorted({name for name in names if names.count(name) > 1})
-    ends = {link_of(joint, "parent") for joint in joints} | set(children)
-    faults += sorted(ends - set(links))
-    if faults or len(roots) != 1:
-        raise UrdfFileError(
-            f"{source}: is not a valid URDF: expected one tree, each name once and "
-            f"each link on one joint; stand twice or are not there: "
-            f"{', '.join(faults) or 'none'}; hang on nothing: {', '.join(roots)}"
-        )
-
-
 def _remove_links(root: Element, without: set[str], source: str) -> None:
     """Remove links, the joints they hang on and everything behind them."""
     links = {link.get("name", ""): link for link in root.findall("link")}
@@ -148,7 +128,7 @@ def _remove_links(root: Element, without: set[str], source: str) -> None:
                 waiting.append(child)
         if links[parent] in list(root):
             root.remove(links[parent])
-    if root.find("link") is None:
+    if without and root.find("link") is None:
         raise InputError(f"{source}: cannot leave out {without}, the root of the robot")
 
 
@@ -158,6 +138,11 @@ def build_model(root: Element, source: str) -> pin.Model:
     A continuous joint becomes a revolute one without limits: an angle, not a point on
     the circle. The URDF reader (urdfdom) may still refuse it: `UrdfFileError`.
     """
+    children = [link_of(joint, "child") for joint in root.findall("joint")]
+    if twice := sorted({name for name in children if children.count(name) > 1}):
+        raise UrdfFileError(  # of all that is no tree, its reader takes this alone
+            f"{source}: is not a valid URDF: {', '.join(twice)} hang on two joints"
+        )
     for link in root.findall("link"):
         _check_inertial(link, source)
     unlimited = [

@@ -57,7 +57,7 @@ def joints_towards(
     link = frame if frame in links else children[frame]
     route: list[str] = []
     while link in by_child:
-        joint = by_child[link]
+        joint = by_child.pop(link)  # so that a loop of links ends
         if _is_movable(joint):
             route.insert(0, joint.get("name", ""))
         link = link_of(joint, "parent")
