@@ -3,11 +3,10 @@
 from types import SimpleNamespace
 
 import numpy as np
-import pandas as pd
 import pytest
 
-from needleforce.cli.arms.arm_watch import Display
-from needleforce.cli.logs.plan_found import PlanFound
+from needleforce.cli.arms.arm_watch import describe_values
+from needleforce.cli.logs.plan_found import plan_result
 from needleforce.control.monitors import Monitors, SafetyLimits
 from needleforce.control.state_machine import State
 from needleforce.needle_on_plan import (
@@ -122,7 +121,7 @@ def test_live_scene_report_json_and_ros_say_the_same(
     assert json["verdict"] == verdict
     assert set(json["clearances"]) == {"portal_vein", "rib_left_7"}
 
-    live = " ".join(Display(None, None, None)._describe_values(estimate))
+    live = " ".join(describe_values(estimate, None))
     assert describe_deviation(deviation) in live
     assert describe_clearances(clearances) in live
     assert too_near in live
@@ -149,10 +148,10 @@ def test_live_scene_report_json_and_ros_say_the_same(
     assert part in card
     assert ("TOO NEAR: " in card) is bool(too_near)
 
-    found = PlanFound(pd.DataFrame(), None, deviation, clearances, 0.0, ())
-    assert any(too_near in text for text in ["", *found.doubts()])
-    assert any(describe_deviation(deviation) in text for text in found.sentences())
-    assert f'"verdict": "{verdict}"'.encode() in found.state_json()
+    found = plan_result("log", deepest=deviation, nearest=clearances, off_fraction=0.0)
+    assert any(too_near in text for text in ["", *found.warnings])
+    assert any(describe_deviation(deviation) in text for text in found.sentences)
+    assert f'"verdict": "{verdict}"'.encode() in found.files["needle_on_plan.json"]
 
     monitors = Monitors.__new__(Monitors)
     monitors._limits = SafetyLimits(axial_N=100.0)
