@@ -1,15 +1,13 @@
 """The command `needleforce`: a robot's joint signals to forces, forces to layers.
 
-One file a command holds its text in the help and its own options; what several commands
-take stands in `shared_options`. Whatever computes is imported when a command is run, so
-that `--help` answers at once: `logs` has what works on recordings, `arms` what works on
-an arm, `demos` the demonstrations, `checkup` what `doctor` finds.
+The modules of commands hold their texts in the help; the options stand in
+`shared_options` and `patient.options`. Whatever computes is imported when a command is
+run, so that `--help` answers at once.
 
 Reading order: `application`, `shared_options`, `terminal` (errors, signals, printing),
-`force`, `check`, `identify`, `report`, `simulate`, `record`, `plan`, `touch`,
-`register`, `live`, `lag`, `ros2`, `view`, `demo`, `doctor` (the commands), `robot` (the
-robot from options and TOML files), `logs`, `plan_option`, `auto_tare`, `loop_threads`,
-`arms`, `patient`, `demos`, `checkup`.
+`log_commands`, `arm_commands`, `patient_commands`, `machine_commands`, `robot` (the
+robot from options and TOML files), `logs`, `session_parts`, `arms`, `patient`, `demos`,
+`checkup`.
 """
 
 import re
@@ -17,45 +15,19 @@ import sys
 from collections.abc import Sequence
 
 from needleforce.cli import (
-    check,
-    demo,
-    doctor,
-    force,
-    identify,
-    lag,
-    live,
-    plan,
-    record,
-    register,
-    report,
-    ros2,
-    simulate,
-    touch,
-    view,
+    arm_commands as arm_commands,
 )
-from needleforce.cli.application import app
+from needleforce.cli import (
+    log_commands as log_commands,
+)
+from needleforce.cli import (
+    machine_commands as machine_commands,
+)
+from needleforce.cli import (
+    patient_commands as patient_commands,
+)
+from needleforce.cli.application import app as app
 from needleforce.cli.terminal import CommandError, run_command
-
-__all__ = [
-    "app",
-    "check",
-    "demo",
-    "doctor",
-    "force",
-    "identify",
-    "lag",
-    "live",
-    "main",
-    "plan",
-    "record",
-    "register",
-    "report",
-    "ros2",
-    "run_ros2_node",
-    "simulate",
-    "touch",
-    "view",
-]
 
 
 def main(argv: Sequence[str] | None = None) -> int:

@@ -3,22 +3,24 @@
 Arm, payload, friction and settings.
 """
 
-from collections.abc import Callable
-from dataclasses import MISSING, fields, is_dataclass, replace
+from collections.abc import Collection, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, fields, is_dataclass, replace
 from importlib.resources import files
 from pathlib import Path
 from tempfile import TemporaryDirectory
-from typing import Any, Literal, TypeVar, get_args, get_origin, get_type_hints
+from typing import Any, TypeVar
 
 import msgspec
 import numpy as np
+import pinocchio as pin
 
 import urdf
 from foundation.arrays import Array
-from needleforce.cli.kept_joints import LogJoints, assumed_positions, joints_to_keep
 from needleforce.cli.shared_options import RobotOptions, SensorOptions
-from needleforce.cli.terminal import CommandError, warn
+from needleforce.cli.terminal import OTHER_ROBOT, CommandError, warn
 from needleforce.recordings.channels import read_toml
+from needleforce.recordings.table import LinkTransforms
 from residual import (
     DEFAULT,
     PUBLISHED,
@@ -27,8 +29,15 @@ from residual import (
     SensorConfig,
     SigmoidFriction,
 )
-from urdf import NeedleTool, Payload, Robot, example_robot_path
+from urdf import (
+    NeedleTool,
+    Payload,
+    Robot,
+    UnknownNameError,
+    example_robot_path,
+)
 from urdf.errors import finite_array
+from urdf.joint_choice import joints_towards, movable_joints
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
 T = TypeVar("T")
@@ -46,15 +55,15 @@ NEEDLE = "needle"
 def robot_from_options(
     options: RobotOptions,
     mapping: str | None,
-    find_joints: Callable[[], LogJoints] = LogJoints,
+    joints: Sequence[str | None] = (),
 ) -> Robot:
     """Return the robot that the options describe; what is odd in it is said on stderr.
 
     Args:
         options: Options of the command.
         mapping: File of the mapping, which may name the payload.
-        find_joints: Returns what the log says about its joints; called for
-            ``--lock-others``. By default nothing is known.
+        joints: Joints of the log for ``--lock-others``, None for one without a name;
+            empty if nothing is known.
 
     Raises:
         CommandError: Options contradict each other, or the robot cannot be loaded.
@@ -77,7 +86,7 @@ def robot_from_options(
         locked_joints = dict(map(_parse_lock, options.lock))
         kept_joints = None
         if options.lock_others:
-            kept_joints = joints_to_keep(options, locked_joints, find_joints())
+            kept_joints = joints_to_keep(options, locked_joints, joints)
         robot = urdf.load_urdf(
             options.urdf,
             locked_joints=locked_joints,
@@ -90,6 +99,67 @@ def robot_from_options(
             robot = replace(robot, warnings=robot.warnings + assumed)
     warn(robot.warnings)
     return robot
+
+
+def joints_to_keep(
+    options: RobotOptions, locked: Mapping[str, float], joints: Sequence[str | None]
+) -> tuple[str, ...]:
+    """Return the joints that ``--lock-others`` leaves.
+
+    They are those that the log names. Of a log that names none they are as many as it
+    has on the way to the tool, the nearest to the tool: a torso or a rail comes first.
+
+    Args:
+        options: Options of the command, with ``--urdf``.
+        locked: Positions of the joints of ``--lock``.
+        joints: Joints of the log, None for one without a name; empty if not known.
+
+    Raises:
+        CommandError: The joints of the log are none of the robot's.
+    """
+    path = Path(str(options.urdf))
+    movable = [
+        name for name in movable_joints(path, options.without) if name not in locked
+    ]
+    kept = tuple(name for name in movable if name in joints)
+    if kept:
+        return kept
+    if not any(joints):
+        if len(joints) == len(movable):
+            return tuple(movable)
+        towards = joints_towards(path, options.tool_frame, options.without)
+        route = tuple(name for name in towards if name not in locked)
+        if len(joints) <= len(route):
+            return route[-len(joints) :]
+    named = ", ".join(map(str, filter(None, joints))) or f"{len(joints)} columns each"
+    raise CommandError(
+        f"--lock-others: the log has the joints {named}, the robot "
+        f"{', '.join(movable)}: they do not fit; name the robot's in the order of the "
+        "log with joints = [...] in the file of --mapping",
+        OTHER_ROBOT,
+    )
+
+
+def assumed_positions(
+    options: RobotOptions, chosen: Collection[str]
+) -> tuple[str, ...]:
+    """Return a warning of joints that carry the tool and are locked at zero unasked.
+
+    Args:
+        options: Options of the command, with ``--urdf``.
+        chosen: Joints that the log or ``--lock`` names.
+    """
+    path = Path(str(options.urdf))
+    route: tuple[str, ...] = ()
+    with suppress(UnknownNameError):  # several last links: none is surely the tool's
+        route = joints_towards(path, options.tool_frame, options.without)
+    assumed = [name for name in route if name not in chosen]
+    if not assumed:
+        return ()
+    return (
+        f"{path}: joints on the way to the tool that the log does not have are locked "
+        f"at 0: {', '.join(assumed)}; --lock JOINT=POSITION where one stands elsewhere",
+    )
 
 
 def robot_from_text(text: str, source: str, options: RobotOptions) -> Robot:
@@ -110,19 +180,14 @@ def _check_robot_options(options: RobotOptions) -> None:
     """Refuse options of the robot that contradict each other."""
     if options.urdf is not None and options.robot is not None:
         raise CommandError("--robot and --urdf name two robots, expected one of them")
-    if options.gravity is not None and options.mount:
+    if options.gravity is not None and options.mount is not None:
         raise CommandError("--gravity and --mount say the same, expected one of them")
-    for_urdf = {
-        "--lock": options.lock,
-        "--lock-others": options.lock_others,
-        "--accept-inertia": options.accept_inertia,
-    }
-    for option, value in for_urdf.items():
-        if value and options.urdf is None:
-            raise CommandError(
-                f"{option} is for a robot of --urdf FILE; known robots have no joints "
-                "to lock and all their inertia"
-            )
+    for_urdf = (options.lock, options.lock_others, options.accept_inertia)
+    if any(for_urdf) and options.urdf is None:
+        raise CommandError(
+            "--lock, --lock-others and --accept-inertia are for a robot of --urdf "
+            "FILE; known robots have no joints to lock and all their inertia"
+        )
     if _is_lwr(options) and (
         options.tool_frame or options.tip_offset or options.without
     ):
@@ -147,38 +212,20 @@ def gravity_from_options(options: RobotOptions) -> Array:
     """Return gravity in base axes [m/s^2], shape (3,).
 
     Raises:
-        CommandError: It is not as strong as on Earth, or the mounting is not known.
+        CommandError: It is not as strong as on Earth.
     """
+    size_m_s2 = -STANDARD_GRAVITY_M_S2[2]
+    mounts = {"wall": (size_m_s2, 0.0, 0.0), "ceiling": (0.0, 0.0, size_m_s2)}
+    gravity_m_s2 = options.gravity or mounts.get(
+        options.mount or "", STANDARD_GRAVITY_M_S2
+    )
     # Weaker and stronger than anywhere on Earth: a unit vector, or another unit
-    max_gravity_m_s2 = 9.9
-    min_gravity_m_s2 = 9.7
-    if options.gravity is not None:
-        size_m_s2 = float(np.linalg.norm(options.gravity))
-        if not min_gravity_m_s2 <= size_m_s2 <= max_gravity_m_s2:
-            raise CommandError(
-                f"--gravity {' '.join(f'{value:g}' for value in options.gravity)}: is "
-                f"{size_m_s2:.4g} m/s^2, expected about 9.81, as in 0 0 9.81 for a "
-                "robot that hangs from the ceiling"
-            )
-        return np.array(options.gravity)
-    tilts_deg = {"": 0.0, "wall": 90.0, "ceiling": 180.0}
-    mount = " ".join(options.mount).replace("=", " ")
-    tilt_deg = tilts_deg.get(mount, np.nan)
-    if mount.startswith("tilt "):
-        try:
-            tilt_deg = float(mount.removeprefix("tilt "))
-        except ValueError:
-            tilt_deg = np.nan
-    if not np.isfinite(tilt_deg):
+    if not 9.7 <= np.linalg.norm(gravity_m_s2) <= 9.9:
         raise CommandError(
-            f"--mount {mount}: expected wall, ceiling or tilt DEG, as in --mount tilt "
-            "30, and the log before it"
+            f"--gravity {' '.join(f'{value:g}' for value in gravity_m_s2)}: expected "
+            "about 9.81 m/s^2, as in 0 0 9.81 for a robot that hangs from the ceiling"
         )
-    down_m_s2 = STANDARD_GRAVITY_M_S2[2]
-    tilt_rad = np.deg2rad(tilt_deg)
-    # The base is turned about its y axis: R_y(tilt)' g.
-    gravity_m_s2 = down_m_s2 * np.array([-np.sin(tilt_rad), 0.0, np.cos(tilt_rad)])
-    return np.round(gravity_m_s2, 9) + 0.0  # sin(180 degrees) is 0, and never -0.0
+    return np.array(gravity_m_s2)
 
 
 def _is_lwr(options: RobotOptions) -> bool:
@@ -186,13 +233,13 @@ def _is_lwr(options: RobotOptions) -> bool:
     return options.urdf is None and options.robot in (None, LWR)
 
 
-def urdf_with_shapes(options: RobotOptions) -> Path | None:
+def urdf_with_shapes(options: RobotOptions) -> Path:
     """Return the file whose shapes the scene shows."""
     if options.urdf is not None:
         return Path(options.urdf)
-    if options.robot in (None, LWR):
+    if _is_lwr(options):
         return Path(str(files("urdf.data") / "lwr4plus.urdf"))
-    return Path(example_robot_path(options.robot))
+    return Path(example_robot_path(str(options.robot)))
 
 
 def payload_from_options(
@@ -212,9 +259,11 @@ def payload_from_options(
         CommandError: The table or file describes no payload.
     """
     value: Any = options.payload
+    folder = Path()
     where = "--payload"
     if value is None and mapping is not None:
         value = read_toml(mapping, "mapping").get("payload")
+        folder = Path(mapping).parent
         where = f"{mapping}: [payload]"
     if value is None:
         value = NEEDLE if _is_lwr(options) else NOTHING
@@ -223,15 +272,13 @@ def payload_from_options(
     if value == NEEDLE:
         return NeedleTool()
     if isinstance(value, str):
-        # A path in the mapping counts from its folder.
-        folder = Path() if options.payload is not None else Path(mapping or "").parent
         where = str(folder / value)
         value = read_toml(where, "payload file")
     if isinstance(value, dict) and value.keys() == {"needle"}:
         return convert_table(NeedleTool, value["needle"], f"{where}: [needle]")
-    point_mass = {"inertia_kg_m2": [[0.0] * 3] * 3}
-    table = {**point_mass, **value} if isinstance(value, dict) else value
-    return convert_table(Payload, table, where)
+    if isinstance(value, dict):
+        value = {"inertia_kg_m2": [[0.0] * 3] * 3} | value
+    return convert_table(Payload, value, where)
 
 
 def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
@@ -242,12 +289,10 @@ def payload_lines(payload: Payload | NeedleTool | None) -> list[str]:
     if isinstance(payload, NeedleTool):
         page = "docs/how-to/tool-and-payload.md"
         title = f"[payload.needle]  # force sensor and needle; see {page}"
+    values = {item.name: getattr(payload, item.name) for item in fields(payload)}
     return [
         title,
-        *(
-            f"{item.name} = {np.asarray(getattr(payload, item.name)).tolist()!r}"
-            for item in fields(payload)
-        ),
+        *(f"{name} = {np.asarray(v).tolist()!r}" for name, v in values.items()),
     ]
 
 
@@ -275,17 +320,18 @@ def with_friction(robot: Robot, path: str | None) -> tuple[Robot, FrictionModel 
             f"{path} has {', '.join(tables)}; expected one table of "
             f"{' or '.join(models)}, and rotor_inertia_kg_m2 if it counts"
         )
-    friction = None
-    for name, table in tables.items():
-        friction = convert_table(models[name], table, f"{path}: [{name}]")
-        for item in fields(friction):
-            values = np.asarray(getattr(friction, item.name))
-            if values.ndim:
-                where = f"{path}: [{name}]: {item.name}, one number per joint,"
-                finite_array(values, (robot.nv,), where)
     if rotor_inertia is not None:
         where = f"{path}: rotor_inertia_kg_m2, one number per joint,"
         robot = robot.with_armature(finite_array(rotor_inertia, (robot.nv,), where))
+    if not tables:
+        return robot, None
+    ((name, table),) = tables.items()
+    friction = convert_table(models[name], table, f"{path}: [{name}]")
+    for item in fields(friction):
+        values = getattr(friction, item.name)
+        if isinstance(values, np.ndarray):
+            where = f"{path}: [{name}]: {item.name}, one number per joint,"
+            finite_array(values, (robot.nv,), where)
     return robot, friction
 
 
@@ -337,46 +383,75 @@ def convert_table(kind: type[T], table: Any, where: str, preset: Any = None) -> 
     if not isinstance(table, dict):
         raise CommandError(f"{where} is {type(table).__name__}, expected a table")
     declared: Any = kind
-    hints = get_type_hints(kind)
-    known = {item.name: item for item in fields(declared) if item.init}
-    if unknown := sorted(table.keys() - known.keys()):
+    known = [item.name for item in fields(declared) if item.init]
+    if unknown := sorted(table.keys() - set(known)):
         raise CommandError(
             f"{where}: unknown key {unknown[0]!r}; known are: {', '.join(known)}"
         )
-    given: dict[str, Any] = {}
-    for name, value in table.items():
-        nested = getattr(preset, name, None)
-        if is_dataclass(nested) and isinstance(value, dict):
-            given[name] = convert_table(type(nested), value, f"{where}: {name}", nested)
-        elif value == NOTHING:
-            given[name] = None
-        else:
-            given[name] = _convert_value(hints[name], value, f"{where}: {name}")
+    values: dict[str, Any] = {}
     if preset is not None:
-        return replace(preset, **given)
-    needed = [name for name, item in known.items() if item.default is MISSING]
-    if missing := [name for name in needed if name not in given]:
-        raise CommandError(f"{where}: {', '.join(missing)} is missing")
-    return kind(**given)
-
-
-def _convert_value(kind: Any, value: Any, where: str) -> Any:
-    """Return a value of TOML as a field of a dataclass takes it."""
+        values = {name: getattr(preset, name) for name in known}
+    for name, value in table.items():
+        nested = values.get(name)
+        values[name] = None if value == NOTHING else value
+        if is_dataclass(nested) and isinstance(value, dict):
+            here = f"{where}: {name}"
+            values[name] = convert_table(type(nested), value, here, nested)
     try:
-        return msgspec.convert(value, kind, dec_hook=_convert_array)
+        return msgspec.convert(values, kind, dec_hook=_as_array)
     except (msgspec.ValidationError, OverflowError) as error:
-        text = f"{where}: {error}"
-        if get_origin(kind) is Literal:
-            text += f", expected {' or '.join(map(repr, get_args(kind)))}"
-        raise CommandError(text) from error
+        raise CommandError(f"{where}: {error}") from error
 
 
-def _convert_array(_kind: Any, value: Any) -> Array:
+def _as_array(_kind: Any, value: Any) -> Array:
     """Return a list of numbers as an array; used by msgspec."""
+    return np.array(value, dtype=np.float64)
+
+
+@dataclass(frozen=True, slots=True)
+class ArmFrames:
+    """Where the links and the tool frame of an arm are; called with joint positions.
+
+    Attributes:
+        robot: The arm.
+    """
+
+    robot: Robot
+
+    def __call__(self, q_rad: np.ndarray) -> LinkTransforms:
+        """Return the poses in the axes of the root link.
+
+        Args:
+            q_rad: Joint positions [rad or m], shape (n,).
+        """
+        model = self.robot.model
+        data = model.createData()
+        pin.framesForwardKinematics(model, data, q_rad)
+        poses = {
+            frame.name: data.oMf[index]
+            for index, frame in enumerate(model.frames)
+            if frame.type == pin.BODY or index == self.robot.tool_frame_id
+        }
+        # Frame 0 is Pinocchio's own "universe"; the first of the URDF is its root link.
+        root = self.robot.frame_names[1]
+        poses = {name: poses[name] for name in poses if name not in (root, "universe")}
+        return LinkTransforms(
+            parent=root,
+            children=tuple(poses),
+            translation_m=np.array([pose.translation for pose in poses.values()]),
+            rotation_xyzw=np.array(
+                [pin.Quaternion(pose.rotation).coeffs() for pose in poses.values()]
+            ),
+        )
+
+
+def read_description(options: RobotOptions) -> str:
+    """Return the text of the URDF that options name; empty if it cannot be read.
+
+    Args:
+        options: Options that describe the robot.
+    """
     try:
-        array = np.array(value, dtype=np.float64)
-    except (ValueError, TypeError, OverflowError):
-        array = np.array(np.nan)
-    if not (array.ndim and np.isfinite(array).all()):
-        raise ValueError("Expected a list of finite numbers")
-    return array
+        return urdf_with_shapes(options).read_text(encoding="utf-8")
+    except (OSError, UnicodeDecodeError):
+        return ""

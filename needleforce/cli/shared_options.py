@@ -1,4 +1,4 @@
-"""Options that several commands take.
+"""Options that several commands take, or that what they call takes whole.
 
 Frozen dataclasses from which cyclopts builds the parser; the text of a field in its
 class's `Attributes:` is its help.
@@ -10,7 +10,15 @@ from typing import Annotated, Literal
 
 from cyclopts import Parameter
 
-from needleforce.cli.application import COLUMNS, LOG, OUTPUT, ROBOT, SENSOR, TARE
+from needleforce.cli.application import (
+    COLUMNS,
+    LIVE_OUTPUT,
+    LOG,
+    OUTPUT,
+    ROBOT,
+    SENSOR,
+    TARE,
+)
 
 Source = Annotated[
     str,
@@ -35,8 +43,6 @@ class Columns:
     Attributes:
         time: Time stamp (s, ms, us, ns, min).
         rate: Sample rate, when there is no time.
-        sort_within: Sort rows that come so much later than newer ones (default: 1 s for
-            a file, 0 for rows used as they come).
         mapping: TOML file that says all this.
         layout: TOML file with names of columns, units and layouts to know beside ours;
             several, by giving it again.
@@ -45,7 +51,6 @@ class Columns:
 
     time: Annotated[str | None, _COLUMN] = None
     rate: Annotated[float | None, Parameter(metavar="HZ")] = None
-    sort_within: Annotated[float | None, Parameter(metavar="SECONDS")] = None
     mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
     layout: Annotated[tuple[str, ...], Parameter(metavar="FILE")] = ()
     print_config: bool = False
@@ -109,9 +114,6 @@ class Output:
             bag), or - for CSV on standard output.
         figure: Figure: .png, .svg or .pdf.
         over: Draw the figure over time (default), or over the depth of the needle.
-        start: Start of the figure on its own axis, in seconds or, with --over depth,
-            millimetres.
-        end: End of the figure, likewise.
     """
 
     output: Annotated[
@@ -122,8 +124,6 @@ class Output:
         Path | None, Parameter(name=("--figure", "--png"), metavar="FILE")
     ] = None
     over: Over = "time"
-    start: Annotated[float | None, Parameter(name="--from", metavar="X")] = None
-    end: Annotated[float | None, Parameter(name="--to", metavar="X")] = None
 
 
 Direction = tuple[float, float, float]
@@ -155,8 +155,7 @@ class RobotOptions:
         gravity: Gravity in the axes of the robot's base [m/s^2] (default: 0 0 -9.80665,
             a base that stands upright).
         mount: How the base is mounted, instead of --gravity: wall (its x axis points
-            down), ceiling, or tilt DEG (turned so far about its y axis from upright, x
-            axis down).
+            down) or ceiling.
         payload: What is on the flange: a TOML file; the published 304 g force sensor
             and needle (default of the LWR); or nothing (default of other robots). It
             overrides the mapping.
@@ -175,14 +174,7 @@ class RobotOptions:
     lock_others: Annotated[bool, Parameter(negative="")] = False
     accept_inertia: Annotated[bool, Parameter(negative="")] = False
     gravity: Annotated[Direction | None, Parameter(metavar="X Y Z")] = None
-    mount: Annotated[
-        tuple[str, ...],
-        Parameter(
-            metavar="wall|ceiling|tilt DEG",
-            consume_multiple=True,
-            allow_leading_hyphen=False,
-        ),
-    ] = ()
+    mount: Literal["wall", "ceiling"] | None = None
     payload: Annotated[str | None, Parameter(metavar="FILE|needle|none")] = None
 
     def __post_init__(self) -> None:
@@ -232,6 +224,11 @@ class SensorOptions:
     ] = None
     no_tare: Annotated[bool, Parameter(group=TARE)] = False
     force_tare: Annotated[bool, Parameter(group=TARE)] = False
+
+    @property
+    def torque_channel(self) -> str:
+        """The channel of the torques that the sensor takes."""
+        return "tau_ext" if self.external_torque else "tau"
 
 
 Method = Literal["mixture", "published", "published-kv"]
@@ -306,3 +303,97 @@ class ArmOptions:
     motor_constants: Annotated[
         MotorConstants | None, Parameter(metavar="K1 ... K6")
     ] = None
+
+
+@Parameter(name="*", group=LOG)
+@dataclass(frozen=True, kw_only=True)
+class ViewOptions:
+    """What is shown beside a recording, and where.
+
+    Attributes:
+        anatomy: Plan (plan.json, or its folder) with labels.nii.gz (or .nrrd,
+            .seg.nrrd): see docs/how-to/scene.md.
+        situs_inversus: Liver and spleen of this patient are exchanged.
+        mapping: TOML file that says which columns are which, as `needleforce force
+            --print-config` writes.
+        tare: Tare after so many seconds of motion without contact (default: 4); if it
+            is refused, again after as many.
+        export: Write the scene as one page (.html) with the insertion as a film, and
+            end.
+        port: Port of the page, on this machine alone (default: 8080); another is used
+            if it is busy.
+    """
+
+    anatomy: Annotated[
+        Path | None, Parameter(name=("--anatomy", "--plan"), metavar="DIR|FILE")
+    ] = None
+    situs_inversus: Annotated[bool, Parameter(negative="")] = False
+    mapping: Annotated[str | None, Parameter(metavar="FILE")] = None
+    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
+    export: Annotated[Path | None, Parameter(metavar="FILE", group=LIVE_OUTPUT)] = None
+    port: Annotated[int, Parameter(metavar="N", group=LIVE_OUTPUT)] = 8080
+
+
+@Parameter(name="*", group=LIVE_OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class WatchOptions:
+    """What an arm is watched with.
+
+    Attributes:
+        plan: Plan to match ruptures with (plan.json, or its folder): see
+            docs/how-to/scene.md.
+        situs_inversus: Liver and spleen of the plan's patient are exchanged.
+        reference: ATI Net F/T between flange and tool: its axial force, and the rms
+            difference since the tare, are shown next to the estimate.
+        reference_axis: Direction of insertion in that sensor's axes (default: 0 0 1).
+        view: Serve the scene as a browser page beside the session.
+        port: Port of that page (default: 8080); another is used if it is busy.
+        tare: Tare after so many seconds of motion without contact (default: 4); if it
+            is refused, again after as many.
+        tare_stroke: Move the arm and tare from that, before anything else: it draws the
+            needle back by so many mm and returns. It asks first.
+        tare_swivel: Degrees by which the elbow of an arm of seven joints swings during
+            that stroke (default: 0; 8 is slow enough).
+        yes: Move the arm without asking.
+    """
+
+    plan: Annotated[Path | None, Parameter(metavar="FILE", group=LOG)] = None
+    situs_inversus: Annotated[bool, Parameter(negative="", group=LOG)] = False
+    reference: Annotated[str | None, Parameter(metavar="ADDRESS", group=LOG)] = None
+    reference_axis: Annotated[Direction, Parameter(metavar="X Y Z", group=LOG)] = (
+        0.0,
+        0.0,
+        1.0,
+    )
+    view: Annotated[bool, Parameter(negative="")] = False
+    port: Annotated[int, Parameter(metavar="N")] = 8080
+    tare: Annotated[float, Parameter(metavar="S", group=TARE)] = TARE_S
+    tare_stroke: Annotated[float | None, Parameter(metavar="MM", group=TARE)] = None
+    tare_swivel: Annotated[float, Parameter(metavar="DEGREES", group=TARE)] = 0.0
+    yes: Annotated[bool, Parameter(negative="", group=TARE)] = False
+
+
+@Parameter(name="*", group=OUTPUT)
+@dataclass(frozen=True, kw_only=True)
+class SimulationOptions:
+    """What is simulated, and where it goes.
+
+    Attributes:
+        output: Recording: .csv, .npz, .parquet, or .mcap, a ROS 2 bag.
+        truth: Ground truth, which the robot does not know: forces, depth, layers,
+            ruptures.
+        plant: Plant model: how good arm and sensors are (default: clean); or needle, a
+            needle on a linear stage with its force sensor, without an arm.
+        seed: Seed of everything that is drawn at random (default: 0).
+        overwrite: Replace files that are there.
+        list: Print the scenarios and stop.
+    """
+
+    output: Annotated[
+        Path | None, Parameter(name=("--output", "-o"), metavar="FILE")
+    ] = None
+    truth: Annotated[Path | None, Parameter(metavar="FILE")] = None
+    plant: Literal["ideal", "clean", "fri", "degraded", "needle"] = "clean"
+    seed: Annotated[int, Parameter(metavar="N")] = 0
+    overwrite: Annotated[bool, Parameter(negative="")] = False
+    list: bool = False

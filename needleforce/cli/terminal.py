@@ -8,9 +8,13 @@ from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager, suppress
 from importlib.util import find_spec
 from types import FrameType
+from typing import TYPE_CHECKING, Any
 
 from foundation.errors import NeedleforceError
 from foundation.extras import extra_of, install_command
+
+if TYPE_CHECKING:
+    import pandas as pd
 
 FAILED = 2
 """Exit code after one line that says what is wrong with options or files."""
@@ -60,11 +64,8 @@ def run_command(work: Callable[[], int]) -> int:
     Returns:
         The exit code.
     """
-    is_terminated = False
 
     def terminate(_number: int, _frame: FrameType | None) -> None:
-        nonlocal is_terminated
-        is_terminated = True
         raise _Terminated
 
     try:
@@ -75,37 +76,35 @@ def run_command(work: Callable[[], int]) -> int:
     except BrokenPipeError:
         _close_output()
         return READER_GONE
+    except _Terminated:
+        say("terminated")
+        return TERMINATED
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
-    except (Exception, _Terminated) as error:
-        # A library in C may turn what the handler raised into an error of its own.
-        if is_terminated:
-            say("terminated")
-            return TERMINATED
-        say(f"error: {_describe_failure(error)}")
+    except Exception as error:
+        say(f"error: {describe_error(_foreseen(error))}")
         return FAILED
 
 
-def _describe_failure(error: BaseException) -> str:
-    """Return a foreseen failure in one line; raise what was not foreseen."""
-    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name)):
-        reason = f"{error.name} is not installed"
-        error = CommandError(reason, f"Install it: {install_command(extra)}")
-    if type(error).__module__.partition(".")[0] == "cyclopts":
-        error = CommandError(str(error), "--help lists what a command takes")
+def _foreseen(error: Exception) -> NeedleforceError:
+    """Return a foreseen failure; raise what was not foreseen."""
     if isinstance(error, NeedleforceError):
         try:
             write_out("")
         except OSError:  # what a full disk has refused would be tried again at the end
             _close_output()
-        return describe_error(error)
+        return error
+    if isinstance(error, ModuleNotFoundError) and (extra := extra_of(error.name)):
+        return _not_installed("this", str(error.name), extra)
+    if type(error).__module__.partition(".")[0] == "cyclopts":
+        return CommandError(str(error), "--help lists what a command takes")
     if not isinstance(error, OSError) or error.filename is not None:
         raise error
     # A failure without a file is one of standard output; others say which file.
     _close_output()
     reason = f"cannot write standard output: {error.strerror or error}"
-    return describe_error(CommandError(reason, OTHER_PLACE))
+    return CommandError(reason, OTHER_PLACE)
 
 
 def describe_error(error: NeedleforceError) -> str:
@@ -113,6 +112,14 @@ def describe_error(error: NeedleforceError) -> str:
     text = str(error).rstrip()
     end = "" if text.endswith((".", "?", "!")) else "."
     return f"{text}{end} {error.advice}".strip().removesuffix(".")
+
+
+def _not_installed(command: str, module: str, extra: str) -> CommandError:
+    """Return the error of a command that needs a module of an extra."""
+    return CommandError(
+        f"{command} needs {module}, which is not installed",
+        f"Install it: {install_command(extra)}",
+    )
 
 
 def require_modules(command: str, modules: Iterable[str]) -> None:
@@ -127,10 +134,7 @@ def require_modules(command: str, modules: Iterable[str]) -> None:
     """
     for module in modules:
         if find_spec(module) is None:
-            raise CommandError(
-                f"{command} needs {module}, which is not installed",
-                f"Install it: {install_command(str(extra_of(module)))}",
-            )
+            raise _not_installed(command, module, str(extra_of(module)))
 
 
 @contextmanager
@@ -182,16 +186,15 @@ def stop_request(
 
 
 @contextmanager
-def progress_bar(label: str, *, is_wanted: bool = True) -> Iterator[Progress]:
+def progress_bar(label: str) -> Iterator[Progress]:
     """Show on stderr, if that is a terminal, how far work has come.
 
     Yields what takes the fraction that is done.
 
     Args:
         label: What is done.
-        is_wanted: Whether it is shown at all.
     """
-    if not is_wanted or sys.stderr is None or not sys.stderr.isatty():
+    if sys.stderr is None or not sys.stderr.isatty():
         yield lambda _: None
         return
     from rich.console import Console
@@ -205,26 +208,27 @@ def progress_bar(label: str, *, is_wanted: bool = True) -> Iterator[Progress]:
         yield lambda fraction: bar.update(task, total=1.0, completed=fraction)
 
 
-@contextmanager
-def staged_progress(label: str) -> Iterator[Progress]:
-    """Show a stage of long work: a bar on a terminal, elsewhere one line on stderr.
-
-    Yields what takes the fraction of the stage that is done.
-
-    Args:
-        label: What is done.
-    """
-    if sys.stderr is not None and not sys.stderr.isatty():
-        say(f"{label} ...")
-    with progress_bar(label) as progress:
-        yield progress
-
-
 def aligned(rows: Iterable[tuple[str, str]]) -> str:
     """Return a line for each label and its text, the texts below each other."""
     lines = list(rows)
-    width = max(len(label) for label, _ in lines)
+    width = max((len(label) for label, _ in lines), default=0)
     return "".join(f"{label:<{width}}  {text}\n" for label, text in lines)
+
+
+def json_text(content: Any) -> str:
+    """Return content as JSON, indented; an array becomes a list."""
+    import msgspec
+
+    encoded = msgspec.json.encode(content, enc_hook=lambda array: array.tolist())
+    return msgspec.json.format(encoded).decode() + "\n"
+
+
+def table_text(rows: "pd.DataFrame", justify: Callable[..., str] = str.rjust) -> str:
+    """Return a table of texts as lines, its columns two spaces apart."""
+    lines = [tuple(rows.columns), *rows.itertuples(index=False)]
+    widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
+    cells = [map(justify, line, widths) for line in lines]
+    return "".join("  ".join(line).rstrip() + "\n" for line in cells)
 
 
 def say(text: str) -> None:
@@ -259,3 +263,13 @@ def _close_output() -> None:
     """Let what is still buffered go nowhere, or Python would complain at its end."""
     with suppress(OSError, ValueError), open(os.devnull, "wb") as nowhere:
         os.dup2(nowhere.fileno(), sys.stdout.fileno())
+
+
+def limit_library_threads() -> None:
+    """Let linear algebra compute in one thread, unless the user has said otherwise.
+
+    Threads that wait for each other on busy cores take seconds for what one does in
+    milliseconds, and the arm is not answered meanwhile. Call it before numpy is loaded.
+    """
+    for library in ("OMP", "OPENBLAS", "MKL"):
+        os.environ.setdefault(f"{library}_NUM_THREADS", "1")

@@ -1,23 +1,14 @@
 """Simulated insertions for rehearsal, demonstrations and benchmarks, beside the truth.
 
 Only here do sessions and plans meet the ground truth. Needs the extra `demo`; all but
-`insertion` and `tables` need `patient`, too.
+`tables` need `patient`, too.
 
-Reading order: `insertion` (a session over a simulated insertion, and what it found),
-`tables` (an insertion as columns of a recording),
-`torso_case` (CT and labels of an analytic torso), `patient` (a simulated arm over the
-patient of a plan), `scanned_torso` and `planned_insertion` (from a CT to a needle whose
-ruptures correct the plan).
+Reading order: `tables` (an insertion as columns of a recording), `torso_case` (CT and
+labels of an analytic torso), `patient` (a simulated arm over the patient of a plan),
+`scanned_torso` and `planned_insertion` (from a CT to a needle whose ruptures correct
+the plan).
 """
 
-from needleforce.simulation.insertion import (
-    FoundRupture as FoundRupture,
-    JudgedSession as JudgedSession,
-    SessionResult as SessionResult,
-    judge as judge,
-    published_session as published_session,
-    run_session as run_session,
-)
 from needleforce.simulation.patient import (
     TouchingArm as TouchingArm,
     insert_into_patient as insert_into_patient,

@@ -1,4 +1,4 @@
-"""The arm that a user names, its model, and its samples until Ctrl-C."""
+"""The arm that a user names, its model, its samples until Ctrl-C, their recording."""
 
 import signal
 import sys
@@ -12,7 +12,13 @@ import numpy as np
 
 from groundtruth import simulate
 from groundtruth.rig_arm import SimulatedArm
-from needleforce.cli.robot import LWR, robot_from_options, robot_from_text
+from needleforce.cli.robot import (
+    LWR,
+    ArmFrames,
+    read_description,
+    robot_from_options,
+    robot_from_text,
+)
 from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
 from needleforce.cli.terminal import (
     OTHER_ROBOT,
@@ -26,6 +32,7 @@ from needleforce.devices import (
     ArmReading,
     DeviceSettingError,
     Fr3Arm,
+    LinkError,
     ReplayArm,
     connect_arm,
     pace,
@@ -34,6 +41,9 @@ from needleforce.devices import (
 from needleforce.devices.datagram_link import DatagramLink
 from needleforce.devices.guard import GuardedArm
 from needleforce.devices.link import SILENCE_S
+from needleforce.recorder import Recorder
+from needleforce.recordings.output import check_writable
+from needleforce.recordings.table import TableLabels
 from urdf import Robot
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
@@ -88,33 +98,25 @@ def open_arm(
     if kind == "sim":
         yield _simulated_arm(name, place, options, takes_commands=takes_commands)
         return
+    if kind != "ros2":
+        try:
+            parse_arm_name(name)
+        except DeviceSettingError as error:
+            # Arms without a connection of their own, to be moved or listened to.
+            others = "sim" if takes_commands else "sim:SCENARIO"
+            raise CommandError(f"{error}, ros2:TOPIC or {others}") from error
+    robot = _robot_of(name, options)
+    settings: dict[str, Any] = {"takes_commands": takes_commands, "robot": robot}
     if kind == "ros2":
+        if not place:
+            raise CommandError(f"{name}: expected ros2:TOPIC, as ros2:/joint_states")
         from needleforce.ros2.arm import Ros2Arm
 
-        if not place:
-            raise CommandError(
-                f"{name}: expected ros2:TOPIC, such as ros2:/joint_states"
-            )
-        robot = _robot_of(name, kind, options)
-        with Ros2Arm(
-            place, robot.joint_names, takes_commands=takes_commands, robot=robot
-        ) as arm:
-            yield ConnectedArm(arm, robot)
-        return
-    try:
-        parse_arm_name(name)
-    except DeviceSettingError as error:
-        # Arms without a connection of their own, to be moved or listened to.
-        others = "sim" if takes_commands else "sim:SCENARIO"
-        raise CommandError(f"{error}, ros2:TOPIC or {others}") from error
-    robot = _robot_of(name, kind.partition("@")[0], options)
-    with connect_arm(
-        name,
-        takes_commands=takes_commands,
-        robot=robot,
-        torque_constant_Nm_A=constants_Nm_A,
-    ) as arm:
-        if arm.joints != robot.nv:
+        opened: Any = Ros2Arm(place, robot.joint_names, **settings)
+    else:
+        opened = connect_arm(name, torque_constant_Nm_A=constants_Nm_A, **settings)
+    with opened as arm:
+        if kind != "ros2" and arm.joints != robot.nv:
             raise CommandError(
                 f"{name} has {arm.joints} joints, the robot that describes it "
                 f"{robot.nv}",
@@ -151,11 +153,12 @@ def _simulated_arm(
     return ConnectedArm(arm, run.robot)
 
 
-def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
+def _robot_of(name: str, options: RobotOptions) -> Robot:
     """Return the robot that options describe, else the one that an arm is taken for."""
+    described = described_robot(name, options)
     if options.robot is not None or options.urdf is not None:
         return robot_from_options(options, None)
-    if kind == "fr3":
+    if name.startswith("fr3:"):
         with Fr3Arm(parse_arm_name(name).host) as arm:
             text = arm.client.model_urdf
         # Names of its flange in its own description.
@@ -167,15 +170,29 @@ def _robot_of(name: str, kind: str, options: RobotOptions) -> Robot:
             "name others"
         )
         return robot_from_text(text, "fr3.urdf", replace(options, tool_frame=flange))
-    if kind not in ROBOTS:
+    if described.robot is None:
         raise CommandError(
             f"{name} does not say what arm it is, expected --urdf FILE",
             OTHER_ROBOT,
         )
     say(
-        f"{name} is taken for the arm {ROBOTS[kind]!r}; --robot or --urdf names another"
+        f"{name} is taken for the arm {described.robot!r}; --robot or --urdf names "
+        "another"
     )
-    return robot_from_options(replace(options, robot=ROBOTS[kind]), None)
+    return robot_from_options(described, None)
+
+
+def described_robot(name: str, options: RobotOptions) -> RobotOptions:
+    """Return options that name the robot that an arm is taken for, if they name none.
+
+    Args:
+        name: The arm as the command line names it.
+        options: Options that describe the robot.
+    """
+    if options.robot is not None or options.urdf is not None:
+        return options
+    kind = name.partition(":")[0].partition("@")[0]
+    return replace(options, robot=ROBOTS.get(kind))
 
 
 def ask_to_move(name: str, motion: str) -> None:
@@ -252,3 +269,59 @@ def _say_sender(arm: Any) -> None:
             f"{host}, port {port}, was the first to send; only {host} is listened to "
             f"(@{host} after the arm's name makes sure)"
         )
+
+
+def record_signals(
+    arm_name: str,
+    output: Path,
+    options: ArmOptions,
+    robot: RobotOptions,
+    *,
+    overwrites: bool,
+) -> int:
+    """Write the joint signals of an arm into a file as they come.
+
+    Args:
+        arm_name: The arm as the command line names it.
+        output: The recording.
+        options: For how long the arm is listened to.
+        robot: Options that describe the robot.
+        overwrites: Whether an older recording is replaced.
+
+    Returns:
+        The exit code.
+    """
+    check_writable(output, overwrites=overwrites)  # before the arm is waited for
+    has_torque = True
+    with (
+        open_arm(arm_name, robot, options.motor_constants) as (arm, model),
+        Recorder(
+            output,
+            model.joint_names,
+            _labels_of_arm(arm_name, model, robot),
+            overwrites=overwrites,
+        ) as recorder,
+    ):
+        if isinstance(arm, DatagramLink):
+            arm.drop_waiting()  # what came while the command got ready
+        try:
+            for sample in samples_until_stopped(arm, options):
+                recorder.put(sample)
+                has_torque = sample.tau_Nm is not None
+        except LinkError as error:
+            if not recorder.rows:
+                raise
+            raise error.reworded(
+                f"{error}; {output} ends with the last sample, at "
+                f"{recorder.time_s:.3f} s"
+            ) from error
+    say(f"{recorder.rows} samples, {recorder.time_s:.3f} s in {output}; {arm.report}")
+    if not has_torque:
+        say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
+    return 0
+
+
+def _labels_of_arm(arm_name: str, model: Robot, options: RobotOptions) -> TableLabels:
+    """Return what lets a bag show the arm."""
+    description = read_description(described_robot(arm_name, options))
+    return TableLabels(robot_description=description, link_poses=ArmFrames(model))

@@ -1,14 +1,11 @@
 """The delay of an arm, measured by moving it: `needleforce lag`."""
 
-import json
-
 from foundation.jit import compile_waiting
 from needleforce.cli.arms.arm_connection import ask_to_move, limits_of, open_arm
 from needleforce.cli.shared_options import RobotOptions
-from needleforce.cli.terminal import write_out
-from needleforce.control.lag import Delay, SafeGain, find_safe_gain, measure_lag
+from needleforce.cli.terminal import aligned, json_text, say, write_out
+from needleforce.control.lag import PHASE_MARGIN_deg, find_safe_gain, measure_lag
 from needleforce.control.tasks import GAIN_PER_S
-from urdf import Robot
 
 S_TO_MS = 1e3
 
@@ -40,16 +37,9 @@ def measure_arm(
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
     with open_arm(arm_name, options, takes_commands=True) as connected:
         arm, robot = connected
-        lag = measure_lag(arm, robot, limits_of(connected))
-    slowest = max(lag.delays, key=lambda delay: delay.delay_s + delay.std_s)
-    gain = find_safe_gain(slowest, lag.cycle_s)
-    describe = _as_json if as_json else _as_text
-    write_out(describe(robot, lag.delays, gain, lag.cycle_s) + "\n")
-    return 0
-
-
-def _as_json(robot: Robot, delays: list[Delay], gain: SafeGain, cycle_s: float) -> str:
-    """Return the result as JSON; times in ms, gains in 1/s."""
+        delays = measure_lag(arm, robot, limits_of(connected))
+    slowest = max(delays, key=lambda delay: delay.delay_s + delay.std_s)
+    gain = find_safe_gain(slowest)
     joints = [
         {
             "joint": name,
@@ -59,30 +49,21 @@ def _as_json(robot: Robot, delays: list[Delay], gain: SafeGain, cycle_s: float) 
         }
         for name, delay in zip(robot.joint_names, delays, strict=True)
     ]
-    result = {
-        "joints": joints,
-        "cycle_ms": S_TO_MS * cycle_s,
+    numbers = {
+        "cycle_ms": S_TO_MS * slowest.cycle_s,
         "safe_gain_per_s": gain.safe_per_s,
         "unstable_gain_per_s": gain.unstable_per_s,
-        "phase_margin_deg": gain.margin_deg,
+        "phase_margin_deg": PHASE_MARGIN_deg,
         "usual_gain_per_s": GAIN_PER_S,
     }
-    return json.dumps(result, indent=2)
-
-
-def _as_text(robot: Robot, delays: list[Delay], gain: SafeGain, cycle_s: float) -> str:
-    """Return the result in lines to be read."""
-    lines = [
-        f"{name}: {S_TO_MS * delay.delay_s:.2f} ± {S_TO_MS * delay.std_s:.2f} ms"
-        for name, delay in zip(robot.joint_names, delays, strict=True)
-    ]
-    usual = (
-        "is safe" if gain.safe_per_s >= GAIN_PER_S else "is too high: pass gain_per_s"
-    )
-    lines += [
-        f"cycle {S_TO_MS * cycle_s:.2f} ms",
-        f"largest safe gain {gain.safe_per_s:.1f} / s (phase margin "
-        f"{gain.margin_deg:.0f} degrees); unstable from {gain.unstable_per_s:.0f} / s",
-        f"the usual gain of {GAIN_PER_S:g} / s {usual}",
-    ]
-    return "\n".join(lines)
+    if as_json:
+        write_out(json_text({"joints": joints, **numbers}))
+        return 0
+    rows = {
+        str(one["joint"]): f"{one['delay_ms']:.2f} ± {one['std_ms']:.2f} ms"
+        for one in joints
+    }
+    write_out(aligned([*rows.items(), *((k, f"{v:.4g}") for k, v in numbers.items())]))
+    if gain.safe_per_s < GAIN_PER_S:
+        say("warning: the usual gain is too high for this arm: pass gain_per_s")
+    return 0

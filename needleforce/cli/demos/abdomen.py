@@ -2,7 +2,6 @@
 
 from importlib.util import find_spec
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 from scipy.spatial.transform import Rotation
@@ -19,7 +18,6 @@ from needleforce.cli.terminal import (
     write_out,
 )
 from needleforce.plan_file import crop_scan, large_structures
-from needleforce.plots import palette
 from needleforce.plots.plan_slices import draw_along
 from needleforce.simulation.planned_insertion import (
     LANDMARKS,
@@ -33,33 +31,22 @@ SCENE = "scene.html"
 
 TITLE = "From a CT to a needle whose ruptures correct the plan"
 
-CT_ROW = "CT"
-PATH_ROW = "planned path"
-OFF_ROW = "plan off by"
-
-CT_CAPTION = (
+CAPTION = (
     "The CT in two planes that hold the planned path (yellow, with a bar where a layer "
     "ends and a ring at the target); outlines of the structures. Blue: the detected "
     "ruptures, and a cross where the tip stopped, moved back by the true shift."
 )
 
-FORCE_CAPTION = (
-    "Force over depth: where the plan expected boundaries, and where they were."
-)
-
 M_TO_MM = 1e3
 
 
-def run(
-    data: Path | None, seed: int, *, folder: Path | None, picture: Path | None
-) -> int:
+def run(data: Path | None, seed: int, folder: Path | None) -> int:
     """Run the demonstration and print its table.
 
     Args:
         data: Folder with CT and labels; None for an analytic torso.
         seed: Seed of everything that is drawn at random.
         folder: Folder for a page, if any.
-        picture: File for the chart of the force, if any.
 
     Returns:
         The exit code.
@@ -67,29 +54,24 @@ def run(
     Raises:
         CommandError: A package is missing.
     """
-    if folder is not None or picture is not None:
-        plots.require_matplotlib("demo", picture)
     modules = ("SimpleITK", "skimage", "manifold3d", "trimesh", "mujoco")
     require_modules("demo abdomen", modules)
-    with progress_bar("demonstrating abdomen") as progress:
-        insertion = insert(data, seed, progress)
-    rows = _rows_of(insertion)
-    write_out(f"{TITLE}\n{aligned(rows.items())}{NOT_MEDICAL}\n")
-    with plots.whole_folder(folder) as place:
-        if place is not None:
-            _write_page(insertion, rows, place)
-    if picture is not None:
-        _save_forces(insertion, picture)
+    with plots.whole_folder(folder) as draft:
+        with progress_bar("demonstrating abdomen") as progress:
+            insertion = insert(data, seed, progress)
+        rows = _rows_of(insertion)
+        write_out(f"{TITLE}\n{aligned(rows.items())}{NOT_MEDICAL}\n")
+        if draft is not None:
+            _write_page(insertion, rows, draft)
     if folder is not None:
-        pages = [folder / name for name in (plots.PAGE, SCENE)]
-        write_out("".join(f"{page}\n" for page in pages if page.exists()))
+        write_out(f"{folder / plots.PAGE}\n")
     return 0
 
 
 def _write_page(
     insertion: PlannedInsertion, rows: dict[str, str], folder: Path
 ) -> None:
-    """Write the page: CT and path first, then what the insertion made of the plan."""
+    """Write the page: CT and path, what the insertion made of the plan, the film."""
     followed = insertion.followed
     scan = draw_along(
         insertion.torso.scan,
@@ -99,11 +81,6 @@ def _write_page(
         ruptures_m=[one.depth_m - insertion.shift_m for one in followed.ruptures],
         tip_m=followed.stop_m - insertion.shift_m,
     )
-    force = plots.PageFigure(
-        path=_save_forces(insertion, folder / "force.svg"),
-        alt=FORCE_CAPTION,
-        caption=FORCE_CAPTION,
-    )
     in_space = "3-D film: not made, the extra `scene` is not installed."
     if find_spec("viser") is not None:
         write_scene(insertion, folder / SCENE)
@@ -111,25 +88,14 @@ def _write_page(
     table = plots.PageTable(
         caption="Result", head=("what", "value"), rows=tuple(rows.items())
     )
-    picture = plots.PageFigure(path=scan, alt=CT_CAPTION, caption=CT_CAPTION)
-    page = plots.Page(
-        title=TITLE,
-        lead=(
-            f"CT: {rows[CT_ROW]}.",
-            f"Planned path: {rows[PATH_ROW]}.",
-            f"Plan off by {rows[OFF_ROW]}.",
-            in_space,
-            NOT_MEDICAL,
-        ),
-        sections=(
-            plots.Section(
-                heading="Plan and insertion",
-                anchor="insertion",
-                figures=(picture, force),
-                tables=(table,),
-            ),
-        ),
+    picture = plots.PageFigure(path=scan, alt=CAPTION, caption=CAPTION)
+    section = plots.Section(
+        heading="Plan and insertion",
+        anchor="insertion",
+        figures=(picture,),
+        tables=(table,),
     )
+    page = plots.Page(title=TITLE, lead=(in_space, NOT_MEDICAL), sections=(section,))
     plots.write_page(folder / plots.PAGE, page)
 
 
@@ -181,10 +147,10 @@ def _rows_of(insertion: PlannedInsertion) -> dict[str, str]:
     if fine is not rough:
         by_touches = _describe_registration(insertion, fine)
     rows = {
-        CT_ROW: f"{torso.origin}: {voxels} voxels of {spacing_mm} mm",
-        PATH_ROW: f"{path}; target in the {torso.target}",
-        OFF_ROW: f"{by_plan_mm:.1f} -> {corrected_mm:.1f} mm after {len(ruptures)} "
-        "ruptures (tip from target)",
+        "CT": f"{torso.origin}: {voxels} voxels of {spacing_mm} mm",
+        "planned path": f"{path}; target in the {torso.target}",
+        "plan off by": f"{by_plan_mm:.1f} -> {corrected_mm:.1f} mm after "
+        f"{len(ruptures)} ruptures (tip from target)",
         f"registration by {LANDMARKS} landmarks": _describe_registration(
             insertion, rough
         ),
@@ -211,31 +177,3 @@ def _describe_registration(
     error_mm = M_TO_MM * np.linalg.norm(registration.to_robot(target_m) - true_m)
     std_mm = M_TO_MM * registration.tre_m(target_m)
     return f"{error_mm:.1f} mm at the target, {std_mm:.1f} stated"
-
-
-def _save_forces(insertion: PlannedInsertion, path: Path) -> Path:
-    """Draw force and tip force over depth into a file; return its name."""
-    from matplotlib import rc_context
-
-    followed = insertion.followed
-    depth_mm = M_TO_MM * followed.depth_m
-    exits_m = [layer.exit_m for layer in insertion.path.layers[:-1]]
-    ruptures_m = [rupture.depth_m for rupture in followed.ruptures]
-    with rc_context(fname=plots.STYLE):
-        figure, (axes,) = plots.make_panels(
-            1, plots.WIDTH_IN, 3.0, "Boundaries as planned, ruptures as detected"
-        )
-        plots.draw_line(
-            axes, depth_mm, followed.force_N, color=palette.GREEN, label="force"
-        )
-        tip: dict[str, Any] = {"color": palette.PURPLE, "ls": "-."}
-        plots.draw_line(axes, depth_mm, followed.tip_N, label="tip force", **tip)
-        for label, places_m, marker in (
-            ("planned boundary", exits_m, "o"),
-            ("detected rupture", ruptures_m, "|"),
-        ):
-            places_mm = M_TO_MM * np.array(places_m)
-            plots.mark_instants(axes, places_mm, label, color="k", marker=marker)
-        axes.set(xlabel="depth below the planned entry [mm]", ylabel=palette.FORCE)
-        plots.add_legend(figure, columns=2)
-        return plots.save_figure(figure, path)

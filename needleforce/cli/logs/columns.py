@@ -1,18 +1,19 @@
 """Which columns of a log are which channels, and which joints it has."""
 
-from collections.abc import Iterable
+from collections.abc import Sequence
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
 
 from needleforce import recordings
-from needleforce.cli.kept_joints import LogJoints
-from needleforce.cli.shared_options import Columns
+from needleforce.cli.robot import robot_from_options
+from needleforce.cli.shared_options import Columns, RobotOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.recordings import ColumnError, ColumnMapping
 from needleforce.recordings.channel_request import ChannelRequest
 from needleforce.recordings.mapping import parse_column_spec
 from needleforce.recordings.table import STANDARD_STREAM
+from urdf import Robot
 
 
 def is_pipe(source: str) -> bool:
@@ -26,33 +27,25 @@ def mapping_from_options(columns: Columns) -> ColumnMapping:
     base = ColumnMapping(knowledge=knowledge)
     if columns.mapping:
         base = recordings.load_mapping(columns.mapping, knowledge)
-    from_options = {
-        name: parse_column_spec(text, channel)
-        for name, channel in knowledge.channels.items()
-        if (text := getattr(columns, name, None)) is not None
-    }
-    channels = {**base.channels, **from_options}
-    rate_hz = base.rate_hz if columns.rate is None else columns.rate
-    if "time" in from_options:
-        rate_hz = columns.rate
-    elif columns.rate is not None:
+    channels = dict(base.channels)
+    rate_hz = base.rate_hz
+    if columns.rate is not None:
         channels.pop("time", None)
-    within_s = columns.sort_within
-    return replace(
-        base,
-        joints=getattr(columns, "joints", None) or base.joints,
-        channels=channels,
-        rate_hz=rate_hz,
-        sort_within_s=base.sort_within_s if within_s is None else within_s,
-    )
+    if columns.rate is not None or getattr(columns, "time", None) is not None:
+        rate_hz = columns.rate
+    for name, channel in knowledge.channels.items():
+        if (text := getattr(columns, name, None)) is not None:
+            channels[name] = parse_column_spec(text, channel)
+    joints = getattr(columns, "joints", None) or base.joints
+    return replace(base, joints=joints, channels=channels, rate_hz=rate_hz)
 
 
-def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool:
+def has_channels(source: str, mapping: ColumnMapping, channels: Sequence[str]) -> bool:
     """Return whether a recording has columns for all of these channels.
 
     Args:
         source: The recording as the command line names it.
-        columns: Which columns are which channels.
+        mapping: Which columns are which channels.
         channels: Names of channels.
 
     Raises:
@@ -63,38 +56,49 @@ def has_channels(source: str, columns: Columns, channels: Iterable[str]) -> bool
         raise CommandError(
             "a report needs a file, not a pipe: write what comes into a file first"
         )
-    mapping = mapping_from_options(columns)
     table = recordings.columns_of(source, mapping)
-    required = tuple(channels)
     try:
-        return ChannelRequest(mapping, required).columns(table) is not None
+        return ChannelRequest(mapping, tuple(channels)).columns(table) is not None
     except ColumnError:
-        layers = ChannelRequest(mapping, ("depth", "force"))
-        if mapping.channels.keys() & {*required} or layers.columns(table) is None:
+        if ChannelRequest(mapping, ("depth", "force")).columns(table) is None:
             raise
         # `identify` asks for no joints, so it does not matter how many might fit.
         return False
 
 
-def find_log_joints(source: str, mapping: ColumnMapping) -> LogJoints:
-    """Return the joints of a log: those of the mapping, else those that it names.
+def joints_of_log(source: str, mapping: ColumnMapping) -> tuple[str | None, ...]:
+    """Return the joints of a log by name: those of the mapping, else as it names them.
+
+    Joints without a name are None. A pipe is not looked at: it has none.
 
     Args:
-        source: The log as the command line names it; a pipe is not looked at.
+        source: The log as the command line names it.
         mapping: Which columns are which channels.
     """
-    if mapping.joint_order:
-        return LogJoints(mapping.joint_order, len(mapping.joint_order))
-    if is_pipe(source):
-        return LogJoints()
+    if mapping.joint_order or is_pipe(source):
+        return mapping.joint_order
     table = recordings.columns_of(source, mapping)
     positions = frozenset(table.joint_names)
     with suppress(ColumnError):  # several would fit, which reading the log will say
         positions = ChannelRequest(mapping, ("q",)).columns(table) or frozenset()
-    names: dict[str, None] = {}
-    count = 0
+    joints: list[str | None] = []
     for column in sorted(positions):
-        names |= dict.fromkeys(table.joint_names.get(column, ()))
         values = table.columns.get(column)
-        count += 1 if values is None or values.ndim == 1 else values.shape[1]
-    return LogJoints(tuple(names), count or None)
+        width = 1 if values is None or values.ndim == 1 else values.shape[1]
+        joints += table.joint_names.get(column, (None,) * width)
+    return tuple(joints)
+
+
+def robot_of_log(
+    source: str, mapping: ColumnMapping, options: RobotOptions, file: str | None
+) -> Robot:
+    """Return the robot of the options; the log may say which joints it has.
+
+    Args:
+        source: The log as the command line names it.
+        mapping: Which columns are which channels.
+        options: Options that describe the robot.
+        file: File of the mapping, which may name the payload.
+    """
+    joints = joints_of_log(source, mapping) if options.lock_others else ()
+    return robot_from_options(options, file, joints)

@@ -1,16 +1,18 @@
 """Forces of a log: from options to the sensor's replay, and what it says in words."""
 
-from collections import Counter
-from functools import partial
+from dataclasses import dataclass
+from pathlib import Path
 
 import numpy as np
 
-from needleforce.cli.logs.columns import find_log_joints, mapping_from_options
-from needleforce.cli.robot import robot_from_options, sensor_config, with_friction
+from needleforce import recordings
+from needleforce.cli.logs.columns import mapping_from_options, robot_of_log
+from needleforce.cli.robot import sensor_config, with_friction
 from needleforce.cli.shared_options import JointColumns, RobotOptions, SensorOptions
-from needleforce.cli.terminal import CHOOSE_TARE, CommandError, progress_bar
+from needleforce.cli.terminal import CHOOSE_TARE, CommandError, progress_bar, warn
 from needleforce.depth_zero import FIRST_ROW
 from needleforce.recordings import Log
+from needleforce.recordings.table import STANDARD_STREAM
 from needleforce.sensor_replay import (
     STATUS_CODES,
     SensorReplay,
@@ -23,77 +25,64 @@ from residual.bias.torque_diagnosis import TorqueDiagnosis
 from urdf import Robot
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
-NO_FORCE = "none: no sample was valid after the filters had settled"
+
+@dataclass(frozen=True, slots=True, eq=False)
+class ForceRun:
+    """The forces of a log.
+
+    Attributes:
+        name: Name of the log.
+        log: The log.
+        robot: The robot, with the rotors of ``--friction``.
+        replay: What the sensor has estimated.
+        warnings: What is wrong with the log, and with the torques; said on stderr.
+    """
+
+    name: str
+    log: Log
+    robot: Robot
+    replay: SensorReplay
+    warnings: tuple[str, ...]
 
 
-def torque_channel(sensor: SensorOptions) -> str:
-    """Return the channel of the torques that the sensor takes."""
-    return "tau_ext" if sensor.external_torque else "tau"
+def name_of(source: str) -> str:
+    """Return what a log is called in figures and on pages."""
+    return "standard input" if source == STANDARD_STREAM else Path(source).name
 
 
-def robot_of_log(source: str, robot: RobotOptions, columns: JointColumns) -> Robot:
-    """Return the robot of the options; the log may say which joints it has."""
-    find_joints = partial(find_log_joints, source, mapping_from_options(columns))
-    return robot_from_options(robot, columns.mapping, find_joints)
-
-
-def parse_tare_window(text: str, first_s: float) -> TareWindow:
-    """Return the window that ``--tare`` names.
-
-    Args:
-        text: Value of the option, START:END.
-        first_s: Time of the log's first row [s].
+def run_forces(
+    source: str, robot: RobotOptions, sensor: SensorOptions, columns: JointColumns
+) -> ForceRun:
+    """Estimate the forces of a log; what is wrong with it is said on stderr.
 
     Raises:
-        CommandError: The text names no window.
+        CommandError: Options contradict each other, the log does not fit the robot, or
+            the tare is refused; the message names the options.
     """
-    start, colon, end = text.partition(":")
-
-    def time_of(word: str) -> float:
-        return (first_s if word.strip().startswith("+") else 0.0) + float(word)
-
-    try:
-        start_s = time_of(start) if start.strip() else first_s
-        window = TareWindow(start_s, time_of(end))
-    except ValueError as error:
-        raise CommandError(f"--tare {text}: expected START:END", CHOOSE_TARE) from error
-    if not colon or not np.isfinite(window).all():
-        raise CommandError(f"--tare {text}: expected START:END", CHOOSE_TARE)
-    return window
-
-
-def check_tare_options(sensor: SensorOptions) -> None:
-    """Refuse options on the tare that are wrong, before a log is waited for."""
     if sensor.no_tare and (sensor.force_tare or sensor.tare is not None):
-        option = "--tare" if sensor.tare is not None else "--force-tare"
         raise CommandError(
-            f"{option} and --no-tare contradict each other, expected one of them"
+            "--no-tare contradicts --tare and --force-tare, expected one of them"
         )
-    if sensor.tare is not None:
-        parse_tare_window(sensor.tare, 0.0)
-
-
-def estimate_forces(
-    log: Log, robot: Robot, sensor: SensorOptions, name: str
-) -> tuple[SensorReplay, Robot]:
-    """Run the sensor of the options over a log.
-
-    Returns:
-        What it estimates, and the robot with the rotors of ``--friction``.
-
-    Raises:
-        CommandError: The tare is refused; the message names the options.
-    """
-    robot, friction = with_friction(robot, sensor.friction)
+    mapping = mapping_from_options(columns)
+    model = robot_of_log(source, mapping, robot, columns.mapping)
+    model, friction = with_friction(model, sensor.friction)
     config = sensor_config(sensor, friction)
+    log = recordings.read_log(
+        source,
+        mapping,
+        required=("q", sensor.torque_channel),
+        optional=("dq",),
+        joints=model.joint_names,
+    )
+    warn(log.warnings)
     window = None
     if sensor.tare is not None:
         window = parse_tare_window(sensor.tare, float(log.t_s[0]))
     try:
-        with progress_bar(name) as progress:
+        with progress_bar(name_of(source)) as progress:
             replay = replay_sensor(
                 log,
-                robot,
+                model,
                 config,
                 is_tared=not sensor.no_tare,
                 window=window,
@@ -101,52 +90,68 @@ def estimate_forces(
                 progress=progress,
             )
     except TareError as error:
-        raise CommandError(
-            f"{error}", f"{CHOOSE_TARE}; --force-tare keeps it"
-        ) from error
-    return replay, robot
+        advice = f"{CHOOSE_TARE}; --force-tare keeps it"
+        raise CommandError(str(error), advice) from error
+    doubts = find_doubts(replay)
+    warn(doubts)
+    return ForceRun(name_of(source), log, model, replay, (*log.warnings, *doubts))
 
 
-def describe_forces(
-    replay: SensorReplay, robot: Robot, log: Log, *, depths: str
-) -> list[tuple[str, str]]:
-    """Return label and text of what was used, done and estimated.
+def parse_tare_window(text: str, first_s: float) -> TareWindow:
+    """Return the window that ``--tare`` names.
 
     Args:
-        replay: What the sensor has estimated.
-        robot: Its robot.
-        log: The log.
-        depths: From where depths of layers count, in words.
+        text: Value of the option, START:END; a time with + counts from the first row.
+        first_s: Time of the log's first row [s].
+
+    Raises:
+        CommandError: The text names no window.
     """
+    start, _, end = (word.strip() for word in text.partition(":"))
+    times_s: list[float] = []
+    for word in (start or "+0", end):
+        try:
+            times_s.append(first_s * word.startswith("+") + float(word))
+        except ValueError as error:
+            reason = f"--tare {text}: expected START:END"
+            raise CommandError(reason, CHOOSE_TARE) from error
+    return TareWindow(*times_s)
+
+
+def describe_forces(run: ForceRun) -> dict[str, str]:
+    """Return what was used, done and estimated, by label."""
+    replay = run.replay
     config = replay.config
-    is_external = "tau_ext_Nm" in log
     estimated = "wrench" if config.mode == "full" else f"{config.mode} force"
-    frame = config.frame if config.frame is not None else robot.tool_frame
-    origin = "from the log" if "dq_rad_s" in log else "estimated"
+    origin = "from the log" if "dq_rad_s" in run.log else "estimated"
     source = f"K = {config.slowest_gain_per_s:g} 1/s, velocity {origin}"
     lag = f"{1e3 * replay.sensor.lag_s:.1f} ms"
-    if is_external:
+    if "tau_ext_Nm" in run.log:
         source = "from the robot's own external torque"
         lag = "that of the robot's own estimate"
-    return [
-        ("robot", _describe_robot(robot)),
-        *(("model", warning) for warning in robot.warnings),
-        ("sensor", f"{estimated} at {frame}, {source}"),
-        ("samples", _describe_samples(replay, log)),
-        ("rejected", describe_rejections(replay.rejected) or "none"),
-        *(("corrected", text) for text in [replay.sensor.corrections] if text),
-        ("gaps", _describe_gaps(replay)),
-        ("warnings", describe_warnings(replay)),
-        *(("signals", doubt) for doubt in replay.doubts),
-        ("tare", _describe_tare(replay)),
-        ("torque", _describe_torques(replay.sensor.diagnosis, is_external=is_external)),
-        ("axial force", describe_axial_force(replay) or NO_FORCE),
-        ("travel", f"counts {FIRST_ROW}; {depths}"),
-        ("lag", lag),
-    ]
+    facts = {
+        "robot": _describe_robot(run.robot),
+        "model": "; ".join(run.robot.warnings),
+        "sensor": f"{estimated} at {config.frame or run.robot.tool_frame}, {source}",
+        "samples": _describe_samples(replay, run.log),
+        "rejected": describe_rejections(replay.rejected) or "none",
+        "corrected": replay.sensor.corrections,
+        "gaps": _describe_gaps(replay),
+        "warnings": describe_warnings(replay) or "none",
+        "signals": "; ".join(replay.doubts),
+        "tare": _describe_tare(replay),
+        "torque": _describe_torques(
+            replay.sensor.diagnosis, is_external="tau_ext_Nm" in run.log
+        ),
+        "axial force": _describe_axial_force(replay),
+        "travel": f"counts {FIRST_ROW}; identify and report count below first contact",
+        "lag": lag,
+    }
+    return {label: text for label, text in facts.items() if text}
 
 
 def _describe_robot(robot: Robot) -> str:
+    """Return name, joints and payload, and gravity where the base is not upright."""
     mass_kg = robot.payload.mass_kg if robot.payload is not None else 0.0
     text = f"{robot.model.name}, {robot.nv} joints, payload {mass_kg:.3g} kg"
     gravity_m_s2 = robot.gravity_m_s2.tolist()
@@ -157,30 +162,22 @@ def _describe_robot(robot: Robot) -> str:
 
 
 def _describe_samples(replay: SensorReplay, log: Log) -> str:
-    """Return how many rows there are of each status, their rate, and uneven steps."""
-    codes = replay.rows["force_status"].to_numpy()
-    counts = {
-        status: int(np.count_nonzero(codes == code))
-        for status, code in STATUS_CODES.items()
-    }
-    counts[Status.REJECTED] += log.left_out
-    listed = [f"{count} {status.value}" for status, count in counts.items() if count]
-    span_s = log.t_s[-1] - log.t_s[0]
-    text = f"{sum(counts.values())} in {span_s:.4g} s"
+    """Return how many rows there are of each status, and their rate."""
+    counts = replay.rows["force_status"].value_counts()
+    rows = {status: int(counts.get(code, 0)) for status, code in STATUS_CODES.items()}
+    rows[Status.REJECTED] += log.left_out
+    listed = [f"{count} {status.value}" for status, count in rows.items() if count]
+    text = f"{sum(rows.values())} in {log.t_s[-1] - log.t_s[0]:.4g} s"
     steps_s = np.diff(log.t_s)
-    steps_s = steps_s[steps_s > 0.0]
-    if steps_s.size:
-        usual_s = float(np.median(steps_s))
-        late_s = float(np.percentile(steps_s, 99.0))
-        text += f" at {1.0 / usual_s:.4g} Hz"
-        if late_s > 1.1 * usual_s:
-            text += f" (1 of 100 steps is longer than {1e3 * late_s:.4g} ms)"
+    if (steps_s > 0.0).any():
+        text += f" at {1.0 / float(np.median(steps_s[steps_s > 0.0])):.4g} Hz"
     return f"{text}: {', '.join(listed)}"
 
 
 def _describe_gaps(replay: SensorReplay) -> str:
+    """Return how many gaps in time there are, and the longest."""
     limit = f"longer than {replay.config.max_gap_s:g} s"
-    gaps = int(np.count_nonzero(replay.rows["after_gap"]))
+    gaps = int(replay.rows["after_gap"].sum())
     if not gaps:
         return f"none {limit}"
     return (
@@ -189,19 +186,20 @@ def _describe_gaps(replay: SensorReplay) -> str:
     )
 
 
+def _count(replay: SensorReplay, warning: SensorWarning) -> int:
+    """Return how many samples have a warning."""
+    return int(np.count_nonzero(replay.rows["force_warnings"].to_numpy() & warning))
+
+
 def describe_warnings(replay: SensorReplay) -> str:
-    """Return how many samples have which warning; ``none`` for none."""
-    flags = replay.rows["force_warnings"].to_numpy()
-    counts = Counter(
-        {warning: int(np.count_nonzero(flags & warning)) for warning in SensorWarning}
-    )
-    return (
-        ", ".join(f"{count} x {each}" for each, count in (+counts).most_common())
-        or "none"
-    )
+    """Return how many samples have which warning, the most first; empty for none."""
+    counts = {warning: _count(replay, warning) for warning in SensorWarning}
+    most_first = sorted(counts.items(), key=lambda item: -item[1])
+    return ", ".join(f"{count} x {warning}" for warning, count in most_first if count)
 
 
 def _describe_tare(replay: SensorReplay) -> str:
+    """Return from where the tare is, and how large its offsets are."""
     tare = replay.tare
     if tare is None:
         return "none: forces carry the errors of the model and of the torque sensors"
@@ -219,7 +217,7 @@ def _describe_torques(diagnosis: TorqueDiagnosis | None, *, is_external: bool) -
         return "not checked: the robot estimates the external torque itself"
     if diagnosis is None:
         return "not checked: no tare, or one that ignores contact"
-    parts = [describe_scale(diagnosis)]
+    parts = [_describe_scale(diagnosis)]
     if diagnosis.payload_std_kg <= max_listed_std_kg:
         parts.append(
             f"missing mass {diagnosis.payload_kg + 0.0:.2f} +/- "
@@ -228,7 +226,7 @@ def _describe_torques(diagnosis: TorqueDiagnosis | None, *, is_external: bool) -
     return "; ".join(filter(None, (*parts, diagnosis.describe_unchecked())))
 
 
-def describe_scale(diagnosis: TorqueDiagnosis) -> str:
+def _describe_scale(diagnosis: TorqueDiagnosis) -> str:
     """Return torque over that of the model, with its deviation."""
     return (
         f"{diagnosis.scale:.3g} +/- {diagnosis.scale_std:.2g} times what gravity asks "
@@ -243,15 +241,13 @@ def find_doubts(replay: SensorReplay) -> list[str]:
     if diagnosis is not None:
         one_joint = diagnosis.describe_one_joint()
         if diagnosis.scale_deviates or one_joint:
-            seen = one_joint or f"tau is {describe_scale(diagnosis)}"
+            seen = one_joint or f"tau is {_describe_scale(diagnosis)}"
             doubts.append(
                 f"torque: {seen}: units, the sensors' scale, or masses of the model, "
                 "are off; the force's deviation has that in it"
             )
-    codes = replay.rows["force_status"].to_numpy()
-    tared = int(np.count_nonzero(codes == STATUS_CODES[Status.OK]))
-    flags = replay.rows["force_warnings"].to_numpy()
-    mismatched = int(np.count_nonzero(flags & SensorWarning.MODEL_MISMATCH))
+    tared = int(np.sum(replay.rows["force_status"] == STATUS_CODES[Status.OK]))
+    mismatched = _count(replay, SensorWarning.MODEL_MISMATCH)
     # A knock mismatches for a moment; a wrong arm or payload does most of the time.
     if mismatched > 0.1 * tared:
         doubts.append(
@@ -262,8 +258,8 @@ def find_doubts(replay: SensorReplay) -> list[str]:
     return doubts
 
 
-def describe_axial_force(replay: SensorReplay) -> str:
-    """Return the range of the axial force with its deviation; empty without any."""
+def _describe_axial_force(replay: SensorReplay) -> str:
+    """Return the range of the axial force with its deviation."""
     rows = replay.rows
     for status, note in ((Status.OK, ""), (Status.NOT_TARED, ", not tared")):
         chosen = rows[rows["force_status"] == STATUS_CODES[status]]
@@ -272,4 +268,4 @@ def describe_axial_force(replay: SensorReplay) -> str:
                 f"{chosen['axial_N'].min():.3f} to {chosen['axial_N'].max():.3f} N, "
                 f"standard deviation {chosen['axial_std_N'].mean():.3f} N (mean){note}"
             )
-    return ""
+    return "none: no sample was valid after the filters had settled"

@@ -1,7 +1,7 @@
 """Layers of depths and forces: the identifier's replay, and what it says in words."""
 
 from collections import Counter
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from operator import attrgetter
 
@@ -17,8 +17,8 @@ from identification import (
     LayerEstimate,
     SampleStatus,
     TissueWarning,
+    replay,
 )
-from identification.log_replay import ReplayStream
 from needleforce.cli.shared_options import IdentificationOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.depth_zero import FIRST_CONTACT, LOG_ZERO, DepthZero
@@ -31,19 +31,6 @@ METHODS = {
     "published-kv": PUBLISHED_KV,
 }
 """What ``--method`` may be."""
-
-HEADER = (
-    "layer",
-    "from mm",
-    "to mm",
-    "rupture s",
-    "alarm s",
-    "drop N",
-    "K N/m",
-    "friction N",
-    "B Ns/m2",
-)
-"""Heads of the columns of `layer_table`."""
 
 _NUMBERS = (
     "enhanced_force_N",
@@ -61,6 +48,7 @@ _NUMBERS = (
     "layer",
     "stiffness_identified",
     "friction_identified",
+    "status.is_used",
 )
 """Fields of an estimate that are columns as they are."""
 
@@ -103,71 +91,63 @@ def identify_layers(
     Raises:
         CommandError: No row could be used, or rows lie too far apart in time.
     """
-    stream = ReplayStream(METHODS[options.method])
-    ignored = Counter[str]()
-    statuses = Counter[SampleStatus]()
-    tables: list[pd.DataFrame] = []
-    done = 0
-    for part in log.parts():  # a million estimates at once would fill the memory
-        channels = part.channels
-        depth_m = channels["depth_m"]
-        force_N = channels["force_N"]
-        if not options.ignore_status:
-            force_N = usable_force(part.channels, ignored)
-        estimates = stream.run(
-            part.t_s,
-            part.dt_s,
-            depth_m,
-            force_N,
-            channels.get("speed_m_s"),
-            channels.get("force_std_N"),
-        )
-        statuses.update(estimate.status for estimate in estimates)
-        table = estimate_table(part.t_s, depth_m - stream.contact_depths_m, estimates)
-        tables.append(table.assign(depth_m=depth_m, force_N=force_N))
-        done += len(part.t_s)
-        progress(done / len(log))
+    ignored: dict[str, int] = {}
+    force_N = log["force_N"]
+    if not options.ignore_status:
+        force_N, ignored = usable_force(log)
+    found = replay(
+        log.t_s,
+        log["depth_m"],
+        force_N,
+        log.channels.get("speed_m_s"),
+        METHODS[options.method],
+        dt_s=log.dt_s,
+        force_std_N=log.channels.get("force_std_N"),
+        progress=progress,
+    )
+    statuses = Counter(estimate.status for estimate in found.estimates)
     _require_used_rows(statuses, ignored, log)
-    contact_m = stream.contact_depth_m
+    contact_m = float(found.contact_depths_m[-1])
     zero = DepthZero(0.0, LOG_ZERO)
-    if contact_m is not None:
+    if np.isfinite(contact_m):
         zero = DepthZero(contact_m, FIRST_CONTACT)
     counted = [
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
-        for reason, count in (+ignored).items()
+        for reason, count in ignored.items()
     ]
+    depth_in_tissue_m = log["depth_m"] - found.contact_depths_m
+    table = estimate_table(log.t_s, depth_in_tissue_m, found.estimates)
     return LayerReplay(
-        rows=pd.concat(tables, ignore_index=True),
-        layers=stream.layers,
-        warnings=(*counted, *(hint.text for hint in stream.hints)),
+        rows=table.assign(depth_m=log["depth_m"], force_N=force_N),
+        layers=found.layers,
+        warnings=(*counted, *(hint.text for hint in found.hints)),
         zero=zero,
         method=options.method,
     )
 
 
-def usable_force(channels: Mapping[str, Array], ignored: Counter[str]) -> Array:
+def usable_force(log: Log) -> tuple[Array, dict[str, int]]:
     """Return the force [N], NaN where it is marked; untared it is off by a newton.
 
     The others are those that `needleforce.InsertionSession` gives to its identifier.
 
-    Args:
-        channels: Rows of a log.
-        ignored: How many rows were ignored for which reason; counted here.
+    Returns:
+        The force, shape (n,), and how many rows were left out, by the reason.
     """
-    force_N = channels["force_N"]
-    zeros = np.zeros(len(force_N))
-    is_marked = channels.get("force_status", zeros) != FORCE_STATUS.index("ok")
-    warnings = np.nan_to_num(channels.get("force_warnings", zeros)).astype(np.int64)
-    is_worthless = (warnings & sum(WORTHLESS.values())) != 0
-    untared = "whose status says that the force is not tared or not settled"
-    ignored[untared] += int(is_marked.sum())
-    doubtful = f"with a warning ({', '.join(WORTHLESS)})"
-    ignored[doubtful] += int((is_worthless & ~is_marked).sum())
-    return np.where(is_marked | is_worthless, np.nan, force_N)
+    zeros = np.zeros(len(log))
+    is_marked = log.channels.get("force_status", zeros) != FORCE_STATUS.index("ok")
+    flags = np.nan_to_num(log.channels.get("force_warnings", zeros)).astype(np.int64)
+    is_doubtful = (flags & sum(WORTHLESS.values())) != 0
+    counts = {
+        "whose status says that the force is not tared or not settled": is_marked,
+        f"with a warning ({', '.join(WORTHLESS)})": is_doubtful & ~is_marked,
+    }
+    ignored = {reason: int(rows.sum()) for reason, rows in counts.items() if rows.any()}
+    return np.where(is_marked | is_doubtful, np.nan, log["force_N"]), ignored
 
 
 def _require_used_rows(
-    statuses: Counter[SampleStatus], ignored: Counter[str], log: Log
+    statuses: Counter[SampleStatus], ignored: dict[str, int], log: Log
 ) -> None:
     """Refuse a log of which no row was used, or whose rows lie too far apart.
 
@@ -182,7 +162,7 @@ def _require_used_rows(
     max_step_s = 0.5  # a rupture lasts less; nobody records a needle more slowly
     if not any(status.is_used for status in statuses):
         reasons = [f"{count} x {status.value}" for status, count in statuses.items()]
-        reasons += [f"{count} of them {reason}" for reason, count in (+ignored).items()]
+        reasons += [f"{count} of them {reason}" for reason, count in ignored.items()]
         raise CommandError(
             f"none of {statuses.total()} rows could be used: {', '.join(reasons)}; "
             "expected depth and force in the same row"
@@ -213,18 +193,13 @@ def estimate_table(
             before, shape (n,).
         estimates: One estimate per row.
     """
-    read_row = attrgetter(*_NUMBERS, "status.is_used")
-    table = pd.DataFrame(
-        np.array([read_row(each) for each in estimates], dtype=np.float64),
-        columns=[*_NUMBERS, "used"],  # None becomes nan
-    )
+    numbers = np.array(list(map(attrgetter(*_NUMBERS), estimates)), dtype=np.float64)
+    table = pd.DataFrame(numbers, columns=_NUMBERS)  # None has become nan
+    table = table.rename(columns={"status.is_used": "used"})
     for name in _EVENTS:
-        events = map(attrgetter(name), estimates)
-        table[name] = [0.0 if event is None else float(event.layer) for event in events]
+        table[name] = [float(getattr(getattr(e, name), "layer", 0)) for e in estimates]
     identified = [estimate.identified_layer for estimate in estimates]
-    table["is_final"] = [
-        float(each is not None and each.is_final) for each in identified
-    ]
+    table["is_final"] = [float(getattr(layer, "is_final", 0)) for layer in identified]
     table["hard_contact"] = [float(each.hard_contact is not None) for each in estimates]
     table["tissue_moves"] = [
         float(TissueWarning.TISSUE_MOVES in each.warnings) for each in estimates
@@ -235,34 +210,34 @@ def estimate_table(
 
 
 def layer_table(found: LayerReplay) -> pd.DataFrame:
-    """Return a line of text per layer; ``?`` marks what is not identified."""
-    return pd.DataFrame(
-        [_layer_cells(layer, found.zero) for layer in found.layers], columns=HEADER
-    )
+    """Return a line of text per layer; ``?`` marks what is not identified.
+
+    Times are on the log's clock.
+    """
+    return pd.DataFrame([_layer_cells(layer, found.zero) for layer in found.layers])
 
 
-def _layer_cells(layer: LayerEstimate, zero: DepthZero) -> tuple[str, ...]:
-    """Return the line of a layer, its times on the log's clock."""
-    rupture = layer.rupture
+def _layer_cells(layer: LayerEstimate, zero: DepthZero) -> dict[str, str]:
+    """Return the line of a layer, by the heads of the columns."""
     end_mm = zero.shown_mm(layer.start_depth_m + layer.thickness_m)
-    stiffness = _with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
-    stiffness_mark = "" if layer.stiffness_identified else "?"
-    friction = _with_std(layer.friction_N, layer.friction_std_N, 3)
+    stiffness = with_std(layer.stiffness_N_per_m, layer.stiffness_std_N_per_m, 1)
+    friction = with_std(layer.friction_N, layer.friction_std_N, 3)
     friction_mark = "" if layer.friction_identified else "?"
-    return (
-        str(layer.layer),
-        f"{zero.shown_mm(layer.start_depth_m):.1f}",
-        _with_std(end_mm, zero.end_std_mm(layer), 1),
-        f"{rupture.time_s:.2f}",
-        f"{rupture.alarm_s:.2f}",
-        _with_std(layer.force_drop_N, layer.force_drop_std_N, 2),
-        f"{stiffness}{stiffness_mark}",
-        f"{friction}{friction_mark}",
-        f"{layer.friction_Ns_per_m2:.0f}{friction_mark}",
-    )
+    return {
+        "layer": str(layer.layer),
+        "from mm": f"{zero.shown_mm(layer.start_depth_m):.1f}",
+        "to mm": with_std(end_mm, zero.end_std_mm(layer), 1),
+        "rupture s": f"{layer.rupture.time_s:.2f}",
+        "alarm s": f"{layer.rupture.alarm_s:.2f}",
+        "drop N": with_std(layer.force_drop_N, layer.force_drop_std_N, 2),
+        "K N/m": stiffness + ("" if layer.stiffness_identified else "?"),
+        "friction N": friction + friction_mark,
+        "B Ns/m2": f"{layer.friction_Ns_per_m2:.0f}{friction_mark}",
+    }
 
 
-def _with_std(value: float, std: float | None, digits: int) -> str:
+def with_std(value: float, std: float | None, digits: int) -> str:
+    """Return a value with its standard deviation, where there is one."""
     text = f"{value:.{digits}f}"
     return text if std is None else f"{text}±{std:.{digits}f}"
 
@@ -277,22 +252,12 @@ def describe_zero(zero: DepthZero) -> str:
 
 
 def describe_layers(found: LayerReplay) -> str:
-    """Return the ruptures found and the friction of their layers, in sentences."""
+    """Return the ruptures found in a sentence."""
     if not found.layers:
         return "No rupture was detected."
-    zero = found.zero
-    depths = _join(
-        f"{zero.shown_mm(layer.rupture.depth_m):.1f} mm" for layer in found.layers
-    )
+    depths = _shown(found, [layer.rupture.depth_m for layer in found.layers])
     plural = "s" if len(found.layers) > 1 else ""
-    text = f"{len(found.layers)} rupture{plural} detected, {depths} {zero.name}."
-    known = [layer for layer in found.layers if layer.friction_identified]
-    if not known:
-        return text
-    frictions = _join(
-        f"{layer.friction_N:.2f} N (layer {layer.layer})" for layer in known
-    )
-    return f"{text} Friction of the layers traversed: {frictions}."
+    return f"{len(found.layers)} rupture{plural} detected, {depths}."
 
 
 def find_tissue_doubts(found: LayerReplay) -> list[str]:
@@ -300,8 +265,7 @@ def find_tissue_doubts(found: LayerReplay) -> list[str]:
     doubts: list[str] = []
     depths_m = found.rows.loc[found.rows["hard_contact"] > 0, "depth_m"]
     if len(depths_m):
-        depths = _join(f"{found.zero.shown_mm(depth_m):.1f} mm" for depth_m in depths_m)
-        doubts.append(f"Hard contact, as with bone, {depths} {found.zero.name}.")
+        doubts.append(f"Hard contact, as with bone, {_shown(found, depths_m)}.")
     if np.any(found.rows["tissue_moves"] > 0):
         doubts.append(
             "The tissue moved and pulled at the needle: ruptures of that time are "
@@ -310,7 +274,7 @@ def find_tissue_doubts(found: LayerReplay) -> list[str]:
     return doubts
 
 
-def _join(texts: Iterable[str]) -> str:
-    """Return texts as a list in a sentence."""
-    *others, last = texts
-    return f"{', '.join(others)} and {last}" if others else last
+def _shown(found: LayerReplay, depths_m: Iterable[float]) -> str:
+    """Return depths in words, with where they count from."""
+    depths = [f"{found.zero.shown_mm(depth_m):.1f} mm" for depth_m in depths_m]
+    return f"{', '.join(depths)} {found.zero.name}"

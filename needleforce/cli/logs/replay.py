@@ -1,20 +1,25 @@
 """`force`, `check`, `identify`, `report`: from options and a log to its result."""
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import contextmanager
-from dataclasses import dataclass, replace
+from collections.abc import Mapping
+from dataclasses import replace
+from functools import partial, reduce
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-import numpy as np
 import pandas as pd
 
 from needleforce import plots, recordings
 from needleforce.cli.logs import figures, forces, layers
-from needleforce.cli.logs.columns import mapping_from_options
-from needleforce.cli.logs.result import Figure, Result, Table
+from needleforce.cli.logs.columns import (
+    has_channels,
+    mapping_from_options,
+    robot_of_log,
+)
+from needleforce.cli.logs.forces import ForceRun, name_of, run_forces
+from needleforce.cli.logs.result import CaptionedFigure, Draw, Result, save
 from needleforce.cli.robot import payload_from_options, payload_lines
 from needleforce.cli.shared_options import (
+    AllColumns,
     DepthColumns,
     IdentificationOptions,
     JointColumns,
@@ -27,13 +32,11 @@ from needleforce.recordings import ColumnMapping, Log
 from needleforce.recordings import output as output_files
 from needleforce.recordings.mapping_suggestion import suggest_mapping
 from needleforce.recordings.table import STANDARD_STREAM, TableLabels
-from needleforce.sensor_replay import STATUS_CODES, SensorReplay
+from needleforce.sensor_replay import STATUS_CODES
 from residual import Status
 from residual.tool_kinematics import ToolKinematics
-from urdf import Robot
 
 if TYPE_CHECKING:
-    from needleforce.cli.logs.plan_found import PlanFound
     from needleforce.plan_file import LoadedPlan
 
 FORCE_CAPTION = (
@@ -57,51 +60,6 @@ DOUBTFUL = 1
 """Exit code of `check` where something in the log is doubtful."""
 
 
-@dataclass(frozen=True, slots=True, eq=False)
-class ForceRun:
-    """The forces of a log.
-
-    Attributes:
-        name: Name of the log.
-        log: The log.
-        robot: The robot.
-        replay: What the sensor has estimated.
-        warnings: What is wrong with the log, and with the torques; said on stderr.
-    """
-
-    name: str
-    log: Log
-    robot: Robot
-    replay: SensorReplay
-    warnings: tuple[str, ...]
-
-
-def run_forces(
-    source: str, robot: RobotOptions, sensor: SensorOptions, columns: JointColumns
-) -> ForceRun:
-    """Estimate the forces of a log; what is wrong with it is said on stderr.
-
-    Raises:
-        CommandError: Options contradict each other, the log does not fit the robot, or
-            the tare is refused.
-    """
-    model = forces.robot_of_log(source, robot, columns)
-    forces.check_tare_options(sensor)
-    log = recordings.read_log(
-        source,
-        mapping_from_options(columns),
-        required=("q", forces.torque_channel(sensor)),
-        optional=("dq",),
-        joints=model.joint_names,
-    )
-    warnings = log.warnings
-    warn(warnings)
-    replay, model = forces.estimate_forces(log, model, sensor, _name_of(source))
-    doubts = forces.find_doubts(replay)
-    warn(doubts)
-    return ForceRun(_name_of(source), log, model, replay, (*warnings, *doubts))
-
-
 def force(
     source: str,
     output: Output,
@@ -115,15 +73,14 @@ def force(
         The exit code.
     """
     if columns.print_config:
-        model = forces.robot_of_log(source, robot, columns)
-        mapping = suggest_mapping(
-            source,
-            ("q", forces.torque_channel(sensor), "dq"),
-            mapping=mapping_from_options(columns),
-            joints=model.joint_names,
-            payload=payload_lines(payload_from_options(robot, columns.mapping)),
+        mapping = mapping_from_options(columns)
+        model = robot_of_log(source, mapping, robot, columns.mapping)
+        wanted = ("q", sensor.torque_channel, "dq")
+        payload = payload_lines(payload_from_options(robot, columns.mapping))
+        suggestion = suggest_mapping(
+            source, wanted, mapping=mapping, joints=model.joint_names, payload=payload
         )
-        write_out(mapping)
+        write_out(suggestion)
         return 0
     check_outputs(source, output)
     run = run_forces(source, robot, sensor, columns)
@@ -131,12 +88,11 @@ def force(
     config = run.replay.config
     frame = run.robot.frame_names[1]
     if config.axes != "base":
-        frame = config.frame if config.frame is not None else run.robot.tool_frame
-    write_rows(run.replay.rows.drop(columns="after_gap"), output, run.log, frame=frame)
-    result = force_result(run, None, None)
-    title = f"Forces: {run.name}"
-    draw = figures.draw_forces(run.replay, title, output.over, window_of(output))
-    show(result, output, draw)
+        frame = config.frame or run.robot.tool_frame
+    labels = TableLabels(frame=frame, prefix="/needleforce", start_ns=run.log.start_ns)
+    rows = run.replay.rows.drop(columns="after_gap")
+    draw = partial(figures.draw_forces, run.replay, f"Forces: {run.name}", output.over)
+    write_outputs(force_result(run), rows, labels, draw, output)
     return 0
 
 
@@ -154,15 +110,15 @@ def check(
         The exit code: `DOUBTFUL` where something is.
     """
     run = run_forces(source, robot, sensor, columns)
-    replay = run.replay
-    result = force_result(run, None, None)
+    result = force_result(run)
     write_out(result.json() if as_json else result.text())
+    replay = run.replay
     is_doubtful = (
         run.warnings
         or run.robot.warnings
         or replay.doubts
         or replay.rejected
-        or np.any(replay.rows["after_gap"])
+        or replay.rows["after_gap"].any()
     )
     return DOUBTFUL if is_doubtful else 0
 
@@ -179,19 +135,19 @@ def identify(
         The exit code.
     """
     mapping = mapping_from_options(columns)
-    optional = depth_channels(mapping)
     if columns.print_config:
-        wanted = ("depth", "force", *optional)
+        wanted = ("depth", "force", *depth_channels(mapping))
         write_out(suggest_mapping(source, wanted, mapping=mapping))
         return 0
     check_outputs(source, output)
-    log, found = run_layers(source, mapping, optional, options)
-    estimates = found.rows.drop(columns=["depth_m", "force_N"])
-    write_rows(estimates, output, log, prefix="/needleforce/identification")
-    result = layer_result(_name_of(source), found, log)
-    title = f"Forces and identified parameters, method {options.method}: {result.log}"
-    draw = figures.draw_layers(found, title, output.over, window_of(output))
-    show(result, output, draw)
+    log, found = run_layers(source, mapping, options)
+    rows = found.rows.drop(columns=["depth_m", "force_N"])
+    prefix = "/needleforce/identification"
+    labels = TableLabels(prefix=prefix, start_ns=log.start_ns)
+    name = name_of(source)
+    title = f"Forces and identified parameters, method {options.method}: {name}"
+    draw = partial(figures.draw_layers, found, title, output.over)
+    write_outputs(layer_result(name, found, log), rows, labels, draw, output)
     return 0
 
 
@@ -210,77 +166,87 @@ def depth_channels(mapping: ColumnMapping) -> tuple[str, ...]:
 
 
 def run_layers(
-    source: str,
-    mapping: ColumnMapping,
-    optional: Sequence[str],
-    options: IdentificationOptions,
+    source: str, mapping: ColumnMapping, options: IdentificationOptions
 ) -> tuple[Log, layers.LayerReplay]:
     """Identify the layers of a log; what is wrong with it is said on stderr."""
+    optional = depth_channels(mapping)
     log = recordings.read_log(
         source, mapping, required=("depth", "force"), optional=optional
     )
     warn(log.warnings)
-    with progress_bar(_name_of(source)) as progress:
+    with progress_bar(name_of(source)) as progress:
         found = layers.identify_layers(log, options, progress)
     warn(found.warnings)
     return log, found
 
 
-def report_layers(
-    source: str, folder: Path, options: IdentificationOptions, columns: DepthColumns
+def report(
+    source: str,
+    folder: Path,
+    robot: RobotOptions,
+    sensor: SensorOptions,
+    columns: AllColumns,
+    options: IdentificationOptions,
+    plan: Path | None,
 ) -> int:
-    """Write the page of a log of depth and force.
+    """Write the page of a log: of its forces, if it has joint signals, and its layers.
 
     Returns:
         The exit code.
     """
     mapping = mapping_from_options(columns)
-    with _report_folder(source, folder) as draft:
-        log, found = run_layers(source, mapping, depth_channels(mapping), options)
-        result = layer_result(_name_of(source), found, log)
-        result.write_page(draft)
-    write_out(f"{result.text()}\npage: {folder / plots.PAGE}\n")
-    return 0
+    has_joints = has_channels(source, mapping, ("q", sensor.torque_channel))
+    if plan is not None and not has_joints:
+        raise CommandError(
+            f"--plan {plan}: {source} has no joint positions and torques, so that it "
+            "is not known where its needle was; give the log of the arm"
+        )
+    loaded = None
+    if plan is not None:
+        from needleforce.cli.session_parts import load_plan
 
-
-def report_forces(
-    source: str,
-    folder: Path,
-    robot: RobotOptions,
-    sensor: SensorOptions,
-    columns: JointColumns,
-    options: IdentificationOptions,
-    plan: "LoadedPlan | None",
-) -> int:
-    """Write the page of a log of joint signals: forces, layers, plan.
-
-    Returns:
-        The exit code.
-    """
-    with _report_folder(source, folder) as draft:
-        run = run_forces(source, robot, sensor, columns)
-        found: layers.LayerReplay | None = None
-        on_plan: PlanFound | None = None
-        if np.any(run.replay.rows["force_status"] == STATUS_CODES[Status.OK]):
-            found = layers.identify_layers(_depth_log(run), options)
-            warn(found.warnings)
-            if plan is not None:
-                on_plan = _compare(run, found, plan)
-                warn(on_plan.doubts())
-                found = replace(found, zero=on_plan.zero or found.zero)
-        result = force_result(run, found, on_plan)
-        result.write_page(draft)
-    write_out(f"{result.text()}\npage: {folder / plots.PAGE}\n")
-    return 0
-
-
-@contextmanager
-def _report_folder(source: str, folder: Path) -> Iterator[Path]:
-    """Yield a folder whose files appear under ``folder`` at the end, or not at all."""
+        loaded = load_plan(plan, is_past=True)
     _refuse_harm(source, {f"DIR ({plots.PAGE})": folder / plots.PAGE})
     with plots.whole_folder(folder) as draft:
-        assert draft is not None
-        yield draft
+        if has_joints:
+            run = run_forces(source, robot, sensor, columns)
+            result = force_result(run)
+            # Untared forces have no layers: they are off by a newton.
+            if (run.replay.rows["force_status"] == STATUS_CODES[Status.OK]).any():
+                result, _ = forces_with_layers(run, options, loaded)
+        else:
+            log, found = run_layers(source, mapping, options)
+            result = layer_result(name_of(source), found, log)
+        if draft is not None:
+            result.write_page(draft)
+    write_out(f"{result.text()}\npage: {folder / plots.PAGE}\n")
+    return 0
+
+
+def forces_with_layers(
+    run: ForceRun, options: IdentificationOptions, plan: "LoadedPlan | None" = None
+) -> tuple[Result, layers.LayerReplay]:
+    """Return what is said of forces, the layers in them, and a plan; and the layers.
+
+    What is wrong with the layers is said on stderr.
+    """
+    found = layers.identify_layers(_depth_log(run), options)
+    warn(found.warnings)
+    parts: list[Result] = []
+    if plan is not None:
+        from needleforce.cli.logs.plan_found import compare_with_plan
+
+        config = run.replay.config
+        tool = ToolKinematics(run.robot, config.frame, config.insertion_axis)
+        travel_m = run.replay.rows["travel_m"].to_numpy()
+        compared, zero = compare_with_plan(
+            run.name, plan, tool, run.log["q_rad"], travel_m, found.layers
+        )
+        warn(compared.warnings)
+        found = replace(found, zero=zero or found.zero)
+        parts.append(compared)
+    parts += [layer_result(run.name, found), force_result(run)]
+    return replace(reduce(Result.joined, parts), title="Forces and layers"), found
 
 
 def _depth_log(run: ForceRun) -> Log:
@@ -297,142 +263,77 @@ def _depth_log(run: ForceRun) -> Log:
     return Log(t_s=run.log.t_s, channels=channels)
 
 
-def _compare(
-    run: ForceRun, found: layers.LayerReplay, plan: "LoadedPlan"
-) -> "PlanFound":
-    """Compare the needle and the ruptures with a plan."""
-    from needleforce.cli.logs.plan_found import compare_with_plan
-
-    config = run.replay.config
-    tool = ToolKinematics(run.robot, config.frame, config.insertion_axis)
-    travel_m = run.replay.rows["travel_m"].to_numpy()
-    return compare_with_plan(plan, tool, run.log["q_rad"], travel_m, found.layers)
-
-
-def force_result(
-    run: ForceRun, found: layers.LayerReplay | None, on_plan: "PlanFound | None"
-) -> Result:
-    """Return what is said of forces, the layers in them, and a plan."""
+def force_result(run: ForceRun) -> Result:
+    """Return what is said of forces."""
     flags = forces.describe_warnings(run.replay)
-    warnings = [*run.warnings, *run.robot.warnings]
-    warnings += [] if flags == "none" else [f"samples with {flags}"]
-    depths = "identify and report count below first contact"
-    tables: list[Table] = []
-    sentences: list[str] = []
-    title = "Forces"
-    everywhere = (-np.inf, np.inf)
-    page_figures = [
-        Figure(
-            name=f"forces-over-{over}",
-            draw=figures.draw_forces(run.replay, run.name, over, everywhere),
-            caption=FORCE_CAPTION,
-        )
-        for over in ("time", "depth")
-    ]
-    settings = {"sensor": run.replay.config}
-    files: dict[str, bytes] = {}
-    if found is not None:
-        layer = layer_result(run.name, found, run.log)
-        title = "Forces and layers"
-        depths = f"depths of layers count {found.zero.name}"
-        tables += layer.tables
-        sentences += layer.sentences
-        warnings = [*layer.warnings, *warnings]
-        page_figures = [*layer.figures, *page_figures]
-        settings |= layer.settings
-    if on_plan is not None:
-        from needleforce.cli.logs.plan_found import NOTE
-
-        sentences += on_plan.sentences()
-        warnings = [*on_plan.doubts(), *warnings]
-        if len(on_plan.ruptures):
-            tables.append(
-                Table(caption="Plan against found", rows=on_plan.ruptures, note=NOTE)
-            )
-        files["needle_on_plan.json"] = on_plan.state_json()
-    facts = forces.describe_forces(run.replay, run.robot, run.log, depths=depths)
+    marked = [f"samples with {flags}"] if flags else []
     return Result(
         log=run.name,
-        title=title,
-        sentences=tuple(sentences),
-        warnings=tuple(warnings),
-        facts=tuple(facts),
-        tables=tuple(tables),
+        title="Forces",
+        warnings=(*run.warnings, *run.robot.warnings, *marked),
+        facts=forces.describe_forces(run),
         units=_units_of(run.log),
-        figures=tuple(page_figures),
-        settings=settings,
-        files=files,
+        figures={
+            f"forces-over-{over}": CaptionedFigure(
+                partial(figures.draw_forces, run.replay, run.name, over), FORCE_CAPTION
+            )
+            for over in ("time", "depth")
+        },
+        settings={"sensor": run.replay.config},
     )
 
 
-def layer_result(name: str, found: layers.LayerReplay, log: Log) -> Result:
-    """Return what is said of layers."""
-    note = layers.describe_zero(found.zero)
-    table = Table(caption="Layers traversed", rows=layers.layer_table(found), note=note)
-    draw = figures.draw_layers(found, name, "time", (-np.inf, np.inf))
+def layer_result(
+    name: str, found: layers.LayerReplay, log: Log | None = None
+) -> Result:
+    """Return what is said of layers, and of the log that they were read from."""
+    caption = "Layers traversed"
+    draw = partial(figures.draw_layers, found, name, "time")
+    tissue = layers.find_tissue_doubts(found)
     return Result(
         log=name,
         title="Layers",
         sentences=(layers.describe_layers(found),),
-        warnings=(*layers.find_tissue_doubts(found), *log.warnings, *found.warnings),
-        facts=(),
-        tables=(table,) if found.layers else (),
-        units=_units_of(log),
-        figures=(Figure(name="layers", draw=draw, caption=LAYER_CAPTION),),
+        warnings=(*tissue, *(log.warnings if log else ()), *found.warnings),
+        tables={caption: layers.layer_table(found)} if found.layers else {},
+        notes={caption: layers.describe_zero(found.zero)},
+        units=_units_of(log) if log else {},
+        figures={"layers": CaptionedFigure(draw, LAYER_CAPTION)},
         settings={"identification": layers.METHODS[found.method]},
-        files={},
     )
 
 
-def _units_of(log: Log) -> tuple[tuple[str, str], ...]:
-    return tuple((unit.channel, str(unit)) for unit in log.units)
+def _units_of(log: Log) -> dict[str, str]:
+    """Return in which unit each channel was read."""
+    return {unit.channel: str(unit) for unit in log.units}
 
 
-def _name_of(source: str) -> str:
-    return "standard input" if source == STANDARD_STREAM else Path(source).name
+def write_outputs(
+    result: Result, rows: pd.DataFrame, labels: TableLabels, draw: Draw, output: Output
+) -> None:
+    """Write the table and the figure that are asked for, and print the result.
 
-
-def show(result: Result, output: Output, draw: figures.Draw) -> None:
-    """Print a result, and write its figure where one is asked for."""
+    Args:
+        result: What is printed.
+        rows: The estimates, row by row.
+        labels: What a bag says of them.
+        draw: Draws the figure.
+        output: What is asked for.
+    """
+    if output.output is not None:
+        table = {str(name): column.to_numpy() for name, column in rows.items()}
+        recordings.write_table(output.output, table, labels=labels)
     write_out(result.text(), to_stderr=output.output == STANDARD_STREAM)
     if output.figure is not None:
-        figures.save(draw, output.figure)
-
-
-def write_rows(
-    rows: pd.DataFrame,
-    output: Output,
-    log: Log,
-    *,
-    frame: str = "",
-    prefix: str = "/needleforce",
-) -> None:
-    """Write the table of the estimates, if one is asked for, on the log's clock."""
-    if output.output is not None:
-        columns = {str(name): column.to_numpy() for name, column in rows.items()}
-        labels = TableLabels(frame=frame, prefix=prefix, start_ns=log.start_ns)
-        recordings.write_table(output.output, columns, labels=labels)
-
-
-def window_of(output: Output) -> tuple[float, float]:
-    """Return what ``--from`` and ``--to`` say of the x axis, infinite if nothing."""
-    start = -np.inf if output.start is None else output.start
-    end = np.inf if output.end is None else output.end
-    return start, end
+        save(draw, output.figure)
 
 
 def check_outputs(source: str, output: Output) -> None:
     """Refuse now what would fail, or destroy something, after the work is done.
 
     Raises:
-        CommandError: The window of the figure is empty.
         RecordingError: A file cannot be written, or is the log itself.
     """
-    start, end = window_of(output)
-    if not start < end:
-        raise CommandError(
-            f"--from {start:g} --to {end:g}: expected --from before --to"
-        )
     paths: dict[str, Path] = {}
     if output.output is not None:
         recordings.check_writable(output.output)

@@ -1,65 +1,33 @@
 """The result of a log: as text, as JSON, and as a page."""
 
-from collections.abc import Mapping
-from dataclasses import dataclass
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any, NamedTuple
 
-import msgspec
 import pandas as pd
 
 from needleforce import plots
-from needleforce.cli.logs import figures
-from needleforce.cli.terminal import aligned
+from needleforce.cli.terminal import aligned, json_text, table_text
+
+if TYPE_CHECKING:
+    from matplotlib.figure import Figure
 
 NOTE = "Research only: not a medical device."
 
-
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Table:
-    """A table of texts.
-
-    Attributes:
-        caption: Stands above it on a page.
-        rows: The cells, by the heads of their columns.
-        note: Stands below it.
-    """
-
-    caption: str
-    rows: pd.DataFrame
-    note: str = ""
-
-    def text(self) -> str:
-        """Return it with aligned columns."""
-        lines = [tuple(self.rows.columns), *self.rows.itertuples(index=False)]
-        widths = [max(map(len, column)) for column in zip(*lines, strict=True)]
-        cells = [map(str.rjust, line, widths) for line in lines]
-        return "".join("  ".join(line) + "\n" for line in cells)
-
-    def for_page(self) -> plots.PageTable:
-        """Return it as a page shows it; numbers line up on the right."""
-        is_number = [cells.str.match(r"[-+\d]").all() for _, cells in self.rows.items()]
-        return plots.PageTable(
-            caption=self.caption,
-            head=tuple(self.rows.columns),
-            rows=tuple(self.rows.itertuples(index=False, name=None)),
-            numeric=frozenset(k for k, yes in enumerate(is_number) if yes),
-            note=self.note,
-        )
+Draw = Callable[[float], "Figure"]
+"""Draws a figure of a width [in]."""
 
 
-@dataclass(frozen=True, slots=True, kw_only=True)
-class Figure:
+class CaptionedFigure(NamedTuple):
     """A figure of a page.
 
     Attributes:
-        name: Of its file, without ending.
         draw: Draws it.
         caption: Stands below it.
     """
 
-    name: str
-    draw: figures.Draw
+    draw: Draw
     caption: str
 
 
@@ -72,31 +40,43 @@ class Result:
         title: What a page of it shows.
         sentences: What was found.
         warnings: What makes it doubtful.
-        facts: Label and text of what was used, done and estimated.
-        tables: What was found, in numbers.
+        facts: Text of what was used, done and estimated, by label.
+        tables: Cells of text by caption, under the heads of their columns.
+        notes: What stands below a table, by its caption.
         units: In which unit each channel was read, and whence that is known.
-        figures: Figures of a page.
+        figures: Figures of a page by the names of their files, without ending.
         settings: Dataclasses of settings by what they are of.
         files: Further files of a report, by name.
     """
 
     log: str
     title: str
-    sentences: tuple[str, ...]
-    warnings: tuple[str, ...]
-    facts: tuple[tuple[str, str], ...]
-    tables: tuple[Table, ...]
-    units: tuple[tuple[str, str], ...]
-    figures: tuple[Figure, ...]
-    settings: Mapping[str, Any]
-    files: Mapping[str, bytes]
+    sentences: tuple[str, ...] = ()
+    warnings: tuple[str, ...] = ()
+    facts: Mapping[str, str] = field(default_factory=dict)
+    tables: Mapping[str, pd.DataFrame] = field(default_factory=dict)
+    notes: Mapping[str, str] = field(default_factory=dict)
+    units: Mapping[str, str] = field(default_factory=dict)
+    figures: Mapping[str, CaptionedFigure] = field(default_factory=dict)
+    settings: Mapping[str, Any] = field(default_factory=dict)
+    files: Mapping[str, bytes] = field(default_factory=dict)
+
+    def joined(self, more: "Result") -> "Result":
+        """Return this and what another step found in the same log, in this order."""
+        joined: dict[str, Any] = {"log": self.log, "title": self.title}
+        for name in ("sentences", "warnings"):
+            joined[name] = (*getattr(self, name), *getattr(more, name))
+        for name in ("facts", "tables", "notes", "units", "figures", "settings"):
+            joined[name] = {**getattr(self, name), **getattr(more, name)}
+        return Result(**joined, files={**self.files, **more.files})
 
     def text(self) -> str:
         """Return it as lines for a terminal."""
-        parts = [aligned(self.facts)] if self.facts else []
-        parts += [f"{table.text()}{table.note}\n" for table in self.tables]
-        parts += ["".join(f"{text}\n" for text in self.sentences)]
-        parts.append(aligned([("channel", "read as"), *self.units]))
+        parts = [aligned(self.facts.items())]
+        for caption, rows in self.tables.items():
+            parts.append(f"{table_text(rows)}{self.notes[caption]}\n")
+        parts.append("".join(f"{text}\n" for text in self.sentences))
+        parts.append(aligned([("channel", "read as"), *self.units.items()]))
         return "\n".join(filter(None, parts))
 
     def json(self) -> str:
@@ -105,61 +85,84 @@ class Result:
             "log": self.log,
             "sentences": self.sentences,
             "warnings": self.warnings,
-            "facts": dict(self.facts),
+            "facts": self.facts,
             "tables": {
-                each.caption: each.rows.to_dict("records") for each in self.tables
+                caption: rows.to_dict("records")
+                for caption, rows in self.tables.items()
             },
-            "channels": dict(self.units),
+            "channels": self.units,
         }
-        return msgspec.json.format(msgspec.json.encode(content)).decode() + "\n"
+        return json_text(content)
 
     def write_page(self, folder: Path) -> None:
         """Write it as a page, with its figures, into a folder."""
         for name, content in self.files.items():
             (folder / name).write_bytes(content)
-        facts = plots.PageTable(
-            caption="What was used, done and found", head=("", ""), rows=self.facts
-        )
-        channels = plots.PageTable(
-            caption="In which unit each channel was read, and whence that is known",
-            head=("channel", "columns"),
-            rows=self.units,
+        facts = _pairs_table("What was used, done and found", self.facts)
+        channels = _pairs_table(
+            "In which unit each channel was read, and whence that is known", self.units
         )
         page_figures = tuple(
             plots.PageFigure(
-                path=figures.save(each.draw, folder / f"{each.name}.svg"),
-                wide=figures.save(
-                    each.draw, folder / f"{each.name}-wide.svg", figures.WIDE_IN
-                ),
-                alt=f"{each.name.replace('-', ' ')} of {self.log}",
-                caption=each.caption,
+                path=save(figure.draw, folder / f"{name}.svg"),
+                wide=save(figure.draw, folder / f"{name}-wide.svg", plots.WIDE_IN),
+                alt=f"{name.replace('-', ' ')} of {self.log}",
+                caption=figure.caption,
             )
-            for each in self.figures
+            for name, figure in self.figures.items()
         )
-        sections = [
-            plots.Section(heading="Figures", anchor="figures", figures=page_figures),
-            *(
-                plots.Section(heading="Summary", anchor="summary", tables=(facts,))
-                for _ in self.facts[:1]
-            ),
-            plots.Section(heading="Channels", anchor="channels", tables=(channels,)),
-        ]
+        parts: dict[str, dict[str, Any]] = {"Figures": {"figures": page_figures}}
+        if self.facts:
+            parts["Summary"] = {"tables": (facts,)}
+        if self.units:
+            parts["Channels"] = {"tables": (channels,)}
         for what, settings in self.settings.items():
             table = plots.settings_table(
                 settings, "As in a file for --config, SI units"
             )
-            sections.append(
-                plots.Section(
-                    heading=f"Settings of the {what}", anchor=what, tables=(table,)
-                )
-            )
-        forces = dict(self.facts).get("axial force")
-        force_lead = (f"Force along the needle: {forces}.",) if forces else ()
+            parts[f"Settings of the {what}"] = {"tables": (table,)}
+        force = self.facts.get("axial force")
+        force_lead = (f"Force along the needle: {force}.",) if force else ()
         page = plots.Page(
             title=f"{self.title} from {self.log}",
             lead=(*self.sentences, *force_lead, NOTE),
             notices=tuple(f"Warning: {text}" for text in self.warnings),
-            tables=tuple(table.for_page() for table in self.tables),
-            sections=tuple(sections),
+            tables=tuple(
+                _page_table(caption, rows, self.notes[caption])
+                for caption, rows in self.tables.items()
+            ),
+            sections=tuple(
+                plots.Section(heading=heading, anchor=heading.split()[-1].lower(), **of)
+                for heading, of in parts.items()
+            ),
         )
         plots.write_page(folder / plots.PAGE, page)
+
+
+def save(draw: Draw, path: Path, width_in: float = plots.WIDTH_IN) -> Path:
+    """Draw a figure and write it whole, as PNG, SVG or PDF by the ending of its name.
+
+    Returns:
+        The path.
+    """
+    from matplotlib import rc_context
+
+    with rc_context(fname=plots.STYLE):
+        return plots.save_figure(draw(width_in), path)
+
+
+def _pairs_table(caption: str, pairs: Mapping[str, str]) -> plots.PageTable:
+    """Return labels and their texts as a table of a page."""
+    return plots.PageTable(caption=caption, head=("", ""), rows=tuple(pairs.items()))
+
+
+def _page_table(caption: str, rows: pd.DataFrame, note: str) -> plots.PageTable:
+    """Return a table of a page; numbers line up on the right."""
+    is_number = [cells.str.match(r"[-+\d]").all() for _, cells in rows.items()]
+    return plots.PageTable(
+        caption=caption,
+        head=tuple(rows.columns),
+        rows=tuple(rows.itertuples(index=False, name=None)),
+        numeric=frozenset(k for k, yes in enumerate(is_number) if yes),
+        note=note,
+    )

@@ -1,14 +1,14 @@
 """`needleforce simulate`: a simulated insertion as a recording."""
 
+from dataclasses import replace
 from pathlib import Path
 
-from foundation.arrays import Array
 from groundtruth import SCENARIOS, NeedleRun, Run, insert_needle, simulate
 from groundtruth.scenarios import RANDOM_STACK, RANDOM_TISSUE
 from groundtruth.scenarios import scenario as scenario_named
-from needleforce.cli.arm_frames import ArmFrames, read_description
 from needleforce.cli.patient.case_files import read_plan_fields
-from needleforce.cli.shared_options import RobotOptions
+from needleforce.cli.robot import ArmFrames, read_description
+from needleforce.cli.shared_options import RobotOptions, SimulationOptions
 from needleforce.cli.terminal import CommandError, aligned, progress_bar, write_out
 from needleforce.recordings import check_writable, write_table
 from needleforce.recordings.output import check_outputs
@@ -35,24 +35,12 @@ def print_scenarios() -> int:
     return 0
 
 
-def write_simulation(
-    scenario: str | None,
-    *,
-    plant: str,
-    seed: int,
-    recording: Path | None,
-    truth: Path | None,
-    overwrites: bool = False,
-) -> int:
+def write_simulation(scenario: str | None, options: SimulationOptions) -> int:
     """Simulate a scenario, or the insertion of a plan, write its files, and a summary.
 
     Args:
         scenario: Name of the scenario, or a plan's file (.json).
-        plant: Plant model, or `NEEDLE`.
-        seed: Seed of everything that is drawn at random.
-        recording: File of the measured signals, if any.
-        truth: File of the ground truth, if any.
-        overwrites: Whether files that are there are replaced.
+        options: What is simulated, and where it goes.
 
     Returns:
         The exit code.
@@ -60,27 +48,60 @@ def write_simulation(
     Raises:
         CommandError: No scenario or file is named, or the seed is negative.
     """
-    paths = {"-o": recording, "--truth": truth}
+    paths = {"-o": options.output, "--truth": options.truth}
     named = {option: path for option, path in paths.items() if path is not None}
-    if scenario is None:
-        raise CommandError("no scenario is named; --list prints the scenarios")
-    if seed < 0:
-        raise CommandError(f"--seed {seed}: expected a whole number from 0 up")
-    chosen = None if scenario.endswith(".json") else scenario_named(scenario, seed)
-    if not named:
-        raise CommandError("nothing to write, expected -o FILE or --truth FILE")
+    if scenario is None or not named:
+        raise CommandError(
+            "nothing to write: expected a scenario (--list prints them), and -o FILE "
+            "or --truth FILE"
+        )
+    if options.seed < 0:
+        raise CommandError(f"--seed {options.seed}: expected a whole number from 0 up")
     check_outputs(named)
     for path in named.values():
-        check_writable(path, overwrites=overwrites)
-    with progress_bar(f"simulating {scenario}"):
-        if chosen is None:
-            run = insert_into_patient(read_plan_fields(Path(scenario)))
-        elif plant == NEEDLE:
-            return _write_needle_run(insert_needle(chosen, seed=seed), recording, truth)
-        else:
-            run = simulate(chosen, plant=plant, seed=seed)
-    _write_run(run, recording, truth)
+        check_writable(path, overwrites=options.overwrite)
+    run = _simulate(scenario, options)
+    labels = TableLabels(prefix="/truth")
+    if isinstance(run, NeedleRun):
+        recorded = needle_table(run)
+        truth = tissue_table(run.truth, run.t_s, run.depth_m, run.speed_m_s)
+        signal_labels = TableLabels()
+        next_command = "identify {} --figure layers.png"
+    else:
+        recorded = signal_table(run)
+        truth = truth_table(run)
+        labels = replace(labels, joint_names=run.robot.joint_names)
+        signal_labels = TableLabels(
+            joint_names=run.robot.joint_names,
+            robot_description=read_description(RobotOptions()),
+            link_poses=ArmFrames(run.robot),
+        )
+        suffixes = "".join(options.output.suffixes) if options.output else ""
+        next_command = f"force {{}} --tare 0:{run.tare_end_s:.4g} -o forces{suffixes}"
+    if options.truth is not None:
+        write_table(options.truth, truth, labels=labels)
+    t_s = truth["t_s"]
+    write_out(
+        f"{run.scenario.id}: {run.scenario.title}; plant model {options.plant}, seed "
+        f"{run.seed}\n{len(t_s)} samples in {t_s[-1]:.4g} s, without contact until "
+        f"{run.tare_end_s:.4g} s\n"
+    )
+    if options.output is not None:
+        write_table(options.output, recorded, labels=signal_labels)
+        write_out(f"next: needleforce {next_command.format(options.output)}\n")
     return 0
+
+
+def _simulate(scenario: str, options: SimulationOptions) -> Run | NeedleRun:
+    """Return the insertion of a plan's file, or that of a scenario."""
+    if scenario.endswith(".json"):
+        with progress_bar(f"simulating {scenario}"):
+            return insert_into_patient(read_plan_fields(Path(scenario)))
+    chosen = scenario_named(scenario, options.seed)
+    with progress_bar(f"simulating {scenario}"):
+        if options.plant == NEEDLE:
+            return insert_needle(chosen, seed=options.seed)
+        return simulate(chosen, plant=options.plant, seed=options.seed)
 
 
 def write_torso(folder: Path, seed: int) -> int:
@@ -101,47 +122,3 @@ def write_torso(folder: Path, seed: int) -> int:
         f"{folder}/labels.nii.gz --target lesion -o plan\n"
     )
     return 0
-
-
-def _write_run(run: Run, recording: Path | None, truth: Path | None) -> None:
-    """Write recording and ground truth of a run, and print a summary."""
-    joint_names = run.robot.joint_names
-    if recording is not None:
-        labels = TableLabels(
-            joint_names=joint_names,
-            robot_description=read_description(RobotOptions()),
-            link_poses=ArmFrames(run.robot),
-        )
-        write_table(recording, signal_table(run), labels=labels)
-    if truth is not None:
-        labels = TableLabels(joint_names=joint_names, prefix="/truth")
-        write_table(truth, truth_table(run), labels=labels)
-    write_out(_summary(run, run.signals.t_s, f"plant model {run.plant}"))
-    if recording is not None:
-        forces = f"forces{''.join(recording.suffixes)}"
-        window = f"0:{run.tare_end_s:.4g}"
-        write_out(f"next: needleforce force {recording} --tare {window} -o {forces}\n")
-
-
-def _write_needle_run(
-    run: NeedleRun, recording: Path | None, truth: Path | None
-) -> int:
-    """Write recording and ground truth of a needle without an arm, and a summary."""
-    if recording is not None:
-        write_table(recording, needle_table(run))
-    if truth is not None:
-        table = tissue_table(run.truth, run.t_s, run.depth_m, run.speed_m_s)
-        write_table(truth, table, labels=TableLabels(prefix="/truth"))
-    write_out(_summary(run, run.t_s, "needle without an arm"))
-    if recording is not None:
-        write_out(f"next: needleforce identify {recording} --figure layers.png\n")
-    return 0
-
-
-def _summary(run: Run | NeedleRun, t_s: Array, plant: str) -> str:
-    """Return what was simulated."""
-    return (
-        f"{run.scenario.id}: {run.scenario.title}; {plant}, seed {run.seed}\n"
-        f"{len(t_s)} samples in {t_s[-1]:.4g} s, without contact until "
-        f"{run.tare_end_s:.4g} s\n"
-    )

@@ -1,16 +1,23 @@
-"""CT and labels of a patient, the plan's file that names them, and what was touched."""
+"""CT and labels of a patient, the plan's file that names them, and what was touched.
+
+Names that a user gives to structures of a segmentation, too: ``--structures``.
+"""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Collection, Mapping
 from pathlib import Path
 from typing import Any, Literal, NamedTuple
 
 import msgspec
-import numpy as np
 
 from needleforce.anatomy import Labels, Volume, read_labels, read_volume
-from needleforce.cli.patient.structure_names import StructureNames
-from needleforce.cli.terminal import OTHER_PLACE, CommandError, staged_progress
+from needleforce.anatomy.structures import is_known
+from needleforce.cli.terminal import (
+    OTHER_PLACE,
+    CommandError,
+    json_text,
+    progress_bar,
+)
 from needleforce.files import whole_file
 from needleforce.plan_file import GIVE_PLAN, PLAN, PLAN_VERSION
 
@@ -20,35 +27,26 @@ MODULES = ("SimpleITK", "nibabel", "skimage", "manifold3d", "trimesh", "igl")
 NOT_MEDICAL = "Research only: not a medical device."
 
 
-class CaseFiles(NamedTuple):
-    """Where the data of a patient lie.
+StructureNames = Path | Mapping[str, str] | None
+"""A JSON file with names, or names by those in the segmentation."""
 
-    Attributes:
-        ct: CT: a folder with a DICOM series, or a file.
-        labels: Segmentation.
-        structures: Names of structures, or a file with them, where the segmentation
-            has none.
-        situs_inversus: Liver and spleen are exchanged.
-    """
-
-    ct: Path
-    labels: Path
-    structures: StructureNames = None
-    situs_inversus: bool = False
+KINDS = (
+    "bone, rib, cartilage, vertebra, lung, vessel, bowel, liver, kidney, spleen, "
+    "muscle, fat, lesion, or soft, which a needle may pass"
+)
+"""Kinds that messages offer."""
 
 
 class PatientCase(NamedTuple):
     """CT and labels of a patient.
 
     Attributes:
-        files: Where they come from.
         scan: The CT.
         labels: The segmentation with ``fat`` and ``lean`` of the body around it, and
             with what is dense as bone and not labelled.
         file_labels: The segmentation as in its file.
     """
 
-    files: CaseFiles
     scan: Volume
     labels: Labels
     file_labels: Labels
@@ -80,21 +78,82 @@ class TouchFile(msgspec.Struct, forbid_unknown_fields=True):
     touches_m: tuple[tuple[float, float, float], ...] = ()
 
 
-def read_case(files: CaseFiles) -> PatientCase:
+def read_case(
+    ct: Path, labels: Path, structures: StructureNames, *, situs_inversus: bool
+) -> PatientCase:
     """Read CT and labels, and find the body in the CT.
+
+    Args:
+        ct: A folder with a DICOM series, or a file.
+        labels: Segmentation.
+        structures: Names of structures, or a file with them, where the segmentation
+            has none.
+        situs_inversus: Liver and spleen are exchanged.
 
     Raises:
         needleforce.anatomy.VolumeError: They cannot be read, or do not belong together.
     """
-    with staged_progress("reading the CT"):
-        scan = read_volume(files.ct)
-    with staged_progress("reading the labels"):
-        file_labels = read_labels(
-            files.labels, files.structures, situs_inversus=files.situs_inversus
+    with progress_bar("reading the CT, finding body, fat and lean tissue") as progress:
+        scan = read_volume(ct)
+        file_labels = read_labels(labels, structures, situs_inversus=situs_inversus)
+        with_body = file_labels.with_body(scan, fat=True, progress=progress)
+    return PatientCase(scan, with_body.with_dense(scan), file_labels)
+
+
+def parse_structures(text: str | None) -> StructureNames:
+    """Return what ``--structures`` says: a file, or ``NAME=KIND,...``.
+
+    Raises:
+        CommandError: A part has no `=`, a name stands twice, or a kind is not known.
+    """
+    if text is None:
+        return None
+    if "=" not in text or Path(text).is_file():
+        return Path(text)
+    names: dict[str, str] = {}
+    for part in text.split(","):
+        name, _, kind = (piece.strip() for piece in part.partition("="))
+        if not name or not is_known(kind) or name in names:
+            raise CommandError(
+                f"--structures {text}: {part.strip()!r} is not NAME=KIND, with a name "
+                f"that does not stand in it twice and a known kind: {KINDS}; a JSON "
+                "file takes names that contain a comma"
+            )
+        names[name] = kind
+    return names
+
+
+def require_known_names(
+    labels: Labels, confirmed: Collection[str], *, has_asked: bool
+) -> None:
+    """Refuse names that say nothing, of which nobody has said whether to pass them.
+
+    Args:
+        labels: The segmentation.
+        confirmed: Names that the user has said something of.
+        has_asked: Some structures were named that must stay clear; without any, one at
+            least must be known as an obstacle or as one at risk.
+
+    Raises:
+        CommandError: There are such names; it lists them.
+    """
+    is_warned = {
+        each.name: each.is_obstacle or each.is_risk for each in labels.structures
+    }
+    unknown = [
+        item.name
+        for item in labels.structures
+        if not (is_warned[item.name] or is_known(item.anatomy))
+        and item.name not in confirmed
+    ]
+    if not (any(is_warned.values()) or has_asked):
+        unknown = unknown or list(is_warned)
+    if unknown:
+        raise CommandError(
+            f"names that do not say what they are: {', '.join(unknown)}; expected for "
+            "each --avoid NAME (must stay clear), --passable NAME (the needle may pass "
+            f"it) or --structures {unknown[0]}=KIND, of {KINDS}"
         )
-    with staged_progress("finding body, fat and lean tissue") as progress:
-        labels = file_labels.with_body(scan, fat=True, progress=progress)
-    return PatientCase(files, scan, labels.with_dense(scan), file_labels)
 
 
 def read_touches(path: Path) -> TouchFile:
@@ -142,12 +201,10 @@ def case_of_plan(place: Path) -> PatientCase:
     folder = place if place.is_dir() else place.parent
     structures = fields.get("structures") or None
     return read_case(
-        CaseFiles(
-            folder / fields["ct"],
-            folder / fields["labels"],
-            folder / structures if isinstance(structures, str) else structures,
-            bool(fields.get("situs_inversus", False)),
-        )
+        folder / fields["ct"],
+        folder / fields["labels"],
+        folder / structures if isinstance(structures, str) else structures,
+        situs_inversus=bool(fields.get("situs_inversus", False)),
     )
 
 
@@ -157,10 +214,9 @@ def write_plan_fields(path: Path, fields: Mapping[str, Any]) -> None:
     Raises:
         CommandError: The file cannot be written.
     """
-    content = msgspec.json.encode(fields, enc_hook=_as_list)
     try:
         with whole_file(path) as file:
-            file.write(msgspec.json.format(content, indent=1) + b"\n")
+            file.write(json_text(fields).encode())
     except OSError as error:
         raise CommandError(
             f"cannot write {path}: {error.strerror}", OTHER_PLACE
@@ -170,8 +226,3 @@ def write_plan_fields(path: Path, fields: Mapping[str, Any]) -> None:
 def relative_path(path: Path, folder: Path) -> str:
     """Return how a file is found from a folder, with / between its parts."""
     return Path(os.path.relpath(path, folder)).as_posix()
-
-
-def _as_list(value: Any) -> Any:
-    """Return an array, or a number of one, as what JSON has."""
-    return np.asarray(value).tolist()

@@ -1,12 +1,13 @@
 """`needleforce plan`: paths from the skin to a target, and the plan of one."""
 
 from collections import Counter
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from importlib.util import find_spec
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
+import pandas as pd
 
 from foundation.arrays import Array
 from needleforce.anatomy import FreeSpace, Labels, PlanError, require_clear_path
@@ -26,18 +27,22 @@ from needleforce.cli.patient.case_files import (
     MODULES,
     NOT_MEDICAL,
     PLAN_VERSION,
-    CaseFiles,
     PatientCase,
+    StructureNames,
+    parse_structures,
     read_case,
     relative_path,
+    require_known_names,
     write_plan_fields,
 )
-from needleforce.cli.patient.structure_names import require_known_names
+from needleforce.cli.patient.options import CaseOptions, LimitOptions
 from needleforce.cli.terminal import (
     CommandError,
+    progress_bar,
     require_modules,
     say,
-    staged_progress,
+    table_text,
+    warn,
     write_out,
 )
 from needleforce.plan_binding import (
@@ -59,13 +64,8 @@ from needleforce.plots import (
 )
 from needleforce.plots.plan_slices import draw_along, draw_probe_view
 
-if TYPE_CHECKING:
-    from needleforce.cli.plan import LimitOptions
-
 MARKUP = "path.mrk.json"
 """The planned path for 3D Slicer, in the plan's folder."""
-
-HEAD = ("path", "length", "to skin", "nearest structures", "layers")
 
 ALONG = (
     "CT in two planes that hold the path (yellow, with a bar where a layer ends and a "
@@ -80,14 +80,11 @@ ACROSS = (
 M_TO_MM = 1e3
 
 
-def plan_paths(
-    files: CaseFiles, target: str, wish: "LimitOptions", folder: Path
-) -> int:
+def plan_paths(files: CaseOptions, wish: LimitOptions, folder: Path) -> int:
     """Find paths, print them, and write the plan of one of them.
 
     Args:
-        files: CT and labels.
-        target: Name of a structure, or a ``.mrk.json`` file.
+        files: CT and labels, and the target: a structure, or a ``.mrk.json`` file.
         wish: What path is asked for.
         folder: Folder of the plan; whole or absent.
 
@@ -102,40 +99,59 @@ def plan_paths(
     require_matplotlib("plan")
     require_modules("plan", MODULES)
     limits = _checked_limits(wish)
-    case = read_case(files)
+    structures = parse_structures(files.structures)
+    case = read_case(
+        files.ct, files.labels, structures, situs_inversus=files.situs_inversus
+    )
     labels = case.labels
-    avoid = _names_to_avoid(labels, target, wish)
-    name, target_m, entry_m = _find_target(target, labels)
+    avoid = _names_to_avoid(labels, files.target, wish)
+    target, target_m, entry_m = _find_target(files.target, labels)
     if entry_m is None:
-        with staged_progress("searching paths") as progress:
-            paths = find_paths(labels, target_m, avoid, limits, progress)
+        with progress_bar("searching paths") as progress:
+            found = find_paths(labels, target_m, avoid, limits, progress)
     else:
         path = judge_path(labels, entry_m, target_m, limits)
         _require_clear_line(labels, path, avoid, limits.space)
-        paths = FoundPaths((path,), Counter())
-    if wish.choose > len(paths.paths):
+        found = FoundPaths((path,), Counter())
+    if wish.choose > len(found.paths):
         raise CommandError(
-            f"--choose {wish.choose}: only {len(paths.paths)} paths were found"
+            f"--choose {wish.choose}: only {len(found.paths)} paths were found"
         )
-    chosen = paths.paths[wish.choose - 1]
+    chosen = found.paths[wish.choose - 1]
     accepted = [
         item.name
         for item in labels.structures
-        if item.is_obstacle and item.name in (name, *wish.passable)
+        if item.is_obstacle and item.name in (target, *wish.passable)
     ]
     require_clear_path(chosen.clearances, limits.space, accepted)
-    write_out(_table(paths, name, avoid, limits, wish.choose))
-    if labels.unchecked:
-        say(f"warning: {labels.unchecked}")
-    with whole_folder(folder) as place:
-        if place is not None:
-            fields = _plan_fields(case, limits.space, name, chosen, folder, avoid)
+    rows = pd.DataFrame([_row(n, path) for n, path in enumerate(found.paths, 1)])
+    notes = [
+        f"target {target}; at most {M_TO_MM * limits.max_length_m:g} mm long and "
+        f"{np.degrees(limits.max_angle_rad):.0f} degrees from the skin's normal; "
+        f"{M_TO_MM * limits.space.needed_m:.1f} mm from the needle's centre line stay "
+        f"clear of {', '.join(avoid) or 'nothing: no structure is at risk by its name'}"
+        "; lengths, thicknesses and clearances in mm",
+        f"left out: {_describe_counts(found.rejected)}",
+        f"path {wish.choose} is the plan. {NOT_MEDICAL}",
+    ]
+    write_out("\n".join([table_text(rows, str.ljust), *notes, ""]))
+    warn(_unchecked(labels))
+    with whole_folder(folder) as draft:
+        if draft is not None:
+            fields = _plan_fields(case, limits.space, chosen, avoid)
+            fields |= {"target": target, **_file_fields(files, structures, folder)}
             if accepted:
                 fields["accepted_obstacles"] = accepted
-            write_plan_fields(place / PLAN, fields)
+            write_plan_fields(draft / PLAN, fields)
             ends_m = np.array([chosen.entry_m, chosen.target_m])
-            write_markup(place / MARKUP, "Line", ("entry", "target"), ends_m)
-            _write_page(case, chosen, paths, name, limits, place)
+            write_markup(draft / MARKUP, "Line", ("entry", "target"), ends_m)
+            table = PageTable(
+                caption="Paths, the best first; lengths, thicknesses, clearances in mm",
+                head=tuple(rows.columns),
+                rows=tuple(rows.itertuples(index=False, name=None)),
+                note=notes[1],
+            )
+            _write_page(case, chosen, target, table, limits.space.needed_m, draft)
     for file in (PLAN, MARKUP, PAGE):
         write_out(f"{folder / file}\n")
     say(
@@ -146,7 +162,12 @@ def plan_paths(
     return 0
 
 
-def _checked_limits(wish: "LimitOptions") -> PathLimits:
+def _unchecked(labels: Labels) -> tuple[str, ...]:
+    """Return what could not be checked of the segmentation, if anything."""
+    return (labels.unchecked,) if labels.unchecked else ()
+
+
+def _checked_limits(wish: LimitOptions) -> PathLimits:
     """Return the limits of the search.
 
     Raises:
@@ -186,9 +207,7 @@ def _find_target(name: str, labels: Labels) -> tuple[str, Array, Array | None]:
     return "end of the line", target_m, entry_m
 
 
-def _names_to_avoid(
-    labels: Labels, target: str, wish: "LimitOptions"
-) -> tuple[str, ...]:
+def _names_to_avoid(labels: Labels, target: str, wish: LimitOptions) -> tuple[str, ...]:
     """Return the names of the structures that must stay clear.
 
     Raises:
@@ -235,56 +254,48 @@ def _require_clear_line(
 
 
 def _plan_fields(
-    case: PatientCase,
-    space: FreeSpace,
-    target: str,
-    path: SkinPath,
-    folder: Path,
-    avoid: Sequence[str],
+    case: PatientCase, space: FreeSpace, path: SkinPath, avoid: Sequence[str]
 ) -> dict[str, Any]:
-    """Return what stands in the plan's file; see docs/reference/files.md."""
-    files = case.files
-    fields: dict[str, Any] = {
+    """Return what the plan's file says of the path; see docs/reference/files.md."""
+    boundaries = [(layer.name, layer.exit_m) for layer in path.layers]
+    sizes_m = (space.needle_radius_m, space.margin_m)
+    names = ("name", "exit_m", "exit_std_m", "is_obstacle")
+    return {
         "version": PLAN_VERSION,
-        "target": target,
-        "ct": relative_path(files.ct, folder),
-        "labels": relative_path(files.labels, folder),
         "entry_m": path.entry_m,
         "target_m": path.target_m,
         "needle_radius_m": space.needle_radius_m,
         "margin_m": space.margin_m,
         "layers": [
-            {
-                "name": layer.name,
-                "exit_m": layer.exit_m,
-                "exit_std_m": layer.exit_std_m,
-                "is_obstacle": layer.is_obstacle,
-            }
-            for layer in path.layers
+            {name: getattr(layer, name) for name in names} for layer in path.layers
         ],
         "made_of": MadeOf(
             ct=record_scan(case.scan),
             labels=record_labels(case.file_labels),
-            path_sha256=path_sha256(
-                path.entry_m,
-                path.target_m,
-                [(layer.name, layer.exit_m) for layer in path.layers],
-                space.needle_radius_m,
-                space.margin_m,
-            ),
+            path_sha256=path_sha256(path.entry_m, path.target_m, boundaries, *sizes_m),
             avoided=tuple(avoid),
         ),
     }
-    if isinstance(files.structures, Mapping):
-        fields["structures"] = dict(files.structures)
-    elif files.structures is not None:
-        fields["structures"] = relative_path(files.structures, folder)
+
+
+def _file_fields(
+    files: CaseOptions, structures: StructureNames, folder: Path
+) -> dict[str, Any]:
+    """Return what the plan's file says of the files that it was made of."""
+    fields: dict[str, Any] = {
+        "ct": relative_path(files.ct, folder),
+        "labels": relative_path(files.labels, folder),
+    }
+    if isinstance(structures, Path):
+        fields["structures"] = relative_path(structures, folder)
+    elif structures is not None:
+        fields["structures"] = structures
     if files.situs_inversus:
         fields["situs_inversus"] = True
     return fields
 
 
-def _row(number: int, path: SkinPath) -> tuple[str, ...]:
+def _row(number: int, path: SkinPath) -> dict[str, str]:
     """Return number, length, angle, clearances and layers of a path in words."""
     shown_clearances = 4  # nearest structures that a row names
     near = [
@@ -295,60 +306,31 @@ def _row(number: int, path: SkinPath) -> tuple[str, ...]:
         f"{layer.name} {M_TO_MM * (layer.exit_m - layer.entry_m):.0f}"
         for layer in path.layers
     ]
-    return (
-        str(number),
-        f"{M_TO_MM * path.length_m:.0f} mm",
-        f"{np.degrees(path.angle_rad):.0f} deg",
-        ", ".join(near) or "none within 100 mm",
-        ", ".join(layers),
-    )
+    return {
+        "path": str(number),
+        "length": f"{M_TO_MM * path.length_m:.0f} mm",
+        "to skin": f"{np.degrees(path.angle_rad):.0f} deg",
+        "nearest structures": ", ".join(near) or "none within 100 mm",
+        "layers": ", ".join(layers),
+    }
 
 
-def _left_out(paths: FoundPaths) -> str:
+def _describe_counts(rejected: Counter[str]) -> str:
     """Return in words how many directions were left out, and why."""
-    counts = paths.rejected.most_common()
-    reasons = [f"{count} {reason}" for reason, count in counts if count]
-    return f"left out: {', '.join(reasons) or 'none'}"
-
-
-def _table(
-    paths: FoundPaths,
-    target: str,
-    avoid: Sequence[str],
-    limits: PathLimits,
-    chosen: int,
-) -> str:
-    """Return a line for each path, and those of the search, in words."""
-    rows = [HEAD, *(_row(n, path) for n, path in enumerate(paths.paths, 1))]
-    widths = [max(map(len, column)) for column in zip(*rows, strict=True)]
-    lines = [
-        "  ".join(cell.ljust(width) for cell, width in zip(row, widths, strict=True))
-        for row in rows
-    ]
-    lines += [
-        "",
-        f"target {target}; at most {M_TO_MM * limits.max_length_m:g} mm long and "
-        f"{np.degrees(limits.max_angle_rad):.0f} degrees from the skin's normal; "
-        f"{M_TO_MM * limits.space.needed_m:.1f} mm from the needle's centre line stay "
-        f"clear of {', '.join(avoid) or 'nothing: no structure is at risk by its name'}"
-        "; lengths, thicknesses and clearances in mm",
-        _left_out(paths),
-        f"path {chosen} is the plan. {NOT_MEDICAL}",
-    ]
-    return "".join(f"{line.rstrip()}\n" for line in lines)
+    counts = rejected.most_common()
+    return ", ".join(f"{count} {reason}" for reason, count in counts if count) or "none"
 
 
 def _write_page(
     case: PatientCase,
     path: SkinPath,
-    paths: FoundPaths,
     target: str,
-    limits: PathLimits,
+    table: PageTable,
+    needed_m: float,
     folder: Path,
 ) -> None:
     """Write the page of a plan, and the 3-D page where viser is installed."""
     along = draw_along(case.scan, case.labels, path, folder / "along.png")
-    needed_m = limits.space.needed_m
     across = draw_probe_view(
         case.scan, case.labels, path, needed_m, folder / "probes-eye.png"
     )
@@ -360,55 +342,22 @@ def _write_page(
     if find_spec("viser") is not None:
         _write_scene(case.labels, path, folder / "scene.html")
         in_space = "3-D view: open `scene.html` in the same folder."
-    table = PageTable(
-        caption="Paths, the best first; lengths, thicknesses and clearances in mm",
-        head=HEAD,
-        rows=tuple(_row(number, one) for number, one in enumerate(paths.paths, 1)),
-        note=_left_out(paths),
-    )
-    unchecked = case.labels.unchecked
+    places_mm = {"Entry": M_TO_MM * path.entry_m, "Target": M_TO_MM * path.target_m}
+    ends = [
+        f"{name}, LPS: {place_mm.round(1)} mm" for name, place_mm in places_mm.items()
+    ]
     sections = (
         Section(
             heading=f"Path to {target}",
             anchor="path",
-            paragraphs=(in_space,),
-            notices=(unchecked,) if unchecked else (),
-            tables=(_path_table(path), table),
+            paragraphs=(*ends, in_space),
+            notices=_unchecked(case.labels),
+            tables=(table,),
         ),
         Section(heading="Slices", anchor="slices", figures=figures),
     )
     page = Page(title=f"Plan: {target}", lead=(NOT_MEDICAL,), sections=sections)
     write_page(folder / PAGE, page)
-
-
-def _path_table(path: SkinPath) -> PageTable:
-    """Return the table of the path that is the plan."""
-    ends = [
-        ", ".join(f"{coordinate:.1f}" for coordinate in M_TO_MM * point_m)
-        for point_m in (path.entry_m, path.target_m)
-    ]
-    rows = [
-        ("entry, LPS [mm]", ends[0]),
-        ("target, LPS [mm]", ends[1]),
-        ("length [mm]", f"{M_TO_MM * path.length_m:.1f}"),
-        ("angle to the skin's normal [deg]", f"{np.degrees(path.angle_rad):.0f}"),
-    ]
-    rows += [
-        (
-            f"layer {number}: {layer.name}",
-            f"{M_TO_MM * layer.entry_m:.1f} to {M_TO_MM * layer.exit_m:.1f} mm",
-        )
-        for number, layer in enumerate(path.layers, 1)
-    ]
-    rows += [
-        (f"clearance of {one.name} [mm]", f"{M_TO_MM * one.distance_m:.1f}")
-        for one in path.clearances
-    ]
-    return PageTable(
-        caption="The plan; depths count from the planned entry",
-        head=("what", "value"),
-        rows=tuple(rows),
-    )
 
 
 def _write_scene(labels: Labels, path: SkinPath, place: Path) -> None:
@@ -418,13 +367,13 @@ def _write_scene(labels: Labels, path: SkinPath, place: Path) -> None:
 
     # Lean tissue would hide what lies in it.
     names = [name for name in large_structures(labels) if name != "lean"]
-    with staged_progress("drawing the page") as progress:
+    with progress_bar("drawing the page") as progress:
         surfaces = labels.surfaces(names, progress, voxel_m=SHOWN_VOXEL_m)
     scene = PlanScene(
         surfaces=tuple(surfaces.values()),
         layers=list(path.layers),
         entry_m=path.entry_m,
         target_m=path.target_m,
-        warnings=(labels.unchecked,) if labels.unchecked else (),
+        warnings=_unchecked(labels),
     )
     export_plan(scene, place)

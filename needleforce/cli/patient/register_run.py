@@ -1,8 +1,8 @@
 """`needleforce register`: where the patient of a plan lies in the robot's base."""
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from pathlib import Path
-from typing import TYPE_CHECKING, Any
+from typing import Any
 
 import numpy as np
 from scipy.special import fdtri
@@ -22,7 +22,6 @@ from needleforce.anatomy import (
     require_clear_path,
     require_lps,
 )
-from needleforce.anatomy.clearance import STDS
 from needleforce.anatomy.landmarks import (
     MIN_VERIFIED,
     LandmarkResidual,
@@ -41,19 +40,17 @@ from needleforce.cli.patient.case_files import (
     relative_path,
     write_plan_fields,
 )
+from needleforce.cli.patient.options import RegisterOptions
 from needleforce.cli.terminal import (
     CommandError,
     aligned,
+    progress_bar,
     require_modules,
     say,
-    staged_progress,
+    warn,
     write_out,
 )
 from needleforce.needle_on_plan import PlannedPath
-from needleforce.plots import PAGE, Page, PageTable, Section, whole_folder, write_page
-
-if TYPE_CHECKING:
-    from needleforce.cli.register import RegisterOptions
 
 M_PER_MM = 1e-3
 
@@ -61,16 +58,13 @@ MAX_STD_mm = 50.0
 """Larger ones are not in millimetres."""
 
 
-def register_plan(
-    place: Path, options: "RegisterOptions", output: Path, report: Path | None
-) -> int:
+def register_plan(place: Path, options: RegisterOptions, output: Path) -> int:
     """Register the patient of a plan by landmarks and touches, or by a transform.
 
     Args:
         place: The plan.
         options: What the registration rests on.
         output: The plan with its registration.
-        report: Folder for a page, if any.
 
     Returns:
         The exit code.
@@ -86,11 +80,10 @@ def register_plan(
     _require_mm("--motion", options.motion)
     _require_mm("--softness", options.softness)
     fields = read_plan_fields(place)
-    touches_m = np.zeros((0, 3))
-    touched = None
+    touched = TouchFile(version=1)
     if options.touches is not None:
         touched = read_touches(options.touches)
-        touches_m = np.array(touched.touches_m, dtype=float).reshape(-1, 3)
+    touches_m = np.array(touched.touches_m, dtype=float).reshape(-1, 3)
     residuals: list[LandmarkResidual] = []
     if options.transform is not None:
         fit = _fit_of_transform(fields, options)
@@ -112,11 +105,10 @@ def register_plan(
         touched_m = rough.to_model(touches_m)
         entry_m = np.array(fields["entry_m"])
         shown = SkinLandmarks(model_m, skin, names, touched_m, entry_m)
-        for doubt in (*require_lps(shown), *_doubts(residuals)):
-            say(f"warning: {doubt}")
+        warn([*require_lps(shown), *_doubts(residuals)])
         fit = rough
         if not options.landmarks_only:
-            with staged_progress("fitting the touches to the skin"):
+            with progress_bar("fitting the touches to the skin"):
                 fit = fit_surface(
                     skin,
                     touches_m,
@@ -128,13 +120,16 @@ def register_plan(
     motion_m = M_PER_MM * options.motion
     added = _fit_fields(fields, fit, residuals, distances_m, motion_m)
     rows = _rows(fit, residuals, distances_m, added)
-    write_out(f"{aligned(rows)}{NOT_MEDICAL}\n")
+    write_out(f"{aligned(rows.items())}{NOT_MEDICAL}\n")
     _require_clear_path(fields, labels, fit)
-    _write(place, {**fields, **added}, output)
-    with whole_folder(report) as folder:
-        if folder is not None and report is not None:
-            _write_page(rows, distances_m, folder)
-            write_out(f"{report / PAGE}\n")
+    folder = place if place.is_dir() else place.parent
+    moved = {
+        key: relative_path(folder / fields[key], output.parent)
+        for key in ("ct", "labels", "structures")
+        if isinstance(fields.get(key), str) and fields[key]
+    }
+    write_plan_fields(output, {**fields, **added, **moved})
+    write_out(f"{output}\n")
     say(f"next: needleforce live ARM --plan {output} --view")
     return 0
 
@@ -153,10 +148,10 @@ def _require_mm(option: str, value_mm: float, low: float = 0.0) -> None:
 
 
 def _fit_by_landmarks(
-    touched: TouchFile | None, options: "RegisterOptions"
+    touched: TouchFile, options: RegisterOptions
 ) -> tuple[Registration, list[LandmarkResidual], Array]:
     """Return the fit of the landmarks that were touched, and their places in the CT."""
-    if touched is None or options.landmarks is None:
+    if options.touches is None or options.landmarks is None:
         raise CommandError("expected --landmarks and --touches, or --transform")
     markup = read_markup(options.landmarks)
     place_by_name = dict(zip(markup.names, markup.points_m, strict=True))
@@ -175,23 +170,23 @@ def _fit_by_landmarks(
     return fit, judge_landmarks(model_m, robot_m, std_m, names), model_m
 
 
-def _doubts(residuals: Sequence[LandmarkResidual]) -> list[str]:
-    """Return in words which landmark is probably off, or that none can be verified."""
+def _doubts(residuals: Sequence[LandmarkResidual]) -> Iterator[str]:
+    """Yield in words which landmark is probably off, or that none can be verified."""
+    worst = min(residuals, key=lambda one: one.probability)
     if len(residuals) < MIN_VERIFIED:
-        return [
+        yield (
             f"{len(residuals)} landmarks cannot be verified: one that is off shows "
             f"only with {MIN_VERIFIED} or more"
-        ]
-    worst = min(residuals, key=lambda one: one.probability)
-    text = (
-        f"landmark {worst.name!r} lies {worst.left_out_m / M_PER_MM:.1f} mm from where "
-        f"the others put it (p = {worst.probability:.2g}): touch it again"
-    )
-    return [text] * worst.is_doubtful
+        )
+    elif worst.is_doubtful:
+        yield (
+            f"landmark {worst.name!r} lies {worst.left_out_m / M_PER_MM:.1f} mm from "
+            f"where the others put it (p = {worst.probability:.2g}): touch it again"
+        )
 
 
 def _fit_of_transform(
-    fields: Mapping[str, Any], options: "RegisterOptions"
+    fields: Mapping[str, Any], options: RegisterOptions
 ) -> Registration:
     """Return the registration of a transform with one deviation at the patient."""
     if options.transform_from is None or options.transform_std is None:
@@ -221,7 +216,7 @@ def _fit_of_transform(
 
 
 def _require_touched_skin(
-    fit: Registration, skin: Surface, touches_m: Array, options: "RegisterOptions"
+    fit: Registration, skin: Surface, touches_m: Array, options: RegisterOptions
 ) -> None:
     """Refuse touches of the skin that contradict a transform."""
     # Touches further from the skin than so many standard deviations do.
@@ -288,57 +283,49 @@ def _rows(
     residuals: Sequence[LandmarkResidual],
     distances_m: Array,
     added: Mapping[str, Any],
-) -> list[tuple[str, str]]:
-    """Return label and text of every line of the report."""
+) -> dict[str, str]:
+    """Return the text of every line of the report, by its label."""
     level = 0.95  # of the region at the target
-    rows: list[tuple[str, str]] = []
+    rows: dict[str, str] = {}
     for one in residuals:
         text = f"residual {one.left_m / M_PER_MM:.1f} mm"
         if np.isfinite(one.left_out_m):
             text += f", {one.left_out_m / M_PER_MM:.1f} mm from where the others put it"
         if np.isfinite(one.probability):
             text += f" (p = {one.probability:.2g})"
-        rows.append((f"landmark {one.name}", text))
+        rows[f"landmark {one.name}"] = text
     sizes_mm = np.abs(distances_m) / M_PER_MM
     if len(sizes_mm):
-        text = (
+        rows[f"{len(sizes_mm)} touches of the skin"] = (
             f"half within {np.median(sizes_mm):.1f} mm, 9 of 10 within "
             f"{np.quantile(sizes_mm, 0.9):.1f} mm, largest {sizes_mm.max():.1f} mm "
             f"(touch {int(sizes_mm.argmax()) + 1})"
         )
-        rows.append((f"{len(sizes_mm)} touches of the skin", text))
-    place = added["registration"]
     if fit.indentation_std_m > 1e-6:  # of a surface that is not hard
-        text = (
+        rows["touches press the skin in"] = (
             f"by {fit.indentation_m / M_PER_MM:.1f} ± "
             f"{fit.indentation_std_m / M_PER_MM:.1f} mm"
         )
-        rows.append(("touches press the skin in", text))
+    place = added["registration"]
     target_mm = place["target_in_base_m"] / M_PER_MM
     covariance = fit.covariance_at(fit.to_model(place["target_in_base_m"]))
     quantile = 3.0 * fdtri(3, place["degrees"], level)
     half_axes_m2 = np.maximum(np.linalg.eigvalsh(covariance)[::-1], 0.0) * quantile
     region_mm = np.sqrt(half_axes_m2) / M_PER_MM
-    return [
-        *rows,
-        (
-            "target in the robot's base",
-            f"{', '.join(f'{value:.1f}' for value in target_mm)} mm",
-        ),
-        (
-            "expected error at the target",
-            f"{place['target_error_rms_m'] / M_PER_MM:.1f} mm rms",
-        ),
-        (
-            "it lies with 95 % within",
-            f"{' x '.join(f'{value:.1f}' for value in region_mm)} mm (half axes)",
-        ),
-        (
-            "layers along the needle",
-            f"± {added['offset_std_m'] / M_PER_MM:.1f} mm (one standard deviation, "
-            f"with the organs' motion of {place['motion_std_m'] / M_PER_MM:g} mm)",
-        ),
-    ]
+    rows["target in the robot's base"] = (
+        f"{', '.join(f'{value:.1f}' for value in target_mm)} mm"
+    )
+    rows["expected error at the target"] = (
+        f"{place['target_error_rms_m'] / M_PER_MM:.1f} mm rms"
+    )
+    rows["it lies with 95 % within"] = (
+        f"{' x '.join(f'{value:.1f}' for value in region_mm)} mm (half axes)"
+    )
+    rows["layers along the needle"] = (
+        f"± {added['offset_std_m'] / M_PER_MM:.1f} mm (one standard deviation, with "
+        f"the organs' motion of {place['motion_std_m'] / M_PER_MM:g} mm)"
+    )
+    return rows
 
 
 def _require_clear_path(
@@ -359,48 +346,8 @@ def _require_clear_path(
     try:
         require_clear_path(clearances, space, accepted)
     except PlanError as error:
-        free_m = min(
-            one.distance_m
-            for one in clearances
-            if one.is_obstacle and one.name not in accepted
-        )
-        free_m -= space._replace(std_m=0.0).needed_m
         raise PlanError(
-            f"{error}. This path bears a registration with a std of up to "
-            f"{max(free_m / STDS, 0.0) / M_PER_MM:.2f} mm, and this one has "
-            f"{std_m / M_PER_MM:.2f} mm: touch more around the entry, landmarks "
-            "further apart, or plan a path with more space (--margin, --choose)"
+            f"{error}. This registration has a std of up to {std_m / M_PER_MM:.2f} mm: "
+            "touch more around the entry, landmarks further apart, or plan a path with "
+            "more space (--margin, --choose)"
         ) from error
-
-
-def _write(place: Path, fields: Mapping[str, Any], output: Path) -> None:
-    """Write the registered plan, from whose folder its files are found."""
-    folder = place if place.is_dir() else place.parent
-    moved = {
-        key: relative_path(folder / fields[key], output.parent)
-        for key in ("ct", "labels", "structures")
-        if isinstance(fields.get(key), str) and fields[key]
-    }
-    write_plan_fields(output, {**fields, **moved})
-    write_out(f"{output}\n")
-
-
-def _write_page(
-    rows: Sequence[tuple[str, str]], distances_m: Array, folder: Path
-) -> None:
-    """Write the page of a registration into a folder."""
-    touches = [
-        (str(number), f"{distance_m / M_PER_MM:+.2f}")
-        for number, distance_m in enumerate(distances_m.tolist(), 1)
-    ]
-    tables = (
-        PageTable(caption="Registration", head=("what", "value"), rows=tuple(rows)),
-        PageTable(
-            caption="Touches of the skin",
-            head=("touch", "distance from the skin [mm], positive outside"),
-            rows=tuple(touches),
-        ),
-    )
-    section = Section(heading="Registration", anchor="registration", tables=tables)
-    page = Page(title="Registration", lead=(NOT_MEDICAL,), sections=(section,))
-    write_page(folder / PAGE, page)

@@ -7,7 +7,6 @@ from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
-import msgspec
 import numpy as np
 import pinocchio as pin
 
@@ -21,12 +20,11 @@ from needleforce.cli.arms.arm_connection import (
     samples_until_stopped,
 )
 from needleforce.cli.patient.case_files import (
-    LandmarkTouch,
-    TouchFile,
     case_of_plan,
     read_plan_fields,
     write_plan_fields,
 )
+from needleforce.cli.patient.options import TouchOptions
 from needleforce.cli.shared_options import ArmOptions, RobotOptions
 from needleforce.cli.terminal import CHECK_ARM, CommandError, progress_bar, say
 from needleforce.devices import LinkError
@@ -39,23 +37,18 @@ from urdf import Robot
 def record_touches(
     arm_name: str,
     output: Path,
+    wish: TouchOptions,
     options: ArmOptions,
     robot: RobotOptions,
-    *,
-    landmarks: Path | None,
-    count: int,
-    contact_N: float,
 ) -> int:
     """Write what the needle's tip touches into a file.
 
     Args:
         arm_name: The arm as the command line names it.
         output: The file.
+        wish: What is touched.
         options: For how long the arm is listened to.
         robot: Options that describe the robot.
-        landmarks: Points of the CT that are touched first, if any.
-        count: Touches of the skin after which it ends.
-        contact_N: Least force of a contact.
 
     Returns:
         The exit code.
@@ -64,41 +57,44 @@ def record_touches(
         CommandError: A number cannot be, nothing was touched, or the arm sends no
             torques.
     """
-    if count < 0 or not contact_N > 0.0:
+    if wish.count < 0 or not wish.contact > 0.0:
         raise CommandError(
-            f"--count {count}, --contact {contact_N:g}: expected none or more, and a "
-            "positive force"
+            f"--count {wish.count}, --contact {wish.contact:g}: expected none or more, "
+            "and a positive force"
         )
     require_place(output)
-    names = () if landmarks is None else read_markup(landmarks).names
+    markup = None if wish.landmarks is None else read_markup(wish.landmarks)
+    names = () if markup is None else markup.names
+    points_m = np.zeros((0, 3)) if markup is None else markup.points_m
     places_m: list[Array] = []
     lost: LinkError | None = None
-    with _open_touching_arm(arm_name, robot, options, landmarks) as (arm, model):
+    with _open_touching_arm(arm_name, robot, options, points_m) as (arm, model):
         say(f"rest in contact for a second, or press Enter{_next(names, places_m)}")
         try:
-            for touch in _touches(arm, model, options, contact_N):
+            for touch in _touches(arm, model, options, wish.contact):
                 say(f"{_take(touch, places_m)}{_next(names, places_m)}")
-                if len(places_m) >= len(names) + count:
+                if len(places_m) >= len(names) + wish.count:
                     break
         except LinkError as error:
             lost = error
     if lost is None and not places_m:
         raise CommandError(
-            f"nothing was touched: the force never rose by {contact_N:g} N while the "
-            "tip rested for a second",
+            f"nothing was touched: the force never rose by {wish.contact:g} N while "
+            "the tip rested for a second",
             CHECK_ARM,
         )
     places = [tuple(place_m.tolist()) for place_m in places_m]
-    file = TouchFile(
-        version=1,
-        landmarks=tuple(map(LandmarkTouch, names, places)),
-        touches_m=tuple(places[len(names) :]),
+    landmarks = [
+        {"name": name, "place_m": place_m}
+        for name, place_m in zip(names, places, strict=False)
+    ]
+    touches_m = places[len(names) :]
+    write_plan_fields(
+        output, {"version": 1, "landmarks": landmarks, "touches_m": touches_m}
     )
-    fields: dict[str, Any] = msgspec.to_builtins(file)
-    write_plan_fields(output, fields)
     say(
-        f"{len(file.landmarks)} of {len(names)} landmarks and {len(file.touches_m)} "
-        f"touches of the skin in {output}"
+        f"{len(landmarks)} of {len(names)} landmarks and {len(touches_m)} touches of "
+        f"the skin in {output}"
     )
     if lost is not None:
         raise lost
@@ -124,7 +120,7 @@ def _next(names: tuple[str, ...], places_m: list[Array]) -> str:
 
 @contextmanager
 def _open_touching_arm(
-    name: str, robot: RobotOptions, options: ArmOptions, landmarks: Path | None
+    name: str, robot: RobotOptions, options: ArmOptions, landmarks_m: Array
 ) -> Iterator[ConnectedArm]:
     """Open the arm that a user names, or a simulated one that touches a plan's patient.
 
@@ -132,17 +128,14 @@ def _open_touching_arm(
         name: The arm as the command line names it; sim:PLAN.json for the latter.
         robot: Options that describe the robot.
         options: Motor constants of a UR.
-        landmarks: Points that the simulated arm touches first, if any.
+        landmarks_m: Points that the simulated arm touches first, shape (n, 3).
     """
     kind, _, plan = name.partition(":")
     if kind == "sim" and plan.endswith(".json"):
-        points_m = np.zeros((0, 3))
-        if landmarks is not None:
-            points_m = read_markup(landmarks).points_m
         labels = case_of_plan(Path(plan)).labels
         with progress_bar("simulating"):
-            simulated = touch_patient(read_plan_fields(Path(plan)), labels, points_m)
-        yield ConnectedArm(simulated.arm, simulated.robot)
+            touching = touch_patient(read_plan_fields(Path(plan)), labels, landmarks_m)
+        yield ConnectedArm(touching.arm, touching.robot)
         return
     with open_arm(name, robot, options.motor_constants) as connected:
         yield connected

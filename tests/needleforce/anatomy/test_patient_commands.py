@@ -93,13 +93,12 @@ def test_the_registered_plan_lies_where_the_patient_is(folder, fields):
 
 def test_what_a_registration_leaves_is_reported(capsys, fields):
     register = "register --plan plan --landmarks patient/landmarks.mrk.json "
-    options = "--touches touches.json --report page -o again.json"
+    options = "--touches touches.json -o again.json"
     assert main(shlex.split(register + options)) == 0
     said = capsys.readouterr().out
     again = json.loads(Path("again.json").read_bytes())
 
     assert len(re.findall(r"landmark .*residual \d\.\d mm", said)) == 6
-    assert "Touches of the skin" in Path("page/index.html").read_text(encoding="utf-8")
     for key in ("rotation", "covariance", "offset_std_m", "pivot_m"):
         np.testing.assert_allclose(again[key], fields[key])
     error_mm = 1e3 * again["registration"]["target_error_rms_m"]
@@ -307,10 +306,7 @@ def test_a_transform_registers_and_obstacles_are_judged_with_its_deviation(
     moved = json.loads(Path("right.json").read_bytes())
     np.testing.assert_allclose(moved["rotation"], fields["rotation"], atol=1e-9)
     assert read_plan("right.json").path is not None
-    # A rib lies 56.6 mm aside and the needle's radius is 0.8 mm: what is left bears a
-    # standard deviation of 0.41 mm.
     said = run(capsys, f"{by_transform} wide --transform-from itk --transform-std 1")
-    assert "0.41 mm" in said
     assert "rib_right" in said
     quiet = "--transform-from itk --transform-std 0.2"
     assert main(shlex.split(f"{by_transform} wide {quiet} -o wide/plan.json")) == 0

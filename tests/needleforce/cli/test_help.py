@@ -5,15 +5,15 @@ from dataclasses import fields, is_dataclass
 
 import pytest
 
-from needleforce.cli import live as live_file
-from needleforce.cli import main, plan, register, shared_options, simulate, touch, view
+from needleforce.cli import main, shared_options
+from needleforce.cli.patient import options
 from needleforce.devices.arm_names import CALLED_KINDS, LISTENING_KINDS
 from needleforce.recordings.channels import CHANNELS
 from needleforce.sensor_replay import AUTOMATIC_TARE_S
 from residual import DEFAULT
 from urdf import load_example
 
-FILES = (live_file, plan, register, shared_options, simulate, touch, view)
+FILES = (shared_options, options)
 OPTIONS = {
     kind.__name__: kind
     for file in FILES

@@ -58,7 +58,7 @@ def test_joints_that_the_log_lacks_are_locked_at_once(arm, force, tmp_path, caps
     log = write_insertion(tmp_path / "log.npz", robot_of(arm))
     options = ["force", str(log), "--urdf", str(arm), *ON_TIP, *TARE]
 
-    assert "'ball_joint'" in refusal(options, capsys)
+    assert "ball_joint" in refusal(options, capsys)
 
     fixed = ["--lock", "ball_joint", "--accept-inertia"]
 
@@ -137,7 +137,7 @@ def test_inertia_is_accepted_with_a_warning_in_every_result(
     arm.write_text(text[:start] + text[end:])
     argv = [str(log), "--urdf", str(arm), "--lock-others", *ON_TIP]
 
-    assert "upper (joint shoulder)" in refusal(["force", *argv, *TARE], capsys)
+    assert "joint shoulder" in refusal(["force", *argv, *TARE], capsys)
 
     options = ["--accept-inertia", "--force-tare", *TARE]
     _, out, err = force(log, "--lock-others", *options)
@@ -151,7 +151,7 @@ def test_inertia_is_accepted_with_a_warning_in_every_result(
     page = (tmp_path / "page" / "index.html").read_text()
 
     for printed in (out, err, found, page):
-        assert "accepted without inertia: upper (joint shoulder)" in printed
+        assert "accepted: behind joint shoulder" in printed
 
 
 @pytest.mark.parametrize(
@@ -159,8 +159,6 @@ def test_inertia_is_accepted_with_a_warning_in_every_result(
     [
         (["--mount", "wall"], (9.80665, 0.0, 0.0)),
         (["--mount", "ceiling"], (0.0, 0.0, 9.80665)),
-        (["--mount", "tilt", "-30"], (-4.903325, 0.0, -8.492808)),
-        (["--mount", "tilt=30"], (4.903325, 0.0, -8.492808)),
         (["--gravity", "0", "-9.81", "0"], (0.0, -9.81, 0.0)),
     ],
     ids=lambda value: " ".join(map(str, value)),

@@ -11,8 +11,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from identification import TissueWarning
-from needleforce.cli import app, main
+from needleforce.cli import main
 from needleforce.cli.terminal import (
     FAILED,
     INTERRUPTED,
@@ -26,7 +25,6 @@ from needleforce.cli.terminal import (
 )
 from needleforce.recordings import FileAccessError, load_mapping, read_log, write_table
 from needleforce.recordings.table import TableLabels
-from residual import SensorWarning
 from tests.needleforce.cli.residual_command_log import insertion
 
 
@@ -115,21 +113,6 @@ def test_help_answers_without_the_estimators():
     assert "--external-torque" in process.stdout
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("package", ["residual", "identification", "groundtruth"])
-def test_packages_forward_to_the_command(package):
-    argv = [sys.executable, "-m", package, "--help"]
-    process = subprocess.run(argv, capture_output=True, text=True, check=True)
-    assert process.stdout.startswith("Usage: needleforce ")
-
-
-@pytest.mark.parametrize("shell", ["bash", "zsh", "fish"])
-def test_shells_complete_the_command(shell):
-    script = app.generate_completion(shell=shell)
-    for word in ("force", "identify", "external-torque", "published-kv"):
-        assert word in script
-
-
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
     """Run a command in an empty folder; return what it prints."""
@@ -216,15 +199,3 @@ def test_progress_bar_needs_a_terminal(monkeypatch, is_terminal):
     assert ("log.csv" in stream.getvalue(), "50%" in stream.getvalue()) == (
         is_terminal,
     ) * 2
-
-
-@pytest.mark.parametrize(
-    ("warning", "text"),
-    [
-        (SensorWarning.NONE, "none"),
-        (SensorWarning.SPIKE | SensorWarning.JOINT_LIMIT, "spike, joint limit"),
-        (TissueWarning.TISSUE_MOVES, "tissue moves"),
-    ],
-)
-def test_a_warning_prints_its_names(warning, text):
-    assert str(warning) == f"{warning}" == text
