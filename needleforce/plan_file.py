@@ -274,12 +274,12 @@ def _load_plan(
             "or a .seg.nrrd beside it"
         )
     warnings += _check_obstacles(plan, labels, layers, is_past=is_past)
-    if labels is not None:
+    if labels is not None and ends_m is not None:
         surroundings = NeedleSurroundings(
             labels,
             registration,
-            plan.entry_m,
-            plan.target_m,
+            ends_m[0],
+            ends_m[1],
             _space_of(plan),
             leave_out=(plan.target, *plan.accepted_obstacles),
         )
@@ -384,7 +384,8 @@ def _path_of(plan: _PlanFile, registration: Registration, ends_m: Array) -> Plan
     if plan.covariance:
         path = PlannedPath.of_registration(registration, *ends_m)
     else:
-        path = PlannedPath.of_std(*registration.to_robot(ends_m), plan.offset_std_m)
+        entry_m, target_m = registration.to_robot(ends_m)
+        path = PlannedPath.of_std(entry_m, target_m, plan.offset_std_m)
     return replace(path, tolerance_m=plan.margin_m)
 
 
