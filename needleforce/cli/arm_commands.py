@@ -47,7 +47,7 @@ def record_command(
     needleforce record fri -o insertion.mcap
     """
     limit_library_threads()
-    from needleforce.cli.arms.arm_recording import record_signals
+    from needleforce.cli.arms.arm_connection import record_signals
 
     return record_signals(arm, output, options, robot, overwrites=overwrite)
 

@@ -64,11 +64,8 @@ def run_command(work: Callable[[], int]) -> int:
     Returns:
         The exit code.
     """
-    is_terminated = False
 
     def terminate(_number: int, _frame: FrameType | None) -> None:
-        nonlocal is_terminated
-        is_terminated = True
         raise _Terminated
 
     try:
@@ -79,19 +76,18 @@ def run_command(work: Callable[[], int]) -> int:
     except BrokenPipeError:
         _close_output()
         return READER_GONE
+    except _Terminated:
+        say("terminated")
+        return TERMINATED
     except KeyboardInterrupt:
         say("interrupted")
         return INTERRUPTED
-    except (Exception, _Terminated) as error:
-        # A library in C may turn what the handler raised into an error of its own.
-        if is_terminated:
-            say("terminated")
-            return TERMINATED
+    except Exception as error:
         say(f"error: {describe_error(_foreseen(error))}")
         return FAILED
 
 
-def _foreseen(error: BaseException) -> NeedleforceError:
+def _foreseen(error: Exception) -> NeedleforceError:
     """Return a foreseen failure; raise what was not foreseen."""
     if isinstance(error, NeedleforceError):
         try:

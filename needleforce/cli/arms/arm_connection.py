@@ -1,4 +1,4 @@
-"""The arm that a user names, its model, and its samples until Ctrl-C."""
+"""The arm that a user names, its model, its samples until Ctrl-C, their recording."""
 
 import signal
 import sys
@@ -12,7 +12,13 @@ import numpy as np
 
 from groundtruth import simulate
 from groundtruth.rig_arm import SimulatedArm
-from needleforce.cli.robot import LWR, robot_from_options, robot_from_text
+from needleforce.cli.robot import (
+    LWR,
+    ArmFrames,
+    read_description,
+    robot_from_options,
+    robot_from_text,
+)
 from needleforce.cli.shared_options import ArmOptions, MotorConstants, RobotOptions
 from needleforce.cli.terminal import (
     OTHER_ROBOT,
@@ -26,6 +32,7 @@ from needleforce.devices import (
     ArmReading,
     DeviceSettingError,
     Fr3Arm,
+    LinkError,
     ReplayArm,
     connect_arm,
     pace,
@@ -34,6 +41,9 @@ from needleforce.devices import (
 from needleforce.devices.datagram_link import DatagramLink
 from needleforce.devices.guard import GuardedArm
 from needleforce.devices.link import SILENCE_S
+from needleforce.recorder import Recorder
+from needleforce.recordings.output import check_writable
+from needleforce.recordings.table import TableLabels
 from urdf import Robot
 
 ROBOTS = {"fri": "lwr", "franka": "panda", "ur": "ur10e"}
@@ -259,3 +269,59 @@ def _say_sender(arm: Any) -> None:
             f"{host}, port {port}, was the first to send; only {host} is listened to "
             f"(@{host} after the arm's name makes sure)"
         )
+
+
+def record_signals(
+    arm_name: str,
+    output: Path,
+    options: ArmOptions,
+    robot: RobotOptions,
+    *,
+    overwrites: bool,
+) -> int:
+    """Write the joint signals of an arm into a file as they come.
+
+    Args:
+        arm_name: The arm as the command line names it.
+        output: The recording.
+        options: For how long the arm is listened to.
+        robot: Options that describe the robot.
+        overwrites: Whether an older recording is replaced.
+
+    Returns:
+        The exit code.
+    """
+    check_writable(output, overwrites=overwrites)  # before the arm is waited for
+    has_torque = True
+    with (
+        open_arm(arm_name, robot, options.motor_constants) as (arm, model),
+        Recorder(
+            output,
+            model.joint_names,
+            _labels_of_arm(arm_name, model, robot),
+            overwrites=overwrites,
+        ) as recorder,
+    ):
+        if isinstance(arm, DatagramLink):
+            arm.drop_waiting()  # what came while the command got ready
+        try:
+            for sample in samples_until_stopped(arm, options):
+                recorder.put(sample)
+                has_torque = sample.tau_Nm is not None
+        except LinkError as error:
+            if not recorder.rows:
+                raise
+            raise error.reworded(
+                f"{error}; {output} ends with the last sample, at "
+                f"{recorder.time_s:.3f} s"
+            ) from error
+    say(f"{recorder.rows} samples, {recorder.time_s:.3f} s in {output}; {arm.report}")
+    if not has_torque:
+        say(f"warning: {output} holds no joint torques: {NO_TORQUES}")
+    return 0
+
+
+def _labels_of_arm(arm_name: str, model: Robot, options: RobotOptions) -> TableLabels:
+    """Return what lets a bag show the arm."""
+    description = read_description(described_robot(arm_name, options))
+    return TableLabels(robot_description=description, link_poses=ArmFrames(model))

@@ -338,37 +338,22 @@ def _write_page(
     if find_spec("viser") is not None:
         _write_scene(case.labels, path, folder / "scene.html")
         in_space = "3-D view: open `scene.html` in the same folder."
+    places_mm = {"Entry": M_TO_MM * path.entry_m, "Target": M_TO_MM * path.target_m}
+    ends = [
+        f"{name}, LPS: {place_mm.round(1)} mm" for name, place_mm in places_mm.items()
+    ]
     sections = (
         Section(
             heading=f"Path to {target}",
             anchor="path",
-            paragraphs=(in_space,),
+            paragraphs=(*ends, in_space),
             notices=_unchecked(case.labels),
-            tables=(_path_table(path), table),
+            tables=(table,),
         ),
         Section(heading="Slices", anchor="slices", figures=figures),
     )
     page = Page(title=f"Plan: {target}", lead=(NOT_MEDICAL,), sections=sections)
     write_page(folder / PAGE, page)
-
-
-def _path_table(path: SkinPath) -> PageTable:
-    """Return the table of the path that is the plan."""
-    rows: dict[str, str] = {}
-    for name, point_m in (("entry", path.entry_m), ("target", path.target_m)):
-        coordinates = [f"{M_TO_MM * value_m:.1f}" for value_m in point_m]
-        rows[f"{name}, LPS [mm]"] = ", ".join(coordinates)
-    for number, layer in enumerate(path.layers, 1):
-        rows[f"layer {number}: {layer.name}"] = (
-            f"{M_TO_MM * layer.entry_m:.1f} to {M_TO_MM * layer.exit_m:.1f} mm"
-        )
-    for one in path.clearances:
-        rows[f"clearance of {one.name} [mm]"] = f"{M_TO_MM * one.distance_m:.1f}"
-    return PageTable(
-        caption="The plan; depths count from the planned entry",
-        head=("what", "value"),
-        rows=tuple(rows.items()),
-    )
 
 
 def _write_scene(labels: Labels, path: SkinPath, place: Path) -> None:
