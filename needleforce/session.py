@@ -39,7 +39,6 @@ from residual import (
     WrenchEstimate,
 )
 from residual.bias.model import Tare
-from residual.bias.separation import JointSeparation
 from urdf import Robot
 
 if TYPE_CHECKING:
@@ -197,14 +196,6 @@ class InsertionSession:
     def tare_refusal(self) -> TareError | None:
         """Why the latest `start_tare` was refused; None if it was not."""
         return self._sensor.tare_refusal
-
-    @property
-    def tare_separation(self) -> tuple[JointSeparation, ...]:
-        """How well the tare told hysteresis from friction at every joint.
-
-        `residual.advise_motion` says what motion would tell more. Empty before a tare.
-        """
-        return self._sensor.tare_separation
 
     @property
     def lag_s(self) -> float:

@@ -320,7 +320,7 @@ def test_no_alarm_of_a_push_is_reported_before_it_is_known(monkeypatch, kind):
 
 @pytest.mark.slow
 @pytest.mark.parametrize(
-    ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (2.1, 2.4))]
+    ("count", "seconds"), [(1_000, (0.9, 1.8)), (4_500, (1.9, 2.4))]
 )
 def test_a_small_push_shows_in_torque_changes(count, seconds):
     session, rows = resumed_after(INSIDE, 5_000)

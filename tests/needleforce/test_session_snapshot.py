@@ -3,7 +3,6 @@
 import copy
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
 
@@ -150,34 +149,26 @@ def test_a_shallow_copy_shares_nothing():
 def test_files_that_are_no_snapshots_are_refused(tmp_path):
     path = tmp_path / "s"
     write_snapshot(stopped_after(IN_TISSUE), path)
-    older = path.read_bytes()
-    envelope = msgspec.msgpack.decode(older)
-    flipped = bytearray(older)
-    flipped[len(older) // 2] ^= 4
+    content = path.read_bytes()
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 4
 
     assert same(read_snapshot(path), stopped_after(IN_TISSUE))
 
-    encode = msgspec.msgpack.encode
-    for content, match in [
-        (encode(envelope | {"version": 99}), "99"),
-        (encode(envelope | {"format": "other"}), "other"),
-        (encode([]), "no state"),
-        (encode(envelope | {"data": b""}), "sha256"),
-        (bytes(flipped), "sha256"),
-        (encode(envelope | {"kind": "Popen"}), "Popen"),
-        (encode(envelope | {"kind": "sensor"}), "damaged"),
-        (encode(envelope | {"method": "os.system"}), "method"),
-        (older[:1000], "cut short"),
-        (bytes(MAX_FILE_BYTES + 1), "64 MB"),
+    for changed, match in [
+        (content.replace(b" session ", b" sensor ", 1), "SessionSnapshot"),
+        (content.replace(b" session ", b" Popen ", 1), "Popen"),
+        (bytes(flipped), "damaged"),
+        (content[:1000], "cut short"),
+        (b"", "no state"),
+        (bytes(MAX_FILE_BYTES + 1), "no state"),
     ]:
-        path.write_bytes(content)
+        path.write_bytes(changed)
         with pytest.raises(SnapshotFileError, match=match):
             read_snapshot(path)
 
     with pytest.raises(SnapshotFileError, match="dict"):
         write_snapshot({}, path)
-    with pytest.raises(SnapshotFileError, match="object"):
-        write_snapshot(stopped_after(IN_TISSUE)._replace(unused_s=object()), path)
 
 
 def test_a_full_disk_leaves_the_older_snapshot(tmp_path, monkeypatch):

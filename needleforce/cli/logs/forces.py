@@ -21,7 +21,7 @@ from needleforce.sensor_replay import (
     replay_sensor,
 )
 from residual import SensorWarning, Status, TareError
-from residual.bias.torque_diagnosis import TorqueDiagnosis
+from residual.bias.torque_scale import TorqueDiagnosis
 from urdf import Robot
 from urdf.robot import STANDARD_GRAVITY_M_S2
 
@@ -135,7 +135,6 @@ def describe_forces(run: ForceRun) -> dict[str, str]:
         "sensor": f"{estimated} at {config.frame or run.robot.tool_frame}, {source}",
         "samples": _describe_samples(replay, run.log),
         "rejected": describe_rejections(replay.rejected) or "none",
-        "corrected": replay.sensor.corrections,
         "gaps": _describe_gaps(replay),
         "warnings": describe_warnings(replay) or "none",
         "signals": "; ".join(replay.doubts),
@@ -177,13 +176,12 @@ def _describe_samples(replay: SensorReplay, log: Log) -> str:
 def _describe_gaps(replay: SensorReplay) -> str:
     """Return how many gaps in time there are, and the longest."""
     limit = f"longer than {replay.config.max_gap_s:g} s"
-    gaps = int(replay.rows["after_gap"].sum())
+    is_after_gap = replay.rows["after_gap"].to_numpy() > 0.0
+    gaps = int(is_after_gap.sum())
     if not gaps:
         return f"none {limit}"
-    return (
-        f"{gaps} {limit} (longest {replay.longest_gap_s:.6g} s): filters restart after "
-        "each"
-    )
+    longest_s = np.diff(replay.rows["t_s"], prepend=np.nan)[is_after_gap].max()
+    return f"{gaps} {limit} (longest {longest_s:.6g} s): filters restart after each"
 
 
 def _count(replay: SensorReplay, warning: SensorWarning) -> int:
@@ -238,14 +236,14 @@ def find_doubts(replay: SensorReplay) -> list[str]:
     """Return what the tare, and the rows after it, show to be wrong with torques."""
     doubts: list[str] = []
     diagnosis = replay.sensor.diagnosis
-    if diagnosis is not None:
-        one_joint = diagnosis.describe_one_joint()
-        if diagnosis.scale_deviates or one_joint:
-            seen = one_joint or f"tau is {_describe_scale(diagnosis)}"
-            doubts.append(
-                f"torque: {seen}: units, the sensors' scale, or masses of the model, "
-                "are off; the force's deviation has that in it"
-            )
+    # Several joints that deviate may have a common cause.
+    if diagnosis is not None and (
+        diagnosis.scale_deviates or len(diagnosis.deviating_joints) == 1
+    ):
+        doubts.append(
+            f"torque: {diagnosis.describe()}: units, the sensors' scale, or masses of "
+            "the model, are off; the force's deviation has that in it"
+        )
     tared = int(np.sum(replay.rows["force_status"] == STATUS_CODES[Status.OK]))
     mismatched = _count(replay, SensorWarning.MODEL_MISMATCH)
     # A knock mismatches for a moment; a wrong arm or payload does most of the time.
