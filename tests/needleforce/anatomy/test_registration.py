@@ -223,11 +223,7 @@ LANDMARKS_m = MESH.vertices[[int((MESH.vertices @ way).argmax()) for way in WAYS
 LANDMARK_STD_m = 1.5e-3
 INSIDE_m = np.array([0.02, 0.03, 0.01])
 COUNT = 40
-MOTIONS = [
-    ((0.0, 0.0, 0.0), 0, 0.5),
-    ((0.002, 0.0, 0.001), 0, 0.5),
-    ((0.0, 0.002, 0.002), 20, 0.5),
-]
+MOTIONS = [((0.0, 0.0, 0.0), 0, 0.1235), ((0.002, 0.0, 0.001), 0, 0.1009)]
 """A shift of the patient, before which touch, and how probable it then is."""
 
 
