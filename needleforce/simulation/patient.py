@@ -34,6 +34,9 @@ BEYOND_m = 10e-3
 RATE_HZ = 100.0
 """Of the touching arm's samples."""
 
+MIN_LAYER_m = 4e-3
+"""Thinner layers join the one before: membranes need room."""
+
 TOUCHES = 40
 """Of the skin."""
 
@@ -279,7 +282,6 @@ def _tissue(layers: Iterable[Mapping[str, Any]]) -> tuple[TissueLayer, ...]:
 
     The last one is thicker, so that the needle can go beyond the target.
     """
-    min_layer_m = 4e-3  # thinner ones join the one before: membranes need room
     fat, muscle, liver = ABDOMEN
     kinds = {"liver": liver, "lesion": liver, "fat": fat, UNLABELLED: fat}
     tissue: list[TissueLayer] = []
@@ -288,7 +290,7 @@ def _tissue(layers: Iterable[Mapping[str, Any]]) -> tuple[TissueLayer, ...]:
         thickness_m = float(layer["exit_m"]) - depth_m
         depth_m = float(layer["exit_m"])
         kind = kinds.get(layer["name"], muscle)
-        if tissue and (thickness_m < min_layer_m or tissue[-1].name == layer["name"]):
+        if tissue and (thickness_m < MIN_LAYER_m or tissue[-1].name == layer["name"]):
             tissue[-1] = replace(
                 tissue[-1], thickness_m=tissue[-1].thickness_m + thickness_m
             )

@@ -34,6 +34,7 @@ from needleforce.needle_on_plan import PlannedPath
 from needleforce.scene import Moment, is_kept
 from needleforce.session import InsertionSession
 from needleforce.simulation.patient import (
+    MIN_LAYER_m,
     PlannedLine,
     Pose,
     arm_path,
@@ -160,17 +161,24 @@ def insert(
     robot = load_lwr(payload=NeedleTool())
     placement = lay_patient(arm_path(robot, line), line, tissue_shift_m)
     rough, fine = register(labels, line, placement, rng)
+    # A lesion has no capsule, as the liver has: it is simulated as other tissue.
+    kinds: dict[str, str] = {} if torso.target == ORGAN else {torso.target: "muscle"}
     plan = {
         "entry_m": path.entry_m,
         "target_m": path.target_m,
-        "layers": [{"name": one.name, "exit_m": one.exit_m} for one in path.layers],
+        "layers": [
+            {"name": kinds.get(one.name, one.name), "exit_m": one.exit_m}
+            for one in path.layers
+        ],
     }
     run = insert_into_patient(plan, seed, lambda done: progress(0.2 + 0.6 * done))
     planned = PlannedPath.of_registration(fine, path.entry_m, path.target_m)
     std_m = np.hypot(fine.std_along_m(planned.axis, path.target_m), shift_std_m)
     error_m = placement.to_robot(path.target_m) - planned.target_m
     session = InsertionSession(run.robot)
-    session.follow(PlanMatch(path.layers, float(std_m)), path=planned)
+    # Thinner ones join the layer before in the simulation.
+    layers = [one for one in path.layers if one.exit_m - one.entry_m >= MIN_LAYER_m]
+    session.follow(PlanMatch(layers, float(std_m)), path=planned)
     moments: list[Moment] = []
     ruptures = _insert_to_target(run, session, path.length_m, moments)
     return PlannedInsertion(

@@ -185,31 +185,6 @@ def test_an_old_channel_has_friction_and_no_tip_force_until_its_end(twice, with_
 
 
 @pytest.mark.slow
-def test_two_millimetres_beside_a_channel_tissue_is_fresh():
-    trip = Trip((gel(25),), np.random.default_rng(3))
-    trip.advance(-IN_AIR_M, 0.02)
-    trip.rows.clear()
-    tare = tare_here(trip)
-    insert(trip, 0.034)
-    trip.move_aside((2e-3, 0.0), 0.5)
-    trip.fresh_tissue((gel(25),))
-    second = len(trip.rows)
-    trip.advance(IN_AIR_M + 0.034, SPEED_M_S)
-    session, estimates = run(trip, tare)
-    first_expected = true_ruptures(trip, 28.2e-3)
-    expected = first_expected + true_ruptures(trip, 28.2e-3, second)
-
-    assert rupture_samples(estimates) == pytest.approx(expected, abs=40)
-
-    fresh = advancing(trip, second, 0.005, 0.027)
-    tip_N = np.array([e.identification.tip_force_N for e in estimates])
-    true_tip_N = np.array([row.tip_N for row in trip.rows])
-
-    assert np.abs(tip_N - true_tip_N)[fresh].mean() < 0.1
-    assert len(session.layers) == 1
-
-
-@pytest.mark.slow
 def test_layers_stay_until_the_next_contact():
     trip = Trip((gel(25),), np.random.default_rng(4))
     trip.advance(-IN_AIR_M, 0.02)
