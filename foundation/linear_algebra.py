@@ -32,10 +32,7 @@ def dot(a: Vector, b: Vector) -> float:
 @compiled_inside
 def add_up(values: Vector) -> float:
     """Return the sum of values, shape (n,)."""
-    total = 0.0
-    for k in range(len(values)):
-        total += values[k]
-    return total
+    return values.sum()
 
 
 @compiled_inside
@@ -208,32 +205,8 @@ def solve_least_squares(matrix: Matrix, values: Vector, tolerance: float) -> Arr
 
 @compiled_inside
 def order_statistic(values: Vector, rank: int) -> float:
-    """Return the value with `rank` smaller ones, of n; by quickselect (Hoare 1961)."""
-    own = values.copy()
-    low = 0
-    high = len(own) - 1
-    while low < high:
-        pivot = own[(low + high) // 2]
-        left = low
-        right = high
-        while left <= right:
-            while own[left] < pivot:
-                left += 1
-            while own[right] > pivot:
-                right -= 1
-            if left <= right:
-                value = own[left]
-                own[left] = own[right]
-                own[right] = value
-                left += 1
-                right -= 1
-        if rank <= right:
-            high = right
-        elif rank >= left:
-            low = left
-        else:
-            break
-    return own[rank]
+    """Return the value with `rank` smaller ones, of n."""
+    return np.partition(values, rank)[rank]
 
 
 @compiled_inside

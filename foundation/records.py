@@ -8,6 +8,7 @@ structured array of one element; where compiling is disabled (see `foundation.ji
 is a list.
 """
 
+from copy import deepcopy
 from dataclasses import is_dataclass
 from typing import Any, TypeVar, cast, get_args
 
@@ -22,7 +23,7 @@ State = TypeVar("State")
 def as_record(state: State) -> list[State]:
     """Return a copy of a state in the form that compiled functions write into."""
     if not COMPILER:
-        return [_copy(state)]
+        return [deepcopy(state)]
     record = np.zeros(1, record_dtype(type(state)))
     _write(record[0], state)
     return cast(list[State], record)
@@ -30,7 +31,7 @@ def as_record(state: State) -> list[State]:
 
 def from_record(kind: type[State], record: list[State]) -> State:
     """Return a copy of what compiled functions have written, as a state of a type."""
-    return _read(kind, record[0]) if COMPILER else _copy(record[0])
+    return _read(kind, record[0]) if COMPILER else deepcopy(record[0])
 
 
 def record_array(kind: type[State], size: int) -> list[State]:
@@ -62,19 +63,6 @@ def read_column(array: list[Any], name: str) -> NDArray[Any]:
 def read_field(record: list[Any], name: str) -> Any:
     """Return the present value of one field of a record."""
     return record[0][name] if COMPILER else getattr(record[0], name)
-
-
-def _copy(state: State) -> State:
-    values = {}
-    for name, hint in state_fields(type(state)).items():
-        value = getattr(state, name)
-        if hint in SCALARS:
-            values[name] = hint(value)
-        elif is_dataclass(hint):
-            values[name] = _copy(value)
-        else:
-            values[name] = tuple(map(_copy, value))
-    return type(state)(**values)
 
 
 def _read(kind: Any, record: Any) -> Any:

@@ -22,7 +22,7 @@ def _check_values(config: object, of_any_sign: tuple[str, ...] = ()) -> None:
             kind = numbers.Integral if item.type is int else numbers.Real
             is_number = isinstance(value, kind) and not isinstance(value, bool)
             least = -1e300 if item.name in of_any_sign else 0.0
-            is_valid = is_number and least < value < 1e300
+            is_valid = is_number and least < value < 1e300  # type: ignore[operator]
         if not is_valid:
             raise InvalidConfigError(
                 f"{item.name} cannot be {value!r}: numbers must be finite and most of "

@@ -79,8 +79,9 @@ def replay(
     latest_s = np.fmax.accumulate(np.concatenate((times_s[:1], times_s[:-1])))
     steps_s = times_s - latest_s if dt_s is None else read_column("dt_s", dt_s, rows)
     forward_s = steps_s[1:200][steps_s[1:200] > 0.0]
-    first = int(np.argmax(np.isfinite(times_s)))
-    steps_s[: first + 1] = float(np.median(forward_s)) if forward_s.size else 1e-3
+    steps_s[: np.argmax(np.isfinite(times_s)) + 1] = (
+        np.median(forward_s) if forward_s.size else 1e-3
+    )
     speeds_m_s = None
     if speed_m_s is not None:
         speeds_m_s = read_column("speed_m_s", speed_m_s, rows)

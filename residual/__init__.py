@@ -7,7 +7,6 @@ when an estimate may be wrong), `virtual_force_sensor` (all of it in two calls).
 """
 
 from residual.bias.model import BiasPrior
-from residual.bias.separation import JointSeparation, advise_motion
 from residual.config import DEFAULT, HAND_DRIVEN, PUBLISHED, SensorConfig
 from residual.errors import (
     ConfigurationError,
@@ -31,7 +30,6 @@ __all__ = [
     "ConfigurationError",
     "FrictionModel",
     "JointFriction",
-    "JointSeparation",
     "MomentumObserver",
     "ResidualError",
     "SampleError",
@@ -46,5 +44,4 @@ __all__ = [
     "VirtualForceSensor",
     "WrenchEstimate",
     "WrenchEstimator",
-    "advise_motion",
 ]

@@ -6,7 +6,7 @@ from typing import Literal, get_args
 import numpy as np
 
 from residual.bias.model import BiasPrior, TareKind
-from residual.checks.input import check_choice, check_positive, shown
+from residual.checks.input import check_choice, check_positive
 from residual.errors import FRICTION_OF_JOINTS, ConfigurationError
 from residual.joint_friction import FrictionModel
 from residual.momentum_observer import Alignment
@@ -22,12 +22,6 @@ Axes = Literal["base", "tool"]
 
 Weighting = Literal["covariance", "none"]
 """How joints are weighted in the least squares of the wrench."""
-
-MIN_EXPECTED_FORCE_N = 1e-6
-"""Smallest expected force: its inverse square is calculated with."""
-
-MAX_EXPECTED_FORCE_N = 1e9
-"""Largest expected force: its inverse square is calculated with."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -100,72 +94,46 @@ class SensorConfig:
     max_gap_s: float = 0.1
 
     def __post_init__(self) -> None:
-        self._check_gains()
         self._check_numbers()
-        self._check_switches()
-        self._check_choices()
-        self._check_objects()
-        unit_axis(self.insertion_axis)
-        check_offset(self.tool_offset_m)
-
-    def _check_objects(self) -> None:
+        for name in ("smooth_momentum", "guard", "torque_is_gravity_compensated"):
+            value = getattr(self, name)
+            if not isinstance(value, bool | np.bool_):
+                raise ConfigurationError(f"{name} is {value!r}, expected True or False")
+        check_choice("alignment", self.alignment, get_args(Alignment))
+        check_choice("mode", self.mode, get_args(Mode))
+        check_choice("weighting", self.weighting, get_args(Weighting))
+        check_choice("axes", self.axes, get_args(Axes))
+        check_choice("tare", self.tare, get_args(TareKind))
         if not isinstance(self.prior, BiasPrior):
             raise ConfigurationError(f"prior is {self.prior!r}, expected a BiasPrior")
-        if self.friction is not None and not callable(
-            getattr(self.friction, "torque", None)
-        ):
+        if self.friction is not None and not hasattr(self.friction, "torque"):
             raise ConfigurationError(
                 f"friction is {self.friction!r}, expected a JointFriction or another "
                 "object that gives a torque(dq), or None",
                 FRICTION_OF_JOINTS,
             )
-
-    def _check_switches(self) -> None:
-        for name in ("smooth_momentum", "guard", "torque_is_gravity_compensated"):
-            value = getattr(self, name)
-            if not isinstance(value, bool | np.bool_):
-                raise ConfigurationError(
-                    f"{name} is {shown(value)}, expected True or False"
-                )
-
-    def _check_choices(self) -> None:
-        choices = {
-            "alignment": Alignment,
-            "mode": Mode,
-            "weighting": Weighting,
-            "axes": Axes,
-            "tare": TareKind,
-        }
-        for name, choice in choices.items():
-            check_choice(name, getattr(self, name), get_args(choice))
-
-    def _check_gains(self) -> None:
-        gains = self.gain_per_s
-        if not isinstance(gains, tuple):
-            gains = (gains,)
-        if not gains:
-            check_positive("gain_per_s", None)
-        for gain in gains:
-            check_positive("gain_per_s", gain)
+        unit_axis(self.insertion_axis)
+        check_offset(self.tool_offset_m)
 
     def _check_numbers(self) -> None:
+        gains = self.gain_per_s if isinstance(self.gain_per_s, tuple) else ()
+        for gain in gains or (self.gain_per_s,):
+            check_positive("gain_per_s", gain)
+        for name in ("contact_force_N", "max_gap_s"):
+            check_positive(name, getattr(self, name))
+        for name in ("tare_window_s", "force_bandwidth_per_s"):
+            if getattr(self, name) is not None:
+                check_positive(name, getattr(self, name))
         check_positive(
             "velocity_bandwidth_per_s",
             self.velocity_bandwidth_per_s,
             minimum=VelocityEstimator.MIN_BANDWIDTH_PER_S,
             maximum=VelocityEstimator.MAX_BANDWIDTH_PER_S,
         )
-        for name in ("contact_force_N", "max_gap_s"):
-            check_positive(name, getattr(self, name))
-        for name in ("tare_window_s", "force_bandwidth_per_s"):
-            if getattr(self, name) is not None:
-                check_positive(name, getattr(self, name))
         if self.expected_force_N is not None:
+            # Its inverse square is calculated with.
             check_positive(
-                "expected_force_N",
-                self.expected_force_N,
-                minimum=MIN_EXPECTED_FORCE_N,
-                maximum=MAX_EXPECTED_FORCE_N,
+                "expected_force_N", self.expected_force_N, minimum=1e-6, maximum=1e9
             )
 
     @property

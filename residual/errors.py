@@ -87,15 +87,6 @@ class TareError(ResidualError, RuntimeError):
         super().__init__(message, advice)
 
 
-class VelocityError(TareError):
-    """A tare with measured velocities that are not the rate of the positions."""
-
-    usual_advice = (
-        "Correct the units, signs, order or delay of `dq`, or pass `dq=None` in every "
-        "sample, and move in free air anew; `tare(ignore_contact=True)` tares as it is."
-    )
-
-
 class SnapshotError(ResidualError, ValueError):
     """A snapshot that cannot be restored here: the message says what it is of."""
 

@@ -135,11 +135,6 @@ class WrenchEstimate(NamedTuple):
     model_mismatch: float = 0.0
     warnings: SensorWarning = SensorWarning.NONE
 
-    @property
-    def assessment(self) -> "Assessment":
-        """What it says of itself."""
-        return Assessment(self.status, self.message, self.model_mismatch, self.warnings)
-
     @classmethod
     def unknown(cls, joints: int, components: int) -> Self:
         """Return an estimate that knows nothing, for a first sample that is bad."""
@@ -183,7 +178,10 @@ class Assessment(NamedTuple):
 GOOD = Assessment()
 """Assessment of an estimate of which nothing is wrong."""
 
-INITIALIZING = "the filters have just started"
+INITIALIZING = (
+    "the filters have just started, as after a time step longer than max_gap_s (in "
+    "seconds, not milliseconds)"
+)
 """Message of the status of that name."""
 
 NOT_TARED = "tare() has not been called"

@@ -10,13 +10,6 @@ from residual.checks.input import check_positive
 from residual.errors import FRICTION_OF_JOINTS, ConfigurationError
 from urdf.errors import InputError, finite_array
 
-MAX_EXPONENT = 700.0
-"""Largest exponent of the sigmoid: its exponential is still a float, and the sigmoid is
-zero there."""
-
-TRIED_SPEEDS_RAD_S = (0.0, 0.1, -0.1)
-"""Speeds at which a friction model is tried out: at rest and both ways."""
-
 
 class FrictionModel(Protocol):
     """Any object that gives the friction torque of every joint at a velocity."""
@@ -32,19 +25,16 @@ class FrictionModel(Protocol):
 
 def _freeze_vectors(owner: object, names: tuple[str, ...]) -> None:
     """Store each named field as a read-only float copy; all of one length."""
+    sizes = {np.size(getattr(owner, name)) for name in names}
     for name in names:
         try:
             array = finite_array(np.atleast_1d(getattr(owner, name)), (-1,), name)
         except (InputError, ValueError) as error:
-            raise ConfigurationError(
-                f"{error}: one finite number per joint", FRICTION_OF_JOINTS
-            ) from error
+            raise ConfigurationError(str(error), FRICTION_OF_JOINTS) from error
         object.__setattr__(owner, name, array)
-    sizes = {getattr(owner, name).size for name in names}
     if len(sizes) > 1:
         raise ConfigurationError(
-            f"{', '.join(names)} differ in length: {sorted(sizes)}",
-            FRICTION_OF_JOINTS,
+            f"{', '.join(names)} differ in length: {sorted(sizes)}", FRICTION_OF_JOINTS
         )
 
 
@@ -116,7 +106,8 @@ class SigmoidFriction:
         )
 
     def _sigmoid(self, speed: Array) -> Array:
-        exponent = np.minimum(-self.slope_s_rad * speed, MAX_EXPONENT)
+        # The exponential of more is no float; the sigmoid is zero there.
+        exponent = np.minimum(-self.slope_s_rad * speed, 700.0)
         return 1.0 / (1.0 + np.exp(exponent))
 
 
@@ -126,15 +117,11 @@ def check_friction(friction: FrictionModel, joints: int) -> None:
     Raises:
         ConfigurationError: If its torques are not finite numbers, one per joint.
     """
-    try:
-        torques = [
-            friction.torque(np.full(joints, speed)) for speed in TRIED_SPEEDS_RAD_S
-        ]
-    except ValueError as error:
-        raise ConfigurationError(
-            f"friction does not fit {joints} joints: {error}", FRICTION_OF_JOINTS
-        ) from error
-    for torque in torques:
+    for speed_rad_s in (0.0, 0.1, -0.1):  # at rest and both ways
+        try:
+            torque = friction.torque(np.full(joints, speed_rad_s))
+        except ValueError:  # as numpy's, for vectors of another length
+            torque = np.zeros(0)
         if np.shape(torque) != (joints,) or not np.isfinite(torque).all():
             raise ConfigurationError(
                 f"friction gives {torque!r}, expected {joints} finite numbers",

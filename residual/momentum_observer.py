@@ -323,14 +323,11 @@ class MomentumObserver:
         axes = [joint_axis(joint) for joint in list(robot.model.joints)[1:]]
         # v x S = -(S x v)
         crossing = np.asarray(block_diag(*(-pin.Motion(axis).action for axis in axes)))
-        armature = (
-            np.array(robot.model.armature)
-            if np.any(robot.model.armature)
-            else np.zeros(0)
-        )
         self._directions = np.asarray(block_diag(*axes))
         self._crossing = crossing
-        self._armature = armature
+        self._armature = np.array(robot.model.armature)
+        if not self._armature.any():
+            self._armature = np.zeros(0)
         self._data = robot.create_data()
         self._share_workspace()
         self._is_held = alignment == "hold"
@@ -344,11 +341,6 @@ class MomentumObserver:
     def residual(self) -> Array:
         """Latest residual [Nm], shape (n,), a copy; zeros before the first sample."""
         return self.memory.rows[RESIDUAL].copy()
-
-    @property
-    def gain_per_s(self) -> Array:
-        """K per joint [1/s], shape (n,), a copy."""
-        return np.full(self._joints, self._gains)
 
     def update(self, q: ArrayLike, dq: ArrayLike, tau: ArrayLike, dt_s: float) -> Array:
         """Take one sample and return the residual.
@@ -465,26 +457,11 @@ class MomentumObserver:
         """Go on from the `memory` of an observer of the same robot and settings.
 
         It is not copied.
-
-        Raises:
-            ConfigurationError: If it belongs to a robot with another number of joints,
-                or is damaged; nothing has then changed.
         """
-        rows = memory.rows
-        noise = memory.noise
-        n = self._joints
-        if rows.shape != (ROWS, n):
-            raise ConfigurationError(
-                f"state has rows of shape {rows.shape}, expected {(ROWS, n)}"
-            )
-        if noise is not None and not (noise.shape == (n,) and (noise > 0.0).all()):
-            raise ConfigurationError(
-                f"state has noise {noise}, expected {n} positive numbers"
-            )
         self.memory = memory
-        self._noise_threshold = (
-            np.zeros(0) if noise is None else NOISE_THRESHOLD_SIGMAS * noise
-        )
+        self._noise_threshold = np.zeros(0)
+        if memory.noise is not None:
+            self._noise_threshold = NOISE_THRESHOLD_SIGMAS * memory.noise
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""

@@ -14,24 +14,17 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array, Vector, WrittenVector
 from foundation.jit import compiled
 from residual.checks.input import ROUNDING_S, check_rows, read_rows
+from residual.checks.noise import NoiseProbe, white_noise
 from residual.checks.outliers import FaultDetector, GuardState
-from residual.checks.stuck_signals import NoiseProbe, white_noise
 from residual.config import SensorConfig
-from residual.errors import SampleError, named_joints
+from residual.errors import SampleError
 from residual.momentum_observer import MomentumObserver, MomentumState
 from residual.tool_kinematics import ToolKinematics
 from residual.velocity_filter import VelocityEstimator, VelocityState
 from urdf import Robot
 
-COARSE_RATIO = 2.0
-"""Noise that positions of a joint count with at least, relative to the largest white
-noise of any joint: steps of an encoder last longer than a sample."""
-
 TURN_RAD = 2.0 * math.pi
 """A full turn."""
-
-SETTLING_LAGS = 5.0
-"""Lags of the observer after which the start of the residual has faded to 1 %."""
 
 
 @compiled
@@ -86,12 +79,11 @@ class StreamState:
         guard: Of the fault detector; None where there is none.
         observer: Of the momentum observer; None for external torques.
         probe: Of the noise to smooth; None once it is known, and without smoothing.
-        age_s: Time since the filters started.
-        missed_s: Time that the observer has not seen yet.
         q: Position of the last sample, unwrapped [rad], shape (n,).
         turns: Turns that positions are unwrapped by, shape (n,).
+        age_s: Time since the filters started.
+        missed_s: Time that the observer has not seen yet.
         started: Whether there was a sample.
-        unwrapped: Indices of joints whose position has stepped by a turn.
     """
 
     velocity: VelocityState | None
@@ -103,7 +95,6 @@ class StreamState:
     age_s: float = 0.0
     missed_s: float = 0.0
     started: bool = False
-    unwrapped: tuple[int, ...] = ()
 
 
 class SampleStream:
@@ -128,8 +119,7 @@ class SampleStream:
             reported with.
         lag_s: Time by which it follows the torque, where that is known here.
         memory: Its state.
-        news: What the last sample was corrected by for the first time, in words; mostly
-            empty.
+        guard: The fault detector; None where there is none.
     """
 
     def __init__(
@@ -149,18 +139,44 @@ class SampleStream:
         self.has_velocity = has_velocity
         torque = "external_torque" if is_external else "tau"
         self._names = ("q", "dq", torque) if has_velocity else ("q", torque)
-        self._velocity = None if has_velocity else self._make_velocity_filter(config)
-        delay_s = 0.0 if self._velocity is None else self._velocity.delay_s
-        self._guard = self._make_guard(robot, config, delay_s) if config.guard else None
-        self._observer = None if is_external else self._make_observer(robot, config)
-        self.filter_lag_s = 0.0 if is_external else 1.0 / config.slowest_gain_per_s
-        self.lag_s = 0.0 if is_external else self.filter_lag_s + delay_s
-        self._settling_s = SETTLING_LAGS * self.filter_lag_s - ROUNDING_S
+        self._velocity: VelocityEstimator | None = None
+        delay_s = 0.0
+        if not has_velocity:
+            self._velocity = VelocityEstimator(
+                self._joints,
+                config.velocity_bandwidth_per_s,
+                alignment=config.alignment,
+                max_gap_s=self._max_gap_s,
+            )
+            delay_s = self._velocity.delay_s
+        self.guard: FaultDetector | None = None
+        if config.guard:
+            # Without an offset forces are tried at the tool frame, whatever frame is
+            # asked for.
+            frame = config.frame if any(config.tool_offset_m) else None
+            tip = ToolKinematics(robot, frame, offset_m=config.tool_offset_m)
+            self.guard = FaultDetector(robot, tip, delay_s, self._names)
+        self._observer: MomentumObserver | None = None
+        self.filter_lag_s = 0.0
+        self.lag_s = 0.0
+        if not is_external:
+            self._observer = MomentumObserver(
+                robot,
+                config.gain_per_s,
+                # The velocity filter hands on a continuous torque.
+                alignment=config.alignment if has_velocity else "trapezoid",
+                friction=config.friction,
+                max_gap_s=self._max_gap_s,
+            )
+            self.filter_lag_s = 1.0 / config.slowest_gain_per_s
+            self.lag_s = self.filter_lag_s + delay_s
+        # After five lags the start of the residual has faded to 1 %.
+        self._settling_s = 5.0 * self.filter_lag_s - ROUNDING_S
         learns_noise = config.smooth_momentum and not is_external
         self.memory = StreamState(
-            velocity=None if self._velocity is None else self._velocity.memory,
-            guard=None if self._guard is None else self._guard.memory,
-            observer=None if self._observer is None else self._observer.memory,
+            velocity=self._velocity and self._velocity.memory,
+            guard=self.guard and self.guard.memory,
+            observer=self._observer and self._observer.memory,
             probe=NoiseProbe.of_size(robot.nv) if learns_noise else None,
             q=np.zeros(robot.nv),
             turns=np.zeros(robot.nv),
@@ -168,34 +184,6 @@ class SampleStream:
         kinds = [joint.shortname() for joint in list(robot.model.joints)[1:]]
         self._is_angle = np.array(
             [float(kind.startswith("JointModelR")) for kind in kinds]
-        )
-        self.news = ""
-
-    def _make_velocity_filter(self, config: SensorConfig) -> VelocityEstimator:
-        return VelocityEstimator(
-            self._joints,
-            config.velocity_bandwidth_per_s,
-            alignment=config.alignment,
-            max_gap_s=self._max_gap_s,
-        )
-
-    def _make_guard(
-        self, robot: Robot, config: SensorConfig, delay_s: float
-    ) -> FaultDetector:
-        # Without an offset forces are tried at the tool frame, whatever frame is asked
-        # for.
-        frame = config.frame if any(config.tool_offset_m) else None
-        tip = ToolKinematics(robot, frame, offset_m=config.tool_offset_m)
-        return FaultDetector(robot, tip, delay_s, has_velocity=self.has_velocity)
-
-    def _make_observer(self, robot: Robot, config: SensorConfig) -> MomentumObserver:
-        return MomentumObserver(
-            robot,
-            config.gain_per_s,
-            # The velocity filter hands on a continuous torque.
-            alignment=config.alignment if self.has_velocity else "trapezoid",
-            friction=config.friction,
-            max_gap_s=self._max_gap_s,
         )
 
     def update(
@@ -210,74 +198,27 @@ class SampleStream:
                 knows of it.
         """
         memory = self.memory
+        guard = self.guard
         rows = self._read(q, dq, torque)
         is_continued = memory.started and dt_s <= self._max_gap_s
         has_stepped = is_continued and unwrap(
             rows[0], memory.q, memory.turns, self._is_angle
         )
-        replaced = self.replaced_velocities
-        if self._guard is not None and self.has_velocity:
-            self._guard.correct_velocity(rows, dt_s)
         rows.setflags(write=False)
-        self._judge(rows, dt_s)
+        if guard is None:
+            check_rows(self._names, rows)
+        elif guard.check(rows, dt_s) and self._velocity is not None:
+            self._velocity.reset()  # the position has jumped, and stayed there
         sample = self._estimate(rows, dt_s)
-        if self._guard is not None:
-            self._guard.accept(rows.ravel(), sample.dq, dt_s)
-        self.news = ""
+        if guard is not None:
+            guard.accept(rows, sample.dq, dt_s)
         if has_stepped:
-            self._count_turns(rows[0] - np.asarray(q))
+            memory.turns = np.rint((rows[0] - np.asarray(q)) / TURN_RAD)
         elif not is_continued:
             memory.turns = np.zeros(self._joints)
-        if self.replaced_velocities > replaced == 0:
-            self.news = "dq was no rate of q: replaced by it for a moment"
         memory.q = rows[0]
         memory.started = True
         return sample
-
-    def _count_turns(self, unwrapped_rad: Array) -> None:
-        """Remember by how much positions are unwrapped [rad], shape (n,)."""
-        memory = self.memory
-        turns = np.rint(unwrapped_rad / TURN_RAD)
-        joints = np.flatnonzero(turns != memory.turns).tolist()
-        memory.turns = turns
-        if new := sorted(set(joints) - set(memory.unwrapped)):
-            memory.unwrapped = tuple(sorted({*memory.unwrapped, *joints}))
-            self.news = f"q at {named_joints(new)} stepped by a turn: unwrapped"
-
-    @property
-    def replaced_velocities(self) -> int:
-        """Number of samples whose velocity was replaced by the rate of q."""
-        return 0 if self._guard is None else self._guard.memory.replaced
-
-    @property
-    def corrections(self) -> str:
-        """How samples were corrected so far, in words; empty if none was."""
-        texts: list[str] = []
-        if joints := self.memory.unwrapped:
-            texts.append(f"q at {named_joints(joints)} stepped by a turn: unwrapped")
-        if count := self.replaced_velocities:
-            texts.append(f"dq of {count} samples was no rate of q: replaced by it")
-        return "; ".join(texts)
-
-    def _judge(self, rows: Array, dt_s: float) -> bool:
-        """Refuse a sample, shape (2 or 3, n), that is no measurement.
-
-        Returns:
-            Whether its position has jumped and is accepted all the same.
-        """
-        signals = rows.ravel()
-        guard = self._guard
-        if guard is None:
-            check_rows(self._names, rows)
-            return False
-        # A sample that is hardly off the one before needs no other check.
-        if guard.surely_passes(signals):
-            return False
-        check_rows(self._names, rows)
-        has_jumped = guard.check(signals, dt_s)
-        if has_jumped and self._velocity is not None:
-            self._velocity.reset()
-        return has_jumped
 
     def _read(self, q: ArrayLike, dq: ArrayLike | None, torque: ArrayLike) -> Array:
         """Copy a sample, shape (2 or 3, n), and add gravity where it lacks."""
@@ -337,29 +278,26 @@ class SampleStream:
         noise = white_noise(samples)
         if self._velocity is not None:
             # At rest a coarse encoder may show no noise; in motion its steps are not
-            # white.
-            position_noise = np.full_like(noise, COARSE_RATIO * noise.max())
+            # white: they last longer than a sample, and count twice.
+            position_noise = np.full_like(noise, 2.0 * noise.max())
             noise = position_noise * self._velocity.noise_per_position_noise(dt_s)
         observer.smooth_momentum(noise, q)
         self.memory.probe = None
 
     @property
     def seems_stale(self) -> bool:
-        """Whether there is a `warning` or a `question`."""
-        if self._guard is None:
-            return False
-        memory = self._guard.memory
-        return bool(memory.warning or memory.question)
+        """Whether signals have not changed for a while."""
+        return self.guard is not None and self.guard.seems_stale
 
     @property
     def warning(self) -> str:
         """Which accepted signals seem frozen, in words; empty if none."""
-        return "" if self._guard is None else self._guard.memory.warning
+        return "" if self.guard is None else self.guard.warning
 
     @property
     def question(self) -> str:
-        """Which signals may be missing, as they do not change; empty if none."""
-        return "" if self._guard is None else self._guard.memory.question
+        """Which torques may be missing, as they do not change; empty if none."""
+        return "" if self.guard is None else self.guard.question
 
     def restore(self, memory: StreamState) -> None:
         """Go on from the `memory` of a stream of the same kind and settings.
@@ -369,8 +307,7 @@ class SampleStream:
         self.memory = memory
         if self._velocity is not None and memory.velocity is not None:
             self._velocity.memory = memory.velocity
-        if self._guard is not None and memory.guard is not None:
-            self._guard.restore(memory.guard)
-        if self._observer is not None:
-            assert memory.observer is not None, "a state of a stream of joint torques"
+        if self.guard is not None and memory.guard is not None:
+            self.guard.memory = memory.guard
+        if self._observer is not None and memory.observer is not None:
             self._observer.restore(memory.observer)

@@ -201,12 +201,6 @@ class VelocityEstimator:
         """Common delay of position, velocity and torque [s]."""
         return 2.0 / self._bandwidth
 
-    @property
-    def is_settled(self) -> bool:
-        """Whether the start of the filter has faded."""
-        memory = self.memory
-        return memory.started and memory.age_s >= self._settling_s - ROUNDING_S
-
     def noise_per_position_noise(self, dt_s: float) -> float:
         """Return the velocity noise [rad/s] per rad of white position noise.
 
@@ -249,7 +243,7 @@ class VelocityEstimator:
             self._dt_s = dt_s
         matched = lag_pair_step(memory.rows, self._coefficients, signals, self._is_held)
         memory.age_s += dt_s
-        return matched, self.is_settled
+        return matched, memory.age_s >= self._settling_s - ROUNDING_S
 
     def reset(self) -> None:
         """Forget everything; the next sample is a first one."""

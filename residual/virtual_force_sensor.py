@@ -1,9 +1,11 @@
 """The virtual force/torque sensor: the few calls that a controller makes."""
 
 import math
+import sys
 from copy import deepcopy
 from dataclasses import replace
 from numbers import Integral
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike
@@ -11,19 +13,17 @@ from numpy.typing import ArrayLike
 from foundation.arrays import Array
 from foundation.jit import compile_waiting
 from foundation.state import SAME_KIND, SAME_SETTINGS
-from residual.bias.estimator import BiasEstimator
+from residual.bias.estimator import BiasEstimator, BiasState
 from residual.bias.model import Tare
-from residual.bias.separation import JointSeparation
-from residual.bias.torque_diagnosis import TorqueDiagnosis
-from residual.checks.input import SampleClock, long_step_message
-from residual.checks.monitor import ConsistencyMonitor
+from residual.bias.torque_scale import TorqueDiagnosis
+from residual.checks.input import SampleClock
+from residual.checks.monitor import ConsistencyMonitor, MonitorState
 from residual.config import DEFAULT, SensorConfig
 from residual.errors import (
     ConfigurationError,
     SampleError,
     SnapshotError,
     TareError,
-    VelocityError,
 )
 from residual.estimate import (
     INITIALIZING,
@@ -34,9 +34,8 @@ from residual.estimate import (
     Status,
     WrenchEstimate,
 )
-from residual.sample_stream import SampleStream, TorqueSample
-from residual.sensor_state import DueWork, SensorState
-from residual.snapshot import check_sensor_state, robot_digest, settings_text
+from residual.fingerprint import robot_digest, settings_text
+from residual.sample_stream import SampleStream, StreamState, TorqueSample
 from residual.tool_kinematics import ToolKinematics
 from residual.wrench_estimator import (
     COMPONENTS,
@@ -45,18 +44,53 @@ from residual.wrench_estimator import (
 )
 from urdf import Robot
 
-AFTER = {
-    DueWork.CHECK: DueWork.GAIN,
-    DueWork.GAIN: DueWork.NONE,
-    DueWork.NONE: DueWork.NONE,
-}
-"""Work that is due in the next tick."""
+# Slow work is done in ticks of its own, so that none does all of it: after the bias was
+# renewed the next tick checks consistency, the one after that computes the gain anew.
 
-DAMPING_FORCE_N = 100.0
-"""Expected force of the estimator that looks for a contact in a tare."""
+DUE_CHECK = 2
+"""Ticks before the gain is computed in which consistency is checked."""
 
-SMOOTHED_NOISE_RATIO = 3.0
-"""Noise that lasts for t keeps a part 3 t / L of its variance in the mean over L."""
+DUE_GAIN = 1
+"""Tick in which the gain is computed; after it nothing is due."""
+
+
+class SensorState(NamedTuple):
+    """State of a `VirtualForceSensor`, with the robot and settings that it is of.
+
+    Attributes:
+        robot: `robot_digest` of its robot.
+        config: Its settings in words; they must be the same to go on.
+        stream: Of the stream of samples; None before the first.
+        is_external: Whether it is one of the robot's own external torques.
+        offset: Of the offset removal.
+        torque_covariance: Covariance of the residual's error, as last renewed [Nm^2],
+            shape (n, n).
+        gain_configuration: Where the gain was computed last [rad], shape (n,).
+        monitor: Of the consistency checks.
+        wrench_filter: Of the smoothing of the wrench.
+        is_smoothing: Whether that is of a sample.
+        unchecked_s: Time since the last consistency check.
+        due: Slow work that waits for its tick, see `DUE_CHECK`.
+        last: Last estimate; None before the first.
+        missed_s: Time of samples rejected since then.
+        rejected: Number of bad samples so far.
+    """
+
+    robot: str
+    config: str
+    stream: StreamState | None
+    is_external: bool
+    offset: BiasState
+    torque_covariance: Array
+    gain_configuration: Array
+    monitor: MonitorState
+    wrench_filter: WrenchFilterState
+    is_smoothing: bool
+    unchecked_s: float
+    due: int
+    last: WrenchEstimate | None
+    missed_s: float
+    rejected: int
 
 
 class VirtualForceSensor:
@@ -76,8 +110,6 @@ class VirtualForceSensor:
         config: Settings; `PUBLISHED` for the method as published.
 
     Attributes:
-        lag_s: Time by which the estimate follows the force; 0 before the first sample,
-            and for external torques of the robot itself: their lag is not known here.
         elapsed_s: Time between the last two samples that were used; 0 for the first.
         rejected: Bad samples since the last `reset`.
         tare_refusal: Why the latest `start_tare` did not end in a tare; None if it did,
@@ -96,12 +128,13 @@ class VirtualForceSensor:
         SampleStream(robot, config, has_velocity=True)
         self._offset = BiasEstimator(robot, config)
         self._wrench = WrenchEstimator(robot, config)
+        # What looks for a contact in a tare.
         contact_config = replace(
             config,
             mode="axial",
             axes="base",
             weighting="covariance",
-            expected_force_N=DAMPING_FORCE_N,
+            expected_force_N=100.0,
         )
         self._contact = WrenchEstimator(robot, contact_config)
         self._monitor = ConsistencyMonitor(robot, self._wrench)
@@ -117,14 +150,6 @@ class VirtualForceSensor:
     def taring(self) -> bool:
         """Whether a tare is being fitted, see `start_tare`."""
         return self._offset.memory.request is not None
-
-    @property
-    def tare_separation(self) -> tuple[JointSeparation, ...]:
-        """How well the tare told hysteresis from friction at every joint.
-
-        Empty before a tare, and for a tare of the kind ``constant``.
-        """
-        return self._offset.separation
 
     @property
     def velocity_rad_s(self) -> Array:
@@ -164,18 +189,17 @@ class VirtualForceSensor:
 
         By how much is then known 2 to 2.5 s later.
         """
-        course = self._monitor.state.course
-        return course is not None and course.measured_s > 0.0
+        return self._monitor.torques.is_measuring
 
     @property
     def jumps(self) -> int:
         """Number of jumps of torque sensors that were measured since the tare."""
-        return self._monitor.state.doubt.jumps
+        return self._monitor.torques.jumps
 
     @property
     def jump_since_s(self) -> float:
         """Time since the latest jump can have begun, or since the tare [s]."""
-        return self._monitor.state.doubt.since_s
+        return self._monitor.torques.since_s
 
     @property
     def jump_std_N(self) -> float:
@@ -256,15 +280,15 @@ class VirtualForceSensor:
                 nothing has then changed.
         """
         is_external = self._check_tare(ignore_contact=ignore_contact)
-        try:
-            tare = self._offset.tare(
-                self._contact, ignore_contact=ignore_contact, is_external=is_external
-            )
-        except TareError as error:
-            raise error.reworded(self._with_likely_causes(error)) from None
+        self._offset.start_tare(
+            ignore_contact=ignore_contact,
+            is_external=is_external,
+            steps_per_tick=sys.maxsize,
+        )
+        self._offset.continue_tare(self._contact)
         self._renew_gain()
         self._is_smoothing = False
-        return tare
+        return self._offset.memory.tare
 
     def start_tare(
         self, *, ignore_contact: bool = False, steps_per_tick: int = 1
@@ -297,14 +321,11 @@ class VirtualForceSensor:
             return
         self.tare_refusal = None
         is_external = self._check_tare(ignore_contact=ignore_contact)
-        try:
-            self._offset.start_tare(
-                ignore_contact=ignore_contact,
-                is_external=is_external,
-                steps_per_tick=int(steps_per_tick),
-            )
-        except TareError as error:
-            raise error.reworded(self._with_likely_causes(error)) from None
+        self._offset.start_tare(
+            ignore_contact=ignore_contact,
+            is_external=is_external,
+            steps_per_tick=int(steps_per_tick),
+        )
 
     def _check_tare(self, *, ignore_contact: bool) -> bool:
         """Refuse a tare of signals that are known to be wrong.
@@ -313,46 +334,30 @@ class VirtualForceSensor:
             Whether torques are the robot's own external ones.
         """
         if self._monitor.velocity_fault and not ignore_contact:
-            raise VelocityError(f"{self._monitor.velocity_fault}: no tare would hold")
+            raise TareError(
+                f"{self._monitor.velocity_fault}: no tare would hold",
+                "Correct the units, signs, order or delay of `dq`, or pass `dq=None` "
+                "in every sample, and move in free air anew; "
+                "`tare(ignore_contact=True)` tares as it is.",
+            )
         return self._stream is not None and self._stream.is_external
 
     def _continue_tare(self) -> None:
         """Do the steps of this tick; use the tare, or keep why it is refused."""
         try:
-            tare = self._offset.continue_tare(self._contact)
+            is_taken = self._offset.continue_tare(self._contact)
         except TareError as error:
-            self.tare_refusal = error.reworded(self._with_likely_causes(error))
+            self.tare_refusal = error
             return
-        if tare is not None:
+        if is_taken:
             # The next sample computes the gain before it is used.
-            self._due = DueWork.GAIN
+            self._due = DUE_GAIN
             self._is_smoothing = False
-
-    def _with_likely_causes(self, error: TareError) -> str:
-        """Return the message of a refused tare with what may have caused it."""
-        texts = [f"{self.question} If not, {error}" if self.question else str(error)]
-        if self.rejected and not len(self._offset.memory.recorder.sums):
-            texts.append(
-                f"{self.rejected} samples were rejected, the last one: {self._refusal}"
-            )
-        texts.append(long_step_message(self.elapsed_s, self._config.max_gap_s))
-        return "; ".join(filter(None, texts))
 
     @property
     def question(self) -> str:
-        """Whether a signal is missing, or in degrees, asked in words; mostly empty."""
-        stale = "" if self._stream is None else self._stream.question
-        return "; ".join(filter(None, (self._monitor.question, stale)))
-
-    @property
-    def replaced_velocities(self) -> int:
-        """Samples whose velocity was replaced by the rate of positions."""
-        return 0 if self._stream is None else self._stream.replaced_velocities
-
-    @property
-    def corrections(self) -> str:
-        """How samples were corrected before they were used, in words; mostly empty."""
-        return "" if self._stream is None else self._stream.corrections
+        """Which torques may be missing, as they do not change; mostly empty."""
+        return "" if self._stream is None else self._stream.question
 
     def _renew_gain(self) -> None:
         """Compute the gain with the residual's covariance where the arm is."""
@@ -365,7 +370,7 @@ class VirtualForceSensor:
         self._wrench.scale_std = tare.scale_std
         # A mean over L removes all but 3 t / L of the variance of noise that lasts for
         # t; of that the smoothing with a lag T leaves t / (t + T).
-        noise_ratio = SMOOTHED_NOISE_RATIO * self._smoothing_s / self._offset.block_s
+        noise_ratio = 3.0 * self._smoothing_s / self._offset.block_s
         smoothed_Nm2 = noise_ratio * tare.scatter_Nm2
         noise_Nm2 = tare.noise_Nm2.diagonal()
         smoothed_Nm2 *= noise_Nm2 / (noise_Nm2 + smoothed_Nm2)
@@ -373,7 +378,7 @@ class VirtualForceSensor:
             covariance_Nm2,
             tare.noise_Nm2,
             np.diag(smoothed_Nm2),
-            self._monitor.state.doubt.jump_Nm2,
+            self._monitor.jump_Nm2,
         )
 
     def start_tare_recording(self) -> None:
@@ -389,14 +394,12 @@ class VirtualForceSensor:
     def reset(self) -> None:
         """Forget everything, the tare included."""
         self._stream: SampleStream | None = None
-        self.lag_s = 0.0
         self.elapsed_s = 0.0
         self._restart()
         self._estimate_before: WrenchEstimate | None = None
         self._last_estimate: WrenchEstimate | None = None
         self._clock = SampleClock(self._config.max_gap_s)
         self.rejected = 0
-        self._refusal = ""
 
     def _restart(self) -> None:
         """Forget the samples of a stream, before another begins."""
@@ -406,7 +409,16 @@ class VirtualForceSensor:
         self._wrench_filter = WrenchFilterState.at_zero(self._wrench.size)
         self._is_smoothing = False
         self._unchecked_s = 0.0
-        self._due = DueWork.CHECK
+        self._due = DUE_CHECK
+
+    @property
+    def lag_s(self) -> float:
+        """Time by which the estimate follows the force [s].
+
+        0 before the first sample, and for external torques of the robot itself: their
+        lag is not known here.
+        """
+        return 0.0 if self._stream is None else self._stream.lag_s
 
     @property
     def filter_lag_s(self) -> float:
@@ -428,7 +440,6 @@ class VirtualForceSensor:
                 config=settings_text(self._config, self._robot.nv),
                 stream=None if stream is None else stream.memory,
                 is_external=stream is not None and stream.is_external,
-                lag_s=self.lag_s,
                 offset=self._offset.memory,
                 torque_covariance=self._wrench.torque_covariance,
                 gain_configuration=self._wrench.gain.configuration_rad,
@@ -447,8 +458,8 @@ class VirtualForceSensor:
         """Go on, bit for bit, from where `snapshot` was taken.
 
         Raises:
-            SnapshotError: Not a snapshot of such a sensor, a damaged one, or one of
-                another robot or other settings; nothing has then changed.
+            SnapshotError: Not a snapshot of such a sensor, or one of another robot or
+                other settings; nothing has then changed.
         """
         if not isinstance(state, SensorState):
             raise SnapshotError(
@@ -467,11 +478,7 @@ class VirtualForceSensor:
                 f"{config}",
                 SAME_SETTINGS,
             )
-        check_sensor_state(type(self)(self._robot, self._config), state)
-        self.restore_unchecked(deepcopy(state))
-
-    def restore_unchecked(self, state: SensorState) -> None:
-        """Go on from a state that is known to be sound; it is kept, not copied."""
+        state = deepcopy(state)
         self.reset()
         if state.stream is not None:
             self._stream = SampleStream(
@@ -482,13 +489,11 @@ class VirtualForceSensor:
             )
             self._stream.restore(state.stream)
         self._offset.memory = state.offset
-        self._offset.resume_tare(self._contact)
         self._monitor.restore(state.monitor)
         self._set_covariance(state.torque_covariance)
         self._wrench.compute_gain(state.gain_configuration)
         self._wrench_filter = state.wrench_filter
         self._is_smoothing = state.is_smoothing
-        self.lag_s = state.lag_s
         self._unchecked_s = state.unchecked_s
         self._due = state.due
         self._clock.missed_s = state.missed_s
@@ -547,7 +552,6 @@ class VirtualForceSensor:
         """Estimate the wrench of a valid sample, the bias removed."""
         self._clock.missed_s = 0.0
         self.elapsed_s = elapsed_s
-        self.lag_s = stream.lag_s
         self._unchecked_s += elapsed_s
         q, dq, tau, total_residual, is_settled = sample
         offset = self._offset
@@ -557,14 +561,27 @@ class VirtualForceSensor:
         if is_settled and not bias.tared:
             offset.record(total_residual, elapsed_s)
         due = self._due
-        if (is_renewed or due) and self._is_gain_due(is_renewed):
+        self._due = DUE_CHECK if is_renewed else max(due - 1, 0)
+        # On a slow clock, and in the first tick, the bias may be renewed while the
+        # check is due; then all is done in one tick.
+        is_gain_tick = due == DUE_GAIN or (is_renewed and due == DUE_CHECK)
+        if is_gain_tick and (
+            offset.is_covariance_due or self._monitor.state.is_covariance_due
+        ):
             self._renew_gain()
         wrench.kinematics.update(q)
         wrench.renew_gain(q)
         residual = total_residual - bias.bias
-        if due is DueWork.CHECK:
-            self._check(q, dq if stream.has_velocity else None, residual)
-        residual -= self._monitor.state.doubt.level_Nm
+        if due == DUE_CHECK:
+            self._monitor.check(
+                q,
+                dq if stream.has_velocity else None,
+                residual,
+                self._unchecked_s,
+                offset.tare_error_Nm2,
+            )
+            self._unchecked_s = 0.0
+        residual -= self._monitor.level_Nm
         smoothing_lag = 0.0
         observer_lag = 0.0
         if self._is_smoothing:
@@ -573,7 +590,7 @@ class VirtualForceSensor:
         self._is_smoothing = True
         assessment = self._monitor.assessment
         is_good = is_settled and bias.tared and not bias.leapt_s
-        if not is_good or stream.seems_stale or stream.news:
+        if not is_good or stream.seems_stale:
             assessment = self._assess(stream, is_settled=is_settled)
         estimate = wrench.solve(
             residual, self._wrench_filter, smoothing_lag, observer_lag, assessment
@@ -584,48 +601,27 @@ class VirtualForceSensor:
             self._continue_tare()
         return estimate
 
-    def _is_gain_due(self, is_renewed: bool) -> bool:
-        """Return whether this tick is the one for the gain, and it has changed.
-
-        On a slow clock, and in the first tick, the bias may be renewed while the check
-        is due; then all is done in one tick.
-        """
-        due = self._due
-        self._due = DueWork.CHECK if is_renewed else AFTER[due]
-        is_tick = due is DueWork.GAIN or (is_renewed and due is DueWork.CHECK)
-        if not is_tick:
-            return False
-        return self._offset.is_covariance_due or self._monitor.state.is_covariance_due
-
-    def _check(self, q: Array, dq: Array | None, residual: Array) -> None:
-        """Check consistency; arguments as of `ConsistencyMonitor.check`."""
-        self._monitor.check(
-            q, dq, residual, self._unchecked_s, self._offset.tare_error_Nm2
-        )
-        self._unchecked_s = 0.0
-
     def _assess(self, stream: SampleStream, *, is_settled: bool) -> Assessment:
         """Return what an estimate says of itself that is not simply a good one."""
         monitor = self._monitor
         offset = self._offset
         warnings = monitor.warnings
-        if stream.warning:
+        frozen = stream.warning
+        if frozen:
             warnings |= SensorWarning.FROZEN
         if offset.warning:
             warnings |= SensorWarning.TARE_EXPIRED
         if not is_settled:
             status = Status.INITIALIZING
-            gap = long_step_message(self.elapsed_s, self._config.max_gap_s)
-            texts = (gap or INITIALIZING,)
+            texts = (INITIALIZING,)
         elif not offset.memory.tared:
             status = Status.NOT_TARED
             reason = monitor.velocity_fault or offset.warning or self._tare_state
-            texts = (reason, stream.warning, self.question or monitor.limit)
+            texts = (reason, frozen, monitor.limit, stream.question)
         else:
             status = Status.OK
-            stale = stream.warning or stream.question
-            texts = (stale, offset.warning, monitor.message)
-        message = "; ".join(filter(None, (*texts, stream.news)))
+            texts = (frozen or stream.question, offset.warning, monitor.message)
+        message = "; ".join(filter(None, texts))
         return Assessment(status, message, monitor.mismatch, warnings)
 
     @property
@@ -639,7 +635,6 @@ class VirtualForceSensor:
 
     def _reject(self, dt_s: float, error: SampleError) -> WrenchEstimate:
         """Return the last valid estimate again; the time of a bad sample passes."""
-        self._refusal = str(error)
         self.rejected = self.rejected + 1
         estimate = self._last_estimate
         if estimate is None:

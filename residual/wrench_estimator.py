@@ -53,10 +53,6 @@ rupture it is over soon."""
 MIN_NOISE_N2 = 1e-12
 """Smallest variance of a sample's noise: it keeps quotients by the noise finite."""
 
-MIN_EIGENVALUE_RATIO = 1e-12
-"""Directions whose information is below this fraction of the largest are below its
-rounding: they count as unseen."""
-
 MIN_UNSEEN_PART = 1e-18
 """An unknown counts as unseen if the squares of its components along the unseen
 directions add up to more than this: far above rounding and far below what matters."""
@@ -85,6 +81,13 @@ class WrenchGain(NamedTuple):
         variances_N2: Variance of the force along the insertion direction, and across it
             in the direction that is known least, shape (2,).
         noises_N2: The part of both that is noise of a single sample, shape (2,).
+        covariance: As of `WrenchEstimate`.
+        conditioning: As of `WrenchEstimate`.
+        damping_fraction: As of `WrenchEstimate`.
+        smallest_singular_value_m: Joint torque per newton in the least observable of
+            the directions that the mode asks for; in the mode ``full`` a newton metre
+            counts as a newton.
+        unexplained: Quadratic form of `WrenchEstimator.mismatch_squared`, shape (n, n).
     """
 
     configuration_rad: Vector
@@ -92,21 +95,6 @@ class WrenchGain(NamedTuple):
     direction: Vector
     variances_N2: Vector
     noises_N2: Vector
-
-
-class Observability(NamedTuple):
-    """How well the joints see the assumed contact at one configuration.
-
-    Attributes:
-        covariance: As of `WrenchEstimate`, read-only.
-        conditioning: As of `WrenchEstimate`.
-        damping_fraction: As of `WrenchEstimate`, read-only.
-        smallest_singular_value_m: Joint torque per newton in the least observable of
-            the directions that the mode asks for; in the mode ``full`` a newton metre
-            counts as a newton.
-        unexplained: Quadratic form of `WrenchEstimator.mismatch_squared`, shape (n, n).
-    """
-
     covariance: Array
     conditioning: float
     damping_fraction: Array
@@ -149,25 +137,14 @@ class WrenchFilterState(NamedTuple):
         return cls(np.zeros(components), np.zeros(components), np.zeros(2))
 
 
-class PseudoInverse(NamedTuple):
-    """Pseudo-inverse of a symmetric matrix; for k unknowns.
-
-    Attributes:
-        matrix: The inverse, shape (k, k).
-        unseen_part: Sum of the squares of each unknown's components along directions
-            that stay at zero, shape (k,).
-    """
-
-    matrix: Array
-    unseen_part: Array
-
-
 @compiled_inside
-def pseudo_inverse(symmetric: Matrix, min_ratio: float) -> PseudoInverse:
+def pseudo_inverse(symmetric: Matrix) -> tuple[Array, Array]:
     """Return the pseudo-inverse of a symmetric matrix without negative eigenvalues.
 
-    Directions whose eigenvalue is below ``min_ratio`` times the largest stay at zero.
+    Directions whose information is below its rounding stay at zero. With it comes the
+    sum of the squares of each unknown's components along these, shape (k,).
     """
+    min_ratio = 1e-12  # of the largest eigenvalue
     count = len(symmetric)
     values, vectors = np.linalg.eigh(symmetric)
     min_eigenvalue = values[count - 1] * min_ratio
@@ -182,7 +159,7 @@ def pseudo_inverse(symmetric: Matrix, min_ratio: float) -> PseudoInverse:
                     inverse[i, j] += component * vectors[j, m] / values[m]
             else:
                 unseen_part[i] += component * component
-    return PseudoInverse(inverse, unseen_part)
+    return inverse, unseen_part
 
 
 def inverse_of(covariance: Array) -> Array | None:
@@ -244,7 +221,7 @@ def weighted_inverse(
     conditioning = condition_number(information)
     for i in range(count):
         information[i, i] += damping[i]
-    inverse, unseen_part = pseudo_inverse(information, MIN_EIGENVALUE_RATIO)
+    inverse, unseen_part = pseudo_inverse(information)
     matrix = multiply(inverse, weighted)
     covariance = multiply_transposed(multiply(matrix, error_covariance), matrix)
     damping_fraction = np.zeros(count)
@@ -282,7 +259,7 @@ def unexplained_form(rows: Matrix, precision: Matrix) -> Array:
         return form
     weighted = multiply(rows, precision)
     information = multiply_transposed(weighted, rows)
-    inverse = pseudo_inverse(information, MIN_EIGENVALUE_RATIO).matrix
+    inverse, _ = pseudo_inverse(information)
     solution = multiply(inverse, weighted)
     for i in range(joints):
         for j in range(joints):
@@ -350,8 +327,8 @@ def gain_at(
         damping: See `weighted_inverse`; one number per unknown: 1, 3 or 6.
 
     Returns:
-        The fields of `WrenchGain` after the first, and those of `Observability`: Python
-        takes longer to receive named tuples.
+        The fields of `WrenchGain` after the first: Python takes longer to receive named
+        tuples.
     """
     count = len(damping)
     direction = multiply_vector(rotation, axis)
@@ -554,7 +531,6 @@ class WrenchEstimator:
         kinematics: Pose and Jacobian of the tool.
         size: Number of components, of force and of torque if the mode has one: 3 or 6.
         gain: Gain of the last `compute_gain`.
-        observability: How well the joints see the contact there.
         torque_covariance: Last one of `set_torque_covariance`, else 1 [Nm^2], shape (n,
             n).
         scale_std: Standard deviation of the torques' scale, relative to it: it adds to
@@ -573,11 +549,6 @@ class WrenchEstimator:
         self._joints = robot.nv
         unknowns = COMPONENTS[config.mode]
         self.size = max(unknowns, 3)
-        # Components of force and torque, in the frame's axes, that each unknown stands
-        # for.
-        self._directions = np.eye(6)[:unknowns]
-        if unknowns == 1:
-            self._directions = force_direction(self.kinematics.axis_in_tool)
         self._is_weighted = config.weighting == "covariance"
         # Diagonal of the damping: inverse square of the largest wrench that is
         # expected.
@@ -618,15 +589,12 @@ class WrenchEstimator:
             ConfigurationError: If it has another shape or is not positive definite.
         """
         shape = self.torque_covariance.shape
-        if covariance_Nm2.shape != shape:
-            raise ConfigurationError(
-                f"covariance has shape {covariance_Nm2.shape}, expected {shape}"
-            )
         covariance = np.array(covariance_Nm2, order="C")
         inverse = inverse_of(covariance)
-        if inverse is None:
+        if covariance.shape != shape or inverse is None:
             raise ConfigurationError(
-                "covariance_Nm2 is not finite, symmetric, positive definite"
+                f"covariance_Nm2 has shape {covariance.shape}, expected {shape}, "
+                "finite, symmetric and positive definite"
             )
         self.torque_covariance = covariance
         self._inverse = inverse
@@ -673,10 +641,9 @@ class WrenchEstimator:
             self._inverse_with_jump,
             self._damping,
         )
-        self.gain = WrenchGain(q.copy(), *found[:4])
-        self.observability = Observability(*found[4:])
-        self.observability.covariance.setflags(write=False)
-        self.observability.damping_fraction.setflags(write=False)
+        self.gain = WrenchGain(q.copy(), *found)
+        self.gain.covariance.setflags(write=False)
+        self.gain.damping_fraction.setflags(write=False)
 
     def renew_gain(self, q: Array) -> None:
         """Compute the gain anew if the arm has turned too far for the last one.
@@ -708,14 +675,14 @@ class WrenchEstimator:
         Raises:
             SampleError: For numbers that are not finite.
         """
-        _, matrix, direction, variances_N2, noises_N2 = self.gain
+        gain = self.gain
         smoothed, follower, hidden_N2 = state
         axial, axial_std, lateral, lateral_std, axial_unsmoothed = wrench_step(
             residual,
-            matrix,
-            direction,
-            variances_N2,
-            noises_N2,
+            gain.matrix,
+            gain.direction,
+            gain.variances_N2,
+            gain.noises_N2,
             smoothing_lag,
             observer_lag,
             smoothed,
@@ -730,10 +697,12 @@ class WrenchEstimator:
         wrench = smoothed.copy()
         residual.setflags(write=False)
         wrench.setflags(write=False)
-        covariance, conditioning, damping_fraction, _, _ = self.observability
+        covariance = gain.covariance
         status, message, model_mismatch, warnings = assessment
         if self.scale_std:
-            covariance = self._with_scale_error(covariance, axial, wrench)
+            unknowns = wrench if len(covariance) > 1 else np.array([axial])
+            covariance = widen_by_scale(covariance, unknowns, self.scale_std)
+            covariance.setflags(write=False)
         has_torque = self.size > 3
         # All fields in order: by name it takes 0.5 us more in every tick.
         return WrenchEstimate(
@@ -744,8 +713,8 @@ class WrenchEstimator:
             wrench[:3] if has_torque else wrench,
             wrench[3:] if has_torque else _NOTHING,
             covariance,
-            conditioning,
-            damping_fraction,
+            gain.conditioning,
+            gain.damping_fraction,
             axial_unsmoothed,
             residual,
             status,
@@ -754,20 +723,6 @@ class WrenchEstimator:
             warnings,
         )
 
-    def _with_scale_error(
-        self, covariance: Array, axial: float, wrench: Array
-    ) -> Array:
-        """Return the covariance with that of an unknown scale, shape (k, k)."""
-        unknowns = wrench if len(self._directions) > 1 else np.array([axial])
-        widened = widen_by_scale(covariance, unknowns, self.scale_std)
-        widened.setflags(write=False)
-        return widened
-
-    @property
-    def contact_jacobian(self) -> Array:
-        """Joint torque per unit of each unknown where the tool is, shape (k, n)."""
-        return self._directions.dot(self.kinematics.jacobian)
-
     def mismatch_squared(self, residual: Array) -> float:
         """Return the mean square of the joint torque that no wrench explains.
 
@@ -775,10 +730,5 @@ class WrenchEstimator:
         model holds, 0 if the mode has as many unknowns as there are joints. The
         residual [Nm] is that after offset removal, shape (n,).
         """
-        form = self.observability.unexplained
+        form = self.gain.unexplained
         return max(float(residual.dot(form).dot(residual)), 0.0)
-
-
-def force_direction(direction: Array) -> Array:
-    """Return a force along a direction, shape (3,), as a wrench, shape (1, 6)."""
-    return np.concatenate((direction, _NOTHING))[None]

@@ -1,4 +1,4 @@
 """The method as published by Ferro et al.: online (7)-(12) and offline (4)-(6).
 
-Reading order: `offline`, `state`, `online`.
+Reading order: `offline`, `online`.
 """

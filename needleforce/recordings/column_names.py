@@ -103,9 +103,10 @@ def written_unit(name: str) -> str | None:
 def is_column(table: Table, name: str) -> bool:
     """Return whether a table has a column, or an element of one such as `wrench[2]`."""
     element = re.fullmatch(r"(.+)\[(\d{1,9})\]", name)
-    array = table.columns.get(element[1]) if element else None
-    is_element = array is not None and array.shape[1:] > (int(element[2]),)
-    return name in table.columns or is_element
+    if name in table.columns or element is None:
+        return name in table.columns
+    array = table.columns.get(element[1])
+    return array is not None and array.shape[1:] > (int(element[2]),)
 
 
 def find_columns(table: Table, pattern: str) -> list[str]:

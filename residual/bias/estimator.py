@@ -3,20 +3,18 @@
 import math
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from typing import ClassVar, Self
+from typing import Self
 
 import numpy as np
 import pinocchio as pin
 
 from foundation.arrays import Array
-from foundation.steps import Steps, finish
+from foundation.steps import Steps
 from residual.bias.fit import FreeMotionFit
 from residual.bias.joint_states import joint_states_step
 from residual.bias.model import BiasModel, Tare, TareBlocks
-from residual.bias.separation import JointSeparation, separate_causes
 from residual.bias.tare_check import check_free_of_contact
-from residual.bias.tare_request import TareRequest
-from residual.bias.torque_diagnosis import TorqueDiagnosis
+from residual.bias.torque_scale import TorqueDiagnosis
 from residual.checks.input import ROUNDING_S
 from residual.config import SensorConfig
 from residual.errors import TareError
@@ -37,8 +35,6 @@ SMOOTHING_S = 0.05
 noise in it stays below a tenth of the torque sensor's noise, and a motion of 2 Hz loses
 a sixth."""
 
-_FittedTare = tuple[Tare, TorqueDiagnosis | None]
-
 
 @dataclass(slots=True, eq=False)
 class TareRecorder:
@@ -55,9 +51,6 @@ class TareRecorder:
             late as the residual [Nm], shape (n,).
         age_s: Length of that block so far.
     """
-
-    GROWING: ClassVar[tuple[str, ...]] = ("sums",)
-    """Arrays of any number of rows, see `foundation.state`."""
 
     sums: Array
     open: Array
@@ -147,6 +140,29 @@ class TareRecorder:
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
+class TareRequest:
+    """What a tare is fitted to; the fit is a function of it, so a state needs no more.
+
+    Attributes:
+        blocks: The recorded motion.
+        ignore_contact: Whether contacts are not looked for.
+        is_external: Whether torques are the robot's own external ones.
+        started_s: Time at which it was asked for, from which its age counts.
+        leapt_s: Time in long steps until then, see `BiasState.leapt_s`.
+        steps_per_tick: Steps of the fit that are done in a tick.
+        done: Steps that are done.
+    """
+
+    blocks: TareBlocks
+    ignore_contact: bool
+    is_external: bool
+    started_s: float
+    leapt_s: float
+    steps_per_tick: int
+    done: int = 0
+
+
+@dataclass(slots=True, kw_only=True, eq=False)
 class BiasState:
     """State of a `BiasEstimator`.
 
@@ -233,7 +249,6 @@ class BiasEstimator:
     independent."""
 
     def __init__(self, robot: Robot, config: SensorConfig) -> None:
-        self._robot = robot
         self._config = config
         self._basis = BiasModel(robot, config.tare, config.prior)
         self.block_s = self.BLOCK_LAGS / config.slowest_gain_per_s
@@ -350,13 +365,6 @@ class BiasEstimator:
             recorder.close_block()
 
     @property
-    def separation(self) -> tuple[JointSeparation, ...]:
-        """How well the tare told hysteresis from friction; empty before one."""
-        if not self.memory.tared:
-            return ()
-        return separate_causes(self._basis, self.memory.tare, self._robot.joint_names)
-
-    @property
     def is_covariance_due(self) -> bool:
         """Whether `covariance_Nm2` may have changed since the last call."""
         memory = self.memory
@@ -393,12 +401,8 @@ class BiasEstimator:
         return self.memory.now_s - self.memory.tared_s
 
     def start_tare(
-        self,
-        *,
-        ignore_contact: bool,
-        is_external: bool = False,
-        steps_per_tick: int = 1,
-    ) -> TareRequest:
+        self, *, ignore_contact: bool, is_external: bool, steps_per_tick: int
+    ) -> None:
         """Prepare to fit the offset to the motion recorded so far.
 
         Args:
@@ -438,58 +442,37 @@ class BiasEstimator:
             leapt_s=memory.leapt_s,
             steps_per_tick=steps_per_tick,
         )
-        return memory.request
 
-    def continue_tare(self, wrench: WrenchEstimator) -> Tare | None:
-        """Do the steps of a tick; return the tare once it is fitted, and take it.
+    def continue_tare(self, wrench: WrenchEstimator) -> bool:
+        """Do the steps of a tick; take the tare once it is fitted.
 
         Args:
             wrench: See `check_free_of_contact`.
+
+        Returns:
+            Whether it is fitted.
 
         Raises:
             TareError: With contact in sight; the tare in force then stays.
         """
         request = self.memory.request
         if request is None:
-            return None
-        work = self._work or self._resume_work(request, wrench)
-        self._work = work
+            return False
+        if self._work is None:
+            self._work = self._fit_in_steps(request, wrench)
+            for _ in range(request.done):  # by what this is a copy of
+                next(self._work)
         try:
             for _ in range(request.steps_per_tick):
-                next(work)
+                next(self._work)
                 request.done += 1
         except StopIteration as end:
-            return self._take(request, end.value)
-        except TareError:
+            self._take(request, *end.value)
+            return True
+        except BaseException:  # Ctrl-C, too: what was begun cannot go on
             self.cancel_tare()
             raise
-        return None
-
-    def tare(
-        self,
-        wrench: WrenchEstimator,
-        *,
-        ignore_contact: bool,
-        is_external: bool = False,
-    ) -> Tare:
-        """Fit the offset to the recorded free motion, from begin to end.
-
-        Args:
-            wrench: See `check_free_of_contact`.
-            ignore_contact: Do not check for a contact.
-            is_external: Whether torques are the robot's own external ones.
-
-        Raises:
-            TareError: Without new data, or with contact in sight; the tare in force
-                then stays.
-        """
-        request = self.start_tare(
-            ignore_contact=ignore_contact, is_external=is_external
-        )
-        try:
-            return self._take(request, finish(self._fit_in_steps(request, wrench)))
-        finally:
-            self.cancel_tare()
+        return False
 
     def cancel_tare(self) -> None:
         """Give up the tare that is being fitted; what was recorded stays."""
@@ -500,23 +483,9 @@ class BiasEstimator:
         """Return what a copy needs; it does the steps of a running fit again."""
         return self.__dict__ | {"_work": None}
 
-    def resume_tare(self, wrench: WrenchEstimator) -> None:
-        """Do again the steps of a fit that was under way where a state was taken."""
-        request = self.memory.request
-        self._work = None if request is None else self._resume_work(request, wrench)
-
-    def _resume_work(
-        self, request: TareRequest, wrench: WrenchEstimator
-    ) -> Steps[_FittedTare]:
-        """Return a fit of which the steps that are done have been done."""
-        work = self._fit_in_steps(request, wrench)
-        for _ in range(request.done):
-            next(work)
-        return work
-
     def _fit_in_steps(
         self, request: TareRequest, wrench: WrenchEstimator
-    ) -> Steps[_FittedTare]:
+    ) -> Steps[tuple[Tare, TorqueDiagnosis | None]]:
         """Fit a tare and look for contacts; see `continue_tare`."""
         fit = yield from FreeMotionFit.in_steps(self._basis, request.blocks)
         if request.ignore_contact:
@@ -534,10 +503,12 @@ class BiasEstimator:
         yield  # who takes the tare has work of its own in that tick
         return tare, diagnosis
 
-    def _take(self, request: TareRequest, fitted: _FittedTare) -> Tare:
-        """Subtract a fitted tare from now on, as old as its request; return it."""
+    def _take(
+        self, request: TareRequest, tare: Tare, diagnosis: TorqueDiagnosis | None
+    ) -> None:
+        """Subtract a fitted tare from now on, as old as its request."""
         memory = self.memory
-        tare, self.diagnosis = fitted
+        self.diagnosis = diagnosis
         memory.tare = tare
         memory.tared = True
         memory.tared_s = request.started_s
@@ -545,7 +516,6 @@ class BiasEstimator:
         memory.covariance_s = memory.now_s - COVARIANCE_S
         memory.bias = self._basis.bias_Nm(tare, memory.q, memory.states, self._age_s)
         self.cancel_tare()
-        return tare
 
     def start_tare_recording(self) -> None:
         """Record free motion anew; the tare in force stays until the next."""
@@ -556,7 +526,7 @@ class BiasEstimator:
 
     def reset(self) -> None:
         """Forget everything."""
-        self._work: Steps[_FittedTare] | None = None
+        self._work: Steps[tuple[Tare, TorqueDiagnosis | None]] | None = None
         self.diagnosis: TorqueDiagnosis | None = None
         still = np.zeros(self._joints)
         states = self._basis.states

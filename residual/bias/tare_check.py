@@ -9,8 +9,7 @@ from foundation.arrays import Array
 from foundation.steps import Steps
 from residual.bias.fit import FreeMotionFit, JointRows
 from residual.bias.model import BiasModel, TareBlocks
-from residual.bias.torque_diagnosis import TorqueDiagnosis, diagnose_torques
-from residual.bias.torque_fit import TorqueFit
+from residual.bias.torque_scale import TorqueDiagnosis, diagnose_torques
 from residual.errors import TareError
 
 if TYPE_CHECKING:
@@ -65,38 +64,29 @@ def check_free_of_contact(
     """
     torque = yield from tip_torques(fit.blocks, wrench)
     contacts = yield from find_contacts(fit, torque, wrench, contact_force_N)
+    seen = ""
+    if contacts:
+        seen = (
+            f"the sensor reads {contacts[0].force_N:.2f} N along the needle where 0 "
+            f"+/- {contacts[0].std_N:.2f} N is expected in free motion: "
+        )
     if is_external:
         if contacts:
             raise TareError(
-                f"{_describe_contact(contacts)}the needle is in contact, or these are "
-                "not the external torques"
+                f"{seen}the needle is in contact, or these are not the external torques"
             )
         return None
     levers_m = torque @ wrench.kinematics.axis_in_tool
-    torque_fit = yield from TorqueFit.in_steps(
-        fit.basis, fit.blocks, adds_gravity=adds_gravity
+    diagnosis = yield from diagnose_torques(
+        fit.basis, fit.blocks, levers_m, adds_gravity=adds_gravity
     )
-    diagnosis = yield from diagnose_torques(torque_fit, np.abs(levers_m).max(axis=0))
     if not contacts and not diagnosis.wrong_joints:
         return diagnosis
     text = "units, signs, order, payload or friction are not those of the model"
     if contacts:
         text = f"the needle is in contact, or {text}: tare where the needle is free"
-    seen = diagnosis.describe_torques()
-    raise TareError(
-        f"{_describe_contact(contacts)}{'; '.join(filter(None, (seen, text)))}",
-        diagnosis=diagnosis,
-    )
-
-
-def _describe_contact(contacts: list[AxialForce]) -> str:
-    """Return what the sensor reads; empty where no contact is seen."""
-    if not contacts:
-        return ""
-    return (
-        f"the sensor reads {contacts[0].force_N:.2f} N along the needle where 0 +/- "
-        f"{contacts[0].std_N:.2f} N is expected in free motion: "
-    )
+    shown = "; ".join(filter(None, (diagnosis.describe(), text)))
+    raise TareError(f"{seen}{shown}", diagnosis=diagnosis)
 
 
 def find_contacts(

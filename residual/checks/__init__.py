@@ -1,10 +1,8 @@
 """Checks of the samples and of the estimates that are made of them.
 
 Reading order: `input` (shape and size of numbers, NaN), `outliers` (spikes, saturated
-torques), `stuck_signals` (what repeats bit for bit), `velocity` (dq against the rate of
-q), `torque_change` (how unusual a change of torque is), `pushed_arm` (a hand on the
-arm), `torque_jump` (a sensor that steps), `torque_doubt` (what is doubted then, and the
-covariance that follows), `monitor` (what is checked every few samples). A sample that
-is refused raises a `SampleError` here; `VirtualForceSensor` turns it into the status
-``REJECTED`` and the last estimate.
+or frozen torques, by their `noise`), `velocity` (dq against the rate of q),
+`torque_watch` (a hand on the arm, a torque sensor that jumps), `monitor` (what is
+checked every few samples). A sample that is refused raises a `SampleError` here;
+`VirtualForceSensor` turns it into the status ``REJECTED`` and the last estimate.
 """

@@ -1,18 +1,16 @@
 """Checks, every few samples: joint limits, singular poses, model mismatch.
 
-The checks of measured velocities, of pushes on the arm and of torque sensors that jump
-stand beside this module, in `velocity`, `pushed_arm` and `torque_jump`.
+The checks of measured velocities and of changes of the torques stand beside this
+module, in `velocity` and `torque_watch`.
 """
 
 import math
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 
 from foundation.arrays import Array
-from residual.checks.pushed_arm import TorqueChange, change_step, first_change
-from residual.checks.torque_doubt import TorqueDoubt
-from residual.checks.torque_jump import TorqueCourse
+from residual.checks.torque_watch import TorqueWatch
 from residual.checks.velocity import (
     VelocityMatch,
     first_match,
@@ -29,30 +27,32 @@ MAX_MISMATCH = 4.0
 together."""
 
 
-class MonitorState(NamedTuple):
-    """State of a `ConsistencyMonitor`; its arrays are never written again.
+@dataclass(slots=True, eq=False)
+class MonitorState:
+    """State of a `ConsistencyMonitor`.
 
     Attributes:
-        doubt: What is doubted of the torques.
-        is_covariance_due: Whether the covariance in use is clearly less than that.
+        widening: Factor of the tare's covariance, by torque that no wrench explains: as
+            in least squares, errors seen in directions that no wrench explains are
+            likely in the others, too. It lasts as long as that torque.
+        is_covariance_due: Whether the covariance in use is clearly less than what is
+            doubted.
         mismatch_squared: Smoothed mean square of the model mismatch, in units of the
             covariance before it was widened.
-        warnings: Of the last check, as a number.
+        warnings: Of the last check, as a number, without those of the next two.
         at_limit: Indices of joints at a position limit in that check.
         match: Of measured velocities with positions; None before a check, and where
             velocities are estimated.
-        change: Of the torque; None before the tare.
-        course: Torque of the last second, and its jumps; None before the tare.
+        torques: Changes of the torque; None before the tare.
     """
 
-    doubt: TorqueDoubt
+    widening: float = 1.0
     is_covariance_due: bool = False
     mismatch_squared: float = 0.0
     warnings: int = 0
     at_limit: tuple[int, ...] = ()
     match: VelocityMatch | None = None
-    change: TorqueChange | None = None
-    course: TorqueCourse | None = None
+    torques: TorqueWatch | None = None
 
 
 class ConsistencyMonitor:
@@ -60,6 +60,9 @@ class ConsistencyMonitor:
 
     Attributes:
         state: Its state.
+        torques: Changes of the torque; none before the tare.
+        level_Nm: Its field.
+        jump_Nm2: Its property.
         mismatch: Smoothed model mismatch, see `WrenchEstimate`.
         velocity_fault: Certain faults of measured velocities, in words; empty if there
             are none.
@@ -79,8 +82,9 @@ class ConsistencyMonitor:
         self._lower_rad = np.where(is_free, -np.inf, lower).tolist()
         self._upper_rad = np.where(is_free, np.inf, upper).tolist()
         self._wrench = wrench
-        self._joints = robot.nv
-        self.reset()
+        still = np.zeros(robot.nv)
+        self._idle = TorqueWatch.after_tare(still, still)
+        self.restore(MonitorState())
 
     def check(
         self,
@@ -102,78 +106,41 @@ class ConsistencyMonitor:
                 has shown it, shape (n,); None before the tare.
         """
         state = self.state
-        at_limit = self._joints_at_limit(q)
-        warnings = SensorWarning.NONE
-        if at_limit:
-            warnings |= SensorWarning.JOINT_LIMIT
-        # A newton then makes a twentieth of a newton metre in all joints together, as
-        # much as the noise of one torque sample.
-        min_singular_value_m = 0.05
-        observability = self._wrench.observability
-        if observability.smallest_singular_value_m < min_singular_value_m:
-            warnings |= SensorWarning.NEAR_SINGULAR
-        doubt = state.doubt
-        change = None
-        course = None
-        square = 0.0  # before the tare the covariance is the prior's
-        if tare_error_Nm2 is not None:
-            own_residual = residual - doubt.level_Nm
-            square = doubt.widening * self._wrench.mismatch_squared(own_residual)
-            change = self._next_change(residual, dt_s)
-            course = state.course or TorqueCourse.after_tare(tare_error_Nm2)
-            course, finding = course.advanced(self._tip_rows, residual, max(dt_s, 0.0))
-            doubt = doubt.after_finding(finding, change.pushed_s)
-            if doubt.jumps > state.doubt.jumps:
-                # The jump is known by now: it is no push.
-                change = change._replace(reference=change.present, pushed_s=0.0)
-            if change.pushed_s > 0.0:
-                warnings |= SensorWarning.ARM_PUSHED
-            if doubt.has_jumped:
-                warnings |= SensorWarning.TORQUE_JUMP
-        memory_s = 0.2  # A knock of a few milliseconds is no mismatch.
-        faded = -math.expm1(-dt_s / memory_s)
-        mismatch_squared = state.mismatch_squared
-        mismatch_squared += faded * (square - mismatch_squared)
-        if mismatch_squared > MAX_MISMATCH**2:
-            warnings |= SensorWarning.MODEL_MISMATCH
-        self.state = MonitorState(
-            doubt=doubt._replace(since_s=doubt.since_s + max(dt_s, 0.0)),
-            is_covariance_due=state.is_covariance_due
-            or doubt is not state.doubt
-            or doubt.is_too_narrow(mismatch_squared),
-            mismatch_squared=mismatch_squared,
-            warnings=int(warnings),
-            at_limit=at_limit,
-            match=None if dq is None else self._next_match(q, dq, dt_s),
-            change=change,
-            course=course,
-        )
-        self._report()
-
-    def _joints_at_limit(self, q: Array) -> tuple[int, ...]:
-        return tuple(
+        state.at_limit = tuple(
             i
             for i, position_rad in enumerate(q.tolist())
             if not self._lower_rad[i] < position_rad < self._upper_rad[i]
         )
-
-    def _next_change(self, residual: Array, dt_s: float) -> TorqueChange:
-        """Return the next change of torque, after a residual [Nm], shape (n,)."""
-        change = self.state.change
-        if change is None:
-            return first_change(residual)
-        if dt_s <= 0.0:
-            return change
-        return change_step(
-            self._wrench.contact_jacobian,
-            residual,
-            change.present,
-            change.reference,
-            change.usual,
-            change.learned_s,
-            change.pushed_s,
-            dt_s,
-        )
+        warnings = SensorWarning.JOINT_LIMIT if state.at_limit else SensorWarning.NONE
+        # A newton then makes a twentieth of a newton metre in all joints together, as
+        # much as the noise of one torque sample.
+        min_singular_value_m = 0.05
+        if self._wrench.gain.smallest_singular_value_m < min_singular_value_m:
+            warnings |= SensorWarning.NEAR_SINGULAR
+        square = 0.0  # before the tare the covariance is the prior's
+        if tare_error_Nm2 is not None:
+            own_residual = residual - self.level_Nm
+            square = state.widening * self._wrench.mismatch_squared(own_residual)
+            if state.torques is None:
+                state.torques = TorqueWatch.after_tare(residual, tare_error_Nm2)
+            state.torques.update(self._tip_rows, residual, dt_s)
+        memory_s = 0.2  # A knock of a few milliseconds is no mismatch.
+        faded = -math.expm1(-dt_s / memory_s)
+        state.mismatch_squared += faded * (square - state.mismatch_squared)
+        if state.mismatch_squared > MAX_MISMATCH**2:
+            warnings |= SensorWarning.MODEL_MISMATCH
+        state.warnings = int(warnings)
+        if dq is None:
+            state.match = None
+        elif state.match is None or dt_s <= 0.0:
+            state.match = first_match(q, dq)
+        else:
+            state.match = velocity_match_step(state.match, q, dq, dt_s)
+        is_too_narrow = _widening(state.mismatch_squared) > 1.1 * state.widening
+        jump_Nm2 = self.jump_Nm2
+        self._report()
+        is_other_jump = not np.array_equal(jump_Nm2, self.jump_Nm2)
+        state.is_covariance_due |= is_too_narrow or is_other_jump
 
     @property
     def _tip_rows(self) -> Array:
@@ -184,43 +151,30 @@ class ConsistencyMonitor:
         directions = max(self._wrench.size, 3)
         return np.ascontiguousarray(self._wrench.kinematics.jacobian[:directions])
 
-    def _next_match(self, q: Array, dq: Array, dt_s: float) -> VelocityMatch:
-        """Return the next match of velocities with positions; arguments of `check`."""
-        match = self.state.match
-        if match is None or dt_s <= 0.0:
-            return first_match(q, dq)
-        return velocity_match_step(match, q, dq, dt_s)
-
     @property
     def jump_std_N(self) -> float:
         """Standard deviation of the axial force by jumps of torque sensors."""
         gain = self._wrench.gain
         axial_per_Nm = gain.direction.dot(gain.matrix[:3])
-        return math.sqrt(axial_per_Nm.dot(self.state.doubt.jump_Nm2).dot(axial_per_Nm))
+        return math.sqrt(axial_per_Nm.dot(self.jump_Nm2).dot(axial_per_Nm))
 
     def widen(self, covariance_Nm2: Array) -> Array:
         """Return a covariance widened by the joint torque that no wrench explains.
 
         It is the tare's, shape (n, n).
         """
-        doubt = self.state.doubt.widened(self.state.mismatch_squared)
-        self.state = self.state._replace(doubt=doubt, is_covariance_due=False)
-        return doubt.widening * covariance_Nm2
+        self.state.widening = _widening(self.state.mismatch_squared)
+        self.state.is_covariance_due = False
+        return self.state.widening * covariance_Nm2
 
     def forget_tare(self) -> None:
         """Doubt nothing any more, and compare velocities with positions anew."""
-        warnings = int(self.warnings & ~SensorWarning.VELOCITY)
-        doubt = TorqueDoubt.after_tare(self._joints)
-        self.restore(
-            self.state._replace(
-                doubt=doubt._replace(widening=self.state.doubt.widening),
-                is_covariance_due=True,
-                warnings=warnings,
-                match=None,
-                change=None,
-                course=None,
-            )
-        )
+        state = self.state
+        state.is_covariance_due = True
+        state.warnings = int(self.warnings & ~SensorWarning.VELOCITY)
+        state.match = None
+        state.torques = None
+        self._report()
 
     def recheck(
         self, estimate: WrenchEstimate, estimate_before: WrenchEstimate
@@ -236,11 +190,10 @@ class ConsistencyMonitor:
             self._wrench.mismatch_squared(estimate_before.residual),
         )
         warnings = SensorWarning.NONE
-        if self.state.doubt.widening * square > MAX_MISMATCH**2:
+        if self.state.widening * square > MAX_MISMATCH**2:
             warnings |= SensorWarning.MODEL_MISMATCH
-        change = self.state.change
         axial_row = self._wrench.kinematics.axial_jacobian[None]
-        if change is not None and change.has_begun(axial_row):
+        if self.torques.has_begun(axial_row):
             warnings |= SensorWarning.ARM_PUSHED
         message = "; ".join(filter(None, (estimate.message, *_reasons(warnings))))
         return estimate._replace(warnings=estimate.warnings | warnings, message=message)
@@ -251,39 +204,33 @@ class ConsistencyMonitor:
         at_limit = self.state.at_limit
         return f"at a position limit: {named_joints(at_limit)}" if at_limit else ""
 
-    @property
-    def question(self) -> str:
-        """Whether q is in degrees, asked where positions are far beyond; else empty."""
-        if not self.state.at_limit:
-            return ""
-        # Two turns: a position beyond a limit and this is hardly in radians.
-        max_position_rad = 4.0 * math.pi
-        largest_rad = np.abs(self._wrench.gain.configuration_rad).max()
-        if largest_rad <= max_position_rad:
-            return ""
-        return f"{self.limit}: is q in degrees?"
-
     def reset(self) -> None:
         """Forget everything."""
-        self.restore(MonitorState(TorqueDoubt.after_tare(self._joints)))
+        self.restore(MonitorState())
 
     def restore(self, state: MonitorState) -> None:
-        """Go on from a `state` taken earlier."""
+        """Go on from a `state` taken earlier; it is not copied."""
         self.state = state
         self._report()
 
     def _report(self) -> None:
         """Set the attributes that report the result of a check."""
-        match = self.state.match
-        self.velocity_fault = "" if match is None else velocity_fault(match)
-        self.mismatch = math.sqrt(self.state.mismatch_squared)
-        self.warnings = SensorWarning(self.state.warnings)
+        state = self.state
+        self.torques = state.torques or self._idle
+        self.level_Nm = self.torques.level_Nm
+        self.jump_Nm2 = self.torques.jump_Nm2
+        self.velocity_fault = "" if state.match is None else velocity_fault(state.match)
+        self.mismatch = math.sqrt(state.mismatch_squared)
+        self.warnings = SensorWarning(state.warnings)
+        if self.torques.is_pushed:
+            self.warnings |= SensorWarning.ARM_PUSHED
+        if self.torques.has_jumped:
+            self.warnings |= SensorWarning.TORQUE_JUMP
         self.message = ""
         if self.velocity_fault:
             self.warnings |= SensorWarning.VELOCITY
         if self.warnings:
-            position = self.question or self.limit
-            texts = (self.velocity_fault, position, *_reasons(self.warnings))
+            texts = (self.velocity_fault, self.limit, *_reasons(self.warnings))
             self.message = "; ".join(filter(None, texts))
         self.assessment = Assessment(
             Status.OK, self.message, self.mismatch, self.warnings
@@ -305,3 +252,9 @@ _REASONS = {
 
 def _reasons(warnings: SensorWarning) -> list[str]:
     return [reason for warning, reason in _REASONS.items() if warning in warnings]
+
+
+def _widening(mismatch_squared: float) -> float:
+    # By more than the mismatch shows: four directions that no wrench explains show a
+    # variance only within a factor of two.
+    return 1.0 + 2.0 * max(0.0, mismatch_squared - 1.0)

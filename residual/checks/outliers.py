@@ -1,31 +1,25 @@
 """Rejects valid numbers that are no measurements: spikes, frozen or saturated signals.
 
-A measured velocity that the positions contradict for a moment is replaced by their
-rate: positions and torques of that sample are right.
-
-A jump is judged against what an arm can do in the time and against the noise of the
-signal itself, learnt in the first half second; before that nothing counts as a spike or
-as frozen. A rejected sample is treated like a lost one: time passes, the estimate
-stays.
+A sample is predicted from the one before and from what an arm can do in the time. Where
+a signal is further off than its own noise allows, learnt in the first half second, it
+has jumped; before that nothing counts as a jump or as frozen. So has a velocity that
+positions contradict for a moment. A rejected sample is treated like a lost one: time
+passes, the estimate stays.
 """
 
 import math
-from dataclasses import dataclass, field
-from typing import NamedTuple
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
-from foundation.jit import compiled
-from residual.checks.input import MAX_PLAUSIBLE, ROUNDING_S, known_limits
-from residual.checks.stuck_signals import (
+from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
+from foundation.jit import compiled, compiled_inside
+from residual.checks.input import MAX_PLAUSIBLE, ROUNDING_S, check_rows, known_limits
+from residual.checks.noise import (
     LEARNING_S,
-    MAX_USUAL_S,
     NoiseProbe,
-    SingleSignalDetector,
-    StuckSignalDetector,
-    drop_repeats,
+    find_new,
     is_noise_resolved,
     white_noise,
 )
@@ -34,179 +28,360 @@ from residual.estimate import SensorWarning
 from residual.tool_kinematics import ToolKinematics
 from urdf import Robot
 
-SIGMAS = 12.0
-"""A jump within this many standard deviations of the signal's noise is noise."""
-
-TORQUE_RATIO = 0.02
-"""Fraction of the effort limit by which a torque may step for no reason. On the LWR
-that is 3.5 Nm at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist; what a force on
-the tool explains may step by more, see `is_contact`."""
-
-MIN_TORQUE_STEP_NM = 0.7
-"""Smallest torque step that is held back: the gears of a moving wrist of 12 Nm make as
-much in a millisecond."""
-
-TORQUE_RATIO_PER_S = 2.0
-"""Fraction of the effort limit per second, beyond the step: for lost samples."""
-
 MAX_ACCELERATION_RAD_S2 = 20.0
 """Largest acceleration of a joint: an arm that inserts a needle stays far below."""
-
-MIN_POSITION_STEP_RAD = 1e-4
-"""Smallest step of a position that is held back."""
-
-COARSE_STEP_RAD = 5e-4
-"""A position that has repeated may make as large a step: three of an encoder on the
-link, which resolves 0.01 degrees."""
 
 UNKNOWN_EFFORT_NM = 300.0
 """Stands in where a description gives no effort limit: the shoulder of an arm for ten
 kilograms. Torques from motor currents step by 20 Nm there where the friction of its
 gears turns round."""
 
-CLOCK_ERROR_S = 5e-3
-"""Time by which the stamps of a computer may be off from those of the robot. At the
-speeds of a needle it is nothing: 0.1 rad/s make half a milliradian of it."""
-
-HELD_ACCELERATION_RAD_S2 = 4.0
-"""Change of an estimated velocity that positions do not show while they repeat. Far
-less than what a single step may be off by: an arm at rest repeats its positions for
-ever."""
-
-MAX_FORCE_STEP_N = 100.0
-"""Largest force that may come or go within a sample: a rupture is newtons, a contact
-tens."""
-
-MAX_UNEXPLAINED_RATIO = 0.35
-"""Fraction of a jump that a force may leave over; a spike of one joint leaves most of
-itself."""
-
-CHECK_S = 0.02
-"""Interval at which each torque is checked by itself."""
-
-STAYED_S = 5e-3
-"""A jump that has stayed for this long is accepted: the signal is elsewhere now."""
-
 MAX_HOLD_S = 0.1
 """Longest time for which a signal that jumps is held back, whatever it does."""
+
+MAX_USUAL_S = 0.1
+"""Longest repeat that is learnt as usual: no source of positions or torques is slower
+than ten samples a second."""
+
+MAX_REFUSAL_S = 5.0
+"""After this time nothing is rejected as frozen any more, only reported: should a valid
+signal fall still after all, on an arm at rest, then not for ever."""
 
 SATURATED_RATIO = 0.99
 """Fraction of the effort limit from which a torque counts as clipped."""
 
-LOADED_RATIO = 0.9
-"""Fraction of the effort limit from which every torque is watched."""
+MIN_ALONE_S = 0.5
+"""Shortest repeat of a single torque that is reported."""
 
-MAX_LOAD_RATIO = 10.0
-"""Largest ratio of a torque to its limit: only other units read beyond."""
+# What is known of each signal of the samples: rows of a matrix, a column per signal.
 
-STILL_S = 1.0
-"""A torque unchanged for so long may be missing, or come from a simulation."""
+LAST = 0
+"""Row of the last accepted sample."""
 
-USUAL_DEVIATION_S = 2.0
-"""Time constant of the usual deviation of velocities from the rate of positions."""
+BEFORE = 1
+"""Row of the accepted sample before it."""
 
-SURE_STEP_S = 1e-4
-"""Time step for which a velocity may change without a check: shorter than any clock's,
-so that a sample within it needs no other check."""
+GATE = 2
+"""Row of the largest jump within no time that is no fault."""
 
+STILL = 3
+"""Row of the time for which the signal has repeated bit for bit [s]."""
 
-class Repeats(NamedTuple):
-    """Which signals of a sample repeat bit for bit in all joints.
+HELD = 4
+"""Row of the last sample that was held back for a jump."""
 
-    Attributes:
-        position: All positions.
-        motion: All positions and, if there are any, velocities.
-        torque: All torques.
-    """
+SIGNAL_ROWS = 5
+"""Number of these rows."""
 
-    position: bool
-    motion: bool
-    torque: bool
+# What is known of each joint: rows of another matrix, a column per joint.
 
+VELOCITY = 0
+"""Row of the velocity of the last sample, measured or estimated [rad/s]."""
 
-NO_REPEATS = Repeats(position=False, motion=False, torque=False)
-"""Nothing repeats."""
+DEVIATION = 1
+"""Row of the deviation of that from the rate of positions [rad/s]."""
 
+USUAL = 2
+"""Row of the usual square of a change of this deviation [rad^2/s^2]."""
 
-@compiled
-def fresh_distance(
-    signals: Vector, signals_before: Vector, weights: Vector, joints: int
-) -> float:
-    """Return the largest weighted difference of the signals of two samples.
+SWEPT = 3
+"""Row of the travel that a position which repeats may lag by [rad]."""
 
-    It is infinite for a NaN, and if all positions or all torques repeat. Samples have
-    positions first and torques last, shape (2 n,) or (3 n,), n joints; no weight is 0.
-    """
-    size = len(signals)
-    position_repeats = True
-    torque_repeats = True
-    largest = 0.0
-    for k in range(size):
-        difference = (signals[k] - signals_before[k]) * weights[k]
-        if math.isnan(difference):
-            return math.inf
-        largest = max(largest, abs(difference))
-        if difference != 0.0:
-            position_repeats = position_repeats and k >= joints
-            torque_repeats = torque_repeats and k < size - joints
-    if position_repeats or torque_repeats:
-        return math.inf
-    return largest
+JOINT_ROWS = 4
+"""Number of these rows."""
+
+INVALID = 1
+"""Bit of `judge_step`: a number is not finite, or too large."""
+
+JUMPED = 2
+"""Bit of `judge_step`: a signal has jumped."""
+
+NO_RATE = 4
+"""Bit of `judge_step`: velocities are not the rate of positions."""
+
+SATURATED = 8
+"""Bit of `judge_step`: a torque is at its limit."""
+
+FROZEN_MOTION = 16
+"""Bit of `judge_step`: positions and velocities of all joints are stuck."""
+
+FROZEN_TORQUE = 32
+"""Bit of `judge_step`: torques of all joints are stuck."""
 
 
-@compiled
-def velocity_error(
-    sample: Matrix,
-    before: Vector,
-    deviation_before: Vector,
-    usual_square: Vector,
+@compiled_inside
+def largest_change(
+    k: int,
+    known: Matrix,
+    joints: Matrix,
+    effort_Nm: Vector,
     dt_s: float,
-    learned_s: float,
-    found: WrittenMatrix,
+    step_s: float,
+    delay_s: float,
+) -> float:
+    """Return how far a signal may be off from what is expected after a time.
+
+    Arguments are those of `find_jumps`, and the signal's number.
+    """
+    # Stamps of a computer may be off from those of the robot by so much: at the speeds
+    # of a needle that is nothing, 0.1 rad/s make half a milliradian of it.
+    clock_error_s = 5e-3
+    # A joint at rest shows its encoder's step at times, and not in the learnt noise:
+    # three of an encoder on the link, which resolves 0.01 degrees.
+    coarse_step_rad = 5e-4
+    torque_ratio_per_s = 2.0  # of the effort limit, for lost samples
+    count = joints.shape[1]
+    of_torque = k - known.shape[1] + count
+    gate = known[GATE, k]
+    if of_torque >= 0:
+        return gate + torque_ratio_per_s * dt_s * effort_Nm[of_torque]
+    if k >= count:
+        return gate + MAX_ACCELERATION_RAD_S2 * dt_s
+    gate += abs(joints[VELOCITY, k]) * (dt_s + clock_error_s) + joints[SWEPT, k]
+    gate += MAX_ACCELERATION_RAD_S2 * dt_s * (dt_s + delay_s)
+    if step_s > 0.0:
+        own_step = abs(known[LAST, k] - known[BEFORE, k])
+        gate += coarse_step_rad if own_step == 0.0 else min(own_step, coarse_step_rad)
+    return gate
+
+
+@compiled
+def find_jumps(
+    has_jumped: WrittenVector,
+    signals: Vector,
+    reference: Vector,
+    known: Matrix,
+    joints: Matrix,
+    effort_Nm: Vector,
+    dt_s: float,
+    step_s: float,
+    delay_s: float,
+) -> bool:
+    """Find the signals that have changed further than an arm can move them.
+
+    Args:
+        has_jumped: Output: 1 for a signal that has, 0 for others, shape (size,).
+        signals: A sample: n positions [rad], velocities if there are any [rad/s],
+            torques [Nm].
+        reference: An earlier one.
+        known: See `LAST` and the others, shape (5, size).
+        joints: See `VELOCITY` and the others, shape (4, n).
+        effort_Nm: Effort limits, or what stands in for them, shape (n,).
+        dt_s: Time from the reference to the sample.
+        step_s: Time between the last two accepted samples; 0 before two.
+        delay_s: Age of the velocity.
+
+    Returns:
+        Whether there is one.
+    """
+    count = joints.shape[1]
+    is_any = False
+    for k in range(len(signals)):
+        gate = largest_change(k, known, joints, effort_Nm, dt_s, step_s, delay_s)
+        change = signals[k] - reference[k]
+        expected = joints[VELOCITY, k] * dt_s if k < count else 0.0
+        is_off = abs(change - expected) > gate
+        if step_s > 0.0:
+            # A fast arm goes on as it did: no single sample that is far off does.
+            course = (known[LAST, k] - known[BEFORE, k]) * (dt_s / step_s)
+            is_off = is_off and abs(change - course) > gate
+        has_jumped[k] = 1.0 if is_off else 0.0
+        is_any = is_any or is_off
+    return is_any
+
+
+@compiled_inside
+def rate_error(
+    signals: Vector,
+    known: Matrix,
+    joints: Matrix,
+    dt_s: float,
+    step_s: float,
+    compared_s: float,
 ) -> float:
     """Return how far velocities are from the rate of positions, beside their usual.
 
-    Velocities may be late: what counts is how far their deviation from the rate has
-    changed since the sample before, and at most how far they have changed themselves:
-    a position may have jumped.
-
-    Args:
-        sample: q [rad], dq [rad/s] and torque, shape (3, n).
-        before: The sample before, in one row, shape (3 n,).
-        deviation_before: Deviation of its velocity from the rate [rad/s], shape (n,).
-        usual_square: Usual square of a change of this deviation, shape (n,).
-        dt_s: Time between the two samples, > 0.
-        learned_s: Time over which that was learned.
-        found: Output, shape (3, n): the velocity that replaces dq, the deviation of dq
-            from the rate, and the usual square with that of this sample.
+    Velocities may be late: what counts is how far their deviation from the rate of
+    positions has changed since the last sample, and at most how far they have changed
+    themselves, since a position may have jumped. Arguments are those of `judge_step`.
 
     Returns:
-        The sum over the joints of the squared changes, in units of the usual ones.
+        The sum over the joints of the squared changes, in units of the usual ones; 0
+        until these are known, and after a gap.
     """
     jerk_rad_s2 = 0.2  # a change of acceleration beside the noise
-    acceleration_rad_s2 = 0.5  # of an arm that drives a needle
-    largest_ratio = 9.0  # of what is learned, so that one error teaches nothing
-    is_learning = learned_s < LEARNING_S
-    weight = min(dt_s / min(learned_s + dt_s, USUAL_DEVIATION_S), 1.0)
+    count = joints.shape[1]
     total = 0.0
-    joints = sample.shape[1]
-    for j in range(joints):
-        rate = (sample[0, j] - before[j]) / dt_s
-        deviation = sample[1, j] - rate
-        change = deviation - deviation_before[j]
-        own_change = sample[1, j] - before[joints + j]
-        square = change * change
-        smallest = min(square, own_change * own_change)
-        total += smallest / (usual_square[j] + (jerk_rad_s2 * dt_s) ** 2)
-        if not is_learning:
-            square = min(square, largest_ratio * usual_square[j])
-        # The velocity before and the rate now, by what either may be off.
-        square_held = (acceleration_rad_s2 * dt_s) ** 2
-        share = square_held / (square_held + 0.5 * usual_square[j])
-        found[0, j] = before[joints + j] + share * (rate - before[joints + j])
-        found[1, j] = deviation
-        found[2, j] = usual_square[j] + weight * (square - usual_square[j])
-    return 0.0 if is_learning else total
+    if compared_s < LEARNING_S or not (0.0 < dt_s <= MAX_HOLD_S and step_s > 0.0):
+        return total
+    for j in range(count):
+        rate = (signals[j] - known[LAST, j]) / dt_s
+        change = signals[count + j] - rate - joints[DEVIATION, j]
+        own_change = signals[count + j] - known[LAST, count + j]
+        smallest = min(change * change, own_change * own_change)
+        total += smallest / (joints[USUAL, j] + (jerk_rad_s2 * dt_s) ** 2)
+    return total
+
+
+@compiled_inside
+def is_stuck(repeated_s: float, limit_s: float, step_s: float) -> bool:
+    """Return whether signals that have repeated for a time are to be rejected.
+
+    The limit is that of `judge_step`, the step the time between two samples.
+    """
+    min_repeats = 8  # whatever the clock
+    is_long = repeated_s >= max(limit_s, min_repeats * step_s)
+    return is_long and repeated_s < limit_s + MAX_REFUSAL_S
+
+
+@compiled
+def judge_step(
+    has_jumped: WrittenVector,
+    signals: Vector,
+    known: Matrix,
+    joints: Matrix,
+    limits_Nm: Matrix,
+    stuck_s: Vector,
+    dt_s: float,
+    step_s: float,
+    compared_s: float,
+    delay_s: float,
+    is_learnt: bool,
+) -> int:
+    """Return what is wrong with a sample, a sum of the bits from `INVALID` on.
+
+    Args:
+        has_jumped: As of `find_jumps`, like the next three.
+        signals: The sample.
+        known: See there.
+        joints: See there.
+        limits_Nm: Effort limits, infinite where they are not known, and below them what
+            stands in, shape (2, n).
+        stuck_s: Times of repeats from which motion and torques are stuck, shape (2,);
+            infinite where a repeat means nothing.
+        dt_s: Time since the last accepted sample.
+        step_s: As of `find_jumps`.
+        compared_s: Time for which velocities have been compared with positions.
+        delay_s: As of `find_jumps`.
+        is_learnt: Whether the noise is known.
+    """
+    max_squares = 64.0  # noise of seven joints reaches 60 once in 1e9 samples
+    first_torque = len(signals) - joints.shape[1]
+    found = 0
+    squares = 0.0
+    repeated_s = np.full(2, math.inf)
+    for k in range(len(signals)):
+        squares += signals[k] * signals[k]
+        own_s = known[STILL, k] + dt_s if signals[k] == known[LAST, k] else 0.0
+        group = int(k >= first_torque)
+        repeated_s[group] = min(repeated_s[group], own_s)
+    if not squares < MAX_PLAUSIBLE**2:  # written so that a NaN fails, too
+        return INVALID
+    for j in range(joints.shape[1]):
+        if abs(signals[first_torque + j]) >= SATURATED_RATIO * limits_Nm[0, j]:
+            found |= SATURATED
+    for group in range(2):
+        if is_stuck(repeated_s[group], stuck_s[group], step_s):
+            found |= FROZEN_TORQUE if group else FROZEN_MOTION
+    error = rate_error(signals, known, joints, dt_s, step_s, compared_s)
+    found |= NO_RATE * int(error > max_squares)
+    if is_learnt:
+        last = known[LAST]
+        effort_Nm = limits_Nm[1]
+        found |= JUMPED * int(
+            find_jumps(
+                has_jumped,
+                signals,
+                last,
+                known,
+                joints,
+                effort_Nm,
+                dt_s,
+                step_s,
+                delay_s,
+            )
+        )
+    return found
+
+
+@compiled_inside
+def compare_rate(
+    signals: Vector,
+    known: Matrix,
+    joints: WrittenMatrix,
+    dt_s: float,
+    step_s: float,
+    compared_s: float,
+) -> None:
+    """Remember how velocities deviate from the rate of positions.
+
+    Arguments are those of `judge_step`.
+    """
+    usual_deviation_s = 2.0
+    largest_ratio = 9.0  # of what is learned, so that one error teaches nothing
+    count = joints.shape[1]
+    if not (step_s > 0.0 and 0.0 < dt_s <= MAX_HOLD_S):
+        joints[DEVIATION, :] = 0.0
+        return
+    weight = min(dt_s / min(compared_s + dt_s, usual_deviation_s), 1.0)
+    for j in range(count):
+        deviation = signals[count + j] - (signals[j] - known[LAST, j]) / dt_s
+        square = (deviation - joints[DEVIATION, j]) ** 2
+        if compared_s >= LEARNING_S:
+            square = min(square, largest_ratio * joints[USUAL, j])
+        joints[USUAL, j] += weight * (square - joints[USUAL, j])
+        joints[DEVIATION, j] = deviation
+
+
+@compiled
+def accept_step(
+    signals: Vector,
+    velocity: Vector,
+    known: WrittenMatrix,
+    joints: WrittenMatrix,
+    dt_s: float,
+    step_s: float,
+    compared_s: float,
+) -> float:
+    """Remember an accepted sample; arguments are those of `judge_step`.
+
+    Args:
+        signals: See there.
+        velocity: Its joint velocity, measured or estimated [rad/s], shape (n,).
+        known: See there; written, like the next one.
+        joints: See there.
+        dt_s: See there.
+        step_s: See there.
+        compared_s: See there.
+
+    Returns:
+        The longest time for which a torque has repeated, or all positions have.
+    """
+    # Change of an estimated velocity that positions do not show while they repeat. Far
+    # less than what a single step may be off by: an arm at rest repeats its positions
+    # for ever.
+    held_acceleration_rad_s2 = 4.0
+    count = joints.shape[1]
+    first_torque = len(signals) - count
+    has_velocity = first_torque > count
+    if has_velocity:
+        compare_rate(signals, known, joints, dt_s, step_s, compared_s)
+    for k in range(len(signals)):
+        is_repeated = signals[k] == known[LAST, k]
+        known[STILL, k] = known[STILL, k] + dt_s if is_repeated else 0.0
+        known[BEFORE, k] = known[LAST, k]
+        known[LAST, k] = signals[k]
+    held_s = known[STILL, :count].min()
+    # A source of positions that is slower than the clock makes up for it in one step.
+    # It fades, so that noise of the velocity does not add up while an arm rests.
+    fading = max(1.0 - dt_s / MAX_USUAL_S, 0.0)
+    unseen_rad_s = held_acceleration_rad_s2 * min(held_s, MAX_USUAL_S)
+    for j in range(count):
+        joints[VELOCITY, j] = velocity[j]
+        speed = abs(velocity[j]) + (0.0 if has_velocity else unseen_rad_s)
+        swept = joints[SWEPT, j] * fading + speed * dt_s
+        joints[SWEPT, j] = swept if held_s > 0.0 else 0.0
+    return max(known[STILL, first_torque:].max(), held_s)
 
 
 def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
@@ -217,14 +392,16 @@ def is_contact(jacobian: Array, jump: Array, scale: Array) -> bool:
         jump: Of the torques [Nm], shape (n,).
         scale: Jump that each joint may make without a reason [Nm], shape (n,).
     """
+    # A rupture is newtons, a contact tens.
+    max_force_N = 100.0
+    # A spike of one joint leaves most of itself.
+    max_unexplained_ratio = 0.35
     rows = jacobian.T / scale[:, None]
     scaled_jump = jump / scale
     force = np.linalg.lstsq(rows, scaled_jump, rcond=None)[0]
-    remaining = scaled_jump - rows.dot(force)
-    is_explained = remaining.dot(remaining) <= (
-        MAX_UNEXPLAINED_RATIO**2 * scaled_jump.dot(scaled_jump)
-    )
-    return bool(is_explained and force.dot(force) <= MAX_FORCE_STEP_N**2)
+    remaining = np.linalg.norm(scaled_jump - rows.dot(force))
+    is_explained = remaining <= max_unexplained_ratio * np.linalg.norm(scaled_jump)
+    return bool(is_explained and np.linalg.norm(force) <= max_force_N)
 
 
 @dataclass(slots=True, kw_only=True, eq=False)
@@ -232,83 +409,41 @@ class GuardState:
     """State of a `FaultDetector`.
 
     Attributes:
-        last: Last accepted sample: position, velocity if there is one, torque; shape (2
-            n,) or (3 n,); zeros before the first.
-        before: The accepted sample before it.
-        velocity: Velocity that belongs to the last one [rad/s], shape (n,).
-        alone: Of the check for single torques that repeat.
-        noise: Learnt noise of the same signals; None until learnt.
+        known: See `LAST` and the others, shape (5, 2 n) or (5, 3 n).
+        joints: See `VELOCITY` and the others, shape (4, n).
+        stuck_s: As of `judge_step`; infinite until the noise is learnt.
+        alone_s: Times of repeats from which a single torque is reported, shape (n,).
         probe: Samples of which the noise is learnt; None once it is.
-        rejected: Last sample held back as a spike, or None.
         step_s: Time between the last two accepted samples; 0 before two.
-        missed_s: Time since the last accepted sample.
-        stayed_s: Time for which samples held back agree with each other.
-        motion: Of the check for positions and velocities that repeat.
-        torque: Of the check for torques that repeat.
-        age_s: Time since each torque was checked; it begins half an interval late, so
-            that the checks do not fall into the ticks in which the bias is renewed.
-        is_loaded: Whether a torque was near its limit at that check.
-        warning: Which signals seemed frozen at that check.
-        question: Which signals may be missing: they have not changed for long.
-        held_s: Time for which positions have repeated now.
-        swept: Travel that they may lag by meanwhile [rad], shape (n,); None if they do
-            not repeat.
-        deviation: Of the last velocity from the rate of positions [rad/s], shape (n,).
-        usual_square: Usual square of a change of it, shape (n,).
-        compared_s: Time over which that was learned.
-        replaced_s: Time for which velocities are replaced now.
-        replaced: Number of samples whose velocity was replaced.
+        missed_s: Time for which samples have been held back for a jump.
+        stayed_s: Time for which these agree with each other.
+        compared_s: Time for which velocities have been compared with positions.
+        still_s: Longest time for which a torque has repeated, or all positions have.
     """
 
-    last: Array
-    before: Array
-    velocity: Array
-    alone: SingleSignalDetector
-    noise: Array | None = None
-    probe: NoiseProbe | None = None
-    rejected: Array | None = None
+    known: Array
+    joints: Array
+    stuck_s: Array
+    alone_s: Array
+    probe: NoiseProbe | None
     step_s: float = 0.0
     missed_s: float = 0.0
     stayed_s: float = 0.0
-    motion: StuckSignalDetector = field(default_factory=StuckSignalDetector)
-    torque: StuckSignalDetector = field(default_factory=StuckSignalDetector)
-    age_s: float = 0.5 * CHECK_S
-    is_loaded: bool = False
-    warning: str = ""
-    question: str = ""
-    held_s: float = 0.0
-    swept: Array | None = None
-    deviation: Array
-    usual_square: Array
     compared_s: float = 0.0
-    replaced_s: float = 0.0
-    replaced: int = 0
-
-    def find_damage(self) -> str:
-        """Return which array has not the shape of a sample, "" if all have it."""
-        for name in ("noise", "rejected"):
-            signals = getattr(self, name)
-            if signals is not None and signals.shape != self.last.shape:
-                return f"{name} has shape {signals.shape}, expected {self.last.shape}"
-        if self.swept is not None and self.swept.shape != self.velocity.shape:
-            return f"swept has shape {self.swept.shape}"
-        return ""
+    still_s: float = 0.0
 
 
 class FaultDetector:
     """Judges the samples of one stream before anything uses them.
 
-    A sample is one array of finite positions [rad], velocities [rad/s] if there are
-    any, and torques [Nm], one after the other, shape (2 n,) or (3 n,).
-
     Args:
         robot: Gives the effort limits.
         tool: What forces act on.
         velocity_delay_s: Age of the velocity that `accept` gets.
-        has_velocity: Whether samples carry a velocity.
+        names: Of the signals of a sample: position, velocity if there is one, torque.
 
     Attributes:
-        memory: Its state.
+        memory: Its state; one of the same robot and signals may replace it.
     """
 
     def __init__(
@@ -316,355 +451,252 @@ class FaultDetector:
         robot: Robot,
         tool: ToolKinematics,
         velocity_delay_s: float,
-        *,
-        has_velocity: bool,
+        names: tuple[str, ...],
     ) -> None:
-        self._joints = robot.nv
-        self._has_velocity = has_velocity
+        self._names = names
         self._delay_s = velocity_delay_s
-        # Infinite, or those of a large arm, where the description gives none.
-        self._limit_Nm = known_limits(robot.effort_limit_Nm, np.inf)
-        self._effort_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
+        limits = (
+            known_limits(robot.effort_limit_Nm, instead)
+            for instead in (np.inf, UNKNOWN_EFFORT_NM)
+        )
+        self._limits_Nm = np.stack(list(limits))
         self._tool = tool
-        size = (3 if has_velocity else 2) * robot.nv
-        self.restore(
-            GuardState(
-                last=np.zeros(size),
-                before=np.zeros(size),
-                velocity=np.zeros(robot.nv),
-                deviation=np.zeros(robot.nv),
-                usual_square=np.zeros(robot.nv),
-                alone=SingleSignalDetector.of_size(robot.nv),
-                probe=NoiseProbe.of_size(size),
-            )
+        size = len(names) * robot.nv
+        self._has_jumped = np.zeros(size)
+        self.memory = GuardState(
+            known=np.zeros((SIGNAL_ROWS, size)),
+            joints=np.zeros((JOINT_ROWS, robot.nv)),
+            stuck_s=np.full(2, np.inf),
+            alone_s=np.full(robot.nv, np.inf),
+            probe=NoiseProbe.of_size(size),
         )
 
-    def _set_gates(self, noise: Array) -> None:
-        """Set the largest plausible jumps within no time, for signals with a noise.
-
-        The noise has the shape of a sample.
-        """
-        n = self._joints
-        # The difference of two samples has sqrt(2) times the noise of one.
-        self._gates = SIGMAS * np.sqrt(2.0) * noise
-        self._gates[:n] += MIN_POSITION_STEP_RAD
-        self._gates[-n:] += np.maximum(
-            TORQUE_RATIO * self._effort_Nm, MIN_TORQUE_STEP_NM
-        )
-        sure_gates = self._gates.copy()
-        if self._has_velocity:
-            sure_gates[n:-n] += MAX_ACCELERATION_RAD_S2 * SURE_STEP_S
-        # A weighted difference that is smaller than the narrowest gate is within all.
-        self._narrowest_gate = float(sure_gates.min())
-        self._weights = self._narrowest_gate / sure_gates
-
-    def correct_velocity(self, sample: Array, dt_s: float) -> None:
-        """Replace velocities of a sample that cannot be the rate of q by an estimate.
+    def check(self, rows: Array, dt_s: float) -> bool:
+        """Judge a sample, of any numbers; it is compared with the last accepted one.
 
         Args:
-            sample: q, dq and torque, shape (3, n), written in place.
+            rows: Position [rad], velocity if there is one [rad/s] and torque [Nm],
+                shape (2 or 3, n).
             dt_s: Time since the last accepted sample.
-        """
-        memory = self.memory
-        self._is_replaced = False
-        self._is_compared = memory.step_s > 0.0 and 0.0 < dt_s <= MAX_HOLD_S
-        if not self._is_compared:
-            return
-        total = velocity_error(
-            sample,
-            memory.last,
-            memory.deviation,
-            memory.usual_square,
-            dt_s,
-            memory.compared_s,
-            self._found,
-        )
-        # Noise of seven joints reaches 60 once in 1e9 samples.
-        max_squares = 64.0
-        is_wrong = total > max_squares and memory.replaced_s + dt_s <= MAX_HOLD_S
-        if is_wrong and math.hypot(*sample[1].tolist()) < MAX_PLAUSIBLE:
-            sample[1] = self._found[0]
-            self._is_replaced = True
-
-    def surely_passes(self, signals: Array) -> bool:
-        """Return whether a sample, of any numbers, needs no check, as nearly all."""
-        self._repeats = NO_REPEATS
-        memory = self.memory
-        distance = fresh_distance(signals, memory.last, self._weights, self._joints)
-        return distance < self._narrowest_gate and not memory.is_loaded
-
-    def check(self, signals: Array, dt_s: float) -> bool:
-        """Judge a sample; it is compared with the last one that `accept` was given.
 
         Returns:
             Whether its position has jumped and is accepted only because it stayed where
             it is.
 
         Raises:
-            SampleError: For a spike, frozen signals or a saturated torque.
+            SampleError: For numbers that are not finite, or, with a warning, for a
+                spike, frozen signals or a saturated torque.
         """
-        if self.memory.is_loaded:
-            self._check_saturated(signals)
-        repeats = self._find_repeats(signals)
-        self._repeats = repeats
-        if repeats is not NO_REPEATS:
-            self._check_frozen(repeats, dt_s)
-        return self.memory.noise is not None and self._check_jump(signals, dt_s)
-
-    def _find_repeats(self, signals: Array) -> Repeats:
-        n = self._joints
-        difference = signals - self.memory.last
-        if difference.item(0) != 0.0 and difference.item(-1) != 0.0:
-            return NO_REPEATS
-        position_repeats = not difference[:n].any()
-        return Repeats(
-            position=position_repeats,
-            motion=position_repeats and not difference[n:-n].any(),
-            torque=not difference[-n:].any(),
-        )
-
-    def _check_frozen(self, repeats: Repeats, dt_s: float) -> None:
         memory = self.memory
-        frozen = []
-        if repeats.motion and memory.motion.is_stuck(dt_s):
-            frozen.append("position")
-        if repeats.torque and memory.torque.is_stuck(dt_s):
-            frozen.append("torque")
-        if frozen:
+        signals = rows.ravel()
+        found = judge_step(
+            self._has_jumped,
+            signals,
+            memory.known,
+            memory.joints,
+            self._limits_Nm,
+            memory.stuck_s,
+            dt_s,
+            memory.step_s,
+            memory.compared_s,
+            self._delay_s,
+            memory.probe is None,
+        )
+        if not found:  # as nearly always
+            return False
+        if found == INVALID:
+            check_rows(self._names, rows)
+        self._refuse(found, rows[-1])
+        return bool(found & JUMPED) and self._hold_jump(rows, dt_s)
+
+    def _refuse(self, found: int, torque_Nm: Array) -> None:
+        """Raise the error of bits of `judge_step` that no time makes good."""
+        if found & SATURATED:
+            ratios = np.abs(torque_Nm) / self._limits_Nm[0]
+            clipped = np.flatnonzero(ratios >= SATURATED_RATIO)
             raise SampleError(
-                f"{' and '.join(frozen)} of all joints repeat bit for bit although "
-                "they are noisy",
+                f"tau is at the effort limit at {named_joints(clipped)}: the true one "
+                "may be more",
+                "Unload the arm, or correct the effort limits in the robot's "
+                "description, or the unit of tau.",
+                SensorWarning.SATURATED,
+            )
+        if found & (FROZEN_MOTION | FROZEN_TORQUE):
+            motion = "position" if found & FROZEN_MOTION else ""
+            torque = "torque" if found & FROZEN_TORQUE else ""
+            raise SampleError(
+                f"{' and '.join(filter(None, (motion, torque)))} of all joints repeat "
+                "bit for bit although they are noisy",
                 "Check the sensors and the connection to the robot.",
                 SensorWarning.FROZEN,
             )
-
-    def accept(self, signals: Array, velocity: Array, dt_s: float) -> None:
-        """Remember the sample that was last checked, which has been used.
-
-        Args:
-            signals: The sample; it is kept, not copied, like the velocity.
-            velocity: Its joint velocity, measured or estimated [rad/s], shape (n,).
-            dt_s: Time since the one before; 0 for the first sample.
-        """
-        memory = self.memory
-        memory.before = memory.last
-        memory.step_s = dt_s
-        memory.last = signals
-        memory.velocity = velocity
-        if self._has_velocity:
-            self._compare_velocity(dt_s)
-        self._follow_repeats(velocity, dt_s)
-        if memory.missed_s:
-            memory.rejected = None
-            memory.missed_s = 0.0
-            memory.stayed_s = 0.0
-        if memory.probe is not None:
-            samples = memory.probe.add(signals, dt_s)
-            if samples is not None:
-                self._learn(samples)
-        memory.age_s += dt_s
-        if memory.age_s >= CHECK_S - ROUNDING_S:
-            self._check_each_torque()
-
-    def _compare_velocity(self, dt_s: float) -> None:
-        """Remember how the velocity of an accepted sample deviates from the rate."""
-        memory = self.memory
-        if not self._is_compared:
-            memory.deviation[:] = 0.0
-            return
-        memory.usual_square[:] = self._found[2]
-        memory.compared_s += dt_s
-        if self._is_replaced:
-            memory.replaced += 1
-            memory.replaced_s += dt_s
-        else:
-            memory.deviation[:] = self._found[1]
-            memory.replaced_s = 0.0
-
-    def _follow_repeats(self, velocity: Array, dt_s: float) -> None:
-        """Count for how long signals have repeated; arguments of `accept`."""
-        memory = self.memory
-        repeats = self._repeats
-        if repeats.position:
-            memory.held_s += dt_s
-            memory.swept = self._swept_travel(velocity, dt_s)
-        elif memory.held_s:
-            memory.held_s = 0.0
-            memory.swept = None
-        is_learning = memory.probe is not None
-        if repeats.motion or memory.motion.repeats:
-            memory.motion.accept(repeats.motion, dt_s, learning=is_learning)
-        if repeats.torque or memory.torque.repeats:
-            memory.torque.accept(repeats.torque, dt_s, learning=is_learning)
-
-    def _swept_travel(self, velocity: Array, dt_s: float) -> Array:
-        """Return the travel that repeating positions may lag by now [rad], shape (n,).
-
-        A source of positions that is slower than the clock makes up for it in one step.
-        """
-        memory = self.memory
-        speed = np.abs(velocity)
-        if not self._has_velocity:
-            speed = speed + HELD_ACCELERATION_RAD_S2 * min(memory.held_s, MAX_USUAL_S)
-        if memory.swept is None:
-            return speed * dt_s
-        # It fades, so that noise of the velocity does not add up while an arm rests.
-        fading = max(1.0 - dt_s / MAX_USUAL_S, 0.0)
-        return memory.swept * fading + speed * dt_s
-
-    def _learn(self, rows: Array) -> None:
-        """Learn noise and resolution of the first half second, shape (m, size)."""
-        n = self._joints
-        memory = self.memory
-        # Each signal by its own clock: what mostly repeats would seem to have no noise.
-        signals = np.split(rows, rows.shape[1] // n, axis=1)
-        memory.noise = np.concatenate(
-            [white_noise(drop_repeats(signal)) for signal in signals]
-        )
-        memory.probe = None
-        self._set_gates(memory.noise)
-        is_informative = is_noise_resolved(rows[:, -n:])
-        memory.torque.is_informative = bool(is_informative.all())
-        memory.alone.learn(is_informative, memory.torque.usual_s)
-        # Encoders may be too coarse for noise where velocities are not.
-        is_motion_informative = is_noise_resolved(rows[:, :-n]).reshape(-1, n)
-        memory.motion.is_informative = bool(is_motion_informative.any(axis=0).all())
-
-    def _check_each_torque(self) -> None:
-        """Check whether a torque repeats by itself, or is near its limit."""
-        memory = self.memory
-        torque = memory.last[-self._joints :]
-        stuck_joints = memory.alone.check(torque, memory.age_s)
-        memory.is_loaded = bool((np.abs(torque) >= LOADED_RATIO * self._limit_Nm).any())
-        memory.age_s = 0.0
-        memory.warning = ""
-        memory.question = ""
-        if stuck_joints and not memory.torque.repeats:
-            joints = named_joints(stuck_joints)
-            memory.warning = f"tau at {joints} repeats bit for bit: check its sensor"
-        elif memory.torque.seems_stuck or memory.motion.seems_stuck:
-            memory.warning = (
-                "all joints still repeat bit for bit; no longer held back, the arm may "
-                "rest"
-            )
-        elif memory.alone.longest_s >= STILL_S:
-            memory.question = self._stale_question()
-
-    def _stale_question(self) -> str:
-        """Return the question whether signals that have not changed are missing."""
-        memory = self.memory
-        still_joints = np.flatnonzero(memory.alone.still_s >= STILL_S)
-        is_all = memory.held_s >= STILL_S and len(still_joints) == self._joints
-        subject = (
-            "neither q nor tau has"
-            if is_all
-            else f"tau at {named_joints(still_joints)} has not"
-        )
-        return f"{subject} changed for a second: is it stale?"
-
-    def _check_saturated(self, signals: Array) -> None:
-        load = np.abs(signals[-self._joints :]) / self._limit_Nm
-        clipped = np.flatnonzero(load >= SATURATED_RATIO)
-        if clipped.size:
-            reason = (
-                "it seems to be in mNm"
-                if load.max() > MAX_LOAD_RATIO
-                else "the true one may be more"
-            )
+        if found & NO_RATE:
             raise SampleError(
-                f"tau is at the effort limit at {named_joints(clipped)}: {reason}",
-                "Unload the arm, or correct the effort limits in the robot's "
-                "description.",
-                SensorWarning.SATURATED,
+                "dq is not the rate of q for a moment",
+                "Skip the sample; if it recurs, check the robot's velocities.",
+                SensorWarning.SPIKE,
             )
 
-    def _check_jump(self, signals: Array, dt_s: float) -> bool:
+    def _hold_jump(self, rows: Array, dt_s: float) -> bool:
         """Reject a sample that has jumped; arguments, result and error of `check`."""
-        self._check_saturated(signals)
+        stayed_s = 5e-3  # what has stayed for so long is accepted: it is elsewhere now
         memory = self.memory
-        has_jumped = self._find_jumps(signals, memory.last, dt_s)
-        if not has_jumped.any():
-            return False
+        signals = rows.ravel()
+        has_jumped = self._has_jumped.reshape(rows.shape) > 0.0
         has_moved = bool(has_jumped[0].any())
+        if self._is_contact(has_jumped, rows, memory.known[LAST]):
+            return False
         if dt_s > MAX_HOLD_S:
             return has_moved and memory.missed_s > 0.0
         since_s = dt_s - memory.missed_s
-        agrees = (
-            memory.rejected is not None
-            and not self._find_jumps(signals, memory.rejected, since_s).any()
-        )
+        agrees = False
+        if memory.missed_s > 0.0:
+            held = memory.known[HELD]
+            again = np.zeros_like(signals)
+            is_elsewhere = find_jumps(
+                again,
+                signals,
+                held,
+                memory.known,
+                memory.joints,
+                self._limits_Nm[1],
+                since_s,
+                memory.step_s,
+                self._delay_s,
+            )
+            jumped_again = again.reshape(rows.shape) > 0.0
+            agrees = not is_elsewhere or self._is_contact(jumped_again, rows, held)
         memory.stayed_s = memory.stayed_s + since_s if agrees else 0.0
         memory.missed_s = dt_s
-        memory.rejected = signals
-        if memory.stayed_s >= STAYED_S - ROUNDING_S:
+        memory.known[HELD] = signals
+        if memory.stayed_s >= stayed_s - ROUNDING_S:
             return has_moved
         joints = named_joints(np.flatnonzero(has_jumped.any(axis=0)))
         raise SampleError(
             f"a signal jumped further than an arm can at {joints}; held back unless it "
-            f"stays for {STAYED_S:g} s",
+            f"stays for {stayed_s:g} s",
             "Skip the sample; if it recurs, check the cables and the sensor.",
             SensorWarning.SPIKE,
         )
 
-    def _find_jumps(
-        self, signals: Array, reference: Array, dt_s: float
-    ) -> NDArray[np.bool_]:
-        """Return which signals have jumped further than an arm or a contact can.
-
-        The reference is a sample a time ``dt_s`` before. Shape (2 or 3, n): positions,
-        velocities if there are any, torques.
-        """
-        n = self._joints
-        memory = self.memory
-        change = signals - reference
-        gates = self._gates_after(dt_s)
-        deviation = change.copy()
-        deviation[:n] -= memory.velocity * dt_s
-        has_jumped = np.abs(deviation) > gates
-        if has_jumped.any() and memory.step_s > 0.0:
-            # A fast arm goes on as it did: no single sample that is far off does.
-            course = (memory.last - memory.before) * (dt_s / memory.step_s)
-            has_jumped &= np.abs(change - course) > gates
-        has_jumped = has_jumped.reshape(-1, n)
-        if has_jumped[-1].any() and not has_jumped[:-1].any():
-            self._tool.update(signals[:n])
-            if is_contact(self._tool.jacobian[:3], change[-n:], self._gates[-n:]):
-                has_jumped[-1] = False
-        return has_jumped
-
-    def _gates_after(self, dt_s: float) -> Array:
-        """Return the largest plausible jumps within a time, shape of a sample."""
-        n = self._joints
-        memory = self.memory
-        gates = self._gates.copy()
-        # A tick too: a sample that comes twice is no spike.
-        gates[:n] += np.abs(memory.velocity) * (dt_s + CLOCK_ERROR_S)
-        # Positions are predicted with a velocity that is late.
-        gates[:n] += MAX_ACCELERATION_RAD_S2 * dt_s * (dt_s + self._delay_s)
-        if memory.swept is not None:
-            gates[:n] += memory.swept
-        if memory.step_s > 0.0:
-            # A joint at rest shows its encoder's step at times, and not in the learnt
-            # noise.
-            step = np.abs(memory.last[:n] - memory.before[:n])
-            gates[:n] += np.where(
-                step == 0.0, COARSE_STEP_RAD, np.minimum(step, COARSE_STEP_RAD)
-            )
-        if self._has_velocity:
-            gates[n:-n] += MAX_ACCELERATION_RAD_S2 * dt_s
-        gates[-n:] += TORQUE_RATIO_PER_S * dt_s * self._effort_Nm
-        return gates
-
-    def restore(self, memory: GuardState) -> None:
-        """Go on from the `memory` of a detector of the same robot and signals.
-
-        It is not copied.
-        """
-        self.memory = memory
-        self._set_gates(
-            np.zeros_like(memory.last) if memory.noise is None else memory.noise
+    def _is_contact(
+        self, has_jumped: NDArray[np.bool_], rows: Array, reference: Array
+    ) -> bool:
+        """Return whether only torques have jumped, and as by a force on the tool."""
+        if has_jumped[:-1].any():
+            return False
+        joints = rows.shape[1]
+        self._tool.update(rows[0])
+        return is_contact(
+            self._tool.jacobian[:3],
+            rows[-1] - reference[-joints:],
+            self.memory.known[GATE, -joints:],
         )
-        self._repeats = NO_REPEATS
-        self._found = np.zeros((3, self._joints))
-        self._is_compared = False
-        self._is_replaced = False
+
+    def accept(self, rows: Array, velocity: Array, dt_s: float) -> None:
+        """Remember the sample that was last checked, which has been used.
+
+        Args:
+            rows: The sample, as of `check`.
+            velocity: Its joint velocity, measured or estimated [rad/s], shape (n,).
+            dt_s: Time since the one before; 0 for the first sample.
+        """
+        memory = self.memory
+        signals = rows.ravel()
+        memory.still_s = accept_step(
+            signals,
+            velocity,
+            memory.known,
+            memory.joints,
+            dt_s,
+            memory.step_s,
+            memory.compared_s,
+        )
+        if len(self._names) > 2 and memory.step_s > 0.0 and dt_s <= MAX_HOLD_S:
+            memory.compared_s += dt_s
+        memory.step_s = dt_s
+        memory.missed_s = 0.0
+        memory.stayed_s = 0.0
+        if memory.probe is not None:
+            samples = memory.probe.add(signals, dt_s)
+            if samples is not None:
+                self._learn(samples, LEARNING_S - memory.probe.left_s)
+
+    def _learn(self, samples: Array, seconds: float) -> None:
+        """Learn noise and resolution of the first samples, shape (m, size).
+
+        They took so many seconds.
+        """
+        sigmas = 12.0  # a jump within so many deviations of the noise is noise
+        min_position_step_rad = 1e-4
+        # A torque may step by this fraction of the effort limit for no reason. On the
+        # LWR that is 3.5 Nm at the shoulder, 5 N at 0.65 m, and 0.8 Nm at the wrist;
+        # what a force on the tool explains may step by more, see `is_contact`.
+        torque_ratio = 0.02
+        # The gears of a moving wrist of 12 Nm make as much in a millisecond.
+        min_torque_step_Nm = 0.7
+        min_stuck_s = 0.02
+        # A source counts as stuck when it repeats so many times longer than it ever did
+        # while its noise was learnt.
+        stuck_ratio = 20.0
+        memory = self.memory
+        joints = memory.joints.shape[1]
+        # Each signal by its own clock: what mostly repeats would seem to have no noise.
+        parts = np.split(samples, len(self._names), axis=1)
+        noise = np.concatenate([white_noise(part[find_new(part)]) for part in parts])
+        # The difference of two samples has sqrt(2) times the noise of one.
+        gates = sigmas * math.sqrt(2.0) * noise
+        gates[:joints] += min_position_step_rad
+        gates[-joints:] += np.maximum(
+            torque_ratio * self._limits_Nm[1], min_torque_step_Nm
+        )
+        memory.known[GATE] = gates
+        memory.probe = None
+        period_s = seconds / len(samples)
+        usual_s = [
+            min(longest_repeat(part) * period_s, MAX_USUAL_S)
+            for part in (samples[:, :-joints], samples[:, -joints:])
+        ]
+        has_noise = is_noise_resolved(samples[:, -joints:])
+        # Encoders may be too coarse for noise where velocities are not.
+        motion_has_noise = is_noise_resolved(samples[:, :-joints]).reshape(-1, joints)
+        is_informative = [motion_has_noise.any(axis=0).all(), has_noise.all()]
+        limit_s = np.maximum(min_stuck_s, stuck_ratio * np.array(usual_s))
+        memory.stuck_s = np.where(is_informative, limit_s, np.inf)
+        alone_s = max(MIN_ALONE_S, stuck_ratio * usual_s[1])
+        memory.alone_s = np.where(has_noise, alone_s, np.inf)
+
+    @property
+    def seems_stale(self) -> bool:
+        """Whether signals have not changed for a while: see the next two."""
+        return self.memory.still_s >= MIN_ALONE_S
+
+    @property
+    def warning(self) -> str:
+        """Which accepted signals seem frozen, in words; empty if none."""
+        memory = self.memory
+        joints = memory.joints.shape[1]
+        still_s = memory.known[STILL]
+        stuck = np.flatnonzero(still_s[-joints:] >= memory.alone_s)
+        if stuck.size:
+            return f"tau at {named_joints(stuck)} repeats bit for bit: check its sensor"
+        if still_s[:-joints].min() > memory.stuck_s[0]:
+            return "q and dq of all joints still repeat bit for bit: does the arm rest?"
+        return ""
+
+    @property
+    def question(self) -> str:
+        """Which torques may be missing, as they do not change; empty if none."""
+        joints = self.memory.joints.shape[1]
+        still = np.flatnonzero(self.memory.known[STILL, -joints:] >= 1.0)
+        if not still.size:
+            return ""
+        return (
+            f"tau at {named_joints(still)} has not changed for a second: is it stale?"
+        )
+
+
+def longest_repeat(rows: Array) -> int:
+    """Return how many rows in a row repeat the one before, at most, of (m, size)."""
+    ends = np.append(np.flatnonzero(find_new(rows)), len(rows))
+    return int(np.diff(ends).max()) - 1

@@ -163,42 +163,28 @@ def test_rests_and_reversals_are_no_ruptures():
     assert_both_found(*run(insertion([*inwards, *back_and_on], seed=5)), within=0.3)
 
 
-def test_a_gap_in_time_is_no_rupture():
-    rows = straight(9)
-    identifier, _ = run(rows[:2500])
-    first = identifier.update(*rows[3200]._replace(dt_s=0.701))
-    _, estimates = run(rows[3201:4000], identifier)
-
-    assert first.status is SampleStatus.TIME_GAP
-    assert values_of(estimates, "rupture") == []
-
-
 @pytest.mark.parametrize(("gap_s", "is_gap"), [(0.25, True), (1.0, False)])
-def test_what_counts_as_a_gap_is_a_setting(gap_s, is_gap):
+def test_a_gap_in_time_is_no_rupture_and_how_long_it_is_a_setting(gap_s, is_gap):
     rows = straight(9)
     config = MixtureConfig(check=CheckConfig(gap_s=gap_s))
-    identifier, _ = run(rows[:2500], Identifier(config))
-    estimate = identifier.update(*rows[3000]._replace(dt_s=0.5))
+    gap = rows[3200]._replace(dt_s=0.701)
+    _, estimates = run([*rows[:2500], gap, *rows[3201:4000]], Identifier(config))
+    status = SampleStatus.TIME_GAP if is_gap else SampleStatus.OK
 
-    assert estimate.status is (SampleStatus.TIME_GAP if is_gap else SampleStatus.OK)
+    assert estimates[2500].status is status
+    if is_gap:
+        assert values_of(estimates, "rupture") == []
 
 
-@pytest.fixture(scope="module")
-def withdrawal():
-    """Rows and estimates of a needle drawn out through both layers, and layers."""
+def test_withdrawal_meets_friction_only_and_ends_in_free_air():
     rows = insertion([(40e-3, 10.0), (-44e-3, 8.0)], seed=6)
     identifier, estimates = run(rows)
     pairs = zip(estimates, rows, strict=True)
     outwards = [pair for pair in pairs if pair[1].speed_m_s < 0.0][1000:]
-    return outwards, identifier.layers
-
-
-def test_withdrawal_meets_friction_only_and_ends_in_free_air(withdrawal):
-    outwards, layers = withdrawal
     estimates = [estimate for estimate, _ in outwards]
     errors_N = [row.force_N - estimate.predicted_force_N for estimate, row in outwards]
 
-    assert [layer.is_final for layer in layers] == [True, True]
+    assert [layer.is_final for layer in identifier.layers] == [True, True]
     assert values_of(estimates, "rupture") == []
     assert {estimate.tip_force_N for estimate in estimates[:3000]} == {0.0}
     assert rms(errors_N) < 0.1

@@ -1,16 +1,12 @@
 """Stopping and resuming is bit-equal; what became of a file in between is noticed."""
 
 import copy
-import hashlib
 from dataclasses import replace
 
-import msgspec
 import numpy as np
 import pytest
-from hypothesis import HealthCheck, given, settings
-from hypothesis import strategies as st
 
-from foundation.state import MAX_FILE_BYTES, STATE_VERSION
+from foundation.state import MAX_FILE_BYTES
 from identification import MIXTURE, PUBLISHED, RuptureState
 from needleforce import (
     InsertionError,
@@ -21,7 +17,6 @@ from needleforce import (
 )
 from residual import DEFAULT, SnapshotError, VirtualForceSensor
 from tests.insertion_run import (
-    following,
     resumed_after,
     same,
     samples,
@@ -35,22 +30,6 @@ CONFIGS = {"mixture": MIXTURE, "published": PUBLISHED}
 TARE = tare_index(short_run())
 IN_TISSUE = TARE + 4000
 BEYOND = 1500  # ticks for which the resumed session is compared
-NAN_7 = [[7], "C", np.full(7, np.nan).tobytes()]
-ODD = [
-    None,
-    True,
-    -1,
-    1.0,
-    1e300,
-    "x",
-    [],
-    {},
-    np.nan,
-    np.inf,
-    [[1], "C", bytes(8)],
-    NAN_7,
-]
-ODD += [[[0, 2**60], "C", b""], [[3], "C", bytes(8)], [[1], "?", bytes(8)]]
 
 
 def run_through(session, last, folder, *, with_velocity):
@@ -154,20 +133,6 @@ def test_another_robot_or_other_settings_are_refused(lwr):
         VirtualForceSensor(lwr).restore(snapshot)
 
 
-@pytest.mark.parametrize(
-    "fields",
-    [{"travel": (0.0, 0.0)}, {"checkpoints": ()}, {"plan": None}, {"time_s": -1e300}],
-    ids=str,
-)
-def test_a_snapshot_edited_in_memory_is_refused(fields):
-    session = InsertionSession(short_run().robot)
-    state = session.snapshot()
-
-    with pytest.raises(InsertionError, match="the snapshot is damaged"):
-        session.restore(stopped_after(IN_TISSUE)._replace(**fields))
-    assert same(session.snapshot(), state)
-
-
 def test_a_shallow_copy_shares_nothing():
     session, rows = resumed_after(IN_TISSUE, 300)
     twin = copy.copy(session)
@@ -181,69 +146,34 @@ def test_a_shallow_copy_shares_nothing():
     )
 
 
-def written(folder):
-    """A file, its envelope and the plain tree of its snapshot."""
-    path = folder / "s"
+def test_files_that_are_no_snapshots_are_refused(tmp_path):
+    path = tmp_path / "s"
     write_snapshot(stopped_after(IN_TISSUE), path)
-    envelope = msgspec.msgpack.decode(path.read_bytes())
-    return path, envelope, msgspec.msgpack.decode(envelope["data"])
-
-
-def sealed(envelope, plain):
-    """A file with another snapshot and the digest that belongs to it."""
-    data = msgspec.msgpack.encode(plain)
-    changed = envelope | {"data": data, "sha256": hashlib.sha256(data).hexdigest()}
-    return msgspec.msgpack.encode(changed)
-
-
-def test_files_that_are_no_snapshots_say_so(tmp_path):
-    path, envelope, plain = written(tmp_path)
-
-    assert envelope["version"] == STATE_VERSION
-
-    encode = msgspec.msgpack.encode
-    for content, match in [
-        (encode(envelope | {"version": 99}), "version 99"),
-        (encode(envelope | {"format": "other"}), "'other'"),
-        (encode([]), "holds no state"),
-        (encode(envelope | {"data": b""}), "sha256"),
-        (encode(envelope | {"kind": "Popen"}), "'Popen'"),
-        (encode(envelope | {"kind": "session, x"}), "'session, x'"),
-        (encode(envelope | {"kind": "sensor"}), "damaged"),
-        (encode(envelope | {"method": "os.system"}), "`method`"),
-        (sealed(envelope, None), "damaged"),
-        (sealed(envelope, plain[:-1]), "damaged"),
-        (path.read_bytes()[:1000], "cut short"),
-        (b"", "cut short"),
-        (bytes(MAX_FILE_BYTES + 1), "64 MB"),
-    ]:
-        path.write_bytes(content)
-        with pytest.raises(SnapshotFileError, match=match):
-            read_snapshot(path)
-
-    with pytest.raises(SnapshotFileError, match="got a dict"):
-        write_snapshot({}, path)
-    with pytest.raises(OSError, match="missing"):
-        read_snapshot(tmp_path / "missing")
-
-
-@pytest.mark.slow
-def test_one_changed_byte_is_noticed(tmp_path):
-    path, _, _ = written(tmp_path)
-    content = bytearray(path.read_bytes())
-    for at in np.random.default_rng(0).integers(len(content), size=200):
-        content[at] ^= 4
-        path.write_bytes(content)
-        with pytest.raises(SnapshotFileError):
-            read_snapshot(path)
-        content[at] ^= 4
-    path.write_bytes(content)
+    content = path.read_bytes()
+    flipped = bytearray(content)
+    flipped[len(content) // 2] ^= 4
 
     assert same(read_snapshot(path), stopped_after(IN_TISSUE))
 
+    for changed, match in [
+        (content.replace(b" session ", b" sensor ", 1), "SessionSnapshot"),
+        (content.replace(b" session ", b" Popen ", 1), "Popen"),
+        (bytes(flipped), "damaged"),
+        (content[:1000], "cut short"),
+        (b"", "no state"),
+        (bytes(MAX_FILE_BYTES + 1), "no state"),
+    ]:
+        path.write_bytes(changed)
+        with pytest.raises(SnapshotFileError, match=match):
+            read_snapshot(path)
+
+    with pytest.raises(SnapshotFileError, match="dict"):
+        write_snapshot({}, path)
+
 
 def test_a_full_disk_leaves_the_older_snapshot(tmp_path, monkeypatch):
-    path, _, _ = written(tmp_path)
+    path = tmp_path / "s"
+    write_snapshot(stopped_after(IN_TISSUE), path)
     older = path.read_bytes()
 
     def full(_):
@@ -255,59 +185,3 @@ def test_a_full_disk_leaves_the_older_snapshot(tmp_path, monkeypatch):
         write_snapshot(stopped_after(IN_TISSUE), path)
     assert [p.name for p in tmp_path.iterdir()] == [path.name]
     assert path.read_bytes() == older
-
-
-def places(plain, path=()):
-    """Where something stands in a plain tree; of long lists only the first."""
-    if path:
-        yield path
-    if isinstance(plain, dict | list):
-        long = isinstance(plain, list) and len(plain) > 40
-        inner = plain.items() if isinstance(plain, dict) else list(enumerate(plain))
-        for key, value in inner[:2] if long else inner:
-            yield from places(value, (*path, key))
-
-
-def with_change(plain, path, value):
-    changed = copy.deepcopy(plain)
-    where = changed
-    for key in path[:-1]:
-        where = where[key]
-    where[path[-1]] = value
-    return changed
-
-
-@pytest.mark.slow
-@given(st.data())
-@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
-def test_a_changed_field_is_refused_or_harmless(tmp_path, data):
-    path, envelope, plain = written(tmp_path)
-    place = data.draw(st.sampled_from(sorted(places(plain), key=str)))
-    path.write_bytes(
-        sealed(envelope, with_change(plain, place, data.draw(st.sampled_from(ODD))))
-    )
-    session = InsertionSession(short_run().robot)
-    state = session.snapshot()
-    try:
-        session.restore(read_snapshot(path))
-    except ValueError:
-        assert same(session.snapshot(), state)
-        return
-    for row in following(IN_TISSUE, 200):
-        estimate = session.update(*row)
-        wrench = estimate.wrench
-        numbers = (
-            wrench.axial,
-            wrench.axial_std,
-            wrench.model_mismatch,
-            *estimate[1:3],
-        )
-        assert np.isfinite(numbers).all()
-
-
-@pytest.mark.parametrize("value", [object(), 1 + 2j, np.zeros(2, dtype=np.int64)])
-def test_what_a_snapshot_cannot_hold_is_refused(value, tmp_path):
-    with pytest.raises(SnapshotFileError, match="cannot hold"):
-        write_snapshot(
-            stopped_after(IN_TISSUE)._replace(unused_s=value), tmp_path / "s"
-        )

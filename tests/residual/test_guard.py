@@ -145,15 +145,6 @@ def test_garbage_is_not_held_back_for_ever(lwr):
     assert abs(found[-1].axial) < 0.1
 
 
-def test_a_torque_that_rises_to_its_limit_is_saturated(lwr):
-    sensor, rows = tared(lwr)
-    limit = np.where(at(3, True), LIMIT_NM, rows[50][2])
-    parts = iter(np.linspace(0.0, 1.0, 200))
-    rows = changed(rows[:250], 2, lambda x: x + next(parts) * (limit - x), 50)
-
-    assert SensorWarning.SATURATED in feed(sensor, rows)[-1].warnings
-
-
 # Signals that are stuck are told from valid ones that repeat.
 
 
@@ -285,7 +276,7 @@ def test_a_long_rest_makes_no_gate_wide(lwr):
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_valid_sample_is_held_back(lwr, kind, with_velocity):
     rng = np.random.default_rng(1)
-    motion = sensed(KINDS[kind](lwr, rng, 2000), rng)
+    motion = sensed(KINDS[kind](lwr, rng), rng)
 
     assert held_back(lwr, motion, has_velocity=with_velocity) == 0
 
@@ -293,7 +284,7 @@ def test_no_valid_sample_is_held_back(lwr, kind, with_velocity):
 @pytest.mark.parametrize(("which", "size"), [(0, 0.05), (2, 20.0)])
 def test_a_spike_of_a_fast_arm_is_rejected(lwr, which, size):
     rng = np.random.default_rng(1)
-    motion = sensed(KINDS["up to the velocity limits"](lwr, rng, 2000), rng)
+    motion = sensed(KINDS["up to the velocity limits"](lwr, rng), rng)
     motion[which][1500 + 100 * np.arange(3), 2] += size
 
     assert held_back(lwr, motion, has_velocity=True) == 3
@@ -303,43 +294,38 @@ def test_a_spike_of_a_fast_arm_is_rejected(lwr, which, size):
 
 
 @pytest.mark.parametrize("wrong", [lambda dq: 0.0 * dq, lambda dq: dq + at(3, 0.2)])
-@pytest.mark.parametrize(("rate_hz", "ticks"), [(200.0, 1), (1000.0, 1), (1000.0, 3)])
-def test_a_velocity_that_is_no_rate_of_q_is_replaced(lwr, rate_hz, wrong, ticks):
+@pytest.mark.parametrize(("rate_hz", "ticks"), [(200.0, 1), (1000.0, 3)])
+def test_a_velocity_that_is_no_rate_of_q_is_rejected(lwr, rate_hz, wrong, ticks):
     force_N = np.array([0.0, 0.0, 3.0])
     _, q, dq, tau = swing(
         lwr, seconds=8.0, rate_hz=rate_hz, amplitude=0.03, force_at_tip_in_base=force_N
     )
-    count = len(q)
+    half = len(q) // 2
     rng = np.random.default_rng(0)
     q = q + 1e-6 * rng.normal(size=q.shape)
-    free = np.arange(count) < count // 2
-    tau[free] += [external_torque_of(lwr, one, force_N) for one in q[free]]
-    rows = rows_of(q, dq + 2e-4 * rng.normal(size=q.shape), tau)
-    sent = rows
+    tau[:half] += [external_torque_of(lwr, one, force_N) for one in q[:half]]
+    sent = rows_of(q, dq + 2e-4 * rng.normal(size=q.shape), tau)
     second = round(rate_hz)
-    for first in range(second + second // 3, count, second):
+    wrong_rows = set()
+    for first in range(second + second // 3, len(q), second):
         sent = changed(sent, 1, wrong, first, first + ticks)
-    found = []
-    for some in (rows, sent):
-        sensor = VirtualForceSensor(lwr)
-        feed(sensor, some[: count // 2], 1.0 / rate_hz)
-        sensor.tare()
-        found.append(feed(sensor, some[count // 2 :], 1.0 / rate_hz))
-    clean_N, sent_N = ([e.axial for e in one] for one in found)
+        wrong_rows |= set(range(first, first + ticks))
+    sensor = VirtualForceSensor(lwr)
+    found = feed(sensor, sent[:half], 1.0 / rate_hz)
+    sensor.tare()
+    found += feed(sensor, sent[half:], 1.0 / rate_hz)
     needle = pose_of(lwr, q[-1]).rotation[:, 2]
+    force = np.array([e.axial for e in found[-second:]])
 
-    np.testing.assert_allclose(sent_N, clean_N, atol=0.1)
-    assert np.mean(sent_N[-100:]) == pytest.approx(-force_N @ needle, abs=0.1)
-    assert 6 * ticks <= sensor.replaced_velocities <= 10 * ticks
-    assert "dq" in sensor.corrections
-    assert not rejected(found[1])
+    assert set(rejected(found, SensorWarning.SPIKE)) == wrong_rows
+    np.testing.assert_allclose(force, -force_N @ needle, atol=0.15)
 
 
-def test_velocities_that_stay_wrong_are_replaced_for_a_moment_only(lwr):
+def test_velocities_that_stay_wrong_are_rejected_for_a_moment_only(lwr):
     sensor, rows = tared(lwr, more=4.0)
     found = feed(sensor, changed(rows, 1, lambda dq: 0.0 * dq - 0.3, 500))
 
-    assert 50 <= sensor.replaced_velocities <= 110
+    assert 50 <= len(rejected(found)) <= 110
     assert SensorWarning.VELOCITY in found[-1].warnings
 
 
@@ -348,7 +334,7 @@ def test_velocities_that_stay_wrong_are_replaced_for_a_moment_only(lwr):
 
 @WITH_OR_WITHOUT
 @pytest.mark.parametrize("guard", [True, False])
-def test_a_step_of_a_turn_is_no_motion_and_said_once(lwr, with_velocity, guard):
+def test_a_step_of_a_turn_is_no_motion(lwr, with_velocity, guard):
     config = replace(DEFAULT, guard=guard)
     (sensor, rows), (twin, _) = (
         tared(lwr, config, with_velocity=with_velocity) for _ in range(2)
@@ -356,38 +342,10 @@ def test_a_step_of_a_turn_is_no_motion_and_said_once(lwr, with_velocity, guard):
     wrapped = changed(rows, 0, lambda q: q - at(2, 2.0 * np.pi), 300)
     wrapped = changed(wrapped, 0, lambda q: q + at(4, 4.0 * np.pi), 600, 800)
     found = feed(sensor, wrapped)
-    told = [k for k, e in enumerate(found) if "turn" in e.message]
     clean_N = [e.axial for e in feed(twin, rows)]
 
-    assert told == [300, 600]
-    assert "joint 3" in found[300].message
     assert {e.status for e in found} == {Status.OK}
     np.testing.assert_allclose([e.axial for e in found], clean_N, atol=1e-6)
-    assert "joints 3, 5" in sensor.corrections
-
-
-def test_a_turn_in_a_gap_of_time_begins_anew(lwr):
-    sensor, rows = tared(lwr)
-    wrapped = changed(rows, 0, lambda q: q - at(2, 2.0 * np.pi), 300)
-    feed(sensor, wrapped[:300])
-    found = [sensor.update(*wrapped[300], 5.0), *feed(sensor, wrapped[301:])]
-
-    assert sensor.corrections == ""
-    assert abs(found[-1].axial) < 0.1
-
-
-@pytest.mark.slow
-def test_a_coarse_encoder_step_is_no_spike(lwr):
-    rng = np.random.default_rng(0)
-    step = 3.5e-4
-    q, _, tau = (values[0] for values in signals(lwr, 0.1))
-    # Near the edge of a step, which noise passes now and then only.
-    edge = np.round(q / step) * step + 0.5 * step - 4e-5
-    q = rounded(edge + 1.5e-5 * rng.normal(size=(8000, 7)), step)
-    rows = rows_of(q, None, tau + 0.03 * rng.normal(size=q.shape))
-
-    assert (np.count_nonzero(np.diff(q, axis=0), axis=0) > 10).all()
-    assert not rejected(feed(VirtualForceSensor(lwr), rows))
 
 
 # Where an estimate may be wrong.
@@ -435,7 +393,7 @@ def test_acceleration_widens_the_deviation_of_each_joint(lwr):
     sensor, rows = tared(lwr)
     before = feed(sensor, rows[:100])[-1]
     at_rest = sensor.residual_std_Nm
-    fast = KINDS["up to the velocity limits"](lwr, np.random.default_rng(2), 2000)
+    fast = KINDS["up to the velocity limits"](lwr, np.random.default_rng(2))
     after = feed(sensor, rows_of(*fast))[-1]
 
     assert (sensor.residual_std_Nm[:4] > 3.0 * at_rest[:4]).all()

@@ -1,8 +1,5 @@
 """The momentum residual and the velocity that it is given keep their laws."""
 
-from copy import deepcopy as copy
-from itertools import pairwise
-
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -118,19 +115,6 @@ def test_a_gap_in_time_is_not_integrated_and_reset_forgets(lwr):
     )
 
 
-def test_a_restored_observer_goes_on_bit_for_bit(lwr):
-    _, *motion = swing(lwr, seconds=0.1)
-    rows = rows_of(*motion)
-    one, other = (MomentumObserver(lwr, 50.0) for _ in range(2))
-    one.smooth_momentum(np.full(7, 1e-3), motion[0][0])
-    feed(one, rows[:50])
-    other.restore(copy(one.memory))
-
-    np.testing.assert_array_equal(feed(one, rows[50:]), feed(other, rows[50:]))
-    with pytest.raises(ConfigurationError, match="shape"):
-        one.restore(type(one.memory)(np.zeros((11, 3))))
-
-
 @pytest.mark.parametrize(
     ("distance", "per_s"), [(0.01, 10.0), (1.0, 20.0), (2.0, 170.0)]
 )
@@ -205,19 +189,6 @@ def test_a_ramp_has_exact_velocity_and_stated_delay(rate, bandwidth, steps_s):
     assert found.settled
     assert found.dq[0] == pytest.approx(rate, abs=1e-6)
     assert (found.q[0], found.tau[0]) == pytest.approx((late, late), abs=1e-6)
-
-
-@given(q=st.lists(st.floats(-1.0, 1.0), min_size=4, max_size=9))
-def test_steps_in_between_change_nothing_on_straight_lines(q):
-    once = VelocityEstimator(1, 120.0)
-    twice = VelocityEstimator(1, 120.0)
-    twice.update(q[:1], q[:1], 0.01)
-    once.update(q[:1], q[:1], 0.01)
-    for before, after in pairwise(q):
-        whole = once.update([after], [after], 0.01)
-        for value, dt_s in ((before + 0.3 * (after - before), 3e-3), (after, 7e-3)):
-            parts = twice.update([value], [value], dt_s)
-        np.testing.assert_allclose(parts[:3], whole[:3], atol=1e-9)
 
 
 def test_velocity_noise_follows_its_formula():

@@ -14,19 +14,17 @@ from foundation.steps import finish
 from groundtruth.arm_plant import BearingFriction
 from groundtruth.plant_model import CLEAN
 from residual import (
-    DEFAULT,
     BiasPrior,
     ConfigurationError,
     SensorConfig,
     Status,
     TareError,
     VirtualForceSensor,
-    advise_motion,
 )
 from residual.bias.coloured_noise import NoiseRoot
 from residual.bias.joint_states import joint_states_step, play_operator
 from tests.insertion_run import same
-from tests.residual.guarded_sensor import feed, pushed, rows_of, signals, tared
+from tests.residual.guarded_sensor import feed, pushed, rows_of, signals
 from tests.residual.residual_signals import (
     BIAS,
     MIDDLE,
@@ -314,52 +312,6 @@ def test_a_refused_tare_in_steps_says_why_and_changes_nothing(lwr):
     sensor.start_tare_recording()
 
     assert sensor.tare_refusal is None
-
-
-# What a tare says of how well it told hysteresis from friction.
-
-
-def test_a_stroke_tells_more_than_a_rest(lwr):
-    assert VirtualForceSensor(lwr).tare_separation == ()
-
-    rows = rubbed_rows(lwr, 0)
-    rest, stroke = (
-        tared_after(lwr, rows, seconds).tare_separation for seconds in (1.0, 13.0)
-    )
-    advice = advise_motion(rest)
-
-    assert [item.joint for item in stroke] == list(lwr.joint_names)
-    for at_rest, moved_ in zip(rest, stroke, strict=True):
-        assert at_rest.prior_std_Nm == pytest.approx(moved_.prior_std_Nm)
-        assert at_rest.hysteresis_std_Nm > moved_.hysteresis_std_Nm
-        assert at_rest.joint in advice
-        assert not at_rest.is_separated
-
-
-def test_the_deviations_are_those_of_the_tare(lwr):
-    sensor = tared_after(lwr, rubbed_rows(lwr, 0), 13.0)
-    tare = sensor.snapshot().offset.tare
-    first = 5 * 7
-    sums = np.zeros((2, len(tare.mean)))  # hysteresis and friction of the second joint
-    sums[0, first + 1 : first + 21 : 7] = 1.0
-    sums[1, first + 22 : first + 42 : 7] = 1.0
-    covariance = sums @ tare.covariance @ sums.T
-    hysteresis_Nm, friction_Nm = np.sqrt(covariance.diagonal())
-    found = sensor.tare_separation[1]
-
-    assert (found.hysteresis_Nm, found.friction_Nm) == pytest.approx(sums @ tare.mean)
-    assert found.hysteresis_std_Nm == pytest.approx(hysteresis_Nm)
-    assert found.friction_std_Nm == pytest.approx(friction_Nm)
-    assert found.correlation == pytest.approx(
-        covariance[0, 1] / hysteresis_Nm / friction_Nm
-    )
-
-
-def test_a_constant_tare_separates_nothing(lwr):
-    sensor, _ = tared(lwr, replace(DEFAULT, tare="constant"))
-
-    assert sensor.tare_separation == ()
-    assert advise_motion(sensor.tare_separation) == ""
 
 
 # Mathematics that stands alone.

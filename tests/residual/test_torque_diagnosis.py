@@ -93,7 +93,7 @@ def test_a_scale_of_one_joint_widens_the_force_by_its_lever(lwr, joint, scale_st
     if joint is None:
         assert abs(found.scale - 1.0) < 3.0 * found.scale_std < 0.3
     else:
-        assert f"joint {joint + 1} " in found.describe_one_joint()
+        assert f"joint {joint + 1} " in found.describe()
 
 
 def test_what_a_motion_cannot_show_is_said(lwr):
@@ -104,7 +104,7 @@ def test_what_a_motion_cannot_show_is_said(lwr):
     feed(sensor, rows_of(q, 0.0 * q, tau), DT_S)
     sensor.tare()
 
-    assert not sensor.diagnosis.is_scale_known
+    assert sensor.diagnosis.describe() == ""
     assert "1, 2, 3, 4, 5, 6, 7" in sensor.diagnosis.describe_unchecked()
 
 
