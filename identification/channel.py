@@ -9,18 +9,13 @@ import math
 from dataclasses import replace
 from typing import NamedTuple
 
-from foundation.records import read_column
 from identification.identifier import Snapshot
-from identification.mixture.evidence import MM_PER_M
-from identification.mixture.force_model import MEMBRANE, OFFSET
+from identification.mixture.block import MM_PER_M
+from identification.mixture.force_model import MEMBRANE, OFFSET, Assumptions
 from identification.mixture.method import MixtureMethodState
 from identification.published.online import PublishedState
 from identification.sample_check import CheckState
 from identification.travel_filter import TravelState
-
-MAX_OFFSET_STD_N = 0.1
-"""Standard deviation up to which the force in front of the channel counts as known: a
-tenth of what a needle rubs with."""
 
 
 class ChannelFriction(NamedTuple):
@@ -54,11 +49,9 @@ def has_cut(snapshot: Snapshot) -> bool:
     state = snapshot.state
     if not isinstance(state, MixtureMethodState) or not state.posterior.in_contact:
         return False
-    mixture = state.mixture.mixture
-    likeliest = int(mixture.log_weights.argmax())
-    medium = float(read_column(mixture.assumptions, "medium")[likeliest])
-    ruptures = float(read_column(mixture.assumptions, "ruptures")[likeliest])
-    return medium != MEMBRANE or ruptures > 0.0
+    _, _, log_weights, assumptions, _ = state.mixture
+    likeliest = Assumptions(*assumptions[log_weights.argmax()].tolist())
+    return likeliest.medium != MEMBRANE or likeliest.ruptures > 0.0
 
 
 def read_friction(channel: Snapshot) -> ChannelFriction | None:
@@ -134,13 +127,14 @@ def _with_offset(
     ):
         return state
     offset_std_N = math.sqrt(max(in_air.posterior.offset_variance, 0.0))
-    if not 0.0 < offset_std_N <= MAX_OFFSET_STD_N:
+    if not 0.0 < offset_std_N <= 0.1:  # a tenth of what a needle rubs with
         return state
     offset_N = in_air.posterior.offset
-    means = state.mixture.means.copy()
+    means, *others = state.mixture
+    means = means.copy()
     means[:, OFFSET] += offset_N - state.posterior.offset
     return replace(
         state,
-        mixture=state.mixture._replace(means=means),
+        mixture=(means, *others),
         posterior=replace(state.posterior, offset=offset_N),
     )

@@ -1,9 +1,8 @@
 """Settings of the two methods, and the check of every one of their values."""
 
-import math
 import numbers
-from dataclasses import dataclass, field
-from typing import Literal
+from dataclasses import dataclass, field, fields
+from typing import Literal, get_args
 
 from identification.errors import InvalidConfigError
 
@@ -11,35 +10,25 @@ Model = Literal["ml", "kv"]
 """`ml`: multi-layer, equation (3); `kv`: Kelvin-Voigt, equation (2)."""
 
 
-def _is_finite(value: object) -> bool:
-    if not isinstance(value, numbers.Real) or isinstance(value, bool):
-        return False
-    try:
-        return math.isfinite(value)
-    except OverflowError:
-        return False
-
-
 def _check_values(config: object, of_any_sign: tuple[str, ...] = ()) -> None:
-    """Refuse settings that are not finite, or not positive where they must be."""
-    for name in config.__slots__:  # type: ignore[attr-defined]
-        value = getattr(config, name)
-        if name == "check":
-            _check_kind(name, value, CheckConfig)
-        elif name != "model" and not (
-            _is_finite(value) and (value > 0 or name in of_any_sign)
-        ):
-            expected = (
-                "a finite number" if name in of_any_sign else "positive and finite"
+    """Refuse numbers that are not finite, or not positive where they must be."""
+    for item in fields(config):  # type: ignore[arg-type]
+        value = getattr(config, item.name)
+        if item.name == "check":
+            is_valid = isinstance(value, CheckConfig)
+        elif item.name == "model":
+            is_valid = isinstance(value, str) and value in get_args(Model)
+        else:
+            kind = numbers.Integral if item.type is int else numbers.Real
+            is_number = isinstance(value, kind) and not isinstance(value, bool)
+            least = -1e300 if item.name in of_any_sign else 0.0
+            is_valid = is_number and least < value < 1e300
+        if not is_valid:
+            raise InvalidConfigError(
+                f"{item.name} cannot be {value!r}: numbers must be finite and most of "
+                "them positive, most_windows whole, model 'ml' or 'kv', check a "
+                "CheckConfig"
             )
-            raise InvalidConfigError(f"{name} must be {expected}, got {value!r}")
-
-
-def _check_kind(name: str, value: object, kind: type) -> None:
-    if not isinstance(value, kind) or isinstance(value, bool):
-        raise InvalidConfigError(
-            f"{name} must be of type {kind.__name__}, got {value!r}"
-        )
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -81,7 +70,7 @@ class MixtureConfig:
         provisional_probability: The same for a provisional alarm, at most as large.
         hard_contact_N_per_m: Growth of the force per travel beyond which a contact is
             hard, as bone: twice what a tip of 18 G meets in cartilage, see
-            `mixture.hard_contact`.
+            `mixture.tissue_doubt`.
         check: Limits of a plausible sample.
     """
 
@@ -151,11 +140,6 @@ class PublishedConfig:
 
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless every value is plausible."""
-        if not (isinstance(self.model, str) and self.model in ("ml", "kv")):
-            raise InvalidConfigError(
-                f"unknown model {self.model!r}; choose 'ml' or 'kv'"
-            )
-        _check_kind("most_windows", self.most_windows, numbers.Integral)
         _check_values(self, ("contact_depth_m", "derivative_rise_N_per_s"))
         if self.sigma1_N <= self.sigma0_N:
             raise InvalidConfigError(

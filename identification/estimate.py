@@ -7,7 +7,6 @@ of the ``dt_s`` since the reset. Every depth counts from the zero of the caller'
 from the same zero, so that a travel in tissue is a difference of the two.
 """
 
-import math
 from dataclasses import dataclass
 from enum import Enum, IntFlag
 from typing import NamedTuple
@@ -256,8 +255,8 @@ class Estimate(NamedTuple):
     friction_identified: bool
     cumulative_friction_Ns_per_m: float
     cumulative_friction_std_Ns_per_m: float | None
-    rupture: Rupture | None
-    identified_layer: LayerEstimate | None
+    rupture: Rupture | None = None
+    identified_layer: LayerEstimate | None = None
     retracted: Rupture | None = None
     provisional: Rupture | None = None
     provisional_retracted: Rupture | None = None
@@ -267,7 +266,7 @@ class Estimate(NamedTuple):
 
     @property
     def has_events(self) -> bool:
-        """Whether this sample brought any of the `Events`."""
+        """Whether this sample brought any of the `EVENTS`."""
         return (
             self.rupture is not None
             or self.identified_layer is not None
@@ -279,31 +278,19 @@ class Estimate(NamedTuple):
 
     def without_events(self) -> "Estimate":
         """Return the same estimate, its events over."""
-        return self._replace(**NO_EVENTS._asdict()) if self.has_events else self
+        return self._replace(**dict.fromkeys(EVENTS)) if self.has_events else self
 
 
-class Events(NamedTuple):
-    """What happened at a sample, if anything: fields of an `Estimate`.
-
-    Attributes:
-        rupture: The rupture raised.
-        identified_layer: The layer whose friction was identified.
-        retracted: The rupture that proved to be a false alarm.
-        provisional: The provisional alarm raised.
-        provisional_retracted: The provisional alarm that has become improbable.
-        hard_contact: The hard contact that was found.
-    """
-
-    rupture: Rupture | None = None
-    identified_layer: LayerEstimate | None = None
-    retracted: Rupture | None = None
-    provisional: Rupture | None = None
-    provisional_retracted: Rupture | None = None
-    hard_contact: HardContact | None = None
-
-
-NO_EVENTS = Events()
-"""Of most samples."""
+EVENTS = (
+    "rupture",
+    "identified_layer",
+    "retracted",
+    "provisional",
+    "provisional_retracted",
+    "hard_contact",
+)
+"""Fields of an `Estimate` that say what happened at its sample; of most they are
+None."""
 
 
 Outputs = tuple[
@@ -327,125 +314,11 @@ Outputs = tuple[
 ]
 """What a method calculates at every sample: the fields of an `Estimate` from
 ``in_contact`` to the events. A plain tuple, since compiled code that returns a named
-one costs a microsecond; `make_estimate` names its values."""
-
-
-def widen_forces(
-    outputs: Outputs, std_N: float, *, keeps_identified: bool = True
-) -> Outputs:
-    """Add a standard deviation to those of tip force, shaft friction, enhanced force.
-
-    The variances add up.
-
-    Args:
-        outputs: What a method calculates at a sample.
-        std_N: The standard deviation that is added.
-        keeps_identified: Whether stiffness and friction that are identified remain so.
-    """
-    (
-        in_contact,
-        layer,
-        enhanced_N,
-        enhanced_std_N,
-        tip_N,
-        tip_std_N,
-        shaft_N,
-        shaft_std_N,
-        predicted_N,
-        stiffness,
-        stiffness_std,
-        stiffness_identified,
-        friction,
-        friction_std,
-        friction_identified,
-        cumulative_friction,
-        cumulative_friction_std,
-    ) = outputs
-    return (
-        in_contact,
-        layer,
-        enhanced_N,
-        math.hypot(enhanced_std_N or 0.0, std_N),
-        tip_N,
-        math.hypot(tip_std_N or 0.0, std_N),
-        shaft_N,
-        math.hypot(shaft_std_N or 0.0, std_N),
-        predicted_N,
-        stiffness,
-        stiffness_std,
-        stiffness_identified and keeps_identified,
-        friction,
-        friction_std,
-        friction_identified and keeps_identified,
-        cumulative_friction,
-        cumulative_friction_std,
-    )
-
-
-def make_estimate(
-    time_s: float,
-    status: SampleStatus,
-    rupture_state: RuptureState,
-    outputs: Outputs,
-    events: Events,
-    rupture_probability: float | None = None,
-    warnings: TissueWarning = TissueWarning.NONE,
-) -> Estimate:
-    """Put an estimate together: the one place where its fields get their values."""
-    (
-        in_contact,
-        layer,
-        enhanced_force_N,
-        enhanced_force_std_N,
-        tip_force_N,
-        tip_force_std_N,
-        shaft_friction_N,
-        shaft_friction_std_N,
-        predicted_force_N,
-        stiffness_N_per_m,
-        stiffness_std_N_per_m,
-        stiffness_identified,
-        friction_Ns_per_m2,
-        friction_std_Ns_per_m2,
-        friction_identified,
-        cumulative_friction_Ns_per_m,
-        cumulative_friction_std_Ns_per_m,
-    ) = outputs
-    # In the order of the fields: by keyword it would take a microsecond longer.
-    return Estimate(
-        time_s,
-        status,
-        rupture_state,
-        in_contact,
-        layer,
-        enhanced_force_N,
-        enhanced_force_std_N,
-        tip_force_N,
-        tip_force_std_N,
-        shaft_friction_N,
-        shaft_friction_std_N,
-        predicted_force_N,
-        stiffness_N_per_m,
-        stiffness_std_N_per_m,
-        stiffness_identified,
-        friction_Ns_per_m2,
-        friction_std_Ns_per_m2,
-        friction_identified,
-        cumulative_friction_Ns_per_m,
-        cumulative_friction_std_Ns_per_m,
-        events.rupture,
-        events.identified_layer,
-        events.retracted,
-        events.provisional,
-        events.provisional_retracted,
-        rupture_probability,
-        events.hard_contact,
-        warnings,
-    )
+one costs a microsecond."""
 
 
 class Sample(NamedTuple):
-    """A checked sample, as a method gets it; every number is finite.
+    """A checked sample, as a method gets it; every number is finite, 0 before one.
 
     Attributes:
         time_s: Time on the caller's clock, see `Identifier.update`.
@@ -461,30 +334,14 @@ class Sample(NamedTuple):
         clock_s: Time since the reset, which never goes back.
     """
 
-    time_s: float
-    dt_s: float
-    depth_m: float
-    speed_m_s: float
-    depth_std_m: float
-    speed_std_m_s: float
-    force_N: float
-    force_std_N: float
-    raw_depth_m: float
-    raw_speed_m_s: float
-    clock_s: float
-
-
-NO_SAMPLE = Sample(
-    time_s=0.0,
-    dt_s=0.0,
-    depth_m=0.0,
-    speed_m_s=0.0,
-    depth_std_m=0.0,
-    speed_std_m_s=0.0,
-    force_N=0.0,
-    force_std_N=0.0,
-    raw_depth_m=0.0,
-    raw_speed_m_s=0.0,
-    clock_s=0.0,
-)
-"""Stands for a sample where there has been none."""
+    time_s: float = 0.0
+    dt_s: float = 0.0
+    depth_m: float = 0.0
+    speed_m_s: float = 0.0
+    depth_std_m: float = 0.0
+    speed_std_m_s: float = 0.0
+    force_N: float = 0.0
+    force_std_N: float = 0.0
+    raw_depth_m: float = 0.0
+    raw_speed_m_s: float = 0.0
+    clock_s: float = 0.0

@@ -4,10 +4,9 @@ The methods stand in `identification.mixture` and `identification.published`.
 """
 
 import math
-from collections.abc import Sequence
 from copy import deepcopy
 from dataclasses import replace
-from typing import Any, NamedTuple, Protocol
+from typing import Any, NamedTuple
 
 from foundation.jit import compile_waiting
 from foundation.records import as_record, from_record, read_field
@@ -15,74 +14,16 @@ from foundation.state import SAME_KIND
 from identification.config import MIXTURE, MixtureConfig, PublishedConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError
 from identification.estimate import (
+    EVENTS,
     Estimate,
     LayerEstimate,
-    Rupture,
     Sample,
     SampleStatus,
 )
 from identification.mixture.method import MixtureMethod, MixtureMethodState
-from identification.published.online import PublishedState
+from identification.published.online import PublishedMethod, PublishedState
 from identification.sample_check import STATUSES, CheckState, as_scalar
 from identification.travel_filter import TravelState, process_sample
-
-
-class Method(Protocol):
-    """What an `Identifier` needs of a method, which gets checked samples only."""
-
-    @property
-    def layers(self) -> tuple[LayerEstimate, ...]:
-        """Layers traversed so far, in order, as known now."""
-        ...
-
-    @property
-    def contact_depth_m(self) -> float | None:
-        """Depth at which tissue was met first; None where that is not known."""
-        ...
-
-    @property
-    def state(self) -> Any:
-        """Everything that it remembers, as an immutable tree."""
-        ...
-
-    def first_estimate(self) -> Estimate:
-        """Return the estimate before the first sample."""
-        ...
-
-    def use(self, sample: Sample, status: SampleStatus) -> Estimate:
-        """Use one sample; return the estimate after it."""
-        ...
-
-    def restore(self, state: Any) -> None:
-        """Resume from a state, bit for bit."""
-        ...
-
-    def doubt_zero(self, std_N: float) -> None:
-        """Take the zero of the force for changed, by a standard deviation."""
-        ...
-
-    def doubt_ruptures(self, age_s: float) -> None:
-        """Take ruptures of the last time for less likely than none."""
-        ...
-
-
-def make_method(config: MixtureConfig | PublishedConfig) -> Method:
-    """Return a new method of a configuration.
-
-    Raises:
-        InvalidConfigError: Another type of configuration.
-    """
-    if type(config) is MixtureConfig:
-        return MixtureMethod(config)
-    if type(config) is PublishedConfig:
-        # Imported here: what only it needs is compiled when it is asked for.
-        from identification.published.online import PublishedMethod
-
-        return PublishedMethod(config)
-    raise InvalidConfigError(
-        "config must be one of MixtureConfig, PublishedConfig, got "
-        f"{type(config).__name__}"
-    )
 
 
 class Snapshot(NamedTuple):
@@ -122,18 +63,22 @@ class Identifier:
         Raises:
             InvalidConfigError: Another type of configuration.
         """
-        self._method = make_method(config)
+        if type(config) not in (MixtureConfig, PublishedConfig):
+            raise InvalidConfigError(
+                "config must be one of MixtureConfig, PublishedConfig, got "
+                f"{type(config).__name__}"
+            )
         compile_waiting()
         self._config = config
         self._limits = as_record(config.check)
-        self._max_force_N = float(config.check.force_limit_N)
         self.reset()
 
     @property
     def layers(self) -> tuple[LayerEstimate, ...]:
         """Layers traversed so far, in order, as known now."""
         return tuple(
-            move_layer(layer, self._removed_m) for layer in self._method.layers
+            count_depth_from_zero(layer, self._removed_m)
+            for layer in self._method.layers
         )
 
     @property
@@ -147,9 +92,13 @@ class Identifier:
 
     def reset(self) -> None:
         """Forget everything: a new insertion begins, its clock at 0."""
-        self._method = make_method(self._config)
+        self._method = (
+            MixtureMethod(self._config)
+            if isinstance(self._config, MixtureConfig)
+            else PublishedMethod(self._config)
+        )
         self._check = as_record(CheckState())
-        self._read_removed()
+        self._removed_m = 0.0
         self._travel = as_record(TravelState())
         self._last = self._method.first_estimate()
 
@@ -183,15 +132,25 @@ class Identifier:
         """
         is_speed_measured = speed_m_s is not None
         speed_m_s = speed_m_s if is_speed_measured else 0.0
+        is_scalar = True
         if not (
             type(depth_m) is type(speed_m_s) is type(force_N) is type(dt_s) is float
             and type(force_std_N) is float
             and (time_s is None or (type(time_s) is float and math.isfinite(time_s)))
         ):
-            values = (depth_m, speed_m_s, force_N, dt_s)
-            return self._update_unchecked(
-                values, is_speed_measured, time_s, force_std_N
+            stamp_s = 0.0 if time_s is None else time_s
+            values = (depth_m, speed_m_s, force_N, dt_s, stamp_s)
+            scalars = [as_scalar(value) for value in values]
+            is_scalar = None not in scalars
+            depth_m, speed_m_s, force_N, dt_s, stamp_s = (
+                math.nan if scalar is None else scalar for scalar in scalars
             )
+            if not math.isfinite(stamp_s):
+                depth_m = math.nan  # the sample is rejected, its time passes
+                time_s = self._last.time_s
+            elif time_s is not None:
+                time_s = stamp_s
+            force_std_N = as_scalar(force_std_N) or 0.0
         (
             status_number,
             elapsed_s,
@@ -213,10 +172,13 @@ class Identifier:
         )
         if time_s is None:
             time_s = clock_s
-        status = STATUSES[status_number]
+        status = STATUSES[status_number] if is_scalar else SampleStatus.NOT_A_SCALAR
         if not status.is_used:
-            return self._reject(status, time_s)
-        if not 0.0 <= force_std_N <= self._max_force_N:
+            self._removed_m = float(read_field(self._check, "removed_m"))  # by a jump
+            last = self._last.without_events()
+            self._last = last._replace(time_s=time_s, status=status)
+            return self._last
+        if not 0.0 <= force_std_N <= self._config.check.force_limit_N:
             force_std_N = 0.0
         speed_m_s = speed_m_s if is_speed_measured else filtered_speed_m_s
         sample = Sample(
@@ -234,7 +196,13 @@ class Identifier:
         )
         estimate = self._method.use(sample, status)
         if self._removed_m != 0.0 and estimate.has_events:
-            estimate = move_events(estimate, self._removed_m)
+            events = {name: getattr(estimate, name) for name in EVENTS}
+            estimate = estimate._replace(
+                **{
+                    name: count_depth_from_zero(event, self._removed_m)
+                    for name, event in events.items()
+                }
+            )
         self._last = estimate
         return estimate
 
@@ -251,8 +219,7 @@ class Identifier:
             age_s: Time between that change and the last sample.
         """
         if math.isfinite(std_N) and std_N > 0.0:
-            self._method.doubt_zero(std_N)
-            self._method.doubt_ruptures(age_s)
+            self._method.doubt_zero(std_N, age_s)
 
     def snapshot(self) -> Snapshot:
         """Return everything needed to resume exactly here."""
@@ -276,108 +243,26 @@ class Identifier:
                 f"{type(snapshot).__name__}",
                 SAME_KIND,
             )
-        self.resume(snapshot)
-
-    def resume(self, snapshot: Snapshot) -> None:
-        """Resume a snapshot taken by this identifier itself; it is not checked."""
         self._method.restore(snapshot.state)
         self._check = as_record(snapshot.check)
-        self._read_removed()
+        self._removed_m = snapshot.check.removed_m
         self._travel = as_record(snapshot.travel)
         self._last = snapshot.last
 
-    def _read_removed(self) -> None:
-        """Keep the sum of the jumps that were removed from the depth."""
-        self._removed_m = float(read_field(self._check, "removed_m"))
 
-    def _update_unchecked(
-        self,
-        values: Sequence[object],
-        is_speed_measured: bool,
-        time_s: object,
-        force_std_N: object,
-    ) -> Estimate:
-        """Convert values of any type to floats, and use or reject the sample.
+def count_depth_from_zero(event: Any, zero_m: float) -> Any:
+    """Return an event or a layer, if any, whose depths count from a zero farther out.
 
-        `values` are depth, speed, force and time step.
-        """
-        depth_m, speed_m_s, force_N, dt_s = map(as_scalar, values)
-        time = as_scalar(0.0 if time_s is None else time_s)
-        if time is None or not math.isfinite(time):
-            self._pass_time(dt_s, is_speed_measured)
-            status = SampleStatus.NOT_A_SCALAR
-            if time is not None and None not in (depth_m, speed_m_s, force_N, dt_s):
-                status = SampleStatus.NOT_FINITE
-            return self._reject(status, self._last.time_s)
-        if depth_m is None or speed_m_s is None or force_N is None or dt_s is None:
-            self._pass_time(dt_s, is_speed_measured)
-            clock_s = float(read_field(self._check, "time_s"))
-            return self._reject(
-                SampleStatus.NOT_A_SCALAR, clock_s if time_s is None else time
-            )
-        return self.update(
-            depth_m,
-            speed_m_s if is_speed_measured else None,
-            force_N,
-            dt_s,
-            time_s=None if time_s is None else time,
-            force_std_N=as_scalar(force_std_N) or 0.0,
-        )
-
-    def _pass_time(self, dt_s: float | None, is_speed_measured: bool) -> None:
-        """Let the time of a sample pass whose values cannot be used, if it has any."""
-        process_sample(
-            math.nan,
-            0.0,
-            0.0,
-            math.nan if dt_s is None else dt_s,
-            is_speed_measured,
-            self._limits,
-            self._check,
-            self._travel,
-        )
-
-    def _reject(self, status: SampleStatus, time_s: float) -> Estimate:
-        """Repeat the last estimate, its events over, for a sample that is not used."""
-        self._read_removed()  # a jump of the depth is such a sample
-        self._last = self._last.without_events()._replace(time_s=time_s, status=status)
-        return self._last
-
-
-def move_rupture(rupture: Rupture | None, by_m: float) -> Rupture | None:
-    """Return a rupture whose depths count from another zero."""
-    if rupture is None:
-        return None
-    return replace(
-        rupture,
-        depth_m=rupture.depth_m + by_m,
-        alarm_depth_m=rupture.alarm_depth_m + by_m,
-        contact_depth_m=rupture.contact_depth_m + by_m,
-    )
-
-
-def move_layer(layer: LayerEstimate, by_m: float) -> LayerEstimate:
-    """Return a layer whose depths count from another zero."""
-    if by_m == 0.0:
-        return layer
-    return replace(
-        layer,
-        start_depth_m=layer.start_depth_m + by_m,
-        rupture=move_rupture(layer.rupture, by_m),
-    )
-
-
-def move_events(estimate: Estimate, by_m: float) -> Estimate:
-    """Return an estimate the depths of whose events count from another zero."""
-    layer = estimate.identified_layer
-    contact = estimate.hard_contact
-    if contact is not None:
-        contact = replace(contact, depth_m=contact.depth_m + by_m)
-    return estimate._replace(
-        rupture=move_rupture(estimate.rupture, by_m),
-        identified_layer=None if layer is None else move_layer(layer, by_m),
-        retracted=move_rupture(estimate.retracted, by_m),
-        provisional=move_rupture(estimate.provisional, by_m),
-        provisional_retracted=move_rupture(estimate.provisional_retracted, by_m),
-        hard_contact=contact,
-    )
+    Args:
+        event: A `Rupture`, a `LayerEstimate`, a `HardContact`, or None.
+        zero_m: Depth of the old zero from the new one.
+    """
+    if event is None or zero_m == 0.0:
+        return event
+    names = ("depth_m", "alarm_depth_m", "contact_depth_m", "start_depth_m")
+    moved = {
+        name: getattr(event, name) + zero_m for name in names if hasattr(event, name)
+    }
+    if isinstance(event, LayerEstimate):
+        moved["rupture"] = count_depth_from_zero(event.rupture, zero_m)
+    return replace(event, **moved)

@@ -1,6 +1,7 @@
 """A whole recording through the online identifier."""
 
 from collections import Counter
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass
 from itertools import repeat
 
@@ -13,219 +14,6 @@ from identification.config import MIXTURE, MixtureConfig, PublishedConfig
 from identification.estimate import Estimate, LayerEstimate, SampleStatus
 from identification.identifier import Identifier
 from identification.published.offline import read_column
-from identification.sample_check import STEPS_OF_A_GAP
-
-MIN_TRAVEL_M = 1e-3
-"""A recording whose depth moves by less holds nothing to identify."""
-MAX_DEPTH_M = 1.0
-"""No needle goes deeper: such a depth is in millimetres."""
-MIN_PULL_N = 0.02
-"""A mean force of an insertion that pulls by more has the wrong sign."""
-WITHDRAWN_FRACTION = 0.7
-"""Part of its span of depths that a recording of the wrong sign goes back at least."""
-FALLBACK_STEP_S = 1e-3
-"""Usual time step of a recording whose time never advances."""
-HEAD_ROWS = 200
-"""The usual time step is the median over so many first rows."""
-REPORTED_STATUSES = (
-    SampleStatus.FORCE_RANGE,
-    SampleStatus.MOTION_RANGE,
-    SampleStatus.DEPTH_JUMP,
-    SampleStatus.SPEED_SIGN,
-    SampleStatus.TIME_RANGE,
-)
-"""What nobody has reported of a row before; who read the log has reported a NaN or a
-late stamp."""
-
-
-class SignCheck:
-    """Search for a flipped sign or a wrong unit in a recording, piece by piece."""
-
-    def __init__(self) -> None:
-        self._last_m = np.empty(0)
-        self._deepest_m = -np.inf
-        self._shallowest_m = np.inf
-        self._start_m: float | None = None
-        self._insertion_work_J = 0.0
-        self._insertion_m = 0.0
-        self._agreement = 0.0
-        self._smallest_N = np.inf
-        self._largest_N = -np.inf
-
-    def add_rows(self, depth_m: Array, speed_m_s: Array | None, force_N: Array) -> None:
-        """Use further rows: columns of shape (n,), with gaps; a speed if recorded."""
-        previous_m = self._last_m if self._last_m.size else depth_m[:1]
-        change_m = np.diff(depth_m, prepend=previous_m)
-        self._last_m = depth_m[-1:]
-        is_good = np.isfinite(change_m) & np.isfinite(force_N)
-        change_m = np.where(is_good, change_m, 0.0)
-        force_N = np.where(is_good, force_N, 0.0)
-
-        finite_m = depth_m[np.isfinite(depth_m)]
-        if finite_m.size:
-            if self._start_m is None:
-                self._start_m = float(finite_m[0])
-            self._shallowest_m = min(self._shallowest_m, float(finite_m.min()))
-        depth_m = np.where(np.isfinite(depth_m), depth_m, -np.inf)
-        deepest_m = np.maximum.accumulate(np.concatenate(([self._deepest_m], depth_m)))
-        is_insertion = (change_m > 0.0) & (depth_m >= deepest_m[1:])
-        insertion_m = change_m * is_insertion
-        self._deepest_m = float(deepest_m[-1])
-        self._insertion_work_J += float((force_N * insertion_m).sum())
-        self._insertion_m += float(insertion_m.sum())
-        self._smallest_N = min(self._smallest_N, float(force_N.min()))
-        self._largest_N = max(self._largest_N, float(force_N.max()))
-        if speed_m_s is not None:
-            speed_m_s = np.where(np.isfinite(speed_m_s), speed_m_s, 0.0)
-            self._agreement += float(change_m @ speed_m_s)
-
-    def hints(self) -> tuple[Suspicion, ...]:
-        """Return suspicions about signs and units; none where all looks right."""
-        start_m = self._start_m
-        span_m = 0.0 if start_m is None else self._deepest_m - self._shallowest_m
-        hints: list[Suspicion] = []
-        if span_m > MAX_DEPTH_M:
-            hints.append(
-                Suspicion(
-                    f"depth spans {span_m:.3g} m; is it in millimetres?",
-                    "Give `depth_m` in metres.",
-                )
-            )
-        if start_m is None or span_m < MIN_TRAVEL_M:
-            hints.append(
-                Suspicion(
-                    f"depth moves by {span_m * 1e3:.3g} mm only; there is nothing to "
-                    "identify",
-                    "Give `depth_m` in metres, of a recording that has an insertion.",
-                )
-            )
-            return tuple(hints)
-        is_pulled = (
-            self._insertion_m > 0.0
-            and self._insertion_work_J / self._insertion_m < -MIN_PULL_N
-        )
-        if is_pulled:
-            hints.append(
-                Suspicion(
-                    "the force is negative while the needle goes in; it must be "
-                    "positive when tissue pushes back",
-                    "Negate `force_N`.",
-                )
-            )
-        is_withdrawn = start_m - self._shallowest_m > WITHDRAWN_FRACTION * span_m
-        if is_withdrawn and self._largest_N > self._smallest_N:
-            hints.append(
-                Suspicion(
-                    "depth falls before it rises; it must grow into the tissue",
-                    "Negate `depth_m`, unless the recording begins with a withdrawal.",
-                )
-            )
-        if self._agreement < 0.0:
-            hints.append(
-                Suspicion(
-                    "speed has the sign opposite to the change of depth",
-                    "Negate `speed_m_s` or `depth_m`, or leave the speed out.",
-                )
-            )
-        return tuple(hints)
-
-
-class ReplayStream:
-    """An identifier run over a recording; results do not depend on how the rows come.
-
-    Estimates, ruptures and layers are on the clock of the recording.
-
-    Args:
-        config: `MIXTURE`, `PUBLISHED` or a variant.
-    """
-
-    def __init__(self, config: MixtureConfig | PublishedConfig = MIXTURE) -> None:
-        self._identifier = Identifier(config)
-        self._signs = SignCheck()
-        self._min_gap_s = float(config.check.gap_s)
-        self._gap_s = 0.0  # until rows have come
-        self._gaps = 0
-        self._rejected: Counter[SampleStatus] = Counter()
-        # The published method is told where the contact is.
-        is_published = isinstance(config, PublishedConfig)
-        self._known_contact_m = config.contact_depth_m if is_published else None
-        self._contacts_m: list[float | None] = []
-
-    @property
-    def contact_depth_m(self) -> float | None:
-        """Depth of the first contact, as known now; None before."""
-        if self._known_contact_m is not None:
-            return self._known_contact_m
-        return self._identifier.contact_depth_m
-
-    @property
-    def contact_depths_m(self) -> Array:
-        """The same as known at each row of the last `run`, nan before, shape (n,)."""
-        return np.array(self._contacts_m, dtype=np.float64)  # None becomes nan
-
-    @property
-    def layers(self) -> tuple[LayerEstimate, ...]:
-        """Layers traversed so far, in order, as known now."""
-        return self._identifier.layers
-
-    @property
-    def hints(self) -> tuple[Suspicion, ...]:
-        """Suspicions about signs and units of all rows so far; rejected rows; gaps."""
-        hints = list(self._signs.hints())
-        counts = {status: self._rejected[status] for status in REPORTED_STATUSES}
-        hints += [
-            Suspicion(f"rows that were rejected: {count} ({status.value})")
-            for status, count in counts.items()
-            if count
-        ]
-        if self._gaps > 0:
-            hints.append(
-                Suspicion(
-                    f"gaps in time longer than {self._gap_s:.3g} s: {self._gaps}; "
-                    "predictions restart"
-                )
-            )
-        return tuple(hints)
-
-    def run(
-        self,
-        t_s: Array,
-        dt_s: Array,
-        depth_m: Array,
-        force_N: Array,
-        speed_m_s: Array | None = None,
-        force_std_N: Array | None = None,
-    ) -> list[Estimate]:
-        """Return estimates of further rows, columns as `replay` takes them, shape (n,).
-
-        The first call must bring `HEAD_ROWS` rows, or all that there are. The very
-        first ``dt_s`` is not read.
-        """
-        dt_s = np.array(dt_s)
-        if not self._gap_s:
-            head_s = dt_s[1:HEAD_ROWS]
-            forward_s = head_s[head_s > 0.0]
-            usual_s = float(np.median(forward_s)) if forward_s.size else FALLBACK_STEP_S
-            self._gap_s = max(self._min_gap_s, STEPS_OF_A_GAP * usual_s)
-            first = int(np.argmax(np.isfinite(t_s)))
-            dt_s[: first + 1] = usual_s
-        self._gaps += int((dt_s > self._gap_s).sum())
-        self._signs.add_rows(depth_m, speed_m_s, force_N)
-        estimates: list[Estimate] = []
-        self._contacts_m = []
-        for row in zip(
-            depth_m.tolist(),
-            repeat(None) if speed_m_s is None else speed_m_s.tolist(),
-            force_N.tolist(),
-            dt_s.tolist(),
-            t_s.tolist(),
-            repeat(0.0) if force_std_N is None else force_std_N.tolist(),
-            strict=False,
-        ):
-            estimates.append(self._identifier.update(*row))
-            self._contacts_m.append(self.contact_depth_m)
-        self._rejected.update(estimate.status for estimate in estimates)
-        return estimates
 
 
 @dataclass(frozen=True, slots=True, kw_only=True, eq=False)
@@ -235,12 +23,15 @@ class Replay:
     Attributes:
         t_s: Time stamps of the recording, shape (n,), read-only.
         estimates: One per row.
+        contact_depths_m: Depth of the first contact as known at each row, nan before,
+            shape (n,). The published method is given it.
         layers: Layers traversed, as known at the end.
-        hints: Suspicions about signs and units, as text with advice.
+        hints: Suspicions about signs and units, as text with advice; rejected rows.
     """
 
     t_s: Array
     estimates: tuple[Estimate, ...]
+    contact_depths_m: Array
     layers: tuple[LayerEstimate, ...]
     hints: tuple[Suspicion, ...]
 
@@ -253,6 +44,8 @@ def replay(
     config: MixtureConfig | PublishedConfig = MIXTURE,
     *,
     dt_s: ArrayLike | None = None,
+    force_std_N: ArrayLike | None = None,
+    progress: Callable[[float], None] = lambda fraction: None,
 ) -> Replay:
     """Run the identifier over a recording, sample by sample.
 
@@ -269,7 +62,11 @@ def replay(
             if None.
         config: `MIXTURE`, `PUBLISHED` or a variant.
         dt_s: Time since the latest row that advanced [s], shape (n,), not positive for
-            a row that does not; None to count from the latest stamp.
+            a row that does not; None to count from the latest stamp. The first one is
+            not read.
+        force_std_N: Standard deviation of the force's slow error [N], see
+            `Identifier.update`.
+        progress: Takes the fraction of the rows that is done.
 
     Raises:
         InvalidLogError: Empty or ragged columns.
@@ -278,21 +75,97 @@ def replay(
     rows = len(times_s)
     depths_m = read_column("depth_m", depth_m, rows)
     forces_N = read_column("force_N", force_N, rows)
+    # A stamp that is no number spoils its own row only.
+    latest_s = np.fmax.accumulate(np.concatenate((times_s[:1], times_s[:-1])))
+    steps_s = times_s - latest_s if dt_s is None else read_column("dt_s", dt_s, rows)
+    forward_s = steps_s[1:200][steps_s[1:200] > 0.0]
+    first = int(np.argmax(np.isfinite(times_s)))
+    steps_s[: first + 1] = float(np.median(forward_s)) if forward_s.size else 1e-3
     speeds_m_s = None
     if speed_m_s is not None:
         speeds_m_s = read_column("speed_m_s", speed_m_s, rows)
-    if dt_s is None:
-        # A stamp that is no number spoils its own row only.
-        latest_s = np.fmax.accumulate(np.concatenate((times_s[:1], times_s[:-1])))
-        steps_s = times_s - latest_s
-    else:
-        steps_s = read_column("dt_s", dt_s, rows)
-    stream = ReplayStream(config)
-    estimates = stream.run(times_s, steps_s, depths_m, forces_N, speeds_m_s)
+    stds_N = repeat(0.0)
+    if force_std_N is not None:
+        stds_N = read_column("force_std_N", force_std_N, rows).tolist()
+    identifier = Identifier(config)
+    known_m = config.contact_depth_m if isinstance(config, PublishedConfig) else None
+    estimates: list[Estimate] = []
+    contacts_m: list[float | None] = []
+    for row in zip(
+        depths_m.tolist(),
+        repeat(None) if speeds_m_s is None else speeds_m_s.tolist(),
+        forces_N.tolist(),
+        steps_s.tolist(),
+        times_s.tolist(),
+        stds_N,
+        strict=False,
+    ):
+        estimates.append(identifier.update(*row))
+        contacts_m.append(identifier.contact_depth_m if known_m is None else known_m)
+        if len(estimates) % 10_000 == 0:
+            progress(len(estimates) / rows)
     times_s.setflags(write=False)
+    counts = Counter(estimate.status for estimate in estimates)
+    # Who reads a log reports a NaN or a late stamp.
+    of_reader = (
+        SampleStatus.OK,
+        SampleStatus.NOT_FINITE,
+        SampleStatus.TIME_NOT_FORWARD,
+    )
+    reports = [
+        Suspicion(f"{count} rows: {status.value}")
+        for status, count in counts.items()
+        if status not in of_reader
+    ]
     return Replay(
         t_s=times_s,
         estimates=tuple(estimates),
-        layers=stream.layers,
-        hints=stream.hints,
+        contact_depths_m=np.array(contacts_m, dtype=np.float64),  # None becomes nan
+        layers=identifier.layers,
+        hints=(*_suspect(depths_m, forces_N, speeds_m_s), *reports),
     )
+
+
+def _suspect(
+    depth_m: Array, force_N: Array, speed_m_s: Array | None
+) -> Iterator[Suspicion]:
+    """Yield suspicions about signs and units of columns, shape (n,), if any."""
+    finite_m = depth_m[np.isfinite(depth_m)]
+    span_m = float(np.ptp(finite_m)) if finite_m.size else 0.0
+    if span_m > 1.0:  # no needle goes deeper
+        yield Suspicion(
+            f"depth spans {span_m:.3g} m; is it in millimetres?",
+            "Give `depth_m` in metres.",
+        )
+    if span_m < 1e-3:
+        yield Suspicion(
+            f"depth moves by {span_m * 1e3:.3g} mm only; there is nothing to identify",
+            "Give `depth_m` in metres, of a recording that has an insertion.",
+        )
+        return
+    change_m = np.diff(depth_m, prepend=depth_m[:1])
+    is_good = np.isfinite(change_m) & np.isfinite(force_N)
+    is_deepest = depth_m >= np.fmax.accumulate(depth_m)
+    is_insertion = is_good & is_deepest & (change_m > 0.0)
+    insertion_m = change_m[is_insertion]
+    work_J = float(force_N[is_insertion] @ insertion_m)
+    if work_J < -0.02 * insertion_m.sum():  # a mean force of -20 mN
+        yield Suspicion(
+            "the force is negative while the needle goes in; it must be positive when "
+            "tissue pushes back",
+            "Negate `force_N`.",
+        )
+    fallen_m = float(finite_m[0] - finite_m.min())
+    if fallen_m > 0.7 * span_m and np.ptp(force_N[is_good]) > 0.0:
+        yield Suspicion(
+            "depth falls before it rises; it must grow into the tissue",
+            "Negate `depth_m`, unless the recording begins with a withdrawal.",
+        )
+    if speed_m_s is None:
+        return
+    is_good &= np.isfinite(speed_m_s)
+    if change_m[is_good] @ speed_m_s[is_good] < 0.0:
+        yield Suspicion(
+            "speed has the sign opposite to the change of depth",
+            "Negate `speed_m_s` or `depth_m`, or leave the speed out.",
+        )

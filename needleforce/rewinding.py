@@ -80,9 +80,7 @@ class RewindingIdentifier:
             begin_s: Its time.
             time_s: Now.
         """
-        # `resume` is `restore` without checks: the state is this identifier's own, or
-        # was checked when the session was restored.
-        self.identifier.resume(snapshot)
+        self.identifier.restore(snapshot)
         self._stand_at(snapshot, begin_s, time_s)
 
     def _stand_at(

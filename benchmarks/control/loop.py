@@ -54,7 +54,6 @@ class Insertion:
     Attributes:
         manager: Of the run.
         ended_s: When the insertion ended, on the rig's clock; None before.
-        has_device: Whether a haptic device answers.
     """
 
     def __init__(
@@ -79,7 +78,6 @@ class Insertion:
         self._sample_status = SampleStatus.OK
         self._free_N = list[float]()
         self._zero_N = 0.0
-        self.has_device = False
         self.ended_s: float | None = None
 
     def __iter__(self) -> Iterator[Situation]:
@@ -99,7 +97,6 @@ class Insertion:
             axial_N = self._axial_N() if self._with_ft else None
             beside = beside._replace(
                 axial_N=axial_N,
-                has_device=self.has_device,
                 sample_status=self._sample_status,
             )
             situation = manager.update(sample, beside)

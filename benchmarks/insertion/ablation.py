@@ -27,13 +27,14 @@ from benchmarks.insertion.signals import InsertionTruth, NeedleSignal
 from benchmarks.jobs import Figure, Job, make_figures
 from identification.estimate import SampleStatus
 from identification.mixture import learner, method, reporter
-from identification.mixture.hard_contact import HardContactState
-from identification.mixture.innovation_watch import InnovationWatch
-from identification.mixture.needle_pull import NeedlePull
+from identification.mixture.foreign_force import NeedlePull, RestForce
 from identification.mixture.noise_levels import Texture
-from identification.mixture.rest_force import RestForce
+from identification.mixture.tissue_doubt import (
+    HardContactState,
+    InnovationWatch,
+    TissuePull,
+)
 from identification.mixture.tissue_motion import TissueMotion
-from identification.mixture.tissue_pull import TissuePull
 
 SCENARIO = "stack-constant"
 

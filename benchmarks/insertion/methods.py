@@ -158,7 +158,13 @@ def run_session(
     )
     t_s = signals.t_s[tare:]
     layers = session.layers
-    result = Replay(t_s=t_s, estimates=tuple(estimates), layers=layers, hints=())
+    result = Replay(
+        t_s=t_s,
+        estimates=tuple(estimates),
+        layers=layers,
+        contact_depths_m=np.empty(0),
+        hints=(),
+    )
     return SessionRun(
         reading,
         series[2],

@@ -6,12 +6,11 @@ how well it predicts the force.
 
 Reading order: `force_model` (the unknowns of one hypothesis), `priors`, `events` (what
 a contact or a rupture does to them), `mixture` (predict, correct, branch, prune);
-`learner` (what it learns from a block of force); `evidence`, `decisions` (alarms),
+`learner` (what it learns from a block of force); `evidence` (alarms),
 `reporter` (alarms and layers, raised, retracted, revised), `layer_report`;
 `needle_contact` (the block being filled), `shaft_posterior`, `force_split` (tip force
 of every sample); `method` (what happens when). Beside them: `block`, `kalman`,
 `disturbances`, `noise_levels`, `speed_filter`, `needle_stop`, `needle_swing` (tremor);
 tissue that moves by itself: `tissue_motion`, `motion_fit`; forces that
-are no such tissue's, `force_watch`: `needle_pull`, `rest_force`, `tissue_pull`,
-`hard_contact`, `innovation_watch`.
+are no such tissue's, or in doubt, `force_watch`: `foreign_force`, `tissue_doubt`.
 """

@@ -2,6 +2,9 @@
 
 from typing import NamedTuple
 
+MM_PER_M = 1e3
+"""Millimetres per metre."""
+
 
 class Block(NamedTuple):
     """Where the tip is at the middle of a block, and how well that is known.

@@ -80,21 +80,6 @@ air."""
 MEMBRANE_MET = 2
 """The tip meets a membrane under the layer that it is in."""
 
-RELEASE_LENGTH_LOG_STD = 0.12
-"""Prior standard deviation of the logarithm of a release's length, about the length
-that a hypothesis assumes."""
-
-FADING_FRACTION = 0.45
-"""Fraction of the tip force that is kept, where some is: chosen, between the 30 and
-60 % that ruptures in liver suggest."""
-
-FADING_FRACTION_STD = 0.15
-"""Its standard deviation."""
-
-INITIAL_FRICTION_STD_N = 0.2
-"""Standard deviation of friction already there at the first contact: the recording may
-begin inside tissue."""
-
 
 class Event(NamedTuple):
     """What may have happened in a block.
@@ -190,20 +175,11 @@ class Gaussian(NamedTuple):
 
 
 @compiled_inside
-def clear_rows(step: LinearMap, begin: int, end: int) -> None:
-    """Set the unknowns from `begin` to before `end` to zero after the event."""
-    for i in range(begin, end):
-        for j in range(UNKNOWNS):
-            step.transition[i, j] = 0.0
-
-
-@compiled_inside
 def take_tip_force(
     step: LinearMap, unknown: int, tip_row: Vector, fraction: float
 ) -> None:
     """Let an unknown take a fraction of the tip force at the event."""
-    for j in range(UNKNOWNS):
-        step.transition[unknown, j] = fraction * tip_row[j]
+    step.transition[unknown] = fraction * tip_row
     step.transfer_std[unknown] -= fraction * step.transfer_std[TRAVERSED_COULOMB]
 
 
@@ -221,7 +197,7 @@ def leave_undecided_cutting_on_shaft(
     shaft is opposite to that of the tip force. Like `release_model_error`, this call
     writes `tip_row` and comes before all that uses it.
     """
-    undecided = undecided_cutting(assumption, block.depth_mm).fraction
+    undecided, _ = undecided_cutting(assumption, block.depth_mm)
     on_shaft = CUTTING_ON_SHAFT * undecided
     tip_row[HELD] -= on_shaft
     step.transition[TRAVERSED_COULOMB, HELD] = on_shaft
@@ -232,9 +208,10 @@ def leave_undecided_cutting_on_shaft(
 @compiled_inside
 def begin_contact(step: LinearMap, block: Block) -> None:
     """Begin a layer without friction; the shaft may have some from before."""
-    clear_rows(step, LAYER_COULOMB, LAYER_VISCOUS + 1)
+    step.transition[LAYER_COULOMB : LAYER_VISCOUS + 1] = 0.0
     unsettled = 0.0 if block.is_swing else 1.0 - block.deflection
-    initial_std = INITIAL_FRICTION_STD_N * unsettled
+    # The recording may begin inside tissue, with friction already there.
+    initial_std = 0.2 * unsettled  # N
     step.variance[TRAVERSED_COULOMB] = initial_std**2
 
 
@@ -249,15 +226,16 @@ def release_model_error(
     from the tip force without it. So `map_event` calls it before `tip_row` is used.
     """
     tip_force = dot(tip_row, mean)
-    step.variance[RELEASE_STRETCH] = (RELEASE_LENGTH_LOG_STD * tip_force) ** 2
+    # Prior standard deviation of the logarithm of a release's length, about the length
+    # that a hypothesis assumes: 0.12
+    step.variance[RELEASE_STRETCH] = (0.12 * tip_force) ** 2
     tip_row[MODEL_ERROR] = 1.0
-    clear_rows(step, MODEL_ERROR, MODEL_ERROR_SLOPE + 1)
+    step.transition[MODEL_ERROR : MODEL_ERROR_SLOPE + 1] = 0.0
     shaft_friction = block.force_before_N - mean[OFFSET] - dot(tip_row, mean)
     error_std = MODEL_ERROR_FRACTION * TRAVERSED_ERROR_FRACTION * shaft_friction
     # Where the force falls, the hysteresis of torque sensors turns round: part of the
     # force's slow error is another one, until the joints have moved on.
-    hysteresis_fraction = 0.25  # of that error's standard deviation, chosen
-    hysteresis_std = hysteresis_fraction * block.force_std_N
+    hysteresis_std = 0.25 * block.force_std_N  # chosen
     step.variance[MODEL_ERROR] = error_std**2 + hysteresis_std**2
     step.variance[MODEL_ERROR_SLOPE] = step.variance[MODEL_ERROR] / MODEL_ERROR_MM**2
 
@@ -267,7 +245,7 @@ def leave_friction_on_shaft(
     step: LinearMap, assumption: Assumptions, block: Block
 ) -> None:
     """Add the layer's friction to that of the layers traversed; the next has none."""
-    clear_rows(step, LAYER_COULOMB, LAYER_VISCOUS + 1)
+    step.transition[LAYER_COULOMB : LAYER_VISCOUS + 1] = 0.0
     if assumption.medium == LAYER:
         length = max(block.depth_mm - assumption.layer_start_mm, 0.0)
         step.transition[TRAVERSED_COULOMB, LAYER_COULOMB] = length
@@ -276,9 +254,13 @@ def leave_friction_on_shaft(
 
 @compiled_inside
 def keep_part_of_tip_force(step: LinearMap, mean: Vector, tip_row: Vector) -> None:
-    """Let part of the tip force outlast the release, until it fades with travel."""
-    take_tip_force(step, FADING, tip_row, FADING_FRACTION)
-    step.variance[FADING] = (FADING_FRACTION_STD * dot(tip_row, mean)) ** 2
+    """Let part of the tip force outlast the release, until it fades with travel.
+
+    The fraction, 0.45 ± 0.15, is chosen, between the 30 and 60 % that ruptures in liver
+    suggest.
+    """
+    take_tip_force(step, FADING, tip_row, 0.45)
+    step.variance[FADING] = (0.15 * dot(tip_row, mean)) ** 2
 
 
 @compiled_inside
@@ -300,7 +282,7 @@ def begins_friction_record(assumption: Assumptions, kind: int, reported: int) ->
 @compiled_inside
 def start_friction_record(step: LinearMap) -> None:
     """Move the last section's friction to the one before; the last starts at zero."""
-    clear_rows(step, FRICTION_LAST, FRICTION_BEFORE + 1)
+    step.transition[FRICTION_LAST : FRICTION_BEFORE + 1] = 0.0
     step.transition[FRICTION_BEFORE, FRICTION_LAST] = 1.0
 
 
@@ -328,16 +310,11 @@ def map_event(
 
     The mean force that they predict at the event stays the same.
     """
-    step = LinearMap(
-        np.zeros((UNKNOWNS, UNKNOWNS)), np.zeros(UNKNOWNS), np.zeros(UNKNOWNS)
-    )
-    for i in range(UNKNOWNS):
-        step.transition[i, i] = 1.0
-    row = regressor(assumption, block)
-    tip_row = np.zeros(UNKNOWNS)  # the tip force is tip_row @ mean
-    for i in range(TIP_BEGIN, TIP_END):
-        tip_row[i] = row[i]
-    clear_rows(step, TIP_BEGIN, TIP_END)
+    step = LinearMap(np.eye(UNKNOWNS), np.zeros(UNKNOWNS), np.zeros(UNKNOWNS))
+    tip_row = regressor(assumption, block)  # the tip force is tip_row @ mean
+    tip_row[:TIP_BEGIN] = 0.0
+    tip_row[TIP_END:] = 0.0
+    step.transition[TIP_BEGIN:TIP_END] = 0.0
     if event.kind == CONTACT:
         begin_contact(step, block)
     elif event.kind == LAYER_END:
@@ -396,10 +373,8 @@ def apply_event(
     # map_rows returns the transpose, (T P).T; applied twice that is T P T.T.
     covariance = map_rows(step.transition, gaussian.covariance)
     covariance = map_rows(step.transition, covariance)
-    for i in range(UNKNOWNS):
-        covariance[i, i] += step.variance[i]
-        for j in range(UNKNOWNS):
-            covariance[i, j] += step.transfer_std[i] * step.transfer_std[j]
+    covariance += np.diag(step.variance)
+    covariance += np.outer(step.transfer_std, step.transfer_std)
     after = Gaussian(mean_after, covariance)
     add_prior(after, event, block.speed_mm_s)
     return after

@@ -1,4 +1,10 @@
-"""How probable each component is, and how many ruptures it counts."""
+"""How probable each component is, and what follows for the number of ruptures.
+
+How likely more or fewer ruptures are than reported; whether braking explains a fall.
+What follows from it, an alarm or its retraction, is left to `reporter`.
+
+Lengths are in mm, speeds in mm/s, forces in N.
+"""
 
 import math
 from typing import NamedTuple
@@ -6,12 +12,15 @@ from typing import NamedTuple
 import numpy as np
 
 from foundation.arrays import WrittenVector
-from foundation.records import read_column
+from foundation.jit import compiled
+from foundation.linear_algebra import index_of_largest
+from foundation.records import read_column, read_element
 from identification.estimate import Rupture
+from identification.mixture.block import MM_PER_M, Block
+from identification.mixture.events import History
+from identification.mixture.force_model import FADING, OFFSET, RELEASED
 from identification.mixture.mixture import MIN_BETWEEN_RUPTURES_MM, Mixture
-
-MM_PER_M = 1e3
-"""Millimetres per metre."""
+from identification.mixture.tissue_motion import TissueMotion
 
 
 class Evidence(NamedTuple):
@@ -67,3 +76,111 @@ def count_recent_in_full(evidence: Evidence, noise_fraction: float) -> Evidence:
     logs = evidence.mixture.log_weights + noise_fraction * recent
     weights = np.exp(logs - logs.max())
     return evidence._replace(weights=weights / weights.sum())
+
+
+class RuptureCount(NamedTuple):
+    """What the components say about the number of ruptures.
+
+    Attributes:
+        more: Probability of more ruptures than reported and a clear fall of the force.
+        fewer: Probability of fewer than reported.
+        likeliest_with_more: The likeliest component with more, -1 without any.
+        likeliest: Number of ruptures of the likeliest component of all.
+    """
+
+    more: float
+    fewer: float
+    likeliest_with_more: int
+    likeliest: int
+
+
+@compiled
+def compare_counts(
+    evidence: Evidence, reported: int, block: Block, clear_fall: float
+) -> RuptureCount:
+    """Compare the number of ruptures reported with those of the components.
+
+    Args:
+        evidence: Of n components.
+        reported: Ruptures reported so far.
+        block: The last one.
+        clear_fall: Released force that counts as a rupture.
+    """
+    mixture = evidence.mixture
+    more = 0.0
+    fewer = 0.0
+    likeliest = -1
+    for k in range(len(evidence.weights)):
+        weight = evidence.weights[k]
+        if evidence.ruptures[k] < reported:
+            fewer += weight
+        elif evidence.ruptures[k] > reported:
+            history = mixture.history[k]
+            mean = mixture.means[k]
+            # At most all of the force has fallen.
+            most = history.rupture_force_N - mean[OFFSET]
+            released = min(mean[RELEASED] - mean[FADING], most)
+            # A late component with a rupture is rather a change of the tissue, unless
+            # the force is still lower.
+            is_late = block.time_s - history.rupture_s > 0.5
+            is_undone = is_late and history.rupture_force_N <= block.force_N
+            if released > clear_fall and not is_undone:
+                more += weight
+                if likeliest < 0 or weight > evidence.weights[likeliest]:
+                    likeliest = k
+    if likeliest >= 0:
+        history = mixture.history[likeliest]
+        fallen = history.rupture_force_N - history.min_force_N
+        if fallen <= 0.3 * clear_fall:  # the force only grows slower
+            more = 0.0
+    ruptures = int(evidence.ruptures[index_of_largest(evidence.weights)])
+    return RuptureCount(more, fewer, likeliest, ruptures)
+
+
+def count_ruptures(evidence: Evidence, reported: int, block: Block) -> RuptureCount:
+    """Return what the components say about the number of ruptures reported."""
+    # Released force for an alarm: two thirds of the least rupture seen in real liver
+    return compare_counts(evidence, reported, block, max(3.0 * block.noise_std_N, 0.1))
+
+
+def may_be_braking(
+    mixture: Mixture, component: int, block: Block, time_s: float, tissue: TissueMotion
+) -> bool:
+    """Return whether a needle that slows down could explain the fall of the force.
+
+    Friction falls with the speed at once, but the speed is known late. So a relatively
+    small fall waits until the speed would show braking, and counts only if it exceeds
+    what that explains.
+
+    Args:
+        mixture: As it is now.
+        component: The one that says that there was a rupture.
+        block: The last one.
+        time_s: Now, since the reset.
+        tissue: Its own motion.
+    """
+    history = read_element(History, mixture.history, component)
+    force_N = abs(history.rupture_force_N - float(mixture.means[component, OFFSET]))
+    fall_N = history.rupture_force_N - block.force_N
+    since_s = time_s - history.rupture_s
+    # No robot makes so large a fall, or so quick a one, by braking before its speed is
+    # known.
+    quick_fall = max(0.12, 1.5 * since_s)
+    if since_s < block.speed_lag_s and fall_N < quick_fall * force_N:
+        return True
+    # Only the needle's own speed is known late.
+    start_mm, start_mm_s = tissue.motion_at(history.rupture_s)
+    end_mm, end_mm_s = tissue.motion_at(block.time_s)
+    speed = block.speed_mm_s + end_mm_s
+    speed_before = history.rupture_speed_mm_s + start_mm_s
+    travel_mm = block.unfiltered_depth_mm - history.rupture_mm + end_mm - start_mm
+    travelled_s = block.time_s - history.rupture_s
+    if 0.0 < travelled_s < 0.5:
+        # A filtered depth is as late as its speed, an unfiltered one is not.
+        speed = min(speed, travel_mm / travelled_s)
+    loss = 1.0 - speed / max(speed_before, 1e-3)
+    # Relative fall that braking explains, per fraction of the speed lost, less of a
+    # large fall: more than 1, since the speed is late and travel shows its mean
+    explained = 2.0 if fall_N > 0.3 * force_N else 3.0
+    # A smaller loss is noise of the filtered speed.
+    return loss > 0.02 and fall_N < explained * loss * force_N

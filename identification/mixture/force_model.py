@@ -46,7 +46,6 @@ layer report, because force measured later still corrects them. See
 
 import math
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
 
@@ -104,14 +103,8 @@ COLOURED_NOISE = 13
 HEARTBEAT = 14
 """Force by the heartbeat [N]; its rate [N/s] follows it."""
 
-HEARTBEAT_RATE = 15
-"""Rate of the force by the heartbeat [N/s]."""
-
 BREATHING = 16
 """Force by breathing [N]; its rate follows it."""
-
-BREATHING_RATE = 17
-"""Rate of the force by breathing [N/s]."""
 
 MODEL_ERROR = 18
 """Error of this model [N]; its slope follows it."""
@@ -140,14 +133,8 @@ MEMBRANE = 2.0
 NO_RELEASE_MM = -1e9
 """Value of `release_start_mm` without a release."""
 
-NEVER_MM = -1e8
-"""Limit to tell the two apart: a release lies deeper, `NO_RELEASE_MM` does not."""
-
 CUTTING_ONSET_MM = 1.0
 """Travel until a new layer's cutting force is full: a needle's diameter."""
-
-FADING_MM = 5.0
-"""Travel over which a tip force that outlasts its rupture fades: chosen."""
 
 MODEL_ERROR_FRACTION = 0.03
 """Standard deviation of this model's error, as a fraction of the tip force."""
@@ -165,9 +152,6 @@ CUTTING_ON_SHAFT = 0.4
 
 CUTTING_ON_SHAFT_STD = 0.35
 """Standard deviation of that fraction."""
-
-UNDECIDED_CUTTING_MM = 10.0
-"""Travel over which what began as cutting force becomes undecided."""
 
 
 @dataclass(slots=True)
@@ -237,8 +221,9 @@ def regressor(assumption: Assumptions, block: Block) -> Vector:
         row[HELD] = onset * (2.0 - onset)
     row[STIFFNESS] = travel
     row[STIFFENING] = travel * travel
-    if assumption.release_start_mm > NEVER_MM:
-        row[FADING] = max(1.0 - release_travel / FADING_MM, 0.0) ** 2 - remaining
+    if assumption.release_start_mm > NO_RELEASE_MM:
+        # A tip force that outlasts its rupture fades over 5 mm: chosen.
+        row[FADING] = max(1.0 - release_travel / 5.0, 0.0) ** 2 - remaining
     row[LAYER_COULOMB] = block.deflection * length
     row[LAYER_VISCOUS] = block.speed_mm_s * length
     row[COLOURED_NOISE] = 1.0
@@ -248,30 +233,23 @@ def regressor(assumption: Assumptions, block: Block) -> Vector:
     return row
 
 
-class Undecided(NamedTuple):
-    """Part of what began as cutting force that may be friction by now.
-
-    Attributes:
-        fraction: Of the cutting force, 0 to 1.
-        growth: Its growth with travel [1/mm].
-    """
-
-    fraction: float
-    growth: float
-
-
 @compiled_inside
-def undecided_cutting(assumption: Assumptions, depth_mm: float) -> Undecided:
+def undecided_cutting(assumption: Assumptions, depth_mm: float) -> tuple[float, float]:
     """Return how much of what began as cutting force may be friction by now.
 
     At constant speed a force that was there from the layer's beginning looks the same
     whether it stays at the tip, as a cutting force does, or has become friction of a
     shaft that tissue grips. Nothing decides between the two before the next rupture.
     The fraction of it that is friction grows with travel x as
-    ``CUTTING_ON_SHAFT * (1 - exp(-x / UNDECIDED_CUTTING_MM))``.
+    ``CUTTING_ON_SHAFT * (1 - exp(-x / 10 mm))``.
+
+    Returns:
+        The fraction of the cutting force that is undecided, 0 to 1, and its growth with
+        travel [1/mm].
     """
+    undecided_mm = 10.0
     if assumption.medium != LAYER:
-        return Undecided(0.0, 0.0)
+        return 0.0, 0.0
     travel = max(depth_mm - assumption.tip_start_mm, 0.0)
-    remaining = math.exp(-travel / UNDECIDED_CUTTING_MM)
-    return Undecided(1.0 - remaining, remaining / UNDECIDED_CUTTING_MM)
+    remaining = math.exp(-travel / undecided_mm)
+    return 1.0 - remaining, remaining / undecided_mm

@@ -12,91 +12,50 @@ from typing import NamedTuple
 
 from foundation.arrays import Matrix
 from foundation.jit import compiled, compiled_inside
-from identification.estimate import Outputs
-from identification.mixture.evidence import MM_PER_M
+from identification.estimate import Outputs, Sample
+from identification.mixture.block import MM_PER_M
 from identification.mixture.needle_contact import (
     REST_SPEED_MM_S,
-    ContactSample,
     NeedleContact,
     is_falling,
     update_contact,
 )
 from identification.mixture.needle_stop import (
     RELAXED_FRICTION,
+    Friction,
     lost_speed,
     meet_stop,
     retain,
 )
-from identification.mixture.shaft_posterior import (
-    Friction,
-    ShaftPosterior,
-)
+from identification.mixture.shaft_posterior import ShaftPosterior
 
 UNSETTLED_FRACTION = 0.3
 """Standard deviation of the part of friction that a rest takes, and of friction while
 presliding turns."""
 
-OUTSIDE_M = 2e-3
-"""Way in front of the first contact from which on a needle is out of the tissue: its
-surface was pushed in, and is known that well."""
-
-UNLOADED_M = 1e-3
-"""A tip drawn back by a needle diameter touches nothing."""
-
-IDENTIFIED_FRACTION = 0.25
-"""A value is identified if its standard deviation is no more than this part of it."""
-
 TINY = 1e-12
 """What keeps a denominator above zero."""
 
-MIN_TIP_SIGMAS = -30.0
-"""A tip force further below zero, in standard deviations of the model's error, counts
-as this far: the tail of the normal distribution is not computed beyond."""
-
-LAYER_COLUMNS = 4
+START_M, THICKNESS_M, COULOMB_N, VISCOUS_N_PER_MM_S = range(4)
 """Columns of the layers traversed: see `split_force`."""
 
-START_M = 0
-THICKNESS_M = 1
-COULOMB_N = 2
-VISCOUS_N_PER_MM_S = 3
+TIP_STD = 5
+"""Place of the deviation of the tip's force among `Outputs`."""
 
 PREDICTED = 8
-"""Place of the force that was predicted among `Outputs`."""
+"""Place of the force that was predicted."""
 
 
-class Forces(NamedTuple):
-    """A sample's force and its parts [N].
-
-    Attributes:
-        enhanced: Without the friction of the layers traversed.
-        enhanced_std: Standard deviation of the enhanced force.
-        tip: Force at the tip.
-        tip_std: Standard deviation of the tip force.
-        shaft: Friction of the shaft.
-        shaft_std: Standard deviation of the friction.
-        predicted: Axial force that all this predicts.
-    """
-
-    enhanced: float
-    enhanced_std: float
-    tip: float
-    tip_std: float
-    shaft: float
-    shaft_std: float
-    predicted: float
-
-
-class ShaftForce(NamedTuple):
-    """Friction of the shaft.
-
-    Attributes:
-        mean: Its mean [N].
-        variance: Its variance [N²].
-    """
-
-    mean: float
-    variance: float
+Forces = tuple[
+    float,  # without the friction of the layers traversed
+    float,  # standard deviation of that
+    float,  # force at the tip
+    float,  # standard deviation of the tip force
+    float,  # friction of the shaft
+    float,  # standard deviation of the friction
+    float,  # axial force that all this predicts
+]
+"""A sample's force and its parts [N], in the order of `Outputs`."""
 
 
 class SlidingShaft(NamedTuple):
@@ -111,42 +70,6 @@ class SlidingShaft(NamedTuple):
     deflection: float
     uncertainty: float
     speed: float
-
-
-class EmbeddedFraction(NamedTuple):
-    """Fractions of the friction of the layers traversed that are still on the shaft.
-
-    Attributes:
-        coulomb: Of the Coulomb friction.
-        viscous: Of the viscous friction.
-    """
-
-    coulomb: float
-    viscous: float
-
-
-class TipForce(NamedTuple):
-    """A tip force that is not below zero.
-
-    Attributes:
-        mean: Its mean.
-        removed_variance: Variance that this knowledge removes.
-    """
-
-    mean: float
-    removed_variance: float
-
-
-class Damping(NamedTuple):
-    """Friction per speed.
-
-    Attributes:
-        value: Coulomb and viscous friction over the speed [N/(mm/s)].
-        std: Its standard deviation.
-    """
-
-    value: float
-    std: float
 
 
 @compiled
@@ -204,8 +127,14 @@ def relax(contact: NeedleContact, speed: float) -> SlidingShaft:
 
 
 @compiled_inside
-def measure_embedded(depth_m: float, layers: Matrix) -> EmbeddedFraction:
-    """Return the fractions of the friction of the layers still on the shaft."""
+def measure_embedded(depth_m: float, layers: Matrix) -> tuple[float, float]:
+    """Return fractions of the friction of the layers traversed still on the shaft.
+
+    Returns:
+        Of the Coulomb friction and of the viscous friction.
+    """
+    if len(layers) == 0:
+        return 1.0, 1.0
     coulomb = TINY
     viscous = TINY
     all_coulomb = TINY
@@ -217,25 +146,28 @@ def measure_embedded(depth_m: float, layers: Matrix) -> EmbeddedFraction:
         viscous += fraction * layers[k, VISCOUS_N_PER_MM_S]
         all_coulomb += layers[k, COULOMB_N]
         all_viscous += layers[k, VISCOUS_N_PER_MM_S]
-    return EmbeddedFraction(coulomb / all_coulomb, viscous / all_viscous)
+    return coulomb / all_coulomb, viscous / all_viscous
 
 
 @compiled_inside
-def truncate_at_zero(tip_force: float, variance: float) -> TipForce:
+def truncate_at_zero(tip_force: float, variance: float) -> tuple[float, float]:
     """Cut a tip force off at zero, since no tissue pulls the tip.
 
     Args:
         tip_force: Mean of the tip force [N].
         variance: Of the force model's error, which the components do not know of.
+
+    Returns:
+        Mean of the tip force, and the variance that this knowledge removes.
     """
     std = math.sqrt(max(variance, TINY))
-    ratio = max(tip_force / std, MIN_TIP_SIGMAS)
+    ratio = max(tip_force / std, -30.0)  # the normal distribution's tail ends there
     hazard = (
         math.sqrt(2.0 / math.pi)
         * math.exp(-0.5 * ratio * ratio)
         / math.erfc(-math.sqrt(0.5) * ratio)
     )
-    return TipForce(std * (ratio + hazard), variance * hazard * (hazard + ratio))
+    return std * (ratio + hazard), variance * hazard * (hazard + ratio)
 
 
 @compiled_inside
@@ -252,7 +184,7 @@ def split_in_air(
     """
     net = force - posterior.offset
     std = noise_std(posterior, contact)
-    return Forces(net, std, net, std, 0.0, 0.0, posterior.offset + tip_force)
+    return net, std, net, std, 0.0, 0.0, posterior.offset + tip_force
 
 
 @compiled_inside
@@ -279,7 +211,8 @@ def split_in_channel(
     posterior: ShaftPosterior,
     contact: NeedleContact,
     sliding: SlidingShaft,
-    embedded: EmbeddedFraction,
+    layers: Matrix,
+    depth_m: float,
     force: float,
     travel: float,
 ) -> Forces:
@@ -289,7 +222,8 @@ def split_in_channel(
         posterior: What the mixture knows.
         contact: Of needle and tissue.
         sliding: How the shaft slides.
-        embedded: Fractions of the layers traversed that are still on the shaft.
+        layers: Those traversed, see `split_force`.
+        depth_m: Of the tip in the tissue.
         force: Axial force [N].
         travel: Since the depth of the posterior [mm].
     """
@@ -297,10 +231,11 @@ def split_in_channel(
     traversed = posterior.traversed
     shaft = posterior.shaft
     layer = posterior.layer_friction
+    embedded_coulomb, embedded_viscous = measure_embedded(depth_m, layers)
     embedded_sliding = SlidingShaft(
-        sliding.deflection * embedded.coulomb,
+        sliding.deflection * embedded_coulomb,
         sliding.uncertainty,
-        sliding.speed * embedded.viscous,
+        sliding.speed * embedded_viscous,
     )
     friction = traversed_friction(posterior, embedded_sliding)
     enhanced_std = traversed_std(posterior, contact, embedded_sliding)
@@ -310,14 +245,14 @@ def split_in_channel(
     in_layer += sliding.speed * max(layer_viscous, 0.0)
     std = noise_std(posterior, contact)
     predicted = posterior.offset + friction + in_layer
-    return Forces(net - friction, enhanced_std, 0.0, std, net, std, predicted)
+    return net - friction, enhanced_std, 0.0, std, net, std, predicted
 
 
 @compiled_inside
 def sliding_friction(
     posterior: ShaftPosterior, sliding: SlidingShaft, travel: float
-) -> ShaftForce:
-    """Return the friction of the shaft by the force law, at its speed.
+) -> tuple[float, float]:
+    """Return mean [N] and variance of the shaft's friction by the force law.
 
     Args:
         posterior: What the mixture knows.
@@ -330,7 +265,7 @@ def sliding_friction(
     friction += sliding.speed * (shaft.viscous + layer.viscous * travel)
     variance = friction_variance(shaft, sliding.deflection, sliding.speed)
     variance += (sliding.uncertainty * shaft.coulomb) ** 2
-    return ShaftForce(friction, variance)
+    return friction, variance
 
 
 @compiled_inside
@@ -340,8 +275,8 @@ def stopped_friction(
     sliding: SlidingShaft,
     net: float,
     travel: float,
-) -> ShaftForce:
-    """Return the friction of a shaft that comes to a stop or rests.
+) -> tuple[float, float]:
+    """Return mean [N] and variance of friction where the shaft stops or rests.
 
     Args:
         posterior: What the mixture knows, with the motion before the stop.
@@ -358,12 +293,12 @@ def stopped_friction(
     cut = posterior.stiffness * travelled
     force_variance = 2.0 * posterior.noise_variance + contact.motion_variance_N2
     force_variance += unexplained**2 + cut**2
-    met = meet_stop(stop, before, net, force_variance)
-    friction = contact.deflection * met.friction
-    variance = (contact.deflection**2) * met.variance
+    (at_rest, variance_at_rest), _ = meet_stop(stop, before, net, force_variance)
+    friction = contact.deflection * at_rest
+    variance = (contact.deflection**2) * variance_at_rest
     variance += (UNSETTLED_FRACTION * turned * stop.friction) ** 2
     backwards = min(sliding.speed, 0.0) * posterior.shaft.viscous
-    return ShaftForce(friction + backwards, variance)
+    return friction + backwards, variance
 
 
 @compiled_inside
@@ -388,11 +323,9 @@ def split_at_front(
     motion_variance = contact.motion_variance_N2
     tip_prediction = posterior.tip_force + posterior.stiffness * travel
 
-    on_shaft = sliding_friction(posterior, sliding, travel)
+    friction, variance = sliding_friction(posterior, sliding, travel)
     if lost_speed(posterior.stop, sliding.speed) > 0.0:
-        on_shaft = stopped_friction(posterior, contact, sliding, net, travel)
-    friction = on_shaft.mean
-    variance = on_shaft.variance
+        friction, variance = stopped_friction(posterior, contact, sliding, net, travel)
 
     # A force counts less, the more uncertain motion makes it, beside what is not known
     # of friction.
@@ -407,14 +340,14 @@ def split_at_front(
     )
     # A stop may have shown the friction better than the model's error is.
     error_variance = min(error_variance, max(variance, 0.0))
-    tip = truncate_at_zero(weighted - friction, error_variance)
-    variance += weight * motion_variance + excess**2 - tip.removed_variance
-    return Forces(
+    tip_force, removed_variance = truncate_at_zero(weighted - friction, error_variance)
+    variance += weight * motion_variance + excess**2 - removed_variance
+    return (
         net - traversed_friction(posterior, sliding),
         traversed_std(posterior, contact, sliding),
-        tip.mean,
+        tip_force,
         net_force_std(posterior, shaft, sliding, variance),
-        weighted - tip.mean,
+        weighted - tip_force,
         math.sqrt(max(variance, 0.0)),
         posterior.offset + friction + tip_prediction,
     )
@@ -447,11 +380,11 @@ def split_force(
     if depth_m < posterior.contact_depth_m:
         return split_in_air(posterior, contact, force, 0.0)
     sliding = relax(contact, speed)
-    if depth_m < contact.deepest_m - UNLOADED_M:
-        embedded = EmbeddedFraction(1.0, 1.0)
-        if len(layers) > 0:
-            embedded = measure_embedded(depth_m, layers)
-        return split_in_channel(posterior, contact, sliding, embedded, force, travel)
+    # A tip drawn back by a needle diameter touches nothing.
+    if depth_m < contact.deepest_m - 1e-3:
+        return split_in_channel(
+            posterior, contact, sliding, layers, depth_m, force, travel
+        )
     return split_at_front(posterior, contact, sliding, force, travel)
 
 
@@ -468,21 +401,21 @@ def find_layer(posterior: ShaftPosterior, layers: Matrix, depth_m: float) -> int
 
 
 @compiled_inside
-def damping_at(friction: Friction, speed: float) -> Damping:
-    """Return Coulomb and viscous friction as one damping at a speed."""
+def damping_at(friction: Friction, speed: float) -> tuple[float, float]:
+    """Return Coulomb and viscous friction over a speed [N/(mm/s)], and its std."""
     value = friction.coulomb / speed + friction.viscous
     variance = friction_variance(friction, 1.0 / speed, 1.0)
-    return Damping(value, math.sqrt(max(variance, 0.0)))
+    return value, math.sqrt(max(variance, 0.0))
 
 
 @compiled
 def is_identified(value: float, std: float) -> bool:
-    """Return whether the data determine a value.
+    """Return whether the data determine a value: within a quarter of it.
 
     A standard deviation of zero is that of a value which no data gave, as the friction
     of a membrane.
     """
-    return 0.0 < std <= IDENTIFIED_FRACTION * abs(value)
+    return 0.0 < std <= 0.25 * abs(value)
 
 
 @compiled
@@ -505,37 +438,33 @@ def estimate_sample(
         force: Axial force [N].
     """
     posterior = posteriors[0]
-    surface_m = posterior.contact_depth_m - OUTSIDE_M
+    # So far in front of the first contact a needle is out of the tissue: the surface
+    # was pushed in, and is known that well.
+    surface_m = posterior.contact_depth_m - 2e-3
     in_contact = posterior.in_contact and depth_m > surface_m
     speed = MM_PER_M * speed_m_s
     forces = split_force(posterior, contacts[0], layers, depth_m, speed, force)
     speed = max(abs(speed), REST_SPEED_MM_S)
-    damping = damping_at(posterior.layer_friction, speed)
-    friction = MM_PER_M * MM_PER_M * damping.value
-    friction_std = MM_PER_M * MM_PER_M * damping.std
+    damping, damping_std = damping_at(posterior.layer_friction, speed)
+    friction = MM_PER_M * MM_PER_M * damping
+    friction_std = MM_PER_M * MM_PER_M * damping_std
     if posterior.rupture_speed_mm_s != 0.0:
         speed = posterior.rupture_speed_mm_s
-    cumulative = damping_at(posterior.traversed, speed)
+    cumulative, cumulative_std = damping_at(posterior.traversed, speed)
     stiffness = MM_PER_M * posterior.stiffness
     stiffness_std = MM_PER_M * math.sqrt(posterior.stiffness_variance)
     return (
         in_contact,
         find_layer(posterior, layers, depth_m),
-        forces.enhanced,
-        forces.enhanced_std,
-        forces.tip,
-        forces.tip_std,
-        forces.shaft,
-        forces.shaft_std,
-        forces.predicted,
+        *forces,
         stiffness,
         stiffness_std,
-        in_contact and is_identified(stiffness, stiffness_std),
+        in_contact & is_identified(stiffness, stiffness_std),
         friction,
         friction_std,
-        in_contact and is_identified(friction, friction_std),
-        MM_PER_M * cumulative.value,
-        MM_PER_M * cumulative.std,
+        in_contact & is_identified(friction, friction_std),
+        MM_PER_M * cumulative,
+        MM_PER_M * cumulative_std,
     )
 
 
@@ -551,27 +480,29 @@ def update_sample(
     arm_m_s: float,
     force: float,
     force_std: float,
-    unfiltered_depth_m: float,
+    raw_depth_m: float,
+    raw_speed_m_s: float,
     dt_s: float,
-    measured_m_s: float,
 ) -> tuple[bool, Outputs]:
     """Use one sample; return whether the block is full, and what to report of it.
 
-    The arguments are those of `estimate_sample`, and the fields of a `ContactSample`.
+    The arguments are those of `estimate_sample`, fields of a `Sample`, and the speed of
+    the arm, which tissue that moves does not have.
     """
-    sample = ContactSample(
+    sample = Sample(
+        0.0,
+        dt_s,
         depth_m,
         speed_m_s,
         depth_std_m,
         speed_std_m_s,
-        arm_m_s,
         force,
         force_std,
-        unfiltered_depth_m,
-        dt_s,
-        measured_m_s,
+        raw_depth_m,
+        raw_speed_m_s,
+        0.0,
     )
-    is_full = update_contact(contacts[0], sample)
+    is_full = update_contact(contacts[0], sample, arm_m_s)
     outputs = estimate_sample(posteriors, contacts, layers, depth_m, speed_m_s, force)
     predicted = outputs[PREDICTED]
     noise_variance = posteriors[0].noise_variance

@@ -1,9 +1,9 @@
 """What no tissue does, and what no hypothesis explains: watched block by block.
 
-Each watcher has a file of its own: a force that pulls at the needle (`needle_pull`), or
-changes while it rests (`rest_force`), tissue that overtakes it (`tissue_pull`), a hard
-contact (`hard_contact`), innovations (`innovation_watch`). Here they get what they look
-at, and what they find becomes a warning, a wider deviation, or a doubt of ruptures.
+A force that pulls at the needle, or changes while it rests, is in `foreign_force`;
+tissue that overtakes it, a hard contact and innovations are in `tissue_doubt`. Here
+they get what they look at, and what they find becomes a warning, a wider deviation, or
+a doubt of ruptures.
 """
 
 import math
@@ -11,21 +11,26 @@ from dataclasses import dataclass, field, replace
 from typing import TYPE_CHECKING
 
 from identification.estimate import (
+    Estimate,
     HardContact,
-    Outputs,
     Rupture,
     Sample,
     TissueWarning,
-    widen_forces,
 )
-from identification.mixture.block import Block
-from identification.mixture.evidence import MM_PER_M
+from identification.mixture.block import MM_PER_M, Block
 from identification.mixture.force_model import TRAVERSED_COULOMB, TRAVERSED_VISCOUS
-from identification.mixture.hard_contact import HardContactState
-from identification.mixture.innovation_watch import InnovationWatch
-from identification.mixture.needle_pull import ONSET_S, NeedlePull, NetForce
-from identification.mixture.rest_force import NEVER_AT_REST, HeldForce, RestForce
-from identification.mixture.tissue_pull import TissuePull
+from identification.mixture.foreign_force import (
+    ONSET_S,
+    NeedlePull,
+    NetForce,
+    RestForce,
+)
+from identification.mixture.needle_stop import SLIDING_DEFLECTION
+from identification.mixture.tissue_doubt import (
+    HardContactState,
+    InnovationWatch,
+    TissuePull,
+)
 
 if TYPE_CHECKING:
     from identification.mixture.learner import Learner
@@ -44,7 +49,7 @@ class ForceWatchState:
     """
 
     pull: NeedlePull = field(default_factory=NeedlePull)
-    rest_force: RestForce = NEVER_AT_REST
+    rest_force: RestForce = field(default_factory=RestForce)
     tissue_pull: TissuePull = field(default_factory=TissuePull)
     hard_contact: HardContactState = field(default_factory=HardContactState)
     innovations: InnovationWatch = field(default_factory=InnovationWatch)
@@ -100,20 +105,25 @@ class ForceWatch:
             warnings |= TissueWarning.UNEXPLAINED
         return warnings
 
-    def widen(self, outputs: Outputs) -> Outputs:
-        """Return outputs with what moving tissue, a swing and innovations put in doubt.
+    def widen(self, estimate: Estimate) -> Estimate:
+        """Return an estimate with what is in doubt in its deviations.
 
-        In a swing tip force and friction go up and down about their means.
+        In a swing tip force and friction go up and down about their means. Where tissue
+        moves, neither friction nor stiffness counts as identified.
         """
-        unexplained_N = self.unexplained_N
-        if unexplained_N > 0.0:
-            outputs = widen_forces(outputs, unexplained_N)
-        if self.state.tissue_pull.doubt_N > 0.0:
-            outputs = self.state.tissue_pull.widen(outputs)
-        swing_std_N = self._learner.state.block.swing_std_N
-        if swing_std_N > 0.0:
-            outputs = widen_forces(outputs, swing_std_N)
-        return outputs
+        doubt_N = self.doubt_N
+        is_moving = self.state.tissue_pull.doubt_N > 0.0
+        return estimate._replace(
+            enhanced_force_std_N=math.hypot(
+                estimate.enhanced_force_std_N or 0.0, doubt_N
+            ),
+            tip_force_std_N=math.hypot(estimate.tip_force_std_N or 0.0, doubt_N),
+            shaft_friction_std_N=math.hypot(
+                estimate.shaft_friction_std_N or 0.0, doubt_N
+            ),
+            stiffness_identified=estimate.stiffness_identified and not is_moving,
+            friction_identified=estimate.friction_identified and not is_moving,
+        )
 
     def watch_force(
         self,
@@ -134,28 +144,25 @@ class ForceWatch:
         """
         doubted_s: list[float] = []
         net_N = block.force_N - self._learner.zero_N
-        old_pull = self.state.pull
+        old = self.state.pull
         force = self._net_force(
             block, sample, net_N, contact_m, is_advancing=is_advancing
         )
-        pull = old_pull.with_force(force)
-        if pull.is_pulled and not old_pull.is_pulled:
+        pull = old.with_force(force)
+        alarm_age_s = math.inf if alarm is None else sample.time_s - alarm.time_s
+        if pull.is_pulled and not old.is_pulled:
             doubted_s.append(block.time_s - pull.peak_s + ONSET_S)
-        elif alarm is not None and self._is_undone(
-            alarm, sample, old_pull.recent_N, net_N
-        ):
+        elif alarm is not None and self._is_undone(alarm, sample, old.recent_N, net_N):
             pull = pull._replace(is_foreign=True)
-            doubted_s.append(sample.time_s - alarm.time_s + ONSET_S)
+            doubted_s.append(alarm_age_s + ONSET_S)
         if pull.is_new_zero(block.time_s):
-            self._learner.doubt_zero(pull.fall_N)
-            pull = pull.restarted()
+            self._learner.doubt_zero(pull.peak_N - pull.low_N)
+            pull = NeedlePull(highest_N=pull.highest_N)
         self.state.pull = pull
         if is_advancing:
-            self.state.rest_force = NEVER_AT_REST
-        elif contact_m is not None:
-            is_doubtful = self._watch_rest(block, sample, alarm, net_N)
-            if alarm is not None and is_doubtful:
-                doubted_s.append(sample.time_s - alarm.time_s + ONSET_S)
+            self.state.rest_force = RestForce()
+        elif contact_m is not None and self._watch_rest(block, sample, alarm, net_N):
+            doubted_s.append(alarm_age_s + ONSET_S)
         return doubted_s
 
     def _is_undone(
@@ -166,12 +173,10 @@ class ForceWatch:
         A rupture leaves friction, and what it has released does not come back at once:
         a hand has let go.
         """
-        max_age_s = 3.0  # of the alarm
-        jump_back_fraction = 0.5  # of the fall, at least
-        if recent_N >= 0.0 or sample.time_s - alarm.alarm_s > max_age_s:
+        if recent_N >= 0.0 or sample.time_s - alarm.alarm_s > 3.0:
             return False
         fall_N = alarm.force_N - self._learner.zero_N - recent_N
-        return net_N - recent_N > jump_back_fraction * fall_N > 0.0
+        return net_N - recent_N > 0.5 * fall_N > 0.0
 
     def _net_force(
         self,
@@ -207,21 +212,20 @@ class ForceWatch:
         )
 
     def _least_friction_N(self, block: Block) -> float:
-        """Return the least friction of the layers traversed, at the present speed."""
-        sigmas = 2.0  # by which the friction that remains may be below that known
-        min_fraction = 0.5  # of that remains at least: its model errs by so much
+        """Return the least friction of the layers traversed, at the present speed.
+
+        Half of it remains at least: its model errs by so much.
+        """
         store = self._learner.memory.store
-        mean = store.means[0]
-        covariance = store.covariances[0]
+        coulomb_and_viscous = slice(TRAVERSED_COULOMB, TRAVERSED_VISCOUS + 1)
         speed = max(block.speed_mm_s, 0.0)
-        friction_N = mean[TRAVERSED_COULOMB] + speed * mean[TRAVERSED_VISCOUS]
-        variance_N2 = (
-            covariance[TRAVERSED_COULOMB, TRAVERSED_COULOMB]
-            + 2.0 * speed * covariance[TRAVERSED_COULOMB, TRAVERSED_VISCOUS]
-            + speed**2 * covariance[TRAVERSED_VISCOUS, TRAVERSED_VISCOUS]
-        )
+        coulomb, viscous = store.means[0, coulomb_and_viscous].tolist()
+        (coulomb_N2, cross_N2), (_, viscous_N2) = store.covariances[
+            0, coulomb_and_viscous, coulomb_and_viscous
+        ].tolist()
+        variance_N2 = coulomb_N2 + 2.0 * speed * cross_N2 + speed**2 * viscous_N2
         std_N = math.sqrt(max(variance_N2, 0.0))
-        return min_fraction * max(float(friction_N) - sigmas * std_N, 0.0)
+        return 0.5 * max(coulomb + speed * viscous - 2.0 * std_N, 0.0)
 
     def _watch_rest(
         self, block: Block, sample: Sample, alarm: Rupture | None, net_N: float
@@ -231,45 +235,19 @@ class ForceWatch:
         Returns:
             Whether the fall of the last alarm goes on at rest, or is undone there.
         """
-        # A needle that comes to rest so soon after an alarm was stopped by it.
-        stopped_s = 1.0
-        # Part of a fall whose return at rest shows that it was no rupture
-        undone_fraction = 0.3
         old = self.state.rest_force
         alarm_age_s = math.inf if alarm is None else sample.time_s - alarm.alarm_s
+        # A needle that comes to rest so soon after an alarm was stopped by it.
+        has_ruptured = alarm_age_s - old.rest_s < 1.0
         new = old.with_force(
-            HeldForce(
-                net_N,
-                block.noise_std_N,
-                sample.force_std_N,
-                block.depth_mm,
-                block.depth_std_mm,
-                block.duration_s,
-                has_ruptured=alarm_age_s - old.rest_s < stopped_s,
-            )
+            block, net_N, sample.force_std_N, has_ruptured=has_ruptured
         )
         self.state.rest_force = new
         if alarm is None or old.is_foreign or not new.is_foreign:
             return False
-        zero_N = block.force_N - net_N
-        fall_N = alarm.force_N - zero_N - new.mean_N
-        return new.falls_on or new.change_N > undone_fraction * fall_N > 0.0
-
-    def watch_innovation(
-        self, innovation_N: float, variance_N2: float, block: Block, stated_N: float
-    ) -> None:
-        """Look for a force in tissue that no hypothesis explains.
-
-        Args:
-            innovation_N: By what the block's force differed from the prediction.
-            variance_N2: That was predicted of it.
-            block: The block.
-            stated_N: Deviation that is stated for the force at the tip, or for the
-                force itself if that is more.
-        """
-        self.state.innovations = self.state.innovations.with_innovation(
-            innovation_N, variance_N2, block.time_s, block.duration_s, stated_N
-        )
+        # A third of a fall that comes back at rest shows that it was no rupture.
+        fall_N = alarm.force_N - self._learner.zero_N - new.mean_N
+        return new.falls_on or new.change_N > 0.3 * fall_N > 0.0
 
     def watch_motion(self, sample: Sample, *, is_met: bool, is_even: bool) -> bool:
         """Look with the last block for tissue that overtakes the needle.
@@ -279,8 +257,6 @@ class ForceWatch:
         Returns:
             Whether more of the force is in doubt than before.
         """
-        # Presliding deflection from which on all of the shaft slides inwards
-        min_sliding_deflection = 0.9
         learner = self._learner
         block = learner.state.block
         variance_N2 = (
@@ -298,7 +274,7 @@ class ForceWatch:
             learner.state.tissue.amplitude_mm,
             levels.variances.breathing,
             is_sliding=is_even
-            and block.deflection > min_sliding_deflection
+            and block.deflection > SLIDING_DEFLECTION
             and not self.state.pull.is_foreign,
         )
         self.state.tissue_pull = new

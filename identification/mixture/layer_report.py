@@ -2,7 +2,6 @@
 
 import math
 from dataclasses import replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,9 +9,9 @@ from numpy.typing import NDArray
 from foundation.arrays import Array
 from foundation.records import read_column, read_element
 from identification.estimate import LayerEstimate, Rupture, Sample
-from identification.mixture.block import Block
+from identification.mixture.block import MM_PER_M, Block
 from identification.mixture.events import History
-from identification.mixture.evidence import MM_PER_M, Evidence
+from identification.mixture.evidence import Evidence
 from identification.mixture.force_model import (
     AIR,
     FRICTION_BEFORE,
@@ -20,23 +19,11 @@ from identification.mixture.force_model import (
     MEMBRANE,
     RELEASED,
 )
-from identification.mixture.force_split import IDENTIFIED_FRACTION
+from identification.mixture.force_split import is_identified
 from identification.mixture.mixture import MIN_BRANCH_MM
 
 MIN_SPEED_M_S = 1e-6
 """Speed at a rupture, at least."""
-
-
-class LayerFriction(NamedTuple):
-    """Friction of a layer traversed.
-
-    Attributes:
-        force_N: Mean of the friction.
-        std_N: Standard deviation of the friction.
-    """
-
-    force_N: float
-    std_N: float
 
 
 def contact_std_mm(evidence: Evidence, block: Block) -> float:
@@ -87,7 +74,7 @@ def report_rupture(
         alarm: The sample that raises it.
         contact_std_mm: Standard deviation of the depth of first contact.
     """
-    history = _history(evidence, component)
+    history = read_element(History, evidence.mixture.history, component)
     since_s = max(alarm.clock_s - history.rupture_s, 0.0)
     return Rupture(
         layer=layer,
@@ -103,10 +90,6 @@ def report_rupture(
     )
 
 
-def _history(evidence: Evidence, component: int) -> History:
-    return read_element(History, evidence.mixture.history, component)
-
-
 def _has_met_membrane(evidence: Evidence) -> NDArray[np.bool_]:
     """Return which components push a membrane that they met under a layer, (n,)."""
     assumptions = evidence.mixture.assumptions
@@ -114,44 +97,29 @@ def _has_met_membrane(evidence: Evidence) -> NDArray[np.bool_]:
     return is_membrane & (read_column(assumptions, "holds_force") > 0.0)
 
 
-def friction_of_last_layer(
-    evidence: Evidence, ruptures: int, force_variance: float
-) -> LayerFriction | None:
-    """Return the friction of the layer that the last rupture ended.
+def friction_of_layer(
+    evidence: Evidence, ruptures: int, variance_N2: float, *, is_last: bool
+) -> tuple[float, float] | None:
+    """Return mean and deviation of the friction of a layer traversed [N].
 
-    None where other components are likelier than those that know of this rupture as the
-    last.
+    None where other components are likelier than those that know of the last rupture as
+    the last.
 
     Args:
         evidence: Of the mixture.
         ruptures: Number of ruptures reported.
-        force_variance: Variance of the force's slow error, which is in the friction
-            [N²].
+        variance_N2: Of the force's slow error, which is in the friction.
+        is_last: Whether it is the layer that the last rupture ended, or the one before.
     """
     weights = evidence.weights_of(ruptures)
     # Where a membrane was met, another friction record has begun.
-    unknowns = np.where(_has_met_membrane(evidence), FRICTION_BEFORE, FRICTION_LAST)
-    return _mix_friction(evidence, weights, unknowns, force_variance)
-
-
-def friction_of_layer_before(
-    evidence: Evidence, ruptures: int, force_variance: float
-) -> LayerFriction | None:
-    """Return the friction of the layer before that; see `friction_of_last_layer`."""
-    weights = evidence.weights_of(ruptures)
-    weights[_has_met_membrane(evidence)] = 0.0
-    unknowns = np.full(len(weights), FRICTION_BEFORE)
-    return _mix_friction(evidence, weights, unknowns, force_variance)
-
-
-def _mix_friction(
-    evidence: Evidence, weights: Array, unknowns: NDArray[np.int64], variance_N2: float
-) -> LayerFriction | None:
-    """Return the mixture of an unknown of each component, shapes (n,)."""
-    # Probability of all components with the last rupture, to say what it was
-    min_probability = 0.3
+    has_met_membrane = _has_met_membrane(evidence)
+    if not is_last:
+        weights[has_met_membrane] = 0.0
+    is_before = has_met_membrane | (not is_last)
+    unknowns = np.where(is_before, FRICTION_BEFORE, FRICTION_LAST)
     total = float(weights.sum())
-    if total < min_probability:
+    if total < 0.3:
         return None
     mixture = evidence.mixture
     components = np.arange(len(weights))
@@ -160,38 +128,36 @@ def _mix_friction(
     variances_N2 = mixture.covariances[components, unknowns, unknowns]
     mean_N = float(fractions @ frictions_N)
     spread_N2 = np.maximum(variances_N2, 0.0) + (frictions_N - mean_N) ** 2
-    mixed_N2 = float(fractions @ spread_N2)
-    return LayerFriction(mean_N, math.sqrt(mixed_N2 + variance_N2))
+    return mean_N, math.sqrt(float(fractions @ spread_N2) + variance_N2)
 
 
 def report_layer(
     evidence: Evidence,
     rupture: Rupture,
     ruptures: int,
-    friction: LayerFriction,
+    variance_N2: float,
     block: Block,
 ) -> LayerEstimate | None:
     """Return the layer, or the part of one, that the last rupture ended.
 
-    None where no component knows of it.
+    None where no component knows of it, or its friction.
 
     Args:
         evidence: Of the mixture.
         rupture: The last one.
         ruptures: Number of ruptures reported.
-        friction: Of the layer.
+        variance_N2: Of the force's slow error, which is in the friction.
         block: The last one.
     """
-    # Thickness of a layer, at least
-    min_thickness_mm = 1e-3
+    friction = friction_of_layer(evidence, ruptures, variance_N2, is_last=True)
     weights = evidence.weights_of(ruptures)
     weights[_has_met_membrane(evidence)] = 0.0
-    if not weights.any():
+    if friction is None or not weights.any():
         return None
     component = int(np.argmax(weights))
     mixture = evidence.mixture
-    history = _history(evidence, component)
-    thickness_mm = max(history.rupture_mm - history.section_start_mm, min_thickness_mm)
+    history = read_element(History, evidence.mixture.history, component)
+    thickness_mm = max(history.rupture_mm - history.section_start_mm, 1e-3)
     end_std_mm = _std_of_event(
         weights,
         read_column(mixture.history, "rupture_mm"),
@@ -217,26 +183,22 @@ def report_layer(
         ),
         stiffness_N_per_m=stiffness,
         stiffness_std_N_per_m=stiffness_std,
-        stiffness_identified=_is_identified(stiffness, stiffness_std),
+        stiffness_identified=is_identified(stiffness, stiffness_std),
         friction_N=max(history.section_friction_N, 0.0),
         friction_Ns_per_m2=0.0,
         friction_identified=False,
         coulomb_N_per_m=coulomb,
         coulomb_std_N_per_m=coulomb_std,
-        coulomb_identified=_is_identified(coulomb, coulomb_std),
+        coulomb_identified=is_identified(coulomb, coulomb_std),
         viscous_Ns_per_m2=viscous,
         viscous_std_Ns_per_m2=viscous_std,
-        viscous_identified=_is_identified(viscous, viscous_std),
+        viscous_identified=is_identified(viscous, viscous_std),
     )
-    return with_friction(layer, friction)
+    return with_friction(layer, *friction)
 
 
 def _std(variance: float) -> float:
     return math.sqrt(max(variance, 0.0))
-
-
-def _is_identified(value: float, std: float) -> bool:
-    return 0.0 < std <= IDENTIFIED_FRACTION * value
 
 
 def with_doubt(layer: LayerEstimate, std_N: float) -> LayerEstimate:
@@ -262,22 +224,22 @@ def with_doubt(layer: LayerEstimate, std_N: float) -> LayerEstimate:
     )
 
 
-def with_friction(layer: LayerEstimate, friction: LayerFriction) -> LayerEstimate:
+def with_friction(layer: LayerEstimate, mean_N: float, std_N: float) -> LayerEstimate:
     """Return a layer with its friction known better.
 
     Its Coulomb and viscous parts keep their ratio.
     """
-    force_N = max(friction.force_N, 0.0)
+    force_N = max(mean_N, 0.0)
     scale = force_N / layer.friction_N if layer.friction_N > 0.0 else 1.0
     speed_m_s = max(layer.rupture.speed_m_s, MIN_SPEED_M_S)
     per_length_and_speed = 1.0 / (layer.thickness_m * speed_m_s)
     return replace(
         layer,
         friction_N=force_N,
-        friction_std_N=friction.std_N,
+        friction_std_N=std_N,
         friction_Ns_per_m2=per_length_and_speed * force_N,
-        friction_std_Ns_per_m2=per_length_and_speed * friction.std_N,
-        friction_identified=_is_identified(force_N, friction.std_N),
+        friction_std_Ns_per_m2=per_length_and_speed * std_N,
+        friction_identified=is_identified(force_N, std_N),
         coulomb_N_per_m=scale * (layer.coulomb_N_per_m or 0.0),
         viscous_Ns_per_m2=scale * (layer.viscous_Ns_per_m2 or 0.0),
     )

@@ -13,13 +13,10 @@ import math
 from dataclasses import dataclass, field, replace
 from typing import NamedTuple
 
-import numpy as np
-
 from foundation.records import from_record, read_column, read_element
 from identification.estimate import Sample
-from identification.mixture.block import Block
+from identification.mixture.block import MM_PER_M, Block
 from identification.mixture.disturbances import BREATHING_HZ, HEARTBEAT_HZ
-from identification.mixture.evidence import MM_PER_M
 from identification.mixture.force_model import (
     AIR,
     HELD,
@@ -38,22 +35,24 @@ from identification.mixture.force_model import (
 from identification.mixture.mixture import (
     MAX_KEPT,
     MIN_BRANCH_MM,
-    Mixture,
     MixtureMemory,
-    ProcessNoise,
     correct,
     penalise_implausible,
     predict,
 )
 from identification.mixture.needle_contact import NeedleContact, begin_block
 from identification.mixture.needle_swing import MIN_HALF_S
-from identification.mixture.noise_levels import NO_DIFFERENCES, NoiseLevels, Texture
+from identification.mixture.noise_levels import (
+    NoiseLevels,
+    SecondDifferences,
+    Texture,
+)
 from identification.mixture.speed_filter import (
     FIRST_SPEED_FILTER,
     SpeedFilter,
     filter_speed,
 )
-from identification.mixture.tissue_motion import Motion, TissueMotion
+from identification.mixture.tissue_motion import TissueMotion
 
 MIN_BRANCHING_FRACTION = 0.3
 """Part of the usual speed from which on new components begin: at a stop the force falls
@@ -61,9 +60,6 @@ without any rupture."""
 
 RESUMED_MM = 0.6
 """Travel over which friction is as it was before a rest: twice that of presliding."""
-
-SETTLED = 0.1
-"""Of a rest or reversal so much is left in the friction when that counts as back."""
 
 FAR_MM = 1e9
 """The deepest point before the first block lies so far in front."""
@@ -82,6 +78,10 @@ class LearnerState:
         deepest_mm: Deepest point so far.
         branched_mm: Depth at which components began last.
         resumed: How much of a rest or reversal is left in the friction, 0 to 1.
+        is_branching_due: Whether components of new events begin before the next
+            pruning.
+        is_pruning_due: Whether the least likely components are still to be dropped.
+        is_motion_due: Whether motion of the tissue is to be looked for.
     """
 
     levels: NoiseLevels = field(default_factory=NoiseLevels)
@@ -92,6 +92,9 @@ class LearnerState:
     deepest_mm: float = -FAR_MM
     branched_mm: float = -FAR_MM
     resumed: float = 0.0
+    is_branching_due: bool = False
+    is_pruning_due: bool = False
+    is_motion_due: bool = False
 
 
 class Travel(NamedTuple):
@@ -112,10 +115,6 @@ def take_block(
     contacts: list[NeedleContact], last: Block, since_reset_s: float
 ) -> Block:
     """Return means of the block that is full, and begin the next one."""
-    # The usual speed is the highest of so much time, and of so much travel: the
-    # approach may be quick.
-    usual_s = 10.0
-    usual_mm = 3.0
     contact = from_record(NeedleContact, contacts)
     swing = contact.swing
     begin_block(contacts)
@@ -123,21 +122,23 @@ def take_block(
     depth_std_mm = MM_PER_M * contact.depth_std_m
     speed_std_mm_s = MM_PER_M * contact.speed_std_m_s
     speed_mm_s = MM_PER_M * contact.travel_m / duration_s
-    forgotten = math.exp(
-        -duration_s / usual_s - abs(speed_mm_s) * duration_s / usual_mm
-    )
+    # The usual speed is the highest of ten seconds and of 3 mm: the approach may be
+    # quick.
+    forgotten = math.exp(-duration_s / 10.0 - abs(speed_mm_s) * duration_s / 3.0)
     mean_N = contact.force_N_s / duration_s
     square_N2 = contact.force_squared_N2_s / duration_s
     is_swing = swing.is_swinging and duration_s > 2.0 * MIN_HALF_S
     usual_speed_mm_s = max(last.usual_speed_mm_s * forgotten, speed_mm_s)
+    if is_swing and not last.is_swing:
+        # What the swing has added to the speed so far is not usual.
+        usual_speed_mm_s = max(speed_mm_s, MM_PER_M * swing.mean_m_s)
     if is_swing:
-        if not last.is_swing:
-            # What the swing has added to the speed so far is not usual.
-            mean_speed_mm_s = MM_PER_M * swing.mean_m_s
-            usual_speed_mm_s = max(speed_mm_s, mean_speed_mm_s)
         # The travel filter takes a swing for noise; the mean speed has none of it.
         noise_std_mm_s = MM_PER_M * math.sqrt(swing.noise_variance)
         speed_std_mm_s = min(speed_std_mm_s, noise_std_mm_s)
+    # By how much the speed may be late: a travel filter that leaves so much noise in
+    # depth and speed is about as slow as three times their ratio.
+    lag_s = 3.0 * depth_std_mm / max(speed_std_mm_s, 1e-9)
     return Block(
         time_s=since_reset_s - 0.5 * duration_s,
         duration_s=duration_s,
@@ -146,7 +147,7 @@ def take_block(
         deflection=contact.deflection_s / duration_s,
         force_N=mean_N,
         unfiltered_depth_mm=MM_PER_M * contact.unfiltered_depth_m_s / duration_s,
-        speed_lag_s=lag_of_speed(depth_std_mm, speed_std_mm_s),
+        speed_lag_s=min(max(lag_s, 0.1), 0.3),
         usual_speed_mm_s=usual_speed_mm_s,
         force_before_N=last.force_N,
         depth_std_mm=depth_std_mm,
@@ -160,19 +161,6 @@ def take_block(
     )
 
 
-def lag_of_speed(depth_std_mm: float, speed_std_mm_s: float) -> float:
-    """Return by how much the speed may be late [s].
-
-    A travel filter that leaves so much noise in both is about as slow as their ratio.
-    """
-    lags_per_ratio = 3.0
-    min_lag_s = 0.1
-    max_lag_s = 0.3
-    min_std_mm_s = 1e-9
-    lag_s = lags_per_ratio * depth_std_mm / max(speed_std_mm_s, min_std_mm_s)
-    return min(max(lag_s, min_lag_s), max_lag_s)
-
-
 class Learner:
     """Lets every component of the mixture predict blocks of force, and learn from them.
 
@@ -184,16 +172,9 @@ class Learner:
     def __init__(
         self, memory: MixtureMemory, state: LearnerState, gap_s: float
     ) -> None:
-        mean, covariance, innovation = state.speed_filter
-        speed_filter = SpeedFilter(np.array(mean), np.array(covariance), innovation)
         self.memory = memory
-        self.state = replace(state, speed_filter=speed_filter)
+        self.state = replace(state)
         self._gap_s = gap_s
-
-    @property
-    def mixture(self) -> Mixture:
-        """The components as they are now, not to be kept."""
-        return self.memory.mixture
 
     @property
     def zero_N(self) -> float:
@@ -208,16 +189,15 @@ class Learner:
     @property
     def is_settled(self) -> bool:
         """Whether friction is back from the last rest or reversal."""
-        return self.state.resumed < SETTLED
+        return self.state.resumed < 0.1
 
     def has_settled_since(self, depth_mm: float) -> bool:
         """Return whether the needle advances, and went on cutting before a depth.
 
         Or friction is back since: a stop lets the force fall.
         """
-        min_resumed = 1e-9  # for the logarithm
         since_mm = self.state.block.depth_mm - depth_mm
-        resumed_mm = -RESUMED_MM * math.log(max(self.state.resumed, min_resumed))
+        resumed_mm = -RESUMED_MM * math.log(max(self.state.resumed, 1e-9))
         return resumed_mm > 0.0 and (since_mm < resumed_mm or self.is_settled)
 
     def doubt_zero(self, std_N: float) -> None:
@@ -227,19 +207,18 @@ class Learner:
 
     def seen_by_tissue(self, sample: Sample) -> Sample:
         """Return a sample as the tissue, which moves, meets the needle."""
-        motion = self.state.tissue.motion_at(sample.clock_s)
-        place_m = motion.place_mm / MM_PER_M
+        place_mm, tissue_mm_s = self.state.tissue.motion_at(sample.clock_s)
+        place_m = place_mm / MM_PER_M
         return sample._replace(
             depth_m=sample.depth_m - place_m,
-            speed_m_s=sample.speed_m_s - motion.speed_mm_s / MM_PER_M,
+            speed_m_s=sample.speed_m_s - tissue_mm_s / MM_PER_M,
             raw_depth_m=sample.raw_depth_m - place_m,
         )
 
     def judge_travel(self, means: Block) -> Travel:
         """Return how the needle has moved in a block."""
-        # A block is a gap only if it is longer than so many of the blocks before.
-        gap_blocks = 10.0
-        gap_s = max(self._gap_s, gap_blocks * self.state.block.duration_s)
+        # A block is a gap only if it is longer than ten of the blocks before.
+        gap_s = max(self._gap_s, 10.0 * self.state.block.duration_s)
         is_gap = means.duration_s > gap_s
         fresh_mm = 0.0
         if self.state.deepest_mm != -FAR_MM:
@@ -252,16 +231,9 @@ class Learner:
         A needle that swings does if the mean place of a swing lies deeper than that of
         the swing before.
         """
-        # A needle advances if it is faster than this, beyond the noise of the speed.
         creep_mm_s = 0.05
-        # And faster than this part of the usual speed
-        min_advancing_fraction = 0.15
-        # Behind the deepest point by more than this, and by so many standard deviations
-        # of the depth, the tip is in its own channel.
-        channel_mm = 0.02
-        channel_sigmas = 4.0
         last = self.state.block
-        slow_mm_s = min_advancing_fraction * means.usual_speed_mm_s
+        slow_mm_s = 0.15 * means.usual_speed_mm_s
         if means.is_swing and last.is_swing:
             # From the middle of the last swing to that of this one. Depths before the
             # filter show it, which takes a swing for noise.
@@ -269,9 +241,8 @@ class Learner:
             mean_speed = travel_mm / (means.time_s - last.time_s)
             return mean_speed > max(creep_mm_s, slow_mm_s)
         min_speed = max(creep_mm_s + 2.0 * means.speed_std_mm_s, slow_mm_s)
-        channel_mm = (
-            self.state.deepest_mm - channel_mm - channel_sigmas * means.depth_std_mm
-        )
+        # Farther back, and by more than its noise, the tip is in its own channel.
+        channel_mm = self.state.deepest_mm - 0.02 - 4.0 * means.depth_std_mm
         return means.speed_mm_s > min_speed and means.depth_mm > channel_mm
 
     def predict(self, means: Block, travel: Travel, since_reset_s: float) -> Block:
@@ -284,7 +255,7 @@ class Learner:
         last = state.block
         if means.is_swing is not last.is_swing:
             # Blocks of another length show other noise.
-            state.levels = state.levels._replace(differences=NO_DIFFERENCES)
+            state.levels = state.levels._replace(differences=SecondDifferences())
         levels = state.levels.beside(state.tissue, since_reset_s)
         own_speed = self._own_speed(means, is_gap=travel.is_gap)
         added_N = self._damping(means.depth_mm) * (own_speed - last.speed_mm_s)
@@ -294,8 +265,8 @@ class Learner:
             force_by_speed_N=last.force_by_speed_N + added_N,
         )
         state.deepest_mm = max(state.deepest_mm, block.depth_mm)
-        noise = self._process_noise(block, travel.fresh_mm, levels)
-        predict(self.memory.store, self.memory.size, noise)
+        self._move_on(block, travel.fresh_mm, levels)
+        state.is_motion_due = state.tissue.is_due(since_reset_s)
         return block
 
     @property
@@ -316,16 +287,12 @@ class Learner:
 
     def _own_speed(self, means: Block, *, is_gap: bool) -> float:
         """Return the needle's own speed, less jitter and the tissue's speed."""
-        # Deviations of the speed's noise within which it is the same, in moving tissue
-        deadband_sigmas = 3.0
         tissue = self.state.tissue
-        motion = Motion(0.0, 0.0)
-        if tissue.is_known:
-            motion = tissue.motion_at(means.time_s)
+        place_mm, tissue_mm_s = tissue.motion_at(means.time_s)
         own_speed, self.state.speed_filter = filter_speed(
             FIRST_SPEED_FILTER if is_gap else self.state.speed_filter,
-            means.unfiltered_depth_mm + motion.place_mm,
-            means.speed_mm_s + motion.speed_mm_s,
+            means.unfiltered_depth_mm + place_mm,
+            means.speed_mm_s + tissue_mm_s,
             means.depth_std_mm,
             means.speed_std_mm_s,
             means.duration_s,
@@ -334,37 +301,23 @@ class Learner:
             return own_speed
         # The tissue's speed is an estimate as well: only what noise does not explain is
         # a change.
-        deadband = deadband_sigmas * means.speed_std_mm_s
-        relative = own_speed - motion.speed_mm_s
+        deadband = 3.0 * means.speed_std_mm_s
+        relative = own_speed - tissue_mm_s
         return min(
             max(self.state.block.speed_mm_s, relative - deadband), relative + deadband
         )
 
-    def _process_noise(
-        self, block: Block, fresh_mm: float, levels: NoiseLevels
-    ) -> ProcessNoise:
-        """Return what may change over a block, beside events.
+    def _move_on(self, block: Block, fresh_mm: float, levels: NoiseLevels) -> None:
+        """Let the unknowns of every component go on by a block, beside events.
 
         Errors of the force model are the same for all components: one that claimed less
         would be believed more.
         """
-        # Relative change of the cutting force, per square root of a mm
-        cutting_drift = 0.05
-        # Cutting force that this refers to: at least, and over the growth of the force
-        # at most
-        min_cutting_N = 0.02
-        max_cutting_per_slope_mm = 2.0
-        # Growth of the force that motion of the tissue is seen by, at least
-        min_slope_N_per_mm = 0.004
-        # Motion of tissue with the heart, one standard deviation, if the beat is not
-        # known
-        unknown_motion_mm = 0.1
         mean = self._mean
         slope = mean[STIFFNESS] + mean[LAYER_COULOMB]
-        slope = slope + mean[LAYER_VISCOUS] * block.speed_mm_s
-        slope = max(slope, min_slope_N_per_mm)
-        cutting_N = max(mean[HELD], min_cutting_N)
-        cutting_N = min(cutting_N, max_cutting_per_slope_mm * slope)
+        slope = max(slope + mean[LAYER_VISCOUS] * block.speed_mm_s, 0.004)  # N/mm
+        # The cutting force changes by a twentieth of itself per square root of a mm.
+        cutting_N = min(max(mean[HELD], 0.02), 2.0 * slope)
         traversed_N = block.deflection * mean[TRAVERSED_COULOMB]
         traversed_N = traversed_N + block.speed_mm_s * mean[TRAVERSED_VISCOUS]
         tip_N = abs(block.force_N - mean[OFFSET] - traversed_N)
@@ -374,15 +327,17 @@ class Learner:
         heartbeat_N2 = levels.variances.heartbeat
         if self._assumptions.medium != AIR and not self.state.tissue.is_known:
             # Before a few beats have been seen nobody knows whether the tissue moves.
-            heartbeat_N2 = max(heartbeat_N2, (unknown_motion_mm * slope) ** 2)
-        return ProcessNoise(
-            duration_s=block.duration_s,
-            fresh_travel_mm=fresh_mm,
-            held_variance=fresh_mm * (cutting_drift * cutting_N) ** 2,
-            coloured_variance=levels.variances.coloured,
-            heartbeat_variance=heartbeat_N2,
-            breathing_variance=levels.variances.breathing,
-            model_error_variance=error_N * error_N,
+            heartbeat_N2 = max(heartbeat_N2, (0.1 * slope) ** 2)  # 0.1 mm
+        predict(
+            self.memory.store,
+            self.memory.size,
+            block.duration_s,
+            fresh_mm,
+            fresh_mm * (0.05 * cutting_N) ** 2,
+            levels.variances.coloured,
+            heartbeat_N2,
+            levels.variances.breathing,
+            error_N * error_N,
         )
 
     def learn_noise(
@@ -421,9 +376,6 @@ class Learner:
             By what the force differed from the prediction, and the variance that was
             predicted of it.
         """
-        min_white_N2 = 1e-8  # variance of a block's force by white noise, at least
-        # Error of friction while presliding turns or after a rest, as part of the force
-        unsettled_fraction = 0.3
         last = self.state.block
         levels = self.state.levels
         # A speed is as late as its filter: where it changes it is off by a block's
@@ -432,18 +384,21 @@ class Learner:
         speed_std = math.hypot(2.0 * block.speed_std_mm_s, speed_change)
         damping = self._damping(block.depth_mm)
         white_N2 = levels.variances.white * levels.differences.step / block.duration_s
-        variance_N2 = max(white_N2, min_white_N2) + (damping * speed_std) ** 2
+        variance_N2 = max(white_N2, 1e-8) + (damping * speed_std) ** 2
         variance_N2 = variance_N2 + block.motion_variance_N2
         if self._assumptions.medium != AIR:
             turning = 1.0 - block.deflection
             if block.is_swing and last.is_swing:
                 # From one swing to the next only its change is not settled.
                 turning = abs(block.deflection - last.deflection)
+            # Friction errs while presliding turns or after a rest: by 0.3 of the force.
             unsettled = max(turning, self.state.resumed)
             net_N = block.force_N - self.zero_N
-            variance_N2 += (unsettled_fraction * unsettled * net_N) ** 2
+            variance_N2 += (0.3 * unsettled * net_N) ** 2
         innovation = correct(self.memory.store, self.memory.size, block, variance_N2)
         penalise_implausible(self.memory.store, self.memory.size, block, is_advancing)
+        self.state.is_branching_due = is_advancing
+        self.state.is_pruning_due = True
         return innovation
 
     def forget_course(self) -> None:
@@ -453,8 +408,6 @@ class Learner:
 
     def pause(self, block: Block, travel: Travel, reported: int) -> None:
         """Learn nothing from a block: after a gap, at rest, in the own channel."""
-        # What a reversal leaves, where a rest leaves 1: it is over in half the travel.
-        reversal = 0.3
         self.forget_course()
         slow_mm = MIN_BRANCHING_FRACTION * block.speed_mm_s * block.duration_s
         if travel.is_gap and travel.fresh_mm > slow_mm > 0.0:
@@ -462,13 +415,13 @@ class Learner:
             return
         # Tissue that overtakes a needle which goes on turns its friction, but relaxes
         # nothing.
-        tissue_speed = -math.inf
-        if self.state.tissue.is_known:
-            tissue_speed = self.state.tissue.motion_at(block.time_s).speed_mm_s
-        own_speed = block.speed_mm_s + tissue_speed
+        tissue = self.state.tissue
+        _, tissue_mm_s = tissue.motion_at(block.time_s)
+        own_speed = block.speed_mm_s + tissue_mm_s
         is_slow = own_speed < MIN_BRANCHING_FRACTION * block.usual_speed_mm_s
-        is_rest = travel.is_gap or is_slow
-        self.state.resumed = 1.0 if is_rest else max(self.state.resumed, reversal)
+        is_rest = travel.is_gap or not tissue.is_known or is_slow
+        # A reversal leaves less than a rest does: it is over in half the travel.
+        self.state.resumed = 1.0 if is_rest else max(self.state.resumed, 0.3)
 
     def _branch_in_gap(self, block: Block, fresh_mm: float, reported: int) -> None:
         """Begin components of what may have happened in a gap while the needle went on.
@@ -476,13 +429,11 @@ class Learner:
         Something may have happened half way or near the end, dated alike, so that
         either may prove right without retracting an alarm. The next block prunes.
         """
-        # Parts of a gap before its end: half way, and near the end
-        fractions = (0.5, 0.1)
         end_s = block.time_s + 0.5 * block.duration_s
         store = self.memory.store
         ago_s = 0.0
         depth_mm = block.depth_mm
-        for fraction in fractions:
+        for fraction in (0.5, 0.1):  # of the gap before its end
             ago_s = fraction * block.duration_s
             depth_mm = block.depth_mm - block.speed_mm_s * ago_s
             row = regressor(store.assumptions[0], block._replace(depth_mm=depth_mm))
@@ -506,10 +457,15 @@ class Learner:
             model_error_N=model_error_N, force_std_N=force_std_N
         )
 
-    def branch(self, reported: int) -> None:
-        """Begin components of what may have happened in the last block's travel."""
-        if self.memory.size <= MAX_KEPT:
-            self._branch(self.state.block, reported)
+    def branch_and_prune(self, reported: int, since_reset_s: float) -> None:
+        """Begin components of the last block's travel, and drop the least likely."""
+        state = self.state
+        if state.is_branching_due and self.memory.size <= MAX_KEPT:
+            self._branch(state.block, reported)
+        self.memory.prune(state.block.depth_mm)
+        state.is_branching_due = False
+        state.is_pruning_due = False
+        state.is_motion_due = state.tissue.is_due(since_reset_s)
 
     def _branch(self, block: Block, reported: int) -> None:
         travel_mm = block.speed_mm_s * block.duration_s
@@ -526,13 +482,6 @@ class Learner:
 
         The force that is seen of it says so.
         """
-        # Variances of the tissue's place with heartbeat and breathing, at most
-        max_heartbeat_mm2 = 1.0
-        max_breathing_mm2 = 4.0
-        # Variance of its own speed, at most
-        max_speed_variance = 25.0
-        # Square of the growth of the force that shows its motion, at least [N²/mm²]
-        min_slope_square = 1e-4
         variances = self.state.levels.beside(self.state.tissue, block.time_s).variances
         mean = self._mean
         travel_mm = max(block.depth_mm - self._assumptions.tip_start_mm, 0.0)
@@ -541,17 +490,18 @@ class Learner:
             mean[LAYER_COULOMB] * block.deflection
             + mean[LAYER_VISCOUS] * block.speed_mm_s
         )
-        slope = max(slope, 0.0)
+        # Hardly any growth of the force shows no motion.
+        square = max(slope, 0.0) ** 2 + 1e-4  # N²/mm²
         damping = max(self._damping(block.depth_mm), 0.0)
         variance = 0.0
         for force_N2, frequency_hz, max_mm2 in (
-            (variances.heartbeat, HEARTBEAT_HZ, max_heartbeat_mm2),
-            (variances.breathing, BREATHING_HZ, max_breathing_mm2),
+            (variances.heartbeat, HEARTBEAT_HZ, 1.0),
+            (variances.breathing, BREATHING_HZ, 4.0),
         ):
             rate = 2.0 * math.pi * frequency_hz
-            response = slope**2 + min_slope_square + (rate * damping) ** 2
+            response = square + (rate * damping) ** 2
             variance += rate**2 * min(force_N2 / response, max_mm2)
-        return math.sqrt(min(variance, max_speed_variance))
+        return min(math.sqrt(variance), 5.0)
 
     def find_motion(self, since_reset_s: float) -> float:
         """Do a unit of the search for the tissue's motion.
@@ -561,14 +511,16 @@ class Learner:
             elsewhere; it stays where it is.
         """
         state = self.state
+        state.is_motion_due = False
         old_tissue = state.tissue
         if not old_tissue.is_due(since_reset_s):
             return 0.0  # a rupture, or the way out of the tissue, has ended its window
         state.tissue = old_tissue.worked(since_reset_s)
         if state.tissue.fit is old_tissue.fit:
             return 0.0
-        old_place_mm = old_tissue.motion_at(since_reset_s).place_mm
-        by_mm = old_place_mm - state.tissue.motion_at(since_reset_s).place_mm
+        old_place_mm, _ = old_tissue.motion_at(since_reset_s)
+        place_mm, _ = state.tissue.motion_at(since_reset_s)
+        by_mm = old_place_mm - place_mm
         state.deepest_mm += by_mm
         state.branched_mm += by_mm
         return by_mm

@@ -10,23 +10,19 @@ for moving tissue.
 """
 
 from dataclasses import dataclass, field, replace
-from enum import Enum
 
+from foundation.arrays import Array
 from foundation.records import as_record, from_record, read_field
 from identification.config import MixtureConfig
 from identification.estimate import (
-    NO_EVENTS,
-    NO_SAMPLE,
     Estimate,
     LayerEstimate,
     Outputs,
     Sample,
     SampleStatus,
-    make_estimate,
 )
-from identification.mixture.block import Block
-from identification.mixture.evidence import MM_PER_M
-from identification.mixture.force_split import estimate_sample, update_sample
+from identification.mixture.block import MM_PER_M, Block
+from identification.mixture.force_split import TIP_STD, estimate_sample, update_sample
 from identification.mixture.force_watch import ForceWatch, ForceWatchState
 from identification.mixture.learner import (
     Learner,
@@ -34,30 +30,10 @@ from identification.mixture.learner import (
     Travel,
     take_block,
 )
-from identification.mixture.mixture import (
-    MixtureMemory,
-    MixtureState,
-    first_mixture,
-)
+from identification.mixture.mixture import MixtureMemory, first_mixture
 from identification.mixture.needle_contact import NeedleContact, shift_depth
 from identification.mixture.reporter import Reporter, ReporterState
 from identification.mixture.shaft_posterior import ShaftPosterior, update_posterior
-
-TIP_STD = 5
-"""Index of the deviation of the tip's force in `Outputs`."""
-
-
-class Stage(Enum):
-    """What is left to do with the mixture, for the last block."""
-
-    DONE = "nothing"
-    BRANCH = "begin components of new events, then drop the least likely"
-    PRUNE = "drop the least likely components"
-    FIND_MOTION = "look for motion of the tissue"
-
-
-DONE = Stage.DONE
-"""The stage of most samples: its own name is found in a fourth of the time."""
 
 
 @dataclass(slots=True)
@@ -65,23 +41,21 @@ class MixtureMethodState:
     """All that the method remembers, as a snapshot holds it.
 
     Attributes:
-        mixture: Of hypotheses.
+        mixture: Of hypotheses, see `Mixture.state`.
         contact: What every sample changes.
         posterior: What the mixture knew of the shaft at the last block.
         learner: What is learnt beside the mixture.
         watch: What the watchers of the force remember.
         reporter: What has been reported.
-        stage: What is left to do with the mixture for the last block.
         tip_std_N: Deviation of the tip's force that was stated last.
     """
 
-    mixture: MixtureState = field(default_factory=lambda: first_mixture().state)
+    mixture: tuple[Array, ...] = field(default_factory=lambda: first_mixture().state)
     contact: NeedleContact = field(default_factory=NeedleContact)
     posterior: ShaftPosterior = field(default_factory=ShaftPosterior)
     learner: LearnerState = field(default_factory=LearnerState)
     watch: ForceWatchState = field(default_factory=ForceWatchState)
     reporter: ReporterState = field(default_factory=ReporterState)
-    stage: Stage = Stage.DONE
     tip_std_N: float = 0.0
 
 
@@ -100,13 +74,12 @@ class MixtureMethod:
     def state(self) -> MixtureMethodState:
         """All that it remembers."""
         return MixtureMethodState(
-            mixture=self._learner.mixture.state,
+            mixture=self._learner.memory.mixture.state,
             contact=from_record(NeedleContact, self._contact),
             posterior=from_record(ShaftPosterior, self._posterior),
             learner=replace(self._learner.state),
             watch=replace(self._watch.state),
             reporter=replace(self._reporter.state),
-            stage=self._stage,
             tip_std_N=self._tip_std_N,
         )
 
@@ -118,13 +91,15 @@ class MixtureMethod:
     @property
     def _is_at_work(self) -> bool:
         """Whether something is left to do for the last block."""
-        due = self._reporter.state
-        return due.is_due or due.is_layer_due or self._stage is not DONE
+        reporter = self._reporter.state
+        learner = self._learner.state
+        is_reporting = reporter.is_due or reporter.is_layer_due
+        return is_reporting or learner.is_pruning_due or learner.is_motion_due
 
     def restore(self, state: MixtureMethodState) -> None:
         """Go on from a state."""
         config = self._config
-        memory = MixtureMemory(state.mixture.mixture)
+        memory = MixtureMemory(state.mixture)
         learner = Learner(memory, state.learner, config.check.gap_s)
         watch = ForceWatch(learner, state.watch, config.hard_contact_N_per_m)
         self._learner = learner
@@ -132,7 +107,6 @@ class MixtureMethod:
         self._reporter = Reporter(learner, watch, state.reporter, config)
         self._contact = as_record(state.contact)
         self._posterior = as_record(state.posterior)
-        self._stage = state.stage
         self._tip_std_N = state.tip_std_N
         self._read_contact()
         self._read_state()
@@ -152,7 +126,8 @@ class MixtureMethod:
 
     def first_estimate(self) -> Estimate:
         """Return the estimate before the first sample."""
-        return self._estimate(NO_SAMPLE, SampleStatus.OK, self._split(NO_SAMPLE))
+        sample = Sample()
+        return self._estimate(sample, SampleStatus.OK, self._split(sample))
 
     def use(self, sample: Sample, status: SampleStatus) -> Estimate:
         """Use one sample; return the estimate after it."""
@@ -171,10 +146,10 @@ class MixtureMethod:
             sample.force_N,
             sample.force_std_N,
             sample.raw_depth_m,
-            sample.dt_s,
             sample.raw_speed_m_s,
+            sample.dt_s,
         )
-        self._reporter.events = NO_EVENTS
+        self._reporter.events = {}
         if is_full or self._is_at_work:
             if is_full:
                 self._use_block(sample)
@@ -184,12 +159,9 @@ class MixtureMethod:
             outputs = self._split(sample)
         return self._estimate(sample, status, outputs)
 
-    def doubt_zero(self, std_N: float) -> None:
-        """Take the zero of the force for changed, in every component alike."""
+    def doubt_zero(self, std_N: float, age_s: float) -> None:
+        """Take the zero of the force for changed, and ruptures since for unlikely."""
         self._learner.doubt_zero(std_N)
-
-    def doubt_ruptures(self, age_s: float) -> None:
-        """Count no ruptures of the last time, and take them for unlikely."""
         self._reporter.doubt_ruptures(age_s)
 
     def _split(self, sample: Sample) -> Outputs:
@@ -209,18 +181,17 @@ class MixtureMethod:
         self, sample: Sample, status: SampleStatus, outputs: Outputs
     ) -> Estimate:
         """Put the estimate together, its deviations as wide as what is in doubt."""
-        if self._is_in_doubt:
-            outputs = self._watch.widen(outputs)
         reporter = self._reporter
-        return make_estimate(
+        estimate = Estimate(
             sample.time_s,
             SampleStatus.NEEDLE_PULLED if self._is_pulled else status,
             reporter.state.rupture_state,
-            outputs,
-            reporter.events,
-            reporter.state.rupture_probability,
-            self._warnings,
+            *outputs,
+            **reporter.events,
+            rupture_probability=reporter.state.rupture_probability,
+            warnings=self._warnings,
         )
+        return self._watch.widen(estimate) if self._is_in_doubt else estimate
 
     def _use_block(self, sample: Sample) -> None:
         """Do what is left for the last block, then use the one that is full."""
@@ -239,19 +210,10 @@ class MixtureMethod:
             self._report(sample)
         elif due.is_layer_due:
             self._reporter.report_layer(sample.force_std_N)
-        elif self._stage is Stage.FIND_MOTION:
-            self._stage = Stage.DONE
-            shift_depth(self._contact, learner.find_motion(sample.clock_s) / MM_PER_M)
+        elif learner.state.is_pruning_due:
+            learner.branch_and_prune(due.ruptures, sample.clock_s)
         else:
-            if self._stage is Stage.BRANCH:
-                learner.branch(due.ruptures)
-            learner.memory.prune(learner.state.block.depth_mm)
-            self._stage = self._stage_after_pruning(sample.clock_s)
-
-    def _stage_after_pruning(self, since_reset_s: float) -> Stage:
-        """Return what is left to do for a block once its mixture is pruned."""
-        is_due = self._learner.state.tissue.is_due(since_reset_s)
-        return Stage.FIND_MOTION if is_due else Stage.DONE
+            shift_depth(self._contact, learner.find_motion(sample.clock_s) / MM_PER_M)
 
     def _learn(self, sample: Sample) -> None:
         """Let every component predict the force of the block, and learn from it."""
@@ -262,7 +224,6 @@ class MixtureMethod:
         means = take_block(self._contact, learner.state.block, clock_s)
         travel = learner.judge_travel(means)
         block = learner.predict(means, travel, clock_s)
-        self._stage = self._stage_after_pruning(clock_s)
         is_cutting = travel.is_advancing or not (is_met or travel.is_gap)
         if not travel.is_gap:
             for age_s in self._watch.watch_force(
@@ -322,9 +283,11 @@ class MixtureMethod:
         innovation = learner.correct(block, is_advancing=travel.is_advancing)
         if is_met and not is_layer_open:
             stated_N = max(self._tip_std_N, sample.force_std_N)
-            self._watch.watch_innovation(*innovation, block, stated_N)
+            state = self._watch.state
+            state.innovations = state.innovations.with_innovation(
+                *innovation, block, stated_N
+            )
         reporter.state.is_due = True
-        self._stage = Stage.BRANCH if travel.is_advancing else Stage.PRUNE
         return block
 
     def _watch_tissue(self, sample: Sample, *, is_met: bool, is_even: bool) -> None:
@@ -334,7 +297,7 @@ class MixtureMethod:
             reporter.doubt_layers(sample.time_s)
         contact = self._watch.find_hard_contact(sample, is_even=is_even and is_met)
         if contact is not None:
-            reporter.events = reporter.events._replace(hard_contact=contact)
+            reporter.events["hard_contact"] = contact
 
     def _report(self, sample: Sample) -> None:
         """Report ruptures, and summarise the mixture for the next samples."""

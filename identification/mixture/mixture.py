@@ -18,14 +18,13 @@ which the mixture sees the means (`Block`). `learner.Learner` calls 1 to 3,
    with or without a membrane: each has its own quota, since what an event was may show
    only at the next one.
 
-What the weights say of ruptures is left to `decisions`.
+What the weights say of ruptures is left to `evidence`.
 
 Lengths are in mm, speeds in mm/s, forces in N.
 """
 
 import math
-from dataclasses import fields
-from typing import Any, NamedTuple, TypeVar, cast
+from typing import Any, NamedTuple, cast
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,11 +41,15 @@ from foundation.linear_algebra import dot, sort_descending
 from foundation.records import read_column, record_array
 from identification.mixture.block import Block
 from identification.mixture.disturbances import (
+    BREATHING_DAMPING,
+    BREATHING_HZ,
     COLOURED_NOISE_S,
+    HEARTBEAT_DAMPING,
+    HEARTBEAT_HZ,
     RandomMotion,
-    breathing_step,
-    heartbeat_step,
-    smooth_walk_step,
+    driven,
+    oscillation,
+    smooth_walk,
 )
 from identification.mixture.events import (
     CONTACT,
@@ -94,9 +97,6 @@ from identification.mixture.priors import use_friction_fraction
 MIN_BRANCH_MM = 0.02
 """Minimum travel between two calls of `branch`."""
 
-MAX_BRANCH_MM = 1.0
-"""Maximum travel for which one call of `branch` counts the probability of events."""
-
 RUPTURES_PER_MM = 0.02
 """Prior rate of ruptures per travel: chosen, one in 50 mm."""
 
@@ -108,66 +108,16 @@ NO_RELEASES_MM = np.array([0.3])
 """Placeholder for an event without a release: one entry, so one child. Its value has no
 effect."""
 
-MIN_RELEASE_MM = 0.3
-"""Minimum travel after a rupture before its hypothesis may have children: until then
-the force does not show what the rupture was."""
-
-FADING_PROBABILITY = 0.2
-"""Where one layer ends at another: prior fraction of cases in which part of the tip
-force is kept and fades."""
-
-AIR_FRACTION = 0.25
-"""Prior fraction of layer ends that lead into free air."""
-
-GAP_OF_AIR_FRACTION = 0.1
-"""Rate of contacts behind a layer that ended in air, as a fraction of the rate of the
-first contact: gaps of air are rare."""
-
-MIN_GAP_OF_AIR_MM = 3.0
-"""Minimum travel in air before another layer may begin."""
-
-CONTACT_LAYER_FRACTION = 0.7
-"""Prior fraction of contacts that cut into a layer at once."""
-
-CONTACT_MEMBRANE_FRACTION = 0.3
-"""Prior fraction of contacts that push a membrane first."""
-
-MIN_CONTACT_DEFLECTION = 0.3
-"""Minimum presliding deflection of a needle that may meet tissue."""
-
-MEMBRANES_PER_RUPTURE = 0.15
-"""Prior number of membranes met under a layer, per rupture."""
-
 MEMBRANE_STEP_MM = 0.25
 """Travel between hypotheses of a membrane met."""
-
-MIN_LAYER_ABOVE_MEMBRANE_MM = 2.0
-"""Minimum travel in a layer before a membrane may be met under it."""
 
 MIN_BETWEEN_RUPTURES_MM = 1.2
 """Minimum travel between a rupture and the event before it: about a needle diameter."""
 
-MAX_RECENT = 60
-"""Maximum number of components kept with a recent event."""
-
-MAX_RECENT_MEMBRANES = 8
-"""Maximum number kept with a membrane just met."""
-
-MAX_OLD = 16
-"""Maximum number kept with older events."""
-
-MAX_OLD_MEMBRANES = 6
-"""Maximum number kept with older membranes."""
-
-QUOTAS = (MAX_RECENT, MAX_RECENT_MEMBRANES, MAX_OLD, MAX_OLD_MEMBRANES)
-"""Maximum number of components kept of each class. What an event was shows only some
+QUOTAS = (60, 8, 16, 6)
+"""Maximum number of components kept of each class: with a recent event, with a membrane
+just met, with older events, with older membranes. What an event was shows only some
 tenths of a millimetre later; until then its class protects it."""
-
-RECENT_MM = 0.4
-"""Travel for which an event is recent."""
-
-RECENT_MEMBRANE_MM = 1.5
-"""Travel for which a membrane is just met."""
 
 MAX_KEPT = sum(QUOTAS)
 """Maximum number of components kept by pruning."""
@@ -175,100 +125,18 @@ MAX_KEPT = sum(QUOTAS)
 CAPACITY = MAX_KEPT + 120
 """Maximum number of components before pruning: room for children of two branchings."""
 
-MIN_LOG_WEIGHT = -30.0
-"""A component with a smaller logarithm of its weight is dropped."""
-
-MAX_PARENT_LOG_WEIGHT_GAP = 25.0
-"""A parent's log weight lies less than this below the largest."""
-
-TIP_STATES = 6
-"""States of the tip: three media, each with force held or without."""
-
-INITIAL_OFFSET_STD_N = 5.0
-"""Standard deviation of the force in free air before the first sample."""
-
-OFFSET_WALK_N2_PER_S = 1e-6
-"""Random walk of the sensor's zero, as a variance per time."""
-
-RELEASE_SHAPE_ERROR = 0.08
-"""Relative error of a release's shape."""
-
-RELEASE_SHAPE_MM = 0.02
-"""Correlation length of that error."""
-
-ONSET_ERROR = 0.1
-"""Relative error of the cutting force's onset."""
-
-LIKELIHOOD_EXPONENT = 0.5
-"""Exponent of the likelihood: errors of the model are alike from one block to the
-next."""
-
 STUDENT_FREEDOM = 8.0
 """Degrees of freedom of Student's t: a single outlier proves little."""
 
 ZERO_FORCE_STD_N = 0.02
 """Standard deviation with which a negative cutting force or friction is set to 0."""
 
-ZERO_STIFFNESS_STD_N_PER_MM = 0.002
-"""Standard deviation with which a negative stiffness is set to 0."""
-
-FRACTION_TRAVEL_MM = 1.0
-"""Minimum travel since the last event before `use_friction_fraction` is tried: it then
-applies the prior once the growth of the force is known."""
-
-MAX_FRACTION_TRAVEL_MM = 10.0
-"""Travel from which on it applies the prior in any case."""
-
-RELEASE_CHECK_MM = 0.1
-"""Travel behind a release at which its size is checked."""
-
-MIN_RELEASED_FRACTION = 0.12
-"""Minimum fraction that a rupture releases, of the force of tip and layer before it."""
-
-MIN_RELEASED_SIGMAS = 2.0
-"""Minimum force that a rupture releases, in standard deviations of a block's force."""
-
 SMALL_RELEASE_PENALTY = 12.0
 """Reduction of the log weight where less was released, or where a rupture is doubted:
 then it was no rupture."""
 
-SIGN_TRAVEL_MM = 2.0
-"""Travel since the last event beyond which the signs of stiffness and friction are
-checked."""
-
-MIN_FRICTION_N_PER_MM = -0.003
-"""Minimum friction per length of shaft: slightly negative, since noise may make it
-so."""
-
-SIGN_PENALTY = 0.1
-"""Reduction of the log weight per block with negative stiffness or friction."""
-
-MAX_PUSHED_MM = 12.0
-"""Maximum travel that a membrane is pushed in without a penalty: it should have
-ruptured before."""
-
-PUSHED_PENALTY = 0.3
-"""Reduction of the log weight per `PUSHED_STEP_MM` of travel beyond that."""
-
-PUSHED_STEP_MM = 0.04
-"""Travel that this penalty refers to."""
-
-MAX_PUSHED_STEPS = 2.0
-"""Maximum number of such steps that count in one block."""
-
-SYMMETRY_TOLERANCE = 1e-3
-"""Maximum difference of a restored covariance from its transpose, relative to the
-standard deviations."""
-
-Record = TypeVar("Record")
-
 Rows = NDArray[np.int64]
 """Row numbers of components, shape (m,)."""
-
-
-def _probabilities(log_weights: Array) -> Array:
-    weights = np.exp(log_weights - log_weights.max())
-    return weights / weights.sum()
 
 
 class Mixture(NamedTuple):
@@ -296,47 +164,23 @@ class Mixture(NamedTuple):
     @property
     def weights(self) -> Array:
         """Probabilities, shape (n,)."""
-        return _probabilities(self.log_weights)
+        weights = np.exp(self.log_weights - self.log_weights.max())
+        return weights / weights.sum()
 
     @property
     def arrays(self) -> tuple[NDArray[Any], ...]:
         """The five arrays; the records are arrays too."""
         return cast(Any, self)[:]
 
-    def first(self, size: int) -> "Mixture":
-        """Return the first components, in the same memory."""
-        return Mixture(
-            means=self.means[:size],
-            covariances=self.covariances[:size],
-            log_weights=self.log_weights[:size],
-            assumptions=self.assumptions[:size],
-            history=self.history[:size],
-        )
-
     @property
-    def state(self) -> "MixtureState":
-        """The same as plain arrays, in memory of their own."""
-        return MixtureState(
-            self.means.copy(),
-            self.covariances.copy(),
-            self.log_weights.copy(),
-            numbers_of(self.assumptions),
-            numbers_of(self.history),
+    def state(self) -> tuple[Array, ...]:
+        """Copies of the five arrays, of records the rows of their numbers, (n, m)."""
+        return tuple(
+            array.copy().view(np.float64).reshape(len(array), -1)
+            if array.dtype.names
+            else array.copy()
+            for array in self.arrays
         )
-
-
-def numbers_of(records: list[Any]) -> Array:
-    """Return the fields of n records of numbers as an array of its own, (n, m)."""
-    return np.array(records).view(np.float64).reshape(len(records), -1)
-
-
-def records_of(kind: type[Record], numbers: Array) -> list[Record]:
-    """Return n records with the fields that an array holds, shape (n, m)."""
-    records = record_array(kind, len(numbers))
-    names = [field.name for field in fields(cast(Any, kind))]
-    for name, column in zip(names, numbers.T, strict=True):
-        read_column(records, name)[:] = column
-    return records
 
 
 def empty_mixture(size: int) -> Mixture:
@@ -350,100 +194,13 @@ def empty_mixture(size: int) -> Mixture:
     )
 
 
-class MixtureState(NamedTuple):
-    """A mixture of n components as plain arrays, for snapshots.
-
-    Attributes:
-        means: Of the unknowns, shape (n, 20).
-        covariances: Theirs, shape (n, 20, 20).
-        log_weights: Logarithm of each one's probability, shape (n,).
-        assumptions: Fields of `Assumptions`, shape (n, 10).
-        history: Fields of `History`, shape (n, 16).
-    """
-
-    means: Array
-    covariances: Array
-    log_weights: Array
-    assumptions: Array
-    history: Array
-
-    GROWING = ("means", "covariances", "log_weights", "assumptions", "history")
-
-    @property
-    def mixture(self) -> Mixture:
-        """The mixture, in memory of its own."""
-        return Mixture(
-            np.array(self.means),
-            np.array(self.covariances),
-            np.array(self.log_weights),
-            records_of(Assumptions, self.assumptions),
-            records_of(History, self.history),
-        )
-
-    def find_damage(self) -> str:
-        """Return what is wrong with the arrays, if anything.
-
-        It is asked before compiled code reads them.
-        """
-        n = len(self.log_weights)
-        expected = [
-            (n, UNKNOWNS),
-            (n, UNKNOWNS, UNKNOWNS),
-            (n,),
-            (n, len(fields(Assumptions))),
-            (n, len(fields(History))),
-        ]
-        shapes = [np.shape(array) for array in self]
-        if not 1 <= n <= CAPACITY or shapes != expected:
-            return f"its arrays have shapes {shapes}"
-        scale = np.sqrt(np.maximum(np.einsum("nii->ni", self.covariances), 1e-300))
-        scaled = self.covariances / (scale[:, :, None] * scale[:, None, :])
-        transposed = scaled.transpose(0, 2, 1)
-        if not np.allclose(scaled, transposed, rtol=0.0, atol=SYMMETRY_TOLERANCE):
-            return "its covariances are not symmetric"
-        assumptions = Assumptions(*self.assumptions.T)
-        is_medium = np.isin(assumptions.medium, (AIR, LAYER, MEMBRANE))
-        has_length = np.asarray(assumptions.release_length_mm) > 0.0
-        is_possible = is_medium & has_length
-        return "" if is_possible.all() else "its assumptions are impossible"
-
-
 def first_mixture() -> Mixture:
     """Return one component: the tip is in free air, the offset unknown."""
-    covariances = np.zeros((1, UNKNOWNS, UNKNOWNS))
-    covariances[0, OFFSET, OFFSET] = INITIAL_OFFSET_STD_N**2
-    assumptions = record_array(Assumptions, 1)
-    read_column(assumptions, "release_start_mm")[:] = NO_RELEASE_MM
-    read_column(assumptions, "release_length_mm")[:] = 1.0
-    return Mixture(
-        means=np.zeros((1, UNKNOWNS)),
-        covariances=covariances,
-        log_weights=np.zeros(1),
-        assumptions=assumptions,
-        history=record_array(History, 1),
-    )
-
-
-class ProcessNoise(NamedTuple):
-    """What may change over a block, beside events.
-
-    Attributes:
-        duration_s: Length of the block.
-        fresh_travel_mm: Its travel beyond the deepest point so far.
-        held_variance: Variance that the cutting force gains [N²].
-        coloured_variance: Stationary variance of the coloured noise [N²].
-        heartbeat_variance: Of the force by the heartbeat [N²].
-        breathing_variance: Of the force by breathing [N²].
-        model_error_variance: Of the force model's error [N²].
-    """
-
-    duration_s: float
-    fresh_travel_mm: float
-    held_variance: float
-    coloured_variance: float
-    heartbeat_variance: float
-    breathing_variance: float
-    model_error_variance: float
+    mixture = empty_mixture(1)
+    mixture.covariances[0, OFFSET, OFFSET] = 5.0**2  # N²
+    read_column(mixture.assumptions, "release_start_mm")[:] = NO_RELEASE_MM
+    read_column(mixture.assumptions, "release_length_mm")[:] = 1.0
+    return mixture
 
 
 @compiled
@@ -458,11 +215,11 @@ def move(
         first: Index of the value; that of the rate follows it.
         step: How both go on.
     """
-    a = step.transition.value_by_value
-    b = step.transition.value_by_rate
-    c = step.transition.rate_by_value
-    d = step.transition.rate_by_rate
     second = first + 1
+    a = step.transition[0, 0]
+    b = step.transition[0, 1]
+    c = step.transition[1, 0]
+    d = step.transition[1, 1]
     value = mean[first]
     rate = mean[second]
     mean[first] = a * value + b * rate
@@ -477,22 +234,51 @@ def move(
         rate = covariance[j, second]
         covariance[j, first] = a * value + b * rate
         covariance[j, second] = c * value + d * rate
-    covariance[first, first] += step.value_variance
-    covariance[first, second] += step.covariance
-    covariance[second, first] += step.covariance
-    covariance[second, second] += step.rate_variance
+    covariance[first : first + 2, first : first + 2] += step.noise
 
 
 @compiled
-def predict(mixture: Mixture, size: int, noise: ProcessNoise) -> None:
-    """Move the unknowns of the first `size` components on by a block."""
-    duration_s = noise.duration_s
+def predict(
+    mixture: Mixture,
+    size: int,
+    duration_s: float,
+    fresh_travel_mm: float,
+    held_variance: float,
+    coloured_variance: float,
+    heartbeat_variance: float,
+    breathing_variance: float,
+    model_error_variance: float,
+) -> None:
+    """Move the unknowns of the first `size` components on by a block.
+
+    Args:
+        mixture: Whose components are changed.
+        size: How many there are.
+        duration_s: Length of the block.
+        fresh_travel_mm: Its travel beyond the deepest point so far.
+        held_variance: Variance that the cutting force gains [N²].
+        coloured_variance: Stationary variance of the coloured noise [N²].
+        heartbeat_variance: Of the force by the heartbeat [N²].
+        breathing_variance: Of the force by breathing [N²].
+        model_error_variance: Of the force model's error [N²].
+    """
+    zero_walk_N2 = 1e-6 * duration_s  # random walk of the sensor's zero
     decay = math.exp(-duration_s / COLOURED_NOISE_S)
-    coloured_variance = (1.0 - decay**2) * noise.coloured_variance
-    heartbeat = heartbeat_step(duration_s, noise.heartbeat_variance)
-    breathing = breathing_step(duration_s, noise.breathing_variance)
-    model_error = smooth_walk_step(
-        noise.fresh_travel_mm, MODEL_ERROR_MM, noise.model_error_variance
+    coloured_variance *= 1.0 - decay**2
+    heartbeat = driven(
+        oscillation(duration_s, HEARTBEAT_HZ, HEARTBEAT_DAMPING),
+        2.0 * math.pi * HEARTBEAT_HZ,
+        heartbeat_variance,
+    )
+    breathing = driven(
+        oscillation(duration_s, BREATHING_HZ, BREATHING_DAMPING),
+        2.0 * math.pi * BREATHING_HZ,
+        breathing_variance,
+    )
+    model_error = driven(
+        smooth_walk(fresh_travel_mm, MODEL_ERROR_MM),
+        1.0 / MODEL_ERROR_MM,
+        model_error_variance,
     )
     for k in range(size):
         mean = mixture.means[k]
@@ -502,9 +288,9 @@ def predict(mixture: Mixture, size: int, noise: ProcessNoise) -> None:
             covariance[j, COLOURED_NOISE] *= decay
         for j in range(UNKNOWNS):
             covariance[COLOURED_NOISE, j] *= decay
-        covariance[OFFSET, OFFSET] += OFFSET_WALK_N2_PER_S * duration_s
+        covariance[OFFSET, OFFSET] += zero_walk_N2
         if mixture.assumptions[k].medium != AIR:
-            covariance[HELD, HELD] += noise.held_variance
+            covariance[HELD, HELD] += held_variance
         covariance[COLOURED_NOISE, COLOURED_NOISE] += coloured_variance
         move(mean, covariance, HEARTBEAT, heartbeat)
         move(mean, covariance, BREATHING, breathing)
@@ -534,7 +320,8 @@ def force_variance(
     before_onset = max(1.0 - travel / CUTTING_ONSET_MM, 0.0)
     release_slope = 2.0 * mean[RELEASED] / assumption.release_length_mm
     variance += (shape_error * mean[RELEASED]) ** 2 * 2.0 * row[RELEASE_STRETCH]
-    variance += (ONSET_ERROR * mean[HELD] * before_onset) ** 2
+    onset_error = 0.1 * mean[HELD] * before_onset  # of the cutting force's onset
+    variance += onset_error**2
     variance += (release_slope * block.depth_std_mm) ** 2 * row[RELEASED]
     return variance
 
@@ -558,10 +345,7 @@ def correct(
         By what the force differs from the mixture's prediction, 0 without components,
         and the variance that was predicted of it [N, N²].
     """
-    # Degrees of freedom of Student's t for the last blocks: nearly normal
-    recent_freedom = 30.0
-    # So long a block counts as one of the last: a rupture's fall and the sensor's lag
-    recent_s = 0.1
+    recent_freedom = 30.0  # of Student's t for the last blocks: nearly normal
     largest = -math.inf
     for k in range(size):
         largest = max(largest, mixture.log_weights[k])
@@ -569,8 +353,8 @@ def correct(
     mean_innovation = 0.0
     mean_square = 0.0
     travel = abs(block.speed_mm_s) * block.duration_s
-    errors = RELEASE_SHAPE_MM / max(travel, 0.1 * RELEASE_SHAPE_MM)
-    shape_error = RELEASE_SHAPE_ERROR * math.sqrt(max(errors, 1.0))
+    # Relative error of a release's shape is 0.08, and correlated over 0.02 mm.
+    shape_error = 0.08 * math.sqrt(max(0.02 / max(travel, 0.1 * 0.02), 1.0))
     for k in range(size):
         mean = mixture.means[k]
         covariance = mixture.covariances[k]
@@ -591,13 +375,14 @@ def correct(
             math.log(total_variance)
             + (STUDENT_FREEDOM + 1.0) * math.log1p(surprise / STUDENT_FREEDOM)
         )
-        tempered = LIKELIHOOD_EXPONENT * log_likelihood
+        tempered = 0.5 * log_likelihood  # errors are alike from one block to the next
         mixture.log_weights[k] += tempered
         in_full = -0.5 * (
             math.log(total_variance)
             + (recent_freedom + 1.0) * math.log1p(surprise / recent_freedom)
         )
-        history.recent_log *= math.exp(-block.duration_s / recent_s)
+        # A block is one of the last for 0.1 s: a rupture's fall and the sensor's lag.
+        history.recent_log *= math.exp(-block.duration_s / 0.1)
         history.recent_log += in_full - tempered
         widening = (STUDENT_FREEDOM + surprise) / (STUDENT_FREEDOM + 1.0)
         total_variance *= max(widening, 1.0)
@@ -622,9 +407,7 @@ def set_to_zero(
     if value >= -zero_std - math.sqrt(variance):
         return 0.0
     total_variance = variance + zero_std**2
-    cross_covariance = np.zeros(UNKNOWNS)
-    for i in range(UNKNOWNS):
-        cross_covariance[i] = covariance[i, index]
+    cross_covariance = covariance[:, index].copy()
     update(mean, covariance, cross_covariance, -value, total_variance)
     return -0.5 * value**2 / total_variance
 
@@ -639,7 +422,7 @@ def constrain_sign(
         Change of the logarithm of the weight.
     """
     log_weight = set_to_zero(mean, covariance, TRAVERSED_COULOMB, ZERO_FORCE_STD_N)
-    log_weight += set_to_zero(mean, covariance, STIFFNESS, ZERO_STIFFNESS_STD_N_PER_MM)
+    log_weight += set_to_zero(mean, covariance, STIFFNESS, 0.002)  # N/mm
     if assumption.medium == LAYER:
         # With its onset a negative cutting force would look like a slow release.
         log_weight += set_to_zero(mean, covariance, HELD, ZERO_FORCE_STD_N)
@@ -647,34 +430,37 @@ def constrain_sign(
 
 
 @compiled_inside
-def is_release_over(assumption: Assumptions, block: Block) -> bool:
-    """Return whether a release that has not been checked yet is over."""
+def penalise_release(mean: Vector, assumption: Assumptions, block: Block) -> float:
+    """Return what the logarithm of the weight loses by a release that is too small.
+
+    It is checked once, 0.1 mm behind its end.
+    """
     end_mm = assumption.release_start_mm + assumption.release_length_mm
-    is_over = block.depth_mm > end_mm + RELEASE_CHECK_MM
-    return assumption.unchecked_force_N > 0.0 and is_over
-
-
-@compiled_inside
-def is_release_too_small(mean: Vector, assumption: Assumptions, block: Block) -> bool:
-    """Return whether a release that is over released less than a rupture does."""
-    if not is_release_over(assumption, block):
-        return False
+    force = assumption.unchecked_force_N
+    if force <= 0.0 or block.depth_mm <= end_mm + 0.1:
+        return 0.0
+    assumption.unchecked_force_N = 0.0
     released = mean[RELEASED] - mean[FADING]
-    fraction = MIN_RELEASED_FRACTION * assumption.unchecked_force_N
-    return released < max(fraction, MIN_RELEASED_SIGMAS * block.noise_std_N)
+    # A rupture releases at least this fraction of the force of tip and layer before it,
+    # and so many standard deviations of a block's force.
+    least = max(0.12 * force, 2.0 * block.noise_std_N)
+    return SMALL_RELEASE_PENALTY if released < least else 0.0
 
 
 @compiled_inside
 def has_negative_stiffness_or_friction(
     mean: Vector, covariance: WrittenMatrix, assumption: Assumptions, block: Block
 ) -> bool:
-    """Return whether the stiffness or the layer's friction is negative beyond noise."""
+    """Return whether the stiffness or the layer's friction is negative beyond noise.
+
+    It is asked 2 mm behind the last event.
+    """
     travel = block.depth_mm - assumption.tip_start_mm
-    if assumption.medium == AIR or travel <= SIGN_TRAVEL_MM:
+    if assumption.medium == AIR or travel <= 2.0:
         return False
     std = math.sqrt(max(covariance[STIFFNESS, STIFFNESS], 0.0))
     friction = mean[LAYER_COULOMB] + mean[LAYER_VISCOUS] * block.speed_mm_s
-    return mean[STIFFNESS] + 2.0 * std < 0.0 or friction < MIN_FRICTION_N_PER_MM
+    return mean[STIFFNESS] + 2.0 * std < 0.0 or friction < -0.003
 
 
 @compiled
@@ -694,25 +480,22 @@ def penalise_implausible(
         covariance = mixture.covariances[k]
         assumption = mixture.assumptions[k]
         travel = block.depth_mm - assumption.tip_start_mm
-        is_fraction_due = assumption.prior_speed_mm_s > 0.0
-        if is_advancing and is_fraction_due and travel > FRACTION_TRAVEL_MM:
-            is_late = travel >= MAX_FRACTION_TRAVEL_MM
+        prior_speed = assumption.prior_speed_mm_s
+        # From 1 mm behind the last event on the prior of friction's fraction is tried,
+        # once the growth of the force is known; from 10 mm on it applies anyway.
+        if is_advancing and prior_speed > 0.0 and travel > 1.0:
+            is_late = travel >= 10.0
             speed = block.speed_mm_s
-            prior_speed = assumption.prior_speed_mm_s
             if use_friction_fraction(mean, covariance, speed, prior_speed, is_late):
                 assumption.prior_speed_mm_s = 0.0
         log_weight = constrain_sign(mean, covariance, assumption)
         log_weight = mixture.log_weights[k] + log_weight
-        if is_release_too_small(mean, assumption, block):
-            log_weight -= SMALL_RELEASE_PENALTY
-        if is_release_over(assumption, block):
-            assumption.unchecked_force_N = 0.0
+        log_weight -= penalise_release(mean, assumption, block)
         if has_negative_stiffness_or_friction(mean, covariance, assumption, block):
-            log_weight -= SIGN_PENALTY
-        if assumption.medium == MEMBRANE and travel > MAX_PUSHED_MM:
+            log_weight -= 0.1
+        if assumption.medium == MEMBRANE and travel > 12.0:  # it should have ruptured
             pushed_mm = block.duration_s * max(block.speed_mm_s, 0.0)
-            steps = min(pushed_mm / PUSHED_STEP_MM, MAX_PUSHED_STEPS)
-            log_weight -= PUSHED_PENALTY * steps
+            log_weight -= 0.3 * min(pushed_mm / 0.04, 2.0)  # per 0.04 mm
         mixture.log_weights[k] = log_weight
 
 
@@ -841,17 +624,17 @@ def add_contacts(
 ) -> int:
     """Write what a component in free air may have become; see `branch_parents`."""
     assumption = mixture.assumptions[parent]
-    if block.deflection < MIN_CONTACT_DEFLECTION and not block.is_swing:
+    if block.deflection < 0.3 and not block.is_swing:  # it hardly slides inwards
         return size
     if assumption.ruptures > 0.0:
-        probability *= GAP_OF_AIR_FRACTION
-        if block.depth_mm < assumption.release_start_mm + MIN_GAP_OF_AIR_MM:
+        # Gaps of air are rare, and none is thin.
+        probability *= 0.1
+        if block.depth_mm < assumption.release_start_mm + 3.0:
             return size
-    layer = CONTACT_LAYER_FRACTION * probability
-    event = Event(CONTACT, LAYER, False, NO_RELEASES_MM, layer)
+    # Prior: 70 % of contacts cut into a layer at once, others push a membrane first.
+    event = Event(CONTACT, LAYER, False, NO_RELEASES_MM, 0.7 * probability)
     size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
-    membrane = CONTACT_MEMBRANE_FRACTION * probability
-    event = Event(CONTACT, MEMBRANE, False, NO_RELEASES_MM, membrane)
+    event = Event(CONTACT, MEMBRANE, False, NO_RELEASES_MM, 0.3 * probability)
     return add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
 
 
@@ -866,20 +649,22 @@ def add_ends(
     tissue_speed_std: float,
 ) -> int:
     """Write what a component in tissue may have become; see `branch_parents`."""
+    air_fraction = 0.25  # prior, of layer ends that lead into free air
+    # Prior, of ends at another layer at which part of the tip force is kept and fades
+    fading_fraction = 0.2
     end = probability / len(RELEASES_MM)
-    further = end * (1.0 - AIR_FRACTION)
+    further = end * (1.0 - air_fraction)
     if mixture.assumptions[parent].medium != LAYER:
         event = Event(LAYER_END, LAYER, False, RELEASES_MM, further)
         return add_children(
             mixture, parent, size, event, block, reported, tissue_speed_std
         )
-    fading = further * FADING_PROBABILITY
-    whole = further * (1.0 - FADING_PROBABILITY)
+    whole = further * (1.0 - fading_fraction)
     event = Event(LAYER_END, LAYER, False, RELEASES_MM, whole)
     size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
-    event = Event(LAYER_END, LAYER, True, RELEASES_MM, fading)
+    event = Event(LAYER_END, LAYER, True, RELEASES_MM, further * fading_fraction)
     size = add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
-    event = Event(LAYER_END, AIR, False, RELEASES_MM, end * AIR_FRACTION)
+    event = Event(LAYER_END, AIR, False, RELEASES_MM, end * air_fraction)
     return add_children(mixture, parent, size, event, block, reported, tissue_speed_std)
 
 
@@ -918,11 +703,11 @@ def branch_parents(
             size = add_ends(
                 mixture, parent, size, block, probability, reported, tissue_speed_std
             )
-            start_mm = assumption.layer_start_mm + MIN_LAYER_ABOVE_MEMBRANE_MM
-            is_deep = block.depth_mm > start_mm
+            is_deep = block.depth_mm > assumption.layer_start_mm + 2.0
             is_known = assumption.prior_speed_mm_s == 0.0
             if medium == LAYER and is_membrane_due and is_deep and is_known:
-                rate = MEMBRANES_PER_RUPTURE * MEMBRANE_STEP_MM * RUPTURES_PER_MM
+                # Prior: 0.15 membranes are met under a layer per rupture.
+                rate = 0.15 * MEMBRANE_STEP_MM * RUPTURES_PER_MM
                 event = Event(MEMBRANE_MET, MEMBRANE, False, NO_RELEASES_MM, rate)
                 size = add_children(
                     mixture, parent, size, event, block, reported, tissue_speed_std
@@ -934,53 +719,35 @@ def branch_parents(
 def choose_parents(mixture: Mixture, size: int, depth_mm: float) -> Rows:
     """Return the likeliest component's row for each tip state, the likeliest first.
 
-    Of the first `size` components.
+    Only of the first `size` components.
 
-    Components whose last release is not over are left out: until then the force does
-    not show what the rupture was.
+    Components whose last release is not over are left out: until 0.3 mm after it the
+    force does not show what the rupture was.
     """
-    best = np.full(TIP_STATES, -1)
-    max_log_weight = mixture.log_weights[0]
-    for k in range(size):
-        max_log_weight = max(max_log_weight, mixture.log_weights[k])
-    min_log_weight = max_log_weight - MAX_PARENT_LOG_WEIGHT_GAP
+    states = 6  # of the tip: three media, each with force held or without
+    best = np.full(states, -1)
+    best_log_weights = np.full(states, -math.inf)
+    min_log_weight = mixture.log_weights[:size].max() - 25.0
+    count = 0
     for k in range(size):
         assumption = mixture.assumptions[k]
-        release_mm = max(assumption.release_length_mm, MIN_RELEASE_MM)
+        release_mm = max(assumption.release_length_mm, 0.3)
         is_over = depth_mm > assumption.release_start_mm + release_mm
         log_weight = mixture.log_weights[k]
-        if is_over and log_weight > min_log_weight:
-            state = int(2.0 * assumption.medium + assumption.holds_force)
-            if best[state] < 0 or log_weight > mixture.log_weights[best[state]]:
-                best[state] = k
-    best_log_weights = np.full(TIP_STATES, -math.inf)
-    count = 0
-    for state in range(TIP_STATES):
-        if best[state] >= 0:
-            best_log_weights[state] = mixture.log_weights[best[state]]
-            count += 1
-    order = sort_descending(best_log_weights)
-    rows = np.zeros(count, dtype=np.int64)
-    for k in range(count):
-        rows[k] = best[order[k]]
-    return rows
-
-
-class Ranking(NamedTuple):
-    """The components to keep.
-
-    Attributes:
-        rows: Their rows, the likeliest first, shape (m,).
-        log_weights: Logarithms of their probabilities, normalised, shape (m,).
-    """
-
-    rows: Rows
-    log_weights: Array
+        state = int(2.0 * assumption.medium + assumption.holds_force)
+        if is_over and log_weight > max(min_log_weight, best_log_weights[state]):
+            count += best[state] < 0
+            best[state] = k
+            best_log_weights[state] = log_weight
+    return best[sort_descending(best_log_weights)[:count]]
 
 
 @compiled
 def rank(mixture: Mixture, depth_mm: float) -> tuple[Rows, Array]:
-    """Return the fields of a `Ranking`, within the quota of each class."""
+    """Return rows and log weights of components to keep, the likeliest first, (m,).
+
+    Each class has its quota. The weights are normalised.
+    """
     order = sort_descending(mixture.log_weights)
     max_log_weight = mixture.log_weights[order[0]]
     total = 0.0
@@ -993,12 +760,12 @@ def rank(mixture: Mixture, depth_mm: float) -> tuple[Rows, Array]:
     size = 0
     for k in order:
         log_weight = mixture.log_weights[k] - log_total
-        if log_weight <= MIN_LOG_WEIGHT:
+        if log_weight <= -30.0:
             break
         assumption = mixture.assumptions[k]
         is_membrane = assumption.medium == MEMBRANE
-        recent_mm = RECENT_MEMBRANE_MM if is_membrane else RECENT_MM
-        is_old = depth_mm - assumption.tip_start_mm >= recent_mm
+        new_mm = 1.5 if is_membrane else 0.4
+        is_old = depth_mm - assumption.tip_start_mm >= new_mm
         class_index = 2 * is_old + 1 * is_membrane  # in the order of QUOTAS
         if places[class_index] > 0:
             places[class_index] -= 1
@@ -1012,19 +779,25 @@ class MixtureMemory:
     """Memory of a mixture that changes in place.
 
     Pruning copies what it keeps into a second one.
+
+    Attributes:
+        store: Room for components.
+        size: How many there are.
     """
 
-    def __init__(self, mixture: Mixture) -> None:
+    def __init__(self, state: tuple[Array, ...]) -> None:
         self.store = empty_mixture(CAPACITY)
         self._other = empty_mixture(CAPACITY)
-        self.size = mixture.size
-        for room, array in zip(self.store.arrays, mixture.arrays, strict=True):
-            room[: self.size] = array
+        self.size = len(state[0])
+        for room, numbers in zip(self.store.arrays, state, strict=True):
+            kept = room[: self.size]
+            kept[:] = numbers.view(room.dtype).reshape(kept.shape)
 
     @property
     def mixture(self) -> Mixture:
         """The components as they are now, not to be kept."""
-        return self.store.first(self.size)
+        first: list[Any] = [array[: self.size] for array in self.store.arrays]
+        return Mixture(*first)
 
     def branch(
         self, block: Block, before_mm: float, tissue_speed_std: float, reported: int
@@ -1037,9 +810,12 @@ class MixtureMemory:
             tissue_speed_std: Standard deviation of the tissue's own speed [mm/s].
             reported: Ruptures reported so far.
         """
-        begin_mm = max(before_mm, block.depth_mm - MAX_BRANCH_MM)
+        # One call counts the probability of events over 1 mm at most.
+        begin_mm = max(before_mm, block.depth_mm - 1.0)
         travel_mm = max(block.depth_mm - begin_mm, MIN_BRANCH_MM)
-        is_membrane_due = _membrane_step(block.depth_mm) != _membrane_step(before_mm)
+        # In each step of travel one membrane may be met.
+        step = int(block.depth_mm / MEMBRANE_STEP_MM)
+        is_membrane_due = step != int(before_mm / MEMBRANE_STEP_MM)
         self.size = branch_parents(
             self.store,
             self.size,
@@ -1053,16 +829,9 @@ class MixtureMemory:
     def prune(self, depth_mm: float) -> None:
         """Keep the likeliest components of each class, best first."""
         mixture = self.mixture
-        ranking = Ranking(*rank(mixture, depth_mm))
-        size = len(ranking.rows)
-        arrays = zip(mixture.arrays, self._other.arrays, strict=True)
-        for source, target in arrays:
-            source.take(ranking.rows, axis=0, out=target[:size], mode="clip")
-        self._other.log_weights[:size] = ranking.log_weights
+        rows, log_weights = rank(mixture, depth_mm)
+        self.size = len(rows)
+        for source, target in zip(mixture.arrays, self._other.arrays, strict=True):
+            source.take(rows, axis=0, out=target[: self.size], mode="clip")
+        self._other.log_weights[: self.size] = log_weights
         self.store, self._other = self._other, self.store
-        self.size = size
-
-
-def _membrane_step(depth_mm: float) -> int:
-    """Return the number of the step of travel in which one membrane may be met."""
-    return int(depth_mm / MEMBRANE_STEP_MM)

@@ -46,16 +46,6 @@ BREATHS_HZ = np.linspace(0.15, 0.45, 7)
 HEARTBEATS_HZ = np.linspace(0.8, 1.9, 23)
 """Those of the heartbeat: 48 to 114 beats a minute."""
 
-PHASES = 0.25 * math.pi * np.arange(8)
-"""Phases that a breath begins with."""
-
-SHARED_UNKNOWNS = 3
-"""Linear unknowns that all layers share: o, C, V."""
-
-LAYER_UNKNOWNS = 7
-"""Linear unknowns that a layer has of its own: c, b, T, K, H, E, F."""
-
-
 CLEARLY_LOWER = 10.0
 """By which a motion lowers the sum of squares of the errors at least."""
 
@@ -64,13 +54,6 @@ GOOD_ERROR = 0.05
 
 FAIR_ERROR = 0.5
 """Mean square of a fair fit's errors."""
-
-BREATHING_STD = np.array([0.03, 1.5, 1.5, 0.75, 0.75])
-"""Standard deviation of a breath's frequency [Hz] from one step on, and of its sizes
-[mm]."""
-
-HEARTBEAT_STD = np.array([0.05, 0.3, 0.3, 0.15, 0.15])
-"""The same of a heartbeat."""
 
 
 class Fit(NamedTuple):
@@ -89,8 +72,6 @@ class Fit(NamedTuple):
     error: float = 1e30
     rms_N: float = 0.0
     damping: float = 0.01
-
-    GROWING = ("beats",)
 
 
 @compiled
@@ -120,54 +101,6 @@ def displacement(beats: Matrix, time_s: Vector) -> tuple[Vector, Vector]:
                 cosine = cosine * cosine - sine * sine
                 sine = double_sine
     return place, speed
-
-
-@compiled
-def force_rows(
-    depths: Matrix, speeds: Matrix, weight: Vector, begin: int, unknowns: int
-) -> Array:
-    """Return the rows of the force in its linear unknowns, each over its deviation.
-
-    Args:
-        depths: Courses of the needle relative to the tissue, shape (m, n).
-        speeds: Of these courses, shape (m, n).
-        weight: One over the standard deviation of each force, shape (n,).
-        begin: Index at which a second layer begins, 0 without one.
-        unknowns: Their number.
-
-    Returns:
-        Shape (m, n, unknowns).
-    """
-    deflections, remaining = contact_along(depths)
-    rows = np.zeros((*depths.shape, unknowns))
-    for course in range(len(depths)):
-        depth = depths[course]
-        deepest = depth[0]
-        end = depth[0]
-        for k in range(len(depth)):
-            deepest = max(deepest, depth[k])
-            end = deepest if k <= begin or begin == 0 else end
-            row = rows[course, k]
-            row[0] = weight[k]
-            row[1] = deflections[course, k] * weight[k]
-            row[2] = speeds[course, k] * weight[k]
-            shaft = end - depth[0]
-            first = SHARED_UNKNOWNS
-            row[first] = row[1] * shaft
-            row[first + 1] = row[2] * shaft
-            if 0 < begin <= k:
-                first += LAYER_UNKNOWNS
-                shaft = deepest - end
-                row[first] = row[1] * shaft
-                row[first + 1] = row[2] * shaft
-            tip = remaining[course, k] * weight[k]
-            place = shaft - deepest + depth[k]
-            row[first + 2] = tip
-            row[first + 3] = tip * shaft
-            row[first + 4] = tip * shaft**2
-            row[first + 5] = place * weight[k]
-            row[first + 6] = place**2 * weight[k]
-    return rows
 
 
 def turned(fit: Fit, time_s: float) -> Fit:
@@ -208,14 +141,13 @@ class Window:
     """
 
     def __init__(self, means: Array, until_s: float, from_s: float) -> None:
-        noise_N = 0.02
-        relative_error = 0.03  # of the law, in proportion to the force
         self._time_s, depth, speed, force_N = means.T.copy()
         self._depth = depth
         self._speed = speed
         size_N = np.abs(force_N)
         until, begin = np.searchsorted(self._time_s, (until_s, from_s)).tolist()
-        self._weight = 1.0 / (noise_N + relative_error * size_N)
+        # Noise of 20 mN, and an error of the law in proportion to the force
+        self._weight = 1.0 / (0.02 + 0.03 * size_N)
         self._weight[until:begin] = 0.0  # while the force was released
         self._force = force_N * self._weight
         self.count = max(len(means) - max(begin - until, 0), 1)
@@ -235,47 +167,64 @@ class Window:
             force_N: The largest.
             first_N: At the begin of the window.
         """
-        offset_std_N = 0.05
         split_std = 0.3  # of how Coulomb and viscous friction share what grows
         mean_speed = max(float(self._speed.mean()), 0.3)
         layers = 2 if self._begin else 1
+        # All layers share o, C, V; a layer has c, b, T, K, H, E, F of its own.
         of_layer = (slope, slope / 3, force_N, slope, slope / 10, slope, slope / 10)
-        stds = np.array((offset_std_N, force_N, force_N / 3, *of_layer * layers))
-        # Known beforehand: Coulomb friction + speed * viscous friction = value ± std.
+        stds = np.array((0.05, force_N, force_N / 3, *of_layer * layers))
         # The force at the begin of the window may be any part of it friction.
-        known = [
-            (1, mean_speed, FRICTION_FRACTION * first_N, 0.5 * first_N),
-            (1, -COULOMB_SPEED_MM_S, 0.0, split_std * force_N),
-        ]
+        pairs = [(1, force_N, FRICTION_FRACTION * first_N, 0.5 * first_N)]
         growth = FRICTION_FRACTION * slope
-        for coulomb in range(SHARED_UNKNOWNS, len(stds), LAYER_UNKNOWNS):
-            known += [
-                (coulomb, mean_speed, growth, FRICTION_FRACTION_STD * slope),
-                (coulomb, -COULOMB_SPEED_MM_S, 0.0, split_std * slope),
-            ]
-        rows = np.zeros((len(known), len(stds)))
-        values = np.zeros(len(known))
-        for k, (coulomb, speed, value, std) in enumerate(known):
-            rows[k, coulomb] = 1.0 / std
-            rows[k, coulomb + 1] = speed / std
-            values[k] = value / std
+        pairs += [
+            (coulomb, slope, growth, FRICTION_FRACTION_STD * slope)
+            for coulomb in range(3, len(stds), len(of_layer))
+        ]
+        rows = np.zeros((2 * len(pairs), len(stds)))
+        values = np.zeros(len(rows))
+        for k, (coulomb, size, value, std) in enumerate(pairs):
+            # Coulomb friction + speed * viscous friction = value ± std; at the speed of
+            # equal parts their difference is zero.
+            friction = slice(coulomb, coulomb + 2)
+            rows[2 * k, friction] = (1.0 / std, mean_speed / std)
+            values[2 * k] = value / std
+            split_row = (1.0, -COULOMB_SPEED_MM_S)
+            rows[2 * k + 1, friction] = np.divide(split_row, split_std * size)
         self._information = np.diag(stds**-2.0) + rows.T @ rows
         self._pull = rows.T @ values
 
     def _rows(self, places: Array, speeds: Array) -> Array:
-        """Return the rows of the force for motions, shape (m, n, unknowns).
+        """Return the rows of the force for motions, each over its deviation.
 
         Args:
             places: Of the tissue, shape (m, n).
             speeds: Of the tissue, shape (m, n).
+
+        Returns:
+            Shape (m, n, unknowns).
         """
-        return force_rows(
-            self._depth - places,
-            self._speed - speeds,
-            self._weight,
-            self._begin,
-            len(self._pull),
-        )
+        depths = self._depth - places
+        deflections, remaining = contact_along(depths)
+        deepest = np.maximum.accumulate(depths, axis=1)
+        weight = np.broadcast_to(self._weight, depths.shape)
+        coulomb = deflections * weight
+        viscous = (self._speed - speeds) * weight
+        end = deepest.copy()  # of the first layer
+        is_second = np.zeros(len(self._depth), dtype=bool)
+        if self._begin:
+            is_second[self._begin :] = True
+            end[:, self._begin :] = deepest[:, self._begin : self._begin + 1]
+        shafts = {False: end - depths[:, :1], True: deepest - end}
+        columns = [weight, coulomb, viscous]
+        for is_of_second in (False, True)[: 1 + bool(self._begin)]:
+            shaft = shafts[is_of_second]
+            is_here = is_second == is_of_second
+            tip = remaining * weight * is_here
+            place = shaft - deepest + depths
+            placed = [place * weight * is_here, place**2 * weight * is_here]
+            columns += [coulomb * shaft, viscous * shaft, tip, tip * shaft]
+            columns += [tip * shaft**2, *placed]
+        return np.stack(columns, axis=-1)
 
     def solve(self, beats: Array, at_s: float) -> Solution:
         """Return the force that a motion explains.
@@ -298,16 +247,13 @@ class Window:
         """
         steps = np.array((1e-4, 1e-3, 1e-3, 1e-3, 1e-3))  # Hz, then mm
         time_s = self._time_s - fit.at_s
-        motions = [displacement(fit.beats, time_s)]
+        motions = [np.array(displacement(fit.beats, time_s))]
         for beat in fit.beats:
-            place, speed = displacement(beat[None], time_s)
-            others_place = motions[0][0] - place
-            others_speed = motions[0][1] - speed
-            for number, step in enumerate(steps):
-                changed = beat.copy()
-                changed[number] += step
-                place, speed = displacement(changed[None], time_s)
-                motions.append((others_place + place, others_speed + speed))
+            others = motions[0] - displacement(beat[None], time_s)
+            motions += [
+                others + displacement(changed[None], time_s)
+                for changed in beat + np.diag(steps)
+            ]
         places, speeds = np.array(motions).transpose(1, 0, 2)
         forces = self._rows(places, speeds) @ linear
         return (forces[1:] - forces[0]).T / np.tile(steps, len(fit.beats))
@@ -332,11 +278,10 @@ class Window:
         for hz in fit.beats[:, 0].tolist():
             is_breath = hz < MAX_BREATHING_HZ
             known_hz = BREATHS_HZ if is_breath else HEARTBEATS_HZ
-            margin_hz = 0.03
-            if not known_hz[0] - margin_hz < hz < known_hz[-1] + margin_hz:
-                return False
+            is_known = known_hz[0] - 0.03 < hz < known_hz[-1] + 0.03
             # A shorter window takes part of a breath for a quick one.
-            if length_s < (max(6.0, 1.0 / hz) if is_breath else 4.0 / hz):
+            min_length_s = max(6.0, 1.0 / hz) if is_breath else 4.0 / hz
+            if not is_known or length_s < min_length_s:
                 return False
             if is_breath:
                 is_long = is_proven or length_s > max(10.0, 2.0 / hz)
@@ -358,40 +303,33 @@ class Window:
         breath[:, 0] = breath_hz
         columns, change = self._small_motion(breath, time_s)
         errors = self.solve(breath, time_s).errors - columns @ change
-        heartbeat = np.zeros((1, 5))
-        heartbeat[0, 0] = self._heartbeat_hz(errors)
+        heartbeat = np.array([[self._heartbeat_hz(errors), 0.0, 0.0, 0.0, 0.0]])
         return Fit(np.vstack((breath, heartbeat)), time_s)
 
     def first_sizes(self, fit: Fit) -> Fit:
         """Return beats with the sizes that tissue as expected would show so."""
-        beats = fit.beats
-        _, change = self._small_motion(beats, fit.at_s)
-        sizes = change[len(self._pull) :].reshape(beats.shape)[:, 1:]
-        limits = _stds(beats)[:, 1:2]
+        _, change = self._small_motion(fit.beats, fit.at_s)
+        sizes = change[len(self._pull) :].reshape(fit.beats.shape)[:, 1:]
+        limits = _stds(fit.beats)[:, 1:2]
         fits = []
         for scale in (0.5, 1.0, 2.0):  # the law is known roughly
-            tried = beats.copy()
+            tried = fit.beats.copy()
             tried[:, 1:] = np.clip(scale * sizes, -limits, limits)
             fits.append(Fit(tried, fit.at_s, self.solve(tried, fit.at_s).error))
         return min(fits, key=lambda fit: fit.error)
 
     def _small_motion(self, beats: Array, time_s: float) -> tuple[Array, Array]:
         """Return the step from rest in tissue as expected, as `_gauss_newton_step`."""
-        solution = self.solve(beats, time_s)
         expected = np.linalg.solve(self._information, self._pull)
-        return self._gauss_newton_step(
-            Fit(beats, time_s),
-            solution._replace(linear=expected),
-            beats,
-            _stds(beats),
-        )
+        solution = self.solve(beats, time_s)._replace(linear=expected)
+        fit = Fit(beats, time_s)
+        return self._gauss_newton_step(fit, solution, beats, _stds(beats))
 
     def _heartbeat_hz(self, errors: Array) -> float:
         """Return the frequency of the heartbeat whose waves are largest."""
         step_s = float(self._time_s[-1] - self._time_s[0]) / (len(self._time_s) - 1)
-        size = 1024
-        power = np.abs(np.fft.rfft(errors, size)) ** 2
-        hz = np.fft.rfftfreq(size, step_s)
+        power = np.abs(np.fft.rfft(errors, 1024)) ** 2
+        hz = np.fft.rfftfreq(1024, step_s)
         first, last = np.searchsorted(hz, (HEARTBEATS_HZ[0], HEARTBEATS_HZ[-1]))
         # Means that are far apart, as of a slow log or with gaps, show no fast waves.
         last = min(last, len(power) // 2)
@@ -400,20 +338,18 @@ class Window:
         with_double = power[first:last] + power[2 * first : 2 * last : 2]
         return float(hz[first + np.argmax(with_double)])
 
-    def turned_fit(self, fit: Fit, size_mm: float) -> Fit:
-        """Return a fit with its slow beat of such a size and of any phase.
+    def turned_fit(self, fit: Fit) -> Fit:
+        """Return a fit with its slow beat of 1 mm and of any phase.
 
         It is the fit itself where that leaves the least error.
         """
         best = fit
-        beats = fit.beats.copy()
-        for phase in PHASES.tolist():
-            cosine = size_mm * math.cos(phase)
-            sine = size_mm * math.sin(phase)
-            beats[0, 1:] = (cosine, sine, 0.0, 0.0)
+        for phase in (0.25 * math.pi * np.arange(8)).tolist():
+            beats = fit.beats.copy()
+            beats[0, 1:] = (math.cos(phase), math.sin(phase), 0.0, 0.0)
             error = self.solve(beats, fit.at_s).error
             if error < best.error:
-                best = Fit(beats.copy(), fit.at_s, error)
+                best = Fit(beats, fit.at_s, error)
         return best
 
     def stepped(self, fit: Fit, *, is_prior: bool = False) -> Fit:
@@ -442,19 +378,16 @@ class Window:
                 damping = max(0.5 * fit.damping, 1e-3)
                 return Fit(tried, fit.at_s, error, self._rms_N(error), damping)
             change = 0.3 * change
-        return fit._replace(
-            error=solution.error,
-            rms_N=self._rms_N(solution.error),
-            damping=min(3.0 * fit.damping, 1.0),
-        )
+        rms_N = self._rms_N(solution.error)
+        damping = min(3.0 * fit.damping, 1.0)
+        return fit._replace(error=solution.error, rms_N=rms_N, damping=damping)
 
     def _gauss_newton_step(
         self, fit: Fit, solution: Solution, target: Array, stds: Array
     ) -> tuple[Array, Array]:
         """Return columns of all unknowns, the beats' last, and what a step changes."""
-        slopes = self._slopes(fit, solution.linear)
         known = len(solution.linear)
-        columns = np.hstack((solution.rows, slopes))
+        columns = np.hstack((solution.rows, self._slopes(fit, solution.linear)))
         square = columns.T @ columns
         square[:known, :known] += self._information
         right_side = columns.T @ solution.errors
@@ -490,8 +423,13 @@ def _solve(square: Array, right_side: Array) -> Array:
 
 
 def _stds(beats: Array) -> Array:
-    """Return standard deviations of the five numbers of each beat."""
-    return np.where(beats[:, :1] < MAX_BREATHING_HZ, BREATHING_STD, HEARTBEAT_STD)
+    """Return standard deviations of the five numbers of each beat.
+
+    Of a frequency [Hz] from one step on, and of the sizes [mm].
+    """
+    breathing = np.array([0.03, 1.5, 1.5, 0.75, 0.75])
+    heartbeat = np.array([0.05, 0.3, 0.3, 0.15, 0.15])
+    return np.where(beats[:, :1] < MAX_BREATHING_HZ, breathing, heartbeat)
 
 
 def _prior_cost(beats: Array, target: Array, stds: Array) -> float:

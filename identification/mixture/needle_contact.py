@@ -5,23 +5,17 @@ Friction turns round over a travel (Dahl 1968) and relaxes at rest.
 
 import math
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Matrix
 from foundation.jit import compiled, compiled_inside
-from identification.mixture.evidence import MM_PER_M
+from identification.estimate import Sample
+from identification.mixture.block import MM_PER_M
 from identification.mixture.needle_swing import NeedleSwing, update_swing
 
 MAX_BLOCK_S = 0.01
 """A block ends after this time: enough to average the noise of single samples."""
-
-MAX_BLOCK_MM = 0.06
-"""A block ends after this travel: well below any release."""
-
-MAX_SWING_S = 0.24
-"""A block of a swing ends after this time: two of the longest halves."""
 
 MIN_BLOCK_S = 0.002
 """Time before a block ends by its travel."""
@@ -29,40 +23,8 @@ MIN_BLOCK_S = 0.002
 ROUNDING = 1e-6
 """Relative error that sums of time steps may have."""
 
-PRESLIDING_MM = 0.3
-"""Travel over which friction turns after a reversal: gel clings for a fifth, soft
-tissue for half a millimetre."""
-
-DEADBAND_SIGMAS = 3.0
-"""Standard deviations of the depth within which the needle may not have moved: a
-filtered depth swings past a sudden stop."""
-
-MIN_DEADBAND_M = 2e-5
-"""Travel within which the needle may not have moved: an arm's joints have play."""
-
 REST_SPEED_MM_S = 0.1
 """Slower than this the needle rests."""
-
-REST_S = 8.5
-"""Time constant of friction at rest: real liver loses its force in that time."""
-
-UNLOADING_MM = 0.5
-"""Travel over which the tip's force goes when the tip is drawn back."""
-
-ARM_MASS_KG = 10.0
-"""Mass that the needle is taken to have at most, along it: an LWR has 3 to 4 kg in the
-insertions, below 10 kg in nine of ten postures. Masses are known roughly, and inertia
-is taken out with another lag than the force has: so a virtual force is uncertain where
-the arm accelerates."""
-
-JITTER_SIGMAS = 3.0
-"""Standard deviations of the speed's noise that are no acceleration."""
-
-ACCELERATION_S = 0.03
-"""Time over which the acceleration is measured."""
-
-INERTIA_S = 0.2
-"""Time for which an acceleration is remembered."""
 
 NOWHERE_M = -1e9
 """The deepest point before the first sample."""
@@ -117,27 +79,17 @@ class NeedleContact:
     swing: NeedleSwing = field(default_factory=NeedleSwing)
 
 
-class Presliding(NamedTuple):
-    """Presliding deflection after a travel.
-
-    Attributes:
-        deflection: -1 to 1.
-        remaining: Part of the old deflection that remains in it.
-    """
-
-    deflection: float
-    remaining: float
-
-
 @compiled_inside
-def slide(deflection: float, travel_mm: float) -> Presliding:
-    """Return the presliding deflection after a travel.
+def slide(deflection: float, travel_mm: float) -> tuple[float, float]:
+    """Return the presliding deflection after a travel, and what remains of the old one.
 
     The exact solution of Dahl's law (1968, shape exponent 1): two half steps equal one.
     """
-    remaining = math.exp(-abs(travel_mm) / PRESLIDING_MM)
+    # Friction turns over 0.3 mm after a reversal: gel clings for a fifth, soft tissue
+    # for half a millimetre.
+    remaining = math.exp(-abs(travel_mm) / 0.3)
     limit = math.copysign(1.0, travel_mm)
-    return Presliding(limit + (deflection - limit) * remaining, remaining)
+    return limit + (deflection - limit) * remaining, remaining
 
 
 @compiled
@@ -157,86 +109,59 @@ def contact_along(depths_mm: Matrix) -> tuple[Matrix, Matrix]:
         deepest = depth[0]
         for k in range(1, len(depth)):
             travel = depth[k] - depth[k - 1]
-            deflection[course, k] = slide(deflection[course, k - 1], travel).deflection
+            deflection[course, k] = slide(deflection[course, k - 1], travel)[0]
             deepest = max(deepest, depth[k])
-            unloaded = (deepest - depth[k]) / UNLOADING_MM
+            unloaded = (deepest - depth[k]) / 0.5  # mm that the tip is drawn back
             remaining[course, k] = min(max(1.0 - unloaded, 0.0), 1.0)
     return deflection, remaining
 
 
-class ContactSample(NamedTuple):
-    """A sample, as the tissue meets the needle.
-
-    Depths and speed are those in the tissue, which may move; the arm has a speed of its
-    own.
-
-    Attributes:
-        depth_m: Filtered depth.
-        speed_m_s: Filtered speed.
-        depth_std_m: Standard deviation of the depth's noise.
-        speed_std_m_s: Standard deviation of the speed's noise.
-        arm_m_s: Speed of the arm.
-        force_N: Axial force.
-        force_std_N: Standard deviation of the force's slow error.
-        unfiltered_depth_m: Depth before the filter.
-        dt_s: Time since the sample before.
-        measured_m_s: Speed of the arm before the filter.
-    """
-
-    depth_m: float
-    speed_m_s: float
-    depth_std_m: float
-    speed_std_m_s: float
-    arm_m_s: float
-    force_N: float
-    force_std_N: float
-    unfiltered_depth_m: float
-    dt_s: float
-    measured_m_s: float
-
-
 @compiled_inside
-def update_inertia(contact: NeedleContact, sample: ContactSample) -> None:
-    """Update how uncertain the force is by the arm's acceleration."""
+def update_inertia(contact: NeedleContact, sample: Sample, arm_m_s: float) -> None:
+    """Update how uncertain the force is by the arm's acceleration.
+
+    Masses are known roughly, and inertia is taken out with another lag than the force
+    has: so a virtual force is uncertain where the arm accelerates.
+    """
+    acceleration_s = 0.03  # over which the acceleration is measured
     dt_s = sample.dt_s
-    change_m_s = sample.arm_m_s - contact.lagged_speed_m_s
-    contact.lagged_speed_m_s += change_m_s * dt_s / (ACCELERATION_S + dt_s)
-    change_m_s = abs(sample.arm_m_s - contact.lagged_speed_m_s)
-    change_m_s = max(change_m_s - JITTER_SIGMAS * sample.speed_std_m_s, 0.0)
-    variance_N2 = (ARM_MASS_KG * change_m_s / ACCELERATION_S) ** 2
-    remembered_N2 = contact.inertia_variance_N2 * math.exp(-dt_s / INERTIA_S)
+    change_m_s = arm_m_s - contact.lagged_speed_m_s
+    contact.lagged_speed_m_s += change_m_s * dt_s / (acceleration_s + dt_s)
+    change_m_s = abs(arm_m_s - contact.lagged_speed_m_s)
+    change_m_s = max(change_m_s - 3.0 * sample.speed_std_m_s, 0.0)  # no jitter
+    # The needle is taken to have at most a mass of 10 kg along it: an LWR has 3 to 4 kg
+    # in the insertions, below 10 kg in nine of ten postures.
+    variance_N2 = (10.0 * change_m_s / acceleration_s) ** 2
+    remembered_N2 = contact.inertia_variance_N2 * math.exp(-dt_s / 0.2)
     contact.inertia_variance_N2 = max(variance_N2, remembered_N2)
     force_variance_N2 = sample.force_std_N * sample.force_std_N
     contact.motion_variance_N2 = min(force_variance_N2, contact.inertia_variance_N2)
 
 
 @compiled_inside
-def update_friction_state(contact: NeedleContact, sample: ContactSample) -> None:
+def update_friction_state(contact: NeedleContact, sample: Sample) -> None:
     """Update presliding deflection and relaxation at rest."""
+    # Within it the needle may not have moved: a filtered depth swings past a sudden
+    # stop, and an arm's joints have play.
+    deadband_m = max(3.0 * sample.depth_std_m, 2e-5)
     depth_m = sample.depth_m
-    followed_m = contact.followed_m
-    if contact.deepest_m == NOWHERE_M:
-        followed_m = depth_m
-    deadband_m = max(DEADBAND_SIGMAS * sample.depth_std_m, MIN_DEADBAND_M)
+    followed_m = depth_m if contact.deepest_m == NOWHERE_M else contact.followed_m
     if followed_m < depth_m - deadband_m:
         contact.followed_m = depth_m - deadband_m
     else:
         contact.followed_m = min(followed_m, depth_m + deadband_m)
-    relaxation = contact.relaxation
     if contact.followed_m != followed_m:
         travel_mm = MM_PER_M * (contact.followed_m - followed_m)
-        presliding = slide(contact.deflection, travel_mm)
-        contact.deflection = presliding.deflection
-        relaxation *= presliding.remaining
+        contact.deflection, remaining = slide(contact.deflection, travel_mm)
+        contact.relaxation *= remaining
     if MM_PER_M * abs(sample.speed_m_s) < REST_SPEED_MM_S:
-        relaxation += (1.0 - relaxation) * -math.expm1(-sample.dt_s / REST_S)
-    contact.relaxation = relaxation
+        # Real liver loses its force with this time constant.
+        relaxing = -math.expm1(-sample.dt_s / 8.5)
+        contact.relaxation += (1.0 - contact.relaxation) * relaxing
 
 
 @compiled_inside
-def fill_block(
-    contact: NeedleContact, sample: ContactSample, is_end_of_swing: bool
-) -> bool:
+def fill_block(contact: NeedleContact, sample: Sample, is_end_of_swing: bool) -> bool:
     """Add a sample to the block, and return whether it is full.
 
     The contact is already that of this sample. Where the needle swings the block holds
@@ -249,25 +174,30 @@ def fill_block(
     contact.deflection_s += dt_s * contact.deflection
     contact.force_N_s += dt_s * sample.force_N
     contact.force_squared_N2_s += dt_s * sample.force_N * sample.force_N
-    contact.unfiltered_depth_m_s += dt_s * sample.unfiltered_depth_m
+    contact.unfiltered_depth_m_s += dt_s * sample.raw_depth_m
     contact.motion_variance_N2_s += dt_s * contact.motion_variance_N2
     if contact.swing.is_swinging:
-        return is_end_of_swing or contact.block_s > MAX_SWING_S
+        # Two of the longest halves take 0.24 s.
+        return is_end_of_swing or contact.block_s > 0.24
     if contact.block_s > MAX_BLOCK_S * (1.0 - ROUNDING):
         return True
-    is_far = MM_PER_M * abs(contact.travel_m) >= MAX_BLOCK_MM
+    is_far = MM_PER_M * abs(contact.travel_m) >= 0.06  # well below any release
     return is_far and contact.block_s > MIN_BLOCK_S * (1.0 - ROUNDING)
 
 
 @compiled_inside
-def update_contact(contact: NeedleContact, sample: ContactSample) -> bool:
-    """Use one sample, and return whether the block being filled is full."""
-    update_inertia(contact, sample)
+def update_contact(contact: NeedleContact, sample: Sample, arm_m_s: float) -> bool:
+    """Use one sample, and return whether the block being filled is full.
+
+    Depths and speed of the sample are those in the tissue, which may move; the arm has
+    a speed of its own.
+    """
+    update_inertia(contact, sample, arm_m_s)
     update_friction_state(contact, sample)
     contact.deepest_m = max(contact.deepest_m, sample.depth_m)
     contact.depth_std_m = sample.depth_std_m
     contact.speed_std_m_s = sample.speed_std_m_s
-    is_end_of_swing = update_swing(contact.swing, sample.measured_m_s, sample.dt_s)
+    is_end_of_swing = update_swing(contact.swing, sample.raw_speed_m_s, sample.dt_s)
     return fill_block(contact, sample, is_end_of_swing)
 
 
@@ -286,17 +216,16 @@ def is_falling(
         dt_s: Time since the sample before.
         noise_variance_N2: Of the mean force of a whole block.
     """
-    sigmas = 4.0  # by chance once in 30,000 blocks
-    max_early_blocks = 10  # 20 ms: by then an alarm is raised
     contact.shortfall_N_s += dt_s * shortfall_N
     if contact.swing.is_swinging or contact.block_s < MIN_BLOCK_S * (1.0 - ROUNDING):
         return False
     # White noise: the shorter the mean, the larger.
     variance_N2_s2 = noise_variance_N2 * MAX_BLOCK_S * contact.block_s
     variance_N2_s2 += contact.motion_variance_N2_s * contact.block_s
-    if contact.shortfall_N_s > sigmas * math.sqrt(variance_N2_s2):
+    # By chance once in 30,000 blocks; after 20 ms an alarm is raised.
+    if contact.shortfall_N_s > 4.0 * math.sqrt(variance_N2_s2):
         contact.early_blocks += 1
-        return contact.early_blocks <= max_early_blocks
+        return contact.early_blocks <= 10
     if contact.block_s > MAX_BLOCK_S * (1.0 - ROUNDING):
         contact.early_blocks = 0
     return False

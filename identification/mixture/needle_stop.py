@@ -22,45 +22,38 @@ from typing import NamedTuple
 from foundation.jit import compiled_inside
 from identification.mixture.needle_contact import REST_SPEED_MM_S
 
-BRAKING_FRACTION = 0.9
-"""Slower than this part of the remembered speed the needle is coming to a stop."""
-
-BRAKING_MM = 0.5
-"""Travel within which a needle that slows down is coming to a stop: further on it
-advances at another speed."""
-
 SLIDING_DEFLECTION = 0.9
 """Presliding deflection from which on the whole shaft slides inwards."""
-
-LEARNING_S = 0.3
-"""Rest after which the force has shown what a stop takes from it."""
-
-KEPT_TIP = 0.95
-"""Prior mean of q. No measurement is known that tells it from p."""
-
-KEPT_TIP_STD = 0.15
-"""Standard deviation of q."""
-
-SPLIT_STD = 0.25
-"""Standard deviation of p beyond what the force law claims to know: at one speed it
-knows nothing, and what it learns from changes of speed rests on its form."""
-
-CHANGE_STD = 0.1
-"""Standard deviation of the change of p, and of q, from one stop to the next."""
 
 RELAXED_FRICTION = 0.6
 """Fraction of p that a long rest takes, as of the whole force in real liver (19 holds
 of 60 s)."""
 
-RELAXED_TIP = 0.3
-"""Fraction of q that a long rest takes: half as much, since it is not known whether
-tip or friction relaxes."""
-
-RELAXED_STD = 0.3
-"""Standard deviation of both."""
-
 MIN_FRICTION_N = 0.01
 """Friction from which on a stop says something of its split."""
+
+
+@dataclass(slots=True)
+class Friction:
+    """Coulomb and viscous friction of a length of shaft, with their joint covariance.
+
+    Attributes:
+        coulomb: Coulomb friction [N].
+        viscous: Viscous friction [N/(mm/s)].
+        coulomb_variance: Variance of the Coulomb friction.
+        covariance: Covariance of the two.
+        viscous_variance: Variance of the viscous friction.
+        offset_coulomb: Covariance of the offset and the Coulomb friction.
+        offset_viscous: Covariance of the offset and the viscous friction.
+    """
+
+    coulomb: float = 0.0
+    viscous: float = 0.0
+    coulomb_variance: float = 0.0
+    covariance: float = 0.0
+    viscous_variance: float = 0.0
+    offset_coulomb: float = 0.0
+    offset_viscous: float = 0.0
 
 
 @dataclass(slots=True)
@@ -122,42 +115,6 @@ class Retention(NamedTuple):
     covariance: float
 
 
-class SteadyForce(NamedTuple):
-    """Axial force, friction and speed of a needle that advances.
-
-    Attributes:
-        speed_mm_s: Speed.
-        depth_mm: Depth.
-        force: Axial force, less the offset [N].
-        friction: Friction of the shaft [N].
-        friction_variance: Its variance [N²].
-        coulomb: Coulomb friction in it [N].
-        coulomb_variance: Variance of that part, the friction being given [N²].
-    """
-
-    speed_mm_s: float
-    depth_mm: float
-    force: float
-    friction: float
-    friction_variance: float
-    coulomb: float
-    coulomb_variance: float
-
-
-class StoppedForce(NamedTuple):
-    """Friction at a stop, once the force there is known.
-
-    Attributes:
-        friction: Mean of p f [N].
-        variance: Its variance [N²].
-        retention: p and q.
-    """
-
-    friction: float
-    variance: float
-    retention: Retention
-
-
 @compiled_inside
 def lost_speed(stop: NeedleStop, speed_mm_s: float) -> float:
     """Return the fraction of the remembered speed that the needle has lost, 0 to 1."""
@@ -175,9 +132,11 @@ def retain(stop: NeedleStop, lost: float, relaxation: float) -> Retention:
         lost: Fraction of the speed that is lost.
         relaxation: How far tissue has relaxed at rest, 0 to 1.
     """
+    # A long rest takes half as much of q as of p, since it is not known whether tip or
+    # friction relaxes, with a deviation of 0.3 of both.
     relaxed_friction = stop.kept_friction * (1.0 - RELAXED_FRICTION * relaxation)
-    relaxed_tip = stop.kept_tip * (1.0 - RELAXED_TIP * relaxation)
-    relaxed_variance = (RELAXED_STD * relaxation) ** 2
+    relaxed_tip = stop.kept_tip * (1.0 - 0.3 * relaxation)
+    relaxed_variance = (0.3 * relaxation) ** 2
     return Retention(
         1.0 - lost * (1.0 - relaxed_friction),
         1.0 - lost * (1.0 - relaxed_tip),
@@ -190,7 +149,7 @@ def retain(stop: NeedleStop, lost: float, relaxation: float) -> Retention:
 @compiled_inside
 def meet_stop(
     stop: NeedleStop, before: Retention, force: float, force_variance: float
-) -> StoppedForce:
+) -> tuple[tuple[float, float], Retention]:
     """Correct f, p and q with the force measured, and return p f.
 
     Args:
@@ -199,6 +158,9 @@ def meet_stop(
         force: F', less the offset [N].
         force_variance: Of the measured forces and of all that the two fractions do not
             describe [N²].
+
+    Returns:
+        Mean [N] and variance of p f; p and q.
     """
     friction = stop.friction
     tip = max(stop.force - friction, 0.0)
@@ -233,52 +195,80 @@ def meet_stop(
         + 2.0 * kept_fraction * friction_before * covariance_with_p
     )
     friction_at_rest = kept_fraction * friction_before
-    return StoppedForce(friction_at_rest, max(variance_at_rest, 0.0), after)
+    return (friction_at_rest, max(variance_at_rest, 0.0)), after
 
 
 @compiled_inside
-def expect_stop(stop: NeedleStop, steady: SteadyForce) -> None:
-    """Set p and q to what the force law and earlier stops let expect."""
-    friction = max(steady.friction, MIN_FRICTION_N)
-    expected_p = min(max(steady.coulomb / friction, 0.0), 1.0)
-    expected_variance = steady.coulomb_variance / friction**2 + SPLIT_STD**2
+def expect_stop(stop: NeedleStop, expected_p: float, expected_variance: float) -> None:
+    """Set p and q to what the force law and earlier stops let expect.
+
+    Args:
+        stop: Which is changed.
+        expected_p: Coulomb's part of the friction, by the force law.
+        expected_variance: Its variance.
+    """
     if stop.shown_friction_variance == 0.0:
         stop.kept_friction = expected_p
         stop.kept_friction_variance = expected_variance
-        stop.kept_tip = KEPT_TIP
-        stop.kept_tip_variance = KEPT_TIP_STD**2
+        stop.kept_tip = 0.95  # no measurement is known that tells it from p
+        stop.kept_tip_variance = 0.15**2
         stop.covariance = 0.0
         return
-    shown_variance = stop.shown_friction_variance + CHANGE_STD**2
+    change_variance = 0.1**2  # from one stop to the next
+    shown_variance = stop.shown_friction_variance + change_variance
     weight = expected_variance / (expected_variance + shown_variance)
     stop.kept_friction = weight * stop.shown_friction + (1.0 - weight) * expected_p
     stop.kept_friction_variance = weight * shown_variance
     stop.kept_tip = stop.shown_tip
-    stop.kept_tip_variance = stop.shown_tip_variance + CHANGE_STD**2
+    stop.kept_tip_variance = stop.shown_tip_variance + change_variance
     stop.covariance = weight * stop.shown_covariance
 
 
 @compiled_inside
-def remember_motion(stop: NeedleStop, steady: SteadyForce) -> None:
-    """Remember a needle that advances, unless it is coming to a stop."""
-    is_steady = steady.speed_mm_s >= BRAKING_FRACTION * stop.speed_mm_s
-    is_far = steady.depth_mm > stop.depth_mm + BRAKING_MM
-    if steady.speed_mm_s <= REST_SPEED_MM_S or not (is_steady or is_far):
+def remember_motion(
+    stop: NeedleStop, shaft: Friction, speed: float, depth_mm: float, net_force: float
+) -> None:
+    """Remember a needle that advances, unless it is coming to a stop.
+
+    Args:
+        stop: Which is changed.
+        shaft: Friction of the whole shaft.
+        speed: Of the needle [mm/s].
+        depth_mm: Of its tip.
+        net_force: Axial force, less the offset [N].
+    """
+    # A needle that slows down is coming to a stop: within half a millimetre, further on
+    # it advances at another speed.
+    is_steady = speed >= 0.9 * stop.speed_mm_s or depth_mm > stop.depth_mm + 0.5
+    if speed <= REST_SPEED_MM_S or not is_steady:
         return
-    stop.speed_mm_s = steady.speed_mm_s
-    stop.depth_mm = steady.depth_mm
-    stop.force = steady.force
-    stop.friction = max(steady.friction, 0.0)
-    stop.friction_variance = steady.friction_variance
+    cross_covariance = shaft.coulomb_variance + speed * shaft.covariance
+    variance = (
+        cross_covariance + speed * shaft.covariance + speed**2 * shaft.viscous_variance
+    )
+    friction = shaft.coulomb + speed * shaft.viscous
+    stop.speed_mm_s = speed
+    stop.depth_mm = depth_mm
+    stop.force = net_force
+    stop.friction = max(friction, 0.0)
+    stop.friction_variance = max(variance, 0.0)
     stop.rest_s = 0.0
-    expect_stop(stop, steady)
+    # Variance of Coulomb's part, the friction being given
+    shared = cross_covariance**2 / max(variance, 1e-12)
+    coulomb_variance = max(shaft.coulomb_variance - shared, 0.0)
+    # Beyond what the force law claims to know of p: at one speed it knows nothing, and
+    # what it learns from changes of speed rests on its form.
+    split_variance = 0.25**2
+    friction = max(friction, MIN_FRICTION_N)
+    expected_p = min(max(shaft.coulomb / friction, 0.0), 1.0)
+    expect_stop(stop, expected_p, coulomb_variance / friction**2 + split_variance)
 
 
 @compiled_inside
 def learn_from_rest(
     stop: NeedleStop, duration_s: float, force: float, force_variance: float
 ) -> None:
-    """Keep what a stop has shown, once the needle has rested for `LEARNING_S`.
+    """Keep what a stop has shown, once the needle has rested for a while.
 
     Args:
         stop: Which is changed.
@@ -286,13 +276,14 @@ def learn_from_rest(
         force: Its force, less the offset [N].
         force_variance: See `meet_stop`.
     """
-    was_learning = stop.rest_s < LEARNING_S
+    learning_s = 0.3  # after which the force has shown what a stop takes from it
+    is_shown = stop.rest_s < learning_s <= stop.rest_s + duration_s
     stop.rest_s += duration_s
-    if stop.rest_s < LEARNING_S or not was_learning or stop.friction < MIN_FRICTION_N:
+    if not is_shown or stop.friction < MIN_FRICTION_N:
         return
-    met = meet_stop(stop, retain(stop, 1.0, 0.0), force, force_variance)
-    stop.shown_friction = min(max(met.retention.friction, 0.0), 1.0)
-    stop.shown_tip = min(max(met.retention.tip, 0.0), 1.0)
-    stop.shown_friction_variance = met.retention.friction_variance
-    stop.shown_tip_variance = met.retention.tip_variance
-    stop.shown_covariance = met.retention.covariance
+    _, shown = meet_stop(stop, retain(stop, 1.0, 0.0), force, force_variance)
+    stop.shown_friction = min(max(shown.friction, 0.0), 1.0)
+    stop.shown_tip = min(max(shown.tip, 0.0), 1.0)
+    stop.shown_friction_variance = shown.friction_variance
+    stop.shown_tip_variance = shown.tip_variance
+    stop.shown_covariance = shown.covariance

@@ -11,34 +11,11 @@ from dataclasses import dataclass
 
 from foundation.jit import compiled_inside
 
-MEAN_S = 0.4
-"""Time over which the mean speed is taken: a few swings."""
-
 MIN_HALF_S = 0.02
 """Length of half a swing, at least: what is quicker is vibration."""
 
 MAX_HALF_S = 0.12
 """Length of half a swing, at most: what is slower is a motion of its own."""
-
-SMOOTHING_S = 0.008
-"""Time constant of the low-pass on the measured speed: short of half a swing."""
-
-MIN_SWING_M_S = 5e-4
-"""Deviation from the mean speed at which half a swing begins: less than the speed of a
-tremor of 0.02 mm at 6 Hz, 0.75 mm/s; noise of a measured speed seldom reaches it."""
-
-SWING_SIGMAS = 3.0
-"""The same, in standard deviations of the noise of single speeds."""
-
-NOISE_MEMORY_S = 1.0
-"""Time over which that noise is learnt."""
-
-SECOND_DIFFERENCE = 6.0
-"""Variance of a second difference of white noise, over that of the noise."""
-
-MIN_TURNS = 12
-"""Turns in a row, each within half a swing, that show a swing: a hand trembles on,
-noise of an arm's speed (`fri`) makes as many in 0.2 % of the time."""
 
 
 @dataclass(slots=True)
@@ -69,24 +46,14 @@ class NeedleSwing:
 
 
 @compiled_inside
-def turn_swing(swing: NeedleSwing) -> None:
-    """Begin the other half of a swing, and find out whether the needle swings."""
-    is_quick = MIN_HALF_S <= swing.half_s <= MAX_HALF_S
-    swing.turns = swing.turns + 1 if is_quick else 0
-    swing.half_s = 0.0
-    swing.is_fast = not swing.is_fast
-    swing.is_swinging = swing.turns >= MIN_TURNS
-
-
-@compiled_inside
 def learn_speed_noise(swing: NeedleSwing, speed_m_s: float, dt_s: float) -> None:
     """Learn the noise of single speeds, which a second difference shows."""
     change_m_s = speed_m_s - swing.last_m_s
     bend_m_s = change_m_s - swing.change_m_s
     swing.last_m_s = speed_m_s
     swing.change_m_s = change_m_s
-    gain = dt_s / (NOISE_MEMORY_S + dt_s)
-    square = bend_m_s * bend_m_s / SECOND_DIFFERENCE
+    square = bend_m_s * bend_m_s / 6.0  # variance of a second difference of white noise
+    gain = dt_s / (1.0 + dt_s)  # it is learnt over a second
     swing.noise_variance += gain * (square - swing.noise_variance)
 
 
@@ -94,18 +61,26 @@ def learn_speed_noise(swing: NeedleSwing, speed_m_s: float, dt_s: float) -> None
 def update_swing(swing: NeedleSwing, measured_m_s: float, dt_s: float) -> bool:
     """Use the measured speed of one sample; return whether a swing ends with it."""
     learn_speed_noise(swing, measured_m_s, dt_s)
-    gain = dt_s / (SMOOTHING_S + dt_s)
+    gain = dt_s / (0.008 + dt_s)  # low-pass, short of half a swing
     swing.smoothed_m_s += gain * (measured_m_s - swing.smoothed_m_s)
     speed_m_s = swing.smoothed_m_s
-    noise_std_m_s = math.sqrt(swing.noise_variance)
-    swing.mean_m_s += (speed_m_s - swing.mean_m_s) * dt_s / (MEAN_S + dt_s)
+    # The mean speed is taken over a few swings.
+    swing.mean_m_s += (speed_m_s - swing.mean_m_s) * dt_s / (0.4 + dt_s)
     swing.half_s += dt_s
     if swing.half_s > MAX_HALF_S:
         swing.turns = 0
         swing.is_swinging = False
     deviation_m_s = speed_m_s - swing.mean_m_s
-    min_m_s = max(MIN_SWING_M_S, SWING_SIGMAS * noise_std_m_s)
+    # Half a swing begins beyond the noise, and at less than the speed of a tremor of
+    # 0.02 mm at 6 Hz, 0.75 mm/s; noise of a measured speed seldom reaches it.
+    min_m_s = max(5e-4, 3.0 * math.sqrt(swing.noise_variance))
     is_turn = deviation_m_s < -min_m_s if swing.is_fast else deviation_m_s > min_m_s
     if is_turn:
-        turn_swing(swing)
+        is_quick = MIN_HALF_S <= swing.half_s <= MAX_HALF_S
+        swing.turns = swing.turns + 1 if is_quick else 0
+        swing.half_s = 0.0
+        swing.is_fast = not swing.is_fast
+        # A hand trembles on; noise of an arm's speed (`fri`) makes as many turns in a
+        # row in 0.2 % of the time.
+        swing.is_swinging = swing.turns >= 12
     return is_turn and not swing.is_fast

@@ -10,6 +10,7 @@ friction.
 """
 
 import math
+from collections.abc import Callable
 from typing import NamedTuple
 
 import numpy as np
@@ -21,7 +22,7 @@ from foundation.arrays import (
     WrittenMatrix,
     WrittenVector,
 )
-from foundation.jit import compiled, compiled_inside
+from foundation.jit import compiled
 from foundation.linear_algebra import order_statistic
 from identification.mixture.disturbances import (
     BREATHING_DAMPING,
@@ -41,24 +42,11 @@ STEP_S = 0.01
 LAGS = 8
 """Lags of the differences: 1, 2, 4, to 128 steps."""
 
-PAST = 2 * 2 ** (LAGS - 1) + 1
-"""Forces that the longest lag needs."""
-
 MAX_DIFFERENCES = 400
 """Differences over which a level is learnt: four seconds."""
 
-MAX_LAG_MM = 3.0
-"""Lags with more travel are left out of heartbeat and breathing: in them the tissue
-varies, it does not move."""
-
 MIN_DIFFERENCES = 30
 """Differences before a level is learnt."""
-
-MIN_FIRST_DIFFERENCES = 10.0
-"""Differences at the shortest lag before any level is learnt."""
-
-STEPS_BETWEEN_LEVELS = 10.0
-"""Steps between two estimates of the levels."""
 
 TEXTURE_MM = 0.1
 """Travel of a step of texture."""
@@ -66,69 +54,14 @@ TEXTURE_MM = 0.1
 MAX_TEXTURE_DIFFERENCES = 200
 """Differences over which texture is learnt."""
 
-STEPS_BETWEEN_TEXTURES = 5.0
-"""Steps between two estimates of the texture."""
-
 FINE_LAG = 2
 """Exponent of texture's fine lag: four steps."""
 
 COARSE_LAG = 4
 """Exponent of its coarse lag: sixteen steps."""
 
-ROUNDING = 1e-6
-"""Relative error that sums of time steps may have."""
-
-MIN_HIDING_DIFFERENCES = 2.0
-"""Coarse differences before it is known how much texture the noise can hide."""
-
-TEXTURE_PERIOD_MM = 2.0 * TEXTURE_MM * 2**COARSE_LAG
-"""Travel of a coarse difference: those further apart are independent."""
-
-UNKNOWN_HIDDEN_N2 = 1e6
-"""Variance that noise can hide before it is known: so large that the fraction of the
-force decides."""
-
-MAX_HIDDEN_FRACTION = 0.2
-"""Part of the force that texture hidden by noise is at most."""
-
-MAX_CARRIED_FRACTION = 0.9
-"""Part of a step of texture that is carried over to the next one, at most."""
-
-MEDIAN_OF_SQUARE = 0.455
-"""Median of a squared standard normal; few of the differences contain a rupture."""
-
-WHITE_CHANCE = 4.6
-"""About 1.6 standard errors of a median of n squares of differences of white noise,
-relative to its size and times the root of n: motion of the tissue must show beyond
-it."""
-
-COLOURED_CHANCE = 8.0
-"""The same of coloured noise."""
-
-INITIAL_WHITE_N2 = 1e-4
-"""Variance of white noise before it is learnt."""
-
-MOTION_NOISE_FRACTION = 0.1
-"""Part of the variance by heartbeat and breathing that no hypothesis explains within a
-block."""
-
-MIN_NOISE_VARIANCE_N2 = 1e-8
-"""Variance of a block's force, at least."""
-
-WHITE = 0
-"""Index of white noise among the parts."""
-
-COLOURED = 1
-"""Index of coloured noise."""
-
-HEART = 2
-"""Index of the heartbeat."""
-
-BREATH = 3
-"""Index of breathing."""
-
-PARTS = 4
-"""Number of parts."""
+WHITE, COLOURED, HEART, BREATH = range(4)
+"""Indices of the parts of the noise: white, coloured, heartbeat, breathing."""
 
 
 class NoiseVariances(NamedTuple):
@@ -141,10 +74,10 @@ class NoiseVariances(NamedTuple):
         breathing: Of the force by breathing.
     """
 
-    white: float
-    coloured: float
-    heartbeat: float
-    breathing: float
+    white: float = 1e-4  # before it is learnt
+    coloured: float = 0.0
+    heartbeat: float = 0.0
+    breathing: float = 0.0
 
     @property
     def noise_fraction(self) -> float:
@@ -156,52 +89,40 @@ class NoiseVariances(NamedTuple):
         return self.white / (self.white + motion_N2) if motion_N2 > 0.0 else 1.0
 
 
-def _second_difference(autocorrelation: float, at_twice: float) -> float:
-    """Return the variance of a second difference, for an autocorrelation at its lag."""
-    return 6.0 - 8.0 * autocorrelation + 2.0 * at_twice
+def _shown(autocorrelation: Callable[[float], float], lag: float) -> float:
+    """Return what a second difference at a lag shows of a part of variance 1."""
+    return 6.0 - 8.0 * autocorrelation(lag) + 2.0 * autocorrelation(2.0 * lag)
 
 
-def _coloured(lag_s: float) -> float:
-    return math.exp(-lag_s / COLOURED_NOISE_S)
+def _shown_by_lags(autocorrelation: Callable[[float], float]) -> list[float]:
+    """Return the same at each lag in time."""
+    return [_shown(autocorrelation, STEP_S * 2**k) for k in range(LAGS)]
 
 
-def _heartbeat(lag_s: float) -> float:
-    return oscillation(lag_s, HEARTBEAT_HZ, HEARTBEAT_DAMPING)[0]
+def _shown_of_model_error(lag: int) -> float:
+    """Return the same of the force model's error at a lag in travel."""
+    return _shown(lambda mm: smooth_walk(mm, MODEL_ERROR_MM)[0, 0], TEXTURE_MM * 2**lag)
 
 
-def _breathing(lag_s: float) -> float:
-    return oscillation(lag_s, BREATHING_HZ, BREATHING_DAMPING)[0]
-
-
-def _texture(lag_mm: float) -> float:
-    return smooth_walk(lag_mm, MODEL_ERROR_MM)[0]
-
-
-def _shown_by_differences() -> Array:
-    """Return the variance of a second difference of each part, shape (4, 8)."""
-    autocorrelations = (lambda _: 0.0, _coloured, _heartbeat, _breathing)
-    lags_s = [STEP_S * 2**k for k in range(LAGS)]
-    return np.array(
-        [
-            [_second_difference(like(lag_s), like(2.0 * lag_s)) for lag_s in lags_s]
-            for like in autocorrelations
-        ]
-    )
-
-
-def _texture_shown(lag: int) -> float:
-    lag_mm = TEXTURE_MM * 2**lag
-    return _second_difference(_texture(lag_mm), _texture(2.0 * lag_mm))
-
-
-DESIGN = _shown_by_differences()
+DESIGN = np.array(
+    [
+        _shown_by_lags(lambda _: 0.0),
+        _shown_by_lags(lambda lag_s: math.exp(-lag_s / COLOURED_NOISE_S)),
+        _shown_by_lags(
+            lambda lag_s: oscillation(lag_s, HEARTBEAT_HZ, HEARTBEAT_DAMPING)[0, 0]
+        ),
+        _shown_by_lags(
+            lambda lag_s: oscillation(lag_s, BREATHING_HZ, BREATHING_DAMPING)[0, 0]
+        ),
+    ]
+)
 """Variance of a second difference of a part of variance 1, shape (4, 8)."""
 
-FINE_TEXTURE = _texture_shown(FINE_LAG)
-"""The same of the force model's error at the fine lag of texture."""
+COARSE_TEXTURE = _shown_of_model_error(COARSE_LAG)
+"""The same of the force model's error at the coarse lag of texture."""
 
-COARSE_TEXTURE = _texture_shown(COARSE_LAG)
-"""The same at its coarse lag."""
+LAG_TEXTURE = COARSE_TEXTURE - _shown_of_model_error(FINE_LAG)
+"""By how much that exceeds the same at its fine lag."""
 
 
 class SecondDifferences(NamedTuple):
@@ -217,51 +138,41 @@ class SecondDifferences(NamedTuple):
         step: Length of the last step: longer where samples are rare.
     """
 
-    past_N: Array
-    steps: float
-    squares_N2: Array
-    counts: Array
-    force_sum: float
-    filled: float
-    step: float
+    past_N: Array = np.zeros(2 * 2 ** (LAGS - 1) + 1)
+    steps: float = 0.0
+    squares_N2: Array = np.zeros((LAGS, MAX_DIFFERENCES))
+    counts: Array = np.zeros(LAGS)
+    force_sum: float = 0.0
+    filled: float = 0.0
+    step: float = STEP_S
 
     def restarted(self) -> "SecondDifferences":
         """Return the same after a gap or a rest: no difference reaches across."""
         return self._replace(steps=0.0, force_sum=0.0, filled=0.0)
 
-    def with_force(self, force_N: float, length: float) -> "SecondDifferences":
-        """Return the same with a force added to the step being filled."""
-        return self._replace(
-            force_sum=self.force_sum + force_N * length, filled=self.filled + length
-        )
+    def with_force(
+        self, force_N: float, length: float, step: float, max_carried: float = 0.0
+    ) -> "SecondDifferences":
+        """Return the same after a force, with one more step if it fills one.
 
-    def with_step(self, force_sum: float, filled: float) -> "SecondDifferences":
-        """Return the same after a step, whose remaining force and length are given."""
+        Args:
+            force_N: Mean over a length.
+            length: That length.
+            step: Length of a step.
+            max_carried: Length carried over to the next step, at most.
+        """
+        force_sum = self.force_sum + force_N * length
+        filled = self.filled + length
+        if filled < step * (1.0 - 1e-6):  # sums of lengths are rounded
+            return self._replace(force_sum=force_sum, filled=filled)
         squares_N2 = self.squares_N2.copy()
         counts = self.counts.copy()
         steps = self.steps + 1.0
-        mean_N = self.force_sum / self.filled
-        past_N = add_force(self.past_N, mean_N, steps, squares_N2, counts)
+        past_N = add_force(self.past_N, force_sum / filled, steps, squares_N2, counts)
+        carried = min(filled - step, max_carried) if max_carried > 0.0 else 0.0
         return SecondDifferences(
-            past_N, steps, squares_N2, counts, force_sum, filled, self.filled
+            past_N, steps, squares_N2, counts, carried * force_N, carried, filled
         )
-
-
-def no_differences(size: int, step: float) -> SecondDifferences:
-    """Return differences before the first force, so many of which are kept."""
-    return SecondDifferences(
-        past_N=np.zeros(PAST),
-        steps=0.0,
-        squares_N2=np.zeros((LAGS, size)),
-        counts=np.zeros(LAGS),
-        force_sum=0.0,
-        filled=0.0,
-        step=step,
-    )
-
-
-NO_DIFFERENCES = no_differences(MAX_DIFFERENCES, STEP_S)
-"""Before the first force."""
 
 
 class NoiseLevels(NamedTuple):
@@ -272,32 +183,33 @@ class NoiseLevels(NamedTuple):
         variances: Of its parts.
     """
 
-    differences: SecondDifferences = NO_DIFFERENCES
-    variances: NoiseVariances = NoiseVariances(INITIAL_WHITE_N2, 0.0, 0.0, 0.0)
+    differences: SecondDifferences = SecondDifferences()
+    variances: NoiseVariances = NoiseVariances()
 
     @property
     def noise_std_N(self) -> float:
         """Standard deviation of a block's force that no hypothesis can explain."""
         variances = self.variances
-        motion = MOTION_NOISE_FRACTION * (variances.heartbeat + variances.breathing)
-        noise = variances.white + variances.coloured + motion
-        return math.sqrt(max(noise, MIN_NOISE_VARIANCE_N2))
+        # A tenth of the motion is not explained within a block.
+        motion = 0.1 * (variances.heartbeat + variances.breathing)
+        return math.sqrt(max(variances.white + variances.coloured + motion, 1e-8))
 
     def beside(self, tissue: TissueMotion, time_s: float) -> "NoiseLevels":
         """Return the levels that remain once the tissue's motion is known."""
         if not tissue.is_known:
             return self
-        limits = tissue.limits(time_s)
-        doubt = 1.0 - limits.confidence
-        white, coloured, heartbeat, breathing = self.variances
+        doubt = tissue.doubt(time_s)
+        heart_N2 = tissue.unexplained_N2(is_breathing=False)
+        breath_N2 = tissue.unexplained_N2(is_breathing=True)
         # Where tissue overtakes the needle the force is as quick as coloured noise.
-        motion = limits.heartbeat_variance + limits.breathing_variance
+        motion_N2 = heart_N2 + breath_N2
+        white, coloured, heartbeat, breathing = self.variances
         return self._replace(
             variances=NoiseVariances(
                 white,
-                min(coloured, max(motion, doubt * coloured)),
-                min(heartbeat, max(limits.heartbeat_variance, doubt * heartbeat)),
-                min(breathing, max(limits.breathing_variance, doubt * breathing)),
+                min(coloured, max(motion_N2, doubt * coloured)),
+                min(heartbeat, max(heart_N2, doubt * heartbeat)),
+                min(breathing, max(breath_N2, doubt * breathing)),
             )
         )
 
@@ -309,22 +221,19 @@ class NoiseLevels(NamedTuple):
         self, force_N: float, duration_s: float, speed_mm_s: float
     ) -> "NoiseLevels":
         """Return the levels after a block's force, less what the speed did to it."""
-        differences = self.differences.with_force(force_N, duration_s)
-        if differences.filled < STEP_S * (1.0 - ROUNDING):
+        differences = self.differences.with_force(force_N, duration_s, STEP_S)
+        is_due = differences.steps % 10.0 == 0.0
+        has_stepped = differences.steps != self.differences.steps
+        if not (has_stepped and is_due and differences.counts[0] > 10.0):
             return self._replace(differences=differences)
-        differences = differences.with_step(0.0, 0.0)
-        variances = self.variances
-        is_due = differences.steps % STEPS_BETWEEN_LEVELS == 0.0
-        if is_due and differences.counts[0] > MIN_FIRST_DIFFERENCES:
-            levels = estimate_levels(
-                differences.squares_N2,
-                differences.counts,
-                DESIGN,
-                round(math.log2(differences.step / STEP_S)),
-                speed_mm_s,
-            )
-            variances = NoiseVariances(*levels.tolist())
-        return NoiseLevels(differences, variances)
+        levels = estimate_levels(
+            differences.squares_N2,
+            differences.counts,
+            DESIGN,
+            round(math.log2(differences.step / STEP_S)),
+            speed_mm_s,
+        )
+        return NoiseLevels(differences, NoiseVariances(*levels.tolist()))
 
 
 class Texture(NamedTuple):
@@ -333,42 +242,48 @@ class Texture(NamedTuple):
     Attributes:
         differences: Of the force over travel.
         variance_N2: Coarse less fine differences.
-        hidden_N2: Variance of the force model's error that noise can hide.
+        hidden_N2: Variance of the force model's error that noise can hide; before it is
+            known so large that the fraction of the force decides.
     """
 
-    differences: SecondDifferences = no_differences(MAX_TEXTURE_DIFFERENCES, STEP_S)
+    differences: SecondDifferences = SecondDifferences(
+        squares_N2=np.zeros((LAGS, MAX_TEXTURE_DIFFERENCES))
+    )
     variance_N2: float = 0.0
-    hidden_N2: float = UNKNOWN_HIDDEN_N2
+    hidden_N2: float = 1e6
 
     def restarted(self) -> "Texture":
         """Return the same after a gap or a rest."""
         return self._replace(differences=self.differences.restarted())
 
     def with_force(self, force_N: float, travel_mm: float) -> "Texture":
-        """Return the texture after a block's mean force over fresh travel."""
-        differences = self.differences.with_force(force_N, travel_mm)
-        if differences.filled < TEXTURE_MM * (1.0 - ROUNDING):
-            return self._replace(differences=differences)
-        carried_mm = min(
-            differences.filled - TEXTURE_MM, MAX_CARRIED_FRACTION * TEXTURE_MM
-        )
-        differences = differences.with_step(carried_mm * force_N, carried_mm)
-        return self._replace(differences=differences)._with_levels()
+        """Return the texture after a block's mean force over fresh travel.
 
-    def _with_levels(self) -> "Texture":
-        """Return the same with what the differences show, where that is due."""
-        differences = self.differences
-        squares_N2 = differences.squares_N2
+        Noise can hide one standard error of the variance of the coarse differences,
+        were they all noise. Of n independent squares of normal values the mean has the
+        relative standard error √(2/n).
+        """
+        differences = self.differences.with_force(
+            force_N, travel_mm, TEXTURE_MM, 0.9 * TEXTURE_MM
+        )
         counts = differences.counts
-        is_due = differences.steps % STEPS_BETWEEN_TEXTURES == 0.0
-        if not is_due or counts[COARSE_LAG] < MIN_HIDING_DIFFERENCES:
-            return self
-        fine = difference_variance(squares_N2, counts, FINE_LAG)
-        hidden_N2 = _hidden_texture(float(fine), float(counts[COARSE_LAG]))
-        if counts[COARSE_LAG] < MIN_DIFFERENCES:
-            return self._replace(hidden_N2=hidden_N2)
-        coarse = difference_variance(squares_N2, counts, COARSE_LAG)
-        return self._replace(variance_N2=float(coarse - fine), hidden_N2=hidden_N2)
+        is_due = differences.steps % 5.0 == 0.0
+        has_stepped = differences.steps != self.differences.steps
+        if not (has_stepped and is_due and counts[COARSE_LAG] >= 2.0):
+            return self._replace(differences=differences)
+        # Nearly all of the variance of the fine differences is noise.
+        fine_N2 = difference_variance(differences.squares_N2, counts, FINE_LAG)
+        kept = min(float(counts[COARSE_LAG]), float(MAX_TEXTURE_DIFFERENCES))
+        difference_mm = (
+            2.0 * TEXTURE_MM * 2**COARSE_LAG
+        )  # those farther apart are independent
+        independent = max(kept * TEXTURE_MM / difference_mm, 1.0)
+        hidden_N2 = float(fine_N2) * math.sqrt(2.0 / independent) / LAG_TEXTURE
+        variance_N2 = self.variance_N2
+        if counts[COARSE_LAG] >= MIN_DIFFERENCES:
+            coarse_N2 = difference_variance(differences.squares_N2, counts, COARSE_LAG)
+            variance_N2 = float(coarse_N2 - fine_N2)
+        return Texture(differences, variance_N2, hidden_N2)
 
     def model_error(self, force_N: float, noise_N: float) -> float:
         """Return the deviation [N] of the model's error beyond its own.
@@ -381,32 +296,14 @@ class Texture(NamedTuple):
             force_N: Axial force, less its offset.
             noise_N: Standard deviation of the force's slow error.
         """
-        variance = self.variance_N2 / (COARSE_TEXTURE - FINE_TEXTURE)
+        variance = self.variance_N2 / LAG_TEXTURE
         variance = variance - 6.0 * noise_N**2 / COARSE_TEXTURE
         expected = (MODEL_ERROR_FRACTION * force_N) ** 2
         # Friction lies between none and all of the force, so no deviation exceeds half
         # of that.
         shown_N = min(math.sqrt(max(variance - expected, 0.0)), 0.5 * abs(force_N))
         hidden_N = math.sqrt(max(self.hidden_N2, 0.0))
-        hidden_N = min(hidden_N, MAX_HIDDEN_FRACTION * abs(force_N))
-        return max(shown_N, hidden_N)
-
-
-def _hidden_texture(fine_N2: float, coarse_differences: float) -> float:
-    """Return the variance of texture that noise can hide [N²].
-
-    One standard error of the variance of the coarse differences, were they all noise.
-    Of n independent squares of normal values the mean has the relative standard error
-    √(2/n).
-
-    Args:
-        fine_N2: Variance of the fine differences, nearly all of it noise.
-        coarse_differences: Their number; they overlap.
-    """
-    kept = min(coarse_differences, float(MAX_TEXTURE_DIFFERENCES))
-    independent = max(kept * TEXTURE_MM / TEXTURE_PERIOD_MM, 1.0)
-    standard_error_N2 = fine_N2 * math.sqrt(2.0 / independent)
-    return standard_error_N2 / (COARSE_TEXTURE - FINE_TEXTURE)
+        return max(shown_N, min(hidden_N, 0.2 * abs(force_N)))
 
 
 @compiled
@@ -443,21 +340,13 @@ def add_force(
 
 @compiled
 def difference_variance(squares: Matrix, counts: Vector, k: int) -> float:
-    """Return the variance of the differences at a lag, by their median."""
+    """Return the variance of the differences at a lag, by their median.
+
+    Few of the differences contain a rupture.
+    """
     size = min(int(counts[k]), squares.shape[1])
-    return order_statistic(squares[k, :size], size // 2) / MEDIAN_OF_SQUARE
-
-
-@compiled_inside
-def chance_of_motion(levels: Vector, counts: Vector, design: Matrix) -> Vector:
-    """Return what white and coloured noise show at each lag by chance, shape (8,)."""
-    chance = np.zeros(LAGS)
-    for k in range(LAGS):
-        white = WHITE_CHANCE * levels[WHITE] * design[WHITE, k]
-        coloured = COLOURED_CHANCE * levels[COLOURED] * design[COLOURED, k]
-        count = min(counts[k] + 1.0, MAX_DIFFERENCES)
-        chance[k] = (white + coloured) / math.sqrt(count)
-    return chance
+    # The median of a squared standard normal is 0.455.
+    return order_statistic(squares[k, :size], size // 2) / 0.455
 
 
 @compiled
@@ -474,7 +363,11 @@ def estimate_levels(
             for shows as white noise.
         speed: Of the needle [mm/s].
     """
-    levels = np.zeros(PARTS)
+    # About 1.6 standard errors of a median of n squares of differences, relative to its
+    # size and times the root of n: motion of the tissue must show beyond it.
+    white_chance = 4.6
+    coloured_chance = 8.0
+    levels = np.zeros(len(design))
     unexplained = np.zeros(LAGS)
     chance = np.zeros(LAGS)
     shown = np.zeros_like(design)
@@ -483,17 +376,21 @@ def estimate_levels(
         shown[:, k] = design[:, min(k + doublings, LAGS - 1)]
         if counts[k] > min(2 * 2**k, MIN_DIFFERENCES):
             unexplained[k] = difference_variance(squares, counts, k)
-    for part in range(PARTS):
+    for part in range(len(design)):
         for lag in (2 * part, 2 * part + 1):
             # A lag is a time to every part but white noise, which has none.
             k = lag if part == WHITE else lag - doublings
             is_motion = part in (HEART, BREATH)
-            is_too_far = is_motion and 2**lag * STEP_S * speed >= MAX_LAG_MM
+            # In lags with so much travel the tissue varies, it does not move.
+            is_too_far = is_motion and 2**lag * STEP_S * speed >= 3.0
             if k >= 0 and counts[k] > 2 * 2**k and not is_too_far:
                 level = (unexplained[k] - chance[k]) / shown[part, k]
                 levels[part] = max(levels[part], level)
         for k in range(LAGS):
             unexplained[k] -= levels[part] * shown[part, k]
-        if part == COLOURED:
-            chance = chance_of_motion(levels, counts, shown)
+            if part == COLOURED:
+                white = white_chance * levels[WHITE] * shown[WHITE, k]
+                coloured = coloured_chance * levels[COLOURED] * shown[COLOURED, k]
+                count = min(counts[k] + 1.0, MAX_DIFFERENCES)
+                chance[k] = (white + coloured) / math.sqrt(count)
     return levels

@@ -2,14 +2,14 @@
 
 The mixture's hypotheses become reports here: how likely one more rupture is, an alarm
 or a provisional one, its retraction; a layer a millimetre after the rupture that ended
-it, revised from then on, and final some millimetres later. `decisions` says how
+it, revised from then on, and final some millimetres later. `evidence` says how
 likely a rupture is and whether braking explains it, `layer_report` makes the records.
 The forces of every sample are left to `force_split`.
 """
 
 import math
 from dataclasses import dataclass, replace
-from typing import TYPE_CHECKING
+from typing import TYPE_CHECKING, Any
 
 import numpy as np
 
@@ -17,36 +17,30 @@ from foundation.arrays import WrittenMatrix
 from foundation.records import read_column
 from identification.config import MixtureConfig
 from identification.estimate import (
-    NO_EVENTS,
-    Events,
     LayerEstimate,
     Rupture,
     RuptureState,
     Sample,
 )
-from identification.mixture.decisions import (
+from identification.mixture.block import MM_PER_M
+from identification.mixture.evidence import (
+    Evidence,
     RuptureCount,
+    count_recent_in_full,
     count_ruptures,
     may_be_braking,
-)
-from identification.mixture.evidence import (
-    MM_PER_M,
-    Evidence,
-    count_recent_in_full,
     weigh_evidence,
 )
-from identification.mixture.force_split import LAYER_COLUMNS
 from identification.mixture.layer_report import (
     contact_std_mm,
-    friction_of_last_layer,
-    friction_of_layer_before,
+    friction_of_layer,
     report_layer,
     report_rupture,
     with_doubt,
     with_friction,
 )
-from identification.mixture.mixture import SMALL_RELEASE_PENALTY
-from identification.mixture.tissue_pull import REMEMBERED_S
+from identification.mixture.mixture import SMALL_RELEASE_PENALTY, Mixture
+from identification.mixture.tissue_doubt import REMEMBERED_S
 
 if TYPE_CHECKING:
     from identification.mixture.force_watch import ForceWatch
@@ -103,7 +97,7 @@ class Reporter:
         config: MixtureConfig,
     ) -> None:
         self.state = replace(state)
-        self.events = NO_EVENTS
+        self.events: dict[str, Any] = {}
         self._learner = learner
         self._watch = watch
         self._config = config
@@ -131,16 +125,12 @@ class Reporter:
     @property
     def is_series(self) -> bool:
         """Whether the last alarm came so soon that a heart may have raised both."""
-        series_s = 1.5  # 40 beats a minute
         alarm = self.state.alarm
-        if alarm is None:
-            return False
-        times_before_s = [
-            layer.rupture.time_s
+        return alarm is not None and any(
+            alarm.time_s - layer.rupture.time_s < 1.5  # 40 beats a minute
             for layer in self.state.layers
             if layer.layer < alarm.layer
-        ]
-        return bool(times_before_s) and alarm.time_s - times_before_s[-1] < series_s
+        )
 
     @property
     def _listed(self) -> int:
@@ -149,13 +139,12 @@ class Reporter:
 
     def _keep_layers(self, layers: tuple[LayerEstimate, ...]) -> None:
         """Take these layers for those traversed, with what every sample needs."""
-        min_speed_mm_s = 1e-3  # of a rupture that viscous friction refers to
         self.state.layers = layers
-        self.layer_rows: WrittenMatrix = np.zeros((len(layers), LAYER_COLUMNS))
+        self.layer_rows: WrittenMatrix = np.zeros((len(layers), 4))
         for row, layer in zip(self.layer_rows, layers, strict=True):
             coulomb_N = (layer.coulomb_N_per_m or 0.0) * layer.thickness_m
             coulomb_N = min(coulomb_N, layer.friction_N)
-            speed = max(MM_PER_M * layer.rupture.speed_m_s, min_speed_mm_s)
+            speed = max(MM_PER_M * layer.rupture.speed_m_s, 1e-3)
             viscous = (layer.friction_N - coulomb_N) / speed
             row[:] = (layer.start_depth_m, layer.thickness_m, coulomb_N, viscous)
 
@@ -165,7 +154,7 @@ class Reporter:
         A component may count several ruptures of that time; it knows that of the last.
         At most so many remain in the components that change.
         """
-        mixture = self._learner.mixture
+        mixture = self._learner.memory.mixture
         rupture_s = read_column(mixture.history, "rupture_s")
         ruptures = read_column(mixture.assumptions, "ruptures")
         begin_s = self._learner.state.block.time_s - age_s
@@ -199,30 +188,29 @@ class Reporter:
             What the mixture says after that; None where an alarm was raised: the next
             sample has to report again, this one has had enough to do.
         """
-        expecting_probability = 0.5  # of one more rupture
-        retracting_probability = 0.9  # of fewer: chosen
         state = self.state
         alarm = state.alarm
-        evidence = weigh_evidence(self._learner.mixture, alarm, state.ruptures)
+        evidence = weigh_evidence(self._learner.memory.mixture, alarm, state.ruptures)
         learnt = self._learner.state
         levels = learnt.levels.beside(learnt.tissue, learnt.block.time_s)
         recent = count_recent_in_full(evidence, levels.variances.noise_fraction)
         count = count_ruptures(recent, state.ruptures, learnt.block)
         state.is_due = False
         state.rupture_probability = min(count.more, 1.0)
-        if self.is_layer_open:
-            state.rupture_state = RuptureState.FORCE_DROP_MEASURING
-        elif count.more > expecting_probability:
-            state.rupture_state = RuptureState.EXPECTED
-        else:
-            state.rupture_state = RuptureState.NO_RUPTURE
+        state.rupture_state = (
+            RuptureState.FORCE_DROP_MEASURING
+            if self.is_layer_open
+            else RuptureState.EXPECTED
+            if count.more > 0.5
+            else RuptureState.NO_RUPTURE
+        )
         if self._is_rupture(evidence, count, sample.clock_s):
             self._raise_alarm(evidence, sample, count)
             state.is_due = True
             return None
-        if alarm is not None and count.fewer > retracting_probability:
+        if alarm is not None and count.fewer > 0.9:  # chosen
             self._retract(alarm, count)
-        elif alarm is not None and self.events.rupture is None:
+        elif alarm is not None and "rupture" not in self.events:
             state.is_layer_due = state.is_layer_due or self._is_layer_report_due(alarm)
         self._report_provisional(evidence, sample, count)
         return evidence
@@ -247,13 +235,15 @@ class Reporter:
         if count.more <= self._config.alarm_probability or may_pull:
             return False
         mixture = evidence.mixture
-        rupture_mm = float(read_column(mixture.history, "rupture_mm")[component])
-        if not self._learner.has_settled_since(rupture_mm):
-            return False
         learnt = self._learner.state
-        return not may_be_braking(
+        return self._has_settled(mixture, component) and not may_be_braking(
             mixture, component, learnt.block, since_reset_s, learnt.tissue
         )
+
+    def _has_settled(self, mixture: Mixture, component: int) -> bool:
+        """Return whether friction is back, or went on, since a component's rupture."""
+        rupture_mm = read_column(mixture.history, "rupture_mm")[component]
+        return self._learner.has_settled_since(float(rupture_mm))
 
     def _raise_alarm(
         self, evidence: Evidence, sample: Sample, count: RuptureCount
@@ -261,7 +251,7 @@ class Reporter:
         """Report a rupture, and with it the layer before as final."""
         state = self.state
         layers = state.layers
-        identified_layer = self.events.identified_layer
+        identified_layer = self.events.get("identified_layer")
         is_moving = self._watch.is_tissue_moving
         if layers and not (layers[-1].is_final or is_moving):
             identified_layer = replace(layers[-1], is_final=True)
@@ -278,7 +268,7 @@ class Reporter:
         state.model_errors_N = (0.0, state.model_errors_N[0])
         state.provisional = None
         state.rupture_state = RuptureState.DETECTED
-        self.events = Events(state.alarm, identified_layer)
+        self.events = {"rupture": state.alarm, "identified_layer": identified_layer}
         watched = self._watch.state
         watched.innovations = watched.innovations.restarted()
         # Every beat may raise an alarm until it is known: then the window has to grow
@@ -295,19 +285,17 @@ class Reporter:
         Unlike an alarm it does not wait until the speed shows whether the needle
         brakes, nor whether a low force will pull.
         """
-        unlikely_probability = 0.5  # of one more rupture
         state = self.state
         if state.provisional is not None:
-            if count.more < unlikely_probability:
+            if count.more < 0.5:
                 retracted = replace(state.provisional, probability=count.more)
-                self.events = self.events._replace(provisional_retracted=retracted)
+                self.events["provisional_retracted"] = retracted
                 state.provisional = None
             return
         component = count.likeliest_with_more
-        if count.more <= self._config.provisional_probability:
-            return
-        rupture_mm = read_column(evidence.mixture.history, "rupture_mm")[component]
-        if not self._learner.has_settled_since(float(rupture_mm)):
+        if count.more <= self._config.provisional_probability or not self._has_settled(
+            evidence.mixture, component
+        ):
             return
         state.provisional = report_rupture(
             evidence,
@@ -317,13 +305,12 @@ class Reporter:
             sample,
             state.contact_std_mm,
         )
-        self.events = self.events._replace(provisional=state.provisional)
+        self.events["provisional"] = state.provisional
 
     def _retract(self, alarm: Rupture, count: RuptureCount) -> None:
         """Retract an alarm: the force has come back, and no rupture was there."""
         state = self.state
-        retracted = replace(alarm, probability=1.0 - count.fewer)
-        self.events = self.events._replace(retracted=retracted)
+        self.events["retracted"] = replace(alarm, probability=1.0 - count.fewer)
         self._keep_layers(state.layers if self.is_layer_open else state.layers[:-1])
         state.ruptures = min(count.likeliest, state.ruptures - 1)
         before_N = state.model_errors_N[1]
@@ -336,20 +323,17 @@ class Reporter:
 
     def _is_layer_final(self, alarm: Rupture) -> bool:
         """Return whether the last layer is final now, so far behind its rupture."""
-        final_m = 3e-3
-        if self._watch.is_tissue_moving:
+        if self._watch.is_tissue_moving or self.is_layer_open:
             return False
-        is_far = not 0.0 <= self._travel_since(alarm) < final_m
-        return is_far and not self.is_layer_open and not self.state.layers[-1].is_final
+        is_far = not 0.0 <= self._travel_since(alarm) < 3e-3
+        return is_far and not self.state.layers[-1].is_final
 
     def _is_layer_report_due(self, alarm: Rupture) -> bool:
         """Return whether the last layer is reported or revised now."""
-        provisional_m = 1e-3  # behind its rupture
-        revise_s = 0.1  # between two revisions
         if self.is_layer_open:
-            return self._travel_since(alarm) >= provisional_m
+            return self._travel_since(alarm) >= 1e-3
         block = self._learner.state.block
-        is_revised = block.time_s % revise_s < block.duration_s
+        is_revised = block.time_s % 0.1 < block.duration_s  # ten times a second
         return is_revised or self._is_layer_final(alarm)
 
     def report_layer(self, force_std_N: float) -> None:
@@ -359,40 +343,25 @@ class Reporter:
         alarm = state.alarm
         if alarm is None:
             return
-        evidence = weigh_evidence(self._learner.mixture, alarm, state.ruptures)
+        evidence = weigh_evidence(self._learner.memory.mixture, alarm, state.ruptures)
         # What the force's slow error grew by since the air is in the friction, and the
         # force model's: its largest, since what a later tissue shows of it is not that
         # of the layer.
         grown_N2 = max(force_std_N**2 - state.force_std_in_air_N**2, 0.0)
-        model_error_N = self._learner.state.block.model_error_N
-        last_N, before_N = state.model_errors_N
-        last_N = max(last_N, model_error_N)
-        before_N = max(before_N, model_error_N)
+        block = self._learner.state.block
+        last_N, before_N = (max(n, block.model_error_N) for n in state.model_errors_N)
         state.model_errors_N = (last_N, before_N)
         common_N2 = grown_N2 + self._watch.doubt_N**2
         variance_N2 = common_N2 + last_N**2
-        if self.is_layer_open:
-            self._list_layer(alarm, evidence, variance_N2)
-        else:
-            variance_before_N2 = common_N2 + before_N**2
-            self._revise_layers(alarm, evidence, variance_N2, variance_before_N2)
-
-    def _list_layer(
-        self, alarm: Rupture, evidence: Evidence, variance_N2: float
-    ) -> None:
-        """Report the layer that the last rupture ended, provisionally."""
-        state = self.state
-        friction = friction_of_last_layer(evidence, state.ruptures, variance_N2)
-        if friction is None:
+        if not self.is_layer_open:
+            self._revise_layers(alarm, evidence, variance_N2, common_N2 + before_N**2)
             return
-        block = self._learner.state.block
-        layer = report_layer(evidence, alarm, state.ruptures, friction, block)
+        layer = report_layer(evidence, alarm, state.ruptures, variance_N2, block)
         if layer is not None:
             doubt_N = self._watch.state.tissue_pull.doubt_N
-            if doubt_N > 0.0:
-                layer = with_doubt(layer, doubt_N)
+            layer = with_doubt(layer, doubt_N) if doubt_N > 0.0 else layer
             self._keep_layers((*state.layers, layer))
-            self.events = self.events._replace(identified_layer=layer)
+            self.events["identified_layer"] = layer
             state.rupture_state = RuptureState.FRICTION_IDENTIFIED
 
     def _revise_layers(
@@ -406,14 +375,16 @@ class Reporter:
         ruptures = self.state.ruptures
         layers = list(self.state.layers)
         is_final = self._is_layer_final(alarm)
-        friction = friction_of_last_layer(evidence, ruptures, variance_N2)
-        if friction is not None:
-            layers[-1] = with_friction(layers[-1], friction)
+        last = friction_of_layer(evidence, ruptures, variance_N2, is_last=True)
+        if last is not None:
+            layers[-1] = with_friction(layers[-1], *last)
         if is_final:
             rupture = replace(layers[-1].rupture, is_final=True)
             layers[-1] = replace(layers[-1], is_final=True, rupture=rupture)
-            self.events = self.events._replace(identified_layer=layers[-1])
-        friction = friction_of_layer_before(evidence, ruptures, variance_before_N2)
-        if friction is not None and len(layers) > 1:
-            layers[-2] = with_friction(layers[-2], friction)
+            self.events["identified_layer"] = layers[-1]
+        before = friction_of_layer(
+            evidence, ruptures, variance_before_N2, is_last=False
+        )
+        if before is not None and len(layers) > 1:
+            layers[-2] = with_friction(layers[-2], *before)
         self._keep_layers(tuple(layers))

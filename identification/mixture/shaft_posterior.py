@@ -5,16 +5,15 @@ that of each. Lengths are in mm, speeds in mm/s, forces in N.
 """
 
 from dataclasses import dataclass, field
-from typing import NamedTuple
 
 import numpy as np
 
 from foundation.arrays import Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compiled, compiled_inside
 from foundation.linear_algebra import add_up, dot, index_of_largest
-from identification.mixture.block import Block
+from identification.mixture.block import MM_PER_M, Block
 from identification.mixture.events import Gaussian
-from identification.mixture.evidence import MM_PER_M, Evidence
+from identification.mixture.evidence import Evidence
 from identification.mixture.force_model import (
     AIR,
     CUTTING_ON_SHAFT,
@@ -40,61 +39,26 @@ from identification.mixture.mixture import Mixture
 from identification.mixture.needle_contact import REST_SPEED_MM_S
 from identification.mixture.needle_stop import (
     SLIDING_DEFLECTION,
+    Friction,
     NeedleStop,
-    SteadyForce,
     learn_from_rest,
     remember_motion,
 )
 
-MIN_WEIGHT = 1e-3
-"""Components that are less likely than this are left out."""
+(
+    AT_OFFSET,
+    AT_TRAVERSED_COULOMB,
+    AT_TRAVERSED_VISCOUS,
+    AT_SHAFT_COULOMB,
+    AT_SHAFT_VISCOUS,
+    AT_LAYER_COULOMB,
+    AT_LAYER_VISCOUS,
+    AT_STIFFNESS,
+) = range(8)
+"""Indices of the quantities that are summarised."""
 
-MIN_TRUSTED_PROBABILITY = 1e-6
-"""Probability of all components that the mean may rest on: else it rests on all."""
-
-STEADY_FRACTION = 0.9
-"""Part of the usual speed; where the needle is slower, friction's dependence on the
-speed may look like a fall of the force."""
-
-MET_PROBABILITY = 0.5
-"""Probability of a contact from which on the needle counts as in contact."""
-
-TINY_N2 = 1e-12
-"""Variance of a friction, at least, where it divides."""
-
-# The quantities that are summarised, in this order.
-AT_OFFSET = 0
-AT_TRAVERSED_COULOMB = 1
-AT_TRAVERSED_VISCOUS = 2
-AT_SHAFT_COULOMB = 3
-AT_SHAFT_VISCOUS = 4
-AT_LAYER_COULOMB = 5
-AT_LAYER_VISCOUS = 6
-AT_STIFFNESS = 7
 QUANTITIES = 8
-
-
-@dataclass(slots=True)
-class Friction:
-    """Coulomb and viscous friction of a length of shaft, with their joint covariance.
-
-    Attributes:
-        coulomb: Coulomb friction [N].
-        viscous: Viscous friction [N/(mm/s)].
-        coulomb_variance: Variance of the Coulomb friction.
-        covariance: Covariance of the two.
-        viscous_variance: Variance of the viscous friction.
-        offset_coulomb: Covariance of the offset and the Coulomb friction.
-        offset_viscous: Covariance of the offset and the viscous friction.
-    """
-
-    coulomb: float = 0.0
-    viscous: float = 0.0
-    coulomb_variance: float = 0.0
-    covariance: float = 0.0
-    viscous_variance: float = 0.0
-    offset_coulomb: float = 0.0
-    offset_viscous: float = 0.0
+"""Number of these quantities."""
 
 
 @dataclass(slots=True)
@@ -138,36 +102,6 @@ class ShaftPosterior:
     stop: NeedleStop = field(default_factory=NeedleStop)
 
 
-class ShaftMixture(NamedTuple):
-    """Mixture of what the components say of the shaft.
-
-    Attributes:
-        mean: Of the quantities `AT_OFFSET` to `AT_STIFFNESS`, shape (8,).
-        covariance: Theirs, shape (8, 8).
-        met_probability: That tissue has been met.
-        contact_mm: Depth of the first contact.
-        tip_force: Of the likeliest component [N].
-    """
-
-    mean: WrittenVector
-    covariance: WrittenMatrix
-    met_probability: float
-    contact_mm: float
-    tip_force: float
-
-
-@compiled_inside
-def has_open_section(assumption: Assumptions, reported: int) -> bool:
-    """Return whether a component's last section belongs to no reported layer.
-
-    It ended at a rupture that is not reported, or where a membrane was met under the
-    layer.
-    """
-    if assumption.ruptures > reported:
-        return True
-    return assumption.medium == MEMBRANE and assumption.holds_force > 0.0
-
-
 @compiled_inside
 def traversed_rows(rows: WrittenMatrix, assumption: Assumptions, reported: int) -> None:
     """Map a component's unknowns to the friction of the layers reported.
@@ -181,7 +115,8 @@ def traversed_rows(rows: WrittenMatrix, assumption: Assumptions, reported: int) 
         return
     rows[AT_TRAVERSED_COULOMB, TRAVERSED_COULOMB] = 1.0
     rows[AT_TRAVERSED_VISCOUS, TRAVERSED_VISCOUS] = 1.0
-    if has_open_section(assumption, reported):
+    has_met_membrane = assumption.medium == MEMBRANE and assumption.holds_force > 0.0
+    if assumption.ruptures > reported or has_met_membrane:
         rows[AT_TRAVERSED_COULOMB, FRICTION_LAST] = -1.0
 
 
@@ -201,9 +136,9 @@ def shaft_rows(assumption: Assumptions, depth_mm: float, met: float) -> WrittenM
     rows[AT_SHAFT_VISCOUS, LAYER_VISCOUS] = met * length
     rows[AT_LAYER_COULOMB, LAYER_COULOMB] = met
     rows[AT_LAYER_VISCOUS, LAYER_VISCOUS] = met
-    undecided = undecided_cutting(assumption, depth_mm)
-    growth = met * CUTTING_ON_SHAFT * undecided.growth
-    rows[AT_SHAFT_COULOMB, HELD] = met * CUTTING_ON_SHAFT * undecided.fraction
+    undecided, growth = undecided_cutting(assumption, depth_mm)
+    growth *= met * CUTTING_ON_SHAFT
+    rows[AT_SHAFT_COULOMB, HELD] = met * CUTTING_ON_SHAFT * undecided
     rows[AT_LAYER_COULOMB, HELD] = growth
     if assumption.medium != AIR:
         rows[AT_STIFFNESS, STIFFNESS] = 1.0
@@ -214,20 +149,12 @@ def shaft_rows(assumption: Assumptions, depth_mm: float, met: float) -> WrittenM
 
 
 @compiled_inside
-def undecided_variance(mean: Vector, assumption: Assumptions, depth_mm: float) -> float:
-    """Return the variance of the friction in the undecided cutting force [N²]."""
-    undecided = undecided_cutting(assumption, depth_mm).fraction
-    return (CUTTING_ON_SHAFT_STD * undecided * mean[HELD]) ** 2
-
-
-@compiled_inside
 def predict_tip_force(mixture: Mixture, component: int, block: Block) -> float:
     """Return the tip force of a component [N]."""
     assumption = mixture.assumptions[component]
     mean = mixture.means[component]
     row = regressor(assumption, block)
-    undecided = undecided_cutting(assumption, block.depth_mm)
-    row[HELD] -= CUTTING_ON_SHAFT * undecided.fraction
+    row[HELD] -= CUTTING_ON_SHAFT * undecided_cutting(assumption, block.depth_mm)[0]
     tip_force = 0.0
     for i in range(TIP_BEGIN, TIP_END):
         tip_force += row[i] * mean[i]
@@ -235,40 +162,17 @@ def predict_tip_force(mixture: Mixture, component: int, block: Block) -> float:
 
 
 @compiled_inside
-def normalise(weights: WrittenVector) -> None:
-    """Divide weights by their sum."""
-    total = add_up(weights)
-    for k in range(len(weights)):
-        weights[k] /= total
+def leave_out_unlikely(
+    trusted: Vector, weights: Vector
+) -> tuple[WrittenVector, WrittenVector]:
+    """Return weights for means and for spreads without the least likely components.
 
-
-class MixtureWeights(NamedTuple):
-    """Weights of n components, normalised; those left out have zero.
-
-    Attributes:
-        means: Weights for the means, shape (n,).
-        spreads: Weights for the covariance around those means, shape (n,).
+    They are normalised; what they are for, see `mix_components`.
     """
-
-    means: WrittenVector
-    spreads: WrittenVector
-
-
-@compiled_inside
-def leave_out_unlikely(trusted: Vector, weights: Vector) -> MixtureWeights:
-    """Return weights without the least likely components; see `mix_components`."""
-    count = len(weights)
-    means = np.zeros(count)
-    spreads = np.zeros(count)
-    min_trusted = MIN_WEIGHT * add_up(trusted)
-    for k in range(count):
-        if trusted[k] > min_trusted:
-            means[k] = trusted[k]
-        if weights[k] > MIN_WEIGHT or means[k] > 0.0:
-            spreads[k] = weights[k]
-    normalise(means)
-    normalise(spreads)
-    return MixtureWeights(means, spreads)
+    min_weight = 1e-3
+    means = np.where(trusted > min_weight * add_up(trusted), trusted, 0.0)
+    spreads = np.where((weights > min_weight) | (means > 0.0), weights, 0.0)
+    return means / add_up(means), spreads / add_up(spreads)
 
 
 @compiled_inside
@@ -318,45 +222,61 @@ def add_spread(
 
 @compiled_inside
 def mix_components(
-    mixture: Mixture, trusted: Vector, weights: Vector, block: Block, reported: int
-) -> ShaftMixture:
+    posterior: ShaftPosterior,
+    evidence: Evidence,
+    trusted: Vector,
+    block: Block,
+    reported: int,
+) -> Gaussian:
     """Mix what the components say of the shaft, the least likely left out.
 
     Args:
-        mixture: Of n components.
-        trusted: Weights for the means, shape (n,).
-        weights: Weights for the covariance around those means, shape (n,).
+        posterior: Of which the contact and the tip force are set.
+        evidence: The mixture of n components, weights for the covariance.
+        trusted: Weights for the means, around which that is, shape (n,).
         block: Place of the tip.
         reported: Ruptures reported so far.
+
+    Returns:
+        Mean and covariance of the quantities `AT_OFFSET` to `AT_STIFFNESS`, shapes (8,)
+        and (8, 8).
     """
-    used = leave_out_unlikely(trusted, weights)
-    count = len(weights)
-    values = np.zeros((count, QUANTITIES))
+    mixture = evidence.mixture
+    mean_weights, spread_weights = leave_out_unlikely(trusted, evidence.weights)
+    values = np.zeros((len(trusted), QUANTITIES))
     mean = np.zeros(QUANTITIES)
     covariance = np.zeros((QUANTITIES, QUANTITIES))
     met_probability = 0.0
     contact_mm = 0.0
-    for k in range(count):
-        if used.spreads[k] == 0.0:
+    for k in range(len(trusted)):
+        if spread_weights[k] == 0.0:
             continue
         assumption = mixture.assumptions[k]
         has_met = assumption.medium != AIR or assumption.ruptures > 0.0
-        if has_met and met_probability == 0.0:
-            contact_mm = mixture.history[k].contact_mm
-        if has_met:
-            met_probability += used.means[k]
         rows = shaft_rows(assumption, block.depth_mm, 1.0 if has_met else 0.0)
         if has_met:
+            if met_probability == 0.0:
+                contact_mm = mixture.history[k].contact_mm
+            met_probability += mean_weights[k]
             traversed_rows(rows, assumption, reported)
         for a in range(QUANTITIES):
             values[k, a] = dot(rows[a], mixture.means[k])
-            mean[a] += used.means[k] * values[k, a]
-        add_covariance(covariance, used.spreads[k], rows, mixture.covariances[k])
-        variance = undecided_variance(mixture.means[k], assumption, block.depth_mm)
-        covariance[AT_SHAFT_COULOMB, AT_SHAFT_COULOMB] += used.spreads[k] * variance
-    add_spread(covariance, used.spreads, values, mean)
-    tip_force = predict_tip_force(mixture, index_of_largest(used.means), block)
-    return ShaftMixture(mean, covariance, met_probability, contact_mm, tip_force)
+            mean[a] += mean_weights[k] * values[k, a]
+        add_covariance(covariance, spread_weights[k], rows, mixture.covariances[k])
+        # Of the friction in the undecided cutting force
+        undecided, _ = undecided_cutting(assumption, block.depth_mm)
+        std = CUTTING_ON_SHAFT_STD * undecided * mixture.means[k, HELD]
+        covariance[AT_SHAFT_COULOMB, AT_SHAFT_COULOMB] += spread_weights[k] * std**2
+    add_spread(covariance, spread_weights, values, mean)
+    # The needle counts as in contact where a contact is likelier than none.
+    posterior.in_contact = met_probability > 0.5
+    posterior.contact_depth_m = contact_mm / MM_PER_M if posterior.in_contact else 0.0
+    # Friction is known no better than the force model is, whose error the tissue's
+    # texture shows.
+    posterior.model_error_variance = met_probability * block.model_error_N**2
+    likeliest = index_of_largest(mean_weights)
+    posterior.tip_force = predict_tip_force(mixture, likeliest, block)
+    return Gaussian(mean, covariance)
 
 
 @compiled_inside
@@ -367,7 +287,9 @@ def trust_components(evidence: Evidence, block: Block, reported: int) -> Written
     a hand that feels the tip's force vanish for it pushes.
     """
     trusted = np.zeros(len(evidence.weights))
-    steady_speed = STEADY_FRACTION * block.usual_speed_mm_s
+    # Where the needle is slower, friction's dependence on the speed may look like a
+    # fall of the force.
+    steady_speed = 0.9 * block.usual_speed_mm_s
     for k in range(len(trusted)):
         rupture_speed = evidence.mixture.history[k].rupture_speed_mm_s
         is_slow = min(rupture_speed, block.speed_mm_s) < steady_speed
@@ -390,36 +312,16 @@ def set_friction(friction: Friction, shaft: Gaussian, first: int) -> None:
 
 
 @compiled_inside
-def steady_force(posterior: ShaftPosterior, block: Block) -> SteadyForce:
-    """Return force and friction of a needle that advances as in a block."""
-    shaft = posterior.shaft
-    speed = block.speed_mm_s
-    cross_covariance = shaft.coulomb_variance + speed * shaft.covariance
-    variance = (
-        cross_covariance + speed * shaft.covariance + speed**2 * shaft.viscous_variance
-    )
-    shared = cross_covariance**2 / max(variance, TINY_N2)
-    return SteadyForce(
-        speed,
-        block.depth_mm,
-        block.force_N - posterior.offset,
-        shaft.coulomb + speed * shaft.viscous,
-        max(variance, 0.0),
-        shaft.coulomb,
-        max(shaft.coulomb_variance - shared, 0.0),
-    )
-
-
-@compiled_inside
 def update_stop(posterior: ShaftPosterior, block: Block) -> None:
     """Remember a needle that advances, and learn from one that rests."""
     stop = posterior.stop
     if not posterior.in_contact or block.deflection < SLIDING_DEFLECTION:
         return
-    if block.speed_mm_s > REST_SPEED_MM_S:
-        remember_motion(stop, steady_force(posterior, block))
-        return
     net_force = block.force_N - posterior.offset
+    speed = block.speed_mm_s
+    if speed > REST_SPEED_MM_S:
+        remember_motion(stop, posterior.shaft, speed, block.depth_mm, net_force)
+        return
     variance = 2.0 * posterior.noise_variance + block.motion_variance_N2
     learn_from_rest(stop, block.duration_s, net_force, variance)
 
@@ -445,30 +347,21 @@ def update_posterior(
     """
     posterior = posteriors[0]
     trusted = trust_components(evidence, block, reported)
-    if add_up(trusted) <= MIN_TRUSTED_PROBABILITY:
+    if add_up(trusted) <= 1e-6:  # too little for a mean to rest on
         trusted = evidence.weights
-    shaft = mix_components(evidence.mixture, trusted, evidence.weights, block, reported)
-    is_met = shaft.met_probability > MET_PROBABILITY
-    posterior.in_contact = is_met
-    posterior.layer = traversed + 1 if is_met else 0
-    posterior.contact_depth_m = shaft.contact_mm / MM_PER_M if is_met else 0.0
+    shaft = mix_components(posterior, evidence, trusted, block, reported)
+    posterior.layer = traversed + 1 if posterior.in_contact else 0
     posterior.depth_mm = block.depth_mm
     posterior.noise_variance = block.noise_std_N**2
-    posterior.tip_force = shaft.tip_force
     posterior.rupture_speed_mm_s = rupture_speed
     posterior.offset = shaft.mean[AT_OFFSET]
     posterior.offset_variance = shaft.covariance[AT_OFFSET, AT_OFFSET]
     posterior.stiffness = shaft.mean[AT_STIFFNESS]
     posterior.stiffness_variance = shaft.covariance[AT_STIFFNESS, AT_STIFFNESS]
-    quantities = Gaussian(shaft.mean, shaft.covariance)
-    set_friction(posterior.traversed, quantities, AT_TRAVERSED_COULOMB)
-    set_friction(posterior.shaft, quantities, AT_SHAFT_COULOMB)
-    set_friction(posterior.layer_friction, quantities, AT_LAYER_COULOMB)
-    # Friction is known no better than the force model is, whose error the tissue's
-    # texture shows.
-    model_error_variance = shaft.met_probability * block.model_error_N**2
-    posterior.model_error_variance = model_error_variance
+    set_friction(posterior.traversed, shaft, AT_TRAVERSED_COULOMB)
+    set_friction(posterior.shaft, shaft, AT_SHAFT_COULOMB)
+    set_friction(posterior.layer_friction, shaft, AT_LAYER_COULOMB)
     if reported > 0:  # before, none of the force is subtracted
-        posterior.traversed.coulomb_variance += model_error_variance
-    posterior.shaft.coulomb_variance += model_error_variance
+        posterior.traversed.coulomb_variance += posterior.model_error_variance
+    posterior.shaft.coulomb_variance += posterior.model_error_variance
     update_stop(posterior, block)

@@ -35,40 +35,8 @@ MIN_WINDOW_MEANS = NEWEST_LEFT_OUT + 50
 FIT_UNITS = 7
 """Units of a fit: its begin, and Gauss-Newton steps."""
 
-SEARCH_UNITS = (len(BREATHS_HZ) + 3) * FIT_UNITS + 1
-"""Units of a search, with the choice."""
-
-ADAPT_S = 0.2
-"""Time between two steps of a motion in use, or of a likely one."""
-
 NO_SEARCH = -1
 """Unit outside a search."""
-
-
-class Motion(NamedTuple):
-    """Where the tissue is.
-
-    Attributes:
-        place_mm: Along the needle.
-        speed_mm_s: Its rate.
-    """
-
-    place_mm: float
-    speed_mm_s: float
-
-
-class MotionLimits(NamedTuple):
-    """What a known motion leaves of the force.
-
-    Attributes:
-        heartbeat_variance: Variance that the heartbeat leaves unexplained [N²].
-        breathing_variance: The same of breathing.
-        confidence: Part by which a motion just found is believed, 0 to 1.
-    """
-
-    heartbeat_variance: float
-    breathing_variance: float
-    confidence: float
 
 
 class TissueMotion(NamedTuple):
@@ -86,6 +54,9 @@ class TissueMotion(NamedTuple):
         unit: The next one of a search, `NO_SEARCH` outside one.
         tried: Being fitted.
         best: The best clear fit of the search so far.
+        best_start: The best of breaths with a heartbeat, with which it goes on.
+        likely: A fit that is good, but not clear yet.
+        likely_steps: Steps in a row at which it was good.
     """
 
     window: Array = np.zeros((0, 4))
@@ -103,76 +74,56 @@ class TissueMotion(NamedTuple):
     likely: Fit = Fit()
     likely_steps: int = 0
 
-    GROWING = ("window",)
-
-    def find_damage(self) -> str:
-        """Return what is wrong with a restored state, if anything."""
-        is_unit = self.unit in range(NO_SEARCH, SEARCH_UNITS)
-        return "" if is_unit else f"there is no unit {self.unit!r:.80}"
-
     @property
     def is_known(self) -> bool:
         """Whether a motion is in use."""
         return len(self.fit.beats) > 0
 
     @property
-    def is_searching(self) -> bool:
-        """Whether a search goes on."""
-        return self.unit != NO_SEARCH
-
-    @property
     def amplitude_mm(self) -> float:
         """Largest amplitude of a beat of the motion in use; 0 if none is known."""
+        sizes_mm = np.hypot(self.fit.beats[:, 1], self.fit.beats[:, 2])
+        return float(sizes_mm.max(initial=0.0))
+
+    def motion_at(self, time_s: float) -> tuple[float, float]:
+        """Return place [mm] and speed [mm/s] of the tissue at a time."""
         if not self.is_known:
-            return 0.0
-        return float(np.hypot(self.fit.beats[:, 1], self.fit.beats[:, 2]).max())
-
-    def motion_at(self, time_s: float) -> Motion:
-        """Return place and speed of the tissue at a time."""
-        fade_s = 1.0  # over which a motion just found comes in
-        places, speeds = displacement(
-            self.fit.beats, np.array([time_s - self.fit.at_s])
-        )
+            return 0.0, 0.0
+        times_s = np.array([time_s - self.fit.at_s])
+        places, speeds = displacement(self.fit.beats, times_s)
         place_mm = float(places[0])
-        progress = min(max((time_s - self.since_s) / fade_s, 0.0), 1.0)
+        # A motion just found comes in over one second.
+        progress = min(max(time_s - self.since_s, 0.0), 1.0)
         faded_in = progress * progress * (3.0 - 2.0 * progress)
-        rate = 6.0 * progress * (1.0 - progress) / fade_s
-        return Motion(
-            faded_in * place_mm, faded_in * float(speeds[0]) + rate * place_mm
-        )
+        rate = 6.0 * progress * (1.0 - progress)
+        return faded_in * place_mm, faded_in * float(speeds[0]) + rate * place_mm
 
-    def limits(self, time_s: float) -> MotionLimits:
-        """Return what the motion leaves of the force at a time."""
-        belief_s = 2.0  # until it is believed: the mixture has learnt without it
-        is_breathing = self.fit.beats[:, 0] < MAX_BREATHING_HZ
-        unexplained_N2 = (2.0 * self.fit.rms_N) ** 2
-        return MotionLimits(
-            unexplained_N2 * float((~is_breathing).any()),
-            unexplained_N2 * float(is_breathing.any()),
-            min(max((time_s - self.since_s) / belief_s, 0.0), 1.0),
-        )
+    def unexplained_N2(self, *, is_breathing: bool) -> float:
+        """Return the variance that breathing, or the heartbeat, leaves unexplained."""
+        is_such = (self.fit.beats[:, 0] < MAX_BREATHING_HZ) == is_breathing
+        return (2.0 * self.fit.rms_N) ** 2 * float(is_such.any())
+
+    def doubt(self, time_s: float) -> float:
+        """Return the part by which a motion just found is not believed, 0 to 1."""
+        # The mixture has learnt without it: it takes two seconds.
+        return 1.0 - min(max((time_s - self.since_s) / 2.0, 0.0), 1.0)
 
     def restarted(self, time_s: float) -> "TissueMotion":
         """Return the motion after a rupture: a new layer begins, the motion goes on.
 
         Of the layers before the last one stays that was long enough to show a motion.
         """
-        release_s = 0.25  # from the alarm to the end of the release
-        window = self.window
-        until_s = self.until_s
-        fit = Fit()
-        is_of_last_layer = window[:, 0] >= self.from_s
-        if is_of_last_layer.sum() >= MIN_WINDOW_MEANS:
-            window = window[is_of_last_layer]
-            fit = self.fit
-            until_s = float(window[-NEWEST_LEFT_OUT, 0])
-        return TissueMotion(
-            window=window,
-            until_s=until_s,
-            from_s=time_s + release_s,
-            fit=fit,
+        begun = TissueMotion(
+            self.window,
+            until_s=self.until_s,
+            from_s=time_s + 0.25,  # the end of the release
             since_s=self.since_s,
         )
+        window = self.window[self.window[:, 0] >= self.from_s]
+        if len(window) < MIN_WINDOW_MEANS:
+            return begun
+        until_s = float(window[-NEWEST_LEFT_OUT, 0])
+        return begun._replace(window=window, until_s=until_s, fit=self.fit)
 
     def with_block(self, block: Block, *, is_met: bool) -> "TissueMotion":
         """Return the motion with a block, which lies in the tissue's frame.
@@ -181,9 +132,9 @@ class TissueMotion(NamedTuple):
         """
         if not is_met:
             return self if len(self.window) == 0 else TissueMotion()
-        motion = self.motion_at(block.time_s) if self.is_known else Motion(0.0, 0.0)
-        depth_mm = block.depth_mm + motion.place_mm
-        speed_mm_s = block.speed_mm_s + motion.speed_mm_s
+        place_mm, tissue_mm_s = self.motion_at(block.time_s)
+        depth_mm = block.depth_mm + place_mm
+        speed_mm_s = block.speed_mm_s + tissue_mm_s
         values = (1.0, block.time_s, depth_mm, speed_mm_s, block.force_N)
         sums = tuple(
             total + block.duration_s * value
@@ -197,38 +148,36 @@ class TissueMotion(NamedTuple):
 
     def is_due(self, time_s: float) -> bool:
         """Return whether there is work to do, and the window is long enough for it."""
-        is_long = len(self.window) >= MIN_WINDOW_MEANS
-        return is_long and (self.is_searching or time_s >= self.next_s)
+        is_time = self.unit != NO_SEARCH or time_s >= self.next_s
+        return is_time and len(self.window) >= MIN_WINDOW_MEANS
 
     def worked(self, time_s: float) -> "TissueMotion":
         """Return the motion after one unit of the work that is due."""
-        check_s = 0.25
         window = Window(self.window[:-NEWEST_LEFT_OUT], self.until_s, self.from_s)
         if len(self.likely.beats) > 0 and time_s >= self.next_s:
             return self._follow_likely(window, time_s)
-        if self.is_searching:
+        if self.unit != NO_SEARCH:
             return self._search(window, time_s)
         if self.is_known:
             return self._adapt(window, time_s)
         # Less than a tenth of the law's error is not worth a search.
         is_moving = window.error_at_rest > max(CLEARLY_LOWER, 0.1 * window.count)
         unit = 0 if is_moving else NO_SEARCH
-        return self._replace(next_s=time_s + check_s, unit=unit)
+        return self._replace(next_s=time_s + 0.25, unit=unit)
 
     def _adapt(self, window: Window, time_s: float) -> "TissueMotion":
         """Return the motion after a step of the one in use."""
-        max_bad_steps = 8
         fit = window.stepped(turned(self.fit, time_s), is_prior=True)
         is_good = fit.error < min(GOOD_ERROR * window.count, window.error_at_rest)
         bad_steps = 0 if is_good else self.bad_steps + 1
-        is_lost = bad_steps >= max_bad_steps
-        if 0 < bad_steps < max_bad_steps:
+        is_lost = bad_steps >= 8
+        if bad_steps > 0 and not is_lost:
             # It may be a rupture: noise does not grow yet.
             fit = fit._replace(rms_N=min(fit.rms_N, self.fit.rms_N))
         return self._replace(
             fit=fit,
             bad_steps=bad_steps,
-            next_s=time_s + ADAPT_S,
+            next_s=time_s + 0.2,
             unit=0 if is_lost else NO_SEARCH,
         )
 
@@ -250,7 +199,7 @@ class TissueMotion(NamedTuple):
             likely=fit if is_fair else Fit(),
             likely_steps=likely_steps,
             unit=max(self.unit, 0),
-            next_s=time_s + ADAPT_S,
+            next_s=time_s + 0.2,
         )
 
     def _use(self, fit: Fit, time_s: float) -> "TissueMotion":
@@ -276,50 +225,46 @@ class TissueMotion(NamedTuple):
             return self._choose(window, time_s)
         tried = self._fit(window, part, step, time_s)
         state = self._replace(unit=self.unit + 1, tried=tried)
+        if self.unit == 0:
+            return state._replace(best=Fit(), best_start=Fit())
         if step < FIT_UNITS - 1:
             return state
         if 0 < part < last_part - 1:
-            is_best = part == 1 or tried.error < self.best_start.error
-            return state._replace(best_start=tried if is_best else self.best_start)
-        best = Fit() if part == 0 else self.best
+            is_best = tried.error < self.best_start.error
+            return state._replace(best_start=tried) if is_best else state
         # A second beat must halve the error.
-        more_beats = len(tried.beats) - max(len(best.beats), 1)
-        is_better = tried.error * 2.0**more_beats < best.error
+        more_beats = len(tried.beats) - max(len(self.best.beats), 1)
+        is_better = tried.error * 2.0**more_beats < self.best.error
         if is_better and window.is_clear(tried):
             return state._replace(best=tried)
-        max_error = min(FAIR_ERROR * window.count, self.likely.error)
-        is_likely = part == last_part - 1 and tried.error < max_error
-        if is_likely and not (self.is_known or len(best.beats)):
-            return state._replace(best=best, likely=tried)
-        return state._replace(best=best)
+        is_open = part == last_part - 1 and not (self.is_known or len(self.best.beats))
+        is_good = tried.error < min(FAIR_ERROR * window.count, self.likely.error)
+        return state._replace(likely=tried) if is_open and is_good else state
 
     def _fit(self, window: Window, part: int, step: int, time_s: float) -> Fit:
         """Return the fit after a step of a part of the search."""
-        breaths = len(BREATHS_HZ)
-        if part > breaths:
-            if step > 0:
-                return window.stepped(self.tried)
-            if part == breaths + 1:
-                return turned(self.best_start, time_s)
-            return self.tried._replace(beats=self.tried.beats[:1], error=1e30)
-        hz = BREATHS_HZ[part - 1 : part] if part else BREATHS_HZ[:0]
-        if step == 0:
-            return window.first_frequencies(hz, time_s)
-        if step == 1:
-            return window.first_sizes(self.tried)
-        if step == 2 and part > 0:
-            return window.turned_fit(self.tried, 1.0)
-        return window.stepped(self.tried)
+        tried = self.tried
+        if part == len(BREATHS_HZ) + 1 and step == 0:
+            return turned(self.best_start, time_s)
+        if part == len(BREATHS_HZ) + 2 and step == 0:
+            return tried._replace(beats=tried.beats[:1], error=1e30)
+        if part <= len(BREATHS_HZ) and step == 0:
+            breath_hz = BREATHS_HZ[max(part - 1, 0) : part]
+            return window.first_frequencies(breath_hz, time_s)
+        if part <= len(BREATHS_HZ) and step == 1:
+            return window.first_sizes(tried)
+        if 0 < part <= len(BREATHS_HZ) and step == 2:
+            return window.turned_fit(tried)
+        return window.stepped(tried)
 
     def _choose(self, window: Window, time_s: float) -> "TissueMotion":
         """Return the motion after a search: its best fit in use, if it found one."""
-        wait_s = 0.5  # until the next search
         best = self.best
         state = self._replace(unit=NO_SEARCH, bad_steps=0)
+        if not self.is_known and len(best.beats) > 0:
+            return self._use(best, time_s)
         if not self.is_known:
-            if len(best.beats) > 0:
-                return self._use(best, time_s)
-            return state._replace(next_s=time_s + wait_s)
+            return state._replace(next_s=time_s + 0.5)
         if best.error < 0.5 * self.fit.error:
             return state._replace(fit=best)
         # The force may have changed within the window, or the motion have ended: it

@@ -5,10 +5,9 @@ Resisting force is positive here; the paper's minus signs are part of that conve
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import NamedTuple
 
 import numpy as np
-from numpy.typing import ArrayLike, NDArray
+from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
 from identification.config import Model
@@ -17,16 +16,6 @@ from identification.errors import (
     InvalidConfigError,
     InvalidLogError,
 )
-
-RANK_TOLERANCE = 1e-3
-"""Singular values of the scaled columns below this fraction of the largest count as
-zero: a difference between columns under 0.1 % is smaller than any linear tissue model
-is right."""
-MAX_FREE_FRACTION = 0.05
-"""A parameter counts as identified if no more of it than this fraction lies in the
-directions that the data leave free."""
-COVARIANCE_BLOCKS = 60
-"""Contiguous blocks of residuals that count as independent."""
 
 
 @dataclass(frozen=True, slots=True, kw_only=True)
@@ -50,19 +39,11 @@ class LayerSpan:
     def __post_init__(self) -> None:
         """Raise `InvalidConfigError` unless thickness and duration are positive."""
         values = (self.start_s, self.start_depth_m, self.thickness_m, self.rupture_s)
-        if not np.all(np.isfinite(values)):
+        is_possible = self.thickness_m > 0 and self.rupture_s > self.start_s
+        if not (is_possible and np.all(np.isfinite(values))):
             raise InvalidConfigError(
-                f"layer span has non-finite values: {values}", RIGHT_SPANS
-            )
-        if self.thickness_m <= 0:
-            raise InvalidConfigError(
-                f"thickness_m must be positive, got {self.thickness_m}",
-                RIGHT_SPANS,
-            )
-        if self.rupture_s <= self.start_s:
-            raise InvalidConfigError(
-                f"a layer must rupture after it starts: start {self.start_s} s, "
-                f"rupture {self.rupture_s} s",
+                "a layer must have a positive, finite thickness_m and rupture after "
+                f"its start, got {self}",
                 RIGHT_SPANS,
             )
 
@@ -107,57 +88,6 @@ def regression_matrix(
         )
         columns.append(np.where(is_entered, embedded, 0.0) * speed_m_s)
     return np.column_stack(columns)
-
-
-class LeastSquares(NamedTuple):
-    """Solution of a linear least-squares problem with p parameters.
-
-    Attributes:
-        parameters: Of minimum norm in scaled columns, shape (p,).
-        stds: Their standard deviations, infinite where the data leave one free, (p,).
-        are_identified: Whether the data determine each, shape (p,).
-        rank: Of the matrix with columns of unit length.
-    """
-
-    parameters: Array
-    stds: Array
-    are_identified: NDArray[np.bool_]
-    rank: int
-
-
-def solve_least_squares(matrix: Array, target: Array) -> LeastSquares:
-    """Solve theta = Phi^# f, equation (6), on columns scaled to unit length.
-
-    Autocorrelated residuals are allowed for in the standard deviations.
-
-    Args:
-        matrix: Phi, shape (n, p).
-        target: f, shape (n,).
-    """
-    norms = np.linalg.norm(matrix, axis=0)
-    scale = np.where(norms > 0, norms, 1.0)
-    scaled = matrix / scale
-    inverse = np.linalg.pinv(scaled, rcond=RANK_TOLERANCE)
-    solution = inverse @ target
-    residual = target - scaled @ solution
-    squared = inverse @ inverse.T
-
-    # Sandwich covariance over contiguous blocks: residuals of tissue are far from
-    # white.
-    blocks = min(COVARIANCE_BLOCKS, len(residual))
-    edges = np.linspace(0, len(residual), blocks + 1).astype(int)
-    scores = np.add.reduceat(scaled * residual[:, None], edges[:-1], axis=0)
-    covariance = squared @ (scores.T @ scores) @ squared
-
-    determined = np.diag(inverse @ scaled)  # of a projection, whose trace is the rank
-    are_identified = (1.0 - determined < MAX_FREE_FRACTION**2) & (norms > 0)
-    deviations = np.sqrt(np.maximum(np.diag(covariance), 0.0)) / scale
-    return LeastSquares(
-        parameters=solution / scale,
-        stds=np.where(are_identified, deviations, np.inf),
-        are_identified=are_identified,
-        rank=round(float(determined.sum())),
-    )
 
 
 def read_column(
@@ -270,34 +200,64 @@ def identify_offline(
     speeds_m_s = read_column("speed_m_s", speed_m_s, rows, finite=True)
     forces_N = read_column("force_N", force_N, rows, finite=True)
     matrix = regression_matrix(times_s, depths_m, speeds_m_s, layers, model)
-    solution = solve_least_squares(matrix, forces_N)
-    predicted_N = matrix @ solution.parameters
+    # theta = Phi^# f, equation (6), on columns scaled to unit length.
+    norms = np.linalg.norm(matrix, axis=0)
+    scale = np.where(norms > 0, norms, 1.0)
+    scaled = matrix / scale
+    # A difference between columns under 0.1 % is smaller than any linear tissue model
+    # is right: singular values below this fraction of the largest count as zero.
+    inverse = np.linalg.pinv(scaled, rcond=1e-3)
+    solution = inverse @ forces_N
+    parameters = solution / scale
+    residual_N = forces_N - scaled @ solution
+    determined = np.diag(inverse @ scaled)  # of a projection, whose trace is the rank
+    # Identified: at most a twentieth of it lies in directions that the data leave free.
+    are_identified = (1.0 - determined < 0.05**2) & (norms > 0)
+    stds = np.where(
+        are_identified, _deviations(scaled, inverse, residual_N) / scale, np.inf
+    )
+    predicted_N = matrix @ parameters
     predicted_N.setflags(write=False)
     return OfflineIdentification(
         model=model,
         layers=tuple(
-            _offline_layer(solution, number, span, model)
-            for number, span in enumerate(layers)
+            OfflineLayer(
+                stiffness_N_per_m=float(values[0]),
+                stiffness_std_N_per_m=float(value_stds[0]),
+                stiffness_identified=bool(are_known[0]),
+                friction=float(values[1]),
+                friction_std=float(value_stds[1]),
+                friction_identified=bool(are_known[1]),
+                cumulative_friction_Ns_per_m=float(values[1])
+                * (layer.thickness_m if model == "ml" else 1),
+            )
+            for layer, values, value_stds, are_known in zip(
+                layers,
+                parameters.reshape(-1, 2),
+                stds.reshape(-1, 2),
+                are_identified.reshape(-1, 2),
+                strict=True,
+            )
         ),
-        rank=solution.rank,
+        rank=round(float(determined.sum())),
         rmse_N=float(np.sqrt(np.mean((forces_N - predicted_N) ** 2))),
         predicted_force_N=predicted_N,
     )
 
 
-def _offline_layer(
-    solution: LeastSquares, number: int, span: LayerSpan, model: Model
-) -> OfflineLayer:
-    """Return the layer of a number, from 0, out of the solution for all layers."""
-    stiffness = 2 * number  # index of K_i among the parameters
-    friction = stiffness + 1
-    value = float(solution.parameters[friction])
-    return OfflineLayer(
-        stiffness_N_per_m=float(solution.parameters[stiffness]),
-        stiffness_std_N_per_m=float(solution.stds[stiffness]),
-        stiffness_identified=bool(solution.are_identified[stiffness]),
-        friction=value,
-        friction_std=float(solution.stds[friction]),
-        friction_identified=bool(solution.are_identified[friction]),
-        cumulative_friction_Ns_per_m=value * (span.thickness_m if model == "ml" else 1),
-    )
+def _deviations(scaled: Array, inverse: Array, residual_N: Array) -> Array:
+    """Return standard deviations of the scaled parameters, shape (p,).
+
+    Sandwich covariance over contiguous blocks: residuals of tissue are far from white.
+
+    Args:
+        scaled: Matrix with columns of unit length, shape (n, p).
+        inverse: Its pseudo-inverse, shape (p, n).
+        residual_N: Force that the parameters leave, shape (n,).
+    """
+    blocks = min(60, len(residual_N))  # that count as independent
+    edges = np.linspace(0, len(residual_N), blocks + 1).astype(int)
+    scores = np.add.reduceat(scaled * residual_N[:, None], edges[:-1], axis=0)
+    squared = inverse @ inverse.T
+    covariance = squared @ (scores.T @ scores) @ squared
+    return np.sqrt(np.maximum(np.diag(covariance), 0.0))

@@ -5,11 +5,10 @@
 
 Not a medical device: nothing here is claimed beyond the simulation it is measured on.
 
-Reading order: `ports` (what lies outside), `tasks`, `joint_limits`,
-`controller` (one tick), `delay_prediction`, `lag` (its delay and gain),
-`priority_solver`, `state_machine`, `monitors`, `manager`, `run`, `event_log`,
-`rupture_counter`, `insertion_profile`, `guarded_motion`, `tare_stroke`, `guidance`,
-`handle_watch`, `passivity`, `teleoperation_sides`, `teleoperation`.
+Reading order: `ports` (what lies outside), `tasks`, `joint_limits`, `priority_solver`,
+`controller` (one tick), `state_machine`, `handle_watch`, `monitors`, `manager`, `run`,
+`lag` (delay and gain), `tare_stroke`, `rupture_counter`, `insertion_profile`,
+`guidance`, `passivity`, `teleoperation_sides`, `teleoperation`.
 """
 
 from needleforce.control.controller import Controller as Controller
@@ -25,7 +24,6 @@ from needleforce.control.handle_watch import (
 from needleforce.control.insertion_profile import (
     InsertionPlan as InsertionPlan,
     InsertionProfile as InsertionProfile,
-    depth_of as depth_of,
 )
 from needleforce.control.joint_limits import Limits as Limits
 from needleforce.control.manager import Manager as Manager, Situation as Situation
@@ -38,7 +36,6 @@ from needleforce.control.tare_stroke import (
 )
 from needleforce.control.tasks import (
     AxialSpeed as AxialSpeed,
-    DecoupledMotion as DecoupledMotion,
     Fixture as Fixture,
     Posture as Posture,
     RemoteCentre as RemoteCentre,

@@ -5,8 +5,8 @@ The tasks are served in strict priority within the limits of the joints, see
 """
 
 import math
+from collections import deque
 from collections.abc import Sequence
-from enum import StrEnum
 from operator import is_
 from typing import NamedTuple
 
@@ -15,22 +15,19 @@ import numpy as np
 from foundation.arrays import Array
 from foundation.errors import NeedleforceError
 from foundation.jit import compile_waiting
-from needleforce.control.delay_prediction import DelayPrediction
-from needleforce.control.errors import RIGHT_LIMITS, SettingError
-from needleforce.control.joint_limits import (
-    BRAKE_CYCLES,
-    Limits,
-    write_reach,
-    write_velocity_bounds,
-)
+from needleforce.control.errors import RIGHT_LIMITS, SettingError, require_positive
+from needleforce.control.joint_limits import Limits, SLACK_rad_s
 from needleforce.control.ports import ArmSample
-from needleforce.control.priority_solver import Solver, Stack, hierarchical
-from needleforce.control.setting_checks import as_vector
+from needleforce.control.priority_solver import Stack, hierarchical
 from needleforce.control.tasks import JointTask, MAX_STEP_s, Task, ToolState
+from needleforce.devices.rate_limiter import write_velocity_bounds
 from urdf import Robot
 
 FIRST_STEP_s = 1e-3
 """Time step that a first, invalid sample is braked with: the usual cycle."""
+
+MAX_DELAY_s = 0.3
+"""No loop of control lives with longer delays."""
 
 FILTER_s = 8e-3
 """Time constant of the positions under a limit of the jerk: 20 Hz."""
@@ -40,32 +37,79 @@ MAX_SURPRISE_rad = 0.01
 positions are used as they are."""
 
 
-class CommandStatus(StrEnum):
-    """How a command came about."""
-
-    OK = "ok"  # the tasks in order of priority, no limit in the way
-    SATURATED = "saturated"  # the same, with at least one joint at a limit
-    NEAR_SINGULAR = "near singular"  # the same, with a direction damped: it hardly acts
-    BRAKING = "braking"  # no task: as slow as the limits allow
-    SKIPPED = "skipped"  # sample or task invalid: braking without them
-
-
 class Command(NamedTuple):
     """Joint velocities for the coming cycle.
 
     Attributes:
         dq_rad_s: To be sent to the arm, shape (n,).
-        status: How they came about.
-        reason: Why the sample or a task was skipped; empty otherwise.
+        reason: Why the sample or a task was skipped, and the arm brakes as fast as the
+            limits allow; empty otherwise.
         is_limited: Whether tasks have at least one joint at a limit.
         is_damped: Whether tasks ask for a direction that joints hardly move.
     """
 
     dq_rad_s: Array
-    status: CommandStatus
     reason: str = ""
     is_limited: bool = False
     is_damped: bool = False
+
+
+class DelayPrediction:
+    """Predicts where the arm will be once a command acts, from those on their way.
+
+        q(t + T) = q(t) + integral of the commands sent within T before t
+
+    with the delay T from command to measured motion (Smith, Chem. Eng. Prog. 1957). An
+    error of T adds an error of at most that time times the speed of a joint.
+
+    Args:
+        joints: Number n of joints.
+        delay_s: The delay T, as `needleforce lag` measures it; 0 for no prediction.
+
+    Attributes:
+        motion_ahead_rad: How far the joints will move beyond what is measured now,
+            shape (n,).
+
+    Raises:
+        SettingError: The delay is negative, not finite or above `MAX_DELAY_s`.
+    """
+
+    def __init__(self, joints: int, delay_s: float) -> None:
+        require_positive({"delay_s": delay_s}, or_zero=("delay_s",))
+        if delay_s > MAX_DELAY_s:
+            raise SettingError(
+                f"delay_s is {delay_s:g}, expected at most {MAX_DELAY_s:g} seconds",
+            )
+        self._delay_s = float(delay_s)
+        self._joints = joints
+        self._commands = deque[tuple[float, Array]]()  # a time, and the velocity in it
+        self.reset()
+
+    def reset(self) -> None:
+        """Forget what was commanded, for an arm that has not followed it."""
+        self._commands.clear()
+        self._commands_s = 0.0
+        self.motion_ahead_rad = np.zeros(self._joints)
+
+    def note_command(self, dq_rad_s: Array, dt_s: float) -> None:
+        """Remember a velocity, shape (n,), that was commanded for a time until now.
+
+        Of a time beyond the delay only the end counts; what is no positive number is
+        left out.
+        """
+        if self._delay_s == 0.0 or not 0.0 < dt_s < math.inf:
+            return
+        dt_s = min(dt_s, self._delay_s)
+        self._commands.append((dt_s, dq_rad_s))
+        self._commands_s += dt_s
+        self.motion_ahead_rad = self.motion_ahead_rad + dt_s * dq_rad_s
+        while (shown_s := self._commands_s - self._delay_s) > 0.0:
+            oldest_s, oldest_rad_s = self._commands.popleft()
+            if shown_s < oldest_s:
+                self._commands.appendleft((oldest_s - shown_s, oldest_rad_s))
+            shown_s = min(shown_s, oldest_s)
+            self._commands_s -= shown_s
+            self.motion_ahead_rad = self.motion_ahead_rad - shown_s * oldest_rad_s
 
 
 class Controller:
@@ -74,13 +118,9 @@ class Controller:
     Args:
         robot: The arm; the z axis of its tool frame is the needle.
         limits: What its joints may do.
-        solve: Strict priority within limits; another one to compare with, not to move
-            an arm.
         delay_s: From command to measured motion, as `needleforce lag` prints it; None
             if it is not known. Tasks then act on where the arm will be when the command
             does.
-        allow_unlimited_jerk: Whether a real arm may be moved with limits that have none
-            of the jerk. It may then stop itself, a Franka with a reflex.
 
     Attributes:
         tool: Pose and Jacobian of the tip at the last valid sample, ahead of it by
@@ -95,10 +135,8 @@ class Controller:
         self,
         robot: Robot,
         limits: Limits,
-        solve: Solver = hierarchical,
         *,
         delay_s: float | None = None,
-        allow_unlimited_jerk: bool = False,
     ) -> None:
         compile_waiting()
         if (joints := limits.joints.speed_rad_s.size) != robot.nv:
@@ -107,13 +145,10 @@ class Controller:
                 RIGHT_LIMITS,
             )
         self.tool = ToolState(robot)
-        self._max_rad_s = limits.joints.speed_rad_s
-        self._limit_rows = np.array(limits.joints)
+        self._limit_rows = np.array((*limits.joints, limits.joints.acceleration_rad_s2))
         self._cycle_s = limits.cycle_s
         self._tip_m_s = limits.tip_m_s
         self._joints = joints
-        self._solve = solve
-        self._needs_simulation = limits.cycle_s is None and not allow_unlimited_jerk
         self._prediction = DelayPrediction(joints, delay_s or 0.0)
         self._stacks: dict[tuple[int, ...], Stack] = {}
         self._tasks = list[Task]()
@@ -121,19 +156,13 @@ class Controller:
         self._step_s = FIRST_STEP_s
         self.reset()
 
-    def reset(self, dq_rad_s: Array | None = None) -> None:
-        """Begin from the velocity that the arm has, within its limits, or from rest.
+    def reset(self) -> None:
+        """Begin from rest.
 
         Call it when the arm has not followed: its commands were refused, or it has
         stopped itself.
-
-        Raises:
-            SettingError: The velocity is anything but n finite numbers.
         """
-        velocity_rad_s = np.zeros(self._joints)
-        if dq_rad_s is not None:
-            velocity_rad_s = as_vector(dq_rad_s, self._joints, "dq_rad_s")
-        self.last_rad_s = np.clip(velocity_rad_s, -self._max_rad_s, self._max_rad_s)
+        self.last_rad_s = np.zeros(self._joints)
         self._acceleration_rad_s2 = np.zeros(self._joints)
         self._position_rad: Array | None = None  # low-passed
         self._prediction.reset()
@@ -150,10 +179,16 @@ class Controller:
             stack: Tasks, the most important first; with none the arm brakes and rests.
 
         Raises:
-            SettingError: The sample is of a real arm, the limits have none of the jerk,
-                and that was not allowed: nothing has moved yet.
+            SettingError: The sample is of a real arm, and the limits have none of the
+                jerk: nothing has moved yet.
         """
-        self._require_jerk_limit(sample)
+        if self._cycle_s is None and getattr(sample, "is_real", False):
+            raise SettingError(
+                "this arm is real and the controller's limits have none of the jerk: "
+                "expected Limits.of_arm(robot, arm.preset) or Limits(robot, "
+                "jerk_rad_s3=...)",
+                RIGHT_LIMITS,
+            )
         try:
             q_rad, dt_s = _read_numbers(sample)
             self._prediction.note_command(self.last_rad_s, dt_s)
@@ -162,55 +197,22 @@ class Controller:
             if not math.isfinite(q_rad.dot(q_rad)):
                 return self._brake("positions are not finite")
             self._step_s = min(dt_s, MAX_STEP_s)
-            predicted_rad = q_rad + self._prediction.find_motion_ahead()
-            position_rad = self._filter_positions(predicted_rad, dt_s)
-            self.tool.update(position_rad)
+            predicted_rad = q_rad + self._prediction.motion_ahead_rad
+            self.tool.update(self._filter_positions(predicted_rad, dt_s))
             self._select_stack(stack)
             numbers = self._stack
             numbers.fill(stack, self.tool)
             self._write_bounds(predicted_rad, numbers.bounds)
             if not stack:
-                slowest_rad_s = np.clip(0.0, *numbers.bounds)
-                return self._command(slowest_rad_s, CommandStatus.BRAKING)
-            velocity_rad_s, is_limited = self._solve(numbers)
+                return self._command(np.clip(0.0, *numbers.bounds))
+            velocity_rad_s, is_limited = hierarchical(numbers)
             velocity_rad_s = self._slow_tip(velocity_rad_s, numbers.bounds)
         # Of values, a shape or a number; a program's own faults pass through.
         except (NeedleforceError, ValueError) as error:
             return self._brake(f"{type(error).__name__}: {error}")
-        status = CommandStatus.SATURATED if is_limited else CommandStatus.OK
-        if numbers.is_damped:
-            status = CommandStatus.NEAR_SINGULAR
         return self._command(
-            velocity_rad_s, status, is_limited=is_limited, is_damped=numbers.is_damped
+            velocity_rad_s, is_limited=is_limited, is_damped=numbers.is_damped
         )
-
-    def _require_jerk_limit(self, sample: ArmSample) -> None:
-        """Refuse to move a real arm without a limit of the jerk, see `update`."""
-        if not (self._needs_simulation and getattr(sample, "is_real", False)):
-            return
-        raise SettingError(
-            "this arm is real and the controller's limits have none of the jerk: "
-            "expected Limits.of_arm(robot, arm.preset) or Limits(robot, "
-            "jerk_rad_s3=...); Controller(..., allow_unlimited_jerk=True) moves it all "
-            "the same",
-            RIGHT_LIMITS,
-        )
-
-    def note_sent(self, dq_rad_s: Array) -> None:
-        """Begin from another velocity than the last command: the one really sent.
-
-        Call it where something between controller and arm has changed the command, in
-        the same cycle.
-
-        Raises:
-            SettingError: The velocity is anything but n finite numbers.
-        """
-        sent_rad_s = as_vector(dq_rad_s, self._joints, "dq_rad_s")
-        change_rad_s = sent_rad_s - self.last_rad_s
-        self._acceleration_rad_s2 = (
-            self._acceleration_rad_s2 + change_rad_s / self._change_time_s
-        )
-        self.last_rad_s = sent_rad_s
 
     @property
     def _change_time_s(self) -> float:
@@ -230,28 +232,24 @@ class Controller:
         """
         if self._cycle_s is None:
             return q_rad
-        if self._position_rad is None or dt_s > MAX_STEP_s:
-            self._position_rad = q_rad.copy()
-            return self._position_rad
-        led_rad = self._position_rad + dt_s * self.last_rad_s
+        led_rad = q_rad
+        if self._position_rad is not None and dt_s <= MAX_STEP_s:
+            led_rad = self._position_rad + dt_s * self.last_rad_s
         surprise_rad = q_rad - led_rad
+        self._position_rad = led_rad + surprise_rad * dt_s / (FILTER_s + dt_s)
         if np.abs(surprise_rad).max() > MAX_SURPRISE_rad:
             self._position_rad = q_rad.copy()
-        else:
-            self._position_rad = led_rad + surprise_rad * dt_s / (FILTER_s + dt_s)
         return self._position_rad
 
     def _write_bounds(self, q_rad: Array, bounds: Array) -> None:
         """Write the bounds of the coming cycle, see `write_velocity_bounds`."""
-        cycles = 1.0 if self._cycle_s is None else BRAKE_CYCLES
-        cycle_s = self._change_time_s
         write_velocity_bounds(
             self._limit_rows,
             q_rad,
             self.last_rad_s,
             self._acceleration_rad_s2,
-            cycle_s,
-            cycles * cycle_s,
+            self._change_time_s,
+            SLACK_rad_s,
             bounds,
         )
 
@@ -285,20 +283,13 @@ class Controller:
 
     def _brake(self, reason: str) -> Command:
         """Brake from the last command at the rate that limits allow."""
-        reach = np.zeros((2, self._joints))
-        write_reach(
-            self._limit_rows,
-            self.last_rad_s,
-            self._acceleration_rad_s2,
-            self._change_time_s,
-            reach,
-        )
-        return self._command(np.clip(0.0, *reach), CommandStatus.SKIPPED, reason)
+        bounds = np.zeros((2, self._joints))
+        self._write_bounds(np.full(self._joints, np.nan), bounds)
+        return self._command(np.clip(0.0, *bounds), reason)
 
     def _command(
         self,
         velocity_rad_s: Array,
-        status: CommandStatus,
         reason: str = "",
         is_limited: bool = False,
         is_damped: bool = False,
@@ -308,7 +299,7 @@ class Controller:
         change_rad_s = velocity_rad_s - self.last_rad_s
         self._acceleration_rad_s2 = change_rad_s / self._change_time_s
         self.last_rad_s = velocity_rad_s
-        return Command(velocity_rad_s, status, reason, is_limited, is_damped)
+        return Command(velocity_rad_s, reason, is_limited, is_damped)
 
 
 def _read_numbers(sample: ArmSample) -> tuple[Array, float]:

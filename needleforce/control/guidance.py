@@ -34,8 +34,7 @@ import pinocchio as pin
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.control.errors import SettingError
-from needleforce.control.setting_checks import require_positive
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.tasks import JointVelocity
 from residual.checks.input import MAX_PLAUSIBLE, as_float, known_limits
 from residual.checks.outliers import UNKNOWN_EFFORT_NM
@@ -74,8 +73,9 @@ LIMIT_FRACTION = 0.012
 """e: a joint at its highest speed takes this fraction of its torque limit. It damps
 wrists, whose mass is next to nothing."""
 
-POSTURES = 64
-"""Over so many the mass matrix is averaged."""
+POSTURES = 500
+"""Over so many, drawn within the range of the joints, a turn at most, the mass matrix
+is averaged."""
 
 LWR_DAMPING_Nms = (3.2, 3.2, 1.1, 1.1, 0.4, 0.24, 0.1)
 """D of an LWR per rad, 10 to 25 Ns/m at the hub."""
@@ -132,72 +132,15 @@ def find_damping_of_arm(robot: Robot) -> Array:
             f"damping_Nms_per_rad: a positive number for each of {robot.nv} joints"
         )
     torque_limit_Nm = known_limits(robot.effort_limit_Nm, UNKNOWN_EFFORT_NM)
-    by_limits_Nms = LIMIT_FRACTION * torque_limit_Nm / speed_rad_s
-    return _average_inertia(robot) / INERTIA_s + by_limits_Nms
-
-
-def _average_inertia(robot: Robot) -> Array:
-    """Return the diagonal of the mass matrix, averaged over postures, (n,) [kg m^2].
-
-    Postures fill the range of the joints, a turn at most, evenly: the k-th is at the
-    fractions of k sqrt(p), with p a prime for each joint (Kronecker's sequence).
-    """
-    lower_rad = np.maximum(robot.position_lower_rad, -np.pi)
-    upper_rad = np.minimum(robot.position_upper_rad, np.pi)
-    candidates = np.arange(2, 14 * robot.nv + 2)
-    is_prime = [bool((n % np.arange(2, n)).all()) for n in candidates]
-    steps = np.sqrt(candidates[is_prime][: robot.nv])
+    postures_rad = np.random.default_rng(0).uniform(
+        np.maximum(robot.position_lower_rad, -np.pi),
+        np.minimum(robot.position_upper_rad, np.pi),
+        (POSTURES, robot.nv),
+    )
     data = robot.create_data()
-    inertia = np.zeros(robot.nv)
-    for number in range(POSTURES):
-        fractions = np.modf(number * steps)[0]
-        posture_rad = lower_rad + fractions * (upper_rad - lower_rad)
-        inertia += np.diag(pin.crba(robot.model, data, posture_rad))
-    return inertia / POSTURES
-
-
-class _SwingDamping:
-    """The factor c by which the damping grows while the motion swings, see the module.
-
-    Args:
-        damping_Nms: D of every joint, shape (n,).
-
-    Attributes:
-        factor: c.
-    """
-
-    def __init__(self, damping_Nms: Array) -> None:
-        self._damping_Nms = damping_Nms
-        self.factor = FIRST_DAMPING_FACTOR
-        self._forget()
-
-    def _forget(self) -> None:
-        """Begin the means anew."""
-        self._mean_rad_s = np.zeros_like(self._damping_Nms)
-        self._mean_power_W = 0.0
-        self._weight = 0.0  # of the samples in the means: 1 once they are full
-
-    def rest(self) -> None:
-        """End a motion: the next one is another one."""
-        self._forget()
-        self.factor = max(self.factor, FIRST_DAMPING_FACTOR)
-
-    def update(self, velocity_rad_s: Array, dt_s: float) -> None:
-        """Adapt the factor to a velocity w of the joints, shape (n,)."""
-        damping_Nms = self._damping_Nms
-        decay = math.exp(-dt_s / MEAN_s)
-        power_W = float(velocity_rad_s**2 @ damping_Nms)
-        self._weight = decay * self._weight + 1.0 - decay
-        self._mean_rad_s = decay * self._mean_rad_s + (1.0 - decay) * velocity_rad_s
-        self._mean_power_W = decay * self._mean_power_W + (1.0 - decay) * power_W
-        steady_ratio = float(self._mean_rad_s**2 @ damping_Nms) / max(
-            self._mean_power_W * self._weight, MIN_POWER_W
-        )
-        rate_per_s = DAMPING_RISE_per_s * max(
-            1.0 - steady_ratio / STEADY_RATIO, 0.0
-        ) - DAMPING_DECAY_per_s * math.log(self.factor)
-        grown = max(self.factor * math.exp(dt_s * rate_per_s), 1.0)
-        self.factor = min(grown, MAX_DAMPING_FACTOR)
+    inertias = [np.diag(pin.crba(robot.model, data, q)).copy() for q in postures_rad]
+    by_limits_Nms = LIMIT_FRACTION * torque_limit_Nm / speed_rad_s
+    return np.mean(inertias, axis=0) / INERTIA_s + by_limits_Nms
 
 
 class Guidance:
@@ -248,7 +191,8 @@ class Guidance:
         self._velocity_rad_s = np.zeros_like(self._damping_Nms)  # w
         self._driven_rad_s = np.zeros_like(self._damping_Nms)  # u
         self._beyond_Nm = np.zeros_like(self._damping_Nms)  # dz(r)
-        self._swing = _SwingDamping(self._damping_Nms)
+        self._factor = FIRST_DAMPING_FACTOR  # c
+        self._forget_swings()
         self._zone = 1.0  # z
         self._sigma_Nm = np.full(self._damping_Nms.shape, np.inf)
         self._rejected_s = 0.0
@@ -271,43 +215,30 @@ class Guidance:
             return self._task()
         dt_s = min(dt_s, MAX_GUIDED_STEP_s)
         if is_valid:
-            self._update_sigma(sigma_Nm, dt_s)
+            # A hand is no contact at the tip: the sensor takes it for an error of its
+            # own and widens sigma as the residual grows. So it may grow slowly only.
+            grown_Nm = math.exp(dt_s / SIGMA_GROWTH_s) * self._sigma_Nm
+            self._sigma_Nm = np.fmin(grown_Nm, sigma_Nm)
         zone_Nm = self._update_dead_zone(residual_Nm, dt_s)
         decay = math.exp(-dt_s / LAG_s)
         smoothing = math.exp(-dt_s / SMOOTHING_s)
         beyond_Nm = residual_Nm - np.clip(residual_Nm, -zone_Nm, zone_Nm)
+        self._rejected_s += dt_s
         if is_valid and np.abs(beyond_Nm).max() < MAX_PLAUSIBLE:
             self._beyond_Nm = beyond_Nm
             self._rejected_s = 0.0
-        else:
-            self._rejected_s += dt_s
-            if self._rejected_s > HOLD_s:
-                self._beyond_Nm = self._beyond_Nm * decay
-        driven_rad_s = self._beyond_Nm / self._damping_Nms
-        self._driven_rad_s = driven_rad_s + smoothing * (
-            self._driven_rad_s - driven_rad_s
-        )
-        velocity_rad_s = self._driven_rad_s + decay * (
-            self._velocity_rad_s - self._driven_rad_s
-        )
+        elif self._rejected_s > HOLD_s:
+            self._beyond_Nm = self._beyond_Nm * decay
+        wanted_rad_s = self._beyond_Nm / self._damping_Nms
+        driven_rad_s = wanted_rad_s + smoothing * (self._driven_rad_s - wanted_rad_s)
+        velocity_rad_s = driven_rad_s + decay * (self._velocity_rad_s - driven_rad_s)
         if not self._beyond_Nm.any() and np.abs(velocity_rad_s).max() < REST_rad_s:
             velocity_rad_s = np.zeros_like(velocity_rad_s)
-            self._driven_rad_s = velocity_rad_s
+            driven_rad_s = velocity_rad_s
+        self._driven_rad_s = driven_rad_s
         self._velocity_rad_s = velocity_rad_s
-        if velocity_rad_s.any():
-            self._swing.update(velocity_rad_s, dt_s)
-        else:
-            self._swing.rest()
+        self._damp_swings(velocity_rad_s, dt_s)
         return self._task()
-
-    def _update_sigma(self, sigma_Nm: Array, dt_s: float) -> None:
-        """Follow the deviation of the residual without a hand.
-
-        A hand is no contact at the tip: the sensor takes it for an error of its own and
-        widens sigma as the residual grows. So sigma may grow slowly only.
-        """
-        grown_Nm = math.exp(dt_s / SIGMA_GROWTH_s) * self._sigma_Nm
-        self._sigma_Nm = np.fmin(grown_Nm, sigma_Nm)
 
     def _update_dead_zone(self, residual_Nm: Array, dt_s: float) -> Array:
         """Open the dead zone where a hand is felt, else close it; return z h, (n,)."""
@@ -319,6 +250,33 @@ class Guidance:
         self._zone = goal + math.exp(-dt_s / time_s) * (self._zone - goal)
         return zone_Nm * self._zone
 
+    def _damp_swings(self, velocity_rad_s: Array, dt_s: float) -> None:
+        """Adapt the factor c to a velocity w of the joints, shape (n,)."""
+        damping_Nms = self._damping_Nms
+        if not velocity_rad_s.any():  # the next motion is another one
+            self._factor = max(self._factor, FIRST_DAMPING_FACTOR)
+            self._forget_swings()
+            return
+        decay = math.exp(-dt_s / MEAN_s)
+        power_W = float(velocity_rad_s**2 @ damping_Nms)
+        self._weight = decay * self._weight + 1.0 - decay
+        self._mean_rad_s = decay * self._mean_rad_s + (1.0 - decay) * velocity_rad_s
+        self._mean_power_W = decay * self._mean_power_W + (1.0 - decay) * power_W
+        steady_ratio = float(self._mean_rad_s**2 @ damping_Nms) / max(
+            self._mean_power_W * self._weight, MIN_POWER_W
+        )
+        rate_per_s = DAMPING_RISE_per_s * max(
+            1.0 - steady_ratio / STEADY_RATIO, 0.0
+        ) - DAMPING_DECAY_per_s * math.log(self._factor)
+        grown = max(self._factor * math.exp(dt_s * rate_per_s), 1.0)
+        self._factor = min(grown, MAX_DAMPING_FACTOR)
+
+    def _forget_swings(self) -> None:
+        """Begin the means anew."""
+        self._mean_rad_s = np.zeros_like(self._damping_Nms)  # m
+        self._mean_power_W = 0.0  # p
+        self._weight = 0.0  # of the samples in the means: 1 once they are full
+
     def _task(self) -> JointVelocity:
         """Return v = w / c as a task."""
-        return JointVelocity(self._velocity_rad_s / self._swing.factor)
+        return JointVelocity(self._velocity_rad_s / self._factor)

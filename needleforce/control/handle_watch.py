@@ -68,7 +68,7 @@ class HandleReport(NamedTuple):
 
     Attributes:
         reading: The sample; None if it is not to be used.
-        fault: Why there has been no usable sample of late; else empty.
+        fault: Why there has been no usable sample of late, or none at all; else empty.
         doubt: Why the needle should stand, although the sample is usable: the handle
             has jumped, or its velocity has been wrong for a while; else empty.
         has_jumped: Whether the handle is elsewhere than a hand can have moved it since
@@ -105,12 +105,11 @@ class HandleWatch:
         self._last: HandleReading | None = None
         self._last_t_s: object = None
         self._since_s = 0.0  # time since the last reading
-        self._silent_s = 0.0  # time without a valid sample
+        self._silent_s = math.inf  # time without a valid sample
         self._repeated_s = 0.0  # time for which one sample has been repeated
         self._contradicted_s = 0.0  # time for which the velocity has been wrong
-        # Means over `VELOCITY_MEMORY_s`: both lag alike.
-        self._of_positions_m_s = np.zeros(3)
-        self._reported_m_s = np.zeros(3)
+        # Means over `VELOCITY_MEMORY_s`, which lag alike: by positions, as reported.
+        self._means_m_s = np.zeros((2, 3))
 
     def update(self, sample: MasterSample | None, dt_s: float) -> HandleReport:
         """Return what a sample is good for; never raise.
@@ -129,30 +128,25 @@ class HandleWatch:
         reading = _parse(sample)
         if reading is None:
             self._silent_s += dt_s
-            what = (
-                "has been silent"
-                if sample is None
-                else "has sent no three finite positions and velocities"
-            )
-            fault = f"the haptic device {what} for {1e3 * self._silent_s:.0f} ms"
-            return HandleReport(None, fault if self._silent_s >= MAX_SILENT_s else "")
+            what = "is silent" if sample is None else "sends no finite numbers"
+            is_gone = self._silent_s >= MAX_SILENT_s
+            return HandleReport(None, f"the haptic device {what}" if is_gone else "")
         self._silent_s = 0.0
         last = self._last
-        self._last = reading
         is_repeated = last is not None and self._is_repeated(sample, reading, last)
+        self._last = reading
         self._last_t_s = getattr(sample, "t_s", None)
         self._repeated_s = self._repeated_s + dt_s if is_repeated else 0.0
         if self._repeated_s >= FROZEN_s:
-            repeated_ms = 1e3 * self._repeated_s
             return HandleReport(
                 None,
-                f"the haptic device has repeated one sample for {repeated_ms:.0f} ms: "
-                "it is frozen, or nobody holds it",
+                "the haptic device has repeated one sample: it is frozen, or nobody "
+                "holds it",
             )
         since_s = self._since_s
         self._since_s = 0.0
         if last is None:
-            self._restart(reading.velocity_m_s)
+            self._means_m_s[:] = reading.velocity_m_s
             return HandleReport(reading)
         return self._compare(reading, reading.position_m - last.position_m, since_s)
 
@@ -168,11 +162,6 @@ class HandleWatch:
             (reading.position_m == last.position_m).all()
             and (reading.velocity_m_s == last.velocity_m_s).all()
         )
-
-    def _restart(self, velocity_m_s: Array) -> None:
-        """Begin the means at a velocity: positions before say nothing about it."""
-        self._of_positions_m_s = velocity_m_s.copy()
-        self._reported_m_s = velocity_m_s.copy()
 
     def _compare(
         self, reading: HandleReading, moved_m: Array, since_s: float
@@ -190,35 +179,32 @@ class HandleWatch:
         """
         distance_m = math.sqrt(float(moved_m @ moved_m))
         if distance_m > MAX_JUMP_m:
-            self._restart(np.zeros(3))
+            self._means_m_s[:] = 0.0  # positions before say nothing about it
             return HandleReport(
                 reading._replace(velocity_m_s=np.zeros(3)),
                 doubt=f"the handle jumped by {1e3 * distance_m:.0f} mm in "
                 f"{1e3 * since_s:.0f} ms",
                 has_jumped=True,
             )
+        velocities_m_s = np.array((moved_m / since_s, reading.velocity_m_s))
         weight = since_s / (VELOCITY_MEMORY_s + since_s)
-        self._of_positions_m_s += weight * (moved_m / since_s - self._of_positions_m_s)
-        self._reported_m_s += weight * (reading.velocity_m_s - self._reported_m_s)
-        positions_m_s = self._of_positions_m_s
-        error_m_s = np.linalg.norm(self._reported_m_s - positions_m_s)
-        tolerated_m_s = VELOCITY_TOLERANCE_RATIO * np.linalg.norm(positions_m_s)
-        is_contradicted = error_m_s > VELOCITY_TOLERANCE_m_s + tolerated_m_s
-        is_reported = bool(self._reported_m_s.any())
-        self._contradicted_s += since_s
-        if not is_contradicted or not is_reported:
+        self._means_m_s += weight * (velocities_m_s - self._means_m_s)
+        by_positions_m_s, reported_m_s = self._means_m_s
+        error_m_s = np.linalg.norm(reported_m_s - by_positions_m_s)
+        tolerated_m_s = VELOCITY_TOLERANCE_RATIO * np.linalg.norm(by_positions_m_s)
+        if error_m_s <= VELOCITY_TOLERANCE_m_s + tolerated_m_s:
             self._contradicted_s = 0.0
-        if not is_contradicted:
             return HandleReport(reading)
-        velocity_m_s = positions_m_s.copy()
-        if is_reported:
-            velocity_m_s = _slower(reading.velocity_m_s, positions_m_s)
+        if not reported_m_s.any():
+            self._contradicted_s = 0.0
+            return HandleReport(reading._replace(velocity_m_s=by_positions_m_s.copy()))
+        self._contradicted_s += since_s
         is_wrong = self._contradicted_s >= CONTRADICTED_s
-        doubt = "the handle's velocity contradicts its positions" if is_wrong else ""
-        return HandleReport(reading._replace(velocity_m_s=velocity_m_s), doubt=doubt)
-
-
-def _slower(first_m_s: Array, second_m_s: Array) -> Array:
-    """Return in each direction the slower of two velocities; zero if they oppose."""
-    size_m_s = np.minimum(np.abs(first_m_s), np.abs(second_m_s))
-    return np.where(first_m_s * second_m_s > 0.0, np.sign(first_m_s) * size_m_s, 0.0)
+        is_along = reading.velocity_m_s * by_positions_m_s > 0.0
+        slower_m_s = np.minimum(np.abs(reading.velocity_m_s), np.abs(by_positions_m_s))
+        return HandleReport(
+            reading._replace(
+                velocity_m_s=is_along * np.sign(by_positions_m_s) * slower_m_s
+            ),
+            doubt="the handle's velocity contradicts its positions" if is_wrong else "",
+        )

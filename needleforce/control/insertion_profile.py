@@ -12,20 +12,15 @@ from dataclasses import asdict, dataclass
 from numbers import Integral
 from typing import NamedTuple
 
-import numpy as np
-from numpy.typing import ArrayLike
-
-from foundation.arrays import Array
 from identification.estimate import Estimate
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, require_positive
 from needleforce.control.manager import Situation
 from needleforce.control.rupture_counter import RuptureCounter
-from needleforce.control.setting_checks import require_positive
 from needleforce.control.state_machine import State
-from needleforce.control.tare_stroke import find_course
+from needleforce.control.tare_stroke import find_stroke_speed
 
-TRACKING_GAIN_PER_s = 10.0
-"""Gain with which a stroke keeps to its course."""
+END_GAIN_PER_s = 10.0
+"""Gain with which a motion comes to its end."""
 
 RETURN_m_s2 = 0.3
 """Deceleration with which a command that goes back to the tip comes to rest; a quicker
@@ -57,10 +52,6 @@ SETTLED_s = 0.1
 TIME_ROUNDING_s = 1e-6
 """Two times that are nearer to each other are the same."""
 
-MAX_STROKE_SPEED = 3.75
-"""Largest speed of a stroke, times its time over its length: twice the fastest of the
-quintic course."""
-
 
 @dataclass(frozen=True, slots=True, kw_only=True)
 class InsertionPlan:
@@ -75,8 +66,6 @@ class InsertionPlan:
         stroke_s: Time of the approach, and of the stroke each way.
         dwell_s: Time at the end of the insertion.
         acceleration_m_s2: Of starts and of planned ends.
-        stops_early: Whether a provisional alarm ends the insertion too. By default only
-            a confirmed one does, or a fall of the force that `RuptureCounter` counts.
 
     Raises:
         SettingError: A number that cannot be.
@@ -90,50 +79,14 @@ class InsertionPlan:
     stroke_s: float = 3.0
     dwell_s: float = 1.0
     acceleration_m_s2: float = 0.1
-    stops_early: bool = False
 
     def __post_init__(self) -> None:
         if not isinstance(self.layer, Integral | None):
             raise SettingError(
                 f"layer is {self.layer!r}, expected a whole number or None"
             )
-        if not isinstance(self.stops_early, bool):
-            raise SettingError(
-                f"stops_early is {self.stops_early!r}, expected True or False"
-            )
         numbers = asdict(self) | {"layer": 1 if self.layer is None else self.layer}
-        del numbers["stops_early"]
         require_positive(numbers, or_zero=("approach_m", "dwell_s"))
-
-
-def depth_of(
-    target_m: ArrayLike, tip_m: ArrayLike, axis: Array, *, tolerance_m: float = 1e-3
-) -> float:
-    """Return the depth [m] of a planned target from the place of the tip at the tare.
-
-    Args:
-        target_m: The target, base frame, shape (3,).
-        tip_m: The tip at the tare, base frame, shape (3,).
-        axis: Direction of the needle, base frame, shape (3,).
-        tolerance_m: Largest distance of the target from the needle's line.
-
-    Raises:
-        SettingError: The target lies behind the tip, or off the needle's line.
-    """
-    if not np.linalg.norm(axis) > 0.0:
-        raise SettingError(f"axis is {axis!r}, expected a direction of three numbers")
-    to_target_m = np.subtract(target_m, tip_m)
-    axis = axis / np.linalg.norm(axis)
-    depth_m = float(axis @ to_target_m)
-    miss_m = float(np.linalg.norm(to_target_m - depth_m * axis))
-    if not (depth_m > 0.0 and miss_m <= tolerance_m):
-        raise SettingError(
-            f"the target lies {1e3 * depth_m:.1f} mm ahead and {1e3 * miss_m:.1f} mm "
-            "beside the needle's line, expected ahead and within "
-            f"{1e3 * tolerance_m:g} mm",
-            "Align the needle with the plan first.",
-        )
-    return depth_m
 
 
 class Step(NamedTuple):
@@ -161,7 +114,7 @@ class InsertionProfile:
     """
 
     def __init__(self, plan: InsertionPlan) -> None:
-        self._ruptures = RuptureCounter(uses_provisional=plan.stops_early)
+        self._ruptures = RuptureCounter()
         self._plan = plan
         # Events that remain to be requested at idle.
         self._program = ["approach", "tare", "insert"][0 if plan.approach_m else 1 :]
@@ -210,19 +163,16 @@ class InsertionProfile:
     def _update_program(self, state: State) -> None:
         """Strike out what has begun; end a program that does not go on as planned."""
         last_state = self._state
-        self._state = state.value
+        self._state = state
         has_begun = bool(self._program) and state.startswith(self._program[0])
-        is_arrival = state == State.IDLE and self._last.event == "arrived"
-        is_refused = last_state == "idle" and self._last.event != "" and not has_begun
-        is_broken_off = (
-            state != last_state
-            and last_state in ("approach", "tare")
-            and not is_arrival
-        )
-        if is_refused or is_broken_off or state in (State.STOPPED, State.FAULTED):
-            self._program = []
-        elif has_begun:
+        if has_begun:
             self._program = self._program[1:]
+        is_refused = last_state == "idle" and self._last.event != "" and not has_begun
+        is_left = state != last_state and last_state in ("approach", "tare")
+        is_arrival = state == State.IDLE and self._last.event == "arrived"
+        is_broken_off = is_refused or (is_left and not is_arrival)
+        if is_broken_off or state in (State.STOPPED, State.FAULTED):
+            self._program = []
 
     def _next_step(
         self,
@@ -246,9 +196,10 @@ class InsertionProfile:
             case State.INSERTION:
                 return self._insert(identification, axial_N, depth_m, dt_s)
             case State.DWELL:
-                if situation.state_s >= plan.dwell_s:
-                    return Step(0.0, "arrived")
-                return Step(self._hold_tip(depth_m))
+                is_over = situation.state_s >= plan.dwell_s
+                return (
+                    Step(0.0, "arrived") if is_over else Step(self._hold_tip(depth_m))
+                )
             case State.WITHDRAW:
                 return self._move_by(-max(depth_m, 0.0), dt_s)
             case _:
@@ -261,7 +212,12 @@ class InsertionProfile:
         """Insert to the planned depth, or until the planned layer ruptures."""
         self._end_m = depth_m
         self._is_at_tip = False
-        self._update_steady_time(dt_s)
+        # Time at the planned speed; after a gap the force settles anew.
+        is_planned_speed = self._last.speed_m_s == self._plan.speed_m_s
+        self._steady_s = (self._steady_s + dt_s) * is_planned_speed
+        if dt_s > max(MIN_GAP_s, GAP_STEPS * self._usual_step_s):
+            self._steady_s = min(self._steady_s, SETTLED_s - FADING_s)
+        self._usual_step_s += USUAL_STEP_WEIGHT * (dt_s - self._usual_step_s)
         has_ruptured = self._ruptures.update(
             identification,
             axial_N,
@@ -275,14 +231,6 @@ class InsertionProfile:
         self._is_at_tip = bool(step.event)  # a planned end is reached at rest
         return step
 
-    def _update_steady_time(self, dt_s: float) -> None:
-        """Count the time at the planned speed; after a gap the force settles anew."""
-        is_planned_speed = self._last.speed_m_s == self._plan.speed_m_s
-        self._steady_s = (self._steady_s + dt_s) * is_planned_speed
-        if dt_s > max(MIN_GAP_s, GAP_STEPS * self._usual_step_s):
-            self._steady_s = min(self._steady_s, SETTLED_s - FADING_s)
-        self._usual_step_s += USUAL_STEP_WEIGHT * (dt_s - self._usual_step_s)
-
     def _hold_tip(self, depth_m: float) -> float:
         """Return the speed after an insertion.
 
@@ -293,22 +241,21 @@ class InsertionProfile:
             return 0.0
         ahead_m = self._commanded_m - depth_m
         self._is_at_tip = self._is_at_tip or ahead_m < ARRIVED_m
-        if self._is_at_tip:
-            return _clip(
-                HOLDING_GAIN_PER_s * (self._end_m - depth_m), self._plan.speed_m_s
-            )
-        return -math.sqrt(2.0 * RETURN_m_s2 * ahead_m)
+        if not self._is_at_tip:
+            return -math.sqrt(2.0 * RETURN_m_s2 * ahead_m)
+        holding_m_s = HOLDING_GAIN_PER_s * (self._end_m - depth_m)
+        return min(max(holding_m_s, -self._plan.speed_m_s), self._plan.speed_m_s)
 
     def _move_by(self, distance_m: float, dt_s: float) -> Step:
         """Move by a distance that remains, to its end and no further."""
-        if abs(distance_m) < ARRIVED_m:
+        remaining_m = abs(distance_m)
+        if remaining_m < ARRIVED_m:
             return Step(0.0, "arrived")
         acceleration_m_s2 = self._plan.acceleration_m_s2
-        remaining_m = abs(distance_m)
         wanted_m_s = min(
             self._plan.speed_m_s,
             math.sqrt(2.0 * acceleration_m_s2 * remaining_m),
-            TRACKING_GAIN_PER_s * remaining_m,
+            END_GAIN_PER_s * remaining_m,
         )
         wanted_m_s = math.copysign(wanted_m_s, distance_m)
         lowest_m_s = self._last.speed_m_s - acceleration_m_s2 * dt_s
@@ -316,17 +263,10 @@ class InsertionProfile:
         return Step(min(max(wanted_m_s, lowest_m_s), highest_m_s))
 
     def _stroke(self, situation: Situation, legs_m: Sequence[float]) -> Step:
-        """Move along quintic strokes from rest to rest, one after another."""
-        duration_s = self._plan.stroke_s * len(legs_m)
-        if situation.state_s >= duration_s:
+        """Move along strokes from rest to rest, one after another."""
+        leg_s = self._plan.stroke_s
+        time_s = situation.state_s
+        if time_s >= leg_s * len(legs_m):
             return Step(0.0, "arrived")
-        course = find_course(legs_m, self._plan.stroke_s, situation.state_s)
-        error_m = self._start_m + course.position - situation.estimate.depth_m
-        longest_m = max(map(abs, legs_m))
-        max_m_s = MAX_STROKE_SPEED * longest_m / self._plan.stroke_s
-        return Step(_clip(course.rate + TRACKING_GAIN_PER_s * error_m, max_m_s))
-
-
-def _clip(speed_m_s: float, max_m_s: float) -> float:
-    """Return a speed that is at most so large, either way."""
-    return min(max(speed_m_s, -max_m_s), max_m_s)
+        depth_m = situation.estimate.depth_m
+        return Step(find_stroke_speed(legs_m, leg_s, time_s, self._start_m, depth_m))

@@ -5,10 +5,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Matrix, Vector, WrittenMatrix
-from foundation.jit import compiled
-from needleforce.control.errors import RIGHT_LIMITS, SettingError
-from needleforce.control.setting_checks import require_positive
+from foundation.arrays import Vector
+from needleforce.control.errors import RIGHT_LIMITS, SettingError, require_positive
 from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from urdf import Robot
 
@@ -19,10 +17,6 @@ as much."""
 RATE_HEADROOM = 0.98
 """Fraction of acceleration and jerk that is used where the jerk is limited:
 `SLACK_rad_s` is 0.1 rad/s3 at 1 kHz, arms round, and their clocks drift."""
-
-BRAKE_CYCLES = 2.0
-"""A joint whose jerk is limited turns from acceleration to braking in so many
-cycles."""
 
 
 class JointLimits(NamedTuple):
@@ -97,7 +91,24 @@ class Limits:
             acceleration_rad_s2,
             np.inf if jerk_rad_s3 is None else jerk_rad_s3,
         )
-        _require_usable(limits, robot, margin_rad)
+        lower_rad, upper_rad, speed_rad_s, acceleration_rad_s2, jerk_rad_s3 = limits
+        ends = np.array((lower_rad, upper_rad, speed_rad_s, acceleration_rad_s2))
+        is_usable = (
+            np.isfinite(ends).all(axis=0)
+            & (lower_rad < upper_rad)
+            & (speed_rad_s > 0.0)
+            & (speed_rad_s <= robot.velocity_limit_rad_s)
+            & (acceleration_rad_s2 > 0.0)
+            & (jerk_rad_s3 > 0.0)
+        )
+        if not is_usable.all():
+            raise SettingError(
+                f"joints {', '.join(np.array(robot.joint_names)[~is_usable])}: "
+                f"expected room beyond a margin of {margin_rad:g} rad from their ends, "
+                "positive limits of speed, acceleration and jerk, and speeds not above "
+                f"the robot's own, {robot.velocity_limit_rad_s.tolist()} rad/s",
+                RIGHT_LIMITS,
+            )
         limits.speed_rad_s[:] -= SLACK_rad_s
         if self.cycle_s is not None:
             limits.jerk_rad_s3[:] *= RATE_HEADROOM
@@ -166,109 +177,3 @@ def _one_per_joint(joint_count: int, *limits: ArrayLike) -> JointLimits:
             RIGHT_LIMITS,
         ) from None
     return JointLimits(*np.array(rows))
-
-
-def _require_usable(limits: JointLimits, robot: Robot, margin_rad: float) -> None:
-    """Refuse limits that are missing, leave no room, or exceed the robot's."""
-    positions = np.array((limits.position_lower_rad, limits.position_upper_rad))
-    rates = np.array((limits.speed_rad_s, limits.acceleration_rad_s2))
-    robot_speed_rad_s = robot.velocity_limit_rad_s
-    complaints = (
-        (
-            ~np.isfinite(positions).all(axis=0),
-            "no position limits; name them in its model",
-        ),
-        (
-            ~(limits.position_lower_rad < limits.position_upper_rad),
-            f"no room within a margin of {margin_rad:g} rad",
-        ),
-        (
-            ~np.isfinite(rates).all(axis=0),
-            "no limit of speed or acceleration; give one",
-        ),
-        (
-            ~((rates > 0.0).all(axis=0) & (limits.jerk_rad_s3 > 0.0)),
-            "a speed, acceleration or jerk that is not positive",
-        ),
-        (
-            limits.speed_rad_s > robot_speed_rad_s,
-            f"a speed above the robot's own {robot_speed_rad_s.tolist()} rad/s",
-        ),
-    )
-    for is_wrong, complaint in complaints:
-        if is_wrong.any():
-            joints = ", ".join(np.array(robot.joint_names)[is_wrong])
-            raise SettingError(f"joints {joints}: {complaint}", RIGHT_LIMITS)
-
-
-@compiled
-def write_reach(
-    limits: Matrix,
-    last_rad_s: Vector,
-    last_rad_s2: Vector,
-    cycle_s: float,
-    bounds: WrittenMatrix,
-) -> None:
-    """Write the lowest and the highest velocity of the coming cycle that rates allow.
-
-        dq_last + T clip(a_last -+ j T, -a, a)
-
-    Args:
-        limits: As of `write_velocity_bounds`.
-        last_rad_s: dq_last, the velocity commanded last, shape (n,).
-        last_rad_s2: a_last, its change since the one before, over T, shape (n,).
-        cycle_s: T.
-        bounds: The velocities, shape (2, n).
-    """
-    highest_rad_s2 = limits[3]
-    change_rad_s2 = limits[4] * cycle_s
-    start_rad_s2 = np.minimum(np.maximum(last_rad_s2, -highest_rad_s2), highest_rad_s2)
-    lower_rad_s2 = np.maximum(start_rad_s2 - change_rad_s2, -highest_rad_s2)
-    upper_rad_s2 = np.minimum(start_rad_s2 + change_rad_s2, highest_rad_s2)
-    bounds[0] = last_rad_s + cycle_s * lower_rad_s2 + SLACK_rad_s
-    bounds[1] = last_rad_s + cycle_s * upper_rad_s2 - SLACK_rad_s
-
-
-@compiled
-def write_velocity_bounds(
-    limits: Matrix,
-    q_rad: Vector,
-    last_rad_s: Vector,
-    last_rad_s2: Vector,
-    cycle_s: float,
-    brake_s: float,
-    bounds: WrittenMatrix,
-) -> None:
-    """Write the bounds l <= dq <= u of the coming tick.
-
-        u = min(v, sqrt((a T)^2 + 2 a (q_max - q)) - a T),   clipped to what rates allow
-
-    and l alike. The root is the fastest speed from which the arm, braking at a after
-    this tick of T, stops before q_max: u^2 / 2a + u T = q_max - q. From anywhere in the
-    box the next tick has such a speed within reach of a again. Where noise or a push
-    has moved the arm too close, the clip lets it brake as hard as it may; l <= u.
-
-    Args:
-        limits: q_min, q_max, v, a and j: rows as the fields of `JointLimits`, shape
-            (5, n). One array passes into compiled code in 0.4 us less than five.
-        q_rad: q, shape (n,).
-        last_rad_s: The velocity commanded last, shape (n,).
-        last_rad_s2: Its acceleration, see `write_reach`.
-        cycle_s: Over which a change of the velocity counts.
-        brake_s: T, after which the arm brakes with a.
-        bounds: l and u, shape (2, n); nan where a position is.
-    """
-    write_reach(limits, last_rad_s, last_rad_s2, cycle_s, bounds)
-    speed_rad_s = limits[2]
-    change = limits[3] * brake_s - SLACK_rad_s
-    room_below = np.maximum(q_rad - limits[0], 0.0)
-    room_above = np.maximum(limits[1] - q_rad, 0.0)
-    lower = change - np.sqrt(change * change + 2.0 * limits[3] * room_below)
-    upper = np.sqrt(change * change + 2.0 * limits[3] * room_above) - change
-    lowest = np.minimum(
-        np.maximum(np.maximum(lower, -speed_rad_s), bounds[0]), bounds[1]
-    )
-    bounds[1] = np.minimum(
-        np.maximum(np.minimum(upper, speed_rad_s), bounds[0]), bounds[1]
-    )
-    bounds[0] = lowest

@@ -24,13 +24,11 @@ from scipy import signal
 from scipy.signal.windows import tukey
 
 from foundation.arrays import Array
-from needleforce.control.controller import Controller
-from needleforce.control.delay_prediction import MAX_DELAY_s
-from needleforce.control.errors import ControlError, SettingError
-from needleforce.control.guarded_motion import GuardedMotion
+from needleforce.control.controller import Controller, MAX_DELAY_s
+from needleforce.control.errors import ControlError, require_positive
 from needleforce.control.joint_limits import Limits
 from needleforce.control.ports import Arm
-from needleforce.control.setting_checks import require_positive
+from needleforce.control.run import RIGHT_ARM, move_guarded
 from needleforce.control.tasks import JointVelocity
 from urdf import Robot
 
@@ -53,17 +51,6 @@ LAST_Hz = 6.0
 REST_s = 0.3
 """Rest before the chirp, and after it: the longest delay."""
 
-POSTURE_MARGIN_rad = 0.05
-"""A joint must be so far from its limits, besides what the chirp takes."""
-
-MAX_STRAY_rad = 5e-3
-"""A joint that is so far off where it may be is pushed or runs away: the measurement
-stops."""
-
-FOLLOW_COMMANDS = (
-    "Let the arm take commands, nothing touching it, away from its limits."
-)
-
 
 class Delay(NamedTuple):
     """The delay of one joint.
@@ -72,11 +59,13 @@ class Delay(NamedTuple):
         delay_s: T.
         std_s: Its standard deviation, by what the command does not explain.
         followed: The fraction of the command that the joint has followed.
+        cycle_s: h, the usual time between two samples.
     """
 
     delay_s: float
     std_s: float
     followed: float
+    cycle_s: float
 
 
 class SafeGain(NamedTuple):
@@ -85,33 +74,19 @@ class SafeGain(NamedTuple):
     Attributes:
         safe_per_s: The largest with the phase margin.
         unstable_per_s: From here on, at the measured delay, the loop diverges.
-        margin_deg: The phase margin phi.
     """
 
     safe_per_s: float
     unstable_per_s: float
-    margin_deg: float
 
 
-def find_safe_gain(
-    delay: Delay, cycle_s: float, margin_deg: float = PHASE_MARGIN_deg
-) -> SafeGain:
-    """Return the largest gain that a delay allows, see the module.
-
-    Raises:
-        SettingError: The cycle is not positive, or the margin not within 0 to 90.
-    """
-    require_positive({"cycle_s": cycle_s})
-    if not 0.0 < margin_deg < 90.0:
-        raise SettingError(
-            f"margin_deg is {margin_deg!r}, expected degrees between 0 and 90"
-        )
-    delay_s = max(delay.delay_s, 0.0) + 0.5 * cycle_s
+def find_safe_gain(delay: Delay) -> SafeGain:
+    """Return the largest gain that a delay allows, see the module."""
+    delay_s = max(delay.delay_s, 0.0) + 0.5 * delay.cycle_s
     late_s = delay_s + 2.0 * delay.std_s
     return SafeGain(
-        safe_per_s=(0.5 * math.pi - math.radians(margin_deg)) / late_s,
+        safe_per_s=(0.5 * math.pi - math.radians(PHASE_MARGIN_deg)) / late_s,
         unstable_per_s=0.5 * math.pi / delay_s,
-        margin_deg=margin_deg,
     )
 
 
@@ -123,7 +98,7 @@ def find_delay(
     Args:
         times_s: Of the samples, shape (m,).
         command_rad_s: Velocity that was sent after each sample, until the next one,
-            shape (m,).
+            shape (m - 1,).
         q_rad: Positions, shape (m,).
         joint: Name of the joint, for messages.
 
@@ -132,8 +107,7 @@ def find_delay(
     """
     step_s = 2e-4  # of the even grid, on which delays are told apart
     grid_s = np.arange(times_s[0], times_s[-1], step_s)
-    steps_rad = command_rad_s[:-1] * np.diff(times_s)
-    commanded_rad = np.concatenate(([0.0], np.cumsum(steps_rad)))
+    commanded_rad = np.append(0.0, np.cumsum(command_rad_s * np.diff(times_s)))
     commanded_rad = signal.detrend(np.interp(grid_s, times_s, commanded_rad))
     measured_rad = signal.detrend(np.interp(grid_s, times_s, q_rad))
     lags = signal.correlation_lags(grid_s.size, grid_s.size)
@@ -141,8 +115,7 @@ def find_delay(
     products[np.abs(lags * step_s) > MAX_DELAY_s] = 0.0
     lag = int(lags[products.argmax()])
     late_rad = np.roll(commanded_rad, lag)  # both ends rest at the same place
-    power = max(float(late_rad @ late_rad), 1e-24)
-    followed = float(late_rad @ measured_rad) / power
+    followed = float(late_rad @ measured_rad) / max(float(late_rad @ late_rad), 1e-24)
     left_rad = measured_rad - followed * late_rad
     explained = 1.0 - left_rad.var() / max(measured_rad.var(), 1e-24)
     # A soft servo makes 0.7 of quick commands.
@@ -150,27 +123,18 @@ def find_delay(
         raise ControlError(
             f"{joint} moved by {100.0 * followed:.0f} % of its commands, which explain "
             f"{100.0 * max(explained, 0.0):.0f} % of its motion: expected an arm that "
-            "follows velocities and that nothing touches",
-            FOLLOW_COMMANDS,
+            "follows velocities",
+            RIGHT_ARM,
         )
     speed_rad_s = np.sqrt(np.mean(np.gradient(commanded_rad, step_s) ** 2))
     noise_s = left_rad.std() / (followed * speed_rad_s * math.sqrt(times_s.size))
-    return Delay(lag * step_s, float(noise_s), followed)
+    cycle_s = float(np.median(np.diff(times_s)))
+    return Delay(lag * step_s, float(noise_s), followed, cycle_s)
 
 
-class Lag(NamedTuple):
-    """What a measurement has found.
-
-    Attributes:
-        delays: Of every joint.
-        cycle_s: Usual time between two samples.
-    """
-
-    delays: list[Delay]
-    cycle_s: float
-
-
-def measure_lag(arm: Arm, robot: Robot, limits: Limits, duration_s: float = 3.0) -> Lag:
+def measure_lag(
+    arm: Arm, robot: Robot, limits: Limits, duration_s: float = 3.0
+) -> list[Delay]:
     """Move all joints by a small chirp, and measure the delay of each.
 
     The tip moves by 5 mm at most. However it ends, the arm is brought to rest.
@@ -182,71 +146,45 @@ def measure_lag(arm: Arm, robot: Robot, limits: Limits, duration_s: float = 3.0)
         duration_s: Of the motion.
 
     Raises:
-        ControlError: The arm takes no commands, a joint has no room, is moved by
-            something else, or has not followed its commands.
+        ControlError: The arm takes no commands, or a joint is moved by something else
+            or has not followed its commands, as at a limit.
         SettingError: The duration is not positive.
     """
     require_positive({"duration_s": duration_s})
     controller = Controller(robot, limits)
-    motion = GuardedMotion(arm, controller, duration_s + 2.0 * REST_s)
     chirp_s = np.arange(0.0, duration_s, 1e-3)
     path = signal.chirp(chirp_s, FIRST_Hz, duration_s, LAST_Hz, phi=-90)
-    path *= tukey(chirp_s.size, 0.4)
-    rates_per_s = np.gradient(path, chirp_s)
-    rows = list[tuple[float, Array, Array]]()
-    start_rad = np.zeros(0)
+    rates_per_s = np.gradient(path * tukey(chirp_s.size, 0.4), chirp_s)
+    moved_s = duration_s + 2.0 * REST_s
+    times_s: list[float] = []
+    positions_rad: list[Array] = []
+    commands_rad_s: list[Array] = []
     excursion_rad = 0.0
-    for sample in arm:
-        q_rad = np.array(sample.q_rad, dtype=np.float64)
-        if not start_rad.size:
-            start_rad = q_rad
-            excursion_rad = _find_excursion(controller, q_rad, rates_per_s)
-            motion.reason = _find_lack_of_room(robot, q_rad, excursion_rad)
-        strays_rad = np.abs(q_rad - start_rad)
-        if not strays_rad.max() < excursion_rad + MAX_STRAY_rad and not motion.is_over:
-            joint = robot.joint_names[int(strays_rad.argmax())]
-            motion.reason = f"{joint} is {strays_rad.max():.3f} rad off its start"
-        chirped_s = motion.time_s - REST_s
-        rate_per_s = float(np.interp(chirped_s, chirp_s, rates_per_s, 0.0, 0.0))
-        is_measured = motion.has_begun and not motion.is_over
-        begun_s = motion.time_s + sample.dt_s  # when this sample was taken
-        speeds_rad_s = np.full(robot.nv, excursion_rad * rate_per_s)
-        command = motion.send(sample, [JointVelocity(speeds_rad_s)])
-        if is_measured:
-            rows.append((begun_s, command.dq_rad_s, q_rad))
-        if motion.is_at_rest:
+    for time_s, tick in move_guarded(arm, controller, moved_s):
+        if time_s > moved_s and not controller.last_rad_s.any():
             break
-    if motion.reason or not motion.is_over:
-        raise ControlError(
-            f"the delay is not measured: {motion.reason or 'the samples have ended'}",
-            FOLLOW_COMMANDS,
-        )
-    times_s, commands_rad_s, positions_rad = map(np.array, zip(*rows, strict=True))
-    delays = [
-        find_delay(times_s, commands_rad_s[:, joint], positions_rad[:, joint], name)
-        for joint, name in enumerate(robot.joint_names)
+        if time_s == 0.0 or time_s > moved_s or tick.last is None:
+            continue
+        q_rad = np.array(tick.sample.q_rad, dtype=np.float64)
+        if times_s:
+            commands_rad_s.append(tick.last.dq_rad_s)
+        else:
+            excursion_rad = _find_excursion(controller, q_rad, rates_per_s)
+        times_s.append(time_s)
+        positions_rad.append(q_rad)
+        rate_per_s = float(np.interp(time_s - REST_s, chirp_s, rates_per_s, 0.0, 0.0))
+        tick.tasks = [JointVelocity(np.full(robot.nv, excursion_rad * rate_per_s))]
+    sent_rad_s = np.array(commands_rad_s).T
+    moved_rad = np.array(positions_rad).T
+    return [
+        find_delay(np.array(times_s), *signals)
+        for signals in zip(sent_rad_s, moved_rad, robot.joint_names, strict=True)
     ]
-    return Lag(delays, float(np.median(np.diff(times_s))))
 
 
 def _find_excursion(controller: Controller, q_rad: Array, rates_per_s: Array) -> float:
-    """Return how far joints may go either way from a posture [rad]."""
+    """Return how far joints go either way from a posture [rad]."""
     controller.tool.update(q_rad)
     reach_m_per_rad = np.linalg.norm(controller.tool.jacobian[:3], axis=0).sum()
     by_speed_rad = MAX_SPEED_rad_s / np.abs(rates_per_s).max()
     return float(min(by_speed_rad, MAX_TIP_m / max(reach_m_per_rad, 1e-9)))
-
-
-def _find_lack_of_room(robot: Robot, q_rad: Array, excursion_rad: float) -> str:
-    """Return which joint is too near to its limit; empty if none is."""
-    room_rad = np.minimum(
-        q_rad - robot.position_lower_rad, robot.position_upper_rad - q_rad
-    )
-    needed_rad = POSTURE_MARGIN_rad + excursion_rad
-    if (room_rad >= needed_rad).all():
-        return ""
-    joint = robot.joint_names[int(room_rad.argmin())]
-    return (
-        f"{joint} is {room_rad.min():.3f} rad from its limit: move it at least "
-        f"{needed_rad:.3f} rad away"
-    )

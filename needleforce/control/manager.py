@@ -5,11 +5,14 @@ It reads the arm's samples, runs the session and the monitors, applies the rules
 """
 
 import math
+import os
+from contextlib import suppress
 from pathlib import Path
 from typing import TYPE_CHECKING, Any, NamedTuple
 
+import msgspec
+
 from needleforce.control.errors import SettingError
-from needleforce.control.event_log import EventLog, LoggedEvent
 from needleforce.control.monitors import NOTHING, Beside, Monitors, SafetyLimits
 from needleforce.control.ports import ArmSample
 from needleforce.control.state_machine import MOVING, State, transition
@@ -32,8 +35,86 @@ MAX_HEARTBEAT_GAP_s = 0.1
 FIRST_STEP_s = 1e-3
 """Time step of a first sample that has none: the usual cycle."""
 
+_ENCODER = msgspec.json.Encoder(enc_hook=str)
 _WITH_DEPTH = MOVING - {State.GUIDANCE}
 """States whose motions depend on the depth."""
+
+
+class LoggedEvent(
+    msgspec.Struct, frozen=True, rename={"origin": "from", "target": "to"}
+):
+    """One event, a refused one included.
+
+    Attributes:
+        seq: Counts from 0.
+        t_s: On the manager's clock.
+        origin: State before it; "from" in the file.
+        event: Its name, one of `EVENTS`.
+        target: State after it; "to" in the file.
+        refused: Why it was refused; empty if it was not.
+        data: What came with it, and the facts it met.
+    """
+
+    seq: int
+    t_s: float
+    origin: str
+    event: str
+    target: str
+    refused: str
+    data: dict[str, Any]
+
+
+class EventLog:
+    """Events of a session, kept in memory and appended to a file.
+
+    Args:
+        path: The file, one JSON object per line; None: memory only.
+
+    Attributes:
+        events: Events so far.
+
+    Raises:
+        OSError: The file cannot be written.
+    """
+
+    def __init__(self, path: str | Path | None) -> None:
+        if path is not None:
+            Path(path).open("ab").close()
+        self.events: list[LoggedEvent] = []
+        self._path = path
+        self._written = 0
+
+    def append(self, event: LoggedEvent) -> str:
+        """Keep an event, and append it to the file, so that a crash loses none.
+
+        Returns:
+            Why it could not be written, so that a full disk stops no monitor; empty if
+            it was. It is written with the next event.
+
+        Raises:
+            SettingError: Its data cannot be written as JSON; it is not kept.
+        """
+        try:
+            _ENCODER.encode(event)
+        except (ValueError, RecursionError) as error:
+            raise SettingError(
+                f"data of {event.event} cannot be written as JSON: {error}"
+            ) from error
+        self.events.append(event)
+        if self._path is None:
+            return ""
+        size = None
+        try:
+            with Path(self._path).open("ab") as file:
+                size = file.tell()
+                file.write(_ENCODER.encode_lines(self.events[self._written :]))
+        except OSError as error:
+            if size is not None:
+                with suppress(OSError):  # half a line would spoil the next one
+                    os.truncate(self._path, size)
+            return f"the log cannot be written: {error}"
+        self._written = len(self.events)
+        return ""
 
 
 class Situation(NamedTuple):
@@ -88,10 +169,12 @@ class _TissueEntry:
         """Follow the needle into tissue and out of it."""
         if estimate.status is Status.REJECTED:
             return  # it repeats the last depth, or none
-        is_first = self._depth_m == math.inf
-        is_new_zero = is_first or zero is not self._zero
-        if is_new_zero and not is_first:
-            self._move_to_new_zero(estimate.depth_m - self._depth_m)
+        is_new_zero = self._depth_m == math.inf
+        if zero is not self._zero and not is_new_zero:
+            is_new_zero = True
+            moved_m = estimate.depth_m - self._depth_m
+            # From outside, it may be another place.
+            self._entry_m = math.inf if self.is_outside else self._entry_m + moved_m
         self._zero = zero
         self._depth_m = estimate.depth_m
         is_inside = estimate.identification.layer > 0
@@ -101,10 +184,6 @@ class _TissueEntry:
                 self._entry_m = -math.inf if is_new_zero else self._depth_m
         elif not is_inside and self._entry_m == -math.inf and self._zero_inside is zero:
             self._entry_m = self._depth_m
-
-    def _move_to_new_zero(self, moved_m: float) -> None:
-        """Count the entry from a new zero; from outside, it may be another place."""
-        self._entry_m = math.inf if self.is_outside else self._entry_m + moved_m
 
 
 class Manager:
@@ -127,8 +206,7 @@ class Manager:
             `Situation.reason` says so, and it is written with the next event.
 
     Raises:
-        SettingError: The session or the limits are none, or the session names a frame
-            or an axis.
+        SettingError: The session's needle is not the z axis of its tool frame.
         OSError: The log cannot be written.
     """
 
@@ -139,7 +217,14 @@ class Manager:
         *,
         log: str | Path | None = None,
     ) -> None:
-        _require_session(session, limits)
+        config = session.sensor_config
+        x, y, z = config.insertion_axis
+        if config.frame is not None or x != 0.0 or y != 0.0 or z <= 0.0:
+            raise SettingError(
+                f"the session's needle is {config.insertion_axis} of frame "
+                f"{config.frame}; motions are along z of the robot's tool frame",
+                "Load the robot with a `tool_frame` whose z axis is the needle.",
+            )
         self.session = session
         self._limits = limits
         self._log = EventLog(log)
@@ -165,18 +250,19 @@ class Manager:
 
         It never raises for a bad sample.
         """
-        dt_s = _signal(sample, "dt_s")
+        dt_s: Any = getattr(sample, "dt_s", None)
         if 0.0 < as_float(dt_s) <= MAX_SAMPLE_STEP_s:
             self._step_s = as_float(dt_s)
         self._time_s += self._step_s
-        estimate = self.session.update(
-            _signal(sample, "q_rad"),
-            _signal(sample, "dq_rad_s"),
-            _signal(sample, "tau_Nm"),
-            dt_s,
-        )
+        names = ("q_rad", "dq_rad_s", "tau_Nm")
+        signals: list[Any] = [getattr(sample, name, None) for name in names]
+        q_rad, dq_rad_s, tau_Nm = signals
+        estimate = self.session.update(q_rad, dq_rad_s, tau_Nm, dt_s)
         self._entry.update(estimate, self.session.zero)
-        self._end_tare(estimate)
+        has_ended = self._tare.after(self.session, estimate)
+        if has_ended and self._state is State.TARE and not self._check_tare():
+            self._entry.forget()
+            self._apply("arrived", self._arrival)
         event, reason = self._monitors.update(estimate, sample, beside, self._step_s)
         is_zero_moved = self.session.zero is not self._state_zero
         if not event and is_zero_moved and self._state in _WITH_DEPTH:
@@ -210,61 +296,46 @@ class Manager:
             SettingError: The event is unknown, or the data cannot be written as JSON.
         """
         if event == "arrived" and self._state is State.TARE:
-            return self._start_tare(data)
+            if self._tare.is_running:
+                return ""
+            self._tare.start(self.session)
+            self._arrival = data
+            # The tare itself has moved the zero of depth, no one else.
+            self._state_zero = self.session.zero
+            return self._check_tare()
         refused = self._apply(event, data)
         if event == "tare" and not refused:
             self.session.start_tare_recording()
             self._tare = TareRun()  # what an earlier one was fitted to is gone
         return refused
 
-    def _start_tare(self, data: dict[str, Any]) -> str:
-        """Start a tare, unless one is being fitted; return why it is refused."""
-        if self._tare.is_running:
+    def _check_tare(self) -> str:
+        """Stop if the tare is refused; return why."""
+        if self._tare.refusal is None:
             return ""
-        self._tare.start(self.session)
-        if self._tare.refusal is not None:
-            return self._refuse_tare()
-        self._arrival = data
-        # The tare itself has moved the zero of depth, no one else.
-        self._state_zero = self.session.zero
-        return ""
-
-    def _end_tare(self, estimate: "SessionEstimate") -> None:
-        """End the state ``tare`` once its tare is fitted, or refused."""
-        has_ended = self._tare.after(self.session, estimate)
-        if not has_ended or self._state is not State.TARE:
-            return
-        if self._tare.refusal is not None:
-            self._refuse_tare()
-            return
-        self._entry.forget()
-        self._apply("arrived", self._arrival)
-
-    def _refuse_tare(self) -> str:
-        return self._apply(
-            "limit", {"reason": f"the tare is refused: {self._tare.refusal}"}
-        )
+        reason = f"the tare is refused: {self._tare.refusal}"
+        return self._apply("limit", {"reason": reason}) or reason
 
     def _apply(self, event: str, data: dict[str, Any]) -> str:
         """Apply the rules to an event and log it; return why it is refused."""
         facts = self._facts()
         origin = self._state
         target, refused = transition(origin, event, facts)
-        logged = LoggedEvent(
-            seq=len(self.events),
-            t_s=self._time_s,
-            origin=origin,
-            event=event,
-            target=target,
-            refused=refused,
-            data={**data, "facts": facts},
+        failure = self._log.append(
+            LoggedEvent(
+                seq=len(self.events),
+                t_s=self._time_s,
+                origin=origin,
+                event=event,
+                target=target,
+                refused=refused,
+                data={**data, "facts": facts},
+            )
         )
-        self._log.append(logged)
         self._reason = refused or str(data.get("reason", "")) or self._reason
+        self._reason = "; ".join(filter(None, (self._reason, failure)))
         if target is not origin:
             self._enter(target)
-        if failure := self._log.write():
-            self._reason = f"{self._reason}; {failure}".lstrip("; ")
         return refused
 
     def _enter(self, state: State) -> None:
@@ -290,26 +361,3 @@ class Manager:
             "healthy": self._monitors.is_healthy,
         }
         return [name for name, holds in facts.items() if holds]
-
-
-def _signal(sample: object, name: str) -> Any:
-    """Return a signal of a sample; None where it has none, or is none itself."""
-    return getattr(sample, name, None)
-
-
-def _require_session(session: Any, limits: Any) -> None:
-    """Refuse what is no session and no limits, or a needle that is not the tool's z."""
-    has_limits = isinstance(limits, SafetyLimits | None)
-    if not (hasattr(session, "sensor_config") and has_limits):
-        raise SettingError(
-            f"got {session!r:.80} and {limits!r}, expected an InsertionSession and "
-            "SafetyLimits or None"
-        )
-    config = session.sensor_config
-    x, y, z = config.insertion_axis
-    if config.frame is not None or x != 0.0 or y != 0.0 or z <= 0.0:
-        raise SettingError(
-            f"the session's needle is {config.insertion_axis} of frame {config.frame}; "
-            "motions are along z of the robot's tool frame",
-            "Load the robot with a `tool_frame` whose z axis is the needle.",
-        )

@@ -13,10 +13,9 @@ import numpy as np
 
 from foundation.arrays import Array
 from identification.estimate import SampleStatus
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, as_vector, require_positive
 from needleforce.control.handle_watch import HandleReport
 from needleforce.control.ports import ArmSample
-from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.state_machine import State
 from needleforce.insertion_events import describe_hard_contact
 from needleforce.needle_on_plan import describe_clearances, describe_deviation
@@ -40,7 +39,6 @@ class SafetyLimits:
         lost_s: Time of bad samples beyond that of valid ones.
         late_s: Longest time without a sample.
         refused_s: Time of refused commands.
-        device_s: Longest time without news of the haptic device in teleoperation.
         tracking_rad: Motion of a joint within a second that was not commanded.
         reaction_s: Time from a decision to the arm at rest, over which forces are
             predicted.
@@ -59,7 +57,6 @@ class SafetyLimits:
     lost_s: float = 0.006
     late_s: float = 0.03
     refused_s: float = 0.005
-    device_s: float = 0.04
     tracking_rad: float = 0.05
     reaction_s: float = 0.015
     stop_off_plan: bool = False
@@ -78,10 +75,8 @@ class Beside(NamedTuple):
         command_rad_s: That command, shape (n,); None while the arm is not commanded.
         axial_N: Axial force of an F/T sensor, its bias and the needle's weight removed;
             None for that of the session.
-        has_device: Whether the haptic device has sent something new, where nothing
-            else is known of it: at the far end of a line.
         handle: What a sample of the haptic device is good for, see `HandleWatch`; None
-            where there was no call for it.
+            where nobody has asked.
         sample_status: Of an `Identifier` that uses the F/T sensor, at the sample
             before; nothing of it is known to the session.
     """
@@ -89,7 +84,6 @@ class Beside(NamedTuple):
     accepted: bool = True
     command_rad_s: Array | None = None
     axial_N: float | None = None
-    has_device: bool = False
     handle: HandleReport | None = None
     sample_status: SampleStatus = SampleStatus.OK
 
@@ -122,21 +116,6 @@ _HOLDING = (*_ADVANCING, State.DWELL)
 _RATE_LAG_s = 0.01
 """Time constant of the force's rate: shorter than the lag of the virtual sensor."""
 
-_TRACKING_s = 1.0
-"""Memory of commanded and measured motion: a joint that drifts shows within it."""
-
-_FOLLOWING_LAG_s = 0.03
-"""Time by which an arm may lag behind its commands."""
-
-_MIN_PATH_rad = 2e-3
-"""Least motion that is compared: noise and backlash stay below."""
-
-_MAX_LAG_FRACTION = 0.5
-"""Fraction of the commanded path by which an arm may be behind it."""
-
-_MIN_NORM_rad = 1e-9
-"""Keeps the direction of the commanded motion finite where there is none."""
-
 _CLEAR_s = 0.1
 """A fault must be gone for so long before a reset."""
 
@@ -151,17 +130,29 @@ _FADING_LAGS = 3.0
 """What torques that nobody saw did to the force decays within so many of its lags."""
 
 
-class _CommandTracking:
-    """Compares commanded and measured motion of the joints over the last second.
+_TRACKING_s = 1.0
+"""Memory of both motions: a joint that drifts shows within it."""
+
+_FOLLOWING_LAG_s = 0.03
+"""Time by which an arm may lag behind its commands."""
+
+_MAX_LAG_FRACTION = 0.5
+"""Fraction of the commanded path by which an arm may be behind it."""
+
+_MIN_PATH_rad = 2e-3
+"""Least motion that is compared: noise and backlash stay below."""
+
+
+class CommandTracking:
+    """Compares commanded and measured motion of the joints.
 
     Args:
-        max_rad: See `SafetyLimits.tracking_rad`.
+        max_rad: Motion of a joint that was not commanded, at most.
     """
 
     def __init__(self, max_rad: float) -> None:
         self._max_rad = max_rad
-        self._position_rad: Array | None = None
-        self.restart()
+        self.pause()
 
     def restart(self) -> None:
         """Forget the motion so far."""
@@ -171,18 +162,23 @@ class _CommandTracking:
 
     def pause(self) -> None:
         """Stop comparing: the arm is not commanded and may go where others lead it."""
-        self._position_rad = None
+        self._position_rad: Array | None = None
         self.restart()
 
     def check(self, position_rad: Array, command_rad_s: Array, step_s: float) -> str:
-        """Return what is wrong after one cycle; empty if the arm follows."""
+        """Return what is wrong after one cycle; empty if the arm follows.
+
+        Args:
+            position_rad: Where the joints are, shape (n,), in an array of its own.
+            command_rad_s: Velocity commanded in this cycle, shape (n,).
+            step_s: Time of the cycle.
+        """
         decay = math.exp(-step_s / _TRACKING_s)
         if self._position_rad is None:
-            self._measured_rad = decay * self._measured_rad
-        else:
-            moved_rad = position_rad - self._position_rad
-            self._measured_rad = decay * (self._measured_rad + moved_rad)
+            self._position_rad = position_rad
+        moved_rad = position_rad - self._position_rad
         self._position_rad = position_rad
+        self._measured_rad = decay * (self._measured_rad + moved_rad)
         self._commanded_rad = decay * (self._commanded_rad + step_s * command_rad_s)
         speed_rad_s = math.sqrt(float(command_rad_s.dot(command_rad_s)))
         self._path_rad = decay * (self._path_rad + step_s * speed_rad_s)
@@ -190,68 +186,14 @@ class _CommandTracking:
         deviation_rad = self._commanded_rad - self._measured_rad
         commanded_rad = math.sqrt(float(self._commanded_rad.dot(self._commanded_rad)))
         behind_rad = float(deviation_rad.dot(self._commanded_rad)) / max(
-            commanded_rad, _MIN_NORM_rad
+            commanded_rad,
+            1e-9,  # finite where there was no motion
         )
-        max_behind_rad = _MAX_LAG_FRACTION * self._path_rad + _MIN_PATH_rad + lag_rad
-        if behind_rad > max_behind_rad:
+        if behind_rad > _MAX_LAG_FRACTION * self._path_rad + _MIN_PATH_rad + lag_rad:
             return "the arm does not follow its commands"
         largest_rad = float(np.abs(deviation_rad).max())
         if largest_rad > self._max_rad + lag_rad:
             return f"a joint has moved by {largest_rad:.2g} rad that were not commanded"
-        return ""
-
-
-class _SideForce:
-    """Watches a force across the needle that lasts, and is not what a gap has left.
-
-    Args:
-        limits: Force and time.
-    """
-
-    def __init__(self, limits: SafetyLimits) -> None:
-        self._limits = limits
-        self._lateral_N = 0.0
-        self._last_step_s = math.inf
-        self.enter(State.IDLE)
-
-    def enter(self, state: State) -> None:
-        """Begin a state with the force as it is.
-
-        A needle that was stopped by a side force must still come out.
-        """
-        self._state = state
-        self._impulse_Ns = 0.0
-        self._fading_s = 0.0  # time for which a gap still shows in the force
-        self._max_N = self._limits.lateral_N + (
-            self._lateral_N if state == State.WITHDRAW else 0.0
-        )
-
-    def measure(self, lateral_N: float) -> None:
-        """Take the force of a sample."""
-        self._lateral_N = lateral_N
-
-    def check(self, step_s: float, lag_s: float) -> str:
-        """Return what is wrong after one cycle; empty if nothing is.
-
-        Args:
-            step_s: Time of the cycle.
-            lag_s: Of the session's force.
-        """
-        if step_s > max(_MIN_GAP_s, _GAP_STEPS * self._last_step_s):
-            self._fading_s = _FADING_LAGS * lag_s
-        else:
-            self._fading_s = max(self._fading_s - step_s, 0.0)
-        self._last_step_s = step_s
-        is_above = (
-            self._state in _AT_TISSUE
-            and self._lateral_N > self._max_N
-            and self._fading_s == 0.0
-        )
-        self._impulse_Ns = (
-            self._impulse_Ns + step_s * self._lateral_N if is_above else 0.0
-        )
-        if self._impulse_Ns > self._limits.lateral_s * self._max_N:
-            return f"side force {self._lateral_N:.2f} N"
         return ""
 
 
@@ -270,25 +212,32 @@ class Monitors:
     def __init__(self, session: "InsertionSession", limits: SafetyLimits) -> None:
         self._session = session
         self._limits = limits
-        self._tracking = _CommandTracking(limits.tracking_rad)
-        self._side_force = _SideForce(limits)
+        self._tracking = CommandTracking(limits.tracking_rad)
         self._bad_s = 0.0
-        self._device_silent_s = math.inf
-        self._device_fault = ""
         self._clear_s = math.inf
+        self._lateral_N = 0.0
+        self._fading_s = 0.0  # time for which a gap still shows in the force
+        self._last_step_s = math.inf
         self.has_device = False
         self.is_healthy = True
         self.enter(State.IDLE)
 
     def enter(self, state: State) -> None:
-        """Begin a state: commands and forces are compared with what they are now."""
+        """Begin a state: commands and forces are compared with what they are now.
+
+        A needle that was stopped by a side force must still come out.
+        """
         self._state = state
         self._refused_s = 0.0
         self._axial_N: float | None = None  # a tare makes the force jump
         self._axial_rate_N_per_s = 0.0
         self._entry_axial_N: float | None = None
         self._tracking.restart()
-        self._side_force.enter(state)
+        self._impulse_Ns = 0.0  # of a side force that lasts
+        self._fading_s = 0.0
+        self._max_lateral_N = self._limits.lateral_N
+        if state == State.WITHDRAW:
+            self._max_lateral_N += self._lateral_N
 
     def update(
         self,
@@ -308,16 +257,16 @@ class Monitors:
         Returns:
             ``fault`` or ``limit``, and why.
         """
-        self._side_force.measure(estimate.wrench.lateral)
-        self._watch_device(beside, step_s)
-        axial_N = (
-            estimate.wrench.axial
-            if beside.axial_N is None
-            else as_float(beside.axial_N)
-        )
+        axial_N = estimate.wrench.axial
+        if beside.axial_N is not None:
+            axial_N = as_float(beside.axial_N)
+        self._lateral_N = estimate.wrench.lateral
+        device_fault = "nobody reads the haptic device"
+        if beside.handle is not None:
+            device_fault = beside.handle.fault
+        self.has_device = not device_fault
         fault = (
-            self._check_lateness(as_float(getattr(sample, "dt_s", None)))
-            or self._check_signals(estimate, axial_N, step_s)
+            self._check_signals(estimate, sample, axial_N, step_s)
             or self._check_pull(estimate, beside, axial_N)
             or self._check_command(estimate, sample, beside, step_s)
         )
@@ -325,83 +274,38 @@ class Monitors:
         self.is_healthy = self._clear_s >= _CLEAR_s
         if fault:
             return "fault", fault
-        lag_s = self._session.lag_s
-        ahead_s = self._limits.reaction_s + (lag_s if beside.axial_N is None else 0.0)
         if not math.isfinite(axial_N):
             axial_N = self._axial_N or 0.0
+        lag_s = self._session.lag_s
+        ahead_s = self._limits.reaction_s + (lag_s if beside.axial_N is None else 0.0)
         ahead_N = self._predict_axial_N(axial_N, ahead_s, step_s)
-        side_force = self._side_force.check(step_s, lag_s)
+        side_force = self._check_side_force(step_s, lag_s)
         stop = (
-            self._check_hard_contact(estimate)
+            (device_fault if self._state == State.TELEOP else "")
+            or self._check_by_itself(estimate, beside)
             or self._check_axial(estimate, axial_N, ahead_N)
             or side_force
-            or self._check_speed(estimate, beside)
             or self._check_plan(estimate)
         )
-        if self._state == State.TELEOP and not self.has_device:
-            silent_ms = 1e3 * self._device_silent_s
-            stop = (
-                self._device_fault
-                or f"the haptic device has been silent for {silent_ms:.0f} ms"
-            )
         return ("limit", stop) if stop else ("", "")
 
-    def _check_speed(self, estimate: "SessionEstimate", beside: Beside) -> str:
-        """Return what is wrong with an advance that outruns the session's force.
-
-        In teleoperation the hand decides.
-        """
-        is_too_fast = SensorWarning.TOO_FAST in estimate.warnings
-        if self._state != State.INSERTION or beside.axial_N is not None:
-            return ""
-        return estimate.wrench.message if is_too_fast else ""
-
-    def _check_plan(self, estimate: "SessionEstimate") -> str:
-        """Return what stops an advance by the plan; empty if nothing does."""
-        deviation = estimate.deviation
-        if deviation is None or self._state not in _ADVANCING:
-            return ""
-        is_asked = self._limits.stop_off_plan
-        is_autonomous = self._state == State.INSERTION
-        is_stopped = (is_asked and deviation.is_off_plan) or (
-            (is_asked or is_autonomous) and deviation.is_past_target
-        )
-        if is_stopped:
-            return describe_deviation(deviation)
-        is_watched = is_asked or is_autonomous
-        near = estimate.clearances[:1] if is_watched else ()
-        return describe_clearances(near) if near and near[0].is_too_near else ""
-
-    def _watch_device(self, beside: Beside, step_s: float) -> None:
-        """Find out whether the haptic device has sent something usable of late."""
-        handle = beside.handle
-        has_news = beside.has_device or (
-            handle is not None and handle.reading is not None
-        )
-        self._device_fault = handle.fault if handle is not None else ""
-        self._device_silent_s = 0.0 if has_news else self._device_silent_s + step_s
-        is_silent = self._device_silent_s > self._limits.device_s
-        self.has_device = not (is_silent or self._device_fault)
-
-    def _check_lateness(self, dt_s: float) -> str:
-        """Return what is wrong with the time since the last sample."""
-        is_late = dt_s > self._limits.late_s
-        return f"no sample for {1e3 * dt_s:.0f} ms" if is_late else ""
-
     def _check_signals(
-        self, estimate: "SessionEstimate", axial_N: float, step_s: float
+        self,
+        estimate: "SessionEstimate",
+        sample: ArmSample,
+        axial_N: float,
+        step_s: float,
     ) -> str:
         """Return what is wrong with the signals of arm and force sensor."""
+        dt_s = as_float(getattr(sample, "dt_s", None))
         is_rejected = estimate.status is Status.REJECTED
         has_force = math.isfinite(axial_N)
         bad_step_s = -step_s if has_force and not is_rejected else step_s
         self._bad_s = max(self._bad_s + bad_step_s, 0.0)
+        if dt_s > self._limits.late_s:
+            return f"no sample for {1e3 * dt_s:.0f} ms"
         if self._bad_s > self._limits.lost_s:
-            reason = (
-                estimate.wrench.message
-                if has_force
-                else f"axial force of the sensor {axial_N}"
-            )
+            reason = estimate.wrench.message if has_force else f"axial force {axial_N}"
             return f"bad samples for {1e3 * self._bad_s:.0f} ms: {reason}"
         is_broken = bool(estimate.warnings & _FAULTS) and not is_rejected
         return estimate.wrench.message if is_broken else ""
@@ -410,11 +314,9 @@ class Monitors:
         self, estimate: "SessionEstimate", beside: Beside, axial_N: float
     ) -> str:
         """Return what is wrong where no tissue exerts the force."""
-        status = (
-            estimate.identification.status
-            if beside.axial_N is None
-            else beside.sample_status
-        )
+        status = estimate.identification.status
+        if beside.axial_N is not None:
+            status = beside.sample_status
         if status is SampleStatus.NEEDLE_PULLED and self._state in _HOLDING:
             return f"axial force {axial_N:.2f} N: {status.value}"
         return ""
@@ -437,11 +339,10 @@ class Monitors:
             return ""
         position_rad = np.array(sample.q_rad, dtype=np.float64)
         try:
-            command = as_vector(command, len(position_rad), "command")
-        except SettingError:
-            expected = f"expected {len(position_rad)} finite numbers"
-            return f"the command is {command!r:.80}, {expected}"
-        return self._tracking.check(position_rad, command, step_s)
+            command_rad_s = as_vector(command, position_rad.size, "the command")
+        except SettingError as error:
+            return str(error)
+        return self._tracking.check(position_rad, command_rad_s, step_s)
 
     def _predict_axial_N(self, axial_N: float, ahead_s: float, step_s: float) -> float:
         """Return the axial force a time ahead, from its reading and its mean rate."""
@@ -451,6 +352,37 @@ class Monitors:
             rise_N / step_s - self._axial_rate_N_per_s
         )
         return axial_N + ahead_s * self._axial_rate_N_per_s
+
+    def _check_side_force(self, step_s: float, lag_s: float) -> str:
+        """Return what is wrong with a side force that lasts, and no gap has left.
+
+        Args:
+            step_s: Time of the cycle.
+            lag_s: Of the session's force.
+        """
+        self._fading_s = max(self._fading_s - step_s, 0.0)
+        if step_s > max(_MIN_GAP_s, _GAP_STEPS * self._last_step_s):
+            self._fading_s = _FADING_LAGS * lag_s
+        self._last_step_s = step_s
+        is_above = self._state in _AT_TISSUE and self._lateral_N > self._max_lateral_N
+        self._impulse_Ns += step_s * self._lateral_N
+        if self._fading_s > 0.0 or not is_above:
+            self._impulse_Ns = 0.0
+        if self._impulse_Ns > self._limits.lateral_s * self._max_lateral_N:
+            return f"side force {self._lateral_N:.2f} N"
+        return ""
+
+    def _check_by_itself(self, estimate: "SessionEstimate", beside: Beside) -> str:
+        """Return what stops an insertion by itself: bone, or an outrun force.
+
+        In teleoperation the hand feels the one and decides on the other.
+        """
+        if self._state != State.INSERTION:
+            return ""
+        if estimate.identification.hard_contact is not None:
+            return describe_hard_contact(estimate.identification.hard_contact)
+        is_outrun = SensorWarning.TOO_FAST in estimate.warnings
+        return estimate.wrench.message if is_outrun and beside.axial_N is None else ""
 
     def _check_axial(
         self, estimate: "SessionEstimate", axial_N: float, ahead_N: float
@@ -464,10 +396,11 @@ class Monitors:
         if estimate.warnings & _FORCE_UNUSABLE and state in _ADVANCING:
             return estimate.wrench.message
         against_N = max(axial_N, ahead_N)
+        pulling_N = -min(axial_N, ahead_N)
         if state == State.WITHDRAW:
-            against_N = -min(axial_N, ahead_N)
+            against_N = pulling_N
         elif state == State.TELEOP:
-            against_N = max(against_N, -min(axial_N, ahead_N))
+            against_N = max(against_N, pulling_N)
         limit_N = self._limits.axial_N
         if against_N > limit_N:
             return (
@@ -475,16 +408,6 @@ class Monitors:
                 f"limit {limit_N:g} N"
             )
         return ""
-
-    def _check_hard_contact(self, estimate: "SessionEstimate") -> str:
-        """Return what is wrong with the tip; empty unless it meets bone by itself.
-
-        In teleoperation the hand feels it.
-        """
-        contact = estimate.identification.hard_contact
-        if contact is None or self._state != State.INSERTION:
-            return ""
-        return describe_hard_contact(contact)
 
     def _check_axial_in_air(self, estimate: "SessionEstimate") -> str:
         """Return what is wrong with the change of the axial force in this state.
@@ -499,3 +422,15 @@ class Monitors:
         max_N = min(limits.axial_N, limits.free_N) if is_known else limits.free_N
         change_N = abs(axial_N - self._entry_axial_N)
         return f"axial force changed by {change_N:.1f} N" if change_N > max_N else ""
+
+    def _check_plan(self, estimate: "SessionEstimate") -> str:
+        """Return what stops an advance by the plan; empty if nothing does."""
+        deviation = estimate.deviation
+        is_asked = self._limits.stop_off_plan
+        is_watched = is_asked or self._state == State.INSERTION
+        if deviation is None or self._state not in _ADVANCING or not is_watched:
+            return ""
+        if deviation.is_past_target or (is_asked and deviation.is_off_plan):
+            return describe_deviation(deviation)
+        near = estimate.clearances[:1]
+        return describe_clearances(near) if near and near[0].is_too_near else ""

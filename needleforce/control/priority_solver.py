@@ -9,7 +9,7 @@ one: a row counts by how far joints move for it.
 
 import itertools
 import math
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from typing import NamedTuple, cast
 
 import numpy as np
@@ -19,7 +19,6 @@ from foundation.jit import compiled, compiled_inside
 from foundation.linear_algebra import (
     dot,
     find_complement,
-    index_of_largest,
     make_rows_orthogonal,
     multiply,
     multiply_transposed,
@@ -137,29 +136,12 @@ class Stack:
             self.joint_velocity[:] = lowest.velocity_at(tool.q_rad)
 
 
-class Level(NamedTuple):
-    """A level to be solved, with rows J dq = v that damp it beside its own.
-
-    Attributes:
-        rows: J, shape (m, n).
-        rates: v, shape (m,).
-        free: N, orthonormal directions in columns, that move no row of the levels
-            above, shape (n, k).
-        unbounded: What this level and those above ask for without bounds, shape (n,).
-    """
-
-    rows: Matrix
-    rates: Vector
-    free: Matrix
-    unbounded: Vector
-
-
 class PlannedLevel(NamedTuple):
     """A level without bounds, and what it leaves to those below.
 
     Attributes:
-        rows: As of `Level`; those that damp it come last.
-        rates: As of `Level`.
+        rows: J of rows J dq = v, those that damp the level last, shape (m, n).
+        rates: v, shape (m,).
         rank: Number of orthonormal directions, in the basis, that move this level or
             those above.
         is_damped: Whether a direction is damped that joints hardly move.
@@ -171,13 +153,8 @@ class PlannedLevel(NamedTuple):
     is_damped: bool
 
 
-Solver = Callable[[Stack], tuple[Array, bool]]
-"""Joint velocities for a stack, in an array of their own, and whether one is at a
-limit."""
-
-
 def hierarchical(stack: Stack) -> tuple[Array, bool]:
-    """Return joint velocities in strict priority within hard limits; see `Solver`.
+    """Return joint velocities in strict priority, and whether one is at a limit.
 
     Without bounds each level takes from what is asked for, see `plan_level`. If that is
     within the limits, it is the velocity. Otherwise each level moves within the null
@@ -277,30 +254,28 @@ def solve_within_bounds(
     start = 0
     asked = np.zeros(joints)
     # The start depends on no lower task, so that none can matter to a higher one.
-    for k in range(joints):
-        velocity[k] = min(max(0.0, bounds[0, k]), bounds[1, k])
+    velocity[:] = np.minimum(np.maximum(0.0, bounds[0]), bounds[1])
     for level_end in level_ends:
         end = int(level_end)
         if rank < joints:
             free = np.ascontiguousarray(find_complement(basis, rank).T)
             planned = plan_level(rows[start:end], rates[start:end], basis, rank, asked)
-            level = Level(planned.rows, planned.rates, free, asked)
-            velocity[:] = solve_bounded_level(level, bounds, velocity)
+            velocity[:] = solve_bounded_level(
+                planned.rows, planned.rates, free, asked, bounds, velocity
+            )
             rank = planned.rank
         start = end
     if rank < joints:
         free = np.ascontiguousarray(find_complement(basis, rank).T)
         follow_where_free(joint_velocity, basis, rank, asked)
-        level = Level(np.eye(joints), joint_velocity, free, asked)
-        velocity[:] = solve_bounded_level(level, bounds, velocity)
-    is_limited = False
-    for k in range(joints):
-        lowest = bounds[0, k] - SLACK_rad_s
-        highest = bounds[1, k] + SLACK_rad_s
-        velocity[k] = min(max(velocity[k], lowest), highest)
-        room = min(velocity[k] - bounds[0, k], bounds[1, k] - velocity[k])
-        is_limited = is_limited or room <= AT_LIMIT_rad_s
-    return is_limited
+        velocity[:] = solve_bounded_level(
+            np.eye(joints), joint_velocity, free, asked, bounds, velocity
+        )
+    lowest = bounds[0] - SLACK_rad_s
+    highest = bounds[1] + SLACK_rad_s
+    velocity[:] = np.minimum(np.maximum(velocity, lowest), highest)
+    room = np.minimum(velocity - bounds[0], bounds[1] - velocity)
+    return bool((room <= AT_LIMIT_rad_s).any())
 
 
 @compiled_inside
@@ -359,15 +334,9 @@ def plan_level(
     damped = np.zeros(size)
     for i in range(size):
         if motions[i] > MIN_MOTION and rank < joints:
-            direction = basis[rank]
+            add_direction(new_rows[i], motions[i], basis, rank)
             for k in range(joints):
-                direction[k] = new_rows[i, k] / motions[i]
-            # Of a row that is hardly new the rounding counts.
-            remove_parts(direction, basis, rank)
-            length = math.sqrt(dot(direction, direction))
-            for k in range(joints):
-                direction[k] /= length
-                asked[k] += steps_rad_s[i] * direction[k]
+                asked[k] += steps_rad_s[i] * basis[rank, k]
             damped[rank - first] = dampings[i]
             rank += 1
     damping_rows = scale_positive_rows(basis[first:rank], damped[: rank - first])
@@ -378,6 +347,22 @@ def plan_level(
         rank,
         damping_rates.size > 0,
     )
+
+
+@compiled_inside
+def add_direction(row: Vector, length: float, basis: WrittenMatrix, rank: int) -> None:
+    """Write a row of that length, scaled to one, after the first so many of a basis.
+
+    Of a row that is hardly new the rounding counts: what it shares with them is removed
+    once more.
+    """
+    direction = basis[rank]
+    for k in range(row.size):
+        direction[k] = row[k] / length
+    remove_parts(direction, basis, rank)
+    length = math.sqrt(dot(direction, direction))
+    for k in range(row.size):
+        direction[k] /= length
 
 
 @compiled_inside
@@ -394,8 +379,7 @@ def follow_where_free(
     """
     change = joint_velocity - velocity
     remove_parts(change, basis, rank)
-    for k in range(velocity.size):
-        velocity[k] += change[k]
+    velocity += change
 
 
 @compiled_inside
@@ -462,7 +446,14 @@ def damp_detour(motion: float, error: float) -> float:
 
 
 @compiled_inside
-def solve_bounded_level(level: Level, bounds: Matrix, start: Vector) -> Array:
+def solve_bounded_level(
+    rows: Matrix,
+    rates: Vector,
+    free: Matrix,
+    unbounded: Vector,
+    bounds: Matrix,
+    start: Vector,
+) -> Array:
     """Solve a level, see `solve_level`; damp what remains where bounds take joints.
 
     A joint that a bound keeps from what it is asked for is a lost freedom. The rest may
@@ -472,38 +463,36 @@ def solve_bounded_level(level: Level, bounds: Matrix, start: Vector) -> Array:
     what remains and hardly moves the level.
 
     Args:
-        level: As `plan_level` returns it.
+        rows: J of the level and of what damps it, shape (m, n).
+        rates: v of them, shape (m,).
+        free: N, orthonormal directions in columns, that move no row of the levels
+            above, shape (n, k).
+        unbounded: What this level and those above ask for without bounds, shape (n,).
         bounds: l and u, shape (2, n).
         start: Velocity of the levels above, within bounds, shape (n,).
 
     Returns:
         The velocity of the level, shape (n,).
     """
-    rows = level.rows.copy()
-    rates = level.rates.copy()
     velocity = start.copy()
-    asked = np.minimum(np.maximum(level.unbounded, bounds[0]), bounds[1])
-    lost = np.where(level.unbounded != asked, 1.0, 0.0)
+    asked = np.minimum(np.maximum(unbounded, bounds[0]), bounds[1])
+    lost = np.where(unbounded != asked, 1.0, 0.0)
     for solution in range(MAX_STAND_IN_SOLUTIONS):
         errors = rates - multiply_vector(rows, asked)
-        damping_rows = damp_stand_ins(rows, errors, level.free, lost)
+        damping_rows = damp_stand_ins(rows, errors, free, lost)
         if solution > 0 and not len(damping_rows):
             break
         rows = np.vstack((rows, damping_rows))
-        damped_rates = multiply_vector(damping_rows, level.unbounded)
+        damped_rates = multiply_vector(damping_rows, unbounded)
         rates = np.concatenate((rates, damped_rates))
-        velocity, _ = solve_level(rows, rates, level.free, bounds, start)
-        is_settled = True
-        for k in range(start.size):
-            room = min(velocity[k] - bounds[0, k], bounds[1, k] - velocity[k])
-            # At the other bound it stands in for others.
-            is_asked = abs(velocity[k] - asked[k]) <= AT_LIMIT_rad_s
-            is_free = asked[k] == level.unbounded[k]
-            is_lost = room <= AT_LIMIT_rad_s and (is_asked or is_free)
-            is_settled = is_settled and is_lost == (lost[k] != 0.0)
-            lost[k] = 1.0 if is_lost else 0.0
-        if is_settled:
+        velocity = solve_level(rows, rates, free, bounds, start)
+        room = np.minimum(velocity - bounds[0], bounds[1] - velocity)
+        # At the other bound it stands in for others.
+        is_asked = np.abs(velocity - asked) <= AT_LIMIT_rad_s
+        is_lost = (room <= AT_LIMIT_rad_s) & (is_asked | (asked == unbounded))
+        if (is_lost == (lost != 0.0)).all():
             break
+        lost = np.where(is_lost, 1.0, 0.0)
     return velocity
 
 
@@ -545,26 +534,13 @@ def null_space(rows: Matrix) -> Matrix:
     size = rows.shape[1]
     basis = np.empty((size, size))
     rank = 0
-    remaining = rows.copy()
-    lengths = np.zeros(len(rows))
-    for _ in range(min(len(rows), size)):
-        for i in range(len(rows)):
-            lengths[i] = dot(remaining[i], remaining[i])
-        longest = index_of_largest(lengths)
-        length = math.sqrt(lengths[longest])
-        if not length > MIN_MOTION:
-            break
-        direction = basis[rank]
-        for k in range(size):
-            direction[k] = remaining[longest, k] / length
-        # Of a row that is hardly new the rounding counts.
-        remove_parts(direction, basis, rank)
-        length = math.sqrt(dot(direction, direction))
-        for k in range(size):
-            direction[k] /= length
-        rank += 1
-        for i in range(len(rows)):
-            remove_parts(remaining[i], basis, rank)
+    across = rows.copy()
+    make_rows_orthogonal(across, np.empty((len(rows), 0)))
+    for i in range(len(across)):
+        length = math.sqrt(dot(across[i], across[i]))
+        if length > MIN_MOTION and rank < size:
+            add_direction(across[i], length, basis, rank)
+            rank += 1
     return np.ascontiguousarray(find_complement(basis, rank).T)
 
 
@@ -623,7 +599,7 @@ def find_joint_to_release(
 @compiled
 def solve_level(
     rows: Matrix, rates: Vector, free: Matrix, bounds: Matrix, start: Vector
-) -> tuple[Array, Array]:
+) -> Array:
     """Solve one level by a primal active-set method.
 
     With the joints that are held at a bound the nearest velocity is a least-squares
@@ -640,7 +616,7 @@ def solve_level(
         start: Velocity of the levels above, within bounds, shape (n,).
 
     Returns:
-        The velocity of the level, and the N of the levels below.
+        The velocity of the level, shape (n,).
     """
     velocity = start.copy()
     held_at = np.zeros(start.size)
@@ -668,4 +644,4 @@ def solve_level(
         if joint < 0:
             break
         held_at[joint] = 0.0
-    return velocity, multiply(free, null_space(rows_of_free))
+    return velocity

@@ -7,16 +7,27 @@ with arm:
 However it ends, the arm comes to rest.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Generator, Iterator, Sequence
+from contextlib import closing
 from dataclasses import dataclass, field
 
+import numpy as np
+
 from needleforce.control.controller import Command, Controller
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import ControlError, SettingError
 from needleforce.control.handle_watch import HandleReport, HandleWatch
 from needleforce.control.manager import Manager, Situation
-from needleforce.control.monitors import Beside
+from needleforce.control.monitors import Beside, CommandTracking
 from needleforce.control.ports import Arm, ArmSample, MasterSample
 from needleforce.control.tasks import Task
+
+MAX_WAIT_s = 30.0
+"""So long the arm may take to accept commands."""
+
+MAX_STRAY_rad = 0.02
+"""A joint that has moved so far without a command is pushed, or runs away."""
+
+RIGHT_ARM = "Let the arm take commands, in free air, nothing touching it, with room."
 
 
 @dataclass(slots=True)
@@ -57,7 +68,7 @@ def run(
     manager: Manager | None = None,
     *,
     without_force_limit: bool = False,
-) -> Iterator[Tick]:
+) -> Generator[Tick, None, None]:
     """Yield every cycle of an arm, and send the command for its tasks.
 
     The manager, which holds the force limit, gets the heartbeat and what the arm
@@ -127,3 +138,48 @@ def _bring_to_rest(
         command = controller.update(sample, ())
         if not arm.send(command.dq_rad_s) or not command.dq_rad_s.any():
             return
+
+
+def move_guarded(
+    arm: Arm, controller: Controller, duration_s: float
+) -> Iterator[tuple[float, Tick]]:
+    """Yield every cycle of an arm that a program moves by itself, and those after it.
+
+    The motion begins with the first command that is taken. An arm that then refuses
+    one, does not follow or is pushed is brought to rest.
+
+    Args:
+        arm: It moves without a question.
+        controller: Of its commands.
+        duration_s: Of the motion.
+
+    Yields:
+        The time since the arm has taken a command, zero before, and the cycle; its
+        tasks are the program's, none before and after the motion.
+
+    Raises:
+        ControlError: The arm has not moved as it should, or its samples have ended.
+    """
+    tracking = CommandTracking(MAX_STRAY_rad)
+    time_s = 0.0
+    waited_s = 0.0
+    with closing(run(arm, controller, without_force_limit=True)) as ticks:
+        for tick in ticks:
+            dt_s = tick.sample.dt_s
+            last = tick.last
+            if last is None or (time_s == 0.0 and not tick.was_taken):
+                waited_s += dt_s
+                if waited_s > MAX_WAIT_s:
+                    raise ControlError(
+                        f"the arm took no command in {MAX_WAIT_s:g} s", RIGHT_ARM
+                    )
+                yield 0.0, tick
+                continue
+            time_s += dt_s
+            if not tick.was_taken and time_s <= duration_s:
+                raise ControlError("the arm has refused a command", RIGHT_ARM)
+            position_rad = np.array(tick.sample.q_rad, dtype=np.float64)
+            if stray := tracking.check(position_rad, last.dq_rad_s, dt_s):
+                raise ControlError(stray, RIGHT_ARM)
+            yield time_s, tick
+    raise ControlError("the samples of the arm have ended", RIGHT_ARM)

@@ -4,8 +4,7 @@ By itself the identification must wait whether a fall of the force is a needle t
 brakes. At a steady command it is none, but a beating heart, a jerky arm and slow noise
 make the force fall, too, again and again. So a fall counts if it is large, or likely a
 rupture, and several times the largest of the last seconds; with an alarm of the
-identification any larger one counts. Alarms are confirmed ones; a counter that is made
-with `uses_provisional` takes a provisional alarm as well, which may be retracted.
+identification, a confirmed one, any larger one counts.
 """
 
 import math
@@ -59,64 +58,24 @@ MIN_DISTANCE_m = 3e-3
 """Two ruptures less far apart are one."""
 
 
-class _OrdinaryFalls:
-    """The largest fall of the last seconds that was no rupture.
-
-    Falls newer than a block do not count yet, nor those of counted ruptures.
-
-    Attributes:
-        largest_N: The fall.
-    """
-
-    def __init__(self) -> None:
-        self.largest_N = 0.0
-        self._block_N = 0.0  # largest fall of the present block
-        self._previous_N = 0.0  # largest fall of the block before it
-        self._block_s = 0.0  # age of the block; below zero a rupture still falls
-
-    @property
-    def is_paused(self) -> bool:
-        """Whether what falls is a rupture that was counted."""
-        return self._block_s < 0.0
-
-    def pause(self) -> None:
-        """Leave out the fall of a rupture that has just been counted."""
-        self._block_s = -RUPTURE_s
-        self._block_N = 0.0
-        self._previous_N = 0.0
-
-    def update(self, fall_N: float, dt_s: float) -> None:
-        """Take in the fall of a sample."""
-        self._block_s += dt_s
-        self._block_N = max(self._block_N, fall_N)
-        self.largest_N *= math.exp(-dt_s / ORDINARY_MEMORY_s)
-        if self._block_s > BLOCK_s:
-            self.largest_N = max(self.largest_N, self._previous_N)
-            self._previous_N = self._block_N
-            self._block_N = 0.0
-            self._block_s = 0.0
-
-
 class RuptureCounter:
     """Counts the layers that a needle has left; see the module.
-
-    Args:
-        uses_provisional: Whether a provisional alarm counts like a confirmed one: some
-            milliseconds sooner. The count stays if it is retracted.
 
     Attributes:
         count: Ruptures so far.
     """
 
-    def __init__(self, *, uses_provisional: bool = False) -> None:
-        self._uses_provisional = uses_provisional
+    def __init__(self) -> None:
         self.count = 0
-        self._ordinary = _OrdinaryFalls()
         self._rupture_m = -math.inf  # depth of the last rupture
         self._force_N = 0.0
         self._peak_N = 0.0  # force before a fall
         self._in_tissue_s = 0.0
         self._fallen_s = 0.0  # time since a likely rupture
+        self._ordinary_N = 0.0  # largest fall of the last seconds that was no rupture
+        self._block_N = 0.0  # largest fall of the present block
+        self._previous_N = 0.0  # largest fall of the block before it
+        self._block_s = 0.0  # age of the block; below zero a rupture still falls
 
     def update(
         self,
@@ -139,29 +98,28 @@ class RuptureCounter:
         if not math.isfinite(axial_N):
             return False
         in_contact = identification.in_contact
-        self._in_tissue_s = max(
-            self._in_tissue_s + (dt_s if in_contact else -dt_s), 0.0
-        )
+        in_tissue_s = self._in_tissue_s + (dt_s if in_contact else -dt_s)
+        self._in_tissue_s = max(in_tissue_s, 0.0)
         self._filter_force(axial_N, dt_s, is_steady)
         fall_N = self._peak_N - self._force_N
-        self._ordinary.update(fall_N if in_contact else min(fall_N, LARGE_FALL_N), dt_s)
+        self._note_fall(fall_N if in_contact else min(fall_N, LARGE_FALL_N), dt_s)
         alarm = identification.rupture
-        if alarm is None and self._uses_provisional:
-            alarm = identification.provisional
         if alarm:
             fall_N = max(self._peak_N, alarm.force_N) - self._force_N
         is_likely = is_steady and self._is_likely(identification, fall_N)
         self._fallen_s = self._fallen_s + dt_s if is_likely else 0.0
-        min_alarm_N = max(self._ordinary.largest_N, MIN_FALL_N)
-        is_alarm = alarm is not None and fall_N > min_alarm_N
+        is_alarm = alarm is not None and fall_N > max(self._ordinary_N, MIN_FALL_N)
         is_rupture = in_contact and (is_alarm or self._fallen_s > MIN_FALL_s)
         rupture_m = alarm.depth_m if alarm else depth_m
         if not is_rupture or rupture_m < self._rupture_m + MIN_DISTANCE_m:
             return False
-        self.count = self.count + 1
+        self.count += 1
         self._rupture_m = depth_m
         self._in_tissue_s = 0.0
-        self._ordinary.pause()
+        # Its own fall is left out.
+        self._block_s = -RUPTURE_s
+        self._block_N = 0.0
+        self._previous_N = 0.0
         return True
 
     def _filter_force(self, axial_N: float, dt_s: float, is_steady: bool) -> None:
@@ -172,22 +130,31 @@ class RuptureCounter:
         """
         self._force_N -= math.expm1(-dt_s / FORCE_LAG_s) * (axial_N - self._force_N)
         self._peak_N += dt_s / PEAK_MEMORY_s * (self._force_N - self._peak_N)
-        if self._ordinary.is_paused or not is_steady:
+        if self._block_s < 0.0 or not is_steady:
             self._peak_N = self._force_N
         max_rise_N = MAX_RISE_N_per_s * dt_s
-        rise_N = min(max(self._force_N - self._peak_N, 0.0), max_rise_N)
-        self._peak_N = self._peak_N + rise_N
+        self._peak_N += min(max(self._force_N - self._peak_N, 0.0), max_rise_N)
+
+    def _note_fall(self, fall_N: float, dt_s: float) -> None:
+        """Update the largest fall that was no rupture; newer ones than a block wait."""
+        self._block_s += dt_s
+        self._block_N = max(self._block_N, fall_N)
+        self._ordinary_N *= math.exp(-dt_s / ORDINARY_MEMORY_s)
+        if self._block_s > BLOCK_s:
+            self._ordinary_N = max(self._ordinary_N, self._previous_N)
+            self._previous_N = self._block_N
+            self._block_N = 0.0
+            self._block_s = 0.0
 
     def _is_likely(self, identification: Estimate, fall_N: float) -> bool:
         """Return whether a fall at a steady command is likely a rupture."""
         is_settled = self._in_tissue_s > SETTLED_IN_TISSUE_s
+        is_expected = identification.rupture_state is RuptureState.EXPECTED
         fraction = LARGE_FALL if is_settled else LARGE_FIRST_FALL
         is_large = fall_N > max(fraction * self._peak_N, LARGE_FALL_N)
-        is_expected = (
-            is_settled and identification.rupture_state is RuptureState.EXPECTED
-        )
-        is_candidate = is_expected or (
+        is_candidate = (is_settled and is_expected) or (
             is_large and self._in_tissue_s > RUPTURE_s + BLOCK_s
         )
-        min_fall_N = max(ORDINARY_RATIO * self._ordinary.largest_N, MIN_FALL_N)
-        return is_candidate and fall_N > min_fall_N
+        return is_candidate and fall_N > max(
+            ORDINARY_RATIO * self._ordinary_N, MIN_FALL_N
+        )

@@ -21,8 +21,7 @@ from numpy.typing import ArrayLike
 
 from foundation.arrays import Array, Matrix, Vector, WrittenMatrix, WrittenVector
 from foundation.jit import compiled
-from needleforce.control.errors import SettingError
-from needleforce.control.setting_checks import as_vector, require_positive
+from needleforce.control.errors import SettingError, as_vector, require_positive
 from urdf import Robot
 
 GAIN_PER_S = 30.0
@@ -89,13 +88,6 @@ class ToolState:
         """Direction of insertion in base axes, of length one, shape (3,), a copy."""
         return self.pose[:3, 2].copy()
 
-    def rotation_to(self, rotation: Array) -> Array:
-        """Return the rotation vector [rad] from the tool's axes to others, shape (3,).
-
-        It is log(R_d R^T) in base axes, with R_d the others in columns, shape (3, 3).
-        """
-        return pin.log3(rotation @ self.pose[:3, :3].T)
-
 
 class Task(Protocol):
     """Rows J dq = v of equal priority; J in m or 1 per joint, v in m/s or rad/s.
@@ -140,7 +132,9 @@ class TipTask:
     def write(self, tool: ToolState, rows: Array, rates: Array) -> None:
         """Write rows and rates, see `Task.write`."""
         rotation_rad = (
-            tool.rotation_to(self.rotation) if self._has_rotation else _NO_ROTATION
+            pin.log3(self.rotation @ tool.pose[:3, :3].T)
+            if self._has_rotation
+            else _NO_ROTATION
         )
         rates[:] = self.rate
         _write_tip_task(
@@ -237,52 +231,6 @@ class TipVelocity(TipTask):
         self.rate = as_vector(velocity_m_s, 3, "velocity_m_s")
         if goal_m is not None:
             self.goal_m = as_vector(goal_m, 3, "goal_m")
-
-
-class DecoupledMotion(TipTask):
-    """Linear and angular velocity, neither of which disturbs the other; six rows.
-
-    Feedback holds the position and the orientation that the velocities of `move` add up
-    to.
-
-    Args:
-        tool: Where to begin.
-        gain_per_s: K of both.
-    """
-
-    MAX_LAG_m = 5e-3
-    """Limits may hold the tip back; the goal moves on once it is nearer than this."""
-
-    MAX_LAG_rad = 0.05
-    """The same for the orientation."""
-
-    def __init__(self, tool: ToolState, gain_per_s: float = GAIN_PER_S) -> None:
-        super().__init__(np.eye(6), gain_per_s)
-        self.goal_m = tool.tip_m
-        self.rotation = tool.rotation
-
-    def move(
-        self,
-        tool: ToolState,
-        linear_m_s: ArrayLike,
-        angular_rad_s: ArrayLike,
-        dt_s: float,
-    ) -> None:
-        """Ask for velocities in base axes, shape (3,) each, in the coming tick.
-
-        A longer time than `MAX_STEP_s` counts as that, one that is no positive number
-        as none.
-        """
-        lag_m = np.linalg.norm(self.goal_m - tool.tip_m)
-        lag_rad = np.linalg.norm(tool.rotation_to(self.rotation))
-        linear = as_vector(linear_m_s, 3, "linear_m_s") * (lag_m < self.MAX_LAG_m)
-        angular = as_vector(angular_rad_s, 3, "angular_rad_s") * (
-            lag_rad < self.MAX_LAG_rad
-        )
-        self.rate = np.concatenate((linear, angular))
-        dt_s = min(dt_s, MAX_STEP_s) if dt_s > 0.0 else 0.0
-        self.goal_m = self.goal_m + dt_s * linear
-        self.rotation = np.ascontiguousarray(pin.exp3(dt_s * angular) @ self.rotation)
 
 
 class RemoteCentre:

@@ -17,10 +17,9 @@ import numpy as np
 from numpy.typing import ArrayLike
 
 from foundation.arrays import Array
-from needleforce.control.errors import SettingError
+from needleforce.control.errors import SettingError, as_vector, require_positive
 from needleforce.control.handle_watch import HandleReport
 from needleforce.control.passivity import MAX_FORCE_N
-from needleforce.control.setting_checks import as_vector, require_positive
 from needleforce.control.teleoperation_sides import (
     DeviceSide,
     HandleSample,
@@ -73,18 +72,6 @@ class Line(Protocol[Packet]):
         ...
 
 
-class Lines(NamedTuple):
-    """Both ways between the two sides.
-
-    Attributes:
-        to_needle: From the device to the needle.
-        to_device: From the needle to the device.
-    """
-
-    to_needle: Line[HandPacket]
-    to_device: Line[NeedlePacket]
-
-
 def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     """Return the force to be felt [N], positive against insertion.
 
@@ -95,12 +82,9 @@ def shown_force(estimate: "SessionEstimate", shown: Shown = "tip") -> float:
     axial_N = estimate.wrench.axial_unsmoothed  # as the tip force, which is made of it
     if shown == "raw":
         return axial_N
-    identification = estimate.identification
-    force_N = (
-        identification.tip_force_N
-        if shown == "tip"
-        else identification.enhanced_force_N
-    )
+    force_N = estimate.identification.tip_force_N
+    if shown == "enhanced":
+        force_N = estimate.identification.enhanced_force_N
     return min(max(force_N, min(axial_N, 0.0)), max(axial_N, 0.0))
 
 
@@ -130,7 +114,7 @@ class Teleoperation:
         shown: Force at the tip; ``enhanced``, less friction of layers traversed;
             ``raw``, measured.
         speed_limit_m_s: Largest speed of the needle. What a quicker hand is ahead by
-            more than the needle covers in 40 ms, or 2 mm, is dropped, and the hand is
+            more than the needle covers in 40 ms, or 1 mm, is dropped, and the hand is
             damped: the needle stands when the hand stands.
         force_lag_s: Lag of the session's observer, one over its gain; a later force is
             damped more.
@@ -157,7 +141,7 @@ class Teleoperation:
         speed_limit_m_s: float = 0.02,
         force_lag_s: float = USUAL_FORCE_LAG_s,
         max_force_N: float = MAX_FORCE_N,
-        lines: Lines | tuple[Line[HandPacket], Line[NeedlePacket]] | None = None,
+        lines: tuple[Line[HandPacket], Line[NeedlePacket]] | None = None,
     ) -> None:
         direction = as_vector(axis, 3, "axis")
         if not direction.any():
@@ -178,11 +162,9 @@ class Teleoperation:
             raise SettingError(
                 f"shown is {shown!r}, expected 'tip', 'enhanced' or 'raw'"
             )
-        if lines is not None and not all(hasattr(line, "exchange") for line in lines):
-            raise SettingError(f"lines are {lines!r}, expected two lines or None")
         self._shown: Shown = shown
         self._axis = direction / np.linalg.norm(direction)
-        self._lines = None if lines is None else Lines(*lines)
+        self._lines = lines
         self.device = DeviceSide(
             motion_scale, speed_limit_m_s, force_lag_s, max_force_N
         )
@@ -198,7 +180,7 @@ class Teleoperation:
         Call it after a pause or a new zero of depth, or the needle makes up for the
         hand's motion.
         """
-        self.device.release()
+        self.device.let_go()
         self.needle.start_m = None
         self._doubt = ""
 
@@ -225,16 +207,14 @@ class Teleoperation:
             shown_N = FADING_s / (FADING_s + dt_s) * self.shown_N
         self.shown_N = shown_N
         handle = self._take_handle(report)
-        hand_packet = self.device.update(handle, self._from_needle, dt_s)
-        news = hand_packet
+        news: HandPacket | None = self.device.update(handle, self._from_needle, dt_s)
         if self._lines is not None:
-            news = self._lines.to_needle.exchange(hand_packet, dt_s)
-        speed_m_s, needle_packet = self.needle.update(
+            news = self._lines[0].exchange(news, dt_s)
+        speed_m_s, self._from_needle = self.needle.update(
             news, self.shown_N, estimate.depth_m, estimate.speed_m_s, dt_s
         )
-        self._from_needle = needle_packet
         if self._lines is not None:
-            self._from_needle = self._lines.to_device.exchange(needle_packet, dt_s)
+            self._from_needle = self._lines[1].exchange(self._from_needle, dt_s)
         force_N = -self.device.force_N * self._axis
         return TeleopCommand(speed_m_s, force_N, report.fault or self._doubt)
 

@@ -36,6 +36,10 @@ it."""
 SPEED_LAG_s = 0.01
 """Low-pass on the speed of the handle, which comes from its encoder's steps."""
 
+MAX_SPEED_ERROR_m_s = 0.01
+"""The needle is sent that speed, which is never further than this from the handle's: a
+needle at 100 mm/s would go on by a millimetre after a hand that stops dead."""
+
 SWING_MEMORY_s = 0.12
 """Time of the means that show a swing of 3 Hz or more, where damping grows up to the
 port's."""
@@ -58,8 +62,7 @@ GAP_MEMORY_s = 1.0
 """For so long a gap between two samples of the device may come again."""
 
 MAX_SILENCE_s = 0.1
-"""Without news from the device for so long the needle stands; and a handle that has not
-changed its place for so long does, whatever speed it reports."""
+"""Without news from the device for so long the needle stands."""
 
 CATCH_UP_PER_s = 10.0
 """Rate at which the needle makes up for travel that it could not follow."""
@@ -68,7 +71,7 @@ MAX_BACKLOG_s = 0.04
 """Travel that the needle's largest speed does not make up for in so long is dropped:
 when the hand stands the needle has at most this left, 0.8 mm at 20 mm/s."""
 
-MAX_BACKLOG_m = 2e-3
+MAX_BACKLOG_m = 1e-3
 """The same, whatever the largest speed is."""
 
 NEEDLE_ALLOWANCE_J = 10e-3
@@ -122,24 +125,6 @@ class HandleSample(NamedTuple):
     is_coupled: bool
 
 
-class _SwingMeter:
-    """Measures how much of the quick motion of a hand is a swing."""
-
-    def __init__(self) -> None:
-        self._mean_m_s = 0.0
-        self._mean_square_m2_s2 = 0.0
-
-    def update(self, quick_m_s: float, dt_s: float) -> float:
-        """Return the fraction, 0 to 1, of the quick speed's mean square that swings."""
-        weight = dt_s / (SWING_MEMORY_s + dt_s)
-        self._mean_m_s += weight * (quick_m_s - self._mean_m_s)
-        self._mean_square_m2_s2 += weight * (quick_m_s**2 - self._mean_square_m2_s2)
-        swing_m2_s2 = max(
-            self._mean_square_m2_s2 - SWING_RATIO * self._mean_m_s**2, 0.0
-        )
-        return swing_m2_s2 / (self._mean_square_m2_s2 + CALM_m_s**2)
-
-
 class DeviceSide:
     """The end at the haptic device: scales its motion, shows a passive force.
 
@@ -173,18 +158,17 @@ class DeviceSide:
         self._packet = HandPacket(0.0, 0.0, 0.0, False)
         self._speed_m_s = 0.0  # of the handle, smoothed
         self._steady_m_s = 0.0  # the slow part of it
-        self._still_s = 0.0  # time without a change of place
+        self._quick_m_s = 0.0  # mean of the rest of it, and of its square
+        self._quick_m2_s2 = 0.0
         self._since_s = 0.0  # time since the last sample
         self._coupling = 0.0  # 0 to 1, follows the clutch
         self._gap_s = 0.0  # longest of late between two samples
-        self._swing = _SwingMeter()
 
-    def release(self, travel_m: float = 0.0) -> None:
-        """Let go of the force, after about so much travel, and begin anew.
-
-        The next sample says where the handle is.
-        """
-        self.port.release(travel_m)
+    def let_go(self) -> None:
+        """Let go of a handle that is gone, or elsewhere: the next sample says where."""
+        if self.position_m is None:
+            return
+        self.port.release(self._speed_m_s * self._since_s)
         self.position_m = None
         self.force_N = 0.0
         self._since_s = MAX_HOLD_s
@@ -205,56 +189,41 @@ class DeviceSide:
         """
         self._since_s += dt_s
         if handle is None:
-            self._wait(dt_s)
+            if self._since_s >= MAX_HOLD_s:
+                self._coupling -= self._coupling * dt_s / (COUPLING_s + dt_s)
+                self.let_go()
             return self._packet
         dt_s = min(self._since_s, MAX_HOLD_s)
         self._since_s = 0.0
-        last_position_m = self.position_m
-        moved_m = (
-            0.0 if last_position_m is None else handle.position_m - last_position_m
-        )
-        self._still_s = (
-            self._still_s + dt_s if handle.position_m == last_position_m else 0.0
-        )
+        last_m = handle.position_m if self.position_m is None else self.position_m
         self.position_m = handle.position_m
         self._coupling += (
             (handle.is_coupled - self._coupling) * dt_s / (COUPLING_s + dt_s)
         )
         self._gap_s = max(dt_s, self._gap_s * math.exp(-dt_s / GAP_MEMORY_s))
-        # A handle that moves changes its place; one that only says so repeats an old
-        # sample.
-        speed_m_s = 0.0 if self._still_s > MAX_SILENCE_s else handle.speed_m_s
-        damping_N = self._damp_motion(speed_m_s, dt_s, is_coupled=handle.is_coupled)
+        damping_N = self._damp_motion(
+            handle.speed_m_s, dt_s, is_coupled=handle.is_coupled
+        )
         known_N, incoming_J = news or (0.0, 0.0)
         self.force_N = self.port.update(
             known_N * self._coupling + damping_N,
             handle.position_m,
-            speed_m_s,
+            handle.speed_m_s,
             incoming_J,
             dt_s=dt_s,
             ahead_s=self._gap_s,
             is_coupled=handle.is_coupled,
         )
         scale = self._scale * handle.is_coupled
+        slowest_m_s = handle.speed_m_s - MAX_SPEED_ERROR_m_s
+        fastest_m_s = handle.speed_m_s + MAX_SPEED_ERROR_m_s
         self._packet = HandPacket(
-            travel_m=self._packet.travel_m + scale * moved_m,
-            speed_m_s=scale * self._speed_m_s,
+            travel_m=self._packet.travel_m + scale * (handle.position_m - last_m),
+            speed_m_s=scale * min(max(self._speed_m_s, slowest_m_s), fastest_m_s),
             energy_J=self.port.in_J,
             is_coupled=handle.is_coupled,
         )
         return self._packet
-
-    def _wait(self, dt_s: float) -> None:
-        """Let a tick pass without a sample; after too many let go of the force."""
-        if self._since_s < MAX_HOLD_s:
-            return
-        self._coupling -= self._coupling * dt_s / (COUPLING_s + dt_s)
-        self.let_go()
-
-    def let_go(self) -> None:
-        """Let go of a handle that is gone, or elsewhere; once is enough."""
-        if self.position_m is not None:
-            self.release(self._speed_m_s * self._since_s)
 
     def _damp_motion(self, speed_m_s: float, dt_s: float, *, is_coupled: bool) -> float:
         """Return the force that damps what is not steady in the hand's motion.
@@ -270,7 +239,11 @@ class DeviceSide:
             (self._speed_m_s - self._steady_m_s) * dt_s / (STEADY_s + dt_s)
         )
         quick_m_s = self._speed_m_s - self._steady_m_s
-        swing_fraction = self._swing.update(quick_m_s, dt_s)
+        weight = dt_s / (SWING_MEMORY_s + dt_s)
+        self._quick_m_s += weight * (quick_m_s - self._quick_m_s)
+        self._quick_m2_s2 += weight * (quick_m_s**2 - self._quick_m2_s2)
+        swing_m2_s2 = max(self._quick_m2_s2 - SWING_RATIO * self._quick_m_s**2, 0.0)
+        swing_fraction = swing_m2_s2 / (self._quick_m2_s2 + CALM_m_s**2)
         lowest_Ns_m = self._damping_Ns_m
         highest_Ns_m = max(
             min(MAX_DAMPING_Ns_m, HANDLE_kg / (2.0 * self._gap_s)), lowest_Ns_m
@@ -337,8 +310,17 @@ class NeedleSide:
         wanted_m_s = 0.0
         incoming_J = 0.0
         if news is not None:
-            wanted_m_s = self._follow_hand(news, depth_m)
             incoming_J = news.energy_J
+            is_silent = self._silent_s >= MAX_SILENCE_s
+            if self.start_m is None or not news.is_coupled or is_silent:
+                self.start_m = depth_m - news.travel_m
+            behind_m = self.start_m + news.travel_m - depth_m
+            # What the hand is ahead by beyond this is dropped: its zero moves with it.
+            max_m = min(MAX_BACKLOG_s * self._limit_m_s, MAX_BACKLOG_m)
+            dropped_m = behind_m - min(max(behind_m, -max_m), max_m)
+            self.start_m -= dropped_m
+            if not is_silent:
+                wanted_m_s = news.speed_m_s + CATCH_UP_PER_s * (behind_m - dropped_m)
         wanted_m_s = min(max(wanted_m_s, -self._limit_m_s), self._limit_m_s)
         passive_m_s = self.port.update(
             wanted_m_s, force_N, speed_m_s, incoming_J / self._energy_scale, dt_s
@@ -347,17 +329,3 @@ class NeedleSide:
             force_N=self._force_scale * force_N,
             energy_J=self._energy_scale * self.port.in_J,
         )
-
-    def _follow_hand(self, news: HandPacket, depth_m: float) -> float:
-        """Return the speed that follows the hand; zero where it is silent."""
-        is_silent = self._silent_s >= MAX_SILENCE_s
-        if self.start_m is None or not news.is_coupled or is_silent:
-            self.start_m = depth_m - news.travel_m
-        if is_silent:
-            return 0.0
-        behind_m = self.start_m + news.travel_m - depth_m
-        # What the hand is ahead by beyond this is dropped: its zero moves with it.
-        max_m = min(MAX_BACKLOG_s * self._limit_m_s, MAX_BACKLOG_m)
-        dropped_m = behind_m - min(max(behind_m, -max_m), max_m)
-        self.start_m -= dropped_m
-        return news.speed_m_s + CATCH_UP_PER_s * (behind_m - dropped_m)

@@ -2,14 +2,8 @@
 
 The state is the command that the arm took last. Every cycle changes it within the arm's
 limits of speed, acceleration and jerk towards the wanted velocity, and slows it before
-the stops. It is exact in discrete time, so that the commands of a controller with the
-same limits pass unchanged: with h = J T, an acceleration that falls by h every cycle
-still adds
-
-    g(a) = T (a + (a - h) + (a - 2 h) + ...),    positive terms only,
-
-to the velocity. The largest a with g(a) <= target - v lands on the target without
-overshoot; g is piecewise linear, and inverted in closed form.
+the stops, see `rate_limiter`: the commands of a controller with the same limits pass
+unchanged.
 """
 
 import atexit
@@ -22,11 +16,12 @@ from typing import TYPE_CHECKING, Any
 import numpy as np
 from numpy.typing import ArrayLike
 
-from foundation.arrays import Array, Matrix, Vector, WrittenMatrix
-from foundation.jit import compile_waiting, compiled
+from foundation.arrays import Array
+from foundation.jit import compile_waiting
 from needleforce.devices.arm_limits import ARM_LIMITS, ArmLimits
 from needleforce.devices.errors import DeviceSettingError
 from needleforce.devices.link import ArmLink
+from needleforce.devices.rate_limiter import write_velocity_bounds
 
 if TYPE_CHECKING:
     from needleforce.control.joint_limits import Limits
@@ -62,7 +57,7 @@ class Guard:
     ) -> None:
         compile_waiting()
         self.refusal = ""
-        self._limits = _limit_rows(preset, robot)
+        self._limits = _limit_rows(preset, robot, cycle_s)
         self._highest_rad_s = np.array(preset.speed_rad_s)
         self.cycle_s = cycle_s
         self._joints = len(preset.speed_rad_s)
@@ -155,13 +150,24 @@ class Guard:
         if self._silent_cycles >= self._hold_cycles:
             self._wanted_rad_s = np.zeros(self._joints)
         self._silent_cycles += 1
-        write_next_motion(
-            self._limits, position_rad, self._wanted_rad_s, self.cycle_s, self._motion
+        last_rad_s, last_rad_s2 = self._motion
+        bounds_rad_s = np.empty((2, self._joints))
+        write_velocity_bounds(
+            self._limits,
+            position_rad,
+            last_rad_s,
+            last_rad_s2,
+            self.cycle_s,
+            0.0,
+            bounds_rad_s,
         )
-        return self._motion[0].copy()
+        velocity_rad_s = np.clip(self._wanted_rad_s, *bounds_rad_s)
+        self._motion[1] = (velocity_rad_s - last_rad_s) / self.cycle_s
+        self._motion[0] = velocity_rad_s
+        return velocity_rad_s
 
 
-def _limit_rows(preset: ArmLimits, robot: Any) -> Array:
+def _limit_rows(preset: ArmLimits, robot: Any, cycle_s: float) -> Array:
     """Return lowest and highest position, speed, acceleration, jerk, brake; (6, n).
 
     The acceleration is at most the jerk times the arm's cycle: a command that is lost,
@@ -172,7 +178,8 @@ def _limit_rows(preset: ArmLimits, robot: Any) -> Array:
     speed_rad_s = HEADROOM * np.array(preset.speed_rad_s)
     jerk_rad_s3 = HEADROOM * np.array(preset.jerk_rad_s3)
     acceleration_rad_s2 = np.minimum(
-        HEADROOM * np.array(preset.acceleration_rad_s2), jerk_rad_s3 * preset.cycle_s
+        HEADROOM * np.array(preset.acceleration_rad_s2),
+        jerk_rad_s3 * min(cycle_s, preset.cycle_s),
     )
     brake_rad_s2 = 0.5 * acceleration_rad_s2
     # Kept from the stops, for what moves the arm besides the command.
@@ -197,51 +204,6 @@ def _limit_rows(preset: ArmLimits, robot: Any) -> Array:
             brake_rad_s2,
         )
     )
-
-
-@compiled
-def write_next_motion(
-    limits: Matrix,
-    position_rad: Vector,
-    wanted_rad_s: Vector,
-    cycle_s: float,
-    motion: WrittenMatrix,
-) -> None:
-    """Write the velocity and the acceleration of the next cycle over the last ones.
-
-    Before a stop at a distance r the speed u is at most that from which the joint stops
-    there, braking at B after the time t that it takes to turn to braking:
-
-        u t + u^2 / 2 B = r,    t = (A + B) / J + 2 T
-
-    Args:
-        limits: Rows as `_limit_rows` returns them, shape (6, n).
-        position_rad: Where the joints are, shape (n,).
-        wanted_rad_s: Velocity to go to, shape (n,).
-        cycle_s: T.
-        motion: Velocity and acceleration, shape (2, n).
-    """
-    for i in range(wanted_rad_s.size):
-        speed, highest, jerk, brake = limits[2:, i]
-        velocity = motion[0, i]
-        acceleration = motion[1, i]
-        lost = brake * ((highest + brake) / jerk + 2.0 * cycle_s)
-        above = max(limits[1, i] - position_rad[i], 0.0)
-        below = max(position_rad[i] - limits[0, i], 0.0)
-        upper = min(speed, math.sqrt(lost * lost + 2.0 * brake * above) - lost)
-        lower = min(speed, math.sqrt(lost * lost + 2.0 * brake * below) - lost)
-        target = min(max(wanted_rad_s[i], -lower), upper)
-        change = jerk * cycle_s  # h
-        total = abs(target - velocity) / cycle_s
-        count = math.floor(0.5 + math.sqrt(0.25 + 2.0 * total / change))
-        landing = total / count + 0.5 * change * (count - 1)
-        step = math.copysign(min(landing, highest), target - velocity)
-        step = min(max(step, acceleration - change), acceleration + change)
-        velocity += cycle_s * step
-        if abs(velocity - target) < 1e-12:  # arrived, but for rounding [rad/s]
-            velocity = target
-        motion[0, i] = velocity
-        motion[1, i] = step
 
 
 class GuardedArm(ArmLink):

@@ -10,8 +10,8 @@ from groundtruth.layers import Layer, ShaftFriction
 from groundtruth.motion import Tremor, constant_motion
 from identification import Identifier, MixtureConfig, TissueWarning
 from identification.mixture.block import Block
-from identification.mixture.hard_contact import ContactPoint, HardContactState
 from identification.mixture.needle_swing import NeedleSwing, update_swing
+from identification.mixture.tissue_doubt import HardContactState
 from tests.identification.worlds import follow, values_of
 
 BONE_DEPTH_M = 15e-3
@@ -78,18 +78,6 @@ def test_what_counts_as_hard_is_a_setting():
     assert contact.growth_N_per_m == pytest.approx(1500.0, rel=0.4)
 
 
-@pytest.mark.parametrize(("growth_N_per_mm", "is_hard"), [(3.8, False), (4.2, True)])
-def test_a_contact_is_hard_beyond_the_bound(growth_N_per_mm, is_hard):
-    """The bound is 4 N/mm, over the last 0.2 mm."""
-    first = ContactPoint(depth_mm=10.0, force_N=0.5, speed_mm_s=3.0, is_known=True)
-    state = HardContactState(first=first, second=first)
-    block = Block(depth_mm=10.2, speed_mm_s=3.0, noise_std_N=0.01)
-    after = state.with_force(block, 0.5 + 0.2 * growth_N_per_mm, 4.0, is_even=True)
-
-    assert after.is_hard == is_hard
-    assert after.is_new == is_hard
-
-
 def pushed(state, depths_mm, forces_N, *, speed_mm_s=2.0, is_even=True):
     """The state after blocks of such depths and forces, and the contacts found."""
     found = 0
@@ -105,12 +93,14 @@ def test_bone_is_hard_until_half_of_its_force_is_gone_and_may_be_met_again():
     depths_mm = STEP_MM * np.arange(75)
     forces_N = 0.3 + 12.0 * np.maximum(depths_mm - 1.0, 0.0)
     state, found = pushed(HardContactState(), depths_mm, forces_N)
-    away, _ = pushed(state, [0.5], [0.1])
+    away, _ = pushed(state, [0.5], [0.4 * state.force_N])
+    slopes = [BOUND_N_PER_MM * np.maximum(depths_mm - 1.0, 0.0) * f for f in (0.9, 1.1)]
 
+    assert [pushed(HardContactState(), depths_mm, f)[1] for f in slopes] == [0, 1]
     assert found == 1
     assert state.force_N == pytest.approx(6.0, abs=0.5)
     assert pushed(state, [1.4], [0.6 * state.force_N])[0].is_hard
-    assert not pushed(state, [1.3], [0.4 * state.force_N])[0].is_hard
+    assert not away.is_hard
     assert pushed(away, depths_mm[25:], forces_N[25:])[1] == 1
 
 
@@ -175,27 +165,18 @@ def swinging(rate_hz, amplitude_m_s, *, noise_m_s=0.0):
     t_s = DT_S * np.arange(1_500)
     wave = np.sin(2.0 * np.pi * rate_hz * t_s) * (t_s < 2.0)
     noise = noise_m_s * np.random.default_rng(0).normal(size=len(t_s))
+    speeds_m_s = MEAN_M_S + amplitude_m_s * wave + noise
     swing = NeedleSwing(mean_m_s=MEAN_M_S, smoothed_m_s=MEAN_M_S)
-    ends = 0
-    is_swinging = []
-    for speed_m_s in (MEAN_M_S + amplitude_m_s * wave + noise).tolist():
-        ends += update_swing(swing, speed_m_s, DT_S)
-        is_swinging.append(swing.is_swinging)
-    return np.array(is_swinging), ends
-
-
-@pytest.mark.parametrize("rate_hz", [6.0, 9.0, 12.0])
-def test_a_tremor_is_a_swing_until_it_ends(rate_hz):
-    is_swinging, ends = swinging(rate_hz, 4e-3)
-
-    assert is_swinging[650:1000].all()
-    assert not is_swinging[1100:].any()
-    assert ends == pytest.approx(2.0 * rate_hz, abs=1)
+    pairs = [(update_swing(swing, v, DT_S), swing.is_swinging) for v in speeds_m_s]
+    ends, is_swinging = np.array(pairs).T
+    return is_swinging, ends.sum()
 
 
 @pytest.mark.parametrize(
     ("rate_hz", "amplitude_m_s", "noise_m_s", "fraction"),
     [
+        (6.0, 4e-3, 0.0, 1.0),
+        (12.0, 4e-3, 0.0, 1.0),
         (2.0, 4e-3, 0.0, 0.0),  # a motion of its own
         (35.0, 9e-3, 0.0, 0.0),  # vibration
         (9.0, 0.4e-3, 0.0, 0.0),  # noise of a measured speed
@@ -205,10 +186,13 @@ def test_a_tremor_is_a_swing_until_it_ends(rate_hz):
     ],
 )
 def test_what_is_a_tremor(rate_hz, amplitude_m_s, noise_m_s, fraction):
-    is_swinging, _ = swinging(rate_hz, amplitude_m_s, noise_m_s=noise_m_s)
+    is_swinging, ends = swinging(rate_hz, amplitude_m_s, noise_m_s=noise_m_s)
 
     assert is_swinging[650:1000].mean() == pytest.approx(fraction, abs=0.1)
     assert is_swinging.any() == (fraction > 0.0)
+    assert not is_swinging[1100:].any()
+    if fraction and not noise_m_s:
+        assert ends == pytest.approx(2.0 * rate_hz, abs=1)
 
 
 @pytest.mark.parametrize(

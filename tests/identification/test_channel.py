@@ -7,6 +7,7 @@ import pytest
 
 from identification import Identifier
 from identification.channel import ChannelFriction, continue_channel
+from tests.identification.worlds import rows_of, run
 
 STEP_S = 4e-3
 SPEED_M_S = 4e-3
@@ -14,22 +15,18 @@ SPEED_M_S = 4e-3
 
 def in_air(zero_N):
     """An identifier after 4 s of free air, with a force of that mean there."""
-    identifier = Identifier()
     noise_N = 0.003 * np.random.default_rng(0).standard_normal(1000)
-    for k, force_N in enumerate((zero_N + noise_N).tolist()):
-        identifier.update(-16e-3 + k * SPEED_M_S * STEP_S, SPEED_M_S, force_N, STEP_S)
-    return identifier
+    depth_m = -16e-3 + SPEED_M_S * STEP_S * np.arange(1000)
+    return run(rows_of(depth_m, SPEED_M_S, zero_N + noise_N, STEP_S))[0]
 
 
 @cache
 def channel_of_ten_millimetres():
     """What an identifier knows of a channel that it has cut, with the zero at 0 N."""
-    identifier = in_air(0.0)
     noise_N = 0.003 * np.random.default_rng(1).standard_normal(625)
-    for k, noise in enumerate(noise_N.tolist()):
-        depth_m = k * SPEED_M_S * STEP_S
-        identifier.update(depth_m, SPEED_M_S, 80.0 * depth_m + noise, STEP_S)
-    return identifier.snapshot()
+    depth_m = SPEED_M_S * STEP_S * np.arange(625)
+    rows = rows_of(depth_m, SPEED_M_S, 80.0 * depth_m + noise_N, STEP_S)
+    return run(rows, in_air(0.0))[0].snapshot()
 
 
 def test_friction_at_a_speed_is_as_uncertain_as_its_parts_together():
@@ -51,14 +48,13 @@ def test_a_zero_that_has_drifted_changes_no_friction_in_the_channel(zero_N):
     for drift_N in (0.0, zero_N):
         identifier = Identifier()
         present = in_air(drift_N).snapshot()
-        identifier.resume(
+        identifier.restore(
             continue_channel(channel_of_ten_millimetres(), present, 0.0, 60.0)
         )
-        for k in range(200):
-            depth_m = -1e-3 + k * SPEED_M_S * STEP_S
-            force_N = drift_N + 40.0 * max(depth_m, 0.0)
-            estimate = identifier.update(depth_m, SPEED_M_S, force_N, STEP_S)
-        found.append(estimate)
+        depth_m = -1e-3 + SPEED_M_S * STEP_S * np.arange(200)
+        force_N = drift_N + 40.0 * np.maximum(depth_m, 0.0)
+        rows = rows_of(depth_m, SPEED_M_S, force_N, STEP_S)
+        found.append(run(rows, identifier)[1][-1])
     as_before, drifted = found
 
     assert drifted.layer == as_before.layer == 1
@@ -74,18 +70,15 @@ def test_a_channel_is_where_it_was_when_depth_counts_from_elsewhere():
     moved_m = 0.02
     channel = channel_of_ten_millimetres()
     identifier = Identifier()
-    identifier.resume(channel)
+    identifier.restore(channel)
     entry_m = identifier.contact_depth_m
     present = in_air(0.0).snapshot()
-    identifier.resume(continue_channel(channel, present, moved_m, 60.0))
+    identifier.restore(continue_channel(channel, present, moved_m, 60.0))
 
     assert identifier.contact_depth_m == pytest.approx(entry_m + moved_m, abs=1e-9)
 
     depths_m = moved_m + entry_m + SPEED_M_S * STEP_S * np.arange(-60, 61)
-    layers = [
-        identifier.update(depth_m, SPEED_M_S, 0.0, STEP_S).layer
-        for depth_m in depths_m.tolist()
-    ]
+    _, estimates = run(rows_of(depths_m, SPEED_M_S, 0.0, STEP_S), identifier)
 
-    assert layers[30] == 0
-    assert layers[-1] == 1
+    assert estimates[30].layer == 0
+    assert estimates[-1].layer == 1

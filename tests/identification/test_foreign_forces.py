@@ -5,10 +5,10 @@ import math
 import numpy as np
 import pytest
 
-from identification import Identifier, SampleStatus, TissueWarning
-from identification.mixture.needle_pull import NeedlePull, NetForce
-from identification.mixture.rest_force import HeldForce, RestForce
-from tests.identification.worlds import run, straight
+from identification import SampleStatus, TissueWarning
+from identification.mixture.block import Block
+from identification.mixture.foreign_force import NeedlePull, NetForce, RestForce
+from tests.identification.worlds import rows_of, run, straight
 
 STEP_S = 2e-3
 SPEED_M_S = 5e-3
@@ -30,13 +30,8 @@ def course():
 def insert(fault_N, end=TICKS, force_std_N=0.0):
     """Estimates of the course with a fault, a force a sample."""
     depth_m, force_N = course()
-    identifier = Identifier()
-    return [
-        identifier.update(depth, SPEED_M_S, force, STEP_S, force_std_N=force_std_N)
-        for depth, force in zip(
-            depth_m[:end].tolist(), (force_N + fault_N)[:end].tolist(), strict=True
-        )
-    ]
+    rows = rows_of(depth_m, SPEED_M_S, force_N + fault_N, STEP_S)[:end]
+    return run((*row, None, force_std_N) for row in rows)[1]
 
 
 def alarms(estimates):
@@ -53,34 +48,35 @@ def reported(estimates):
     ]
 
 
-def test_a_rupture_is_no_pull():
-    estimates = insert(np.zeros(TICKS))
-    (alarm,) = alarms(estimates)
-
-    assert RUPTURE < alarm < RUPTURE + 50
-    assert reported(estimates) == []
+def step(start, step_N):
+    """A force that falls for good, and the samples at which that is to be reported."""
+    return lambda k: step_N * (k >= start), start + 500, (start, start + 20), None
 
 
-@pytest.mark.parametrize("step_N", [-2.0, -5.0])
-@pytest.mark.parametrize("start", [700, 1_200, 2_300, 2_700, 3_500])
-def test_a_step_below_zero_is_reported_and_no_rupture(start, step_N):
-    fault_N = np.where(np.arange(TICKS) >= start, step_N, 0.0)
-    estimates = insert(fault_N, start + 500)
+@pytest.mark.parametrize(
+    ("fault_at", "end", "begin", "ruptures"),
+    [
+        (lambda k: 0.0 * k, TICKS, None, 1),
+        *(step(k, n) for k in (700, 1_200, 2_300, 2_700, 3_500) for n in (-2.0, -5.0)),
+        # A push at the hub that ends
+        (lambda k: -10.0 * ((k >= 1_500) & (k < 2_000)), TICKS, (1_500, 1_506), 1),
+        # A drift
+        (lambda k: -np.clip((k - 1_600) / 100, 0.0, 5.0), 2_400, (1_600, 1_750), 0),
+    ],
+)
+def test_a_force_below_zero_is_reported_and_no_rupture(fault_at, end, begin, ruptures):
+    estimates = insert(fault_at(np.arange(TICKS)), end)
     real = [k for k in alarms(estimates) if RUPTURE < k < RUPTURE + 50]
+    told = reported(estimates)
 
-    assert start <= reported(estimates)[0] < start + 20
     assert alarms(estimates) == real
-    assert not any(estimates[k].status.is_used for k in reported(estimates))
-
-
-def test_a_push_at_the_hub_ends_and_the_rupture_is_found():
-    k = np.arange(TICKS)
-    estimates = insert(np.where((k >= 1_500) & (k < 2_000), -10.0, 0.0))
-    (alarm,) = alarms(estimates)
-
-    assert 1_500 <= reported(estimates)[0] <= 1_505
-    assert reported(estimates)[-1] <= 2_010
-    assert RUPTURE < alarm < RUPTURE + 50
+    assert ruptures in (None, len(real))
+    assert bool(told) == (begin is not None)
+    if begin:
+        assert begin[0] <= told[0] < begin[1]
+        assert not any(estimates[k].status.is_used for k in told)
+    if ruptures == 1:
+        assert all(k <= 2_010 for k in told)
 
 
 def test_a_push_that_leaves_a_plausible_force_is_retracted_once_the_hand_lets_go():
@@ -104,39 +100,14 @@ def test_a_drift_below_zero_is_reported_and_its_alarms_retracted():
 
 
 def test_a_force_that_stays_below_zero_becomes_a_new_zero():
-    force_N = np.where(np.arange(3_000) >= 700, -1.0, 0.0)
-    force_N = force_N + 0.01 * np.random.default_rng(5).normal(size=3_000)
-    rows = [(1e-5 * k, SPEED_M_S, f, STEP_S) for k, f in enumerate(force_N.tolist())]
-    _, estimates = run(rows)
+    noise_N = 0.01 * np.random.default_rng(5).normal(size=3_000)
+    ticks = np.arange(3_000)
+    force_N = noise_N - (ticks >= 700)
+    _, estimates = run(rows_of(1e-5 * ticks, SPEED_M_S, force_N, STEP_S))
 
     assert 700 <= reported(estimates)[0] < 710
     assert 1_940 < reported(estimates)[-1] < 1_980  # 2.5 s later
     assert abs(estimates[-1].tip_force_N) < 0.05
-
-
-def test_friction_on_a_needle_drawn_back_is_no_pull():
-    depth_m, force_N = course()
-    back_m = SPEED_M_S * STEP_S * np.arange(1, 500)
-    friction_N = 0.4 * (2.0 * np.exp(-back_m / 0.3e-3) - 1.0)
-    rows = [
-        *zip(depth_m[:2_000], [SPEED_M_S] * 2_000, force_N[:2_000], strict=True),
-        *zip(depth_m[1_999] - back_m, [-SPEED_M_S] * 499, friction_N, strict=True),
-    ]
-    _, estimates = run((*map(float, row), STEP_S) for row in rows)
-
-    assert reported(estimates) == []
-
-
-def test_a_snapshot_amid_a_pull_goes_on_bit_for_bit():
-    depth_m, force_N = course()
-    force_N = force_N - 3.0 * (np.arange(TICKS) >= 1_500)
-    columns = (depth_m[:1_700].tolist(), force_N[:1_700].tolist())
-    rows = [(d, SPEED_M_S, f, STEP_S) for d, f in zip(*columns, strict=True)]
-    identifier, _ = run(rows[:1_600])
-    resumed = Identifier()
-    resumed.restore(identifier.snapshot())
-
-    assert run(rows[1_600:], identifier)[1] == run(rows[1_600:], resumed)[1]
 
 
 def pulled(forces_N, *lasts, std_N=0.03, **place):
@@ -206,18 +177,6 @@ def test_a_quick_fall_below_the_friction_of_layers_traversed_is_no_rupture(
     assert pull.is_foreign == is_foreign
 
 
-def test_a_zero_is_new_once_the_force_has_been_steady_for_two_and_a_half_seconds():
-    """A force that still falls is no zero, however long it has fallen."""
-    forces_N = [-max(min(0.01 * k, 4.0), 0.0) for k in range(800)]
-    new_s = [
-        0.01 * k
-        for k in range(600, 700)
-        if pulled(forces_N[:k], std_N=0.005).is_new_zero(0.01 * k)
-    ]
-
-    assert new_s[0] == pytest.approx(6.5, abs=0.1)
-
-
 def test_alarms_wait_no_longer_than_a_step_takes():
     """A force that stays between half the limit and the limit blocks no alarm."""
     rng = np.random.default_rng(3)
@@ -235,10 +194,14 @@ def rest(force_at, seconds, *, depth_at=lambda _: 30.0, std_N=0.05, has_ruptured
     foreign_s = []
     for k in range(round(100.0 * seconds)):
         time_s = 0.01 * k
-        force = HeldForce(
-            force_at(time_s), 0.02, std_N, depth_at(time_s), 2e-3, 0.01, has_ruptured
+        block = Block(
+            duration_s=0.01,
+            noise_std_N=0.02,
+            depth_mm=depth_at(time_s),
+            depth_std_mm=2e-3,
         )
-        held = held.with_force(force)
+        force_N = force_at(time_s)
+        held = held.with_force(block, force_N, std_N, has_ruptured=has_ruptured)
         if held.is_foreign:
             foreign_s.append(time_s)
     return foreign_s
@@ -296,14 +259,9 @@ def test_a_hand_that_lets_go_ends_it():
 def test_a_force_that_jumps_at_a_resting_needle_is_reported(change_N, is_foreign):
     rows = straight(seed=2)[:3_500]
     identifier, _ = run(rows)
-    rng = np.random.default_rng(4)
-    forces_N = (
-        0.5 + 5e-3 * rng.standard_normal(2_000) + change_N * (np.arange(2_000) > 1_500)
-    )
-    depth_m = rows[-1].depth_m
-    _, estimates = run(
-        [(depth_m, 0.0, force_N, 1e-3) for force_N in forces_N.tolist()], identifier
-    )
+    noise_N = 5e-3 * np.random.default_rng(4).standard_normal(2_000)
+    forces_N = 0.5 + noise_N + change_N * (np.arange(2_000) > 1_500)
+    _, estimates = run(rows_of(rows[-1].depth_m, 0.0, forces_N, 1e-3), identifier)
 
     assert bool(reported(estimates)) == is_foreign
 

@@ -1,5 +1,6 @@
 """Ruptures, layers and forces, on forces of a known law."""
 
+import re
 from functools import cache
 
 import numpy as np
@@ -8,7 +9,6 @@ import pytest
 from groundtruth import insert_needle
 from identification import MIXTURE, Identifier, MixtureConfig, SampleStatus, replay
 from identification.config import CheckConfig
-from identification.errors import InvalidConfigError
 from tests.identification.worlds import (
     SPEED_M_S,
     THICKNESS_M,
@@ -16,6 +16,7 @@ from tests.identification.worlds import (
     insertion,
     kept_ruptures,
     rms,
+    rows_of,
     run,
     straight,
     true_force,
@@ -81,18 +82,15 @@ def test_a_provisional_alarm_comes_first_and_is_confirmed():
 def test_a_provisional_alarm_is_confirmed_or_retracted_but_not_both():
     config = MixtureConfig(provisional_probability=0.5)
     _, estimates = run(straight(seed=1), Identifier(config))
+    letters = {"rupture": "r", "provisional": "p", "provisional_retracted": "x"}
+    course = "".join(
+        letter
+        for estimate in estimates
+        for name, letter in letters.items()
+        if getattr(estimate, name) is not None
+    )
 
-    is_open = False
-    for estimate in estimates:
-        if estimate.provisional is not None:
-            assert not is_open
-            is_open = True
-        if estimate.provisional_retracted is not None:
-            assert is_open
-            assert estimate.rupture is None
-        if estimate.provisional_retracted is not None or estimate.rupture is not None:
-            is_open = False
-    assert not is_open
+    assert re.fullmatch("(r|pr|px)+", course)
 
 
 def test_a_surer_alarm_is_later():
@@ -107,20 +105,6 @@ def test_a_surer_alarm_is_later():
         alarms_s.append(rupture.alarm_s)
 
     assert alarms_s[0] <= alarms_s[1] < alarms_s[2]
-
-
-@pytest.mark.slow
-def test_jitter_of_the_speed_says_nothing_of_friction():
-    run = insert_needle("gel-70-sinusoidal", seed=1, rate_hz=100.0)
-    jitter = np.random.default_rng(1).standard_normal((2, len(run.t_s)))
-    depth_m = run.depth_m + 1e-5 * jitter[0]
-    speed_m_s = run.speed_m_s + 1e-4 * jitter[1]
-    estimates = replay(run.t_s, depth_m, run.force_N, speed_m_s).estimates
-    is_behind = (run.t_s > run.truth.rupture_s[0] + 1.0) & (run.speed_m_s > 1e-4)
-    enhanced_N = np.array([estimate.enhanced_force_N for estimate in estimates])
-
-    assert run.force_N[is_behind].mean() > 0.9
-    assert rms(enhanced_N[is_behind]) < 0.06
 
 
 @pytest.mark.slow
@@ -243,22 +227,6 @@ def test_stiffness_of_a_membrane_met_in_air_is_reported(stiffness_N_per_m, seed)
 
 
 @pytest.mark.slow
-@pytest.mark.parametrize("zero_m", [-0.105, 0.0, 1.0])
-def test_the_first_layer_is_split_alike_wherever_depth_has_its_zero(zero_m):
-    truth = insert_needle("gel-25-constant", seed=1000, rate_hz=250.0)
-    result = replay(truth.t_s, truth.depth_m + zero_m, truth.force_N)
-    contact_s = truth.truth.contact_s
-    rupture_s = truth.truth.ruptures[0].onset_s
-    is_first_layer = (truth.t_s > contact_s) & (truth.t_s < rupture_s)
-    tip_N = np.array([estimate.tip_force_N for estimate in result.estimates])
-    std_N = np.array([estimate.tip_force_std_N for estimate in result.estimates])
-    error_N = np.abs(tip_N - truth.truth.tip_N)[is_first_layer]
-
-    assert np.mean(error_N < 2.0 * std_N[is_first_layer]) > 0.95
-    assert error_N.max() < 0.1
-
-
-@pytest.mark.slow
 def test_nothing_is_subtracted_before_the_first_rupture_is_reported():
     """A glove is met under the first gel: its friction is known before the rupture."""
     truth = insert_needle("stack-glove-constant", seed=0, rate_hz=250.0)
@@ -275,13 +243,10 @@ def test_thin_layers_crossed_in_two_seconds_each_are_found_one_and_all():
     """Falls that follow one another are no heartbeat: each stays, and is a rupture."""
     thickness_m = 6e-3
     noise_N = np.random.default_rng(1).normal(0.0, 5e-3, 6_250)
-    rows = []
-    for tick, error_N in enumerate(noise_N.tolist()):
-        depth_m = 3e-3 * 4e-3 * tick - 2e-3
-        in_tissue_m = max(depth_m, 0.0)
-        force_N = 60.0 * (in_tissue_m % thickness_m) + 1.7 * in_tissue_m + error_N
-        rows.append((depth_m, 3e-3, force_N, 4e-3))
-    _, estimates = run(rows)
+    depth_m = 3e-3 * 4e-3 * np.arange(6_250) - 2e-3
+    in_tissue_m = np.maximum(depth_m, 0.0)
+    force_N = 60.0 * (in_tissue_m % thickness_m) + 1.7 * in_tissue_m + noise_N
+    _, estimates = run(rows_of(depth_m, 3e-3, force_N, 4e-3))
     alarms_m = [rupture.depth_m for rupture in values_of(estimates, "rupture")]
 
     assert alarms_m == pytest.approx(thickness_m * np.arange(1, 13), abs=0.3e-3)
@@ -312,15 +277,11 @@ def test_a_rough_layer_stays_uncertain_behind_a_smooth_one():
 )
 def test_a_rupture_releases_more_than_a_tenth_of_a_newton(released_N, is_reported):
     """Less is texture: the least rupture seen in real liver is 0.15 N."""
-    rng = np.random.default_rng(0)
-    rows = []
-    for tick in range(3_000):
-        depth_m = 4e-3 * 2e-3 * tick - 4e-3
-        force_N = 20.0 * max(depth_m, 0.0)
-        fallen = min(max((depth_m - 12e-3) / 0.2e-3, 0.0), 1.0)
-        noise_N = 2e-3 * float(rng.standard_normal())
-        rows.append((depth_m, 4e-3, force_N - released_N * fallen + noise_N, 2e-3))
-    _, estimates = run(rows)
+    noise_N = 2e-3 * np.random.default_rng(0).standard_normal(3_000)
+    depth_m = 4e-3 * 2e-3 * np.arange(3_000) - 4e-3
+    fallen_N = released_N * np.clip((depth_m - 12e-3) / 0.2e-3, 0.0, 1.0)
+    force_N = 20.0 * np.maximum(depth_m, 0.0) - fallen_N + noise_N
+    _, estimates = run(rows_of(depth_m, 4e-3, force_N, 2e-3))
 
     assert bool(kept_ruptures(estimates)) == is_reported
 
@@ -328,36 +289,13 @@ def test_a_rupture_releases_more_than_a_tenth_of_a_newton(released_N, is_reporte
 @pytest.mark.parametrize("has_speed", [True, False])
 def test_friction_that_falls_as_the_needle_brakes_is_no_rupture(has_speed):
     """The needle slows down from 4 to 1.5 mm/s; all of the force is viscous."""
-    rng = np.random.default_rng(0)
-    rows = []
-    depth_m = -4e-3
-    for tick in range(8_000):
-        speed_m_s = (
-            4e-3 if tick < 6_000 else max(4e-3 - 20e-3 * (tick - 6_000) * 1e-3, 1.5e-3)
-        )
-        depth_m += 1e-3 * speed_m_s
-        force_N = 50.0 * max(depth_m, 0.0) * (0.2 + 0.8 * speed_m_s / 4e-3)
-        noise_N = 5e-3 * float(rng.standard_normal())
-        seen_m_s = speed_m_s if has_speed else None
-        rows.append((depth_m, seen_m_s, force_N + noise_N, 1e-3))
-    _, estimates = run(rows)
+    noise_N = 5e-3 * np.random.default_rng(0).standard_normal(8_000)
+    braking_s = 1e-3 * (np.arange(8_000) - 6_000)
+    speed_m_s = np.clip(4e-3 - 20e-3 * braking_s, 1.5e-3, 4e-3)
+    depth_m = 1e-3 * np.cumsum(speed_m_s) - 4e-3
+    force_N = 50.0 * np.maximum(depth_m, 0.0) * (0.2 + 0.8 * speed_m_s / 4e-3)
+    seen_m_s = speed_m_s if has_speed else None
+    _, estimates = run(rows_of(depth_m, seen_m_s, force_N + noise_N, 1e-3))
 
     assert estimates[6_300].predicted_force_N < 0.6 * estimates[5_999].predicted_force_N
     assert values_of(estimates, "rupture") == []
-
-
-@pytest.mark.parametrize(
-    ("name", "values"),
-    [
-        ("alarm_probability", {"alarm_probability": 0.3}),
-        ("alarm_probability", {"alarm_probability": 1.0}),
-        ("alarm_probability", {"alarm_probability": np.nan}),
-        (
-            "provisional_probability",
-            {"alarm_probability": 0.9, "provisional_probability": 0.95},
-        ),
-    ],
-)
-def test_a_probability_of_an_alarm_must_be_one(name, values):
-    with pytest.raises(InvalidConfigError, match=name):
-        MixtureConfig(**values)

@@ -12,10 +12,11 @@ from groundtruth.scenarios import Wave
 from identification import Identifier, SampleStatus, TissueWarning, replay
 from identification.mixture.block import Block
 from identification.mixture.motion_fit import Fit, displacement, turned
-from identification.mixture.tissue_pull import TissuePull
+from identification.mixture.tissue_doubt import TissuePull
 from tests.identification.worlds import (
     follow,
     kept_ruptures,
+    rows_of,
     run,
     samples_of,
     straight,
@@ -97,7 +98,7 @@ def test_a_heartbeat_that_ends_is_given_up_and_hides_no_rupture():
 def test_an_insertion_resumes_in_moving_tissue():
     simulated = moving(HEART, seed=7)
     columns = (simulated.depth_m, simulated.speed_m_s, simulated.force_N)
-    rows = [(*row, 1e-3) for row in np.column_stack(columns)[13_000:27_000].tolist()]
+    rows = rows_of(*columns, 1e-3)[13_000:27_000]
     first, _ = run(rows[:12_000])
     second = Identifier()
     second.restore(first.snapshot())
@@ -112,22 +113,18 @@ def test_tissue_that_draws_back_beyond_the_tip_ends_the_search_for_its_motion():
     waves = (Wave(10.4e-3, 0.2212, 3.795), Wave(3.754e-3, 0.4424, 1.3926))
     breathing = moving(waves, seed=105, rate_hz=250.0)
     columns = (breathing.t_s, breathing.depth_m, breathing.force_N, breathing.speed_m_s)
-    result = replay(*columns)
 
-    assert result.estimates[-1].status is SampleStatus.OK
+    assert replay(*columns).estimates[-1].status is SampleStatus.OK
 
 
 @pytest.mark.parametrize("dt_s", [0.1, 0.2, 0.24])
 def test_a_log_too_slow_for_a_heartbeat_is_identified(dt_s):
-    rng = np.random.default_rng(1)
-    rows = []
-    for tick in range(round(40.0 / dt_s)):
-        depth_m = 1e-3 * tick * dt_s - 3e-3
-        breath_N = 0.2 * np.sin(2.0 * np.pi * 0.25 * tick * dt_s) * (depth_m > 0.0)
-        noise_N = 5e-3 * rng.standard_normal()
-        force_N = float(30.0 * max(depth_m, 0.0) + breath_N + noise_N)
-        rows.append((depth_m, 1e-3, force_N, dt_s))
-    _, estimates = run(rows)
+    t_s = np.arange(0.0, 40.0, dt_s)
+    depth_m = 1e-3 * t_s - 3e-3
+    breath_N = 0.2 * np.sin(2.0 * np.pi * 0.25 * t_s) * (depth_m > 0.0)
+    noise_N = 5e-3 * np.random.default_rng(1).standard_normal(len(t_s))
+    force_N = 30.0 * np.maximum(depth_m, 0.0) + breath_N + noise_N
+    _, estimates = run(rows_of(depth_m, 1e-3, force_N, dt_s))
 
     assert estimates[-1].status is SampleStatus.OK
 
@@ -135,14 +132,12 @@ def test_a_log_too_slow_for_a_heartbeat_is_identified(dt_s):
 @pytest.mark.parametrize("force_N", [0.0, 190.0, -190.0])
 @pytest.mark.parametrize("speed_m_s", [0.0, 1e-3, 0.9])
 def test_absurd_forces_and_speeds_leave_every_number_finite(force_N, speed_m_s):
-    rows = [
-        (0.05 * k * speed_m_s, speed_m_s, force_N if k % 7 else -force_N, 0.05)
-        for k in range(400)
-    ]
-    _, estimates = run(rows)
+    k = np.arange(400)
+    forces_N = np.where(k % 7, force_N, -force_N)
+    _, estimates = run(rows_of(0.05 * k * speed_m_s, speed_m_s, forces_N, 0.05))
 
-    for estimate in estimates:
-        assert all(np.isfinite(v) for v in estimate if isinstance(v, float))
+    numbers = [v for estimate in estimates for v in estimate if isinstance(v, float)]
+    assert np.isfinite(numbers).all()
 
 
 def breathing(breath_m, hz, speed_m_s, seed):

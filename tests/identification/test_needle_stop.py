@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from identification import replay
-from tests.identification.worlds import insertion, run
+from tests.identification.worlds import insertion, rows_of, run
 
 
 def stopped(kept_friction, kept_tip, seed=0, speed_m_s=3e-3, stop_m=40e-3):
@@ -48,30 +48,18 @@ def test_friction_may_let_go_at_rest():
     assert error_N < 2.0 * resting.shaft_friction_std_N
 
 
-def stop_twice(fractions):
-    """Friction, over that before the stop, at two stops that keep such fractions."""
-    rng = np.random.default_rng(3)
-    identifier_rows = []
-    depth_m = -2e-3
-    for number, kept in enumerate(fractions):
-        for _ in range(1_000):
-            depth_m += 3e-3 * 4e-3
-            force_N = 40.0 * max(depth_m, 0.0) + 4e-3 * rng.standard_normal()
-            identifier_rows.append((depth_m, 3e-3, float(force_N), 4e-3, number))
-        for _ in range(250):
-            force_N = kept * 40.0 * depth_m + 4e-3 * rng.standard_normal()
-            identifier_rows.append((depth_m, 0.0, float(force_N), 4e-3, number))
-    _, estimates = run(row[:4] for row in identifier_rows)
-    first = estimates[1_010].predicted_force_N / estimates[995].predicted_force_N
-    second = estimates[2_260].predicted_force_N / estimates[2_245].predicted_force_N
-    return first, second
+def kept_at_second_stop(kept):
+    """Friction, over that before the stop, at the second stop that keeps a fraction."""
+    noise_N = 4e-3 * np.random.default_rng(3).standard_normal(2_500)
+    speed_m_s = np.tile(np.repeat([3e-3, 0.0], [1_000, 250]), 2)
+    depth_m = 4e-3 * np.cumsum(speed_m_s) - 2e-3
+    friction_N = 40.0 * np.maximum(depth_m, 0.0) * np.where(speed_m_s, 1.0, kept)
+    _, estimates = run(rows_of(depth_m, speed_m_s, friction_N + noise_N, 4e-3))
+    return estimates[2_260].predicted_force_N / estimates[2_245].predicted_force_N
 
 
 def test_what_a_stop_has_shown_is_expected_at_the_next():
-    _, kept = stop_twice((0.9, 0.9))
-    _, lost = stop_twice((0.55, 0.55))
-
-    assert kept > lost + 0.1
+    assert kept_at_second_stop(0.9) > kept_at_second_stop(0.55) + 0.1
 
 
 @pytest.mark.parametrize("speed_m_s", [2.7e-3, 2.9e-3])

@@ -7,7 +7,8 @@ import numpy as np
 import pytest
 
 from groundtruth import insert_needle
-from identification import Identifier, replay
+from identification import replay
+from tests.identification.worlds import rows_of, run
 
 RATE_HZ = 250.0
 
@@ -24,12 +25,11 @@ class Recording(NamedTuple):
 @cache
 def record():
     """One gel, from 10 mm in front of it until the needle has left it."""
-    run = insert_needle("gel-25-constant", seed=3, rate_hz=RATE_HZ)
-    begin = np.searchsorted(run.depth_m[run.t_s > run.tare_end_s], -10e-3)
-    begin += np.searchsorted(run.t_s, run.tare_end_s)
-    rows = slice(begin, np.searchsorted(run.t_s, run.truth.rupture_s[0] + 3.0))
-    columns = (run.t_s, run.depth_m, run.force_N, run.speed_m_s)
-    return Recording(*(column[rows] for column in columns))
+    made = insert_needle("gel-25-constant", seed=3, rate_hz=RATE_HZ)
+    is_kept = (made.t_s > made.tare_end_s) & (made.depth_m > -10e-3)
+    is_kept &= made.t_s < made.truth.rupture_s[0] + 3.0
+    columns = (made.t_s, made.depth_m, made.force_N, made.speed_m_s)
+    return Recording(*(column[is_kept] for column in columns))
 
 
 @cache
@@ -88,17 +88,13 @@ def test_a_speed_that_is_measured_changes_no_layer():
 
 
 def test_a_replay_is_a_loop_over_update():
-    t_s, depth_m, force_N, speed_m_s = (column.tolist() for column in record())
-    dt_s = [1.0 / RATE_HZ, *np.diff(record().t_s).tolist()]
-    identifier = Identifier()
-    result = replayed(has_speed=True)
-    rows = zip(depth_m, speed_m_s, force_N, dt_s, t_s, strict=True)
-    looped = [identifier.update(*row) for row in rows]
+    t_s, depth_m, force_N, speed_m_s = record()
+    steps_s = np.append(1.0 / RATE_HZ, np.diff(t_s))
+    _, looped = run(rows_of(depth_m, speed_m_s, force_N, steps_s))
 
-    assert [e.tip_force_N for e in result.estimates] == pytest.approx(
+    assert [e.tip_force_N for e in replayed(has_speed=True).estimates] == pytest.approx(
         [e.tip_force_N for e in looped], abs=1e-9
     )
-    assert len(result.layers) == len(identifier.layers) == 1
 
 
 def test_late_rows_and_a_clock_set_back_hide_no_event():
@@ -132,13 +128,13 @@ def test_a_bad_stamp_or_depth_spoils_its_own_row_only():
     assert len(result.layers) == 1
 
 
-def test_a_mostly_still_clock_has_a_usual_step_and_a_gap_is_counted():
+def test_a_mostly_still_clock_has_a_usual_step_and_a_jump_of_it_is_counted():
     t_s = np.repeat(np.arange(100) / 100, 3)
     result = replay(t_s, 0.01 * t_s, 0.0 * t_s)
     jumped = replay(t_s + 1e9 * (t_s > 0.5), t_s, t_s)
 
     assert sum(estimate.status.is_used for estimate in result.estimates) == 100
-    assert any("gaps" in hint.text for hint in jumped.hints)
+    assert any("dt" in hint.text for hint in jumped.hints)
 
 
 @pytest.mark.parametrize(

@@ -20,7 +20,7 @@ from identification import (
 )
 from identification.config import CheckConfig
 from identification.errors import InvalidConfigError, InvalidSnapshotError
-from tests.identification.worlds import run
+from tests.identification.worlds import rows_of, run
 
 GOOD = (0.001, 0.002, 0.1, 1e-3)
 
@@ -104,15 +104,16 @@ def test_numpy_scalars_integers_and_fractions_are_welcome(sample):
 @pytest.mark.parametrize("config", [MIXTURE, PUBLISHED])
 @pytest.mark.parametrize("dt_s", [1e308, 1e-13])
 def test_an_absurd_interval_leaves_every_number_finite(config, dt_s):
-    rows = [
-        (1e-5 * k, 0.01, 0.1 + 1e-3 * k, dt_s if k % 3 else 1e-3) for k in range(300)
-    ]
-    _, estimates = run(rows, Identifier(config))
+    k = np.arange(300)
+    steps_s = np.where(k % 3, dt_s, 1e-3)
+    _, estimates = run(
+        rows_of(1e-5 * k, 0.01, 0.1 + 1e-3 * k, steps_s), Identifier(config)
+    )
 
-    for k, estimate in enumerate(estimates):
-        expected = SampleStatus.TIME_RANGE if k % 3 else SampleStatus.OK
-        assert estimate.status is expected
-        assert all(math.isfinite(v) for v in estimate if isinstance(v, float))
+    statuses = (SampleStatus.OK, SampleStatus.TIME_RANGE, SampleStatus.TIME_RANGE)
+    assert [estimate.status for estimate in estimates] == 100 * [*statuses]
+    numbers = [v for estimate in estimates for v in estimate if isinstance(v, float)]
+    assert np.isfinite(numbers).all()
     assert estimates[-1].time_s == pytest.approx(0.1)
 
 
@@ -128,26 +129,24 @@ def test_an_impossible_deviation_counts_as_not_stated(std):
 
 
 def one_layer(contact_m=0.0):
-    """Depths and forces of 9,000 samples through a layer of 10 mm."""
-    depths_m = (2.5e-6 * np.arange(9_000)).tolist()
-    forces_N = [
-        60.0 * max(depth_m - contact_m, 0.0) if depth_m < contact_m + 10e-3 else 0.1
-        for depth_m in depths_m
-    ]
-    return depths_m, forces_N
+    """Samples of a needle that leaves a layer of 10 mm."""
+    depth_m = 2.5e-6 * np.arange(9_000)
+    in_layer_m = np.maximum(depth_m - contact_m, 0.0)
+    force_N = np.where(depth_m < contact_m + 10e-3, 60.0 * in_layer_m, 0.1)
+    return rows_of(depth_m, 2.5e-3, force_N, 1e-3)
 
 
 def test_events_are_on_the_clock_of_the_caller():
-    summed = Identifier()
-    absolute = Identifier()
-    for k, (depth_m, force_N) in enumerate(zip(*one_layer(2e-3), strict=True)):
-        own = summed.update(depth_m, 2.5e-3, force_N, 1e-3)
-        callers = absolute.update(depth_m, 2.5e-3, force_N, 1e-3, time_s=5e4 + 1e-3 * k)
-        assert own.time_s == pytest.approx(1e-3 * (k + 1))
-        assert callers.time_s == 5e4 + 1e-3 * k
+    rows = one_layer(2e-3)
+    times_s = [5e4 + 1e-3 * k for k in range(len(rows))]
+    summed, own = run(rows)
+    stamped = zip(rows, times_s, strict=True)
+    absolute, callers = run((*row, time_s) for row, time_s in stamped)
     own_rupture = summed.layers[0].rupture
     callers_rupture = absolute.layers[0].rupture
 
+    assert [e.time_s for e in own] == pytest.approx(np.arange(1, 9_001) * 1e-3)
+    assert [e.time_s for e in callers] == times_s
     for name in ("time_s", "alarm_s"):
         later_s = getattr(callers_rupture, name) - getattr(own_rupture, name)
         assert later_s == pytest.approx(5e4 - 1e-3)
@@ -167,33 +166,30 @@ def test_a_sample_without_a_usable_time_is_rejected(time_s):
 
 @pytest.mark.parametrize("config", [MIXTURE, replace(PUBLISHED, contact_depth_m=3e-3)])
 def test_events_count_depth_from_the_callers_zero(config):
-    plain = Identifier(config)
-    moved = Identifier(config)
-    for k, (depth_m, force_N) in enumerate(zip(*one_layer(3e-3), strict=True)):
-        plain.update(depth_m, 2.5e-3, force_N, 1e-3)
-        moved_m = depth_m + (0.05 if k > 500 else 0.0)
-        moved.update(moved_m, 2.5e-3, force_N, 1e-3)
+    rows = one_layer(3e-3)
+    moved_rows = rows[:501] + [r._replace(depth_m=r.depth_m + 0.05) for r in rows[501:]]
+    plain, _ = run(rows, Identifier(config))
+    moved, _ = run(moved_rows, Identifier(config))
     (layer,) = plain.layers
     (moved_layer,) = moved.layers
-    shift_m = pytest.approx(0.05, abs=5e-5)  # blocks begin elsewhere after the jump
-
-    assert moved_layer.rupture.depth_m - layer.rupture.depth_m == shift_m
-    assert moved_layer.start_depth_m - layer.start_depth_m == shift_m
-    for name in ("contact_depth_m", "alarm_depth_m"):
-        by_m = getattr(moved_layer.rupture, name) - getattr(layer.rupture, name)
-        assert by_m == shift_m
-    assert moved_layer.thickness_m == pytest.approx(layer.thickness_m, abs=5e-5)
+    by_m = [
+        getattr(moved_layer.rupture, name) - getattr(layer.rupture, name)
+        for name in ("depth_m", "contact_depth_m", "alarm_depth_m")
+    ]
+    by_m.append(moved_layer.start_depth_m - layer.start_depth_m)
     if config is MIXTURE:
         assert plain.contact_depth_m == pytest.approx(3e-3, abs=0.5e-3)
-        assert moved.contact_depth_m - plain.contact_depth_m == shift_m
-    else:
-        assert plain.contact_depth_m is None
+        by_m.append(moved.contact_depth_m - plain.contact_depth_m)
+
+    # Blocks begin elsewhere after the jump.
+    assert by_m == pytest.approx([0.05] * len(by_m), abs=5e-5)
+    assert moved_layer.thickness_m == pytest.approx(layer.thickness_m, abs=5e-5)
 
 
 def statuses_of(rows):
     """Statuses of rows of depth, speed and interval, and the depth seen at the end."""
     identifier, estimates = run((depth, speed, 0.0, dt) for depth, speed, dt in rows)
-    return [e.status for e in estimates], identifier.snapshot().travel.depth_m
+    return [e.status for e in estimates], identifier.snapshot().travel.depth.value
 
 
 REST = [(0.0, 0.0, 1e-3)] * 50
@@ -230,15 +226,14 @@ def test_a_gap_makes_no_gap_usual():
 
 
 def test_wrong_speed_sign_is_reported_and_time_passes():
-    rows = [
-        (2e-6 * k, -0.002 if 500 <= k < 3000 else 0.002, 0.0, 1e-3) for k in range(3500)
-    ]
-    _, estimates = run(rows)
+    k = np.arange(3_500)
+    speed_m_s = np.where((k >= 500) & (k < 3_000), -0.002, 0.002)
+    _, estimates = run(rows_of(2e-6 * k, speed_m_s, 0.0, 1e-3))
     statuses = [estimate.status for estimate in estimates]
-    rejected = [k for k, s in enumerate(statuses) if s is SampleStatus.SPEED_SIGN]
+    after = statuses[::-1].index(SampleStatus.SPEED_SIGN)
 
-    assert len(rejected) > 2000
-    assert statuses[max(rejected) + 1] is SampleStatus.TIME_GAP
+    assert statuses.count(SampleStatus.SPEED_SIGN) > 2000
+    assert statuses[-after] is SampleStatus.TIME_GAP
     assert statuses.count(SampleStatus.TIME_GAP) == 1
     assert SampleStatus.DEPTH_JUMP not in statuses
     assert estimates[-1].time_s == pytest.approx(3.5)
@@ -274,14 +269,17 @@ def test_what_is_no_number_is_refused(kind):
 
 
 @pytest.mark.parametrize(
-    ("change", "word"),
+    ("kind", "word", "values"),
     [
-        ({"model": "xx"}, "model"),
-        ({"sigma0_N": 0.1}, "sigma1_N"),
-        ({"reset_frequency_Hz": 0.0}, "reset_frequency_Hz"),
-        ({"most_windows": 0.5}, "most_windows"),
+        (PublishedConfig, "model", {"model": "xx"}),
+        (PublishedConfig, "sigma1_N", {"sigma0_N": 0.1}),
+        (PublishedConfig, "reset_frequency_Hz", {"reset_frequency_Hz": 0.0}),
+        (PublishedConfig, "most_windows", {"most_windows": 0.5}),
+        (MixtureConfig, "alarm_probability", {"alarm_probability": 0.3}),
+        (MixtureConfig, "alarm_probability", {"alarm_probability": 1.0}),
+        (MixtureConfig, "provisional_probability", {"provisional_probability": 0.99}),
     ],
 )
-def test_bad_settings_of_the_published_method_are_refused(change, word):
+def test_settings_out_of_range_are_refused(kind, word, values):
     with pytest.raises(InvalidConfigError, match=word):
-        PublishedConfig(**change)
+        kind(**values)

@@ -1,13 +1,11 @@
 """Snapshots resume bit for bit; memory stays bounded however long the insertion."""
 
 import pickle
-from dataclasses import is_dataclass, replace
 
 import numpy as np
 import pytest
 
 from identification import MIXTURE, PUBLISHED, Identifier
-from identification.errors import InvalidSnapshotError
 from needleforce import read_snapshot, write_snapshot
 from tests.identification.worlds import run
 
@@ -62,53 +60,3 @@ def test_every_state_resumes_bit_for_bit(config, tmp_path):
     # Nothing changes a snapshot.
     assert all(pickle.dumps(snapshot) == pickled for snapshot, pickled in kept)
     assert run(rows, resumed)[1] == estimates
-
-
-@pytest.fixture(scope="module")
-def in_tissue():
-    """An identifier of each method in tissue."""
-    identifiers = {config: Identifier(config) for config in (MIXTURE, PUBLISHED)}
-    for identifier in identifiers.values():
-        run(samples(2800), identifier)
-    return identifiers
-
-
-def copy_with(node, names, change):
-    """A named tuple or a data class with a value changed deep inside."""
-    name, *deeper = names
-    value = getattr(node, name)
-    value = copy_with(value, deeper, change) if deeper else change(value)
-    if is_dataclass(node):
-        return replace(node, **{name: value})
-    return node._replace(**{name: value})
-
-
-@pytest.mark.parametrize(
-    ("config", "place", "change"),
-    [
-        (MIXTURE, "state.mixture.covariances", np.triu),  # not symmetric
-        (MIXTURE, "state.mixture.covariances", lambda matrices: matrices[:, :2, :2]),
-        (MIXTURE, "state.mixture.assumptions", lambda numbers: numbers + 7.0),
-        (MIXTURE, "state.mixture.log_weights", lambda weights: weights.astype(int)),
-        (MIXTURE, "state.learner.levels", lambda _: None),
-        (MIXTURE, "state.contact.deepest_m", lambda _: np.nan),
-        (MIXTURE, "state.posterior.offset", lambda _: np.inf),
-        (MIXTURE, "state.learner.tissue.unit", lambda _: 10**6),
-        (MIXTURE, "state.stage", lambda _: 10**9),
-        (MIXTURE, "check.depth_m", lambda _: np.nan),
-        (MIXTURE, "travel", lambda _: None),
-        (PUBLISHED, "state.friction_variance", lambda variance: -variance),
-        (PUBLISHED, "state.machine", lambda _: 5),
-        (PUBLISHED, "state.windows", np.asfortranarray),
-    ],
-)
-def test_a_damaged_state_is_refused_and_changes_nothing(
-    in_tissue, config, place, change
-):
-    identifier = in_tissue[config]
-    snapshot = identifier.snapshot()
-    pickled = pickle.dumps(snapshot)
-
-    with pytest.raises(InvalidSnapshotError):
-        identifier.restore(copy_with(snapshot, place.split("."), change))
-    assert pickle.dumps(identifier.snapshot()) == pickled

@@ -7,12 +7,9 @@ import numpy as np
 import pytest
 
 from foundation.records import as_record, from_record
-from identification import Identifier, SampleStatus
 from identification.config import CheckConfig
 from identification.mixture.speed_filter import FIRST_SPEED_FILTER, filter_speed
 from identification.travel_filter import (
-    DEPTH,
-    DEPTH_MEANS,
     TravelState,
     filter_travel,
 )
@@ -35,6 +32,7 @@ class Filtered(NamedTuple):
     speed_m_s: np.ndarray
     depth_std_m: np.ndarray
     speed_std_m_s: np.ndarray
+    min_variance_m2: np.ndarray
     learned_m: float
 
 
@@ -73,12 +71,16 @@ def filtered(t_s, depth_m, speed_m_s):
     """A speed that is not a number counts as not measured."""
     record = as_record(TravelState())
     steps = np.diff(t_s, prepend=t_s[0] - 1e-3)
-    rows = zip(depth_m.tolist(), speed_m_s.tolist(), steps.tolist(), strict=True)
-    travels = [
-        filter_travel(*row, not math.isnan(row[1]), GAP_S, record[0]) for row in rows
-    ]
-    state = from_record(TravelState, record)
-    return Filtered(*np.array(travels).T, math.sqrt(state.noises[DEPTH].variance))
+    columns = (depth_m, np.broadcast_to(speed_m_s, len(t_s)), steps)
+    travels = []
+    for row in zip(*(column.tolist() for column in columns), strict=True):
+        filter_travel(*row, not math.isnan(row[1]), GAP_S, record[0])
+        state = from_record(TravelState, record)
+        depth = state.depth
+        stds = (math.sqrt(depth.noise), math.sqrt(state.speed.noise))
+        least = depth.means.min_variance
+        travels.append((depth.value, state.speed.value, *stds, least))
+    return Filtered(*np.array(travels).T, math.sqrt(depth.single.variance))
 
 
 @pytest.mark.slow
@@ -128,7 +130,7 @@ def test_a_needle_that_stops_or_turns_is_followed(given):
 def test_rest_of_a_rounded_depth_teaches_no_noise():
     t_s, depth_m, _ = motion()
     rounded = np.round(depth_m / 1e-5) * 1e-5
-    travel = filtered(t_s, rounded, np.full(len(t_s), math.nan))
+    travel = filtered(t_s, rounded, math.nan)
 
     assert travel.learned_m > 1e-6
 
@@ -163,25 +165,17 @@ def test_smooth_noise_of_an_encoder_is_learned(step_m):
 @pytest.mark.parametrize("rate_hz", [1000.0, 200.0])
 def test_a_swing_is_no_noise(rate_hz, lost_s):
     rng = np.random.default_rng(4)
-    record = as_record(TravelState())
-    least_variances = []
-    t_s = 0.0
-    for k in range(int(14.0 * rate_hz)):
-        dt_s = (lost_s if k % int(2.0 * rate_hz) == 0 else 0.0) + rng.uniform(
-            0.8, 1.2
-        ) / rate_hz
-        t_s += dt_s
-        swing_m = (
-            2e-4 * math.sin(2.0 * math.pi * 6.0 * t_s) if k > 8.0 * rate_hz else 0.0
-        )
-        noisy_m = swing_m + 2e-6 * float(rng.standard_normal())
-        filter_travel(noisy_m, 0.0, dt_s, False, GAP_S, record[0])
-        state = from_record(TravelState, record)
-        least_variances.append(state.noises[DEPTH_MEANS].min_variance)
+    steps_s = rng.uniform(0.8, 1.2, int(14.0 * rate_hz)) / rate_hz
+    steps_s[:: int(2.0 * rate_hz)] += lost_s
+    t_s = np.cumsum(steps_s)
+    is_swinging = np.arange(len(t_s)) > 8.0 * rate_hz
+    swing_m = 2e-4 * np.sin(2.0 * math.pi * 6.0 * t_s) * is_swinging
+    noise_m = 2e-6 * rng.standard_normal(len(t_s))
+    least_m2 = filtered(t_s, swing_m + noise_m, math.nan).min_variance_m2
     forgotten = math.exp(6.0 / 8.0)  # of the least, in 6 s of swing
     of_a_mean = 4e-12 / (0.016 * rate_hz)
 
-    assert max(least_variances[int(3.0 * rate_hz) :]) < 2.0 * forgotten * of_a_mean
+    assert least_m2[int(3.0 * rate_hz) :].max() < 2.0 * forgotten * of_a_mean
 
 
 def test_after_a_gap_it_starts_anew():
@@ -189,28 +183,11 @@ def test_after_a_gap_it_starts_anew():
     is_kept = (t_s < 2.0) | (t_s > 4.0)
     t_s = t_s[is_kept]
     depth_m = depth_m[is_kept]
-    for speeds_m_s in (speed_m_s[is_kept], np.full(len(t_s), math.nan)):
+    for speeds_m_s in (speed_m_s[is_kept], math.nan):
         travel = filtered(t_s, depth_m, speeds_m_s)
         assert np.abs(travel.depth_m - depth_m).max() < 1e-4
         later = (t_s > 4.1) & (t_s < 5.0)
         assert np.abs(travel.speed_m_s[later] - 4e-3).max() < 1e-4
-
-
-@pytest.mark.slow
-def test_nobody_need_measure_the_speed():
-    rng = np.random.default_rng(4)
-    identifier = Identifier()
-    for k in range(9000):
-        depth = 2.5e-6 * k - 5e-3
-        force = 60.0 * max(depth, 0.0) if depth < 0.01 else 0.2
-        noise = rng.standard_normal(2).tolist()
-        estimate = identifier.update(
-            depth + 1e-4 * noise[0], None, force + 0.01 * noise[1], 1e-3
-        )
-        assert estimate.status is SampleStatus.OK
-    (layer,) = identifier.layers
-
-    assert layer.rupture.depth_m == pytest.approx(0.01, abs=3e-4)
 
 
 def test_the_slow_speed_filter_is_quiet_and_stops():
@@ -252,11 +229,10 @@ def test_the_slow_speed_filter_follows_an_even_acceleration(acceleration_mm_s2):
 @pytest.mark.parametrize("noise_m", [0.0, 1.4e-5])
 def test_the_zero_of_depth_changes_nothing(shift_m, noise_m):
     moved = motion()
-    unknown = np.full(len(moved.t_s), math.nan)
     noise = np.random.default_rng(2).standard_normal(len(moved.t_s))
     depth_m = moved.depth_m + noise_m * noise
-    before = filtered(moved.t_s, depth_m, unknown)
-    after = filtered(moved.t_s, depth_m + shift_m, unknown)
+    before = filtered(moved.t_s, depth_m, math.nan)
+    after = filtered(moved.t_s, depth_m + shift_m, math.nan)
 
     assert np.abs(after.depth_m - shift_m - before.depth_m).max() < 1e-7
     # Rounding of depths so far from zero is noise, of which exact ones have none.

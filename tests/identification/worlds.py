@@ -100,6 +100,14 @@ def straight(seed=0, **changes):
     return insertion([(46e-3, 46e-3 / SPEED_M_S)], seed, **changes)
 
 
+def rows_of(depth_m, speed_m_s, force_N, dt_s):
+    """Samples of columns, or of numbers that hold for all; no speed is None."""
+    speeds = np.nan if speed_m_s is None else speed_m_s
+    columns = np.broadcast_arrays(depth_m, speeds, force_N, dt_s)
+    rows = [Row(*values) for values in zip(*(c.tolist() for c in columns), strict=True)]
+    return rows if speed_m_s is not None else [r._replace(speed_m_s=None) for r in rows]
+
+
 def run(rows, identifier=None):
     """The identifier after the rows, and its estimates."""
     identifier = identifier or Identifier()

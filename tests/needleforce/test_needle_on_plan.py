@@ -11,13 +11,15 @@ from scipy.spatial.transform import Rotation
 from needleforce import InsertionSession
 from needleforce.anatomy import Layer, PlanMatch, Registration
 from needleforce.cli.arms.arm_watch import describe_events
-from needleforce.control.monitors import NOTHING, Monitors, SafetyLimits
+from needleforce.control.handle_watch import HandleReading, HandleReport
+from needleforce.control.monitors import Beside, Monitors, SafetyLimits
 from needleforce.control.state_machine import State
 from needleforce.insertion_events import session_events
 from needleforce.needle_on_plan import PlannedEntry, PlannedPath, describe_deviation
 from needleforce.scene.words import describe_state, describe_tissue, find_banner
 from tests.insertion_run import following, samples, short_run, stopped_after, tare_index
 
+DEVICE = Beside(handle=HandleReport(HandleReading(np.zeros(3), np.zeros(3), True)))
 ENTRY_m = np.array([0.6, 0.1, 0.2])
 AXIS = np.array([0.0, 0.6, -0.8])
 TARGET_m = ENTRY_m + 0.08 * AXIS
@@ -279,7 +281,7 @@ def test_an_advance_off_the_plan_is_stopped_if_told_to(state, is_told, is_stoppe
     monitors = Monitors(session, limits)
     monitors.enter(state)
     sample = SimpleNamespace(dt_s=1e-3, q_rad=RUN.signals.q_rad[TARE])
-    beside = NOTHING._replace(has_device=True)
+    beside = DEVICE
     event, reason = monitors.update(estimates[-1], sample, beside, 1e-3)
 
     assert (event == "limit" and "OFF PLAN" in reason) is is_stopped
@@ -363,7 +365,7 @@ def test_an_autonomous_insertion_stops_past_the_target(
     monitors = Monitors(session, limits)
     monitors.enter(state)
     sample = SimpleNamespace(dt_s=1e-3, q_rad=RUN.signals.q_rad[TARE])
-    beside = NOTHING._replace(has_device=True)
+    beside = DEVICE
     event, reason = monitors.update(estimates[-1], sample, beside, 1e-3)
 
     assert (event == "limit" and "PAST THE TARGET" in reason) is is_stopped

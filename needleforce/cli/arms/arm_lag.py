@@ -4,7 +4,7 @@ from foundation.jit import compile_waiting
 from needleforce.cli.arms.arm_connection import ask_to_move, limits_of, open_arm
 from needleforce.cli.shared_options import RobotOptions
 from needleforce.cli.terminal import aligned, json_text, say, write_out
-from needleforce.control.lag import find_safe_gain, measure_lag
+from needleforce.control.lag import PHASE_MARGIN_deg, find_safe_gain, measure_lag
 from needleforce.control.tasks import GAIN_PER_S
 
 S_TO_MS = 1e3
@@ -37,9 +37,9 @@ def measure_arm(
     compile_waiting()  # before the arm is open: a UR stops after 0.1 s of silence
     with open_arm(arm_name, options, takes_commands=True) as connected:
         arm, robot = connected
-        lag = measure_lag(arm, robot, limits_of(connected))
-    slowest = max(lag.delays, key=lambda delay: delay.delay_s + delay.std_s)
-    gain = find_safe_gain(slowest, lag.cycle_s)
+        delays = measure_lag(arm, robot, limits_of(connected))
+    slowest = max(delays, key=lambda delay: delay.delay_s + delay.std_s)
+    gain = find_safe_gain(slowest)
     joints = [
         {
             "joint": name,
@@ -47,13 +47,13 @@ def measure_arm(
             "std_ms": S_TO_MS * delay.std_s,
             "followed": delay.followed,
         }
-        for name, delay in zip(robot.joint_names, lag.delays, strict=True)
+        for name, delay in zip(robot.joint_names, delays, strict=True)
     ]
     numbers = {
-        "cycle_ms": S_TO_MS * lag.cycle_s,
+        "cycle_ms": S_TO_MS * slowest.cycle_s,
         "safe_gain_per_s": gain.safe_per_s,
         "unstable_gain_per_s": gain.unstable_per_s,
-        "phase_margin_deg": gain.margin_deg,
+        "phase_margin_deg": PHASE_MARGIN_deg,
         "usual_gain_per_s": GAIN_PER_S,
     }
     if as_json:

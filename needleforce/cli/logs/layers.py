@@ -17,8 +17,8 @@ from identification import (
     LayerEstimate,
     SampleStatus,
     TissueWarning,
+    replay,
 )
-from identification.log_replay import ReplayStream
 from needleforce.cli.shared_options import IdentificationOptions
 from needleforce.cli.terminal import CommandError
 from needleforce.depth_zero import FIRST_CONTACT, LOG_ZERO, DepthZero
@@ -91,44 +91,36 @@ def identify_layers(
     Raises:
         CommandError: No row could be used, or rows lie too far apart in time.
     """
-    part_rows = 1 << 14  # a million estimates at once would fill the memory
-    stream = ReplayStream(METHODS[options.method])
-    dt_s = log.dt_s
-    channels = dict(log.channels)
     ignored: dict[str, int] = {}
+    force_N = log["force_N"]
     if not options.ignore_status:
-        channels["force_N"], ignored = usable_force(log)
-    statuses = Counter[SampleStatus]()
-    tables: list[pd.DataFrame] = []
-    for start in range(0, len(log), part_rows):
-        rows = slice(start, start + part_rows)
-        part = {name: values[rows] for name, values in channels.items()}
-        estimates = stream.run(
-            log.t_s[rows],
-            dt_s[rows],
-            part["depth_m"],
-            part["force_N"],
-            part.get("speed_m_s"),
-            part.get("force_std_N"),
-        )
-        statuses.update(estimate.status for estimate in estimates)
-        depth_in_tissue_m = part["depth_m"] - stream.contact_depths_m
-        tables.append(estimate_table(log.t_s[rows], depth_in_tissue_m, estimates))
-        progress(min(rows.stop / len(log), 1.0))
+        force_N, ignored = usable_force(log)
+    found = replay(
+        log.t_s,
+        log["depth_m"],
+        force_N,
+        log.channels.get("speed_m_s"),
+        METHODS[options.method],
+        dt_s=log.dt_s,
+        force_std_N=log.channels.get("force_std_N"),
+        progress=progress,
+    )
+    statuses = Counter(estimate.status for estimate in found.estimates)
     _require_used_rows(statuses, ignored, log)
-    contact_m = stream.contact_depth_m
+    contact_m = float(found.contact_depths_m[-1])
     zero = DepthZero(0.0, LOG_ZERO)
-    if contact_m is not None:
+    if np.isfinite(contact_m):
         zero = DepthZero(contact_m, FIRST_CONTACT)
-    table = pd.concat(tables, ignore_index=True)
     counted = [
         f"rows {reason} were left out: {count} (--ignore-status takes them)"
         for reason, count in ignored.items()
     ]
+    depth_in_tissue_m = log["depth_m"] - found.contact_depths_m
+    table = estimate_table(log.t_s, depth_in_tissue_m, found.estimates)
     return LayerReplay(
-        rows=table.assign(depth_m=log["depth_m"], force_N=channels["force_N"]),
-        layers=stream.layers,
-        warnings=(*counted, *(hint.text for hint in stream.hints)),
+        rows=table.assign(depth_m=log["depth_m"], force_N=force_N),
+        layers=found.layers,
+        warnings=(*counted, *(hint.text for hint in found.hints)),
         zero=zero,
         method=options.method,
     )

@@ -7,14 +7,16 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from identification.config import PUBLISHED, PUBLISHED_KV, PublishedConfig
-from identification.errors import InvalidConfigError
 from identification.identifier import Identifier
 from identification.published.online import (
     NO_WINDOWS,
     PublishedMethod,
     append_window,
+    begin_window,
     rerun_windows,
+    update_rls,
 )
+from tests.identification import worlds
 
 number = st.floats(-2.0, 2.0)
 
@@ -23,10 +25,9 @@ number = st.floats(-2.0, 2.0)
 @given(st.lists(st.tuples(number, number, number), min_size=1, max_size=30))
 def test_rls_equals_ridge_regression(rows):
     config = PublishedConfig(model="kv", var_stiffness=4.0, var_friction=9.0)
-    method = PublishedMethod(config)
+    rls = PublishedMethod(config).state
     for row in rows:
-        method._update_rls(*row)
-    rls = method.state
+        update_rls(rls, config, *row)
     table = np.array(rows)
     phi = table[:, :2]
     f = table[:, 2]
@@ -62,16 +63,16 @@ def test_rerun_from_sums_equals_the_rerun_over_samples(
     depth = 1e-3 + np.cumsum(speed) * 1e-3
     force = 30.0 * depth + 8000.0 * depth * speed + 0.01 * rng.standard_normal(length)
     variances = (1e6, 1e6 * ratio / 2.3e-3**2)
-    method = PublishedMethod(
-        PublishedConfig(var_stiffness=variances[0], var_friction=variances[1])
-    )
+    config = PublishedConfig(var_stiffness=variances[0], var_friction=variances[1])
+    rls = PublishedMethod(config).state
     windows = NO_WINDOWS
     for k in range(length):
         if k and k % window == 0:
-            windows = method._close_window(windows)
-        method._update_rls(float(depth[k]), float(speed[k]), float(force[k]))
-    windows = append_window(windows, method.state.window, 4096)
-    expected = np.array([method.state.stiffness, method.state.friction])
+            windows = append_window(windows, rls.window, 4096)
+            begin_window(rls, config)
+        update_rls(rls, config, float(depth[k]), float(speed[k]), float(force[k]))
+    windows = append_window(windows, rls.window, 4096)
+    expected = np.array([rls.stiffness, rls.friction])
     scale = np.abs(expected) + np.sqrt(variances) * 1e-6
     difference = np.abs(np.array(rerun_windows(windows, *variances)) - expected)
 
@@ -83,31 +84,21 @@ SPEED = 2.3e-3
 LAYERS = ((0.030, 15.0, 8_000.0), (0.020, 60.0, 9_000.0))
 
 
-def ml_insertion(layers=LAYERS, noise_N=0.01, beyond_m=4e-3, seed=3):
+def ml_insertion(layers=LAYERS, noise_N=0.01):
     """Depth and force of an insertion at constant speed through layers (d, K, B)."""
-    rng = np.random.default_rng(seed)
-    total = sum(layer[0] for layer in layers) + beyond_m
-    z = np.arange(-1e-3, total, SPEED * DT_S)
-    f = np.zeros_like(z)
+    end_m = sum(layer[0] for layer in layers) + 4e-3
+    z = np.arange(-1e-3, end_m, SPEED * DT_S)
+    f = noise_N * np.random.default_rng(3).standard_normal(len(z))
     start = 0.0
     for thickness, stiffness, friction in layers:
         reach = np.clip(z - start, 0.0, thickness)
-        f += friction * reach * SPEED + np.where(
-            reach < thickness, stiffness * reach, 0.0
-        )
+        f += friction * reach * SPEED + stiffness * reach * (reach < thickness)
         start += thickness
-    return z, f + noise_N * rng.standard_normal(len(z))
+    return z, f
 
 
 def run(z, f, config=PUBLISHED, speed_m_s=SPEED):
-    identifier = Identifier(config)
-    rows = zip(
-        z.tolist(),
-        np.broadcast_to(speed_m_s, z.shape).tolist(),
-        f.tolist(),
-        strict=True,
-    )
-    return identifier, [identifier.update(*row, DT_S) for row in rows]
+    return worlds.run(worlds.rows_of(z, speed_m_s, f, DT_S), Identifier(config))
 
 
 @pytest.mark.slow
@@ -133,33 +124,18 @@ def test_finds_ruptures_and_friction_of_its_own_model():
     assert remaining_N < abs(np.mean([e.enhanced_force_N for e in kelvin_voigt]))
 
 
-def test_compensation_leaves_no_jump_in_the_prediction():
-    z, f = ml_insertion(noise_N=0.002)
-    _, estimates = run(z, f)
-    at = next(k for k, e in enumerate(estimates) if e.identified_layer) + 1
-    rows = zip(estimates[at : at + 200], f[at : at + 200], strict=True)
+def test_a_layer_is_subtracted_once_it_is_identified_without_a_jump():
+    z, f = ml_insertion(LAYERS[:1], noise_N=0.002)
+    identifier, estimates = run(z, f)
+    (at,) = (k for k, e in enumerate(estimates) if e.identified_layer)
+    layer = estimates[at].identified_layer
+    damping = layer.friction_N / layer.rupture.speed_m_s
+    errors_N = [e.predicted_force_N - y for e, y in zip(estimates, f, strict=True)]
 
-    assert max(abs(e.predicted_force_N - y) for e, y in rows) < 0.15
-
-
-def test_a_layer_is_subtracted_once_it_is_identified():
-    z, f = ml_insertion(LAYERS[:1])
-    identifier = Identifier(PUBLISHED)
-    for a, b in zip(z, f, strict=True):
-        estimate = identifier.update(float(a), SPEED, float(b), DT_S)
-        if estimate.identified_layer:
-            break
-        assert estimate.cumulative_friction_Ns_per_m == 0.0
-        assert not identifier.layers
-
-    assert identifier.layers == (estimate.identified_layer,)
-
-    damping = (
-        estimate.identified_layer.friction_N
-        / estimate.identified_layer.rupture.speed_m_s
-    )
-
-    assert estimate.cumulative_friction_Ns_per_m == pytest.approx(damping)
+    assert identifier.layers == (layer,)
+    assert {e.cumulative_friction_Ns_per_m for e in estimates[:at]} == {0.0}
+    assert estimates[at].cumulative_friction_Ns_per_m == pytest.approx(damping)
+    assert np.abs(errors_N[at + 1 : at + 201]).max() < 0.15
 
 
 @pytest.mark.parametrize("swing_m_s", [0.0, 1.5e-3])
@@ -191,17 +167,3 @@ def test_an_unmeasured_speed_is_estimated_from_depth():
     (layer,) = run(z, f, speed_m_s=None)[0].layers
 
     assert layer.friction_Ns_per_m2 == pytest.approx(LAYERS[0][2], rel=0.25)
-
-
-@pytest.mark.parametrize(
-    ("change", "message"),
-    [
-        ({"model": "xx"}, "unknown model"),
-        ({"sigma0_N": 0.1}, "exceed"),
-        ({"reset_frequency_Hz": 0.0}, "positive"),
-        ({"most_windows": 0.5}, "most_windows"),
-    ],
-)
-def test_bad_settings_are_refused(change, message):
-    with pytest.raises(InvalidConfigError, match=message):
-        PublishedConfig(**change)

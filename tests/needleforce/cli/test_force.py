@@ -7,13 +7,11 @@ import pytest
 
 from needleforce.cli import main
 from needleforce.recordings import read_log, read_table, write_table
-from residual import SensorWarning
 from tests.needleforce.cli.residual_command_log import (
     AXIAL_N,
     CONTACT_S,
     SMALL_ARM,
     insertion,
-    refusal,
     write_insertion,
 )
 from tests.residual.residual_signals import pose_of
@@ -162,23 +160,6 @@ def test_bad_rows_are_counted_and_harm_no_others(run, lwr):
     assert summary["gaps"].startswith("1 longer than 0.1 s (longest 0.151 s)")
 
 
-def test_warnings_beyond_the_std_are_reported(run, lwr):
-    columns = insertion(lwr)
-    columns["tau_Nm"][3500, 2] += 80.0
-    columns["tau_Nm"][3700:3800, 1] = lwr.effort_limit_Nm[1]
-    forces, summary, _ = run(columns, *TARE)
-    warnings = forces["force_warnings"].astype(int)
-
-    assert warnings[3500] & SensorWarning.SPIKE
-    assert forces["force_status"][3500] == 3
-    assert (warnings[3710:3800] & SensorWarning.SATURATED).all()
-    assert not warnings[:3000].any()
-    assert "x saturated" in summary["warnings"]
-    assert "1 x spike" in summary["warnings"]
-    assert 0.3 < np.median(forces["model_mismatch"][forces["force_status"] == 0]) < 3.0
-    assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.2)
-
-
 @pytest.mark.parametrize(("first_row", "warns"), [(2500, True), (3900, False)])
 def test_torques_that_stay_unlike_the_arms_are_a_warning(lwr, run, first_row, warns):
     columns = insertion(lwr)
@@ -188,30 +169,6 @@ def test_torques_that_stay_unlike_the_arms_are_a_warning(lwr, run, first_row, wa
 
     # Of 1499 rows after the tare; a tenth of them is allowed.
     assert ("warning: model mismatch" in said) is warns
-
-
-@pytest.mark.parametrize(
-    ("change", "word"),
-    [
-        (np.degrees, "rate of q"),
-        (np.zeros_like, "rate of q"),
-        (lambda dq: np.where(np.arange(7) == 1, np.nan, dq), "no finite value"),
-    ],
-)
-def test_velocities_that_cannot_be_are_refused(
-    run, lwr, tmp_path, capsys, change, word
-):
-    columns = insertion(lwr)
-    columns["dq_rad_s"] = change(columns["dq_rad_s"])
-    log = str(tmp_path / "log.npz")
-    write_table(log, columns)
-
-    assert word in refusal(["force", log, *TARE], capsys)
-
-    forces, summary, _ = run(log, *TARE, "--dq", "none")
-
-    assert "velocity estimated" in summary["sensor"]
-    assert forces["axial_N"][-1] == pytest.approx(AXIAL_N, abs=0.15)
 
 
 def test_a_link_is_left_out_and_a_known_arm_loaded(lwr, run, tmp_path):
@@ -235,18 +192,6 @@ def test_a_link_is_left_out_and_a_known_arm_loaded(lwr, run, tmp_path):
     assert 0 not in forces["force_status"]
     assert summary["tare"].startswith("none")
     assert summary["axial force"].endswith("not tared")
-
-
-def test_missing_payload_reads_as_its_weight(log, run, tmp_path):
-    light = tmp_path / "light.toml"
-    light.write_text("[needle]\nsensor_mass_kg = 0.0\n")
-    options = ("--no-tare", "--mode", "full")
-    right, summary, _ = run(log, *options)
-    lacking, *_ = run(log, *options, "--payload", str(light))
-    weight_N = (right["force_z_in_base_N"] - lacking["force_z_in_base_N"])[1500]
-
-    assert run(log, *options, "--robot", "lwr4plus")[1] == summary
-    assert weight_N == pytest.approx(0.236 * 9.80665, abs=0.2)
 
 
 @pytest.mark.parametrize(

@@ -113,14 +113,6 @@ def test_help_answers_without_the_estimators():
     assert "--external-torque" in process.stdout
 
 
-@pytest.mark.slow
-@pytest.mark.parametrize("package", ["residual", "identification"])
-def test_packages_forward_to_the_command(package):
-    argv = [sys.executable, "-m", package, "--help"]
-    process = subprocess.run(argv, capture_output=True, text=True, check=True)
-    assert process.stdout.startswith("Usage: needleforce ")
-
-
 @pytest.fixture
 def run(tmp_path, monkeypatch, capsys):
     """Run a command in an empty folder; return what it prints."""

@@ -5,12 +5,15 @@ import numpy as np
 from groundtruth.rig_arm import ArmSample
 from identification import SampleStatus
 from needleforce import InsertionSession
-from needleforce.control import Beside, Manager, SafetyLimits
+from needleforce.control import Beside, HandleReport, Manager, SafetyLimits
+from needleforce.control.handle_watch import HandleReading
 from residual import SensorConfig, SensorWarning, Status, TareError
 from urdf import load_lwr
 
 ROBOT = load_lwr()
 LIMITS = SafetyLimits(axial_N=2.0)
+DEVICE = Beside(handle=HandleReport(HandleReading(np.zeros(3), np.zeros(3), True)))
+"""A haptic device answers."""
 FIRST = InsertionSession(ROBOT).update(np.zeros(7), np.zeros(7), np.zeros(7), 1e-3)
 
 

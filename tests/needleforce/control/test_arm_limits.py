@@ -1,7 +1,6 @@
 """Commands within the limits of real arms: noise, delay, lost cycles, faults, stops."""
 
 import math
-from types import SimpleNamespace
 
 import numpy as np
 import pytest
@@ -104,23 +103,6 @@ def test_a_missed_second_does_not_step_the_command(name):
     assert_within(np.array(commands_rad_s), name)
 
 
-def test_what_was_sent_counts():
-    """The next command starts from the velocity that was sent, and its change."""
-    control = Controller(LWR, Limits.of_arm(LWR, "lwr"))
-    sample = SimpleNamespace(q_rad=np.array(LWR_HOME_rad), dt_s=1e-3)
-    commands_rad_s = [np.zeros(7)] * 2
-    for k in range(300):
-        command = control.update(sample, [TipVelocity((0.1, 0.0, 0.1))])
-        commands_rad_s.append(command.dq_rad_s)
-        if k % 3 == 0:
-            commands_rad_s[-1] = commands_rad_s[-2]  # the arm was given that again
-            control.note_sent(commands_rad_s[-1])
-
-    assert_within(np.array(commands_rad_s), "lwr")
-    with pytest.raises(SettingError, match="7 finite"):
-        control.note_sent(np.zeros(6))
-
-
 def test_the_tip_keeps_its_limit_of_speed():
     control = Controller(LWR, Limits.of_arm(LWR, "lwr", tip_m_s=0.02))
     arm = LateArm(LWR, LWR_HOME_rad)
@@ -151,25 +133,6 @@ def test_a_joint_stops_before_its_end(sign, has_jerk):
 
     assert max(beyond_rad) <= 1e-6
     assert arm.q_rad == pytest.approx(ends_rad - 0.02 * sign, abs=1e-3)
-
-
-@pytest.mark.parametrize("is_asked", [True, False])
-def test_without_a_limit_of_the_jerk_accelerations_are_kept(is_asked):
-    """Commands begin, turn round and are broken off."""
-    control = Controller(LWR, Limits(LWR, acceleration_rad_s2=5.0))
-    arm = LateArm(LWR, LWR_HOME_rad)
-    commands_rad_s = [np.zeros(7)]
-    for k in range(600):
-        sample = arm.sample()
-        if not is_asked and k > 250:
-            sample.q_rad = np.full(7, np.nan)
-        wish = TipVelocity((0.3 if k < 200 else -0.3, 0.0, 0.0))
-        commands_rad_s.append(control.update(sample, [wish]).dq_rad_s)
-        arm.move(commands_rad_s[-1])
-    changes_rad_s = np.abs(np.diff(commands_rad_s, axis=0))
-
-    assert 4.9e-3 < changes_rad_s.max() <= 5e-3
-    assert np.abs(commands_rad_s[-1]).any() == is_asked
 
 
 @pytest.mark.parametrize(
@@ -209,11 +172,3 @@ def test_a_preset_moves_a_needle_slowly():
     assert joints.speed_rad_s == pytest.approx(0.5, abs=1e-6)
     assert joints.position_upper_rad == pytest.approx(LWR.position_upper_rad - 0.02)
     assert Limits.of_arm(LWR, "lwr").tip_m_s == 0.1
-
-
-def test_every_preset_says_where_it_comes_from():
-    for limits in ARM_LIMITS.values():
-        assert limits.source
-        joint_counts = {len(limits.speed_rad_s), len(limits.jerk_rad_s3)}
-
-        assert joint_counts == {len(limits.acceleration_rad_s2)}

@@ -4,7 +4,7 @@ import numpy as np
 import pytest
 
 from needleforce.control import Controller, Limits, SettingError
-from needleforce.control.delay_prediction import DelayPrediction
+from needleforce.control.controller import DelayPrediction
 from tests.needleforce.control.late_arm import LateArm, turn_about_entry
 from urdf import NeedleTool, load_lwr
 
@@ -31,14 +31,14 @@ def test_the_prediction_is_where_a_late_arm_gets_to(cycles_late):
         ]
         prediction.note_command(velocity, held * CYCLE_s)
 
-        predicted_rad = measured_rad + prediction.find_motion_ahead()
+        predicted_rad = measured_rad + prediction.motion_ahead_rad
         assert predicted_rad == pytest.approx(commanded_rad[-1], abs=1e-12)
 
         velocity = rng.standard_normal(2)
 
     prediction.reset()
 
-    assert not prediction.find_motion_ahead().any()
+    assert not prediction.motion_ahead_rad.any()
 
 
 @pytest.mark.parametrize("dt_s", [1e300, np.nan, np.inf, -1.0])
@@ -49,7 +49,7 @@ def test_of_a_pause_the_last_command_counts_only(dt_s):
 
     ahead_rad = 0.2 * 0.01 if dt_s == 1e300 else 0.5 * 0.01
 
-    assert prediction.find_motion_ahead() == pytest.approx(ahead_rad)
+    assert prediction.motion_ahead_rad == pytest.approx(ahead_rad)
 
 
 def turn(delay_s, late_cycles):

@@ -7,7 +7,12 @@ import pytest
 from identification import HardContact, SampleStatus
 from needleforce.control import Beside, SafetyLimits, SettingError, State
 from residual import SensorWarning, Status
-from tests.needleforce.control.managed_session import inserting, new_manager, run
+from tests.needleforce.control.managed_session import (
+    DEVICE,
+    inserting,
+    new_manager,
+    run,
+)
 
 BONE = HardContact(alarm_s=4.0, depth_m=32.1e-3, force_N=1.2, growth_N_per_m=9000.0)
 ONE_JOINT = np.eye(7)[0]
@@ -116,15 +121,6 @@ def test_a_side_force_must_last(lateral, step_s, least_s, most_s):
     assert least_s <= lasted_s <= most_s
 
 
-def test_side_forces_now_and_then_do_not_add_up():
-    manager, sensor = inserting()
-    for _ in range(10):
-        sensor.reads(lateral=0.6)
-        assert run(manager, 0.02).state is State.INSERTION
-        sensor.reads()
-        run(manager, 2e-3)
-
-
 def stop_by_rise(rate_N_per_s, **limits):
     """Return the force at which an insertion stops that grows at a rate."""
     manager, sensor = inserting(limits=SafetyLimits(axial_N=2.0, **limits))
@@ -154,7 +150,7 @@ def test_a_rising_force_stops_before_it_is_there():
 )
 def test_only_force_against_the_motion_stops_it(state, axial, after):
     manager, sensor = inserting()
-    device = Beside(has_device=True)
+    device = DEVICE
     manager.request("arrived")
     run(manager, 0.01, device)
 
@@ -224,15 +220,6 @@ def test_in_free_air_the_force_may_change_by_so_much(
     assert (run(manager, 0.01).state is State.STOPPED) == is_stopped
 
 
-def test_single_bad_samples_do_not_stop():
-    manager, sensor = inserting()
-    for _ in range(50):
-        sensor.reads(Status.REJECTED)
-        run(manager)
-        sensor.reads()
-        assert run(manager, 2e-3).state is State.INSERTION
-
-
 @pytest.mark.parametrize(
     ("beside", "after_s", "reason"),
     [
@@ -255,12 +242,22 @@ def test_what_comes_beside_a_sample_is_watched(beside, after_s, reason):
     assert reason in situation.reason
 
 
-def test_commands_refused_now_and_then_do_not_add_up():
-    """Each time for 4 ms: 5 ms in a row are a fault."""
-    manager, _ = inserting()
-    for _ in range(10):
-        assert run(manager, 4e-3, Beside(accepted=False)).state is State.INSERTION
-        run(manager, 1e-3)
+@pytest.mark.parametrize(
+    ("often_s", "change", "beside"),
+    [
+        (20e-3, {"lateral": 0.6}, None),
+        (4e-3, {}, Beside(accepted=False)),
+        (1e-3, {"status": Status.REJECTED}, None),
+    ],
+)
+def test_what_comes_now_and_then_does_not_add_up(often_s, change, beside):
+    """A side force, refused commands, bad samples."""
+    manager, sensor = inserting()
+    for _ in range(50):
+        sensor.reads(**change)
+        assert run(manager, often_s, beside).state is State.INSERTION
+        sensor.reads()
+        assert run(manager, 2e-3).state is State.INSERTION
 
 
 @pytest.mark.parametrize(

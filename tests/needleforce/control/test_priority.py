@@ -1,15 +1,19 @@
-"""Tasks, and their strict priority."""
+"""Tasks, and their strict priority, for random stacks and hostile samples.
+
+Half of the postures are within 1e-9 to 1e-2 rad of a singular one.
+"""
 
 from types import SimpleNamespace
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from scipy.optimize import nnls
 
+from groundtruth.arm_motion import LWR_POSTURE_rad
 from needleforce.control import (
     AxialSpeed,
     Controller,
-    DecoupledMotion,
     Fixture,
     Limits,
     Posture,
@@ -17,9 +21,11 @@ from needleforce.control import (
     SettingError,
     TipVelocity,
 )
-from needleforce.control.tasks import JointVelocity, ToolState
+from needleforce.control.joint_limits import SLACK_rad_s
+from needleforce.control.priority_solver import Stack, hierarchical, solve_level
+from needleforce.control.tasks import JointVelocity, MAX_STEP_s, ToolState
+from needleforce.devices.rate_limiter import write_velocity_bounds
 from tests.needleforce.control.late_arm import LateArm
-from tests.needleforce.control.priority_oracle import cascades, hostile_ticks, leaks
 from urdf import NeedleTool, load_lwr
 
 ROBOT = load_lwr(payload=NeedleTool())
@@ -42,18 +48,14 @@ def rows_of(task, tool):
 def tasks_near(tool):
     off = np.array([1e-3, -2e-3, 5e-4])
     turned = pin.exp3(np.array([0.02, -0.01, 0.03])) @ tool.rotation
-    turn = DecoupledMotion(tool, 1.0)
-    turn.goal_m = tool.tip_m + off
-    turn.rotation = turned
     return [
         RemoteCentre(tool.tip_m - 0.08 * tool.axis + off, 1.0),
         Fixture(tool.tip_m + off, turned, 1.0),
         TipVelocity(np.zeros(3), tool.tip_m + off, 1.0),
-        turn,
     ]
 
 
-@pytest.mark.parametrize("index", range(4))
+@pytest.mark.parametrize("index", range(3))
 def test_rates_are_errors_at_gain_one(index):
     """v is the error at gain 1, and J its negative derivative over the joints."""
     tool = tool_at(Q)
@@ -92,32 +94,149 @@ def test_a_turn_about_the_needle_moves_no_row_of_its_entry():
     assert np.abs(rows[:, :6]).max() > 0.1
 
 
+LIMITS = Limits(ROBOT)
+JOINTS = LIMITS.joints
+
+
+def draw_tasks(tool, rng):
+    """Draw two to four tasks around the tool, in any order, then a posture."""
+    near = tool.tip_m + 1e-3 * rng.standard_normal(3)
+    speed_m_s = 10.0 ** rng.uniform(-3.0, 0.0)
+    kinds = [
+        RemoteCentre(near - rng.uniform(0.02, 0.2) * tool.axis),
+        Fixture(near, tool.rotation),
+        TipVelocity(speed_m_s * rng.standard_normal(3)),
+        AxialSpeed(speed_m_s * rng.standard_normal()),
+    ]
+    chosen = rng.permutation(len(kinds))[: rng.integers(2, 5)]
+    goal_rad = rng.uniform(
+        JOINTS.position_lower_rad - 0.5, JOINTS.position_upper_rad + 0.5
+    )
+    return [*(kinds[k] for k in chosen), Posture(goal_rad)]
+
+
+def draw_problem(rng, is_singular):
+    """Draw a tool, tasks around it, and the velocity commanded last."""
+    q_rad = rng.uniform(JOINTS.position_lower_rad, JOINTS.position_upper_rad)
+    if is_singular:  # near zero the LWR is stretched, or two of its axes are one
+        joint = rng.choice((1, 3, 5))
+        q_rad[joint] = rng.choice((-1.0, 1.0)) * 10.0 ** rng.uniform(-9.0, -2.0)
+    tool = tool_at(q_rad)
+    fraction = rng.choice((0.0, 0.01, 0.3, 1.0))
+    last_rad_s = fraction * JOINTS.speed_rad_s * rng.uniform(-1.0, 1.0, 7)
+    return tool, draw_tasks(tool, rng), last_rad_s
+
+
+def solved(tool, tasks, last_rad_s):
+    """Return a filled stack, and the velocity that serves it."""
+    stack = Stack(tasks, 7)
+    stack.fill(tasks, tool)
+    rows = np.array((*JOINTS, JOINTS.acceleration_rad_s2))
+    args = (tool.q_rad, last_rad_s, np.zeros(7), 1e-3, SLACK_rad_s)
+    write_velocity_bounds(rows, *args, stack.bounds)
+    return stack, hierarchical(stack)[0]
+
+
 def test_lower_tasks_leave_higher_ones_what_they_get():
-    assert max(leaks(ROBOT, np.random.default_rng(7), 20)) < 1e-12
+    rng = np.random.default_rng(7)
+    for index in range(20):
+        tool, tasks, last_rad_s = draw_problem(rng, is_singular=index % 2)
+        _, full = solved(tool, tasks, last_rad_s)
+        for levels in range(1, len(tasks)):
+            stack, alone = solved(tool, tasks[:levels], last_rad_s)
+            moved = stack.rows[: stack.rates.size] @ (full - alone)
+            assert np.abs(moved).max() < 1e-12
+
+
+def null_directions(rows):
+    """Return orthonormal directions that no row sees, in columns."""
+    _, sizes, turned = np.linalg.svd(rows)
+    rank = np.count_nonzero(sizes > 1e-12 * sizes.max(initial=0.0))
+    return np.ascontiguousarray(turned[rank:].T)
+
+
+def most_gain(rows, rates, velocity, free, bounds):
+    """Return by how much a level's norm can fall at most, by the dual of its QP.
+
+    Any pushes p >= 0 of the bounds on the joints bound it: what they leave of the
+    gradient can at most move every joint through its box. The pushes are the best of
+    `nnls`.
+    """
+    missing = rates - rows @ velocity
+    room = np.maximum((bounds[1] - velocity, velocity - bounds[0]), 0.0)
+    ends = np.concatenate(room)
+    gradient = free.T @ (rows.T @ missing)
+    sides = np.hstack((free.T, -free.T))
+    pushes, _ = nnls(np.vstack((sides, 1e-3 * ends)), np.append(gradient, 0.0))
+    remaining = np.abs(free @ (sides @ pushes - gradient)) @ room.sum(axis=0)
+    return (remaining + pushes @ ends) / max(np.linalg.norm(missing), 1e-9)
+
+
+def test_no_level_could_be_better_within_what_is_left_to_it():
+    rng = np.random.default_rng(3)
+    for index in range(60):
+        stack, velocity = solved(*draw_problem(rng, is_singular=index % 2))
+        all_met = np.linalg.norm(stack.rows @ velocity - stack.rates) < 1e-9
+        end = np.clip(0.0, *stack.bounds)
+        above = np.zeros((0, 7))
+        for rows, rates in (*stack.levels, (np.eye(7), stack.joint_velocity)):
+            free = null_directions(above)
+            if not free.size:
+                break
+            length = np.maximum(np.linalg.norm(rows, axis=1), 1e-9)
+            level = rows / length[:, None], rates / length
+            end = velocity if all_met else solve_level(*level, free, stack.bounds, end)
+            assert most_gain(*level, end, free, stack.bounds) < 1e-7
+            above = np.vstack((above, level[0]))
+
+
+def hostile_sample(q_rad, rng):
+    """Draw time that passes, and a sample that is late, leaps, or is none."""
+    elapsed_s = float(rng.choice((1e-3, 5e-3, 0.02), p=(0.99, 0.007, 0.003)))
+    dt_s = elapsed_s
+    seen_rad = q_rad + 1e-5 * rng.standard_normal(7)
+    kind = rng.random()
+    if kind < 0.005:
+        dt_s = float(rng.choice((0.0, -1.0, 1e3, np.nan)))
+    elif kind < 0.01:
+        seen_rad = seen_rad + 0.05 * rng.standard_normal(7)
+    elif kind < 0.015:
+        seen_rad = seen_rad[:3] if kind < 0.0125 else np.full(7, np.nan)
+    return elapsed_s, SimpleNamespace(q_rad=seen_rad, dt_s=dt_s)
 
 
 def test_hostile_samples_pass_no_limit_and_get_an_answer():
-    over, silent = hostile_ticks(ROBOT, np.random.default_rng(7), 500)
+    rng = np.random.default_rng(7)
+    control = Controller(ROBOT, LIMITS)
+    q_rad = np.array(LWR_POSTURE_rad)
+    last_rad_s = np.zeros(7)
+    step_s = 1e-3
+    for tick in range(500):
+        if tick % 200 == 0:
+            tasks = draw_tasks(tool_at(q_rad), rng)
+        elapsed_s, sample = hostile_sample(q_rad, rng)
+        last_step_s = step_s
+        step_s = min(sample.dt_s, MAX_STEP_s) if sample.dt_s > 0.0 else step_s
+        q_rad = q_rad + elapsed_s * last_rad_s
+        dq_rad_s = control.update(sample, tasks).dq_rad_s
+        change_rad_s = JOINTS.acceleration_rad_s2 * max(step_s, last_step_s)
 
-    assert (over <= 0.0).all()
-    assert silent == 0
+        assert np.isfinite(dq_rad_s).all()
+        assert (np.abs(dq_rad_s) <= ROBOT.velocity_limit_rad_s).all()
+        assert (np.abs(dq_rad_s - last_rad_s) <= change_rad_s).all()
+        assert (q_rad >= ROBOT.position_lower_rad).all()
+        assert (q_rad <= ROBOT.position_upper_rad).all()
 
-
-def test_levels_are_those_of_a_cascade_of_qps():
-    gains, bounds = cascades(ROBOT, np.random.default_rng(3), 60)
-
-    assert max(gains) < 1e-6
-    assert gains[0] < 1e-8
-    assert max(bounds) < 1e-7
+        last_rad_s = dq_rad_s
 
 
 @pytest.mark.parametrize("has_jerk", [False, True])
 def test_without_tasks_or_samples_it_brakes(has_jerk):
     """Without tasks or with bad samples the arm brakes to rest."""
     limits = Limits(ROBOT, jerk_rad_s3=2e3 if has_jerk else None)
-    for sample_of, status in (
-        (lambda arm: SimpleNamespace(q_rad=np.full(7, np.nan), dt_s=1e-3), "skipped"),
-        (lambda arm: arm.sample(), "braking"),
+    for sample_of, is_skipped in (
+        (lambda arm: SimpleNamespace(q_rad=np.full(7, np.nan), dt_s=1e-3), True),
+        (lambda arm: arm.sample(), False),
     ):
         control = Controller(ROBOT, limits)
         arm = LateArm(ROBOT, Q)
@@ -128,74 +247,18 @@ def test_without_tasks_or_samples_it_brakes(has_jerk):
             command = control.update(sample_of(arm), [])
             fastest_rad_s.append(np.abs(command.dq_rad_s).max())
 
-        assert command.status == status
+        assert bool(command.reason) == is_skipped
         assert fastest_rad_s[0] > 0.02
         assert np.diff(fastest_rad_s).min() >= -0.011
         assert fastest_rad_s[-1] == 0.0
 
 
-def test_decoupled_motion_turns_without_moving_the_tip():
-    control = Controller(ROBOT, Limits(ROBOT))
-    arm = LateArm(ROBOT, Q)
-    control.tool.update(Q)
-    start_m = arm.tool.tip_m
-    motion = DecoupledMotion(control.tool)
-    for _ in range(500):
-        motion.move(control.tool, np.zeros(3), (0.1, 0.0, 0.0), 1e-3)
-        arm.move(control.update(arm.sample(), [motion, Posture(Q)]).dq_rad_s)
-
-    turned_rad = pin.log3(arm.tool.rotation @ tool_at(Q).rotation.T)
-    assert turned_rad == pytest.approx([0.05, 0.0, 0.0], abs=5e-3)
-    assert np.linalg.norm(arm.tool.tip_m - start_m) < 1e-4
-
-
-def test_the_goal_of_a_decoupled_motion_stays_near():
-    """Neither a pause, nor an invalid time step, nor an arm that stands moves it."""
-    tool = tool_at(Q)
-    motion = DecoupledMotion(tool)
-    for dt_s, moved_m in (
-        (np.nan, 0.0),
-        (-1.0, 0.0),
-        (5.0, 0.03 * 0.02),
-        (1e-3, 3e-5),
-    ):
-        before_m = motion.goal_m
-        motion.move(tool, (0.0, 0.0, 0.03), np.zeros(3), dt_s)
-        assert motion.goal_m - before_m == pytest.approx([0.0, 0.0, moved_m])
-    for _ in range(100):
-        motion.move(tool, (0.0, 0.0, 0.03), (0.0, 0.07, 0.0), 0.02)
-
-    assert 5e-3 < np.linalg.norm(motion.goal_m - tool.tip_m) < 6e-3
-    assert 0.05 <= np.linalg.norm(tool.rotation_to(motion.rotation)) < 0.06
-
-
-def test_tasks_without_equality_are_served_too():
-    class Push:
-        size = 3
-
-        def __eq__(self, other):
-            raise AssertionError("compared")
-
-        def write(self, tool, rows, rates):
-            rows[:] = tool.jacobian[:3]
-            rates[:] = 1e-3
-
-    control = Controller(ROBOT, Limits(ROBOT))
-    for _ in range(3):
-        command = control.update(LateArm(ROBOT, Q).sample(), [Push()])
-        assert command.status in ("ok", "saturated")
-
-
-def test_a_status_says_whether_a_limit_is_in_the_way():
+def test_a_command_says_whether_a_limit_is_in_the_way():
     control = Controller(ROBOT, Limits(ROBOT))
     sample = LateArm(ROBOT, Q).sample()
 
-    assert control.update(sample, [AxialSpeed(1e-4)]).status == "ok"
-
-    command = control.update(sample, [AxialSpeed(1.0)])
-
-    assert command.status == "saturated"
-    assert command.is_limited
+    assert not control.update(sample, [AxialSpeed(1e-4)]).is_limited
+    assert control.update(sample, [AxialSpeed(1.0)]).is_limited
 
 
 @pytest.mark.parametrize(
@@ -211,26 +274,12 @@ def test_a_status_says_whether_a_limit_is_in_the_way():
         lambda tool: Fixture([np.nan, 0.0, 0.0], tool.rotation),
         lambda tool: Fixture(tool.tip_m, tool.rotation * [1.0, 1.0, -1.0]),  # of a left
         lambda tool: Fixture(tool.tip_m, 1.01 * tool.rotation),
-        lambda tool: DecoupledMotion(tool).move(tool, [np.nan] * 3, [0.0] * 3, 1e-3),
-        lambda tool: Controller(ROBOT, Limits(ROBOT)).reset(np.full(7, np.nan)),
-        lambda tool: Controller(ROBOT, Limits(ROBOT)).reset(np.zeros((7, 7))),
     ],
 )
 def test_an_impossible_task_or_start_is_refused(make):
     """Tasks and start velocities with invalid numbers are refused."""
     with pytest.raises(SettingError):
         make(tool_at(Q))
-
-
-def test_a_start_is_within_the_limits_of_speed():
-    control = Controller(ROBOT, Limits(ROBOT))
-    control.reset(np.array([100.0, -100.0, 0.1, 0.0, 0.0, 0.0, 0.0]))
-
-    assert (np.abs(control.last_rad_s) <= ROBOT.velocity_limit_rad_s).all()
-    assert control.last_rad_s[:2] == pytest.approx(
-        [1.0, -1.0] * ROBOT.velocity_limit_rad_s[:2]
-    )
-    assert control.last_rad_s[2] == 0.1
 
 
 @pytest.mark.parametrize(
@@ -251,7 +300,6 @@ def test_a_bad_sample_is_skipped_and_changes_nothing(bad):
     tip_m = control.tool.tip_m
     command = control.update(SimpleNamespace(**{**vars(sample), **bad}), [])
 
-    assert command.status == "skipped"
     assert command.reason
     assert control.tool.tip_m.tolist() == tip_m.tolist()
 
@@ -271,11 +319,5 @@ def test_tasks_of_other_robots_are_skipped(tasks):
     control = Controller(ROBOT, Limits(ROBOT))
     for _ in range(3):
         command = control.update(LateArm(ROBOT, Q).sample(), tasks)
-        assert command.status == "skipped"
+        assert command.reason
         assert not command.dq_rad_s.any()
-
-
-@pytest.mark.parametrize("stack", [[None], 3])
-def test_faults_of_a_program_pass_through(stack):
-    with pytest.raises((AttributeError, TypeError)):
-        Controller(ROBOT, Limits(ROBOT)).update(LateArm(ROBOT, Q).sample(), stack)

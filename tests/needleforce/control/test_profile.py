@@ -12,7 +12,6 @@ from needleforce.control import (
     InsertionProfile,
     SettingError,
     State,
-    depth_of,
 )
 from needleforce.control.rupture_counter import RuptureCounter
 from needleforce.control.state_machine import MOVING
@@ -23,145 +22,115 @@ TARGETS = {"approach": State.APPROACH, "tare": State.TARE, "insert": State.INSER
 
 
 def identified(
-    in_contact=True,
-    state=RuptureState.NO_RUPTURE,
-    alarm_N=None,
-    alarm_m=1.0,
-    provisional_N=None,
+    in_contact=True, state=RuptureState.NO_RUPTURE, alarm_N=None, alarm_m=1.0
 ):
-    rupture, provisional = (
-        None if force_N is None else SimpleNamespace(force_N=force_N, depth_m=alarm_m)
-        for force_N in (alarm_N, provisional_N)
-    )
     return SimpleNamespace(
         in_contact=in_contact,
         rupture_state=state,
-        rupture=rupture,
-        provisional=provisional,
+        rupture=alarm_N and SimpleNamespace(force_N=alarm_N, depth_m=alarm_m),
     )
 
 
-def counted(before_N, fall_N, steady=True, alarm_N=None, beat_N=0.0, **how):
-    """Layers left after a force that has grown for three seconds falls within 20 ms."""
-    ruptures = RuptureCounter()
-    rng = np.random.default_rng(0)
-    for k in range(3100):
-        force_N = before_N * min(k / 3000.0, 1.0) - fall_N * min(
-            max(k - 3000, 0) / 20.0, 1.0
-        )
-        noisy_N = (
-            force_N + 0.005 * rng.standard_normal() + beat_N * np.sin(8.0 * k * DT)
-        )
-        identification = identified(alarm_N=alarm_N if k == 3030 else None, **how)
-        ruptures.update(identification, noisy_N, 5e-6 * k, DT, is_steady=steady)
+def count_ruptures(force_at, ticks, *, steady=True, alarms=None, depth_at=None, **how):
+    """Layers left along a course of the force [N] over ticks of 1 ms.
 
+    ``alarms`` are identifications at some ticks, the others as of ``how``.
+    """
+    ruptures = RuptureCounter()
+    usual = identified(**how)
+    for k in range(ticks):
+        identification = (alarms or {}).get(k, usual)
+        depth_m = 5e-6 * k if depth_at is None else depth_at(k)
+        ruptures.update(identification, force_at(k), depth_m, DT, is_steady=steady)
     return ruptures.count
 
 
+def ramp(k, start, ticks):
+    """0 before a tick, 1 so many ticks later, straight between."""
+    return min(max(k - start, 0) / ticks, 1.0)
+
+
+ALARM = {"alarms": {3030: identified(alarm_N=2.0)}}
+EXPECTED = {"state": RuptureState.EXPECTED}
+
+
 @pytest.mark.parametrize(
-    ("before_N", "fall_N", "how", "count"),
+    ("before_N", "fall_N", "beat_N", "how", "count"),
     [
-        (2.0, 1.0, {}, 1),
-        (2.0, 1.0, {"steady": False}, 0),  # a needle that brakes
-        (2.0, 1.0, {"steady": False, "alarm_N": 2.0}, 1),
-        (2.0, 0.07, {}, 0),
-        (4.0, 0.10, {}, 0),  # less than 3 % of the force
-        (4.0, 0.17, {}, 1),
-        (2.0, 0.07, {"state": RuptureState.EXPECTED}, 1),
-        (2.0, 0.0, {"beat_N": 0.2}, 0),  # heartbeats
-        (2.0, 0.1, {"beat_N": 0.2, "state": RuptureState.EXPECTED}, 0),
-        (2.0, 1.0, {"beat_N": 0.2}, 1),
-        (0.2, 0.07, {}, 0),  # an error of the force
-        (0.2, 0.2, {"in_contact": False}, 0),  # the start of the motion
+        (2.0, 1.0, 0.0, {}, 1),
+        (2.0, 1.0, 0.0, {"steady": False}, 0),  # a needle that brakes
+        (2.0, 1.0, 0.0, {"steady": False} | ALARM, 1),
+        (2.0, 0.07, 0.0, {}, 0),
+        (4.0, 0.10, 0.0, {}, 0),  # less than 3 % of the force
+        (4.0, 0.17, 0.0, {}, 1),
+        (2.0, 0.07, 0.0, EXPECTED, 1),
+        (2.0, 0.0, 0.2, {}, 0),  # heartbeats
+        (2.0, 0.1, 0.2, EXPECTED, 0),
+        (2.0, 1.0, 0.2, {}, 1),
+        (0.2, 0.07, 0.0, {}, 0),  # an error of the force
+        (0.2, 0.2, 0.0, {"in_contact": False}, 0),  # the start of the motion
     ],
 )
-def test_unexplained_falls_of_force_are_ruptures(before_N, fall_N, how, count):
-    """A fall of the force is a rupture where nothing else explains it."""
-    assert counted(before_N, fall_N, **how) == count
+def test_unexplained_falls_of_force_are_ruptures(before_N, fall_N, beat_N, how, count):
+    """A fall within 20 ms counts where nothing else explains it."""
+    noise_N = 0.005 * np.random.default_rng(0).standard_normal(3100)
+
+    def force_at(k):
+        beat = beat_N * np.sin(8.0 * k * DT)
+        return before_N * ramp(k, 0, 3000) - fall_N * ramp(k, 3000, 20) + beat
+
+    force_N = [force_at(k) + noise_N[k] for k in range(3100)]
+    assert count_ruptures(force_N.__getitem__, 3100, **how) == count
 
 
 @pytest.mark.parametrize(("times", "count"), [(1.7, 0), (2.3, 1)])
 def test_a_rupture_falls_twice_as_far_as_ordinary(times, count):
     """Falls of 0.1 N four times a second are ordinary; the last is larger."""
-    ruptures = RuptureCounter()
-    state = RuptureState.EXPECTED
-    for k in range(3100):
-        fall_N = 0.1 * (times if k >= 3000 else 1.0)
+
+    def force_at(k):
         phase = k % 250
         fallen = phase / 20.0 if phase < 20 else (250 - phase) / 230.0
-        force_N = 2.0 - fall_N * fallen
-        ruptures.update(identified(state=state), force_N, 5e-6 * k, DT, is_steady=True)
+        return 2.0 - 0.1 * (times if k >= 3000 else 1.0) * fallen
 
-    assert ruptures.count == count
-
-
-@pytest.mark.parametrize(("uses_provisional", "count"), [(False, 0), (True, 1)])
-def test_provisional_alarms_count_where_the_caller_asks(uses_provisional, count):
-    """Without them only the confirmed alarm of a needle that may brake counts."""
-    ruptures = RuptureCounter(uses_provisional=uses_provisional)
-    for k in range(3031):
-        force_N = 2.0 * min(k / 3000.0, 1.0) - max(k - 3000, 0) / 30.0
-        identification = identified(provisional_N=2.0 if k == 3020 else None)
-        ruptures.update(identification, force_N, 5e-6 * k, DT, is_steady=False)
-    assert ruptures.count == count
-
-    ruptures.update(
-        identified(alarm_N=2.0, alarm_m=0.015), 1.0, 0.0152, DT, is_steady=False
-    )
-    assert ruptures.count == 1
+    assert count_ruptures(force_at, 3100, **EXPECTED) == count
 
 
 @pytest.mark.parametrize(("fall_N", "count"), [(0.10, 0), (0.19, 1)])
 def test_in_the_first_second_a_rupture_falls_by_more_than_15_pct(fall_N, count):
-    """No heartbeat is known yet; the force is 0.9 N after 0.7 s."""
-    ruptures = RuptureCounter()
-    for k in range(800):
-        force_N = 0.9 * min(k / 600.0, 1.0) - fall_N * min(max(k - 700, 0) / 20.0, 1.0)
-        ruptures.update(identified(), force_N, 5e-6 * k, DT, is_steady=True)
+    force_at = lambda k: 0.9 * ramp(k, 0, 600) - fall_N * ramp(k, 700, 20)  # noqa: E731
 
-    assert ruptures.count == count
+    assert count_ruptures(force_at, 800) == count
 
 
-@pytest.mark.parametrize(("after_s", "count"), [(0.9, 1), (1.4, 2)])
-def test_for_a_second_after_a_rupture_a_small_fall_is_none(after_s, count):
+@pytest.mark.parametrize(("after", "count"), [(900, 1), (1400, 2)])
+def test_for_a_second_after_a_rupture_a_small_fall_is_none(after, count):
     """A fall by a tenth of 2 N counts once heartbeats can be told again."""
-    ruptures = RuptureCounter()
-    for k in range(3100 + round(1e3 * after_s)):
-        fallen_N = 2.0 * min(max(k - 3000, 0) / 20.0, 1.0)
-        again_N = 0.2 * min(max(k - 3000 - 1e3 * after_s, 0.0) / 20.0, 1.0)
-        force_N = 4.0 * min(k / 2800.0, 1.0) - fallen_N - again_N
-        ruptures.update(identified(), force_N, 5e-6 * k, DT, is_steady=True)
 
-    assert ruptures.count == count
+    def force_at(k):
+        again_N = 0.2 * ramp(k, 3000 + after, 20)
+        return 4.0 * ramp(k, 0, 2800) - 2.0 * ramp(k, 3000, 20) - again_N
+
+    assert count_ruptures(force_at, 3100 + after) == count
 
 
 @pytest.mark.parametrize(("apart_m", "count"), [(2.5e-3, 1), (3.5e-3, 2)])
 def test_ruptures_less_than_3_mm_apart_are_one(apart_m, count):
-    ruptures = RuptureCounter()
-    for depth_m in (0.02, 0.02 + apart_m):
-        for k in range(1000):
-            identification = identified(
-                alarm_N=None if k < 999 else 2.0, alarm_m=depth_m
-            )
-            ruptures.update(identification, 1.0, depth_m, DT, is_steady=False)
+    depth_at = lambda k: 0.02 + apart_m * (k >= 1000)  # noqa: E731
+    alarms = {k: identified(alarm_N=2.0, alarm_m=depth_at(k)) for k in (999, 1999)}
+    how = {"steady": False, "alarms": alarms, "depth_at": depth_at}
 
-    assert ruptures.count == count
+    assert count_ruptures(lambda k: 1.0, 2000, **how) == count
 
 
-def test_a_late_alarm_is_no_second_rupture():
-    """A late alarm of a rupture that was counted does not count again."""
-    ruptures = RuptureCounter()
-    is_counted = []
-    for k in range(5000):
-        force_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
-        identification = (
-            identified(alarm_N=2.0, alarm_m=0.015) if k == 4000 else identified()
-        )
-        is_counted.append(
-            ruptures.update(identification, force_N, 5e-6 * k, DT, is_steady=True)
-        )
+def test_a_late_alarm_is_no_second_rupture_and_a_nan_no_force():
+    def force_at(k):
+        return np.nan if k == 100 else 2.0 * ramp(k, 0, 3000) - (k > 3000)
 
-    assert np.flatnonzero(is_counted) == pytest.approx([3001], abs=5)
+    alarms = {4000: identified(alarm_N=2.0, alarm_m=0.015)}
+
+    assert count_ruptures(force_at, 2999) == 0
+    assert count_ruptures(force_at, 3010) == 1
+    assert count_ruptures(force_at, 5000, alarms=alarms) == 1
 
 
 def test_a_fall_after_a_gap_is_no_rupture():
@@ -170,26 +139,13 @@ def test_a_fall_after_a_gap_is_no_rupture():
         profile = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1))
         events = []
         for k in range(3050):
-            axial_N = 2.0 * min(k / 3000.0, 1.0) - (k > 3000)
+            axial_N = 2.0 * ramp(k, 0, 3000) - (k > 3000)
             situation = make_situation(
                 State.INSERTION, 5e-6 * k, k, 5.0 + k * DT, axial_N
             )
             situation.time_s += gap_s * (k > 3000)
             events.append(profile.update(situation).event)
         assert max(events) == event
-
-
-def test_a_reading_that_is_no_number_is_skipped():
-    ruptures = RuptureCounter()
-    for k in range(3100):
-        fallen = k > 3030
-        force_N = np.nan if k == 100 else 2.0 * min(k / 3000.0, 1.0) - fallen
-        is_counted = ruptures.update(
-            identified(), force_N, 5e-6 * k, DT, is_steady=True
-        )
-        assert k > 3000 or not is_counted
-
-    assert ruptures.count == 1
 
 
 @pytest.mark.parametrize("approach_m", [0.0, 3e-3])
@@ -282,33 +238,27 @@ def test_holding_is_no_faster_than_planned():
     )
 
 
-def test_the_force_of_starting_is_no_rupture():
-    """The force with which an arm accelerates is no rupture."""
-    profile = InsertionProfile(InsertionPlan(speed_m_s=0.02, depth_m=0.1, layer=1))
+@pytest.mark.parametrize(
+    ("speed_m_s", "force_at", "rupture"),
+    [
+        # It accelerates for 200 ms, which is no rupture; the last fall is one.
+        (0.02, lambda k: 0.8 * (20 < k < 200 or 1000 < k < 1200), 1205),
+        # A jerk of the arm is none: 1.6 m/s² for two samples.
+        (5e-3, lambda k: 2.9 + 0.5 * (k % 1000 in (998, 999)), None),
+    ],
+)
+def test_the_force_of_acceleration_is_no_rupture(speed_m_s, force_at, rupture):
+    profile = InsertionProfile(InsertionPlan(speed_m_s=speed_m_s, depth_m=0.1, layer=1))
     depth_m = 0.0
-    events = {}
-    for k in range(1500):
-        axial_N = 0.8 * (20 < k < 200 or 1000 < k < 1200)  # it accelerates for 200 ms
-        step = profile.update(
-            make_situation(State.INSERTION, depth_m, k, k * DT, axial_N)
-        )
+    ruptures = []
+    for k in range(3000 if rupture is None else 1500):
+        situation = make_situation(State.INSERTION, depth_m, k, k * DT, force_at(k))
+        step = profile.update(situation)
         depth_m += DT * step.speed_m_s
-        if step.event:
-            events.setdefault(step.event, k)
+        if step.event == "rupture":
+            ruptures.append(k)
 
-    assert events["rupture"] == pytest.approx(1205, abs=10)
-
-
-def test_a_jerk_of_the_arm_is_no_rupture():
-    profile = InsertionProfile(InsertionPlan(speed_m_s=5e-3, depth_m=0.1, layer=1))
-    depth_m = 0.0
-    for k in range(6000):
-        axial_N = 2.9 + 0.5 * (k % 1000 in (998, 999))  # 1.6 m/s² for two samples
-        step = profile.update(
-            make_situation(State.INSERTION, depth_m, k, k * DT, axial_N)
-        )
-        depth_m += DT * step.speed_m_s
-        assert step.event == ""
+    assert ruptures[:1] == ([] if rupture is None else pytest.approx([rupture], abs=10))
 
 
 def test_after_a_rupture_the_tip_is_held():
@@ -345,16 +295,3 @@ def test_after_a_rupture_the_tip_is_held():
     assert (
         profile.update(make_situation(State.STOPPED, tip_m, 1201, 0.0)).speed_m_s == 0.0
     )
-
-
-def test_targets_on_the_needle_line_have_depths():
-    """A target on the needle's line becomes a depth, another one is refused."""
-    axis = np.array((0.0, 0.0, -1.0))
-
-    with pytest.raises(SettingError, match="expected a direction"):
-        depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), np.zeros(3))
-    assert depth_of((0.1, 0.0, 0.2), (0.1, 5e-4, 0.25), axis) == pytest.approx(0.05)
-
-    for target in ((0.1, 0.0, 0.3), (0.1, 0.01, 0.2)):
-        with pytest.raises(SettingError, match="Align the needle"):
-            depth_of(target, (0.1, 0.0, 0.25), axis)

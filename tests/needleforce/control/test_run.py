@@ -85,16 +85,12 @@ def test_a_real_arm_without_a_force_limit_does_not_move():
     assert next(arm.run(without_force_limit=True)).situation is None
 
 
-@pytest.mark.parametrize("is_allowed", [False, True])
-def test_a_real_arm_without_a_limit_of_the_jerk_does_not_move(is_allowed):
+def test_a_real_arm_without_a_limit_of_the_jerk_does_not_move():
     arm = PlainArm(is_real=True)
+    sample = next(iter(arm))
     limits = Limits(arm.robot)
-    controller = Controller(arm.robot, limits, allow_unlimited_jerk=is_allowed)
-    if not is_allowed:
-        with pytest.raises(SettingError, match="jerk"):
-            controller.update(next(iter(arm)), DOWN)
-    else:
-        assert controller.update(next(iter(arm)), DOWN).dq_rad_s.any()
+    with pytest.raises(SettingError, match="jerk"):
+        Controller(arm.robot, limits).update(sample, DOWN)
 
 
 def test_an_arm_rests_in_states_that_do_not_move_and_at_the_force_limit():
@@ -162,13 +158,12 @@ def test_what_a_haptic_device_sends_reaches_the_manager():
     assert refused[1] == ""
 
 
-@pytest.mark.parametrize("error", [TypeError, AttributeError, NameError, KeyError])
-def test_faults_of_a_program_pass_through(error):
+def test_faults_of_a_program_pass_through():
     class Faulty(TipVelocity):
         def write(self, *_):
-            raise error("a bug")
+            raise KeyError("a bug")
 
     ticks = PlainArm().run()
     next(ticks).tasks = [Faulty((0.0, 0.0, 0.0))]
-    with pytest.raises(error):
+    with pytest.raises(KeyError):
         next(ticks)

@@ -16,7 +16,6 @@ from needleforce.control import (
     TipVelocity,
 )
 from needleforce.control.priority_solver import Stack, find_damping, hierarchical
-from needleforce.control.tasks import JointTask
 from tests.needleforce.control.late_arm import LateArm, smooth, turn_about_entry
 from urdf import NeedleTool, load_example
 
@@ -38,12 +37,12 @@ def test_a_wrist_near_its_singularity_keeps_the_line_and_the_speed(wrist_rad):
     aside_m = []
     tip_m_s = []
     joint_rad_s = []
-    statuses = set()
+    damped = []
     for _ in range(2000):
         command = controller.update(arm.sample(), tasks)
         tip_m_s.append(np.linalg.norm(arm.tool.jacobian[:3] @ command.dq_rad_s))
         joint_rad_s.append(np.abs(command.dq_rad_s).max())
-        statuses.add(str(command.status))
+        damped.append(command.is_damped)
         arm.move(command.dq_rad_s)
         moved_m = line.rotation.T @ (arm.tool.tip_m - line.goal_m)
         aside_m.append(np.hypot(*moved_m[:2]))
@@ -51,7 +50,7 @@ def test_a_wrist_near_its_singularity_keeps_the_line_and_the_speed(wrist_rad):
     assert max(aside_m) < 0.1e-3
     assert max(tip_m_s) < 2.0 * SPEED_m_s
     assert max(joint_rad_s) < 0.5
-    assert ("near singular" in statuses) == (abs(wrist_rad) < 0.1)
+    assert any(damped) == (abs(wrist_rad) < 0.1)
     if abs(wrist_rad) > 0.1:
         assert tip_m_s[-1] == pytest.approx(SPEED_m_s, rel=1e-4)
 
@@ -127,7 +126,6 @@ def test_a_joint_at_a_limit_and_a_damped_direction_are_both_reported():
     entry = RemoteCentre(tool.tip_m - 0.01 * tool.axis)
     command = controller.update(sample, [entry, far])
 
-    assert command.status == "near singular"
     assert command.is_damped
     assert command.is_limited
 
@@ -173,27 +171,6 @@ def test_without_other_joints_a_weak_one_moves():
     velocity, _ = hierarchical(stack_of((1.0, 0.05), 0.1, (1e-3, 2.0)))
 
     assert 0.1 < velocity[1] < 2.0
-
-
-def test_joint_velocities_may_be_a_column_of_a_table():
-    """Of levels solved one by one, too: the first row depends on the second."""
-
-    class FromTable(JointTask):
-        size = 3
-
-        def velocity_at(self, q_rad):
-            return np.full((3, 2), 0.1)[:, 0]
-
-    def write(tool, rows, rates):
-        rows[:] = ((1.0, 0.0, 0.0), (1.0, 0.01, 0.0))
-        rates[:] = 0.0
-
-    tasks = [SimpleNamespace(size=2, write=write), FromTable()]
-    stack = Stack(tasks, 3)
-    stack.bounds[:] = np.outer((-1.0, 1.0), np.ones(3))
-    stack.fill(tasks, SimpleNamespace(q_rad=np.zeros(3)))
-
-    assert hierarchical(stack)[0][2] == pytest.approx(0.1)
 
 
 def test_a_level_that_hardly_moves_goes_along_though_each_of_its_rows_is_new():

@@ -125,42 +125,17 @@ def test_gaps_between_samples_give_no_energy_away(chance, least, most, delay_s, 
     assert master.least_energy_J >= MIN_ENERGY_J["wall"]
 
 
-@pytest.mark.parametrize("mass_kg", [0.25, 1.25])
-@pytest.mark.parametrize("every", [1, 4, 20])
-def test_a_free_handle_gains_no_energy(every, mass_kg):
-    """A handle that nobody holds gains no energy, however seldom it is read."""
-    tele = teleoperate()
-    needle = Needle()
-    z_m = speed_m_s = force_N = given_J = least_J = 0.0
-    for k in range(4000):
-        push_N = 6.0 if k // 1000 % 2 == 0 else -6.0
-        speed_m_s += (push_N - 5.0 * speed_m_s + force_N) / mass_kg * DT
-        z_m += speed_m_s * DT
-        given_J -= force_N * speed_m_s * DT
-        least_J = min(least_J, given_J)
-        spring_N = 300.0 * max(needle.depth_m, 0.0)
-        session_estimate = estimate(spring_N, None, needle.depth_m, needle.speed_m_s)
-        sample = handle(z_m, speed_m_s) if k % every == 0 else None
-        move = answer(tele, sample, session_estimate)
-        force_N = move.force_N[2]
-        needle.speed_m_s = move.speed_m_s
-        needle.depth_m += DT * move.speed_m_s
-        assert abs(force_N) <= 5.0
-
-    assert least_J > -0.05
-
-
 @given(st.lists(st.tuples(st.floats(-30.0, 30.0), st.floats(-1.0, 1.0)), max_size=100))
 @settings(deadline=None)
 def test_a_free_device_gains_no_energy(steps):
     """Whatever force is wanted and however the handle is hit between the samples."""
     port = HandPort()
     position_m = 0.0
-    mass_kg = 0.25
     for wanted_N, speed_m_s in steps:
         force_N = port.update(wanted_N, position_m, speed_m_s, 1e9, dt_s=DT, ahead_s=DT)
-        position_m += speed_m_s * DT - force_N / mass_kg * DT**2 / 2.0
+        position_m += speed_m_s * DT - force_N / 0.25 * DT**2 / 2.0
         port.update(0.0, position_m, 0.0, 1e9, dt_s=DT, ahead_s=DT)
+        assert abs(force_N) <= 5.0
         assert port.net_J >= -1e-12
 
 
@@ -189,19 +164,14 @@ def test_a_force_that_is_let_go_counts_what_it_gives_only(travel_m, given_m):
 
 def test_unused_allowance_is_not_saved_up():
     port = Port(1e-3, 2e-3)
-    for _ in range(60_000):
-        quiet = port.update_budget_J(0.0, DT)
 
-    assert quiet == 1e-3
+    assert [port.update_budget_J(0.0, DT) for _ in range(60_000)][-1] == 1e-3
 
     port.observe(-1.0, 1.5e-3)  # more than may leave has left
+    later_J = [port.update_budget_J(0.0, DT) for _ in range(2001)]
 
-    assert port.update_budget_J(0.0, DT) == pytest.approx(-0.5e-3 + 2e-6)
-
-    for _ in range(2000):
-        later = port.update_budget_J(0.0, DT)
-
-    assert later == pytest.approx(1e-3)
+    assert later_J[0] == pytest.approx(-0.5e-3 + 2e-6)
+    assert later_J[-1] == pytest.approx(1e-3)
     assert port.update_budget_J(0.1, DT) == pytest.approx(0.1 - 1.5e-3 + 1e-3)
 
 
@@ -236,19 +206,6 @@ def test_needle_follows_the_hand_unless_declutched(scale):
     assert stands_m == pytest.approx(0.0, abs=1e-4)
 
 
-def test_a_lagging_needle_stands_when_declutched():
-    """A needle behind its hand stands once the clutch is open."""
-    tele = teleoperate(motion_scale=1.0)
-    depth_m = speed_m_s = 0.0
-    for k in range(1500):  # 75 mm in half a second
-        sample = handle(0.15 * min(k * DT, 0.5), 0.15 * (k < 500), clutch=k < 500)
-        move = answer(tele, sample, estimate(1.0, None, depth_m, speed_m_s))
-        speed_m_s = move.speed_m_s
-        depth_m += speed_m_s * DT
-
-    assert depth_m == pytest.approx(0.01, abs=1e-4)  # at 20 mm/s
-
-
 def quick_hand(t_s, travel_m, seconds):
     """Return position and speed of a hand that reaches out smoothly, and stands."""
     part = min(max(t_s / seconds, 0.0), 1.0)
@@ -270,8 +227,7 @@ def hand_that_stops_dead(t_s, travel_m, seconds):
 def test_the_needle_stands_when_a_quick_hand_stands(
     travel_m, seconds, scale, speed_limit_m_s, stiffness_N_per_m, hand
 ):
-    """By itself it moves by 40 ms of its largest speed more, or 2 mm; an arm that is
-    5 ms late by half a millimetre beyond. At its usual largest speed that is 1 mm."""
+    """Within a millimetre, an arm that is 5 ms late."""
     tele = teleoperate(motion_scale=scale, speed_limit_m_s=speed_limit_m_s)
     commands_m_s = deque([0.0] * 5)
     depths_m = []
@@ -289,8 +245,7 @@ def test_the_needle_stands_when_a_quick_hand_stands(
     after_m = np.array(depths_m[round(seconds / DT) :])
     moving = np.flatnonzero(np.abs(np.diff(after_m)) > 2e-3 * DT)
 
-    most_m = 1e-3 if speed_limit_m_s <= 0.02 else 2.5e-3
-    assert np.abs(after_m - after_m[0]).max() <= most_m
+    assert np.abs(after_m - after_m[0]).max() <= 1e-3
     assert moving.size == 0 or DT * moving[-1] <= 0.15
     assert max(forces_N) <= 5.0
     assert np.diff(forces_N).max() <= 0.5 + 1e-9
@@ -328,8 +283,7 @@ def test_after_a_reset_force_and_motion_are_zero():
 
 
 @pytest.mark.parametrize("is_reset", [False, True])
-def test_after_a_reset_the_needle_stays(is_reset):
-    """It does not make up for the hand's motion, while nobody asked."""
+def test_after_a_reset_the_needle_does_not_make_up_for_the_hand(is_reset):
     tele = teleoperate()
     answer(tele, handle(), estimate(depth_m=0.05))
     tele.watch = HandleWatch()
@@ -337,36 +291,34 @@ def test_after_a_reset_the_needle_stays(is_reset):
         tele.reset()
     move = answer(tele, handle(0.004), estimate(depth_m=0.0))
 
-    assert (move.speed_m_s > 5e-3) == (not is_reset)
-    assert move.speed_m_s == 0.0 or not is_reset
+    assert (move.speed_m_s == 0.0) == is_reset
+
+
+def shown_along(tele, ticks, axial_N, **how):
+    """Return what is shown over some ticks of the same estimate [N]."""
+    shown_N = []
+    for _ in range(ticks):
+        answer(tele, None, estimate(axial_N, **how))
+        shown_N.append(tele.shown_N)
+    return np.array(shown_N)
 
 
 def test_noise_is_hidden_ruptures_show_at_once():
     tele = teleoperate()
-    rng = np.random.default_rng(4)
-    shown = []
-    for noise_N in rng.normal(0.0, 0.1, 2000):
-        answer(tele, None, estimate(1.0 + noise_N))
-        shown.append(tele.shown_N)
+    noise_N = np.random.default_rng(4).normal(0.0, 0.1, 2000)
+    shown_N = np.concatenate([shown_along(tele, 1, 1.0 + n) for n in noise_N])
 
-    assert np.std(shown[1000:]) < 0.02
-    assert np.mean(shown[1000:]) == pytest.approx(1.0, abs=0.02)
+    assert np.std(shown_N[1000:]) < 0.02
+    assert np.mean(shown_N[1000:]) == pytest.approx(1.0, abs=0.02)
+    assert shown_along(tele, 1, 0.5) == pytest.approx(0.8)  # never further than 0.3 N
 
-    answer(tele, None, estimate(0.5))
+    shown_along(tele, 1, 0.5, rupture=object())
 
-    assert tele.shown_N == pytest.approx(0.8)  # never further than 0.3 N
+    assert shown_along(tele, 60, 0.5)[-1] == pytest.approx(0.5, abs=0.02)
 
-    answer(tele, None, estimate(0.5, rupture=object()))
-    for _ in range(60):
-        answer(tele, None, estimate(0.5))
+    shown_along(tele, 300, 0.5)  # the rupture is over
 
-    assert tele.shown_N == pytest.approx(0.5, abs=0.02)
-
-    for _ in range(300):  # the rupture is over
-        answer(tele, None, estimate(0.5))
-    answer(tele, None, estimate(0.6))
-
-    assert tele.shown_N < 0.51
+    assert shown_along(tele, 1, 0.6) < 0.51
 
 
 @pytest.mark.parametrize(
@@ -383,11 +335,9 @@ def test_known_stiffness_removes_the_lag_of_force(stiffness, late_N):
 
     assert tele.shown_N - force == pytest.approx(late_N, abs=0.01)
 
-    withdrawn = estimate(-1.0, 0.0, speed_m_s=-speed, stiffness=stiffness)
-    for _ in range(2000):
-        answer(tele, None, withdrawn)
-
-    assert tele.shown_N == pytest.approx(0.0, abs=0.01)  # nothing springs back
+    how = {"tip_N": 0.0, "speed_m_s": -speed, "stiffness": stiffness}
+    # Nothing springs back.
+    assert shown_along(tele, 2000, -1.0, **how)[-1] == pytest.approx(0.0, abs=0.01)
 
 
 def test_motion_and_force_end_without_signals():
@@ -469,21 +419,19 @@ def test_without_time_passing_the_needle_stands(dt_s):
     assert command.force_N == pytest.approx(last.force_N)
 
 
-class CutLine(DelayLine):
-    """A line that is cut: from a tick on it repeats what it brought last."""
-
-    def exchange(self, packet, dt_s):
-        if self._time_s > 0.3 - 0.5 * DT:
-            return self._newest
-        return super().exchange(packet, dt_s)
+def repeat_last(packet):
+    return lambda _, dt_s: packet
 
 
-def test_the_needle_stands_when_the_line_is_cut():
+def test_a_cut_line_stops_the_needle():
     """It follows a hand of 10 mm/s for 0.3 s, and stands 0.1 s after the last news."""
-    tele = teleoperate(motion_scale=1.0, lines=[CutLine(), DelayLine()])
+    line = DelayLine()
+    tele = teleoperate(motion_scale=1.0, lines=[line, DelayLine()])
     depth_m = 0.0
     speeds_m_s = []
     for k in range(1000):
+        if k == 300:
+            line.exchange = repeat_last(tele.device.update(None, None, DT))
         command = answer(tele, handle(1e-5 * k, 0.01), estimate(depth_m=depth_m))
         depth_m += DT * command.speed_m_s
         speeds_m_s.append(command.speed_m_s)
@@ -491,21 +439,6 @@ def test_the_needle_stands_when_the_line_is_cut():
     assert speeds_m_s[299] == pytest.approx(0.01, rel=0.1)
     assert speeds_m_s[380] > 1e-3
     assert speeds_m_s[410:] == [0.0] * 590
-
-
-@pytest.mark.parametrize("frozen", [False, True])
-def test_the_needle_stands_when_the_device_is_silent(frozen):
-    """The needle stands soon after the device is gone or repeats itself."""
-    tele = teleoperate(motion_scale=1.0)
-    depth_m = 0.0
-    depths_m = []
-    for k in range(2000):  # 30 mm/s; the needle follows with 20
-        sample = handle(3e-5 * min(k, 300), 0.03) if k < 300 or frozen else None
-        depth_m += DT * answer(tele, sample, estimate(depth_m=depth_m)).speed_m_s
-        depths_m.append(depth_m)
-
-    assert depths_m[-1] - depths_m[299] <= 1e-3
-    assert depths_m[-1] == pytest.approx(depths_m[1000], abs=1e-4)
 
 
 @pytest.mark.parametrize(
@@ -520,7 +453,6 @@ def test_the_needle_stands_when_the_device_is_silent(frozen):
         {"axis": (0.0, 0.0, 0.0)},
         {"axis": "abc"},
         {"shown": "all"},
-        {"lines": (3, 4)},
         {"max_force_N": np.nan},
         {"speed_limit_m_s": 0.0},
     ],
@@ -531,16 +463,13 @@ def test_settings_that_cannot_work_are_refused(wrong):
 
 
 def test_line_keeps_the_order_and_the_newest_counts():
-    rng = np.random.default_rng(0)
-    late = DelayLine(0.02, 0.015, rng)
-    newest = -1
-    for sent in range(500):
-        received = late.exchange(sent, DT)
-        if received is not None:
-            assert received >= newest
-            newest = received
-            assert 4 <= sent - received <= 36
+    late = DelayLine(0.02, 0.015, np.random.default_rng(0))
+    received = [late.exchange(sent, DT) for sent in range(500)]
+    arrived = np.array(received[40:])
+    delays = np.arange(40, 500) - arrived
 
+    assert (np.diff(arrived) >= 0).all()
+    assert 4 <= delays.min() < delays.max() <= 36
     assert DelayLine().exchange("now", DT) == "now"
     for arguments in ((-0.1,), (0.1, 0.01)):  # a jitter needs a generator
         with pytest.raises(PlantError):
